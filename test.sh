@@ -16,10 +16,13 @@ esac
 # shellcheck source=scripts/setup.sh
 . scripts/setup.sh
 setup dev libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri pocl-opencl-icd
+unset PYTHONDONTWRITEBYTECODE  # the tests start hundreds of processes, which share the bytecode
 options=()
 if [ "${1:-}" = --nightly ]; then
     shift
     options=(-m "" --hypothesis-profile nightly)
+else
+    export RHI_KERNELS="${RHI_KERNELS:-quick}"  # optimised kernels, which compute the same bits, in the tests about them
 fi
 if [ $# -gt 0 ]; then
     exec .venv/bin/python -m pytest "${options[@]}" "$@"

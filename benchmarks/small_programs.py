@@ -14,15 +14,21 @@ runs from the first command until the device is finished; figures are medians ov
 divided by cl's, by the clock; `processor` is the same of the processor time of all threads. Above 1, cl is faster.
 `empty` is a pass that only clears: what a frame costs before anything is drawn.
 
-    python benchmarks/small_programs.py [--json] [--rounds 21] [--size 640x360] [--only julia,blur]
+`--kernels optimised`, the default, measures the kernels that a program draws with after some frames, and from the start
+if they are in the cache. `--kernels quick` measures those that it draws with until then, in an empty cache.
+
+    python benchmarks/small_programs.py [--json] [--rounds 21] [--size 640x360] [--only julia,blur] [--kernels quick]
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
+import tempfile
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from statistics import median
 from typing import Any, Final
 
@@ -365,6 +371,7 @@ def measure(benches: dict[str, Bench], name: str, fast: bool, rounds: int) -> di
     pairs = list(zip(times["gl"], times["cl"], strict=True))
     clock, processor = (median(gl[i] / cl[i] for gl, cl in pairs) for i in range(2))
     row: dict[str, Any] = {"program": name, "precision": "fast" if fast else "default"}
+    row["kernels"] = os.environ["RHI_KERNELS"]
     row |= {f"{backend}_milliseconds": 1e3 * median(t for t, _ in times[backend]) for backend in times}
     return row | {"ratio": clock, "processor": processor}
 
@@ -374,8 +381,18 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=21)
     parser.add_argument("--size", default="640x360")
     parser.add_argument("--only", default=",".join(["empty", *SHADERS]))
+    parser.add_argument("--kernels", choices=("optimised", "quick"), default="optimised")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
+    os.environ["RHI_KERNELS"] = options.kernels
+    with ExitStack() as stack:
+        if options.kernels == "quick":  # the optimised ones of the cache would be taken instead
+            os.environ["RHI_CACHE"] = stack.enter_context(tempfile.TemporaryDirectory())
+        run(options)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Measure the programs that were asked for, and print the results."""
     width, height = map(int, options.size.split("x"))
     benches = {backend: Bench(backend, (width, height)) for backend in ("gl", "cl")}
     rows = [
@@ -388,6 +405,7 @@ def main() -> None:
     if options.json:
         print(json.dumps(rows))
         return
+    print(f"{options.kernels} kernels")
     print(f"{'program':14} {'precision':9} {'gl ms':>8} {'cl ms':>8} {'ratio':>6} {'processor':>9}")
     for row in rows:
         print(

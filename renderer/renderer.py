@@ -9,7 +9,7 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.frame import Drawn, Frame, SceneResources, Targets
+from renderer.frame import Drawn, Frame, Layer, SceneResources, Targets
 from renderer.scene import Camera, Scene, Simulator
 from renderer.techniques import Forward, Technique
 from renderer.visibility import VisibilityAlgorithm, VisibilityStatistics, make_visibility
@@ -21,16 +21,17 @@ _COUNTERS: Final = ("queries", "software_state_changes", "hardware_state_changes
 
 @dataclass(frozen=True, slots=True)
 class FrameStatistics:
-    """The cost of one frame.
+    """The cost of one frame, without its layers.
 
     Attributes:
         triangles: number of triangles of the objects drawn.
         draws: number of objects drawn; one call may draw many.
         queries: number of occlusion queries.
-        software_state_changes, hardware_state_changes: states set by scopes, and values sent to the device.
+        software_state_changes, hardware_state_changes: states set by scopes, and values sent to the device; with
+            layers these include setting back what the last frame's layers changed.
         upload_bytes: bytes written to the device.
-        simulation_steps: steps taken by the simulations of drawn objects, counted for each object.
-        skipped_simulations: number of simulated objects that weren't drawn, and took no step.
+        simulation_steps: steps taken by the simulations of drawn objects, counted for each member.
+        skipped_simulations: number of simulated or animated objects that weren't drawn.
     """
 
     triangles: int
@@ -73,7 +74,8 @@ class FrameResult:
 class Renderer:
     """Draws one scene on one device.
 
-    The attributes `technique` and `visibility` may be exchanged between any two frames.
+    The attributes `technique` and `visibility` may be exchanged between any two frames, and `layers`, which are drawn
+    over each frame in their order, changed.
     """
 
     def __init__(
@@ -84,6 +86,7 @@ class Renderer:
         technique: Technique | None = None,
         visibility: VisibilityAlgorithm | None = None,
         size: tuple[int, int] = (960, 540),
+        validation: bool = False,
     ) -> None:
         """Create the targets and upload the scene.
 
@@ -91,10 +94,13 @@ class Renderer:
             technique: how the scene is drawn; forward shading by default.
             visibility: an algorithm made for `scene`; by default `auto`, which measures which one is the fastest.
             size: (width, height) of the image in pixels.
+            validation: whether to check samples of what is simulated: each batch has one object whose vertices must be
+                inside its bounds (`scene-left-bounds`).
         """
         self.device = device
         self.scene = scene
         self.technique: Technique = technique or Forward()
+        self.layers: list[Layer] = []
         self._own: list[VisibilityAlgorithm] = []
         if visibility is None:
             visibility = make_visibility("auto", scene, device)
@@ -103,6 +109,7 @@ class Renderer:
         self._targets = Targets(device, size)
         try:
             self._resources = SceneResources(device, scene)
+            self._validation = self.simulator.validation = validation
         except BaseException:
             self._targets.destroy()
             raise
@@ -121,15 +128,16 @@ class Renderer:
 
     @property
     def simulator(self) -> Simulator:
-        """Steps the simulated objects that are drawn.
+        """Runs the simulations of what is drawn.
 
-        It may be exchanged for another one of the same scene, `Simulator(scene.simulated, len(scene.objects))`, whose
-        members may have taken other steps.
+        It may be exchanged for another one of the same scene (`Scene.make_simulator`), whose members may have taken
+        other steps.
         """
         return self._resources.simulator
 
     @simulator.setter
     def simulator(self, simulator: Simulator) -> None:
+        simulator.validation = self._validation
         self._resources.simulator = simulator
 
     def render(self, camera: Camera, seconds: float = 0.0) -> FrameResult:
@@ -139,20 +147,26 @@ class Renderer:
         width, height = self.size
         camera = camera.with_aspect(width / height)
         before = device.statistics
-        self.scene.update(seconds)
+        self.scene.seconds = seconds
+        expected = self.simulator.drawn
         self.simulator.begin_frame(seconds)
+        self.scene.refresh()
         self._resources.update(camera)
+        self._resources.expect(camera, expected)
         frame = Frame(camera, self._resources, self._targets, self.visibility)
         self.technique.render(device, frame)
-        device.present(self._targets.color)
         after = device.statistics
+        for layer in self.layers:
+            layer.render(device, frame)
+        device.present(self._targets.color)
         counters = {name: getattr(after, name) - getattr(before, name) for name in _COUNTERS}
         counters["simulation_steps"] = self.simulator.steps
         counters["skipped_simulations"] = len(self.simulator) - self.simulator.seen
         return FrameResult(self._targets.color, self._targets.depth, frame.statistics, frame.drawn, counters)
 
     def destroy(self) -> None:
-        """Destroy all resources on the device, except those of a visibility algorithm that was passed in."""
+        """Destroy all resources on the device, except those of layers and of a visibility algorithm that was passed
+        in."""
         for visibility in self._own:
             visibility.destroy()
         self._own.clear()

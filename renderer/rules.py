@@ -61,6 +61,16 @@ UNBOUND_MESH: Final = Rule(
     "the mesh of a simulated object needs bounds that hold at all times",
     "pass add_mesh(bounds=...): hidden objects aren't stepped, so their bounds must be known in advance",
 )
+SHARED_NODE: Final = Rule("scene-shared-node", "a node has at most one animation")
+BAD_SIMULATION: Final = Rule(
+    "scene-bad-simulation",
+    "a simulation has a policy of catching up, the methods that the policy calls, and one for its result",
+)
+LEFT_BOUNDS: Final = Rule(
+    "scene-left-bounds",
+    "a simulated object left the bounds that were declared to hold at all times",
+    "declare larger bounds: an object outside of its bounds is culled where it shows",
+)
 UNKNOWN_NODE: Final = Rule("scene-unknown-node", "no node has this name")
 
 # Scene text
@@ -121,6 +131,10 @@ BAD_SETTINGS: Final = Rule(
     "the file holds no settings of visibility algorithms",
     "python -m renderer tune writes one",
 )
+
+# The canvas
+FONT_FILE: Final = Rule("canvas-font-file", "the file can't be read as a font")
+FONT_SIZE: Final = Rule("canvas-font-size", "a font's size is out of its range")
 
 # Measurements
 

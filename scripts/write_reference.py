@@ -31,7 +31,8 @@ def write(folder: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error", UserWarning)
         warnings.filterwarnings("ignore", ".*CommandWork.__init__")  # a NamedTuple's constructor belongs to no module
-        pdoc.pdoc(*MODULES, output_directory=folder)
+        # Without the modules inside of them, which aren't for users.
+        pdoc.pdoc(*(part for name in MODULES for part in (name, rf"!{name}\.")), output_directory=folder)
 
 
 if __name__ == "__main__":

@@ -173,7 +173,7 @@ def measure_variants(variants: list[RenderVariant], count: int) -> dict[str, Mea
 
 def tabulate(variants: list[RenderVariant], times: dict[str, Measurement]) -> str:
     """Format the table: times, and the counters of the measured frames."""
-    is_simulated = bool(variants[0].renderer.scene.simulated)
+    is_simulated = bool(len(variants[0].renderer.simulator))
     counters = [
         counter.name
         for counter in fields(FrameStatistics)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -26,9 +27,10 @@ from renderer.cli.output import name_of, note, prepare_image, show_progress, wri
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import load_scene, parse_camera
 from renderer.measure import FrameCost, measure_frame
+from renderer.overlay import Overlay
 from renderer.renderer import Renderer
 from renderer.scene import FRAMES_PER_SECOND, Camera, CameraPath, Depth, Orthographic, Perspective, Scene
-from renderer.techniques import TECHNIQUES
+from renderer.techniques import TECHNIQUES, Particles
 from renderer.visibility import (
     ALGORITHMS,
     AutoCulling,
@@ -46,6 +48,7 @@ _NOTES: Final = """\
   python -m renderer render hall --camera ground --frames 120 --visibility frustum --json
   python -m renderer render city --visibility chc_plus_plus --queries emulated --json
   python -m renderer render city --backend null --json
+  python -m renderer render city --camera ground --frame 600 --frames 120 --overlay
   python -m renderer render city --backend null --frames 10 --trace city.zip
   python -m renderer render city --camera ground --frame 600 --frames 120 --record walk.json
 
@@ -103,6 +106,14 @@ def _add_arguments(parser: Parser) -> None:
         metavar="F.json",
         help="write the frames' cameras as a walk-through, for --camera and --camera-path",
     )
+    parser.add_argument(
+        "--particles", action="store_true", help="draw the drops of the hall's fountains as particles, too"
+    )
+    parser.add_argument(
+        "--overlay",
+        action="store_true",
+        help="draw frame times, counters, the timer tree and the culling over each frame, which costs time, too",
+    )
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
 
 
@@ -130,7 +141,14 @@ def _run(given: argparse.Namespace) -> None:
             visibility=_make_visibility(given.visibility, scene, device, settings),
             size=given.size,
         ) as renderer,
+        ExitStack() as layers,
     ):
+        if given.particles:
+            renderer.layers.append(Particles(device))
+        if given.overlay:
+            renderer.layers.append(Overlay(device, scale=max(1, given.size[1] // 720)))
+        for layer in renderer.layers:
+            layers.callback(layer.destroy)
         shots = list(enumerate(cameras, given.frame))
         for _ in show_progress(warm_up(renderer), None, "find the fastest algorithm"):
             measure_frame(renderer, cameras[0], given.frame / FRAMES_PER_SECOND)

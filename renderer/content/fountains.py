@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.scene.arrays import Floats, Rows
+from renderer.scene.catching_up import Stepwise
 from renderer.scene.meshes import VERTEX, MeshGeometry
 
 __rhi_internal__ = True
@@ -21,6 +22,7 @@ DROPS: Final = 90
 """Number of drops of a fountain. One is thrown in each step, so each flies for this number of steps."""
 
 _STEP: Final = 1.0 / 60.0
+_STEPS_PER_FRAME: Final = 2048
 _GRAVITY: Final = 9.81
 _UP: Final = (5.2, 6.8)  # least and greatest upward speed in m/s
 _AWAY: Final = 0.55  # greatest horizontal speed in m/s
@@ -38,14 +40,16 @@ BOUNDS: Final = (
 class Fountains:
     """The simulation of `count` fountains, each with its nozzle at its own origin.
 
+    22 fountains that show at once are up to date in that frame, of more some are late by a few frames.
+
     Attributes:
         position, velocity: (count, DROPS, 3) in m and m/s.
     """
 
     interval = _STEP
-    memory: int | None = DROPS
 
     def __init__(self, count: int, seed: int) -> None:
+        self.catch_up = Stepwise(max(_STEPS_PER_FRAME, count), memory=DROPS)
         self._seed = seed
         self.position: Floats = np.zeros((count, DROPS, 3))
         self.velocity: Floats = np.zeros((count, DROPS, 3))
@@ -69,9 +73,13 @@ class Fountains:
         rise = _UP[0] + (_UP[1] - _UP[0]) * up
         return np.stack([away * np.cos(angle), rise, away * np.sin(angle)], axis=1)
 
-    def vertices(self, member: int) -> NDArray[Any]:
-        """Return the vertices (12 * DROPS,) of `VERTEX`: a tetrahedron for each drop."""
-        return _tetrahedra(self.position[member])
+    def vertices(self, members: Rows) -> NDArray[Any]:
+        """Return the vertices (12 * DROPS * j,) of `members` (j,): a tetrahedron for each drop."""
+        return _tetrahedra(self.position[members].reshape(-1, 3))
+
+    def particles(self, members: Rows) -> tuple[Floats, Floats]:
+        """Return the positions and velocities (j, DROPS, 3) of the drops of `members` (j,)."""
+        return self.position[members], self.velocity[members]
 
 
 def make_drops() -> MeshGeometry:

@@ -16,8 +16,9 @@ from renderer.content import shapes
 from renderer.content.fountains import BOUNDS, Fountains, make_drops
 from renderer.content.specs import SEED, Generator, Option
 from renderer.content.textures import paint_stripes
-from renderer.scene.arrays import Floats
+from renderer.scene.arrays import Floats, Rows
 from renderer.scene.camera import Camera, Perspective
+from renderer.scene.catching_up import Recompute
 from renderer.scene.meshes import MeshGeometry, make_geometry
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
@@ -33,6 +34,10 @@ SEGMENTS: Final = 6
 
 _HEIGHT: Final = 9.0
 _CLOTH: Final = (0.34, 1.3)  # width of a segment and height of a flag, metres
+_THICKNESS: Final = 0.01  # of a side of the cloth, metres
+_PARTS: Final = np.arange(SEGMENTS)
+_SWING: Final = 0.11 * (1.0 + 0.35 * _PARTS)  # greatest angle between a segment and the one before, radians
+_DELAY: Final = 0.9  # of a segment behind the one before, radians of the wave
 
 
 def make_hall(columns: int, rows: int, flags: int, fountains: int, detail: int, seed: int) -> Scene:
@@ -148,24 +153,51 @@ def _add_flags(builder: SceneBuilder, rng: np.random.Generator, places: Floats, 
     builder.add_objects(poles, pole, iron)
     material = cloths[np.arange(count) % len(cloths)]
     phase = rng.uniform(0.0, 2.0 * np.pi, count)
-    offset = translation((0.0, 4.55 - height, 0.0))
-    above = poles
+    hinges = np.array(
+        [translation((0.0, 4.55 - height, 0.0) if part == 0 else (width, 0.0, 0.0)) for part in _PARTS]
+    )
+    above, segments = poles, []
     for part in range(SEGMENTS):
-        hinge = offset if part == 0 else translation((width, 0.0, 0.0))
-        above = builder.add_nodes(multiply(hinge, rotation((0, 1, 0), np.zeros(count))), above, dynamic=True)
+        above = builder.add_nodes(np.repeat(hinges[part : part + 1], count, axis=0), above, dynamic=True)
         builder.add_objects(above, cloth[part], material)
-        builder.animate(above, _Sway(hinge, phase, part))
+        segments.append(above)
+    lower, upper = (corner.repeat(count, axis=0) for corner in _sway_bounds())
+    builder.animate(np.concatenate(segments), _Sway(hinges, phase), (lower, upper))
 
 
 class _Sway:
-    """The motion of one segment of all flags: a wave that runs along the cloth and grows outwards."""
+    """The motion of the segments of all flags, part after part: a wave that runs along the cloth and grows outwards."""
 
-    def __init__(self, hinge: Floats, phase: NDArray[np.float64], part: int) -> None:
-        self.hinge, self.phase, self.part = hinge, phase, part
+    catch_up: Final = Recompute()
 
-    def __call__(self, seconds: float) -> Floats:
-        angle = 0.11 * (1.0 + 0.35 * self.part) * np.sin(2.4 * seconds + self.phase - 0.9 * self.part)
-        return multiply(self.hinge, rotation((0, 1, 0), angle))
+    def __init__(self, hinges: Floats, phase: NDArray[np.float64]) -> None:
+        self.hinges, self.phase = hinges, phase
+        self.angle = np.zeros(SEGMENTS * len(phase))
+
+    def set_time(self, members: Rows, seconds: float) -> None:
+        """Compute the angles of `members` (j,) at their hinges."""
+        part, flag = np.divmod(members, len(self.phase))
+        self.angle[members] = _SWING[part] * np.sin(2.4 * seconds + self.phase[flag] - _DELAY * part)
+
+    def transforms(self, members: Rows) -> Floats:
+        """Return the transforms (j, 4, 4) of `members` (j,)."""
+        hinge = self.hinges[members // len(self.phase)]
+        return multiply(hinge, rotation((0, 1, 0), self.angle[members]))
+
+
+def _sway_bounds() -> tuple[Floats, Floats]:
+    """Return the boxes (SEGMENTS, 3) that the segments never leave, in the space of the pole.
+
+    A segment's direction is a sum of sines of one frequency: a sine too, whose amplitude is known.
+    """
+    width, height = _CLOTH
+    turned = np.abs(np.cumsum(_SWING * np.exp(-1j * _DELAY * _PARTS)))
+    ends = np.cumsum(width * np.cos(turned))  # least, of the hinge that follows a segment
+    aside = np.cumsum(width * np.sin(turned)) + 2.0 * _THICKNESS
+    low = np.full(SEGMENTS, 4.55 - height)
+    lower = np.stack([ends - width * np.cos(turned) - 2.0 * _THICKNESS, low, -aside], axis=1)
+    upper = np.stack([width * (_PARTS + 1.0) + 2.0 * _THICKNESS, low + height, aside], axis=1)
+    return lower, upper
 
 
 def _cloth(part: int, detail: int) -> MeshGeometry:
@@ -173,10 +205,10 @@ def _cloth(part: int, detail: int) -> MeshGeometry:
     width, height = _CLOTH
     x, y = np.meshgrid(np.linspace(0.0, width, detail + 1), np.linspace(0.0, height, detail + 1))
     uv = np.stack([(part + x / width) / SEGMENTS, 1.0 - y / height], axis=-1).reshape(-1, 2)
-    front = shapes.sheet(np.stack([x, y, np.full_like(x, 0.01)], axis=-1), uv.reshape(*x.shape, 2))
+    front = shapes.sheet(np.stack([x, y, np.full_like(x, _THICKNESS)], axis=-1), uv.reshape(*x.shape, 2))
     vertices = np.concatenate([front.vertices, front.vertices])
     back = vertices[len(front.vertices) :]
-    back["position"][:, 2] = -0.01
+    back["position"][:, 2] = -_THICKNESS
     back["normal"] *= -1.0
     turned = front.indices.reshape(-1, 3)[:, ::-1] + len(front.vertices)
     return make_geometry(

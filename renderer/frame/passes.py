@@ -15,11 +15,12 @@ from renderer import rules
 from renderer.frame.resources import SceneResources
 from renderer.scene import Camera, Depth, Scene
 from renderer.visibility import DeviceList, SceneArrays
-from renderer.visibility.boxes.volumes import Containment, classify, fit_aligned
 from rhi import CullMode, DepthFunction, DepthTest, DepthWrite, Device, FrontFace, Program, Texture, refuse
 
-_DEPTH: Final = {Depth.REVERSED: (0.0, DepthFunction.GREATER), Depth.STANDARD: (1.0, DepthFunction.LESS)}
-"""The depth to clear to, and the depth function that nearer fragments pass."""
+FARTHEST: Final = {Depth.REVERSED: 0.0, Depth.STANDARD: 1.0}
+"""The depth to clear to."""
+NEARER: Final = {Depth.REVERSED: DepthFunction.GREATER, Depth.STANDARD: DepthFunction.LESS}
+"""The depth function that nearer fragments pass."""
 
 _WINDINGS: Final = ((False, FrontFace.COUNTER_CLOCKWISE), (True, FrontFace.CLOCKWISE))
 
@@ -35,6 +36,11 @@ class Drawn:
         self._scene = scene
         self.batches: list[NDArray[np.int64]] = []
         self._lists: list[tuple[DeviceList, int]] = []
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the CPU knows all rows, without waiting for the device."""
+        return not self._lists
 
     def add_list(self, draws: DeviceList) -> None:
         """Record that a list was drawn."""
@@ -93,18 +99,22 @@ class TechniquePass:
         self._color = color
         self._clear = clear
         self.was_opened = False
+        self._has_all_in_view = False
         self._scopes: ExitStack | None = None
 
     @property
     def arrays(self) -> SceneArrays:
-        """The scene's buffers, up to date."""
+        """The scene's buffers, up to date for every object that may be in view: of what reads them, the CPU learns too
+        late which objects it draws."""
+        self._simulate_in_view()
         return self._resources.arrays
 
     def open(self) -> None:
         """Begin the pass unless it is open."""
         if self._scopes is not None:
             return
-        far, nearer = _DEPTH[self._camera.projection.depth]
+        direction = self._camera.projection.depth
+        far, nearer = FARTHEST[direction], NEARER[direction]
         begins = not self.was_opened
         with ExitStack() as scopes:
             scopes.enter_context(
@@ -142,13 +152,10 @@ class TechniquePass:
                     )
 
     def draw_list(self, draws: DeviceList) -> None:
-        """Draw the objects that the device has listed. Simulated objects that are not outside the view are stepped,
-        since any of them may be on the list."""
+        """Draw the objects that the device has listed. Simulated objects that are not outside the view are run, since
+        any of them may be on the list."""
         self.open()
-        simulated = self._resources.simulator.objects
-        if len(simulated):
-            side = classify(self._camera.frustum.planes, fit_aligned(self._resources.scene, simulated))
-            self._resources.simulate(simulated[side != Containment.OUTSIDE])
+        self._simulate_in_view()
         self.drawn.add_list(draws)
         for mirrored, winding in _WINDINGS:
             if self._resources.has_winding(mirrored=mirrored):
@@ -159,6 +166,12 @@ class TechniquePass:
                         draws.arguments(mirrored=mirrored),
                         **self._bindings,
                     )
+
+    def _simulate_in_view(self) -> None:
+        if not self._has_all_in_view:
+            self._has_all_in_view = True
+            simulated = self._resources.simulator.objects
+            self._resources.simulate(self._resources.find_in_view(self._camera, simulated))
 
     def __enter__(self) -> Self:
         return self

@@ -4,25 +4,26 @@
   whole scene can be one `draw_many`, in which an object's row is the base instance of its draw.
 - An object is a row of two arrays: `places` (32 bytes) has its position and mesh, `objects` (112 bytes) all else.
   Positions are pairs of floats, from which shaders subtract the eye's position: a moved eye changes one constant.
-- Objects that can't move aren't examined again, so that a frame costs the CPU the same however many of them there
-  are.
+- Objects that can't move aren't examined again, and simulated ones only before they are drawn. So a frame costs the
+  CPU the same however many there are of them that aren't drawn.
 """
 
 from __future__ import annotations
 
 from contextlib import ExitStack
 from functools import cached_property
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Final, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from renderer import shaders
+from renderer import rules, shaders
 from renderer.lights.lists import list_lights
-from renderer.scene import Camera, Scene, Simulator, normal_matrices
+from renderer.scene import Camera, Deformed, Scene, Simulator, normal_matrices
 from renderer.visibility import SceneArrays
-from rhi import Device, Format, Mesh, StorageBuffer, Texture, TextureKind, UniformBuffer
+from renderer.visibility.boxes.volumes import Containment, classify, fit_aligned
+from rhi import Device, Format, Mesh, StorageBuffer, Texture, TextureKind, UniformBuffer, refuse
 from rhi.shading import Struct
 
 
@@ -36,6 +37,10 @@ T = TypeVar("T")
 
 LARGEST_IMAGE = 2048
 """The largest width and height of images in texels; larger ones are scaled down."""
+
+_GAP: Final = 128
+"""Rows to upload that are at most this many bytes apart are uploaded together with those between them: a write takes as
+long as copying 16 KB (llvmpipe, PoCL), but where bytes cross a bus they are scarcer."""
 
 
 class MirroredArray(Generic[T]):
@@ -51,11 +56,11 @@ class MirroredArray(Generic[T]):
     def __len__(self) -> int:
         return 0 if self.buffer is None else self.buffer.count
 
-    def write(self, array: NDArray[Any], begin: int = 0, end: int | None = None) -> None:
+    def write(self, array: NDArray[Any], chosen: NDArray[np.int64] | None = None) -> None:
         """Make the buffer hold `array`, whose dtype must have the element's std430 layout, names aside.
 
-        The rows from the first to the last that differ are uploaded. Only the rows from `begin` to `end` are
-        compared: the others must be unchanged.
+        The rows that differ are uploaded, near ones together. Only the rows `chosen` (k,), ascending, are compared: the
+        others must be unchanged.
         """
         if not len(array):
             self.destroy()
@@ -67,11 +72,15 @@ class MirroredArray(Generic[T]):
             self._upload(self.buffer, rows, 0)
             self._rows = rows.copy()
             return
-        changed = np.flatnonzero((rows[begin:end] != self._rows[begin:end]).any(1))
-        if changed.size:
-            first, last = begin + int(changed[0]), begin + int(changed[-1]) + 1
-            self._upload(self.buffer, rows[first:last], first)
-            self._rows[first:last] = rows[first:last]
+        if chosen is None:
+            changed = np.flatnonzero((rows != self._rows).any(1))
+        elif len(chosen):
+            changed = chosen[(rows[chosen] != self._rows[chosen]).any(1)]
+        else:
+            return
+        for first, end in join_runs(changed, 1, _GAP // rows.shape[1]):
+            self._upload(self.buffer, rows[first:end], first)
+        self._rows[changed] = rows[changed]
 
     @staticmethod
     def _upload(buffer: StorageBuffer[T], rows: NDArray[np.uint8], first: int) -> None:
@@ -83,6 +92,19 @@ class MirroredArray(Generic[T]):
         if self.buffer is not None:
             self.buffer.destroy()
             self.buffer = None
+
+
+def join_runs(
+    begins: NDArray[np.int64], sizes: NDArray[np.int64] | int, gap: int = 0
+) -> list[tuple[int, int]]:
+    """Join the ranges from `begins` (k,), ascending, of `sizes` (k,), where they are at most `gap` apart; return the
+    begin and the end of each run."""
+    if not len(begins):
+        return []
+    ends = begins + sizes
+    cuts = np.flatnonzero(begins[1:] - ends[:-1] > gap)
+    firsts = begins[np.concatenate([[0], cuts + 1])]
+    return list(zip(firsts.tolist(), ends[np.concatenate([cuts, [-1]])].tolist(), strict=True))
 
 
 class MirroredValue(Generic[S]):
@@ -113,7 +135,7 @@ class SceneResources:
         objects, places, materials, directional, point, spot, light_rows: the arrays that shaders read; point and spot
             lights are left out if none of them reaches an object.
         view, ambient, haze: the constants of the frame.
-        simulator: steps the simulated objects that are drawn.
+        simulator: runs the simulations of what is drawn.
     """
 
     def __init__(self, device: Device, scene: Scene) -> None:
@@ -130,8 +152,8 @@ class SceneResources:
 
     def _make(self, device: Device, scene: Scene) -> None:
         self.scene = scene
-        self.simulator = Simulator(scene.simulated, len(scene.objects))
-        self._simulated: dict[int, int] = {}  # by object, the step of the vertices on the device
+        self.simulator: Simulator = scene.make_simulator()
+        self._held = np.zeros(len(scene.objects))  # by object, the state of the vertices on the device
         self._device = device
         meshes, objects = scene.meshes, scene.objects
         self.mesh: Mesh = self._keep(device.mesh(meshes.vertices, meshes.indices, label=scene.name))
@@ -161,8 +183,6 @@ class SceneResources:
         self._rows["material"] = objects.material
         self._places: NDArray[Any] = np.zeros(len(objects), shaders.ObjectPosition.dtype)
         self._places["mesh"] = objects.mesh
-        moving = objects.dynamic_rows
-        self._moving = (int(moving[0]), int(moving[-1]) + 1) if len(moving) else (0, 0)
         self.mirrored: NDArray[np.bool_] = np.zeros(len(objects), bool)
         self._windings = (False, False)  # whether some object isn't mirrored, and whether some is
         self._transform(np.arange(len(objects)))
@@ -185,16 +205,48 @@ class SceneResources:
         assert places is not None
         return SceneArrays(self.view.buffer, objects, places, self.parts)
 
-    def simulate(self, rows: NDArray[np.int64]) -> None:
+    def simulate(self, rows: NDArray[np.int64], *, is_drawn: bool = True) -> None:
         """Bring the simulated ones of the objects `rows` to the frame's time. Call it before they are drawn."""
-        meshes, mesh_of = self.scene.meshes, self.scene.objects.mesh
-        for one in self.simulator.advance(rows):
-            if self._simulated.get(one.row) != one.number:
-                first = int(meshes.ranges["base_vertex"][mesh_of[one.row]])
-                vertices = self.mesh.vertices
-                assert vertices is not None
-                vertices.write(one.simulation.vertices(one.member), first)
-                self._simulated[one.row] = one.number
+        advanced = self.simulator.advance(rows, is_drawn=is_drawn)
+        if len(advanced.moved):
+            self._transform(advanced.moved)
+            moved = np.sort(advanced.moved)
+            self.objects.write(self._rows, moved)
+            self.places.write(self._places, moved)
+        for one in advanced.deformed:
+            self._deform(one)
+
+    def _deform(self, deformed: Deformed) -> None:
+        """Upload the vertices of objects that have another state than those on the device, adjacent meshes together."""
+        changed = np.flatnonzero(self._held[deformed.rows] != deformed.states)
+        if not len(changed):
+            return
+        mesh = self.scene.objects.mesh[deformed.rows[changed]]
+        begins = self.scene.meshes.ranges["base_vertex"][mesh].astype(np.int64)
+        order = np.argsort(begins)
+        changed, begins, sizes = changed[order], begins[order], self.scene.meshes.vertex_counts[mesh[order]]
+        vertices = deformed.simulation.vertices(deformed.members[changed])
+        if len(vertices) != int(sizes.sum()):
+            given, call = f"{len(vertices)} vertices", f"{type(deformed.simulation).__name__}.vertices"
+            refuse(rules.BAD_SIMULATION, call, given, f"the {sizes.sum()} of the members' meshes")
+        buffer, at = self.mesh.vertices, 0
+        assert buffer is not None
+        for first, end in join_runs(begins, sizes):
+            buffer.write(vertices[at : at + end - first], first)
+            at += end - first
+        self._held[deformed.rows] = deformed.states
+
+    def expect(self, camera: Camera, rows: NDArray[np.int64]) -> None:
+        """Simulate those of the objects `rows` that `camera` may see, because they will probably be drawn."""
+        if len(rows):
+            self.simulate(self.find_in_view(camera, rows), is_drawn=False)
+
+    def find_in_view(self, camera: Camera, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return those of the objects `rows` whose bounds are not outside the view."""
+        if not len(rows):
+            return rows
+        side = classify(camera.frustum.planes, fit_aligned(self.scene, rows))
+        return rows.take(np.flatnonzero(side != Containment.OUTSIDE))
 
     def has_winding(self, *, mirrored: bool) -> bool:
         """Return whether there are objects of one winding: mirrored ones, or others."""
@@ -210,9 +262,10 @@ class SceneResources:
     def update(self, camera: Camera) -> None:
         """Update the buffers to the scene as `camera` sees it."""
         scene, eye = self.scene, camera.position
-        self._transform(scene.objects.dynamic_rows)
-        self.objects.write(self._rows, *((0, None) if self._list_lights() else self._moving))
-        self.places.write(self._places, *self._moving)
+        following = scene.objects.following_rows  # others that move are simulated before they are drawn
+        self._transform(following)
+        self.objects.write(self._rows, None if self._list_lights() else following)
+        self.places.write(self._places, following)
         self.materials.write(scene.materials)
         lights = scene.lights.relative_to(eye)
         self.directional.write(lights.directional)
@@ -233,8 +286,10 @@ class SceneResources:
         part["linear"][:, :, :3] = world[:, :3, :3]
         part["normal"][:, :, :3] = normal / np.where(largest > 0.0, largest, 1.0)
         self._rows[rows] = part
-        self.mirrored[rows] = np.linalg.det(world[:, :3, :3]) < 0.0
-        self._windings = (bool((~self.mirrored).any()), bool(self.mirrored.any()))
+        mirrored = np.linalg.det(world[:, :3, :3]) < 0.0
+        if not any(self._windings) or (mirrored != self.mirrored[rows]).any():
+            self.mirrored[rows] = mirrored
+            self._windings = (bool((~self.mirrored).any()), bool(self.mirrored.any()))
         place = self._places[rows]
         place["high"], place["low"] = _split(world[:, :3, 3])
         place["mirrored"] = self.mirrored[rows]
@@ -243,17 +298,17 @@ class SceneResources:
     def _list_lights(self) -> bool:
         """List the lights that reach each object, and return whether the lists may have changed.
 
-        The lists of static objects come first, so that lists of moving objects don't shift them.
+        The lists of objects with fixed bounds come first, so that those of others don't shift them.
         """
         objects, lights = self.scene.objects, self.scene.lights
         positions = np.concatenate([lights.point["position"], lights.spot["position"]])
         ranges = np.concatenate([lights.point["range"], lights.spot["range"]]).astype(np.float64)
-        rows, points = objects.dynamic_rows, len(lights.point)
+        rows, points = objects.following_rows, len(lights.point)
         state = (np.array([points]), positions, ranges, objects.lower[rows], objects.upper[rows])
         if self._lit and all(map(np.array_equal, self._lit, state)):
             return False
         self._lit = state
-        order = np.concatenate([objects.static_rows, rows])
+        order = np.concatenate([objects.fixed_rows, rows])
         ends, listed = list_lights(objects.lower[order], objects.upper[order], positions, ranges)
         is_spot = listed >= points
         spots = np.concatenate([[0], np.cumsum(is_spot)])[ends]

@@ -49,6 +49,7 @@ class ExactVisibility:
         resources = self._resources
         width, height = self._numbers.size
         camera = camera.with_aspect(width / height)
+        resources.simulator.begin_frame(self._scene.seconds)
         resources.update(camera)
         arrays = resources.arrays
         bindings = {"view": arrays.view, "objects": arrays.objects, "places": arrays.places}

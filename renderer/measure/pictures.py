@@ -17,12 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.content import BUILT_IN
+from renderer.frame.passes import NEARER
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import Camera, Depth, Orthographic, Scene
 from renderer.scene.arrays import Rows
 from renderer.visibility.boxes.bounds import find_near, pad_boxes
 from renderer.visibility.boxes.volumes import Containment, classify, fit_aligned
-from rhi import CullMode, DepthFunction, DepthTest, DepthWrite, Device, Format, Mesh, Primitive, Program
+from rhi import CullMode, DepthTest, DepthWrite, Device, Format, Mesh, Primitive, Program
 from rhi.shading import Shader, Storage, Struct, Uniform, dot, instance_index, mat4, vec3, vec4
 
 
@@ -55,7 +56,6 @@ MEANINGS: Final = {
 
 _THROUGH: Final = (CullingOutcome.OCCLUDED, CullingOutcome.NEAR)  # whose edges are drawn without a depth test
 _SPREAD: Final = 0.05  # of the picture from above: boxes that cover more of it, such as streets, aren't shown
-_NEARER: Final = {Depth.REVERSED: DepthFunction.GREATER, Depth.STANDARD: DepthFunction.LESS}
 
 
 class Mark(Struct):
@@ -122,7 +122,7 @@ def picture_from_camera(
     """Return (h, w, 4) sRGB: the frame as it was drawn, with the edges of all boxes that aren't outside."""
     device, scene = renderer.device, renderer.scene
     camera = camera.with_aspect(renderer.size[0] / renderer.size[1])
-    nearer = _NEARER[camera.projection.depth]
+    nearer = NEARER[camera.projection.depth]
     with (
         _Marks(device) as marks,
         device.render_pass(result.image, result.depth),

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from renderer.measure.frames import measure_frame
 from renderer.renderer import FrameResult, Renderer
-from renderer.scene import FRAMES_PER_SECOND, Camera, CameraPath, Simulator
+from renderer.scene import FRAMES_PER_SECOND, Camera, CameraPath
 from renderer.visibility import NoCulling, Settings, make_visibility
 from renderer.visibility.boxes.cubes import TRIANGLES
 
@@ -152,7 +152,7 @@ def compare_algorithms(
     warmed = [each.name for each in contenders if scene.simulated or each.algorithm not in FORGETFUL]
     rows: dict[str, list[AlgorithmRow]] = {name: [] for name in names}
     # Each algorithm has its own simulator, so that none draws what another one has stepped.
-    simulators = {name: Simulator(scene.simulated, len(scene.objects)) for name in ("", *names)}
+    simulators = {name: scene.make_simulator() for name in ("", *names)}
     for frame in frames:
         camera, seconds = path.camera(frame.number), frame.number / FRAMES_PER_SECOND
         renderer.visibility, renderer.simulator = reference, simulators[""]

@@ -6,6 +6,7 @@ moved = scene.update(seconds=10.0)
 """
 
 from renderer.scene.camera import Camera, Depth, Frustum, FrustumPlane, Orthographic, Perspective, Projection
+from renderer.scene.catching_up import CatchUp, Leap, Leaping, Recompute, Stepped, Stepwise, Timed
 from renderer.scene.lights import (
     DIRECTIONAL,
     POINT,
@@ -18,9 +19,19 @@ from renderer.scene.lights import (
 from renderer.scene.materials import MATERIAL, ImagePixels, make_material
 from renderer.scene.meshes import RANGE, VERTEX, Meshes, MeshGeometry, make_geometry
 from renderer.scene.nodes import Nodes
+from renderer.scene.objects import Boxes, Objects
 from renderer.scene.paths import FRAME_COUNT, FRAMES_PER_SECOND, CameraPath, make_path
-from renderer.scene.scene import Objects, Scene, SceneBuilder
-from renderer.scene.simulation import ObjectSimulation, Simulated, Simulator
+from renderer.scene.scene import Scene, SceneBuilder
+from renderer.scene.simulation import (
+    Advanced,
+    Deformed,
+    Deforming,
+    FunctionOfTime,
+    Moving,
+    ObjectSimulation,
+    Simulated,
+    Simulator,
+)
 from renderer.scene.transforms import normal_matrices, relative_to, rotation, scaling, translation
 
 __rhi_internal__ = True
@@ -36,26 +47,39 @@ __all__ = [
     "RELATIVE_SPOT",
     "SPOT",
     "VERTEX",
+    "Advanced",
+    "Boxes",
     "Camera",
     "CameraPath",
+    "CatchUp",
+    "Deformed",
+    "Deforming",
     "Depth",
     "Frustum",
     "FrustumPlane",
+    "FunctionOfTime",
     "ImagePixels",
+    "Leap",
+    "Leaping",
     "Lights",
     "MeshGeometry",
     "Meshes",
+    "Moving",
     "Nodes",
     "ObjectSimulation",
     "Objects",
     "Orthographic",
     "Perspective",
     "Projection",
+    "Recompute",
     "RelativeLights",
     "Scene",
     "SceneBuilder",
     "Simulated",
     "Simulator",
+    "Stepped",
+    "Stepwise",
+    "Timed",
     "make_geometry",
     "make_material",
     "make_path",

@@ -174,6 +174,12 @@ class Meshes:
         return len(self.ranges)
 
     @property
+    def vertex_counts(self) -> NDArray[np.int64]:
+        """The number of vertices of each mesh, (m,)."""
+        begins = self.ranges["base_vertex"].astype(np.int64)
+        return np.append(begins[1:], len(self.vertices)) - begins
+
+    @property
     def triangle_counts(self) -> NDArray[np.int64]:
         """The number of triangles of each mesh, (m,)."""
         return self.ranges["index_count"].astype(np.int64) // 3

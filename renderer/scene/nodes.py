@@ -34,6 +34,7 @@ class Nodes:
         level_starts: (levels + 1,) int64; level l is the rows level_starts[l] to level_starts[l + 1].
         rows: (n,) int64, the row of each id in the order in which the constructor was given them.
         names: the name of each row; may be empty.
+        writer: the simulator that has last set transforms; None if something else has.
     """
 
     def __init__(
@@ -62,6 +63,7 @@ class Nodes:
         self._local: Floats = matrices[order].copy()
         self._world: Floats = self._local.copy()
         self._dirty: NDArray[np.bool_] = np.ones(count, bool)
+        self.writer: object = None
         for start, end in self._levels():
             if start:
                 self.dynamic[start:end] |= self.dynamic[self.parents[start:end]]
@@ -101,6 +103,7 @@ class Nodes:
             refuse(rules.STATIC_NODE, "set_local(rows=...)", f"row {static[0]} {self.names[static[0]]!r}")
         self._local[chosen] = matrices
         self._dirty[chosen] = True
+        self.writer = None
 
     def update(self) -> NDArray[np.bool_]:
         """Update the world transforms; return which rows changed, (n,) bool."""

@@ -8,52 +8,31 @@ removed. An object is a mesh with a material at a node. `Scene.update` is the on
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from renderer import rules
-from renderer.scene.arrays import Floats
+from renderer.scene.arrays import Floats, Rows
 from renderer.scene.camera import Camera
 from renderer.scene.lights import Lights
 from renderer.scene.materials import MATERIAL, ImagePixels, check_image, make_material
 from renderer.scene.meshes import MeshBounds, Meshes, MeshGeometry
 from renderer.scene.nodes import Nodes
+from renderer.scene.objects import Objects, make_objects
 from renderer.scene.paths import CameraPath
-from renderer.scene.simulation import ObjectSimulation, Simulated
-from renderer.scene.transforms import is_affine, relative_to, transform_bounds
+from renderer.scene.simulation import (
+    FunctionOfTime,
+    ObjectSimulation,
+    Simulated,
+    Simulator,
+    check_simulation,
+)
+from renderer.scene.transforms import is_affine, relative_to
 from rhi.errors import refuse
 
 __rhi_internal__ = True
-
-Animation = Callable[[Nodes, float], None]
-"""A function that sets the transforms of dynamic nodes for a time in seconds; it depends on nothing but the time."""
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Objects:
-    """All objects, one row each.
-
-    Attributes:
-        node, mesh, material: (n,) int32, rows of nodes, meshes and materials.
-        lower, upper: (n, 3) float64, world bounds, kept up to date by `Scene.update`.
-        dynamic: (n,) bool, whether the object's node can move.
-        static_rows, dynamic_rows: int64, the rows of objects of either kind, ascending.
-    """
-
-    node: NDArray[np.int32]
-    mesh: NDArray[np.int32]
-    material: NDArray[np.int32]
-    lower: Floats
-    upper: Floats
-    dynamic: NDArray[np.bool_]
-    static_rows: NDArray[np.int64]
-    dynamic_rows: NDArray[np.int64]
-
-    def __len__(self) -> int:
-        return len(self.node)
 
 
 class Scene:
@@ -65,7 +44,8 @@ class Scene:
         materials: (k,) of `MATERIAL`. images: the textures that they refer to by index.
         background: linear colour of pixels that show nothing.
         haze: density of the air per metre: after a metre, e^-haze of the light is left; the rest is the background.
-        simulated: the simulations and their objects in their initial state; a renderer's `Simulator` steps copies.
+        simulated: the simulations in their initial state, and what they change; a renderer's `Simulator` runs copies.
+        seconds: the time of the last update or frame.
         views: named cameras, the first of which is the default. paths: named camera paths.
     """
 
@@ -80,7 +60,6 @@ class Scene:
         lights: Lights,
         views: Mapping[str, Camera],
         paths: Mapping[str, CameraPath],
-        animations: tuple[Animation, ...] = (),
         background: tuple[float, float, float] = (0.02, 0.02, 0.03),
         haze: float = 0.0,
         simulated: tuple[Simulated, ...] = (),
@@ -97,25 +76,46 @@ class Scene:
         self.lights = lights
         self.views = dict(views)
         self.paths = dict(paths)
-        self._animations = animations
-        self._refresh_bounds(np.arange(len(objects)))
+        self.seconds = 0.0
+        self._simulator = self.make_simulator()
         self.update()
         if not self.views:
             self.views["overview"] = self._fitting_camera()
 
-    def update(self, seconds: float = 0.0) -> NDArray[np.int64]:
-        """Apply the animations for the time `seconds`, then update transforms and bounds.
+    def update(self, seconds: float = 0.0) -> Rows:
+        """Apply all animations for the time `seconds`, drawn or not, then update transforms and bounds.
 
-        Return the rows of the objects whose transform was computed again.
+        Return the rows of the objects whose transform was computed again. A renderer applies only the animations of
+        what it draws.
         """
-        for animate in self._animations:
-            animate(self.nodes, seconds)
+        self.seconds = seconds
+        self._simulator.begin_frame(seconds)
+        self._simulator.pose_all()
+        return self.refresh()
+
+    def refresh(self) -> Rows:
+        """Update transforms and bounds to nodes that have moved; return the rows of the objects whose transform was
+        computed again."""
         moved = self.nodes.update()
         if not moved.any():
             return np.zeros(0, np.int64)
-        changed = np.flatnonzero(moved[self.objects.node])
-        self._refresh_bounds(changed)
-        return changed
+        boxes = self.objects.boxes.node
+        self.objects.refresh_bounds(self.nodes, np.flatnonzero(moved[boxes] & (boxes >= 0)))
+        return np.flatnonzero(moved[self.objects.node])
+
+    def make_simulator(self) -> Simulator:
+        """Create a simulator of the scene, in which nothing has been run yet."""
+        return Simulator(self.simulated, self.nodes, self.objects, self.meshes)
+
+    def check_bounds(self, times: ArrayLike) -> None:
+        """Run all simulations through the `times` (t,) in seconds, ascending, and refuse one that leaves its bounds."""
+        simulator = self.make_simulator()
+        for seconds in np.atleast_1d(np.asarray(times, np.float64)).tolist():
+            simulator.begin_frame(seconds)
+            self.refresh()
+            simulator.advance(simulator.objects)
+            for row in simulator.objects.tolist():
+                simulator.check_bounds(row)
 
     @property
     def bounds(self) -> tuple[Floats, Floats]:
@@ -141,12 +141,6 @@ class Scene:
         """
         nodes = self.objects.node if objects is None else self.objects.node[objects]
         return relative_to(self.nodes.world[nodes], eye)
-
-    def _refresh_bounds(self, rows: NDArray[np.int64]) -> None:
-        mesh = self.objects.mesh[rows]
-        world = self.nodes.world[self.objects.node[rows]]
-        lower, upper = transform_bounds(world, self.meshes.lower[mesh], self.meshes.upper[mesh])
-        self.objects.lower[rows], self.objects.upper[rows] = lower, upper
 
     def _fitting_camera(self) -> Camera:
         lower, upper = self.bounds
@@ -176,7 +170,7 @@ class SceneBuilder:
         self._objects: list[NDArray[np.int64]] = []
         self._object_count = 0
         self._simulated: list[Simulated] = []
-        self._animations: list[tuple[NDArray[np.int64], Callable[[float], Floats]]] = []
+        self._animated: list[tuple[NDArray[np.int64], ObjectSimulation, tuple[Floats, Floats] | None]] = []
 
     def add_mesh(self, geometry: MeshGeometry, name: str = "", bounds: MeshBounds | None = None) -> int:
         """Add a mesh and return its id. The vertices of a simulated mesh must never leave `bounds`."""
@@ -243,9 +237,30 @@ class SceneBuilder:
         self._object_count += len(columns[0])
         return np.arange(first, self._object_count)
 
-    def animate(self, nodes: ArrayLike, motion: Callable[[float], Floats]) -> None:
-        """Animate dynamic `nodes` (k,) by `motion`, which maps seconds to local transforms (k, 4, 4)."""
-        self._animations.append((np.atleast_1d(np.asarray(nodes, np.int64)), motion))
+    def animate(
+        self,
+        nodes: ArrayLike,
+        motion: ObjectSimulation | Callable[[float], Floats],
+        bounds: tuple[ArrayLike, ArrayLike] | None = None,
+    ) -> None:
+        """Animate dynamic `nodes` (k,): `motion` computes their local transforms.
+
+        Args:
+            motion: a simulation with `transforms`, whose members are the nodes in this order; or a function that maps
+                seconds to all transforms (k, 4, 4).
+            bounds: the lower and the upper corner, (k, 3) or (3,), of boxes that hold at all times what is at the
+                nodes and below them, down to the next animated nodes. They are in the space of the first node above
+                that isn't animated. So an object that isn't drawn needn't be animated. Without bounds, the nodes are
+                animated in every frame, and the bounds of objects follow.
+        """
+        rows = np.atleast_1d(np.asarray(nodes, np.int64))
+        if rows.size and (rows.min() < 0 or rows.max() >= len(self._node_names)):
+            refuse(rules.BAD_INDEX, "animate(nodes=...)", rows, f"0 to {len(self._node_names) - 1}")
+        simulation: object = motion
+        if callable(motion) and not hasattr(motion, "catch_up"):
+            simulation = FunctionOfTime(motion)
+        checked = check_simulation("animate(motion=...)", simulation, "transforms")
+        self._animated.append((rows, checked, None if bounds is None else _check_boxes(bounds, len(rows))))
 
     def simulate(self, objects: ArrayLike, simulation: ObjectSimulation) -> None:
         """Let `simulation` compute the vertices of `objects` (k,), which are its members in this order.
@@ -256,6 +271,7 @@ class SceneBuilder:
         rows = np.atleast_1d(np.asarray(objects, np.int64))
         if rows.size and (rows.min() < 0 or rows.max() >= self._object_count):
             refuse(rules.BAD_INDEX, "simulate(objects=...)", rows, f"0 to {self._object_count - 1}")
+        check_simulation("simulate(simulation=...)", simulation, "vertices")
         self._simulated.append(Simulated(simulation, rows))
 
     def _check_simulated(self, mesh: NDArray[np.int64]) -> None:
@@ -282,34 +298,54 @@ class SceneBuilder:
         )
         table = np.concatenate(self._objects)
         self._check_simulated(table[:, 1])
-        node = nodes.rows[table[:, 0]].astype(np.int32)
-        dynamic = nodes.dynamic[node]
-        objects = Objects(
-            node=node,
-            mesh=table[:, 1].astype(np.int32),
-            material=table[:, 2].astype(np.int32),
-            lower=np.zeros((len(table), 3)),
-            upper=np.zeros((len(table), 3)),
-            dynamic=dynamic,
-            static_rows=np.flatnonzero(~dynamic),
-            dynamic_rows=np.flatnonzero(dynamic),
+        meshes = Meshes(self._geometries, self._mesh_names, self._bounds)
+        animated = nodes.rows[np.concatenate([np.zeros(0, np.int64), *(ids for ids, _, _ in self._animated)])]
+        if len(np.unique(animated)) < len(animated):
+            refuse(rules.SHARED_NODE, "animate(nodes=...)", "a node twice")
+        boxes = [
+            box or (np.full((len(ids), 3), np.nan), np.full((len(ids), 3), np.nan))
+            for ids, _, box in self._animated
+        ]
+        lower, upper = (
+            np.concatenate([np.zeros((0, 3)), *(box[corner] for box in boxes)]) for corner in (0, 1)
+        )
+        objects = make_objects(
+            nodes,
+            meshes,
+            (nodes.rows[table[:, 0]], table[:, 1], table[:, 2]),
+            np.concatenate([np.zeros(0, np.int64), *(one.objects for one in self._simulated)]),
+            animated,
+            (lower, upper),
+        )
+        simulated = (
+            *(
+                Simulated(simulation, nodes=nodes.rows[ids], is_bounded=box is not None)
+                for ids, simulation, box in self._animated
+            ),
+            *self._simulated,
         )
         return Scene(
             self.name,
             nodes,
             objects,
-            Meshes(self._geometries, self._mesh_names, self._bounds),
+            meshes,
             np.array(self._materials, MATERIAL),
             tuple(self._images),
             self.lights,
             self.views,
             self.paths,
-            tuple(_follow(nodes.rows[ids], motion) for ids, motion in self._animations),
             self.background,
             self.haze,
-            tuple(self._simulated),
+            simulated,
         )
 
 
-def _follow(rows: NDArray[np.int64], motion: Callable[[float], Floats]) -> Animation:
-    return lambda nodes, seconds: nodes.set_local(rows, motion(seconds))
+def _check_boxes(bounds: tuple[ArrayLike, ArrayLike], count: int) -> tuple[Floats, Floats]:
+    corners = [np.asarray(corner, np.float64) for corner in bounds]
+    if len(corners) != 2 or any(corner.shape not in ((3,), (count, 3)) for corner in corners):
+        given = ", ".join(str(corner.shape) for corner in corners)
+        refuse(rules.BAD_BOUNDS, "animate(bounds=...)", f"shapes {given}", f"two of (3,) or ({count}, 3)")
+    lower, upper = (np.broadcast_to(corner, (count, 3)) for corner in corners)
+    if not (np.isfinite(lower) & np.isfinite(upper) & (lower <= upper)).all():
+        refuse(rules.BAD_BOUNDS, "animate(bounds=...)", f"{lower} to {upper}")
+    return lower, upper

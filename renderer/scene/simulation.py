@@ -1,135 +1,379 @@
-"""Simulations of objects (particles, cloth, skinning) that are only stepped where the objects are drawn.
+"""Simulations: whatever changes a set of objects over time, run only where the objects are drawn.
 
-A simulation has members: objects with a mesh of their own, whose vertices it computes. It goes in steps of constant
-length, so that skipped steps can be made up for: a member that isn't drawn isn't stepped. When it is drawn again, it
-takes the steps that it has missed, and looks as if it had been stepped all the time. A state may be forgotten after a
-number of steps, such as that of a drop after the drop is thrown again; then a member takes that number of steps at
-most.
+A simulation has members: objects with a mesh of their own, whose vertices it computes (particles, cloth, skinning),
+or nodes, whose transforms it computes (animations, rigid bodies). A member that isn't drawn is left alone. When it is
+drawn again it is brought to the frame's time, by the simulation's policy of catching up (`catching_up`).
 
-Whether an object is visible depends on its bounds, and those of objects that aren't stepped aren't known. So a
-simulated mesh is added with bounds that hold at all times (`SceneBuilder.add_mesh(..., bounds=...)`).
+Whether an object is visible depends on its bounds, and those of an object that is left alone can't follow it. So bounds
+are declared that hold at all times (`SceneBuilder.add_mesh(bounds=...)`, `SceneBuilder.animate(bounds=...)`). What has
+none is run in every frame, and its bounds follow.
+
+What was drawn in one frame is expected to be drawn in the next: it is brought to the frame's time at the beginning, all
+at once. What shows unexpectedly follows right before its draw. So everything is drawn as of its frame, and something
+that is no longer drawn is run once too often, at most.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import deepcopy
-from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from dataclasses import dataclass, field
+from itertools import count
+from typing import Any, Final, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.scene.arrays import Rows
+from renderer import rules
+from renderer.scene.arrays import Floats, Rows
+from renderer.scene.catching_up import CatchUp, Leap, Recompute
+from renderer.scene.meshes import Meshes
+from renderer.scene.nodes import Nodes
+from renderer.scene.objects import Objects
+from rhi.errors import refuse
 
 __rhi_internal__ = True
 
-
-_EARLY: Final = 1e-6  # of a step: a time that rounding has put just before a step counts as the step
+_NONE: Final[Rows] = np.zeros(0, np.int64)
+_ROUNDING: Final = 2.0**-20  # of the largest coordinate: vertices are float32
+_STATES: Final = count(1)
 
 
 class ObjectSimulation(Protocol):
-    """A simulation of k objects, its members. A `deepcopy` is independent of the original.
+    """A simulation of k members. A `deepcopy` is independent of the original.
+
+    It has the methods of its policy, `Timed`, `Stepped` or `Leaping`, and one of `Deforming` or `Moving`.
 
     Attributes:
-        interval: the length of a step in seconds.
-        memory: the number of steps after which an earlier state has no effect any more; None if it always has one.
+        catch_up: how members that weren't drawn are brought to the frame's time, and what that may cost.
     """
 
-    interval: float
-    memory: int | None
-
-    def step(self, members: Rows, numbers: Rows) -> None:
-        """Advance `members` (j,) by one `interval`, each to its step of `numbers` (j,), of which the first is 1.
-
-        The same steps must give the same state to the last bit, whatever other members take them.
-        """
+    @property
+    def catch_up(self) -> CatchUp:
+        """The policy; it never changes."""
         ...
 
-    def vertices(self, member: int) -> NDArray[Any]:
-        """Return the present vertices of a member, (v,) of `VERTEX`; their number never changes."""
+
+class Deforming(Protocol):
+    """A simulation whose members are objects, and which computes their vertices."""
+
+    def vertices(self, members: Rows) -> NDArray[Any]:
+        """Return the present vertices of `members` (j,), one after another, of `VERTEX`; each one's number never
+        changes."""
         ...
+
+
+class Moving(Protocol):
+    """A simulation whose members are nodes, and which computes their transforms."""
+
+    def transforms(self, members: Rows) -> Floats:
+        """Return the present transforms (j, 4, 4) of `members` (j,), from node to parent."""
+        ...
+
+
+class FunctionOfTime:
+    """A simulation of nodes whose transforms (k, 4, 4) a function computes from seconds, all at once."""
+
+    catch_up: Final = Recompute()
+
+    def __init__(self, motion: Callable[[float], Floats]) -> None:
+        self._motion = motion
+        self._transforms: Floats = np.zeros((0, 4, 4))
+
+    def set_time(self, members: Rows, seconds: float) -> None:
+        """Compute the transforms of all members."""
+        self._transforms = np.asarray(self._motion(seconds))
+
+    def transforms(self, members: Rows) -> Floats:
+        """Return the transforms of `members` (j,)."""
+        found = self._transforms
+        return found if found.ndim != 3 or len(found) == len(members) else found[members]
+
+
+def check_simulation(call: str, simulation: object, output: str) -> ObjectSimulation:
+    """Return `simulation`; refuse what isn't a simulation that computes `output`."""
+    policy = getattr(simulation, "catch_up", None)
+    if not isinstance(policy, CatchUp):
+        refuse(rules.BAD_SIMULATION, call, f"catch_up = {policy!r}", "Recompute, Stepwise or Leap")
+    needed = (*policy.methods, output)
+    if missing := [name for name in needed if not callable(getattr(simulation, name, None))]:
+        refuse(rules.BAD_SIMULATION, call, f"no {', '.join(missing)}", f"methods {', '.join(needed)}")
+    interval = getattr(simulation, "interval", 1.0)
+    if "step" in needed and not (hasattr(simulation, "interval") and 0.0 < interval < np.inf):
+        given = getattr(simulation, "interval", None)
+        refuse(rules.BAD_SIMULATION, call, f"interval = {given!r}", "seconds, above 0, finite")
+    return cast("ObjectSimulation", simulation)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Simulated:
-    """A simulation in its initial state, and the rows (k,) of the objects that are its members."""
+    """A simulation in its initial state, and what it changes.
+
+    Attributes:
+        simulation: the simulation; it must not be changed.
+        objects: the rows of its members (k,) if they are objects, which it deforms.
+        nodes: the rows of its members (k,) if they are nodes, which it moves.
+        is_bounded: whether it has bounds that hold at all times.
+    """
 
     simulation: ObjectSimulation
-    objects: Rows
+    objects: Rows = field(default_factory=lambda: _NONE)
+    nodes: Rows = field(default_factory=lambda: _NONE)
+    is_bounded: bool = True
+
+    def __len__(self) -> int:
+        return len(self.objects) + len(self.nodes)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Deformed:
+    """The states of the objects `rows` (j,), the `members` (j,) of `simulation`.
+
+    `states` (j,) identify them: equal numbers are equal vertices. That of an exact simulation is its step or its time.
+    """
+
+    simulation: Deforming
+    rows: Rows
+    members: Rows
+    states: Floats
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Advanced:
-    """The state of the object `row`, `member` of `simulation`: its step `number` determines its vertices."""
+    """What `Simulator.advance` has brought to the frame's time: objects whose transforms may have changed, and those
+    whose vertices may have."""
 
-    row: int
-    number: int
-    simulation: ObjectSimulation
-    member: int
+    moved: Rows = field(default_factory=lambda: _NONE)
+    deformed: tuple[Deformed, ...] = ()
 
 
 class Simulator:
-    """Steps those members of a scene's simulations that are drawn; a renderer has one.
+    """Runs the simulations of a scene for what is drawn; a renderer has one.
+
+    The transforms that it computes are written to the scene's nodes, which other simulators write to as well: they are
+    those of what it advances, until another one begins a frame.
 
     Attributes:
-        objects: rows of the simulated objects, ascending.
+        simulations: copies of the scene's simulations, in the order of `Scene.simulated`.
+        objects: rows of the objects that are simulated only where they are drawn, ascending.
         seconds: the time of the frame.
-        steps: number of steps that members took since `begin_frame`. seen: number of members drawn since then.
+        steps: number of steps that members took since `begin_frame`.
+        late: number of members that were brought towards the frame's time, and haven't reached it.
+        validation: whether `advance` also checks the bounds of one of its objects, another one in each call.
     """
 
-    def __init__(self, simulated: Sequence[Simulated], object_count: int) -> None:
+    def __init__(
+        self, simulated: Sequence[Simulated], nodes: Nodes, objects: Objects, meshes: Meshes
+    ) -> None:
         self._begin = tuple(simulated)
-        self._which: Rows = np.full(object_count, -1, np.int64)
-        self._member: Rows = np.zeros(object_count, np.int64)
+        self._nodes, self._objects, self._meshes = nodes, objects, meshes
+        self._first: list[int] = np.cumsum([0, *map(len, self._begin)]).tolist()
+        sizes = list(map(len, self._begin))
+        self._which: Rows = np.repeat(np.arange(len(sizes)), sizes)
+        self._slot_of = np.full(len(objects), -1, np.int64)  # the slots of members that are objects
+        by_node = np.full(len(nodes), -1, np.int64)
+        for one, first in zip(self._begin, self._first, strict=False):
+            self._slot_of[one.objects] = first + np.arange(len(one.objects))
+            by_node[one.nodes] = first + np.arange(len(one.nodes))
+        self._starts, self._slots = _list_slots(nodes, objects, by_node, self._slot_of)
+        self._has_nodes = np.zeros(len(objects), bool)
+        owner = np.repeat(np.arange(len(objects)), np.diff(self._starts))
+        self._has_nodes[owner[self._slots != self._slot_of[owner]]] = True
+        self.objects: Rows = objects.simulated_rows
+        always = np.zeros(len(self._which), bool)
         for which, one in enumerate(self._begin):
-            self._which[one.objects] = which
-            self._member[one.objects] = np.arange(len(one.objects))
-        self.objects: Rows = np.flatnonzero(self._which >= 0)
+            always[self._first[which] : self._first[which + 1]] = not one.is_bounded
+        follows = objects.boxes.node == objects.node  # the bounds follow the node, which must be where it is
+        always[self._slots[follows[owner] & (self._slots != self._slot_of[owner])]] = True
+        self._always: Rows = np.flatnonzero(always)
+        self._waiting = np.zeros(len(objects), bool)
+        self._seen = np.zeros(len(objects), bool)
+        self.validation = False
+        self._turn = 0
         self.seconds = 0.0
-        self.steps = 0
-        self._seen = np.zeros(object_count, bool)
         self._restart()
+        self._begin_counts()
 
     def __len__(self) -> int:
         return len(self.objects)
 
     @property
     def seen(self) -> int:
-        """The number of members drawn since `begin_frame`."""
+        """The number of `objects` drawn since `begin_frame`."""
         return int(self._seen[self.objects].sum())
 
+    @property
+    def drawn(self) -> Rows:
+        """Those of `objects` that were drawn since `begin_frame`: when read before it, those of the last frame."""
+        return self.objects[self._seen[self.objects]]
+
+    def list_drawn(self) -> list[tuple[ObjectSimulation, Rows, Rows]]:
+        """Return for each simulation of vertices the rows (j,) of its objects that were drawn since `begin_frame`, and
+        which members (j,) they are."""
+        rows = self.drawn
+        slots = self._slot_of[rows]
+        rows, slots = rows[slots >= 0], slots[slots >= 0]
+        parts = [(number, self._which[slots] == number) for number in np.unique(self._which[slots]).tolist()]
+        return [
+            (self.simulations[number], rows[part], slots[part] - self._first[number]) for number, part in parts
+        ]
+
     def begin_frame(self, seconds: float) -> None:
-        """Begin a frame at the time `seconds`. If that is before the last frame's time, all simulations start
-        again."""
+        """Begin a frame at the time `seconds`, and run what has no bounds. If that is before the last frame's time, all
+        simulations start again."""
         if seconds < self.seconds:
             self._restart()
         self.seconds = seconds
-        self.steps = 0
-        self._seen[self.objects] = False
+        self._begin_counts()
+        if self._nodes.writer is not self:
+            self._posed[:] = np.nan
+        if len(self._always):
+            self._run(self._always)
 
-    def advance(self, rows: Rows) -> list[Advanced]:
-        """Step the simulated ones of the objects `rows` to the frame's time, and return their states."""
-        advanced: list[Advanced] = []
-        if not self._begin:
-            return advanced
-        rows = rows[self._which[rows] >= 0]
-        self._seen[rows] = True
-        for which, simulation in enumerate(self._simulations):
-            chosen = rows[self._which[rows] == which]
-            members = self._member[chosen]
-            numbers = self._numbers[which]
-            target = int(self.seconds / simulation.interval + _EARLY)
-            if simulation.memory is not None:
-                numbers[members] = np.maximum(numbers[members], target - simulation.memory)
-            while (behind := members[numbers[members] < target]).size:
-                numbers[behind] += 1
-                simulation.step(behind, numbers[behind])
-                self.steps += len(behind)
-            places = zip(chosen.tolist(), members.tolist(), numbers[members].tolist(), strict=True)
-            advanced += [Advanced(row, number, simulation, member) for row, member, number in places]
-        return advanced
+    def advance(self, rows: Rows, *, is_drawn: bool = True) -> Advanced:
+        """Bring the simulated ones of the objects `rows` to the frame's time; return those that weren't there yet.
+
+        The scene must be up to date. `is_drawn` is False for objects that are only expected to be drawn.
+        """
+        if not len(self.objects):
+            return Advanced()
+        if is_drawn:
+            self._seen[rows] = True
+        rows = rows[self._waiting[rows]]
+        if not len(rows):
+            return Advanced()
+        self._waiting[rows] = False
+        if self._run(self._list_slots(rows)):
+            self._nodes.update()
+        if self.validation:
+            self._turn += 1
+            self.check_bounds(rows[self._turn % len(rows)])
+        moved = rows[self._has_nodes[rows]]
+        slots = self._slot_of[rows]
+        rows, slots = rows[slots >= 0], slots[slots >= 0]
+        which = self._which[slots]
+        deformed = []
+        for number in np.unique(which).tolist():
+            chosen = which == number
+            mine = slots[chosen]
+            simulation: Any = self.simulations[number]
+            deformed.append(
+                Deformed(simulation, rows[chosen], mine - self._first[number], self._states[mine])
+            )
+        return Advanced(moved, tuple(deformed))
+
+    def pose_all(self) -> None:
+        """Bring all nodes that are members to the frame's time, drawn or not; `Nodes.update` applies it."""
+        self._run(np.flatnonzero(np.array([len(one.nodes) > 0 for one in self._begin], bool)[self._which]))
+
+    def check_bounds(self, row: int) -> None:
+        """Refuse the simulation of an object that has left its bounds. It must be as of the frame's time."""
+        objects, meshes = self._objects, self._meshes
+        part = meshes.ranges[objects.mesh[row]]
+        slot = int(self._slot_of[row])
+        if slot < 0:
+            used = meshes.indices[part["first_index"] :][: part["index_count"]] + part["base_vertex"]
+            points = meshes.vertices["position"][used]
+        else:
+            which = int(self._which[slot])
+            simulation: Any = self.simulations[which]
+            points = simulation.vertices(np.array([slot - self._first[which]]))["position"]
+        world = self._nodes.world[objects.node[row]]
+        points = points @ world[:3, :3].T + world[:3, 3]
+        lower, upper = objects.lower[row], objects.upper[row]
+        slack = _ROUNDING * max(np.abs(lower).max(), np.abs(upper).max())
+        if not ((points >= lower - slack) & (points <= upper + slack)).all():
+            given = (
+                f"object {row} from {_show(points.min(0))} to {_show(points.max(0))} at {self.seconds:g} s"
+            )
+            refuse(rules.LEFT_BOUNDS, "Simulator.check_bounds", given, f"{_show(lower)} to {_show(upper)}")
+
+    def _begin_counts(self) -> None:
+        self.steps = 0
+        self.late = 0
+        self._left = [one.simulation.catch_up.steps_per_frame for one in self._begin]
+        self._seen[self.objects] = False
+        self._waiting[self.objects] = True
+        self._is_done: NDArray[np.bool_] = np.zeros(len(self._which), bool)
 
     def _restart(self) -> None:
-        self._simulations = [deepcopy(one.simulation) for one in self._begin]
-        self._numbers: list[Rows] = [np.zeros(len(one.objects), np.int64) for one in self._begin]
+        self.simulations: list[ObjectSimulation] = [deepcopy(one.simulation) for one in self._begin]
+        begins = [one.simulation.catch_up.begin() for one in self._begin]
+        self._reached: Floats = np.array(begins, np.float64)[self._which]  # by slot: its step or its time
+        self._states: Floats = self._reached.copy()
+        self._posed: Floats = np.full(len(self._which), np.nan)  # the states that the nodes have
+
+    def _list_slots(self, rows: Rows) -> Rows:
+        """Return all slots of the objects `rows`; one may be listed several times."""
+        first = self._starts[rows]
+        sizes = self._starts[rows + 1] - first
+        ends = np.cumsum(sizes)
+        listed: Rows = self._slots[np.arange(int(ends[-1])) + np.repeat(first - ends + sizes, sizes)]
+        return listed
+
+    def _run(self, slots: Rows) -> bool:
+        """Bring the members in `slots` to the frame's time, those that aren't there yet in this frame. Return whether
+        nodes were moved."""
+        wanted = np.zeros(len(self._which), bool)
+        wanted[slots] = True
+        slots = np.flatnonzero(wanted & ~self._is_done)
+        self._is_done[slots] = True
+        moved = False
+        which = self._which[slots]
+        for number in np.unique(which).tolist():
+            chosen = slots[which == number]
+            self._bring(number, chosen)
+            nodes = self._begin[number].nodes
+            stale = chosen[self._states[chosen] != self._posed[chosen]] if len(nodes) else _NONE
+            if len(stale):
+                members = stale - self._first[number]
+                simulation: Any = self.simulations[number]
+                self._nodes.set_local(nodes[members], simulation.transforms(members))
+                self._nodes.writer = self
+                self._posed[stale] = self._states[stale]
+                moved = True
+        return moved
+
+    def _bring(self, number: int, slots: Rows) -> None:
+        """Bring the members in `slots` of one simulation to the frame's time, as far as its policy allows."""
+        simulation: Any = self.simulations[number]
+        policy = simulation.catch_up
+        target = policy.target(simulation, self.seconds)
+        behind = slots[self._reached[slots] != target]
+        if not len(behind):
+            return
+        reached, steps = policy.advance(
+            simulation, behind - self._first[number], self._reached[behind], target, self._left[number]
+        )
+        self._left[number] = max(self._left[number] - steps, 0)
+        self.steps += steps
+        self.late += int((reached != target).sum())
+        changed = reached != self._reached[behind]
+        self._reached[behind] = reached
+        # A leap's result depends on where it began, so the step's number doesn't identify it.
+        inexact = isinstance(policy, Leap)
+        self._states[behind[changed]] = -next(_STATES) if inexact else reached[changed]
+
+
+def _list_slots(nodes: Nodes, objects: Objects, by_node: Rows, by_object: Rows) -> tuple[Rows, Rows]:
+    """List for each object the slots that change it: its own, and those of its node and of the nodes above.
+
+    Return `starts` (n + 1,) and `slots`; the list of object i is `slots[starts[i]:starts[i + 1]]`.
+    """
+    rows = np.flatnonzero(by_object >= 0)
+    owners, slots = [rows], [by_object[rows]]
+    rows, at = np.arange(len(objects)), objects.node.astype(np.int64)
+    while len(rows):
+        hit = by_node[at] >= 0
+        owners.append(rows[hit])
+        slots.append(by_node[at[hit]])
+        at = nodes.parents[at].astype(np.int64)
+        rows, at = rows[at >= 0], at[at >= 0]
+    owner = np.concatenate(owners)
+    order = np.argsort(owner, kind="stable")
+    starts = np.searchsorted(owner[order], np.arange(len(objects) + 1))
+    return starts, np.concatenate(slots)[order]
+
+
+def _show(point: Floats) -> str:
+    return "(" + ", ".join(f"{value:.4g}" for value in point.tolist()) + ")"

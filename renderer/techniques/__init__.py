@@ -4,9 +4,10 @@ from collections.abc import Callable
 from typing import Final
 
 from renderer.techniques.forward import Forward
+from renderer.techniques.particles import Particles
 from renderer.techniques.technique import Technique
 
 TECHNIQUES: Final[dict[str, Callable[[], Technique]]] = {Forward.name: Forward}
 """Constructors of all techniques, by name."""
 
-__all__ = ["TECHNIQUES", "Forward", "Technique"]
+__all__ = ["TECHNIQUES", "Forward", "Particles", "Technique"]

@@ -26,6 +26,7 @@ from renderer.visibility.queries.stop_and_wait import StopAndWait
 from renderer.visibility.scene_pass import CallbackPass, DeviceList, SceneArrays, ScenePass
 from renderer.visibility.settings import Settings
 from renderer.visibility.software_depth import SoftwareDepth, can_rasterise
+from renderer.visibility.walk import CullingWalk, WalkOutcome, find_walk
 from rhi import Device, refuse
 
 __rhi_internal__ = True
@@ -40,6 +41,7 @@ __all__ = [
     "ConditionalCulling",
     "Culler",
     "CullingCounts",
+    "CullingWalk",
     "DepthPyramidCulling",
     "DeviceCulling",
     "DeviceList",
@@ -54,12 +56,14 @@ __all__ = [
     "TwoPassCulling",
     "VisibilityAlgorithm",
     "VisibilityStatistics",
+    "WalkOutcome",
     "build_by_area",
     "build_by_middle",
     "check_algorithm",
     "find_obstacle",
     "find_visible",
     "find_visible_objects",
+    "find_walk",
     "list_algorithms",
     "make_visibility",
 ]

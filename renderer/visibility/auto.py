@@ -12,6 +12,7 @@ import numpy as np
 from renderer.scene import Camera, Scene
 from renderer.visibility.algorithm import VisibilityAlgorithm, VisibilityStatistics
 from renderer.visibility.scene_pass import ScenePass
+from renderer.visibility.walk import CullingWalk, WalksNodes
 from rhi import Device
 
 __rhi_internal__ = True
@@ -36,6 +37,7 @@ class AutoCulling:
     The scene pass is opened for it, because most candidates need that.
 
     Attributes:
+        latest: the algorithm of the latest frame, None before the first.
         names: the names of all candidates. candidates: those that were made, each when it is first tried.
         chosen: the name of the fastest, or during a trial of the one on trial.
     """
@@ -61,6 +63,7 @@ class AutoCulling:
         self.names = tuple(makers)
         self.candidates: dict[str, VisibilityAlgorithm] = {}
         self.chosen = self.names[0]
+        self.latest: VisibilityAlgorithm | None = None
         self._makers = dict(makers)
         self._device = device
         self._frames = max(frames, _SETTLES + 1)
@@ -95,6 +98,10 @@ class AutoCulling:
         ):
             self._begin_trial()
         return statistics
+
+    def walk(self) -> CullingWalk | None:
+        """Return the nodes that the last frame's algorithm reached, None if it walked no hierarchy."""
+        return self.latest.walk() if isinstance(self.latest, WalksNodes) else None
 
     def destroy(self) -> None:
         """Destroy the candidates."""
@@ -144,7 +151,8 @@ class AutoCulling:
     def _find(self, name: str) -> VisibilityAlgorithm:
         if name not in self.candidates:
             self.candidates[name] = self._makers[name]()
-        return self.candidates[name]
+        self.latest = self.candidates[name]
+        return self.latest
 
     def _is_elsewhere(self, camera: Camera) -> bool:
         then = self._camera

@@ -36,16 +36,16 @@ class NoCulling:
 class FrustumCulling:
     """Draws the objects whose bounds are not outside the frustum.
 
-    Static objects are in a hierarchy that is built once by surface area. Dynamic ones are tested one by one: that takes
-    less time than building a hierarchy over them. The result is the set that `boxes.culling.find_visible` gives for all
-    objects.
+    Objects with fixed bounds are in a hierarchy that is built once by surface area. The others are tested one by one:
+    that takes less time than building a hierarchy over them. The result is the set that `boxes.culling.find_visible`
+    gives for all objects.
     """
 
     opens_pass: Final = False
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
-        rows = scene.objects.static_rows
+        rows = scene.objects.fixed_rows
         lower, upper = scene.objects.lower[rows], scene.objects.upper[rows]
         self.hierarchy = build_by_area(lower, upper)
         self._static = Culler(self.hierarchy, lower, upper)
@@ -55,8 +55,8 @@ class FrustumCulling:
         objects = self._scene.objects
         planes = camera.frustum.planes
         static, counts = self._static.find_visible(planes)
-        visible = objects.static_rows.take(static)
-        moving = objects.dynamic_rows
+        visible = objects.fixed_rows.take(static)
+        moving = objects.following_rows
         if len(moving):
             shown = find_visible(planes, objects.lower[moving], objects.upper[moving])
             visible = np.sort(np.concatenate([visible, moving[shown]]))

@@ -55,9 +55,7 @@ class SoftwareDepth:
         self._scene = scene
         self._frustum = FrustumCulling(scene)
         self._limit = min(occluders, len(scene.objects))
-        self._can_occlude = np.ones(len(scene.objects), bool)
-        for one in scene.simulated:  # the renderer has their vertices
-            self._can_occlude[one.objects] = False
+        self._can_occlude = ~scene.objects.simulated  # those are where the renderer has last drawn them
         self._device = rhi.create_device(BACKEND)
         self._depth = OccluderDepth(self._device, scene, self._limit, len(scene.objects))
 

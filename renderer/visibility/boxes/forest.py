@@ -1,9 +1,10 @@
 """The hierarchy that occlusion culling traverses, as one camera sees it.
 
-Static objects are in a tree that is built once by surface area. Moving objects are in a second one (thesis 5.2.1),
-split in the middle, whose bounds follow the objects. It is kept as long as it is about as good as when it was built, so
-that a node stays the same from frame to frame and its visibility can be remembered; then it is rebuilt. Below the
-leaves of the traversal the trees go on to single objects, whose boxes say what is in view, and fit leaves closely.
+Objects with fixed bounds are in a tree that is built once by surface area: the static ones, and those that are
+animated within bounds. The others, which follow their motion, are in a second one (thesis 5.2.1), split in the middle.
+It is kept as long as it is about as good as when it was built, so that a node stays the same from frame to frame and
+its visibility can be remembered; then it is rebuilt. Below the leaves of the traversal the trees go on to single
+objects, whose boxes say what is in view, and fit leaves closely.
 
 All that depends on the camera is computed for all nodes at once, before the traversal. The traversal itself is
 Python, node by node, and reads bytes and lists. Its `Frontier` walks all trees together, front to back.
@@ -60,7 +61,7 @@ class Forest:
         self._leaf_size = leaf_size
         self._tightest = TightestBoxes(scene)
         self._in_view = np.ones(len(objects), bool)
-        kinds = ((objects.static_rows, build_by_area), (objects.dynamic_rows, build_by_middle))
+        kinds = ((objects.fixed_rows, build_by_area), (objects.following_rows, build_by_middle))
         self._trees = [
             (rows, build(objects.lower[rows], objects.upper[rows], leaf_size=1))
             for rows, build in kinds
@@ -68,7 +69,7 @@ class Forest:
         ]
         *roots, count = np.cumsum([0, *(len(tree) for _, tree in self._trees)]).tolist()
         self.roots: list[int] = roots
-        self.moving = slice(roots[-1] if len(objects.dynamic_rows) else count, count)
+        self.moving = slice(roots[-1] if len(objects.following_rows) else count, count)
         self.lower: Floats = np.zeros((3, count)).T  # columns are contiguous
         self.upper: Floats = np.zeros((3, count)).T
         self._number()

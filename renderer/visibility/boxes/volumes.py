@@ -130,7 +130,7 @@ def fit_spheres(scene: Scene, rows: Rows) -> Spheres:
     """Return spheres around the objects `rows` (n,): those of their meshes, scaled by the largest stretch."""
     centre, _, linear, scale = _locate(scene, rows)
     stretch = np.linalg.norm(linear, 2, axis=(1, 2))
-    radius = scene.meshes.radius[scene.objects.mesh[rows]] * stretch
+    radius = scene.objects.boxes.radius[rows] * stretch
     return Spheres(centre, radius * (1.0 + _MARGIN), scale)
 
 
@@ -151,15 +151,15 @@ class RotatedBoxes:
 
 
 class TightestBoxes:
-    """Finds the objects of a scene whose tightest box is a rotated one. Static objects are examined once."""
+    """Finds the objects of a scene whose tightest box is a rotated one. Those with fixed bounds are examined once."""
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
-        self._static = find_rotated(scene, scene.objects.static_rows)
+        self._static = find_rotated(scene, scene.objects.fixed_rows)
 
     def find(self) -> RotatedBoxes:
         """Return the rotated boxes of all such objects, of moving ones as they are now."""
-        moving = self._scene.objects.dynamic_rows
+        moving = self._scene.objects.following_rows
         if not len(moving):
             return self._static
         both = (self._static, find_rotated(self._scene, moving))
@@ -194,9 +194,10 @@ def _surface(half: Floats) -> Floats:
 
 
 def _locate(scene: Scene, rows: Rows) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return world centres (n, 3), half sizes in mesh space (n, 3), linear parts (n, 3, 3), and scales (n,)."""
-    mesh, world = scene.objects.mesh[rows], scene.nodes.world[scene.objects.node[rows]]
-    lower, upper = scene.meshes.lower[mesh], scene.meshes.upper[mesh]
+    """Return world centres (n, 3), half sizes in the boxes' own spaces (n, 3), linear parts (n, 3, 3), and scales
+    (n,)."""
+    boxes = scene.objects.boxes
+    world, lower, upper = boxes.place(scene.nodes, rows), boxes.lower[rows], boxes.upper[rows]
     linear, offset = world[:, :3, :3], world[:, :3, 3]
     middle = 0.5 * (lower + upper)
     centre = np.einsum("nij,nj->ni", linear, middle) + offset

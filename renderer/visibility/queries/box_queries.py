@@ -63,6 +63,7 @@ class BoxQueries:
     Attributes:
         threshold: a query with at most this many samples counts as hidden; above 0, images may differ.
         emulated: whether the queries are emulated by two counters and a fence, even if the device has its own.
+        asked: for each node whether `issue` was called for it since `begin_frame`.
         issued: queries since `begin_frame`. draws, boxes: draws of boxes in them, and the boxes drawn.
         stalled: seconds for which the CPU waited for results since `begin_frame`.
     """
@@ -76,6 +77,8 @@ class BoxQueries:
         self.emulated = emulated
         self.issued = self.draws = self.boxes = 0
         self.stalled = 0.0
+        self.asked = bytearray(len(sizes))
+        self._none_asked = bytes(len(sizes))
         self._program = device.program(QueryBoxShader)
         self._mesh = make_cube(device)
         self._camera = device.uniform(BoxCamera(relative_view_projection=np.eye(4)))
@@ -103,6 +106,7 @@ class BoxQueries:
 
     def begin_frame(self, camera: Camera, boxes: QueryBoxes) -> None:
         """Upload the boxes of all nodes, gathered from `boxes`, and reset the counters."""
+        self.asked[:] = self._none_asked
         self.issued = self.draws = self.boxes = 0
         self.stalled = 0.0
         self._camera.write(BoxCamera(relative_view_projection=camera.relative_view_projection))
@@ -128,6 +132,9 @@ class BoxQueries:
 
     def issue(self, nodes: Sequence[int]) -> OcclusionQuery:
         """Issue one query for all boxes of `nodes`. Pass the query to `resolve` or `release` later."""
+        asked = self.asked
+        for node in nodes:
+            asked[node] = 1
         query = self.acquire()
         draws = self._draws.take(nodes)
         with query:

@@ -22,6 +22,7 @@ from renderer.visibility.boxes.forest import NEAR, Forest, Frontier
 from renderer.visibility.queries.box_queries import BoxQueries
 from renderer.visibility.queries.memory import NodeMemory
 from renderer.visibility.scene_pass import ScenePass
+from renderer.visibility.walk import CullingWalk, walk_forest
 from rhi import Device, FixedQueue, OcclusionQuery
 
 __rhi_internal__ = True
@@ -127,6 +128,16 @@ class Chc:
             self._batches += 1
         else:
             self._frontier.open(node)
+
+    def walk(self) -> CullingWalk:
+        """Return the nodes that the last frame reached. Visible leaves that aren't near are queried by their own
+        geometry."""
+        forest, visited = self._forest, np.array(self._visited) == self._frame
+        asked = bytearray(
+            was or (child < 0 and status != NEAR)
+            for was, child, status in zip(self._queries.asked, forest.child, forest.status, strict=True)
+        )
+        return walk_forest(forest, visited, self._visible, asked)
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""

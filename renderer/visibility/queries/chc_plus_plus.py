@@ -22,6 +22,8 @@ from math import exp
 from random import Random
 from typing import Final
 
+import numpy as np
+
 from renderer import rules
 from renderer.scene import Camera, Scene
 from renderer.visibility.algorithm import VisibilityStatistics
@@ -30,6 +32,7 @@ from renderer.visibility.queries.box_queries import BoxQueries
 from renderer.visibility.queries.chc import pull_up
 from renderer.visibility.queries.memory import NodeMemory
 from renderer.visibility.scene_pass import ScenePass
+from renderer.visibility.walk import CullingWalk, walk_forest
 from rhi import Device, FixedQueue, OcclusionQuery, refuse
 
 __rhi_internal__ = True
@@ -272,6 +275,11 @@ class ChcPlusPlus:
             leaf, query = self._v_queries.pop()
             self._is_queried[leaf] = 0
             self._queries.release(query)
+
+    def walk(self) -> CullingWalk:
+        """Return the nodes that the last frame reached."""
+        visited = np.array(self._visited) == self._frame
+        return walk_forest(self._forest, visited, self._visible, self._queries.asked)
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""

@@ -190,12 +190,6 @@ class OpenQuery(Bracket):
         return "an occlusion query"
 
     def finish(self, failed: bool) -> None:
-        self._end(abandoned=False)
-
-    def cut_off(self) -> None:
-        self._end(abandoned=True)
-
-    def _end(self, *, abandoned: bool) -> None:
         scopes, owner = self.scopes, self.owner
         assert owner is not None
         index = scopes._index - 1  # from here on nothing may be interrupted before the `try`, so it calls nothing
@@ -203,14 +197,19 @@ class OpenQuery(Bracket):
         scopes._index = index
         self._core.open_query = self.owner = None
         try:
-            if not abandoned:
-                owner.complete()
+            owner.complete()
         except BaseException:  # whether it has ended or not
-            abandoned = True
+            owner.abandon()
             raise
-        finally:
-            if abandoned:
-                owner.abandon()
+
+    def cut_off(self) -> None:
+        scopes, owner = self.scopes, self.owner
+        assert owner is not None
+        index = scopes._index - 1  # as above
+        scopes._data[index] = None
+        scopes._index = index
+        self._core.open_query = self.owner = None
+        owner.abandon()
 
 
 class OcclusionQuery(PendingQuery[int]):

@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from dataclasses import dataclass, field
+from threading import get_ident
 from types import TracebackType
 from typing import Final
 from weakref import ref
@@ -206,10 +207,15 @@ class EventScope:
         core, events = self._core, self._events
         if core.closed:
             return
-        core.check_thread("the end of an event")
+        if core.thread != get_ident():
+            core.check_thread("the end of an event")
         core.resume_scope()
         if not events:
             core.scopes.refuse_unopened(f"event {self._label!r}", error)
             return
-        core.scopes.leave(events[-1], error)
+        scopes, event = core.scopes, events[-1]
+        if scopes._data[scopes._index - 1] is event:
+            event.finish(error is not None)
+        else:
+            scopes.leave(event, error)
         events.pop()

@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final
 
 __rhi_internal__ = True
@@ -64,6 +64,63 @@ def _trigonometry_text(function: str) -> Callable[[int], str]:
 }}"""
 
     return text
+
+
+def _pow_text(width: int) -> str:
+    """Write pow: for vectors 2 to the power y log2 x in float64, a sixth of the time of PoCL's own.
+
+    The mantissa, m + 1, is in 2/3…4/3; log2(1 + m) / m and 2^f, for f in -½…½, are minimax polynomials with relative
+    errors of 2^-33 and 2^-29. The product y log2 x is at most 150 where the result is a number, so the result is
+    within .66 ulp. What isn't a positive number to a finite power follows C's rules.
+    """
+    if width == 1:
+        return "HEADfloat rhi_pow(float x, float y) { return pow(x, y); }"
+    text = f"""HEADFLOAT rhi_pow(FLOAT x, FLOAT y) {{
+    FLOAT size = fabs(x);
+    INT tiny = size < 0x1p-126f, bits = as_INT(select(size, size * 0x1p24f, tiny));
+    INT whole = (bits - 0x3f2aaaab) >> 23;
+    DOUBLE m = convert_DOUBLE(as_FLOAT(bits - (whole << 23)) - 1.0f);
+    whole -= tiny & 24;
+    DOUBLE even, odd, square = m * m;
+    {_polynomial(_LOG2)}
+    DOUBLE z = fma(fma(odd, m, even), m, convert_DOUBLE(whole)) * convert_DOUBLE(y);
+    z = z < -200.0 ? (DOUBLE)-200.0 : z;
+    z = z > 200.0 ? (DOUBLE)200.0 : z;
+    DOUBLE t = z + 0x1.8p52, f = z - (t - 0x1.8p52);
+    square = f * f;
+    {_polynomial(_EXP2)}
+    FLOAT r = convert_FLOAT(as_DOUBLE(as_LONG(fma(odd, f, even)) + (as_LONG(t) << 52)));
+    if (rhi_all((x > 0.0f) & (x < INFINITY) & (fabs(y) < INFINITY))) return r;
+    INT grows = (size > 1.0f) == (y > 0.0f), ends = (size == 0.0f) | (size == INFINITY) | (fabs(y) == INFINITY);
+    r = select(r, select((FLOAT)0.0f, (FLOAT)INFINITY, grows), ends);
+    INT is_whole = floor(y) == y, is_odd = is_whole & (fabs(y) < 0x1p24f) & ((convert_INT(y) & 1) != 0);
+    r = select(r, -r, is_odd & (as_INT(x) < 0));
+    r = select(r, (FLOAT)NAN, ((x < 0.0f) & (size < INFINITY) & ~is_whole) | (x != x) | (y != y));
+    return select(r, (FLOAT)1.0f, (y == 0.0f) | (x == 1.0f) | ((x == -1.0f) & (fabs(y) == INFINITY)));
+}}"""
+    for kind in ("FLOAT", "INT", "DOUBLE", "LONG"):
+        text = text.replace(kind, f"{kind.lower()}{width}")
+    return text
+
+
+_LOG2: Final = (
+    1.44269504075, -0.721347519623, 0.480898437796, -0.360673969038, 0.288529590333, -0.240434141905, 0.206454230888,
+    -0.180796177415, 0.154326256677, -0.137549949948, 0.176079375241, -0.165814848208,
+)  # fmt: skip
+"""Coefficients of log2(1 + m) / m for m in -1/3…1/3."""
+_EXP2: Final = (1.000000001, 0.6931472057, 0.2402264689, 0.05550328777, 0.009618488958, 0.001339993122, 0.0001534581189)
+"""Coefficients of 2^f for f in -½…½."""
+
+
+def _polynomial(coefficients: Sequence[float]) -> str:
+    """Write the even and the odd half of a polynomial, two chains of operations that a CPU computes side by side."""
+    lines = []
+    for name, half in (("even", coefficients[0::2]), ("odd", coefficients[1::2])):
+        text = f"(DOUBLE){half[-1]!r}"
+        for coefficient in reversed(half[:-1]):
+            text = f"fma({text}, square, (DOUBLE){coefficient!r})"
+        lines.append(f"{name} = {text};")
+    return "\n    ".join(lines)
 
 
 def _uniform_text(width: int) -> str:
@@ -230,7 +287,7 @@ _FUNCTIONS: Final[dict[str, tuple[str | Callable[[int], str], tuple[str, ...]]]]
     "rhi_cos": (_trigonometry_text("cos"), ()),
     "rhi_tan": (_trigonometry_text("tan"), ()),
     "rhi_atan2": ("FLOAT rhi_atan2(FLOAT y, FLOAT x) { return atan2(y, x); }", ()),
-    "rhi_pow": ("FLOAT rhi_pow(FLOAT x, FLOAT y) { return pow(x, y); }", ()),
+    "rhi_pow": (_pow_text, ()),
     **{
         f"rhi_{name}": (f"FLOAT rhi_{name}(FLOAT x) {{ return {name}(x); }}", ())
         for name in _LONG

@@ -319,3 +319,34 @@ def test_a_missing_driver_is_one_line(
     assert exit.value.code == 2
     assert error.count("\n") == 1
     assert "install libegl1" in error
+
+
+def test_overlay_and_particles_are_drawn_over_the_image_and_change_no_counter(
+    capsys: pytest.CaptureFixture[str], here: Path
+) -> None:
+    pictures, reports = [], []
+    for layers in ([], ["--particles"], ["--particles", "--overlay"]):
+        arguments = ("hall:columns=6,rows=2,flags=0,fountains=4", "--size", "640x360", "--frame", "60")
+        report = run_json(capsys, *arguments, "--backend", "gl", "--visibility", "frustum", *layers)
+        del report["hardware_state_changes"]  # a layer leaves other states than it has found
+        pictures.append(np.asarray(Image.open(report["image"])).astype(int))
+        reports.append({key: value for key, value in report.items() if key != "milliseconds"})
+    assert reports[0] == reports[1] == reports[2]
+    plain, sprays, overlaid = pictures
+    assert (plain != sprays).any()
+    assert (plain != sprays).mean() < 0.1
+    assert (sprays != overlaid)[8:300, 8:300].mean() > 0.9
+    assert (sprays == overlaid)[:, 320:330].all()
+
+
+def test_the_overlay_also_runs_where_nothing_is_drawn(capsys: pytest.CaptureFixture[str]) -> None:
+    report = run_json(capsys, CITY, "--backend", "null", "--overlay", "--frames", "3")
+    assert report["image"] is None
+
+
+def test_a_missing_pillow_is_one_line_that_says_what_to_install() -> None:
+    program = "import sys; sys.modules['PIL'] = None; sys.argv = ['renderer', 'render', 'city', '--overlay']; " \
+        "import runpy; runpy.run_module('renderer', run_name='__main__')"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr == "error: PIL is missing; install it with: pip install 'rhi[renderer]'\n"

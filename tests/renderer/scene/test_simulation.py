@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from renderer.content import BUILT_IN, load_scene
 from renderer.content.fountains import BOUNDS, DROPS, Fountains, make_drops
-from renderer.scene import VERTEX, Scene, SceneBuilder, Simulator
+from renderer.scene import VERTEX, Scene, SceneBuilder, Simulator, Stepwise
 from rhi.errors import ValidationError
 
 
@@ -18,17 +18,17 @@ class Clock:
 
     interval = 0.5
 
-    def __init__(self, count: int, memory: int | None = None) -> None:
-        self.memory = memory
+    def __init__(self, count: int, memory: int | None = None, steps_per_frame: int = 10_000) -> None:
+        self.catch_up = Stepwise(steps_per_frame, memory)
         self.taken: list[list[int]] = [[] for _ in range(count)]
 
     def step(self, members, numbers):
         for member, number in zip(members.tolist(), numbers.tolist(), strict=True):
             self.taken[member].append(number)
 
-    def vertices(self, member):
-        vertices = np.zeros(1, VERTEX)
-        vertices["position"][0, 1] = len(self.taken[member])
+    def vertices(self, members):
+        vertices = np.zeros(len(members), VERTEX)
+        vertices["position"][:, 1] = [len(self.taken[member]) for member in members]
         return vertices
 
 
@@ -45,17 +45,22 @@ def make_scene(count: int = 3, memory: int | None = None) -> Scene:
 
 
 def make_simulator(scene: Scene) -> tuple[Simulator, Clock]:
-    simulator = Simulator(scene.simulated, len(scene.objects))
-    return simulator, simulator._simulations[0]
+    simulator = scene.make_simulator()
+    return simulator, simulator.simulations[0]
 
 
 def taken(simulator: Simulator) -> list[list[int]]:
-    return simulator._simulations[0].taken
+    return simulator.simulations[0].taken
 
 
 def show(simulator: Simulator, seconds: float, rows: list[int]) -> list[tuple[int, int]]:
     simulator.begin_frame(seconds)
-    return [(one.row, one.number) for one in simulator.advance(np.array(rows, np.int64))]
+    return states(simulator, np.array(rows, np.int64))
+
+
+def states(simulator: Simulator, rows: np.ndarray) -> list[tuple[int, int]]:
+    deformed = simulator.advance(rows).deformed
+    return [pair for one in deformed for pair in zip(one.rows.tolist(), one.states.tolist(), strict=True)]
 
 
 def test_what_is_drawn_is_stepped_and_what_is_not_is_not() -> None:
@@ -63,6 +68,16 @@ def test_what_is_drawn_is_stepped_and_what_is_not_is_not() -> None:
     assert show(simulator, 1.0, [0, 1, 3]) == [(1, 2), (3, 2)]
     assert clock.taken == [[1, 2], [], [1, 2]]
     assert (simulator.steps, simulator.seen, len(simulator)) == (4, 2, 3)
+
+
+def test_what_was_drawn_is_listed_with_its_members() -> None:
+    simulator, clock = make_simulator(make_scene())
+    show(simulator, 1.0, [0, 1, 3])
+    ((simulation, rows, members),) = simulator.list_drawn()
+    assert simulation is clock
+    assert (rows.tolist(), members.tolist()) == ([1, 3], [0, 2])
+    simulator.begin_frame(2.0)
+    assert simulator.list_drawn() == []
 
 
 def test_what_returns_catches_up() -> None:
@@ -89,10 +104,10 @@ def test_a_step_is_taken_when_its_time_has_come(seconds: float, steps: int) -> N
 
 
 def test_times_of_frames_are_on_their_steps() -> None:
-    fountains = Simulator(load_scene("hall:columns=6,flags=0,fountains=1").simulated, 10_000)
+    fountains = load_scene("hall:columns=6,flags=0,fountains=1").make_simulator()
     for frame in range(0, 3000, 7):
         fountains.begin_frame(frame / 60)
-        assert [one.number for one in fountains.advance(fountains.objects)] == [frame]
+        assert [state for _, state in states(fountains, fountains.objects)] == [frame]
 
 
 def test_within_a_frame_a_step_is_taken_once() -> None:
@@ -132,8 +147,8 @@ def test_a_fountain_that_was_not_looked_at_is_as_if_it_had_been(
     for number in range(1, last + 1):
         always.step(everyone, np.full(3, number))
     scene = load_scene("hall:columns=6,flags=0,fountains=3")
-    simulator = Simulator(scene.simulated, len(scene.objects))
-    simulator._simulations[0] = now_and_then
+    simulator = scene.make_simulator()
+    simulator.simulations[0] = now_and_then
     rows = simulator.objects
     for frame, (_, seen) in zip(frames, glances, strict=True):
         simulator.begin_frame(frame / 60)
@@ -141,7 +156,7 @@ def test_a_fountain_that_was_not_looked_at_is_as_if_it_had_been(
     simulator.begin_frame(last / 60)
     simulator.advance(rows)
     assert np.array_equal(now_and_then.position, always.position)
-    assert (now_and_then.vertices(2) == always.vertices(2)).all()
+    assert (now_and_then.vertices(everyone) == always.vertices(everyone)).all()
 
 
 def test_a_fountain_s_memory_is_no_longer_than_it_must_be() -> None:
@@ -159,7 +174,7 @@ def test_drops_stay_within_their_bounds_rise_and_fall() -> None:
     highest = 0.0
     for number in range(1, 4 * DROPS):
         fountains.step(np.arange(4), np.full(4, number))
-        points = np.concatenate([fountains.vertices(member)["position"] for member in range(4)])
+        points = fountains.vertices(np.arange(4))["position"]
         assert (points >= BOUNDS[0]).all()
         assert (points <= BOUNDS[1]).all()
         highest = max(highest, float(points[:, 1].max()))
@@ -169,7 +184,7 @@ def test_drops_stay_within_their_bounds_rise_and_fall() -> None:
 
 
 def test_a_fountain_begins_as_its_mesh() -> None:
-    assert (make_drops().vertices == Fountains(1, 0).vertices(0)).all()
+    assert (make_drops().vertices == Fountains(1, 0).vertices(np.zeros(1, np.int64))).all()
     assert np.linalg.norm(make_drops().vertices["normal"], axis=1) == pytest.approx(1.0)
 
 

@@ -176,9 +176,12 @@ def test_the_largest_occlude_near_first() -> None:
 
 
 def test_what_is_simulated_occludes_nothing() -> None:
-    hall = load_scene("hall:columns=4,rows=2,flags=0,fountains=3")
+    hall = load_scene("hall:columns=4,rows=2,flags=3,fountains=3")
     algorithm = SoftwareDepth(hall)
     sprays = np.concatenate([one.objects for one in hall.simulated])
+    flags = hall.objects.dynamic_rows
+    eye = hall.objects.lower[flags[0]]
+    assert len(algorithm.choose_occluders(Camera.look_at(eye, eye + 1.0), flags)) == 0
     eye = hall.objects.lower[sprays[0]]
     assert len(algorithm.choose_occluders(Camera.look_at(eye, eye + 1.0), sprays)) == 0
     assert len(algorithm.choose_occluders(Camera.look_at(eye, eye + 1.0), np.arange(len(hall.objects)))) > 0

@@ -48,7 +48,7 @@ class BatchState:
         surfaces = self.surfaces = target.surfaces_of(key)
         self.addresses = [surface.address for surface in surfaces] + [0] * (MAX_PLANES - len(surfaces))
         places = array("Q", [word for surface in surfaces for word in surface.place])
-        self.places = key.words() + places.tobytes() + b"".join([surface.pattern for surface in surfaces])
+        self.places = key.words + places.tobytes() + b"".join([surface.pattern for surface in surfaces])
         self.bounds_depth = key.bounds_depth
         self.table = table.copy()
         self.table["row_words"] = pipeline.starts[-1] + streams

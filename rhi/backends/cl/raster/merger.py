@@ -13,7 +13,7 @@ from __future__ import annotations
 import enum
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from importlib.resources import files
 from typing import Any, Final
 
@@ -112,7 +112,7 @@ class ColorKey:
     blends: bool
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class MergerKey:
     """The output merger's part of a pipeline's key.
 
@@ -187,8 +187,9 @@ class MergerKey:
         }
         return _constants() + "".join(f"#define {name} {value}\n" for name, value in numbers.items())
 
+    @cached_property
     def words(self) -> bytes:
-        """Return the key as the kernels' struct `Merger`."""
+        """The key as the kernels' struct `Merger`; every batch is given it."""
         words = np.zeros(MERGER_BYTES // 4, np.int32)
         words[:_MERGER_COLORS] = (
             self.samples, len(self.colors), self.has_depth, self.depth_bits, self.depth_passes, self.depth_writes,

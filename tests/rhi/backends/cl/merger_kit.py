@@ -154,7 +154,7 @@ def merge(
         rows[:, :, : width * texel] = np.ascontiguousarray(plane).view(np.uint8).reshape(samples, height, -1)
         buffers.append((upload(memory), memory, rows, plane))
         places.append((start, pitch, layer))
-    table = np.frombuffer(key.words() + np.array(places, "u8").tobytes(), np.uint8)
+    table = np.frombuffer(key.words + np.array(places, "u8").tobytes(), np.uint8)
     surfaces = np.array([_addresses().find(buffer) for buffer, *_ in buffers] or [0], "u8")
     given = upload(state), upload(np.ascontiguousarray(blocks)), upload(table), upload(surfaces)
     kernel.set_args(*given[:2], np.int32(front), np.int32(width // 4), *given[2:])  # which doesn't keep them alive

@@ -8,6 +8,7 @@
 
 #define INLINE static inline __attribute__((always_inline))
 #define SEPARATE static __attribute__((noinline))  // for what is rare: smaller kernels are built sooner
+#define SELDOM(condition) __builtin_expect((condition) != 0, 0)  // keeps what is rare out of the way of registers
 #define SINGLE kernel __attribute__((reqd_work_group_size(1, 1, 1))) void
 #define AT(type, address) ((global type *)(address))
 #define LANES (int16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15)
@@ -40,9 +41,10 @@ enum {
     LOWEST = 14, HIGHEST = 15
 };
 // Records for shading: 1/w, and the weights of corners 1 and 2 divided by w, as planes; the w of these two corners, for
-// varyings without perspective; the slots of the three corners; the primitive's number in its draw; whether all corners lie
-// before the eye.
-enum { WEIGHTS = 3, CORNER_W = 9, SLOTS = 11, NUMBER = 14, IN_FRONT = 15 };
+// varyings without perspective; the slots of the three corners; the primitive's number in its draw; which weights are shares
+// of the corners, 0…1 inside, as bits: those with perspective, unless they are the place inside a point, and those without
+// (<< 1), if all corners lie before the eye.
+enum { WEIGHTS = 3, CORNER_W = 9, SLOTS = 11, NUMBER = 14, SHARES = 15 };
 // Instead of edges, records of POLYGON and CLIPPED have the slots of their corners in an order of positive area. So have THIN
 // ones instead of a plane.
 enum { CLIPPED_SLOTS = 0, POLYGON_PRIMITIVE = 3, THIN_SLOTS = DEPTH_PLANE };
@@ -185,6 +187,14 @@ INLINE int name(global const Draw *draws, int count, int group) { \
         else high = middle - 1; \
     } \
     return low; \
+}
+
+// Return the indices at 16 places of a list.
+INLINE int16 look_up(ulong list, int bytes, int16 places) {
+    int named[GROUP];
+    vstore16(places, 0, named);
+    for (int i = 0; i < GROUP; ++i) named[i] = bytes == 2 ? AT(const ushort, list)[named[i]] : AT(const uint, list)[named[i]];
+    return vload16(0, named);
 }
 
 // Return the i-th of `count` pieces of work in an order of every other one first: drivers assign runs of work-items to

@@ -1,4 +1,4 @@
-// Primitives that are rasterised as convex polygons: lines and points.
+// Primitives that are rasterised as convex polygons: lines, and points of several samples.
 //
 // - They are few, so each is computed by itself in scalars, and twice: set-up needs its box, and each tile that it touches
 //   needs its corners. So one record suffices for any polygon, and primitives keep their order.

@@ -4,8 +4,10 @@
 //   the blocks that a record's box touches, those outside of an edge are discarded 16 at a time. In the remaining blocks,
 //   coverage, depth and shading are vectors of 16.
 // - The edges of large primitives are computed at the tile in 64 bits. An edge with all of the tile on its inside is
-//   dropped; one with all of the tile on its outside ends the record. The others fit in 32 bits. A polygon is a fan of
-//   such triangles. A clipped triangle has five edges; those of the near and far planes are a mask.
+//   dropped; one with all of the tile on its outside ends the record. The others fit in 32 bits. Lines and points have a
+//   fourth edge and clipped triangles two more, those of the near and far planes: a mask.
+// - What only these and thin triangles need is `Rare`: kept in memory, and computed by functions that are called, so that it
+//   takes no registers from the loop over blocks.
 // - Depths of covered samples are clamped to the range of the corners' depths: texels next to an edge may lie outside of the
 //   triangle whose corners aren't rounded. Weights of covered texels are clamped for the same reason.
 // - Multi-sampled targets have four coverages and one shading.
@@ -128,7 +130,7 @@ SEPARATE bool find_clipped_edges(
 }
 
 // Return the lanes of the block at texel x, y that the first two edges contain.
-INLINE int16 find_within(const Edges *range, int x, int y, const int sample) {
+SEPARATE int16 find_within(const Edges *range, int x, int y, const int sample) {
     int16 innermost = (int16)(0);
     UNROLL for (int i = 0; i < 2; ++i)
         innermost |= range->a[i] * (x - range->x + LANE_X) + (range->b[i] * (y - range->y + LANE_Y) + range->c[sample][i]);
@@ -159,10 +161,47 @@ INLINE uint cross_squares(const Edges *edges, int x, int y, const int bits, int1
     return bits_of(innermost >= 0);
 }
 
-// Depth of a thin triangle in a block, at places in subtexels from the centres.
-#define FIND_DEPTH(aside, below, inside) \
-    (find_depth(view, &outline, &precise, (x + LANE_X) * SUBTEXELS + (aside), (y + LANE_Y) * SUBTEXELS + (below), inside) + \
-     as_float(record[OFFSET]))
+// What lines, points, clipped and thin triangles need besides the edges and planes of others.
+typedef struct {
+    Outline outline;       // of a clipped or thin triangle
+    Barycentrics precise;
+    Edges edges, range;    // of a clipped triangle, a line or a point: three edges, and further ones
+    bool has_range;
+} Rare;
+
+// Compute what a rare record needs at texel x, y. Return false if it covers nothing of the tile from there on.
+SEPARATE bool find_rare(
+    const Targets *targets, global const Batch *batch, global const View *view, global const int *record, int x, int y, Rare *rare
+) {
+    const int kind = record[FLAGS] & 3;
+    rare->has_range = false;
+    if (kind == POLYGON) {
+        float4 clips[2];
+        int2 points[MAX_CORNERS];
+        UNROLL for (int i = 0; i < 2; ++i) clips[i] = load_clip(batch, record[CLIPPED_SLOTS + i]);
+        const int primitive = record[POLYGON_PRIMITIVE];
+        rare->has_range = true;
+        const float size = primitive == POINTS ? load_point_size(batch, record[CLIPPED_SLOTS]) : view->line_width;
+        return make_polygon(view, clips, primitive, size, points) &&
+               find_parallelogram_edges(targets, points, x, y, &rare->edges, &rare->range);
+    }
+    uint corners[3];
+    for (int i = 0; i < 3; ++i) corners[i] = record[(kind == CLIPPED ? CLIPPED_SLOTS : THIN_SLOTS) + i];
+    rare->outline = load_outline(batch, view, corners);
+    rare->precise = find_barycentrics(&rare->outline);
+    if (kind != CLIPPED) return true;
+    const Contour contour = find_contour(&rare->outline, &rare->precise);
+    rare->has_range = is_cut(&contour);
+    return find_clipped_edges(targets, &contour, x, y, &rare->edges, &rare->range);
+}
+
+// Return the depth of a thin triangle in the block at texel x, y, at samples whose coverage is `inside`.
+SEPARATE float16 find_thin_depth(
+    global const View *view, global const int *record, const Rare *rare, int x, int y, int aside, int below, int16 inside
+) {
+    return find_depth(view, &rare->outline, &rare->precise, (x + LANE_X) * SUBTEXELS + aside,
+                      (y + LANE_Y) * SUBTEXELS + below, inside) + as_float(record[OFFSET]);
+}
 
 #if FRAGMENT
 // Weights of the corners at 16 places, which interpolate the varyings.
@@ -194,9 +233,10 @@ INLINE Weights find_weights(global const float *planes, float16 x, float16 y) {
 }
 
 // The same for a thin triangle, in the block at texel x, y.
-SEPARATE Weights find_thin_weights(const Outline *outline, const Barycentrics *precise, int x, int y, int16 inside) {
+SEPARATE Weights find_thin_weights(const Rare *rare, int x, int y, int16 inside) {
+    const Outline *outline = &rare->outline;
     double16 parts[3];
-    find_parts(precise, (x + LANE_X) * SUBTEXELS, (y + LANE_Y) * SUBTEXELS, inside, parts);
+    find_parts(&rare->precise, (x + LANE_X) * SUBTEXELS, (y + LANE_Y) * SUBTEXELS, inside, parts);
     double16 whole = parts[0] + parts[1] + parts[2], straight = (double16)(0.0);
     for (int i = 0; i < 3; ++i) straight += parts[i] * outline->exact[i].z;
     Weights weights;
@@ -437,27 +477,10 @@ SINGLE raster(ulong address) {
 #endif
 #endif
 
-        int2 points[MAX_CORNERS];
-        bool is_point = false;
-        if (kind == POLYGON) {
-            float4 clips[2];
-            UNROLL for (int i = 0; i < 2; ++i) clips[i] = load_clip(batch, record[CLIPPED_SLOTS + i]);
-            is_point = record[POLYGON_PRIMITIVE] == POINTS;
-            const float size = is_point ? load_point_size(batch, record[CLIPPED_SLOTS]) : view->line_width;
-            if (!make_polygon(view, clips, record[POLYGON_PRIMITIVE], size, points)) continue;
-        }
-        Outline outline;
-        Barycentrics precise;
-        Contour contour;
-        contour.fixed = 0;
-        if (thin || kind == CLIPPED) {
-            uint corners[3];
-            for (int i = 0; i < 3; ++i) corners[i] = record[(kind == CLIPPED ? CLIPPED_SLOTS : THIN_SLOTS) + i];
-            outline = load_outline(batch, view, corners);
-            precise = find_barycentrics(&outline);
-            if (kind == CLIPPED) contour = find_contour(&outline, &precise);
-        }
-        Edges edges, range;
+        Rare rare;
+        const bool is_rare = kind >= POLYGON || thin;
+        if (SELDOM(is_rare) && !find_rare(targets, batch, view, record, x0, y0, &rare)) continue;
+        Edges edges;
         if (kind == SMALL) {
             UNROLL for (int i = 0; i < 3; ++i) {
                 edges.a[i] = i < 2 ? record[EDGE_A + i] : -record[EDGE_A] - record[EDGE_A + 1];
@@ -466,17 +489,13 @@ SINGLE raster(ulong address) {
             }
             edges.x = box_x;
             edges.y = box_y;
-        } else if (kind == CLIPPED) {
-            if (!find_clipped_edges(targets, &contour, x0, y0, &edges, &range)) continue;
         } else if (kind == BIG) {
             int2 triangle[3];
             triangle[0] = (int2)(record[EDGE_C], record[EDGE_C + 1]);
             triangle[1] = triangle[0] + (int2)(record[EDGE_B], -record[EDGE_A]);
             triangle[2] = triangle[1] + (int2)(record[EDGE_B + 1], -record[EDGE_A + 1]);
             if (!find_edges(targets, triangle, x0, y0, &edges)) continue;
-        } else {
-            if (!find_parallelogram_edges(targets, points, x0, y0, &edges, &range)) continue;
-        }
+        } else edges = rare.edges;
         UNROLL for (int i = 0; i < 3; ++i) edges.lanes[i] = edges.a[i] * LANE_X + edges.b[i] * LANE_Y;
         int16 starts[3];
         uint crossed = parts;
@@ -519,20 +538,20 @@ SINGLE raster(ulong address) {
                 const int16 edge1 = edges.lanes[1] + start[1][place_in_part];
                 const int16 edge2 = edges.lanes[2] + start[2][place_in_part];
                 int16 box = (int16)(-1);
-                if (flags & CUTS)
+                if (SELDOM(flags & CUTS))
                     box = (x + LANE_X >= first_x) & (x + LANE_X <= last_x) & (y + LANE_Y >= first_y) & (y + LANE_Y <= last_y);
                 int16 masks[MAX_SAMPLES], covered = (int16)(0);
                 UNROLL for (int sample = 0; sample < SAMPLES; ++sample) {
                     masks[sample] = box & (((edge0 + (edges.c[sample][0] - edges.c[0][0])) |
                                             (edge1 + (edges.c[sample][1] - edges.c[0][1])) |
                                             (edge2 + (edges.c[sample][2] - edges.c[0][2]))) >= 0);
-                    if (kind == POLYGON || is_cut(&contour)) masks[sample] &= find_within(&range, x, y, sample);
+                    if (SELDOM(is_rare) && rare.has_range) masks[sample] &= find_within(&rare.range, x, y, sample);
                     covered |= masks[sample];
                 }
                 // The centres that are known to be covered: those of several samples may lie outside, as on other devices.
                 const int16 inside = SAMPLES == 1 ? covered : (int16)(0);
                 float16 z = lane_depth + start_depth[place_in_part];
-                if (thin) z = FIND_DEPTH(0, 0, inside);
+                if (SELDOM(thin)) z = find_thin_depth(view, record, &rare, x, y, 0, 0, inside);
 #if STAGES_DEPTH
                 // The same as merge_depth_stencil for one sample without stencil, on the staged block.
                 float16 *block = blocks + part * PART_BLOCKS + place_in_part;
@@ -556,7 +575,8 @@ SINGLE raster(ulong address) {
 #endif
 #define PLANE_DEPTH (z + (depth_x * (SAMPLE_X(sample) / 256.0f) + depth_y * (SAMPLE_Y(sample) / 256.0f)))
 #define SAMPLE_DEPTH \
-clamp_to(thin && SAMPLES > 1 ? FIND_DEPTH(SAMPLE_X(sample), SAMPLE_Y(sample), masks[sample]) : PLANE_DEPTH, lowest, highest)
+    clamp_to(SELDOM(thin && SAMPLES > 1) ? find_thin_depth(view, record, &rare, x, y, SAMPLE_X(sample), SAMPLE_Y(sample), \
+                                                           masks[sample]) : PLANE_DEPTH, lowest, highest)
 #if !STAGES_DEPTH
                 if (TEST_ORDER != TEST_LATE || !SHADES) {
                     covered = (int16)(0);
@@ -576,11 +596,10 @@ clamp_to(thin && SAMPLES > 1 ? FIND_DEPTH(SAMPLE_X(sample), SAMPLE_Y(sample), ma
 #if FRAGMENT
                 if (!SHADES) continue;
                 float16 away_x = (float)(x - box_x) + LANE_FX, away_y = (float)(y - box_y) + LANE_FY;
-                Weights weights = thin ? find_thin_weights(&outline, &precise, x, y, inside)
-                                       : find_weights(planes, away_x, away_y);
-                // Those of a point are the place inside it, not shares of corners.
-                if (!is_point) clamp_weights(&weights.weight1, &weights.weight2, inside);
-                clamp_weights(&weights.straight1, &weights.straight2, inside & -as_int(planes[IN_FRONT]));
+                Weights weights = SELDOM(thin) ? find_thin_weights(&rare, x, y, inside) : find_weights(planes, away_x, away_y);
+                const int shares = as_int(planes[SHARES]);
+                clamp_weights(&weights.weight1, &weights.weight2, inside & -(shares & 1));
+                clamp_weights(&weights.straight1, &weights.straight2, inside & -(shares >> 1));
                 uint16 inputs[VARYING_WORDS + 1], outputs[OUTPUT_WORDS];
                 uint flat[VARYING_WORDS + 1];
 #if VARYING_WORDS

@@ -5,7 +5,7 @@
 // - A texel is covered if A x + B y + C >= 0 for the three edges, in subtexels. At texel centres (multiples of 256) that
 //   is equivalent with C / 256 rounded down, which keeps small triangles in 32 bits: SMALL. Larger ones are BIG: their
 //   record has a corner instead of C, and each tile computes its own C in 64 bits. Triangles that the view cuts are CLIPPED:
-//   see triangles.cl; lines and points are POLYGON: see polygon.cl.
+//   see triangles.cl; lines, and points of several samples, are POLYGON: see polygon.cl. Points of one sample are SMALL, without edges.
 // - A record's box is clamped to the target and not to the viewport and scissor. Its planes begin there, so a primitive
 //   that is drawn twice has the same depth each time, wherever the scissor lies. A flag says whether the view cuts the box.
 // - An edge that is neither top nor left doesn't own the points on it: its C is decreased by one before the division.
@@ -217,7 +217,7 @@ void set_planes(
     }
     for (int i = 0; i < 3; ++i) planes[SLOTS + i] = as_float(slots[i]);
     planes[NUMBER] = as_float(number);
-    planes[IN_FRONT] = as_float(in_front);
+    planes[SHARES] = as_float((primitive != POINTS) | in_front << 1);
 }
 
 // Let the weights of corners 1 and 2 be the place inside a point, 0 to 1 from its top left: varyings don't depend on them,
@@ -359,6 +359,87 @@ bool set_up_clipped(
     return true;
 }
 
+// Add a record to the counts of the tiles that its box touches.
+INLINE void count_tiles(global uint *counts, int tiles_x, uint box) {
+    const int x0 = box & 255u, y0 = box >> 8 & 255u, x1 = box >> 16 & 255u, y1 = box >> 24;
+    for (int row = y0; row <= y1; ++row)
+        for (int column = x0; column <= x1; ++column) ++counts[row * tiles_x + column];
+}
+
+// Set up 16 points on a target of one sample, from the draw's point `first` on. Such a point covers the texels of its box, so
+// its record is that of a triangle without edges whose box cuts it. Return the place behind the last record.
+SEPARATE int set_up_points(
+    global const Batch *batch, global const Draw *draw, int draw_number, int first, int to_slot, global uint *counts, int place
+) {
+    global const View *view = AT(const View, batch->views) + draw->view;
+    const int last = draw->primitives - 1 - first;
+    const int16 number = first + min(LANES, last);
+    const int16 index = draw->index_bytes ? look_up(draw->indices, draw->index_bytes, number) : number + draw->lowest;
+    uint slots[GROUP];
+    vstore16(as_uint16(index + to_slot), 0, slots);
+    float clip_x[GROUP], clip_y[GROUP], clip_w[GROUP], sizes[GROUP];
+    uint4 positions[GROUP];
+    UNROLL for (int i = 0; i < GROUP; ++i) {
+        const float4 clip = load_clip(batch, slots[i]);
+        clip_x[i] = clip.x;
+        clip_y[i] = clip.y;
+        clip_w[i] = clip.w;
+        positions[i] = AT(const uint4, batch->positions)[slots[i]];
+        sizes[i] = load_point_size(batch, slots[i]);
+    }
+    uint16 rows[4], columns[4];
+    UNROLL for (int i = 0; i < 4; ++i) rows[i] = (uint16)(positions[i], positions[i + 4], positions[i + 8], positions[i + 12]);
+    transpose4(rows, columns);
+    const int16 x = as_int16(columns[0]), y = as_int16(columns[1]);
+    const float16 z = as_float16(columns[2]), near_w = as_float16(columns[3]), size = vload16(0, sizes);
+    const float16 wide = vload16(0, clip_x), high = vload16(0, clip_y), w = vload16(0, clip_w);
+
+    const int16 side = convert_int16_rte(size * SUBTEXELS), low_x = x - (side >> 1), low_y = y - (side >> 1);
+    const int16 left = max((low_x + 255) >> 8, 0), right = min((low_x + side - 1) >> 8, batch->width - 1);
+    const int16 top = max((low_y + 255) >> 8, 0), bottom = min((low_y + side - 1) >> 8, batch->height - 1);
+    const int16 first_x = max(left, view->box[0]), last_x = min(right, view->box[2]);
+    const int16 first_y = max(top, view->box[1]), last_y = min(bottom, view->box[3]);
+    // Points whose centres lie outside of the view are dropped, as are all those without a window position.
+    uint kept = bits_of((LANES <= last) & (near_w >= 0.0f) & (fabs(wide) <= w) & (fabs(high) <= w) & (first_x <= last_x) &
+                        (first_y <= last_y));
+    if (!kept) return place;
+
+    const float16 depth = fmin(fmax(z, 0.0f), 1.0f), none = (float16)(0.0f);
+    uint16 fields[16] = {
+        (uint16)(0u), (uint16)(0u), (uint16)(0u), (uint16)(0u), (uint16)(0u), (uint16)(0u), (uint16)(0u), (uint16)(0u),
+        (uint16)(0u), as_uint16(z), (uint16)(0u), as_uint16(left | top << 16), as_uint16(right | bottom << 16),
+        (uint16)(PACK_FLAGS(draw_number, 0, 1, 1, SMALL)), as_uint16(depth), as_uint16(depth),
+    };
+    uint16 records[16], planes[16];
+    transpose16(fields, records);
+    if (batch->shades) {
+        // The weights of corners 1 and 2 are the place inside the point, 0 to 1 from its top left.
+        const double16 at_x = convert_double16(wide) / convert_double16(w) * view->scale[0] + view->shift[0] - 0.5;
+        const double16 at_y = convert_double16(high) / convert_double16(w) * view->scale[1] + view->shift[1] - 0.5;
+        const double16 sides = convert_double16(size);
+        const float16 across = convert_float16(0.5 + (convert_double16(left) - at_x) / sides) * near_w;
+        const float16 down = convert_float16(0.5 + (convert_double16(top) - at_y) / sides) * near_w, slope = near_w / size;
+        const uint16 slot = vload16(0, slots);
+        uint16 words[16] = {
+            as_uint16(none), as_uint16(none), as_uint16(near_w), as_uint16(slope), as_uint16(none), as_uint16(across),
+            as_uint16(none), as_uint16(slope), as_uint16(down), as_uint16(w), as_uint16(w), slot, slot, slot,
+            as_uint16(first + LANES), (uint16)(2u),
+        };
+        transpose16(words, planes);
+    }
+    uint tile_boxes[GROUP];
+    vstore16(as_uint16(first_x >> TILE_BITS | (first_y >> TILE_BITS) << 8 | (last_x >> TILE_BITS) << 16 |
+                       (last_y >> TILE_BITS) << 24), 0, tile_boxes);
+    for (; kept; kept &= kept - 1, ++place) {
+        const int lane = 31 - clz(kept & -kept);
+        AT(uint16, batch->records)[place] = records[lane];
+        if (batch->shades) AT(uint16, batch->planes)[place] = planes[lane];
+        AT(uint, batch->boxes)[place] = tile_boxes[lane];
+        if (batch->listed) count_tiles(counts, batch->tiles_x, tile_boxes[lane]);
+    }
+    return place;
+}
+
 // Return the extent of an instance's vertices, which begin at `group`.
 INLINE Extent find_extent(global const Batch *batch, global const Draw *draw, int group) {
     global const Extent *extents = AT(const Extent, batch->extents);
@@ -418,6 +499,11 @@ SINGLE set_up(ulong address) {
         }
         int to_slot = vertex_group * GROUP - draw->lowest;
         global const uint4 *vertices = positions + to_slot;
+        if (primitive == POINTS && !all_big) {
+            for (; part < parts; ++part, ++group)
+                place = set_up_points(batch, draw, found, part * GROUP, to_slot, counts, place);
+            continue;
+        }
         for (; part < parts; ++part, ++group) {
             int last = draw->primitives - 1 - part * GROUP;
             global const uint *corners = find_corners(draw, part * GROUP, last, scratch);
@@ -548,7 +634,7 @@ SINGLE set_up(ulong address) {
                     as_uint16(weight2_x * near_w[2]), as_uint16(weight2_y * near_w[2]), as_uint16(weight2 * near_w[2]),
                     as_uint16(w1), as_uint16(w2),
                     slots[0], flipped ? slots[2] : slots[1], flipped ? slots[1] : slots[2],
-                    as_uint16(part * GROUP + LANES), (uint16)(1u),
+                    as_uint16(part * GROUP + LANES), (uint16)(3u),
                 };
                 transpose16(words, planes);
             }
@@ -570,7 +656,7 @@ SINGLE set_up(ulong address) {
                 next = primitive == EDGES && edge < 2 ? edge + 1 : 0;
                 if (!next) todo &= todo - 1;
                 global uint16 *record = AT(uint16, batch->records) + place;
-                if (polygons >> lane & 1) {
+                if (SELDOM(polygons >> lane & 1)) {
                     int made[16];
                     float plane[16];
                     uint slots[3];
@@ -590,7 +676,7 @@ SINGLE set_up(ulong address) {
                         continue;
                     *record = records[lane];
                     if (shades) AT(uint16, batch->planes)[place] = planes[lane];
-                    if (recomputed) {
+                    if (SELDOM(recomputed)) {
                         int made[16];
                         float plane[16];
                         uint slots[3];
@@ -607,14 +693,7 @@ SINGLE set_up(ulong address) {
                 }
                 uint box = tile_boxes[lane];
                 boxes[place++] = box;
-                if (!listed) continue;
-                int x0 = box & 255u, y0 = box >> 8 & 255u, x1 = box >> 16 & 255u, y1 = box >> 24;
-                if (x0 == x1 && y0 == y1) {
-                    ++counts[y0 * tiles_x + x0];
-                    continue;
-                }
-                for (int row = y0; row <= y1; ++row)
-                    for (int column = x0; column <= x1; ++column) ++counts[row * tiles_x + column];
+                if (listed) count_tiles(counts, tiles_x, box);
             }
         }
     }

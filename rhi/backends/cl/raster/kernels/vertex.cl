@@ -78,21 +78,11 @@ INLINE void store_words(global uint *memory, const uint16 *words, const int widt
     }
 }
 
-// Return the vertices at 16 places of an index list.
-INLINE int16 look_up(global const Draw *draw, int16 places) {
-    int named[GROUP];
-    vstore16(places, 0, named);
-    for (int i = 0; i < GROUP; ++i)
-        named[i] = draw->vertex_index_bytes == 2 ? AT(const ushort, draw->vertex_indices)[named[i]]
-                                                 : AT(const uint, draw->vertex_indices)[named[i]];
-    return vload16(0, named);
-}
-
 // Load the attributes of 16 vertices of an instance, and return their numbers. The last group repeats the last vertex.
 INLINE int16 fetch(global const Draw *draw, global const ulong *row, int part, int numbered, uint16 *inputs) {
     const int last = draw->vertices - 1 - part * GROUP;
     int16 vertex = part * GROUP + min(LANES, last);
-    if (draw->vertex_indices) vertex = look_up(draw, vertex);
+    if (draw->vertex_indices) vertex = look_up(draw->vertex_indices, draw->vertex_index_bytes, vertex);
     vertex += draw->first_vertex;
     const bool in_row = last >= GROUP - 1 && !draw->vertex_indices;
     int vertices[GROUP];

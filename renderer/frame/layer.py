@@ -1,0 +1,22 @@
+"""The protocol of layers: what is drawn over a frame that a technique has finished, such as a debug overlay."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from renderer.frame.frame import Frame
+from rhi import Device
+
+__rhi_internal__ = True
+
+
+class Layer(Protocol):
+    """Draws over a finished frame, before it is presented."""
+
+    def render(self, device: Device, frame: Frame) -> None:
+        """Draw to `frame.targets`, which hold the frame as the technique has drawn it, its depth included."""
+        ...
+
+    def destroy(self) -> None:
+        """Destroy the layer's resources on the device."""
+        ...

@@ -1,0 +1,155 @@
+"""Particles: a layer that draws what simulations emit, thousands of sprites in one draw (thesis 4.3).
+
+- Only simulated objects that were drawn in the frame have particles: what is culled isn't simulated, and emits nothing.
+- All particles of a frame are one array in the device's transient memory. The vertex stage reads it by its index, and
+  stretches each particle along the way that it goes in the time of an exposure.
+- Particles are tested against the frame's depth and don't change it. They are added up in any order (premultiplied,
+  with less alpha than light), so they aren't sorted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, Final, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.frame import Frame
+from renderer.frame.passes import NEARER
+from renderer.scene.arrays import Floats, Rows
+from renderer.shaders import View
+from rhi import BlendFunction, CullMode, DepthTest, DepthWrite, Device
+from rhi.shading import (
+    Shader,
+    Storage,
+    Struct,
+    Uniform,
+    cross,
+    dot,
+    length,
+    max,
+    vec2,
+    vec3,
+    vec4,
+    vertex_index,
+)
+
+__rhi_internal__ = True
+
+_CORNERS: Final = 6  # of the two triangles
+_CAPACITY: Final = 1024  # particles at first
+_RADIUS: Final = 0.05  # in m
+_EXPOSURE: Final = 1.0 / 60.0  # seconds
+
+
+@runtime_checkable
+class EmitsParticles(Protocol):
+    """A simulation whose members are surrounded by particles."""
+
+    def particles(self, members: Rows) -> tuple[Floats, Floats]:
+        """Return positions and velocities (j, p, 3) of `members` (j,), in m and m/s and in the space of the object."""
+        ...
+
+
+class Particle(Struct):
+    """A particle along the axes of the world: its place relative to the eye, its way in the time of an exposure."""
+
+    centre: vec3
+    way: vec3
+
+
+class ParticleVarying(Struct):
+    """The varyings of `ParticleShader`; `place` is -1 to 1 from edge to edge."""
+
+    clip: vec4
+    place: vec2
+
+
+class ParticleShader(Shader):
+    """Draws particles as soft sprites that face the eye."""
+
+    view: Uniform[View]
+    particles: Storage[Particle]
+    radius: Uniform[float]
+
+    def vertex(self) -> ParticleVarying:
+        number = vertex_index()
+        particle = self.particles[number // 6]
+        turn = number % 6
+        x = float((22 >> turn) & 1) * 2.0 - 1.0  # the corners of the two triangles: 00 10 11, 00 11 01
+        y = float((52 >> turn) & 1) * 2.0 - 1.0
+        along = particle.way
+        if dot(along, along) < 1e-12:
+            along = vec3(0.0, 1e-6, 0.0)
+        along = along / length(along)
+        aside = cross(along, particle.centre)
+        aside = aside / max(length(aside), 1e-6)
+        offset = along * (self.radius * x) + particle.way * (0.5 * x) + aside * (self.radius * y)
+        offset -= particle.centre * (
+            self.radius / max(length(particle.centre), 1e-6)
+        )  # in front of the drop itself
+        return ParticleVarying(
+            clip=self.view.relative_view_projection @ vec4(particle.centre + offset, 1.0), place=vec2(x, y)
+        )
+
+    def fragment(self, v: ParticleVarying) -> vec4:
+        light = max(1.0 - dot(v.place, v.place), 0.0)
+        return vec4(vec3(0.16, 0.24, 0.32) * light, 0.2 * light)
+
+
+class Particles:
+    """A layer that draws the particles of the simulated objects that were drawn.
+
+    Attributes:
+        count: the number of particles of the latest frame.
+    """
+
+    def __init__(self, device: Device) -> None:
+        self._program: Any = device.program(ParticleShader)
+        self._mesh = device.mesh(_CORNERS * _CAPACITY, label="particles")
+        self._radius = device.uniform(_RADIUS)
+        self.count = 0
+
+    def render(self, device: Device, frame: Frame) -> None:
+        """Draw the particles in one draw."""
+        parts = list(find_particles(frame))
+        self.count = sum(map(len, parts))
+        if not self.count:
+            return
+        array = np.concatenate(parts).reshape(-1).view(Particle.dtype)
+        if _CORNERS * len(array) > self._mesh.count:
+            self._mesh.destroy()
+            self._mesh = device.mesh(_CORNERS << (len(array) - 1).bit_length(), label="particles")
+        targets, nearer = frame.targets, NEARER[frame.camera.projection.depth]
+        with (
+            device.event("particles"),
+            device.render_pass(targets.color, targets.depth),
+            device.states(CullMode.NONE, DepthTest.ON, nearer, DepthWrite.OFF, BlendFunction.PREMULTIPLIED),
+        ):
+            device.draw(
+                self._program,
+                self._mesh.view(0, _CORNERS * len(array)),
+                view=frame.resources.view.buffer,
+                particles=device.transient.storage(Particle, array),
+                radius=self._radius,
+            )
+
+    def destroy(self) -> None:
+        """Destroy the resources on the device."""
+        self._mesh.destroy()
+        self._radius.destroy()
+
+
+def find_particles(frame: Frame) -> Iterator[NDArray[np.float32]]:
+    """Yield the particles (p, 8) as rows of `Particle`, one array for each simulation of which anything was drawn."""
+    scene, eye = frame.resources.scene, frame.camera.position
+    for simulation, rows, members in frame.resources.simulator.list_drawn():
+        if isinstance(simulation, EmitsParticles) and len(members):
+            position, velocity = simulation.particles(members)
+            world = scene.nodes.world[scene.objects.node[rows]]
+            turn = world[:, :3, :3].transpose(0, 2, 1)
+            floats = np.zeros((*position.shape[:2], 8), np.float32)
+            floats[:, :, 0:3] = position @ turn + (world[:, None, :3, 3] - eye)
+            floats[:, :, 4:7] = velocity @ turn * _EXPOSURE
+            yield floats.reshape(-1, 8)

@@ -1,0 +1,396 @@
+"""Animated objects that aren't drawn cost nothing, and are drawn as of their frame when they show again."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+
+import numpy as np
+import pytest
+from occlusion_scenes import DEVICE, WAITING, Oracle, draw_with
+
+import rhi
+from renderer.content import BUILT_IN, load_scene
+from renderer.content.hall import _Sway
+from renderer.renderer import Renderer
+from renderer.scene import (
+    Camera,
+    Orthographic,
+    Recompute,
+    Scene,
+    SceneBuilder,
+    rotation,
+    scaling,
+    translation,
+)
+from renderer.scene.transforms import multiply
+from renderer.visibility import FrustumCulling, NoCulling, list_algorithms, make_visibility
+from rhi import Op
+
+HALL = "hall:columns=18,rows=2,flags=10,fountains=4"
+PLACE = 32
+"""Bytes of an object's place on the device; its other row, of its linear transform, stays the same."""
+AWAY = Camera.look_at((0.0, 500.0, 0.0), (0.0, 1000.0, 0.0))
+WRITES = {Op.WRITE_BUFFER}
+
+
+class Bobbing:
+    """Things that go up and down; `asked` counts the members whose transforms were asked for, `calls` the calls."""
+
+    catch_up = Recompute()
+    calls = 0
+    asked = 0
+
+    def __init__(self, places: np.ndarray) -> None:
+        self.places = places
+        self.height = np.zeros(len(places))
+
+    def set_time(self, members: np.ndarray, seconds: float) -> None:
+        Bobbing.calls += 1
+        self.height[members] = np.sin(3.0 * seconds + members)
+
+    def transforms(self, members: np.ndarray) -> np.ndarray:
+        Bobbing.calls += 1
+        Bobbing.asked += len(members)
+        return translation(self.places[members] + np.array([0, 1, 0]) * self.height[members, None])
+
+
+def make_bobbing(count: int = 40, bounded: bool = True) -> Scene:
+    """Make a row of things along x, 4 m apart, each on a node of its own."""
+    Bobbing.calls = Bobbing.asked = 0
+    builder = SceneBuilder("bobbing")
+    places = np.stack([4.0 * np.arange(count), np.zeros(count), np.zeros(count)], axis=1)
+    nodes = builder.add_nodes(translation(places), dynamic=True)
+    builder.add_objects(nodes, builder.add_mesh(BUILT_IN["box"]()), builder.add_material())
+    half = np.array([0.5, 1.5, 0.5])
+    builder.animate(nodes, Bobbing(places), (places - half, places + half) if bounded else None)
+    scene = builder.build()
+    Bobbing.calls = Bobbing.asked = 0
+    return scene
+
+
+def look_at_first(count: int) -> Camera:
+    """Return a camera that sees the first `count` things, and nothing of the others."""
+    aim = np.array([2.0 * (count - 1), 0.0, 0.0])
+    return Camera.look_at((aim[0], 0.0, 50.0), aim, projection=Orthographic(4.0 * count, aspect=1.0))
+
+
+def count_writes(device: rhi.Device) -> int:
+    found = sum(command.op in WRITES for command in device.stream)
+    device.stream.clear()
+    return found
+
+
+def test_with_nothing_drawn_nothing_is_called_and_nothing_written(null: rhi.Device) -> None:
+    scene = make_bobbing()
+    with Renderer(null, scene, visibility=FrustumCulling(scene), size=(64, 64)) as renderer:
+        renderer.render(AWAY, 0.0)
+        null.stream.clear()
+        Bobbing.calls = 0
+        for frame in range(1, 11):
+            result = renderer.render(AWAY, frame / 60)
+            assert result.statistics.upload_bytes == 0
+            assert result.statistics.skipped_simulations == 40
+        assert Bobbing.calls == 0
+        assert count_writes(null) == 0
+
+
+def test_what_leaves_the_view_is_left_alone_at_once(null: rhi.Device) -> None:
+    scene = make_bobbing()
+    with Renderer(null, scene, visibility=FrustumCulling(scene), size=(64, 64)) as renderer:
+        assert len(renderer.render(look_at_first(40), 0.1).visible) == 40
+        Bobbing.calls = 0
+        assert renderer.render(AWAY, 0.2).statistics.skipped_simulations == 40
+        assert Bobbing.calls == 0
+        assert len(renderer.render(look_at_first(40), 0.2).visible) == 40
+        assert Bobbing.calls == 2
+
+
+@pytest.mark.parametrize(("count", "bounded"), [(20, True), (40, True), (20, False)])
+def test_what_is_drawn_is_animated_in_one_go_and_its_rows_are_written(
+    null: rhi.Device, count: int, bounded: bool
+) -> None:
+    scene = make_bobbing(bounded=bounded)
+    camera = look_at_first(count)
+    with Renderer(null, scene, visibility=FrustumCulling(scene), size=(64, 64)) as renderer:
+        for frame in range(2):
+            renderer.render(camera, frame / 60)
+        null.stream.clear()
+        Bobbing.calls = Bobbing.asked = 0
+        result = renderer.render(camera, 0.5)
+    assert sorted(result.visible.tolist()) == list(range(count))
+    animated = count if bounded else 40  # what has no bounds is animated everywhere
+    assert (Bobbing.calls, Bobbing.asked) == (2, animated)
+    assert result.statistics.upload_bytes == animated * PLACE + count * rhi.DRAW.itemsize
+    assert count_writes(null) == 2  # the rows of one array, and the draws
+
+
+@pytest.mark.parametrize("name", WAITING)
+def test_what_is_hidden_is_not_animated(null: rhi.Device, name: str) -> None:
+    scene = make_bobbing()
+    oracle = Oracle(null, scene, name)
+    algorithm = make_visibility(name, scene, null)
+    camera = look_at_first(40)
+    with Renderer(null, scene, size=(64, 64)) as renderer:
+        oracle.seen = {3, 4, 9}
+        for frame in range(1, 12):
+            Bobbing.calls = Bobbing.asked = 0
+            result = draw_with(renderer, algorithm, camera, frame / 60)
+        assert set(result.visible.tolist()) == oracle.seen
+        assert (Bobbing.calls, Bobbing.asked) == (2, 3)  # at once, however many batches were drawn
+        oracle.seen = set()
+        for frame in range(12, 40):  # until all are asked about again
+            Bobbing.calls = 0
+            result = draw_with(renderer, algorithm, camera, frame / 60)
+        assert (len(result.visible), Bobbing.calls) == (0, 0)
+        oracle.seen = {3, 4, 9, 30}
+        returned = draw_with(renderer, algorithm, camera, 40 / 60)
+        assert set(returned.visible.tolist()) == oracle.seen
+        heights = scene.nodes.world[scene.objects.node[[3, 30]], 1, 3]
+        assert heights == pytest.approx(np.sin(3.0 * 40 / 60 + np.array([3, 30])), abs=1e-15)
+
+
+def make_reference(monkeypatch: pytest.MonkeyPatch) -> Scene:
+    """Make the hall as if no animation had bounds: everything moves in every frame."""
+    animate = SceneBuilder.animate
+    with monkeypatch.context() as always:
+        always.setattr(
+            SceneBuilder, "animate", lambda self, nodes, motion, bounds: animate(self, nodes, motion)
+        )
+        return load_scene(HALL)
+
+
+@pytest.mark.parametrize("name", ["frustum", "chc_plus_plus", "stop_and_wait", *DEVICE, "software_depth"])
+def test_what_shows_again_is_drawn_as_of_its_frame(
+    drawing_device: rhi.Device, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    if name not in list_algorithms(drawing_device):
+        pytest.skip(f"{name} doesn't run here")
+    hall, always = load_scene(HALL), make_reference(monkeypatch)
+    assert len(hall.objects.simulated_rows) == len(always.objects.simulated_rows) + 60
+    path, size = hall.paths["ground"], (97, 55)
+    skipped = 0
+    with (
+        Renderer(drawing_device, always, visibility=NoCulling(always), size=size) as reference,
+        Renderer(
+            drawing_device,
+            hall,
+            visibility=make_visibility(name, hall, drawing_device),
+            size=size,
+            validation=True,
+        ) as renderer,
+    ):
+        for frame, seconds in ((0, 0.0), (3, 0.3), (900, 0.6), (903, 0.9), (3, 40.0), (6, 40.1), (900, 0.2)):
+            expected = reference.render(path.camera(frame), seconds)
+            given = renderer.render(path.camera(frame), seconds)
+            assert (given.image.read() == expected.image.read()).all(), frame
+            skipped += given.statistics.skipped_simulations
+        late = renderer.render(path.camera(900), 0.9).image.read()
+        assert (late != expected.image.read()).any()  # the control: time shows
+    assert skipped > 0
+
+
+def test_only_what_is_drawn_is_swayed_in_the_hall(null: rhi.Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    hall = load_scene("hall:flags=32")
+    asked: list[int] = []
+    transforms = _Sway.transforms
+    monkeypatch.setattr(
+        _Sway, "transforms", lambda self, members: (asked.append(len(members)), transforms(self, members))[1]
+    )
+    with Renderer(null, hall, visibility=FrustumCulling(hall), size=(64, 36)) as renderer:
+        camera = hall.views["flags"]
+        for frame in range(6):
+            drawn = renderer.render(camera, frame / 60).visible
+    flags = np.intersect1d(drawn, hall.objects.dynamic_rows)
+    assert 0 < len(flags) < 192
+    assert len(asked) == 6
+    # A segment's transform depends on those before it, up to the pole.
+    part, flag = np.divmod(np.searchsorted(hall.objects.dynamic_rows, flags), 32)
+    assert asked[-1] == sum(int(part[flag == one].max()) + 1 for one in np.unique(flag))
+
+
+def test_a_segment_is_where_it_would_be_if_all_were_animated() -> None:
+    hall, always = load_scene(HALL), load_scene(HALL)
+    simulator = hall.make_simulator()
+    last = hall.objects.dynamic_rows[-3:]
+    for seconds in (0.4, 77.0, 3600.0):
+        simulator.begin_frame(seconds)
+        hall.refresh()
+        simulator.advance(last)
+        always.update(seconds)
+        node = hall.objects.node[last]
+        # The same operations in the same order: equal to the last bit.
+        assert (hall.nodes.world[node] == always.nodes.world[node]).all()
+    others = hall.objects.node[hall.objects.dynamic_rows[:-3]]
+    assert (hall.nodes.world[others] != always.nodes.world[others]).any()
+
+
+def test_two_renderers_of_one_scene_show_a_time_each(gl: rhi.Device) -> None:
+    scene, alone = make_bobbing(), make_bobbing()
+    camera = look_at_first(6)
+    with Renderer(gl, scene, size=(48, 48)) as one, Renderer(gl, scene, size=(48, 48)) as other:
+        for first, second in ((0.1, 0.6), (0.1, 0.7), (0.2, 0.2), (0.9, 0.1)):
+            shown = [one.render(camera, first).image.read(), other.render(camera, second).image.read()]
+            for image, seconds in zip(shown, (first, second), strict=True):
+                with Renderer(gl, alone, size=(48, 48)) as fresh:
+                    assert (image == fresh.render(camera, seconds).image.read()).all()
+        assert (shown[0] != shown[1]).any()
+
+
+def test_what_carries_a_culled_object_takes_its_bounds_along(gl: rhi.Device) -> None:
+    builder = SceneBuilder("cart")
+    cart = builder.add_node(dynamic=True, name="cart")
+    wheel = builder.add_node(parent=cart, dynamic=True)
+    builder.add_objects(wheel, builder.add_mesh(BUILT_IN["box"]()), builder.add_material(emission=1.0))
+    builder.animate(
+        wheel, lambda seconds: rotation((0, 0, 1), np.array([seconds])), ((-1, -1, -1), (1, 1, 1))
+    )
+    scene = builder.build()
+    away = Camera.look_at((0.0, 0.0, 5.0), (0.0, 0.0, 10.0))
+    there = Camera.look_at((50.0, 0.0, 5.0), (50.0, 0.0, 0.0))
+    images = []
+    for name in ("frustum", "two_pass"):
+        scene.nodes.set_local(scene.nodes.find("cart"), np.eye(4))
+        with Renderer(gl, scene, visibility=make_visibility(name, scene, gl), size=(48, 48)) as renderer:
+            renderer.render(away, 0.3)
+            scene.nodes.set_local(scene.nodes.find("cart"), translation((50.0, 0.0, 0.0)))
+            renderer.render(away, 0.5)
+            assert scene.objects.lower[0] == pytest.approx((49.0, -1.0, -1.0))
+            images.append(renderer.render(there, 0.8).image.read())
+    assert (images[0] == images[1]).all()
+    assert (images[0] != images[0][0, 0]).any()
+
+
+def test_bounds_below_an_animated_node_are_those_of_the_nearest_animated_one() -> None:
+    builder = SceneBuilder("crane")
+    base = builder.add_node(translation((10.0, 0.0, 0.0)))
+    arm = builder.add_node(parent=base, dynamic=True)
+    hook = builder.add_node(parent=arm, dynamic=True)
+    load = builder.add_node(translation((0.0, -1.0, 0.0)), parent=hook)
+    box = builder.add_mesh(BUILT_IN["box"]())
+    builder.add_objects([arm, load, base], box, builder.add_material())
+    builder.animate(arm, lambda seconds: translation([(0.0, 3.0, 0.0)]), ((-1, 2, -1), (1, 4, 1)))
+    builder.animate(hook, lambda seconds: np.eye(4)[None], ((-5, -5, -5), (5, 5, 5)))
+    objects = builder.build().objects
+    assert objects.lower[:, 0] == pytest.approx((9.0, 5.0, 9.5))
+    assert objects.lower[:, 1] == pytest.approx((2.0, -5.0, -0.5))  # in the space of the base
+    assert objects.simulated.tolist() == [True, True, False]
+
+
+def test_what_hangs_on_something_without_bounds_is_animated_in_every_frame(null: rhi.Device) -> None:
+    builder = SceneBuilder("rocket")
+    rocket = builder.add_node(dynamic=True)
+    fin = builder.add_node(parent=rocket, dynamic=True)
+    builder.add_objects(fin, builder.add_mesh(BUILT_IN["box"]()), builder.add_material())
+    builder.animate(rocket, lambda seconds: translation([(0.0, 100.0 * seconds, 0.0)]))
+    builder.animate(fin, lambda seconds: rotation((0, 1, 0), np.array([seconds])), ((-1, -1, -1), (1, 1, 1)))
+    scene = builder.build()
+    with Renderer(null, scene, visibility=FrustumCulling(scene), size=(64, 64)) as renderer:
+        renderer.render(AWAY, 2.0)
+    expected = multiply(translation((0.0, 200.0, 0.0)), rotation((0, 1, 0), 2.0))
+    assert (scene.nodes.world[scene.objects.node[0]] == expected).all()
+    assert scene.objects.lower[0, 1] == pytest.approx(199.5)
+
+
+def test_vertices_of_adjacent_meshes_are_written_together(null: rhi.Device) -> None:
+    hall = load_scene("hall:columns=6,rows=2,flags=0,fountains=6")
+    with Renderer(null, hall, visibility=NoCulling(hall), size=(64, 36)) as renderer:
+        renderer.render(hall.views["overview"], 0.0)
+        renderer.render(hall.views["overview"], 0.5)
+        null.stream.clear()
+        result = renderer.render(hall.views["overview"], 1.0)
+    assert result.statistics.simulation_steps == 6 * 30
+    writes = [command for command in null.stream if command.op in WRITES]
+    sizes = sorted(len(bytes(command["data"])) for command in writes)
+    assert sizes[-1] == 6 * 1080 * 32
+    assert len(writes) == 2  # the vertices and the draws
+
+
+def widen(scene: Scene, by: float) -> None:
+    scene.objects.boxes.lower[scene.objects.simulated] += by
+    scene.objects.refresh_bounds(scene.nodes, np.arange(len(scene.objects)))
+
+
+TIMES = np.linspace(0.0, 12.0, 97)
+
+
+@pytest.mark.parametrize("text", [HALL, "hall:columns=6,rows=2,flags=3,fountains=2,seed=5"])
+def test_bounds_of_the_hall_hold_at_all_times(text: str) -> None:
+    hall = load_scene(text)
+    hall.check_bounds(TIMES)
+    # Once more, by other means: the world boxes of the flags' vertices.
+    meshes, objects, rows = hall.meshes, hall.objects, hall.objects.dynamic_rows
+    least, most = np.full((len(rows), 3), np.inf), np.full((len(rows), 3), -np.inf)
+    for seconds in TIMES.tolist():
+        hall.update(seconds)
+        for number, row in enumerate(rows.tolist()):
+            begin = int(meshes.ranges["base_vertex"][objects.mesh[row]])
+            size = int(meshes.vertex_counts[objects.mesh[row]])
+            points = meshes.vertices["position"][begin : begin + size]
+            world = hall.nodes.world[objects.node[row]]
+            moved = points @ world[:3, :3].T + world[:3, 3]
+            least[number] = np.minimum(least[number], moved.min(0))
+            most[number] = np.maximum(most[number], moved.max(0))
+    slack = 1e-6 * np.abs(objects.lower[rows]).max()  # vertices are float32
+    assert (least >= objects.lower[rows] - slack).all()
+    assert (most <= objects.upper[rows] + slack).all()
+    room = (objects.upper - objects.lower)[rows].prod(1) / (most - least).prod(1)
+    assert np.median(room) < 2.0  # and the bounds are no larger than they need be, but for poles at an angle
+
+
+def test_bounds_that_do_not_hold_are_refused_by_name() -> None:
+    scene = make_bobbing(3)
+    scene.check_bounds(TIMES)
+    widen(scene, 0.1)
+    with pytest.raises(rhi.ValidationError) as refused:
+        scene.check_bounds(TIMES)
+    assert refused.value.rule.id == "scene-left-bounds"
+    assert "object" in refused.value.given
+
+
+@pytest.mark.parametrize("validation", [True, False])
+def test_a_renderer_with_validation_checks_the_bounds_of_what_it_draws(
+    null: rhi.Device, validation: bool
+) -> None:
+    scene = make_bobbing(6)
+    widen(scene, 0.6)
+    with Renderer(null, scene, visibility=NoCulling(scene), size=(64, 64), validation=validation) as renderer:
+        found = None
+        for frame in range(12):
+            try:
+                renderer.render(look_at_first(6), frame / 6)
+            except rhi.ValidationError as error:
+                found = error.rule.id
+                break
+    assert found == ("scene-left-bounds" if validation else None)
+
+
+class NoResult:
+    catch_up = Recompute()
+
+    def set_time(self, members: np.ndarray, seconds: float) -> None:
+        pass
+
+
+class NoPolicy:
+    def transforms(self, members: np.ndarray) -> np.ndarray:
+        return scaling(np.ones((len(members), 3)))
+
+
+@pytest.mark.parametrize(("change", "rule"), [
+    (lambda b, n: b.animate(n, NoResult()), "scene-bad-simulation"),
+    (lambda b, n: b.animate(n, NoPolicy()), "scene-bad-simulation"),
+    (lambda b, n: b.animate([7], lambda seconds: np.eye(4)), "scene-bad-index"),
+    (lambda b, n: [b.animate(n, lambda seconds: np.eye(4)) for _ in range(2)], "scene-shared-node"),
+    (lambda b, n: b.animate(n, lambda s: np.eye(4), ((1, 1, 1), (0, 2, 2))), "visibility-bad-bounds"),
+    (lambda b, n: b.animate(n, lambda s: np.eye(4), ((0, 0), (1, 1))), "visibility-bad-bounds"),
+    (lambda b, n: b.animate(n, lambda s: np.eye(4), ((0, 0, np.nan), (1, 1, 1))), "visibility-bad-bounds"),
+    (lambda b, n: b.animate(n, lambda seconds: np.eye(4), ((0, 0, 0), (1, 1, 1))), None),
+])  # fmt: skip
+def test_what_can_not_be_animated_is_refused(change: object, rule: str | None) -> None:
+    builder = SceneBuilder("bad")
+    nodes = builder.add_nodes(np.eye(4)[None], dynamic=True)
+    builder.add_objects(nodes, builder.add_mesh(BUILT_IN["box"]()), builder.add_material())
+    with nullcontext() if rule is None else pytest.raises(rhi.ValidationError) as refused:
+        change(builder, nodes)
+        builder.build()
+    assert rule == (refused and refused.value.rule.id)

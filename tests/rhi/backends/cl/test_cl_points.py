@@ -1,0 +1,90 @@
+"""Points of one sample, which are set up 16 at a time, and those of several samples, one by one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import rhi
+from rhi import BlendFunction, Device, Format, Primitive, Scissor
+from rhi.conformance.compare import assert_same
+from rhi.conformance.shaders import Sized
+from rhi.conformance.shapes import point_rows, point_square
+
+SIZE = (150, 90)  # six tiles, which the target's right and lower edges cut
+COUNT = 37  # two whole groups and a part of one
+
+
+@pytest.fixture(scope="module")
+def device() -> Iterator[Device]:
+    with rhi.create_device("cl") as made:
+        yield made
+
+
+def random_points(count: int) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return points as rows, and their places and sizes in texels: (count, 3)."""
+    rng = np.random.default_rng(3)
+    places = rng.integers(0, np.multiply(SIZE, 4), (count, 2)) / 4 + 1 / 32  # no edge passes through a centre
+    sizes = np.where(np.arange(count) % 3 == 0, 1.0, rng.integers(2, 140, count) / 2)
+    return point_rows(places, SIZE, sizes), np.column_stack([places, sizes])
+
+
+def counted(points: NDArray[Any], indices: Any = slice(None)) -> NDArray[np.int64]:
+    """Return how many of the points cover each texel."""
+    return np.sum([point_square(x, y, side, SIZE) for x, y, side in points[indices]], 0)
+
+
+def drawn(
+    device: Device, rows: NDArray[Any], indices: Any = None, *states: Any, samples: int = 1
+) -> NDArray[Any]:
+    """Return how often each texel is drawn."""
+    with (
+        device.texture(SIZE, Format.RGBA32F, samples=samples) as target,
+        device.texture(SIZE, Format.RGBA32F) as image,
+        device.mesh(rows, indices, primitive=Primitive.POINTS) as mesh,
+    ):
+        with device.render_pass(target, clear=(0, 0, 0, 0)), device.states(BlendFunction.ADDITIVE, *states):
+            device.draw(device.program(Sized), mesh)
+        if samples > 1:
+            target.resolve_to(image)
+        return (image if samples > 1 else target).read()[..., 3]
+
+
+@pytest.mark.parametrize("count", [15, 16, 17, COUNT])
+def test_points_of_a_whole_group_and_a_part_of_one_are_drawn_once(device: Device, count: int) -> None:
+    rows, points = random_points(count)
+    assert_same(drawn(device, rows), counted(points))
+
+
+@pytest.mark.parametrize("kind", ["u2", "u4"])
+def test_points_are_picked_by_indices(device: Device, kind: str) -> None:
+    rows, points = random_points(COUNT)
+    indices = np.random.default_rng(4).integers(5, COUNT, 50).astype(kind)
+    assert_same(drawn(device, rows, indices), counted(points, indices))
+
+
+def test_a_scissor_cuts_each_of_many_points(device: Device) -> None:
+    rows, points = random_points(COUNT)
+    expected = counted(points)
+    expected[:30] = expected[70:] = 0
+    expected[:, :41] = expected[:, 101:] = 0
+    assert_same(drawn(device, rows, None, Scissor(41, 30, 60, 40)), expected)
+
+
+def test_points_behind_the_eye_leave_gaps_in_a_group(device: Device) -> None:
+    rows, points = random_points(COUNT)
+    behind = np.arange(COUNT) % 4 == 1
+    rows["position"][behind] *= -1
+    assert_same(drawn(device, rows), counted(points[~behind]))
+
+
+def test_whole_texels_agree_between_one_sample_and_four(device: Device) -> None:
+    rows, _ = random_points(COUNT)
+    rows["size"] = np.ceil(rows["size"])
+    rows["position"][:, :2] = np.round((rows["position"][:, :2] + 1) * np.divide(SIZE, 2)) / np.divide(SIZE, 2) - 1
+    rows["size"] += rows["size"] % 2
+    assert_same(drawn(device, rows), drawn(device, rows, samples=4))
