@@ -26,9 +26,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import rhi
 from renderer.cli.arguments import parse_size
-from renderer.cli.compare_visibility import Picture
 from renderer.content import load_scene
 from renderer.measure.exact import ExactVisibility
+from renderer.measure.visibility import Picture
 from renderer.renderer import Renderer
 from renderer.scene import Scene
 from renderer.visibility import (

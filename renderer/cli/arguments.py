@@ -17,6 +17,11 @@ CAMERA_HELP: Final = (
     "a path (ground, sky), the .json file of a walk-through, a view of the scene, a position x,y,z, or a position and "
     "a target x,y,z,x,y,z"
 )
+SETTINGS_HELP: Final = (
+    "file with the parameters of the visibility algorithms, written by `tune` (default: b=50, n=20)"
+)
+QUERY_KINDS: Final = ("native", "emulated")
+"""The kinds of occlusion queries that `--queries` names."""
 DECIDES: Final = "what decides which objects are drawn (default: %(default)s)"
 
 
@@ -59,19 +64,23 @@ def add_walk(parser: Parser, what: str) -> None:
     parser.add_argument("--frames", type=parse_count, default=60, metavar="N", help=what)
 
 
-def add_settings(parser: Parser) -> None:
+def add_settings(parser: Parser, what: str = SETTINGS_HELP) -> None:
     """Add `--settings FILE`, which `load_settings` reads."""
-    parser.add_argument(
-        "--settings",
-        type=Path,
-        metavar="F.json",
-        help="file with the parameters of the visibility algorithms, written by `tune` (default: b=50, n=20)",
-    )
+    parser.add_argument("--settings", type=Path, metavar="F.json", help=what)
 
 
 def load_settings(given: argparse.Namespace) -> Settings:
     """Return the settings in the file that `--settings` names, or the defaults."""
     return Settings() if given.settings is None else Settings.load(given.settings)
+
+
+def add_queries(parser: Parser, default: str) -> None:
+    """Add `--queries KIND`, which is None if it isn't given; `default` says what holds then."""
+    parser.add_argument(
+        "--queries",
+        choices=QUERY_KINDS,
+        help=f"occlusion queries: the device's own, or emulated by two counters and a fence (default: {default})",
+    )
 
 
 def parse_size(text: str) -> tuple[int, int]:

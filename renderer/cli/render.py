@@ -15,6 +15,7 @@ from renderer.cli.arguments import (
     CAMERA_HELP,
     DECIDES,
     add_backend,
+    add_queries,
     add_scene,
     add_settings,
     add_size,
@@ -28,9 +29,16 @@ from renderer.content import load_scene, parse_camera
 from renderer.measure import FrameCost, measure_frame
 from renderer.overlay import Overlay
 from renderer.renderer import Renderer
-from renderer.scene import FRAMES_PER_SECOND, Camera, CameraPath, Depth, Orthographic, Perspective
+from renderer.scene import FRAMES_PER_SECOND, Camera, CameraPath, Depth, Orthographic, Perspective, Scene
 from renderer.techniques import TECHNIQUES, Particles
-from renderer.visibility import ALGORITHMS, AutoCulling, make_visibility
+from renderer.visibility import (
+    ALGORITHMS,
+    AutoCulling,
+    Settings,
+    VisibilityAlgorithm,
+    check_algorithm,
+    make_visibility,
+)
 from rhi.trace import save
 
 _NOTES: Final = """\
@@ -38,6 +46,7 @@ _NOTES: Final = """\
   python -m renderer render city:blocks=12,seed=3 --camera sky --frame 600
   python -m renderer render model.glb --camera 2,1.5,3 --size 1280x720
   python -m renderer render hall --camera ground --frames 120 --visibility frustum --json
+  python -m renderer render city --visibility chc_plus_plus --queries emulated --json
   python -m renderer render city --backend null --json
   python -m renderer render city --camera ground --frame 600 --frames 120 --overlay
   python -m renderer render city --backend null --frames 10 --trace city.zip
@@ -64,6 +73,7 @@ def _add_arguments(parser: Parser) -> None:
         help=DECIDES,
     )
     add_settings(parser)
+    add_queries(parser, "the settings', native")
     parser.add_argument(
         "--camera",
         metavar="CAMERA",
@@ -111,6 +121,8 @@ def _run(given: argparse.Namespace) -> None:
     if given.output is not None:
         prepare_image(given.output)
     settings = load_settings(given)
+    if given.queries is not None:
+        settings = replace(settings, emulated=given.queries == "emulated")
     scene = load_scene(given.scene)
     cameras = [
         with_depth(parse_camera(given.camera or next(iter(scene.views)), scene, frame), Depth(given.depth))
@@ -126,7 +138,7 @@ def _run(given: argparse.Namespace) -> None:
             device,
             scene,
             technique=TECHNIQUES[given.technique](),
-            visibility=make_visibility(given.visibility, scene, device, settings),
+            visibility=_make_visibility(given.visibility, scene, device, settings),
             size=given.size,
         ) as renderer,
         ExitStack() as layers,
@@ -156,6 +168,11 @@ def _run(given: argparse.Namespace) -> None:
             note(f"the {device.backend_name} device records and draws nothing: there is no image")
         report = describe_run(renderer, costs, image)
     print(json.dumps(report) if given.json else show_report(report))
+
+
+def _make_visibility(name: str, scene: Scene, device: rhi.Device, settings: Settings) -> VisibilityAlgorithm:
+    check_algorithm(name, device, "render")
+    return make_visibility(name, scene, device, settings)
 
 
 def warm_up(renderer: Renderer) -> Iterator[None]:

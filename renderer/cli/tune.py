@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final, ParamSpec, TypeVar
 
 import rhi
-from renderer.cli.arguments import add_backend, add_scene, add_size, add_walk, parse_count
+from renderer.cli.arguments import add_backend, add_queries, add_scene, add_size, add_walk, parse_count
 from renderer.cli.output import OutputError, draw_chart, note, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import find_path, load_scene
@@ -86,6 +86,7 @@ def _add_arguments(parser: Parser) -> None:
         metavar="E",
         help="where trials run: serial, processes, processes:N, or dask:ADDRESS of a scheduler (default: %(default)s)",
     )
+    add_queries(parser, "native")
     add_backend(parser)
     add_size(parser)
     parser.add_argument(
@@ -108,6 +109,7 @@ def _run(given: argparse.Namespace) -> None:
         first,
         given.backend,
         given.size,
+        given.queries == "emulated",
     )
     with rhi.create_device(given.backend) as device:
         backend, name = device.backend_name, device.capabilities.device
@@ -129,7 +131,9 @@ def _run(given: argparse.Namespace) -> None:
                 finals += executor.submit(try_pairs, walk, [pair], leaf_size=size).result()
     best = find_best(finals, 1)[0]
     is_better = best.ratio < 1.0  # than the default settings
-    settings = Settings(best.batch, best.persistence, best.leaf_size) if is_better else Settings()
+    settings = Settings(emulated=walk.emulated)
+    if is_better:
+        settings = Settings(best.batch, best.persistence, best.leaf_size, emulated=walk.emulated)
     report = {
         "backend": backend,
         "device": name,

@@ -47,6 +47,7 @@ class Walk:
         path: the frames to render, and one before them. first: the number of that frame.
         backend: the backend's name; None for the machine's own choice.
         size: (width, height) of the image in pixels.
+        emulated: whether queries are two counters and a fence, even if the device has its own.
     """
 
     scene: str
@@ -54,6 +55,7 @@ class Walk:
     first: int = 0
     backend: str | None = None
     size: tuple[int, int] = (960, 540)
+    emulated: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,16 +75,14 @@ class Trial:
     leaf_size: int = 1
 
 
-def try_pairs(
-    walk: Walk, pairs: Sequence[ParameterPair], threshold: int = 0, leaf_size: int = 1
-) -> list[Trial]:
+def try_pairs(walk: Walk, pairs: Sequence[ParameterPair], leaf_size: int = 1) -> list[Trial]:
     """Return a trial of each pair, on a device of its own. The frames of all pairs and of the default settings
     alternate.
 
     A process executes one call at a time; other calls wait.
     """
     scene = load_scene(walk.scene)
-    default = Settings(threshold=threshold)
+    default = Settings(emulated=walk.emulated)
     with (
         _LOCK,
         rhi.create_device(walk.backend) as device,

@@ -82,9 +82,15 @@ is."""
 ALGORITHMS: Final[dict[str, Callable[[Scene, Device, Settings], VisibilityAlgorithm]]] = {
     "none": lambda scene, _device, _settings: NoCulling(scene),
     "frustum": lambda scene, _device, _settings: FrustumCulling(scene),
-    "stop_and_wait": lambda scene, device, settings: StopAndWait(scene, device, threshold=settings.threshold),
+    "stop_and_wait": lambda scene, device, settings: StopAndWait(
+        scene, device, threshold=settings.threshold, emulated=settings.emulated
+    ),
     "chc": lambda scene, device, settings: Chc(
-        scene, device, leaf_size=settings.leaf_size, threshold=settings.threshold
+        scene,
+        device,
+        leaf_size=settings.leaf_size,
+        threshold=settings.threshold,
+        emulated=settings.emulated,
     ),
     "chc_plus_plus": lambda scene, device, settings: ChcPlusPlus(scene, device, **asdict(settings)),
     "conditional": lambda scene, device, settings: ConditionalCulling(
@@ -93,6 +99,7 @@ ALGORITHMS: Final[dict[str, Callable[[Scene, Device, Settings], VisibilityAlgori
         persistence=settings.persistence,
         leaf_size=settings.leaf_size,
         threshold=settings.threshold,
+        emulated=settings.emulated,
     ),
     "software_depth": lambda scene, _device, _settings: SoftwareDepth(scene),
     "depth_pyramid": lambda scene, device, _settings: DepthPyramidCulling(scene, device),

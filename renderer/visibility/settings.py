@@ -27,23 +27,28 @@ class Settings:
         persistence: number of frames for which a visible leaf isn't queried again, the thesis's n; 1 or more.
         leaf_size: largest number of objects in a leaf; they are queried and drawn together. 1 or more.
         threshold: a box that passes at most this many samples counts as hidden; 0 or more. Above 0 images may differ.
+        emulated: whether occlusion queries are emulated by two counters and a fence (thesis 4.4.2), as they are in any
+            case on a device without its own. Conditional culling can't use emulated ones.
     """
 
     batch: int = 50
     persistence: int = 20
     leaf_size: int = 1
     threshold: int = 0
+    emulated: bool = False
 
     def __post_init__(self) -> None:
-        for field, least in zip(fields(self), (1, 1, 1, 0), strict=True):
-            value = getattr(self, field.name)
+        for name, least in (("batch", 1), ("persistence", 1), ("leaf_size", 1), ("threshold", 0)):
+            value = getattr(self, name)
             if type(value) is not int or value < least:
                 refuse(
                     rules.BAD_PARAMETER,
-                    f"Settings({field.name}=…)",
+                    f"Settings({name}=…)",
                     repr(value),
                     f"a whole number of {least} or more",
                 )
+        if type(self.emulated) is not bool:
+            refuse(rules.BAD_PARAMETER, "Settings(emulated=…)", repr(self.emulated), "True or False")
 
     def save(self, path: Path, **found: Any) -> None:
         """Write the settings as JSON. `found` is written too, to say how they were found; `load` ignores it."""

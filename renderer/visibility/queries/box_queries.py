@@ -64,15 +64,19 @@ class BoxQueries:
 
     Attributes:
         threshold: a query with at most this many samples counts as hidden; above 0, images may differ.
+        emulated: whether the queries are emulated by two counters and a fence, even if the device has its own.
         asked: for each node whether it was queried since `begin_frame`.
         issued: queries since `begin_frame`. draws, boxes: draws of boxes in them, and the boxes drawn.
         stalled: seconds for which the CPU waited for results since `begin_frame`.
     """
 
-    def __init__(self, device: Device, sizes: Rows, members: Rows, threshold: int = 0) -> None:
+    def __init__(
+        self, device: Device, sizes: Rows, members: Rows, threshold: int = 0, emulated: bool = False
+    ) -> None:
         """`sizes` (n,) is the number of boxes of each node, 1 or more; `members` are their rows, node after node."""
         self.device = device
         self.threshold = threshold
+        self.emulated = emulated
         self.issued = self.draws = self.boxes = 0
         self.stalled = 0.0
         self.asked = bytearray(len(sizes))
@@ -152,7 +156,7 @@ class BoxQueries:
     def acquire(self) -> OcclusionQuery:
         """Return an unused query for draws of the caller's own, and count it as issued."""
         self.issued += 1
-        return self._free.pop() if self._free else self.device.occlusion_query()
+        return self._free.pop() if self._free else self.device.occlusion_query(emulated=self.emulated)
 
     def resolve(self, query: OcclusionQuery) -> bool:
         """Return whether more samples than the threshold passed, and release the query. Waits for the result if it is
@@ -201,7 +205,7 @@ class BoxQueries:
         """Return an unused set of at least so many rows, fewer than twice as many."""
         size = 1 << (rows - 1).bit_length()
         free = self._free_sets.setdefault(size, [])
-        return free.pop() if free else self.device.query_set(size)
+        return free.pop() if free else self.device.query_set(size, emulated=self.emulated)
 
     def read(self, queries: QuerySet) -> list[bool]:
         """Return for each row of a set whether more samples than the threshold passed, and release the set. Waits for

@@ -33,12 +33,21 @@ class Chc:
 
     opens_pass: Final = False
 
-    def __init__(self, scene: Scene, device: Device, *, leaf_size: int = 1, threshold: int = 0) -> None:
-        """A leaf has at most `leaf_size` objects. A node that passes at most `threshold` samples counts as hidden."""
+    def __init__(
+        self,
+        scene: Scene,
+        device: Device,
+        *,
+        leaf_size: int = 1,
+        threshold: int = 0,
+        emulated: bool = False,
+    ) -> None:
+        """A leaf has at most `leaf_size` objects. A node that passes at most `threshold` samples counts as hidden.
+        `emulated` queries are two counters and a fence."""
         self._objects = scene.objects
         self._forest = Forest(scene, leaf_size)
         count = len(self._forest)
-        self._queries = BoxQueries(device, np.ones(count, np.int64), np.arange(count), threshold)
+        self._queries = BoxQueries(device, np.ones(count, np.int64), np.arange(count), threshold, emulated)
         self._memory = NodeMemory(self._forest)
         self._visible, self._visited = self._memory.visible, self._memory.visited
         self._frame = 0

@@ -75,6 +75,7 @@ class ChcPlusPlus:
         persistence: int = 20,
         leaf_size: int = 1,
         threshold: int = 0,
+        emulated: bool = False,
         seed: int = 0,
     ) -> None:
         """The thesis tunes `batch`, its b, and `persistence`, its n (6.5.1).
@@ -84,6 +85,7 @@ class ChcPlusPlus:
             persistence: number of frames for which a visible leaf isn't queried again, 1 or more.
             leaf_size: largest number of objects in a leaf, 1 or more.
             threshold: a node that passes at most this many samples counts as hidden.
+            emulated: whether queries are two counters and a fence, even if the device has its own.
             seed: the seed of the random numbers.
         """
         if min(batch, persistence, leaf_size) < 1:
@@ -95,7 +97,7 @@ class ChcPlusPlus:
         self._persistence = persistence
         self._random = Random(seed)
         count = len(self._forest)
-        self._queries = BoxQueries(device, self._forest.tight_sizes, self._forest.tight, threshold)
+        self._queries = BoxQueries(device, self._forest.tight_sizes, self._forest.tight, threshold, emulated)
         self._memory = memory = NodeMemory(self._forest)
         self._visible, self._visited = memory.visible, memory.visited
         self._hidden_since, self._next_query = memory.hidden_since, memory.next_query

@@ -44,17 +44,21 @@ class ConditionalCulling(ChcPlusPlus):
         persistence: int = 20,
         leaf_size: int = 1,
         threshold: int = 0,
+        emulated: bool = False,
         seed: int = 0,
     ) -> None:
         """The parameters are those of `ChcPlusPlus`. `threshold` only affects what counts as visible in the next
         frame: for the GPU, one sample is enough to draw. The device needs `capabilities.conditional_rendering`, and
-        occlusion queries of its own."""
+        occlusion queries of its own: `emulated` is refused.
+        """
         if not (device.capabilities.conditional_rendering and device.capabilities.occlusion_queries):
             refuse(
                 rules.NO_CONDITIONS,
                 "ConditionalCulling(...)",
                 f"a {device.backend_name} device without both",
             )
+        if emulated:
+            refuse(rules.NO_CONDITIONS, "ConditionalCulling(...)", "emulated queries", "native ones")
         super().__init__(
             scene, device, persistence=persistence, leaf_size=leaf_size, threshold=threshold, seed=seed
         )

@@ -27,13 +27,14 @@ class StopAndWait:
 
     opens_pass: Final = False
 
-    def __init__(self, scene: Scene, device: Device, *, threshold: int = 0) -> None:
-        """An object whose box passes at most `threshold` samples counts as hidden."""
+    def __init__(self, scene: Scene, device: Device, *, threshold: int = 0, emulated: bool = False) -> None:
+        """An object whose box passes at most `threshold` samples counts as hidden; `emulated` queries are two counters
+        and a fence."""
         self._objects = scene.objects
         self._frustum = FrustumCulling(scene)
         self._tightest = TightestBoxes(scene)
         count = len(scene.objects)
-        self._queries = BoxQueries(device, np.ones(count, np.int64), np.arange(count), threshold)
+        self._queries = BoxQueries(device, np.ones(count, np.int64), np.arange(count), threshold, emulated)
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw the objects that are not hidden behind nearer ones."""

@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 from concurrent.futures import Executor, Future
+from dataclasses import asdict
 from math import log
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
+import rhi
 from renderer.cli import main
 from renderer.cli.output import OutputError
 from renderer.cli.tune import make_executor
@@ -95,7 +97,10 @@ def test_tune_writes_what_render_and_compare_read(here: Path, capsys: pytest.Cap
     assert {final["batch"] for final in report["finals"]} <= {int(row["batch"]) for row in rows}
     shared = ["city:blocks=4,detail=2", "--size", "64x36", "--settings", "new/tuned/settings.json", "--json"]
     assert main(["compare", "visibility", *shared, "--frames", "1", "--algorithms", "chc_plus_plus"]) == 0
-    assert json.loads(capsys.readouterr().out)["settings"] == report["visibility"]
+    compared = json.loads(capsys.readouterr().out)
+    assert compared["settings"] == asdict(Settings())
+    assert compared["optimized"] == report["visibility"]
+    assert [row["algorithm"] for row in compared["rows"]] == ["chc_plus_plus", "optimized_chc_plus_plus"]
     assert main(["render", *shared, "--visibility", "chc_plus_plus"]) == 0
 
 
@@ -117,6 +122,33 @@ def test_trials_go_along_a_walk_that_render_recorded(here: Path, monkeypatch: py
         assert all(np.allclose(walk.path.camera(i).position, sky.camera(700 + i).position) for i in range(4))
         assert all(np.allclose(walk.path.camera(i).rotation, sky.camera(700 + i).rotation) for i in range(4))
     assert len(walks) == 5  # four pairs, and those that decide
+
+
+@pytest.mark.usefixtures("gl")
+@pytest.mark.parametrize("kind", ["native", "emulated"])
+def test_the_queries_that_are_asked_for_are_tuned_rendered_and_kept(
+    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    made: set[bool] = set()
+    make = rhi.Device.occlusion_query
+
+    def note(device: rhi.Device, *, emulated: bool = False) -> rhi.OcclusionQuery:
+        made.add(emulated)
+        return make(device, emulated=emulated)
+
+    monkeypatch.setattr(rhi.Device, "occlusion_query", note)
+    wanted = {kind == "emulated"}
+    assert main([*COMMAND, "--backend", "gl", "--rounds", "1", "--queries", kind]) == 0
+    assert made == wanted
+    assert Settings.load(here / "tuned/settings.json").emulated is (kind == "emulated")
+    shared = ["render", COMMAND[1], "--size", "64x36", "--backend", "gl", "--visibility", "chc_plus_plus"]
+    for extra in (["--settings", "tuned/settings.json"], ["--queries", kind]):
+        made.clear()
+        assert main([*shared, *extra]) == 0
+        assert made == wanted
+    made.clear()
+    assert main([*shared, "--settings", "tuned/settings.json", "--queries", "native"]) == 0
+    assert made == {False}  # the option counts more than the file
 
 
 class Counter(Executor):

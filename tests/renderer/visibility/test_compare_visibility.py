@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import io
+import itertools
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +13,13 @@ import pytest
 from occlusion_scenes import delay_answers
 from PIL import Image
 
+import rhi
 from renderer.cli import main
-from renderer.cli.compare_visibility import Picture, list_frames
-from renderer.visibility import ALGORITHMS
+from renderer.cli.output import show_progress
+from renderer.content import load_scene
+from renderer.measure.visibility import FORGETFUL, Picture, WalkFrame, list_contenders, list_frames
+from renderer.renderer import Renderer
+from renderer.visibility import ALGORITHMS, Settings, make_visibility
 from renderer.visibility.software_depth import can_rasterise
 
 ROW = [
@@ -49,8 +56,112 @@ def test_rows_say_what_each_algorithm_costs(
     (None, [10, 11, 12, 13, 14, 15, 16]), (1, [10, 61, 12, 63, 14, 65, 16]), (3, [10, 11, 12, 63, 64, 65, 16]),
 ])  # fmt: skip
 def test_a_teleport_is_half_a_path_long(teleport: int | None, frames: list[int]) -> None:
-    assert list_frames(10, 6, 100, teleport) == frames
-    assert list_frames(90, 2, 100, 1) == [90, 41, 92]
+    assert [frame.number for frame in list_frames(10, 6, 100, teleport=teleport)] == frames
+    assert [frame.number for frame in list_frames(90, 2, 100, teleport=1)] == [90, 41, 92]
+
+
+@pytest.mark.parametrize(("stride", "warm_up", "drawn"), [
+    (1, 0, "0! 1! 2!"), (1, 1, "0 1! 2! 3!"), (1, 2, "0 1 2! 3! 4!"),
+    (4, 0, "0! 4! 8!"), (4, 1, "0 1! 4 5! 8 9!"), (4, 3, "0 1 2 3! 4 5 6 7! 8 9 10 11!"),
+    (4, 5, "0 1 2 3 4 5! 6 7 8 9! 10 11 12 13!"),  # no frame twice
+])  # fmt: skip
+def test_frames_far_apart_follow_others_that_are_not_counted(stride: int, warm_up: int, drawn: str) -> None:
+    frames = list_frames(0, 3, 100, stride=stride, warm_up=warm_up)
+    assert frames == [WalkFrame(int(text.strip("!")), "!" in text) for text in drawn.split()]
+
+
+@pytest.mark.usefixtures("gl")
+def test_the_whole_path_is_its_frames_at_a_stride(capsys: pytest.CaptureFixture[str]) -> None:
+    command = [*COMMAND, "--backend", "gl", "--json", "--algorithms", "none,frustum"]
+    assert main([*command, "--frames", "4", "--stride", "450", "--warm-up", "2"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert (report["first_frame"], report["stride"], report["warm_up"]) == (226, 450, 2)  # to 1576 of 1,800
+    scene = load_scene(COMMAND[2])
+    with rhi.create_device("null") as device, Renderer(device, scene, size=(64, 36)) as renderer:
+        renderer.visibility = make_visibility("frustum", scene, device)
+        path = scene.paths["ground"]
+        drawn = [renderer.render(path.camera(frame), frame / 60).statistics.draws for frame in range(226, 1800, 450)]
+    assert report["rows"][1]["draws"] == round(sum(drawn) / 4)
+    assert len(set(drawn)) > 1
+
+
+@pytest.mark.parametrize("algorithm", [
+    name if name != "software_depth" else pytest.param(name, marks=pytest.mark.skipif(
+        not can_rasterise(), reason="no OpenCL")) for name in FORGETFUL
+])  # fmt: skip
+def test_what_forgets_draws_a_frame_the_same_after_any_other(gl: rhi.Device, algorithm: str) -> None:
+    scene = load_scene(COMMAND[2])
+    path = scene.paths["ground"]
+    with Renderer(gl, scene, size=(64, 36)) as renderer:
+        found = []
+        for before in ([], [1500, 300, 899]):
+            renderer.visibility = make_visibility(algorithm, scene, gl)
+            for frame in [*before, 900]:
+                result = renderer.render(path.camera(frame))
+            found.append((result.visible.tolist(), result.visibility))
+            renderer.visibility.destroy()
+    (first, counted), (second, again) = found
+    assert first == second
+    assert (counted.queries, counted.boxes, counted.visible) == (again.queries, again.boxes, again.visible)
+
+
+@pytest.mark.usefixtures("gl")
+def test_emulated_queries_draw_and_ask_the_same_beside_native_ones(capsys: pytest.CaptureFixture[str]) -> None:
+    command = [*COMMAND, "--backend", "gl", "--json", "--queries", "emulated,native"]
+    assert main([*command, "--algorithms", "frustum,stop_and_wait,chc,chc_plus_plus"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["queries"] == ["native", "emulated"]
+    rows = {row["algorithm"]: row for row in report["rows"]}
+    assert list(rows) == [
+        "frustum", "stop_and_wait", "chc", "chc_plus_plus",
+        "stop_and_wait (emulated)", "chc (emulated)", "chc_plus_plus (emulated)",
+    ]  # fmt: skip
+    waits, emulated = rows["stop_and_wait"], rows["stop_and_wait (emulated)"]
+    counters = ("triangles", "draws", "queries", "software_state_changes")
+    assert [waits[name] for name in counters] == [emulated[name] for name in counters]
+    assert all(row["wrong_pixels"] == 0 for row in rows.values())
+
+
+def test_contenders_have_the_kind_of_queries_that_they_are_named_by() -> None:
+    tuned = Settings(batch=7, emulated=True)
+    both = list_contenders(["none", "chc", "chc_plus_plus"], Settings(), tuned, [False, True])
+    assert {one.name: (one.algorithm, one.settings.batch, one.settings.emulated) for one in both} == {
+        "none": ("none", 50, False),
+        "chc": ("chc", 50, False),
+        "chc_plus_plus": ("chc_plus_plus", 50, False),
+        "optimized_chc_plus_plus": ("chc_plus_plus", 7, False),
+        "chc (emulated)": ("chc", 50, True),
+        "chc_plus_plus (emulated)": ("chc_plus_plus", 50, True),
+        "optimized_chc_plus_plus (emulated)": ("chc_plus_plus", 7, True),
+    }
+    alone = list_contenders(["none", "chc"], Settings(), None, [True])
+    assert [(one.name, one.settings.emulated) for one in alone] == [("none", True), ("chc", True)]
+
+
+@pytest.mark.usefixtures("gl")
+def test_with_emulated_queries_alone_nothing_is_drawn_on_condition(capsys: pytest.CaptureFixture[str]) -> None:
+    command = [*COMMAND, "--frames", "1", "--backend", "gl", "--queries", "emulated"]
+    assert main([*command, "--json"]) == 0
+    names = [row["algorithm"] for row in json.loads(capsys.readouterr().out)["rows"]]
+    assert names == [name for name in ALGORITHMS if name != "conditional"]
+    with pytest.raises(SystemExit):
+        main([*command, "--algorithms", "conditional"])
+    error = capsys.readouterr().err
+    assert "emulated queries" in error
+    assert error.count("\n") == 1
+
+
+def test_progress_is_shown_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    for stream, shown in ((Terminal(), True), (io.StringIO(), False)):
+        monkeypatch.setattr(sys, "stderr", stream)
+        clock = itertools.count(step=10.0)  # a frame takes long: work of less than a second shows nothing
+        monkeypatch.setattr("tqdm.std.time", lambda clock=clock: next(clock))
+        assert list(show_progress(range(3), 3, "compare")) == [0, 1, 2]
+        assert ("compare" in stream.getvalue()) is shown
 
 
 @pytest.mark.usefixtures("gl")
@@ -102,9 +213,22 @@ def test_the_null_device_compares_what_asks_nothing(capsys: pytest.CaptureFixtur
     assert [row["algorithm"] for row in rows] == ["none", "frustum", *beside, "auto"]
     assert {row["wrong_pixels"] for row in rows} == {None}
     assert rows[0]["triangles"] >= rows[1]["triangles"] > 0
-    with pytest.raises(SystemExit):
-        main([*COMMAND, "--backend", "null", "--algorithms", "chc"])
-    assert "null-samples" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("algorithm", ["stop_and_wait", "chc", "chc_plus_plus", "conditional", "two_pass"])
+@pytest.mark.parametrize("command", [[*COMMAND, "--algorithms"], ["render", "city:blocks=4", "--visibility"]])
+def test_what_a_device_lacks_for_an_algorithm_is_one_line(
+    capsys: pytest.CaptureFixture[str], command: list[str], algorithm: str
+) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main([*command, algorithm, "--backend", "null"])
+    assert stop.value.code == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: the device can't run this visibility algorithm")
+    lacks = "compute shaders and draws that run" if algorithm == "two_pass" else "draws that run"
+    assert f"{algorithm!r} on a null device, which lacks {lacks}" in error
+    assert "(allowed: one of none, frustum," in error
+    assert error.count("\n") == 1
 
 
 @pytest.mark.parametrize(

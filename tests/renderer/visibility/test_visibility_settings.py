@@ -9,12 +9,16 @@ import pytest
 from occlusion_scenes import make_boxes
 
 import rhi
+from renderer.renderer import Renderer
+from renderer.scene import Camera
 from renderer.visibility import Settings, make_visibility
+from rhi import Op
+from rhi.backends.null import NullBackend
 from rhi.errors import ValidationError
 
 
 def test_settings_come_back_from_their_file(tmp_path: Path) -> None:
-    settings = Settings(batch=7, persistence=3, threshold=2)
+    settings = Settings(batch=7, persistence=3, threshold=2, emulated=True)
     settings.save(tmp_path / "s.json", device="a device")
     assert Settings.load(tmp_path / "s.json") == settings
     assert json.loads((tmp_path / "s.json").read_text())["device"] == "a device"
@@ -37,9 +41,12 @@ def test_a_file_that_holds_no_settings_is_refused(tmp_path: Path, text: str) -> 
 
 @pytest.mark.parametrize(
     "value",
-    [{"batch": 0}, {"persistence": 0}, {"leaf_size": 0}, {"threshold": -1}, {"batch": 2.5}, {"batch": "2"}],
-)
-def test_a_number_out_of_its_range_is_refused(value: dict[str, int]) -> None:
+    [
+        {"batch": 0}, {"persistence": 0}, {"leaf_size": 0}, {"threshold": -1}, {"batch": 2.5}, {"batch": "2"},
+        {"batch": True}, {"emulated": 1}, {"emulated": "native"}, {"emulated": None},
+    ],
+)  # fmt: skip
+def test_a_value_out_of_its_range_is_refused(value: dict[str, int]) -> None:
     with pytest.raises(ValidationError) as refused:
         Settings(**value)
     assert refused.value.rule.id == "visibility-bad-parameter"
@@ -59,7 +66,30 @@ def test_algorithms_are_made_with_their_settings(null: rhi.Device) -> None:
         assert make_visibility(name, scene, null, settings)._queries.threshold == 2
 
 
+@pytest.mark.parametrize("emulated", [False, True])
+@pytest.mark.parametrize("name", ["stop_and_wait", "chc", "chc_plus_plus"])
+def test_emulated_queries_are_counters_in_place_of_queries(null: rhi.Device, name: str, emulated: bool) -> None:
+    null.backend_as(NullBackend).count_samples(lambda draw: 100)
+    scene = make_boxes([(0.0, 0.0, 0.0)], [(1.0, 1.0, 1.0)])
+    algorithm = make_visibility(name, scene, null, Settings(emulated=emulated))
+    null.stream.clear()
+    camera = Camera.look_at((0.0, 0.0, 20.0), (0.0, 0.0, 0.0))
+    with Renderer(null, scene, visibility=algorithm, size=(64, 36)) as renderer:
+        assert renderer.render(camera).visibility.queries == 1
+    begun, written = (len(null.stream.filter(op)) for op in (Op.BEGIN_QUERY, Op.WRITE_QUERY))
+    assert (begun, written) == ((0, 2) if emulated else (1, 0))
+
+
+def test_what_is_drawn_on_condition_needs_native_queries(null: rhi.Device) -> None:
+    scene = make_boxes([(0.0, 0.0, 0.0)], [(1.0, 1.0, 1.0)])
+    with pytest.raises(ValidationError) as refused:
+        make_visibility("conditional", scene, null, Settings(emulated=True))
+    assert refused.value.rule.id == "visibility-no-conditions"
+    make_visibility("conditional", scene, null, Settings(emulated=False)).destroy()
+
+
 def test_auto_hands_settings_on(gl: rhi.Device) -> None:
     scene = make_boxes([(0.0, 0.0, 0.0)], [(1.0, 1.0, 1.0)])
-    auto = make_visibility("auto", scene, gl, Settings(batch=7))
+    auto = make_visibility("auto", scene, gl, Settings(batch=7, emulated=True))
     assert auto._find("chc_plus_plus")._batch == 7
+    assert auto._find("chc_plus_plus")._queries.emulated

@@ -132,10 +132,16 @@ class SimulatedBackend(NullBackend):
         self._called = 0  # number of commands called, up to `_followed`
         self._submitted = 0  # number of commands submitted
         self._submissions: deque[_Submission] = deque()
-        self._interrupts: deque[tuple[int, Id]] = deque()  # (when the handler reads the counter, query)
+        # When the handler reads the counter; the query, the number of the event's command, and the counter then.
+        self._interrupts: deque[tuple[int, Id, int, int | None]] = deque()
         self._read_at: dict[Id, int] = {}  # by query, when the handler read the counter
         self._log = ActivityLog()
-        self._hazards = HazardTracker(self._buffers, self._textures, self._is_done)
+        self._hazards = HazardTracker(
+            self._buffers,
+            self._textures,
+            self._is_done,
+            simulation.interrupt_latency is not None and not simulation.halts_at_events,
+        )
         self._meter = WorkMeter(simulation.cost, self._textures, self._programs, self._state)
         self._meter.indirect_draws = self._indirect_draws
         self._meter.indirect_dispatches = self._indirect_dispatches
@@ -302,7 +308,7 @@ class SimulatedBackend(NullBackend):
     def create_query(self, query: Id, kind: QueryKind) -> None:
         self._spend_call()
         super().create_query(query, kind)
-        self._hazards.create_query(query)
+        self._hazards.create_query(query, kind)
 
     def write_buffer(self, buffer: Id, offset: int, data: BytesLike) -> None:
         if buffer in self._streams:
@@ -374,7 +380,7 @@ class SimulatedBackend(NullBackend):
             return None  # there may be an earlier answer, but the query was used again
         answer = self._queries.read(query)
         if answer is not None:
-            self._hazards.learn(asked)
+            self._hazards.learn_answer(query)
         return answer
 
     # -- the GPU's side ------------------------------------------------------------------------------------
@@ -452,7 +458,7 @@ class SimulatedBackend(NullBackend):
             self._queries.write_query(query, self._gpu)
             return
         self._queries.begin_write(query)
-        self._interrupts.append((self._gpu + latency, query))
+        self._interrupts.append((self._gpu + latency, query, self._executed, self._queries.counter))
         if self.simulation.halts_at_events:
             self._log.add_idle(Activity.HALTED, self._gpu, self._gpu + latency, "sample counter")
             self._gpu += latency
@@ -464,10 +470,12 @@ class SimulatedBackend(NullBackend):
         samples evenly over its time.
         """
         while self._interrupts and self._interrupts[0][0] <= until:
-            time, query = self._interrupts.popleft()
+            time, query, event, exact = self._interrupts.popleft()
             value = after = self._queries.counter
             if before is not None and after is not None and start < self._gpu:
                 share = max(0, min(time, self._gpu) - start)
                 value = before + (after - before) * share // (self._gpu - start)
             self._queries.finish_write(query, value)
             self._read_at[query] = time
+            if value is not None and exact is not None and value > exact:
+                self._hazards.confirm_race(event)

@@ -8,6 +8,8 @@
   same hazards at every latency. A program without hazards is correct on any GPU that executes in order.
 - Ranges are exact, in bytes. The vertices that an indexed or indirect draw reads are known only when it is executed.
   Until then, writes to its buffers are kept as suspects.
+- Where the CPU reads the sample counter in interrupts and the GPU runs on, the counter may have moved on when it is
+  read (thesis 4.4.2). So a draw is a hazard if it is called before the CPU knows that the counter was read.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from __future__ import annotations
 import enum
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from rhi.backends.null.buffers import Buffers
@@ -34,6 +36,7 @@ from rhi.contract.descriptors import (
     PassDescriptor,
     Primitive,
     ProgramDescriptor,
+    QueryKind,
     Region,
     VertexArrayDescriptor,
 )
@@ -50,6 +53,7 @@ class HazardKind(enum.Enum):
     READ_IN_USE = "the CPU reads memory that the GPU may still write"
     RING_OVERTAKEN = "a ring wraps around to memory that the GPU may still use"
     QUERY_UNFINISHED = "a query is read that isn't finished"
+    COUNTER_RACE = "a draw may be counted before the CPU reads the sample counter for an earlier event"
     DESTROYED_IN_USE = "a resource is destroyed while the GPU may still use it"
     USED_DESTROYED = "a command uses a destroyed resource"
     PASS_FEEDBACK = "a pass reads what it writes"
@@ -64,7 +68,8 @@ class Hazard:
         first, second: the sites of the calls, in the order of the calls. None outside user code, or where there was
             no first call (a query that never began).
         calls: the names of the two calls.
-        happened: whether the GPU was still using the resource in this run. If not, it just was fast enough.
+        happened: whether the GPU was still using the resource in this run. If not, it just was fast enough. Of a
+            counter: whether it was read with the samples of later draws, known from when it was read.
         bytes: the first byte and one past the last byte that both access; (0, 0) if bytes don't matter.
     """
 
@@ -118,8 +123,18 @@ class HazardTracker:
         known: the number of the command up to which the CPU knows that everything is done.
     """
 
-    def __init__(self, buffers: Buffers, textures: Textures, is_done: Callable[[int], bool]) -> None:
-        """Start without uses. `is_done(serial)` says whether the simulated GPU has completed a command."""
+    def __init__(
+        self,
+        buffers: Buffers,
+        textures: Textures,
+        is_done: Callable[[int], bool],
+        counters_race: bool = False,
+    ) -> None:
+        """Start without uses.
+
+        `is_done(serial)` says whether the simulated GPU has completed a command. `counters_race`: the CPU reads the
+        sample counter in interrupts, while the GPU runs on.
+        """
         self._buffers = buffers
         self._textures = textures
         self._is_done = is_done
@@ -143,6 +158,12 @@ class HazardTracker:
         self._targets: frozenset[Id] = frozenset()
         self._states = StreamContext().states
         self._unfinished: dict[Id, CommandUse | None] = {}  # queries that began, or were only created (None)
+        self._counters_race = counters_race
+        self._counters: set[Id] = set()
+        self._unread: list[
+            tuple[CommandUse, Id]
+        ] = []  # events whose counter isn't known to be read, no draw after
+        self._raced: dict[int, int] = {}  # by an event's command: the place of its hazard
 
     def followers(self) -> tuple[tuple[Callable[..., None] | None, bool], ...]:
         """Return for each op the method that follows a call, and whether it takes the call's `CommandUse` first."""
@@ -165,6 +186,18 @@ class HazardTracker:
     def learn(self, serial: int) -> None:
         """Note that the CPU knows that everything up to this command is done."""
         self.known = max(self.known, serial)
+
+    def learn_answer(self, query: Id) -> None:
+        """Note that the CPU has the answer of a query. A counter was read, and so were those of all events before."""
+        serial = self.latest_uses.get(query, 0)
+        self.learn(serial)
+        if query in self._counters:
+            self._unread = [event for event in self._unread if event[0][0] > serial]
+
+    def confirm_race(self, event: int) -> None:
+        """Note that the counter was read too late for an event, the command of this number."""
+        place = self._raced[event]
+        self.hazards[place] = replace(self.hazards[place], happened=True)
 
     # -- creation ------------------------------------------------------------------------------------------
 
@@ -189,8 +222,10 @@ class HazardTracker:
         streamed = not self._streams.keys().isdisjoint(buffers)
         self._arrays[vertex_array] = (descriptor, (vertex_array, *buffers), streamed)
 
-    def create_query(self, query: Id) -> None:
+    def create_query(self, query: Id, kind: QueryKind) -> None:
         self._unfinished[query] = None
+        if kind is QueryKind.COUNTER and self._counters_race:
+            self._counters.add(query)
 
     # -- immediate calls -----------------------------------------------------------------------------------
 
@@ -239,6 +274,7 @@ class HazardTracker:
         self._slots.pop(resource, None)
         # The descriptor of a vertex array is kept: a draw may still refer to it.
         self._unfinished.pop(resource, None)
+        self._counters.discard(resource)
         self.latest_uses.pop(resource, None)
 
     # -- binding -------------------------------------------------------------------------------------------
@@ -288,6 +324,8 @@ class HazardTracker:
     ) -> None:  # fmt: skip
         self._use_program(use)
         array = self._use_vertex_array(use, vertex_array)
+        if self._unread and count and instances:
+            self._report_races(use)
         if array is None or not count or not instances:  # most draws read no STREAM buffers
             return
         streams = self._streams
@@ -310,6 +348,8 @@ class HazardTracker:
     ) -> None:  # fmt: skip
         self._use_program(use)
         array = self._use_vertex_array(use, vertex_array)
+        if self._unread:
+            self._report_races(use)
         for index in range(draws):
             self._use_bytes(use, buffer, offset + index * stride, offset + index * stride + _DRAW_BYTES)
         if count_buffer:
@@ -386,6 +426,8 @@ class HazardTracker:
         self._use(use, query)
         self.latest_uses[query] = use[0]
         self._unfinished.pop(query, None)
+        if query in self._counters:
+            self._unread.append((use, query))
 
     def begin_conditional(self, use: CommandUse, query: Id, inverted: bool) -> None:
         self._use(use, query)
@@ -427,6 +469,13 @@ class HazardTracker:
         if resource in self._destroyed:
             self._report(HazardKind.USED_DESTROYED, resource, self._destroyed[resource], use, happened=True)
         self._uses[resource] = use
+
+    def _report_races(self, draw: CommandUse) -> None:
+        """Report the events before `draw` whose counter the CPU doesn't know to be read."""
+        for event, query in self._unread:
+            self._raced[event[0]] = len(self.hazards)
+            self._report(HazardKind.COUNTER_RACE, query, event, draw, happened=False)
+        self._unread.clear()
 
     def _use_bytes(self, use: CommandUse, buffer: Id, begin: int, end: int) -> None:
         if buffer in self._destroyed:

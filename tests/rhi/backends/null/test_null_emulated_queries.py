@@ -1,15 +1,18 @@
 """Occlusion queries on a GPU whose counter only the CPU can read, as in the thesis (4.4.2, Figure 4.1)."""
 
+import inspect
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from null_kit import Camera, Object, hand_made_program
-from simulated_kit import draw, make_backend
+from simulated_kit import PLAIN, STATIC, draw, make_backend
 
 import rhi
-from rhi.backends.null import Activity, Lane, SimulatedBackend, Simulation
-from rhi.contract.descriptors import QueryKind
+from rhi.backends.null import Activity, HazardKind, Lane, SimulatedBackend, Simulation
+from rhi.contract.descriptors import Primitive, QueryKind
 
 BEFORE, AFTER = 1, 2
 
@@ -155,3 +158,129 @@ def test_emulated_queries_of_a_device_are_right_whatever_the_latencies(frames, i
                     query.wait()
         assert [query.wait() for query in queries] == [inside * 100 for inside, _ in frames]
         assert not simulated.hazards
+
+
+# -- the race ------------------------------------------------------------------------------------------------
+
+
+def race(spent=(50_000, 0), waits=False, **times):
+    """(counted samples, backend) of a query around one draw of 1,000 samples, which ten like it follow.
+
+    The CPU spends time after the query's begin and after its end, or waits until it knows that the counter was read.
+    """
+    backend = make_backend(submission_latency=0, **times)
+    for query in (BEFORE, AFTER):
+        backend.create_query(query, QueryKind.COUNTER)
+        backend.write_query(query)
+        backend.signal(query)
+        backend.spend(spent[query - 1])
+        while waits and backend.read_query(query) is None:
+            pass
+        draw(backend, 1 if query == BEFORE else 10)
+    backend.signal(3)
+    backend.spend(10**6)
+    return backend.read_query(AFTER) - backend.read_query(BEFORE), backend
+
+
+RUNS_ON = {"interrupt_latency": 30_000, "halts_at_events": False}
+
+
+def test_a_counter_that_is_read_while_the_gpu_runs_on_is_wrong_and_a_hazard():
+    for spent, counted, happened in (
+        ((50_000, 0), 11_000, (False, True)),  # the end is read when the draws after it are done
+        ((0, 0), 0, (True, True)),  # the begin too
+        ((0, 50_000), 0, (True, False)),
+        ((50_000, 50_000), 1000, (False, False)),  # luck
+    ):
+        samples, backend = race(spent, **RUNS_ON)
+        assert samples == counted
+        assert [(h.kind, h.resource, h.happened) for h in backend.hazards] == [
+            (HazardKind.COUNTER_RACE, BEFORE, happened[0]), (HazardKind.COUNTER_RACE, AFTER, happened[1])
+        ]  # fmt: skip
+
+
+def test_two_counters_that_the_gpu_writes_and_a_gpu_that_halts_are_exact_and_no_hazard():
+    for times in ({}, {"interrupt_latency": 30_000}):
+        for spent in ((0, 0), (50_000, 0), (50_000, 50_000)):
+            samples, backend = race(spent, **times)
+            assert samples == 1000
+            assert not backend.hazards
+
+
+def test_the_race_names_the_event_and_the_first_draw_after_it():
+    backend = make_backend(**RUNS_ON)
+    backend.create_query(BEFORE, QueryKind.COUNTER)
+    line = inspect.currentframe().f_lineno
+    backend.write_query(BEFORE)
+    backend.draw(PLAIN, Primitive.TRIANGLES, 0, 3, 0, 0, 0)  # of no instance: it passes no sample
+    backend.draw(PLAIN, Primitive.TRIANGLES, 0, 3, 1, 0, 0)
+    backend.draw(PLAIN, Primitive.TRIANGLES, 0, 3, 1, 0, 0)
+    (hazard,) = backend.hazards
+    assert hazard.calls == ("write_query", "draw")
+    assert (hazard.first.line, hazard.second.line) == (line + 1, line + 3)
+
+
+def test_indirect_draws_race_with_the_counter_too():
+    backend = make_backend(**RUNS_ON)
+    backend.create_query(BEFORE, QueryKind.COUNTER)
+    backend.write_query(BEFORE)
+    backend.draw_indirect(PLAIN, Primitive.TRIANGLES, STATIC, 0, 1, 20, 0, 0)
+    assert [hazard.kind for hazard in backend.hazards] == [HazardKind.COUNTER_RACE]
+
+
+def test_a_cpu_that_knows_the_counter_to_be_read_races_with_nothing():
+    samples, backend = race(waits=True, **RUNS_ON)
+    assert samples == 1000
+    assert not backend.hazards
+
+
+def test_a_fence_behind_the_event_says_nothing_of_its_interrupt():
+    backend = make_backend(**RUNS_ON)
+    backend.create_query(BEFORE, QueryKind.COUNTER)
+    backend.write_query(BEFORE)
+    backend.signal(1)
+    assert backend.wait(1, 1.0)
+    draw(backend)
+    assert [hazard.kind for hazard in backend.hazards] == [HazardKind.COUNTER_RACE]
+
+
+@settings(max_examples=40)
+@given(
+    st.lists(st.sampled_from(["begin", "end", "draw", "read", "signal"]), max_size=20),
+    st.integers(0, 20_000),
+    st.integers(0, 20_000),
+)
+def test_the_same_program_has_the_same_races_at_every_latency_and_only_they_count_wrongly(calls, interrupt, submission):
+    """`read` asks until there is an answer, so what the CPU knows doesn't depend on the time."""
+
+    def run(**times):
+        backend = make_backend(halts_at_events=False, **times)
+        values = itertools.count(1)
+        exact, read, written = 0, [], {}
+        for query in (BEFORE, AFTER):
+            backend.create_query(query, QueryKind.COUNTER)
+        for call in calls:
+            if call in ("begin", "end"):
+                query = BEFORE if call == "begin" else AFTER
+                backend.write_query(query)
+                written[query] = exact
+            elif call == "draw":
+                draw(backend)
+                exact += 1000
+            elif call == "signal":
+                backend.signal(next(values))
+            else:
+                for query, expected in written.items():
+                    while (answer := backend.read_query(query)) is None:
+                        backend.spend(1000)
+                    read.append((query, answer - expected))
+        backend.signal(next(values))
+        backend.spend(10**6)
+        backend.completed()
+        read += [(query, backend.read_query(query) - expected) for query, expected in written.items()]
+        found = [(h.kind, h.resource, h.first.line, h.second.line) for h in backend.hazards]
+        happened = {h.resource for h in backend.hazards if h.happened}
+        assert {query for query, late in read if late} <= happened
+        return found
+
+    assert run(interrupt_latency=interrupt, submission_latency=submission) == run(interrupt_latency=10**5)

@@ -1,0 +1,272 @@
+"""The tables of the thesis's chapter 7 over a whole camera path, its figures beside ours, and its Figure 7.7 or 7.8.
+
+The frames are 60, 30 apart, of the path's 1,800: the same ones on all our platforms, each after some that aren't
+counted. On each platform all algorithms draw each frame in turn, with native and with emulated queries, and CHC++ also
+with the platform's own parameters (`benchmarks/settings`, written by `python -m renderer tune`).
+
+    python benchmarks/thesis_tables.py ground|sky [--backends gl,cl] [--figure F.png] [--into docs/visibility.md]
+
+It prints Markdown: times as ratios to no culling on all platforms, shares of what other algorithms draw and query, and
+for each platform its counts, each beside the thesis's. `--into` also replaces the page's section between the path's two
+markers, and writes the figure beside the page. `--save` keeps the results; `--load` prints kept ones.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import asdict, replace
+from pathlib import Path
+from textwrap import fill
+from typing import Any, Final
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+import rhi
+from renderer.cli.arguments import add_size, parse_count, parse_frame
+from renderer.cli.output import draw_chart, show_progress
+from renderer.cli.subcommand import Parser
+from renderer.content import load_scene
+from renderer.measure import format_table
+from renderer.measure.visibility import compare_algorithms, list_contenders, list_frames
+from renderer.renderer import Renderer
+from renderer.visibility import Settings, list_algorithms
+
+SETTINGS: Final = Path(__file__).parent / "settings"
+
+MARKS: Final = ("", " (emulated)")
+"""What follows an algorithm's name, by kind of queries."""
+
+PLATFORMS: Final = ("PC", "Xbox 360", "PlayStation 3", "Wii")
+
+TIMES: Final[dict[str, dict[str, tuple[float | None, ...]]]] = {
+    "ground": {
+        "none": (8.25, 14.25, 43.00, 113.55),
+        "frustum": (4.90, 10.90, 30.80, 81.60),
+        "stop_and_wait": (18.40, 16.25, 38.40, 32.25),
+        "chc": (4.75, 4.85, 14.60, 28.85),
+        "chc_plus_plus": (2.30, 3.15, 7.85, 14.80),
+        "optimized_chc_plus_plus": (None, 3.00, 7.75, 14.45),
+    },
+    "sky": {
+        "none": (8.20, 14.25, 41.00, 113.55),
+        "frustum": (4.95, 11.40, 28.50, 84.60),
+        "stop_and_wait": (32.20, 29.95, 110.00, 82.60),
+        "chc": (10.90, 13.20, 35.00, 87.00),
+        "chc_plus_plus": (5.10, 11.40, 28.50, 75.80),
+        "optimized_chc_plus_plus": (None, 11.25, 27.70, 73.90),
+    },
+}
+"""The thesis's milliseconds on its platforms (Tables 7.1 to 7.4); None where it gives none."""
+
+COUNTED: Final = ("triangles", "draws", "queries", "software_state_changes", "hardware_state_changes")
+
+COUNTS: Final[dict[str, dict[str, tuple[int, ...]]]] = {
+    "ground": {
+        "none": (1_059_654, 1_898),
+        "frustum": (747_936, 1_235),
+        "stop_and_wait": (81_083, 1_294, 1_227, 7_362, 361),
+        "chc": (260_000, 510, 300, 600, 180),
+        "chc_plus_plus": (103_600, 195, 45, 40, 10),
+        "optimized_chc_plus_plus": (99_000, 190, 50, 40, 16),
+    },
+    "sky": {
+        "none": (1_059_654, 1_898),
+        "frustum": (775_077, 1_295),
+        "stop_and_wait": (563_496, 2_125, 1_295, 7_770, 4_985),
+        "chc": (736_000, 1_434, 500, 400, 300),
+        "chc_plus_plus": (670_000, 1_180, 60, 200, 14),
+        "optimized_chc_plus_plus": (665_000, 1_200, 90, 120, 24),
+    },
+}
+"""The thesis's counts on its PC (Table 7.1), and of optimized CHC++ on its Xbox 360 (Table 7.2): on the PC there are
+none."""
+
+
+def measure(backend: str, path_name: str, frames: int, warm_up: int, size: tuple[int, int]) -> dict[str, Any]:
+    """Compare the algorithms on one backend, and return the report."""
+    scene = load_scene("city")
+    path = scene.paths[path_name]
+    stride = len(path) // frames
+    first = (stride - 1 - warm_up) // 2
+    walk = list_frames(first, frames, len(path), stride=stride, warm_up=warm_up)
+    tuned = Settings.load(SETTINGS / f"{backend}.json")
+    with rhi.create_device(backend) as device, Renderer(device, scene, size=size) as renderer:
+        contenders = list_contenders(list_algorithms(device), Settings(), tuned, (False, True))
+        rows = compare_algorithms(renderer, contenders, path, show_progress(walk, len(walk), backend))
+        return {
+            "backend": backend,
+            "device": device.capabilities.device,
+            "first_frame": first + warm_up,
+            "stride": stride,
+            "frames": frames,
+            "warm_up": warm_up,
+            "size": list(size),
+            "optimized": asdict(replace(tuned, emulated=False)),
+            "rows": {row.algorithm: asdict(row) for row in rows},
+        }
+
+
+SHARES: Final = (
+    ("triangles", "chc", "frustum"),
+    ("triangles", "chc_plus_plus", "frustum"),
+    ("triangles", "optimized_chc_plus_plus", "frustum"),
+    ("queries", "chc", "stop_and_wait"),
+    ("queries", "chc_plus_plus", "stop_and_wait"),
+    ("queries", "optimized_chc_plus_plus", "stop_and_wait"),
+    ("hardware_state_changes", "chc_plus_plus", "chc"),
+)
+"""(counter, algorithm, the algorithm that it is compared with)"""
+
+
+def show_shares(path: str, reports: list[dict[str, Any]]) -> str:
+    """Return the table of an algorithm's counts as shares of another's, on our platforms and in the thesis."""
+    header = ["share", *(report["backend"] + mark for report in reports for mark in MARKS), "thesis"]
+    cells = []
+    for counter, name, other in SHARES:
+        label = f"{counter.replace('_', ' ')}: {name} of {other}"
+        line = [label]
+        for rows in (report["rows"] for report in reports):
+            for mark in MARKS:
+                base = rows[other + mark if other + mark in rows else other]
+                line.append(f"{rows[name + mark][counter] / base[counter]:.2f}")
+        place = COUNTED.index(counter)
+        line.append(f"{COUNTS[path][name][place] / COUNTS[path][other][place]:.2f}")
+        cells.append(line)
+    return format_table(header, cells, markdown=True)
+
+
+def show_times(path: str, reports: list[dict[str, Any]]) -> str:
+    """Return the table of times, as ratios to no culling, on our platforms and on the thesis's."""
+    names = list(dict.fromkeys(name.partition(" ")[0] for report in reports for name in report["rows"]))
+    header, cells = ["algorithm"], [[name] for name in names]
+    for report in reports:
+        for mark in MARKS:
+            header.append(report["backend"] + mark)
+            for name, line in zip(names, cells, strict=True):
+                row = report["rows"].get(name + mark)
+                line.append("" if row is None else f"{row['ratio']:.2f}")
+    header += PLATFORMS
+    base = TIMES[path]["none"]
+    for name, line in zip(names, cells, strict=True):
+        known = TIMES[path].get(name, (None,) * len(PLATFORMS))
+        line += ["" if one is None else f"{one / of:.2f}" for one, of in zip(known, base, strict=True) if of]
+    return format_table(header, cells, markdown=True)
+
+
+def show_counts(path: str, report: dict[str, Any]) -> str:
+    """Return the table of counts of one of our platforms, each beside the thesis's."""
+    header = ["algorithm", "ms"]
+    for name in COUNTED:
+        header += [name.replace("_", " ").replace(" changes", "s"), "thesis"]
+    header += ["wrong pixels", "tied pixels", "stalled ms"]
+    cells: list[list[object]] = []
+    for name, row in report["rows"].items():
+        line: list[object] = [name, row["milliseconds"]]
+        known = COUNTS[path].get(name.partition(" ")[0], ())
+        for place, counted in enumerate(COUNTED):
+            line += [row[counted], known[place] if place < len(known) else ""]
+        cells.append([*line, row["wrong_pixels"], row["tied_pixels"], row["stalled_milliseconds"]])
+    return format_table(header, cells, markdown=True)
+
+
+def plot(path: str, reports: list[dict[str, Any]], file: Path) -> None:
+    """Write the thesis's Figure 7.7 or 7.8: frustum culling and CHC++ on all platforms."""
+    groups: list[tuple[str, list[float]]] = []
+    shown = ("frustum", "chc_plus_plus", "optimized_chc_plus_plus")
+    for report in reports:
+        for mark in MARKS:
+            rows = report["rows"]
+            found = [rows["frustum"], *(rows[name + mark] for name in shown[1:])]
+            groups.append((f"{report['backend']}{mark}", [row["ratio"] for row in found]))
+    for place, platform in enumerate(PLATFORMS):
+        times = [TIMES[path][name][place] for name in ("none", *shown)]
+        assert times[0] is not None
+        groups.append((platform, [float("nan") if one is None else one / times[0] for one in times[1:]]))
+    with draw_chart(file, f"{path} level: time as a ratio to no culling") as figure:
+        axes = figure.add_subplot()
+        for place, (name, color) in enumerate(zip(shown, ("#bbbbbb", "#4477aa", "#66ccee"), strict=True)):
+            bars = axes.bar([at + 0.27 * place for at in range(len(groups))], [g[1][place] for g in groups], 0.25,
+                            label=name, color=color)  # fmt: skip
+            axes.bar_label(bars, fmt=lambda value: f"{value:.2f}" if value == value else "", fontsize="small")
+        axes.axhline(1.0, color="grey", linewidth=0.8)
+        axes.set_xticks(
+            [at + 0.27 for at in range(len(groups))], [name.replace(" (", "\n(") for name, _ in groups]
+        )
+        axes.margins(y=0.15)
+        axes.legend(fontsize="small")
+
+
+def describe(path: str, reports: list[dict[str, Any]]) -> str:
+    """Return all tables as Markdown."""
+    first = reports[0]
+    width, height = first["size"]
+    intro = (
+        f"City, {width} × {height}, {first['frames']} frames of the path, {first['stride']} apart from frame "
+        f"{first['first_frame']} on, each after {first['warm_up']} that aren't counted. Times are ratios to no culling:"
+    )
+    parts = [
+        fill(intro, 118),
+        show_times(path, reports),
+        "Shares of what another algorithm draws or queries:",
+        show_shares(path, reports),
+    ]
+    for report in reports:
+        b, n = report["optimized"]["batch"], report["optimized"]["persistence"]
+        parts += [
+            f"{report['backend']} ({report['device']}; optimized: b = {b}, n = {n}):",
+            show_counts(path, report),
+        ]
+    return "\n\n".join(parts)
+
+
+def insert(page: Path, path: str, text: str) -> None:
+    """Replace the page's section between the path's two markers."""
+    begin, end = f"<!-- thesis_tables.py {path} -->\n", "\n<!-- end of thesis_tables.py -->"
+    before, found, rest = page.read_text().partition(begin)
+    if not found:
+        raise SystemExit(f"error: {page} has no line {begin.strip()}")
+    after = rest.partition(end)[2]
+    page.write_text(f"{before}{begin}\n{text}\n{end}{after}")
+
+
+def main() -> None:
+    parser = Parser(prog="thesis_tables.py", description=__doc__)
+    parser.add_argument("path", choices=TIMES)
+    parser.add_argument("--backends", default="gl,cl", help="our platforms (default: %(default)s)")
+    parser.add_argument(
+        "--frames", type=parse_count, default=60, help="counted frames (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--warm-up", type=parse_frame, default=4, help="frames before each (default: %(default)s)"
+    )
+    add_size(parser)
+    parser.add_argument("--figure", type=Path, metavar="F.png", help="write the figure")
+    parser.add_argument(
+        "--into", type=Path, metavar="PAGE.md", help="replace the tables and the figure of this page"
+    )
+    parser.add_argument("--save", type=Path, metavar="F.json", help="keep the results")
+    parser.add_argument("--load", type=Path, nargs="+", metavar="F.json", help="print these results")
+    given = parser.parse_args()
+    if given.load is not None:
+        reports = [report for file in given.load for report in json.loads(file.read_text())]
+    else:
+        reports = [
+            measure(backend, given.path, given.frames, given.warm_up, given.size)
+            for backend in given.backends.split(",")
+        ]
+    if given.save is not None:
+        given.save.write_text(json.dumps(reports, indent=1) + "\n")
+    text = describe(given.path, reports)
+    print(text)
+    if given.figure is not None:
+        plot(given.path, reports, given.figure)
+    if given.into is not None:
+        image = f"images/{given.path}-level.png"
+        plot(given.path, reports, given.into.parent / image)
+        caption = f"Frustum culling and CHC++ at {given.path} level on all platforms"
+        insert(given.into, given.path, f"![{caption}]({image})\n\n{text}")
+
+
+if __name__ == "__main__":
+    main()
