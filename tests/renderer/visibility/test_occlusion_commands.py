@@ -222,7 +222,7 @@ def test_conditional_culling_gives_up_what_is_never_answered(
     algorithm = ConditionalCulling(renderer.scene, renderer.device)
     sets = renderer.device.query_set
     made: list[int] = []
-    monkeypatch.setattr(renderer.device, "query_set", lambda size: made.append(size) or sets(size))
+    monkeypatch.setattr(renderer.device, "query_set", lambda size, emulated: made.append(size) or sets(size))
     for _ in range(40):
         assert visible(draw_with(renderer, algorithm, EYE)) >= oracle.seen
     assert len(made) <= 9, "questions that were given up are asked with the same sets"
