@@ -191,7 +191,7 @@ class _Maker:
         for kind in self._theme.kinds:
             self._make_images(kind)
         formats = [f for kind in self._theme.kinds for f in kind.colors]
-        if not formats or any(not f.is_integer for f in formats):
+        if any(pipeline.ink not in (Ink.UINT, Ink.INT) for kind in self._theme.kinds for pipeline in kind.pipelines):
             self._float_shapes = [self._make_shape(None) for _ in range(random.choice([2, 3]))]
         integers = [f for f in formats if f.is_integer]
         if integers:  # shared by all integer targets, so negative only if all are signed

@@ -47,7 +47,7 @@ class Readback:
         """Whether `result` returns without waiting. Never blocks."""
         if self._array is not None:
             return True
-        self._core.check_open()
+        self._core.check_ready()
         return self._core.timeline.completed >= self.fence
 
     def result(self) -> NDArray[Any]:

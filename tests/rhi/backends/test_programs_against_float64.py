@@ -200,6 +200,18 @@ def test_themes_have_all_formats_and_inks() -> None:
     assert {kind.samples for kind in kinds} == {1, 2, 4}
 
 
+def test_a_theme_of_integers_and_no_colors_at_all_has_shapes_for_both() -> None:
+    themes = [make_theme(number, ALL_FORMATS) for number in range(250)]
+    mixed = [
+        theme
+        for theme in themes
+        if {f.is_integer for kind in theme.kinds for f in kind.colors} == {True}
+        and any(not kind.colors for kind in theme.kinds)
+    ]
+    assert mixed
+    assert all(make_program(seed, theme).steps for theme in mixed for seed in range(20))
+
+
 def test_programs_have_all_steps_states_and_kinds_of_textures() -> None:
     programs = [make_program(seed, make_theme(seed // 4, ALL_FORMATS)) for seed in range(400)]
     steps = [step for program in programs for step in program.steps]

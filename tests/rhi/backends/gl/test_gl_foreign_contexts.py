@@ -25,6 +25,7 @@ from rhi import (
     Scissor,
 )
 from rhi.backends.gl.backend import GlBackend
+from rhi.conformance.patience import comes_true
 from rhi.conformance.shaders import Colored, Tint, Tinted
 from rhi.conformance.shapes import rectangle
 from rhi.shading import Shader, StorageRW, global_id, uint
@@ -123,6 +124,18 @@ def test_each_call_finds_its_context_again(device: Device, take_over: Callable[[
     assert USES[use](device, resources) is not False
     assert resources["buffer"].read().tolist() == [1, 2, 3, 4]
     assert (texture.read() == 5).all()
+
+
+def test_an_asynchronous_read_is_seen_to_be_done(device: Device, take_over: Callable[[], None]) -> None:
+    def is_done() -> bool:
+        take_over()
+        return read.done
+
+    image = device.texture(SIZE, Format.RGBA8)
+    draw_all(device, image)
+    read = image.read_async()
+    assert comes_true(is_done)
+    assert (read.result()[..., 0] > 0).all()
 
 
 def test_a_lock_is_written_to_its_own_context(device: Device, take_over: Callable[[], None]) -> None:
