@@ -110,7 +110,9 @@ def _as_json(reports: list[BackendReport]) -> dict[str, Any]:
 
 def _plain(values: dict[str, Any]) -> dict[str, Any]:
     return {
-        name: sorted(form.name for form in value) if isinstance(value, frozenset) else value
+        name: sorted(each.__name__ if isinstance(each, type) else each.name for each in value)
+        if isinstance(value, frozenset)
+        else value
         for name, value in values.items()
     }
 

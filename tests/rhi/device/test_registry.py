@@ -137,6 +137,11 @@ def test_the_report_as_json_has_capabilities(capsys: pytest.CaptureFixture[str])
     null = next(b for b in report["backends"] if b["name"] == "null")
     assert null["usable"]
     assert null["capabilities"]["shading"] is False
+    assert all(
+        b["capabilities"]["platform_states"] == {"gl": ["DepthClamp"]}.get(b["name"], [])
+        for b in report["backends"]
+        if b["usable"]
+    )
 
 
 def imported(code: str) -> set[str]:

@@ -164,6 +164,7 @@ def test_without_another_process_the_kernels_at_hand_remain(
 
 
 def test_a_device_is_closed_at_once_while_kernels_are_optimised(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(builds.ENVIRONMENT, raising=False)
     monkeypatch.setattr(builds, "HOT", 0)
     monkeypatch.setattr(builds.Builds, "is_cached", lambda self, text: False)
     monkeypatch.setattr(cache.KernelCache, "knows", lambda *given: False)
