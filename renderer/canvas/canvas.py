@@ -5,8 +5,8 @@ corner of full coverage. So whatever is drawn between two changes of the clip re
 the calls. A parallelogram is 48 bytes, which the vertex stage reads by its index: a third of what four vertices and
 their indices would take.
 
-The arrays are kept from frame to frame and grow by doubling; a frame is one upload to
-the device's rings, and 16 bytes of constants.
+The arrays are kept from frame to frame and grow by doubling; a frame is one upload to the device's rings, and 16
+bytes of constants.
 """
 
 from __future__ import annotations

@@ -218,8 +218,8 @@ class Encoder:
             draws: (n,) as for `draw_many`. Shaders tell them apart by `instance_index()`; their `draw_index()` counts
                 from 0 within consecutive draws of one row.
             queries: a query set that `draw_counted` has used.
-            rows: (n,) integers, the row that decides about each draw; by default row i decides about draw i. Draws of
-                the same row are best consecutive: on most devices each run of them is one conditional draw.
+            rows: (n,) integers, the row that decides about each draw; by default row i decides about draw i. On
+                most devices each run of draws with the same row is one conditional draw.
 
         Raises:
             ValidationError: `query-rows`, also for a row that the latest `draw_counted` didn't use; `query-state` if

@@ -205,7 +205,8 @@ INNER = {
     "Program": "bind bind_current check check_can_dispatch check_can_draw check_instances check_names "
     "draw_unprepared draw_with explain find_vertex_array make_current note_retired prepare_draw",
     "OcclusionQuery": "abandon check_ended check_usable complete discard_answer mark_submitted write_begin write_end",
-    "QuerySet": "check_ended check_rows discard_answer draw mark_rows_drawn mark_rows_submitted mark_submitted",
+    "QuerySet": "check_conditions check_ended check_rows counted discard_answer draw draw_conditional mark_rows_drawn "
+    "mark_rows_submitted mark_submitted",
     "TransientMemory": "mark note_retired place_mesh",
 }  # fmt: skip
 """Members by which the front end's parts call each other, after their checks."""
@@ -263,6 +264,7 @@ EVERY: dict[str, dict[str, Callable[[Everything], object]]] = {
         "draw": lambda e: e.device.draw(e.program, e.unused),
         "draw_many": lambda e: e.device.draw_many(e.program, e.unused, e.unused.draws()),
         "draw_counted": lambda e: e.device.draw_counted(e.program, e.unused, e.unused.draws(), e.queries),
+        "draw_conditional": lambda e: e.device.draw_conditional(e.program, e.unused, e.unused.draws(), e.queries),
         "draw_indirect": lambda e: e.device.draw_indirect(e.program, e.unused, rhi.IndirectDraws(e.draws, 1)),
     },
     "Buffer": {

@@ -130,13 +130,13 @@ def test_the_queries_that_are_asked_for_are_tuned_rendered_and_kept(
     here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
     made: set[bool] = set()
-    make = rhi.Device.occlusion_query
+    make_set = rhi.Device.query_set
 
-    def note(device: rhi.Device, *, emulated: bool = False) -> rhi.OcclusionQuery:
+    def note(device: rhi.Device, size: int, *, emulated: bool = False) -> rhi.QuerySet:
         made.add(emulated)
-        return make(device, emulated=emulated)
+        return make_set(device, size, emulated=emulated)
 
-    monkeypatch.setattr(rhi.Device, "occlusion_query", note)
+    monkeypatch.setattr(rhi.Device, "query_set", note)
     wanted = {kind == "emulated"}
     assert main([*COMMAND, "--backend", "gl", "--rounds", "1", "--queries", kind]) == 0
     assert made == wanted
