@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import logging
+import select
+import signal
+import subprocess
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import nullcontext
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,8 +21,9 @@ import rhi
 from rhi import BlendFunction, CullMode, DepthFunction, DepthTest, DepthWrite, Device, Format, Program
 from rhi.backends.cl import cache
 from rhi.backends.cl.backend import ClBackend
-from rhi.backends.cl.raster import builds
+from rhi.backends.cl.raster import builds, compiler
 from rhi.backends.cl.raster.compiler import Compiler, Job
+from rhi.conformance.patience import comes_true
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import corners, rectangle
 from rhi.contract.descriptors import ProgramDescriptor, Stage, StageText
@@ -163,17 +169,40 @@ def test_without_another_process_the_kernels_at_hand_remain(
         np.testing.assert_array_equal(draw(device, program), expected)
 
 
-def test_a_device_is_closed_at_once_while_kernels_are_optimised(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_closing_a_device_does_not_wait_for_kernels_that_are_optimised(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The other processes are halted once they have their jobs: to wait for them would take until they are killed."""
+    processes: list[subprocess.Popen[bytes]] = []
+    halted: list[subprocess.Popen[bytes]] = []
+    start = Compiler.__init__
+
+    def note(self: Compiler, *arguments: Any) -> None:
+        start(self, *arguments)
+        processes.append(self._process)
+
+    def halt(pipes: list[Any], *arguments: Any) -> Any:
+        (process,) = (process for process in processes if process.stdout is pipes[0])
+        process.send_signal(signal.SIGSTOP)
+        halted.append(process)
+        return select.select(pipes, *arguments)
+
+    monkeypatch.setattr(Compiler, "__init__", note)
+    monkeypatch.setattr(compiler, "select", SimpleNamespace(select=halt))
     monkeypatch.delenv(builds.ENVIRONMENT, raising=False)
     monkeypatch.setattr(builds, "HOT", 0)
     monkeypatch.setattr(builds.Builds, "is_cached", lambda self, text: False)
     monkeypatch.setattr(cache.KernelCache, "knows", lambda *given: False)
-    with rhi.create_device("cl") as device:
-        draw(device, device.program(Colored))
-        assert find_builds(device)._waiting
-        begin = time.monotonic()
-    assert time.monotonic() - begin < 1.0
-    assert not find_builds(device)._compilers or find_builds(device)._compilers[0]._closed
+    killer = threading.Timer(20.0, lambda: [process.kill() for process in processes])
+    killer.start()
+    try:
+        with rhi.create_device("cl") as device:
+            draw(device, device.program(Colored))
+            assert find_builds(device)._waiting
+            assert comes_true(lambda: bool(halted))
+        assert all(process.poll() is None for process in processes)
+    finally:
+        killer.cancel()
+        for process in processes:
+            process.kill()
 
 
 def test_a_process_that_refuses_a_kernel_goes_on_with_others(device: Device) -> None:
