@@ -22,6 +22,7 @@ import time
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import lru_cache
 from pathlib import Path, PurePosixPath
 from typing import Final, NamedTuple
 
@@ -80,6 +81,12 @@ class Request(NamedTuple):
     options: tuple[str, ...]
 
 
+def _read(source: str, declares: bool) -> tuple[str, str | None]:
+    """Return a program without comments, and its declarations if it has some."""
+    text = strip_comments(source)
+    return text, declare(text) if declares else None
+
+
 class KernelCache:
     """The compiled programs of one driver's version and device.
 
@@ -93,6 +100,7 @@ class KernelCache:
         self._folder = folder
         self._driver = driver
         self._written: set[str] = set()
+        self._read = lru_cache(maxsize=4)(_read)  # a program is looked up and then built, once or twice
         self.declares = declares
 
     @property
@@ -102,8 +110,7 @@ class KernelCache:
 
     def request(self, source: str, options: Sequence[str]) -> Request:
         """Return what the driver is given for a program: its key is in it, and the driver counts its lines as here."""
-        text = strip_comments(source)
-        declarations = declare(text) if self.declares else None
+        text, declarations = self._read(source, self.declares)
         if declarations is not None:
             options = (*options, GUARD)
         whole = "\0".join((self._driver, *options, declarations or "", text))
