@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -161,12 +162,7 @@ class BoxQueries:
     def resolve(self, query: OcclusionQuery) -> bool:
         """Return whether more samples than the threshold passed, and release the query. Waits for the result if it is
         not yet available."""
-        if query.is_finished:
-            samples = query.visible_samples
-        else:
-            began = perf_counter()
-            samples = query.wait()
-            self.stalled += perf_counter() - began
+        samples: int = self._take_answer(query)
         self._free.append(query)
         return samples > self.threshold
 
@@ -210,15 +206,19 @@ class BoxQueries:
     def read(self, queries: QuerySet) -> list[bool]:
         """Return for each row of a set whether more samples than the threshold passed, and release the set. Waits for
         the results if they are not yet available."""
-        if queries.is_finished:
-            samples = queries.visible_samples
-        else:
-            began = perf_counter()
-            samples = queries.wait()
-            self.stalled += perf_counter() - began
+        samples: NDArray[np.int64] = self._take_answer(queries)
         self.release_set(queries)
         shows: list[bool] = (samples > self.threshold).tolist()
         return shows
+
+    def _take_answer(self, asked: OcclusionQuery | QuerySet) -> Any:
+        """Return the samples that a query or each row of a set has counted, and count the time of a wait for them."""
+        if asked.is_finished:
+            return asked.visible_samples
+        began = perf_counter()
+        samples = asked.wait()
+        self.stalled += perf_counter() - began
+        return samples
 
     def release_set(self, queries: QuerySet) -> None:
         """Make a set reusable without reading its results."""
