@@ -211,6 +211,14 @@ TINT: Final = (of("tint"), own(rhi.UniformBuffer))
 LABEL: Final = ("name", text)
 PART: Final = {"first": (0, natural), "count": (3, optional(natural))}
 DRAWS: Final = (lambda house: house.mesh.draws([0, 3], 3), array(rhi.DRAW_UNINDEXED))
+DRAWS_BY_ROW: Final = {
+    "program": PROGRAM,
+    "mesh": MESH,
+    "draws": DRAWS,
+    "queries": (of("queries"), own(rhi.QuerySet)),
+    "rows": ([0, 1], optional(array("i8"))),
+    "tint": TINT,
+}
 ELEMENT: Final = (float, lambda house, value: value is int)
 CONSTANTS: Final = either(instance(Struct, float, np.number), whole(-(2**31), 2**31 - 1), array("f8"))
 
@@ -266,25 +274,11 @@ def encoder_samples(open_encoder: Callable[[House], Any]) -> dict[str, Sample]:
         ),
         "draw_counted": Sample(
             call("draw_counted", "program", "mesh", "draws", "queries", "rows"),
-            {
-                "program": PROGRAM,
-                "mesh": MESH,
-                "draws": DRAWS,
-                "queries": (of("queries"), own(rhi.QuerySet)),
-                "rows": ([0, 1], optional(array("i8"))),
-                "tint": TINT,
-            },
+            DRAWS_BY_ROW,
         ),
         "draw_conditional": Sample(
             call("draw_conditional", "program", "mesh", "draws", "queries", "rows"),
-            {
-                "program": PROGRAM,
-                "mesh": MESH,
-                "draws": DRAWS,
-                "queries": (of("queries"), own(rhi.QuerySet)),
-                "rows": ([0, 1], optional(array("i8"))),
-                "tint": TINT,
-            },
+            DRAWS_BY_ROW,
             needs=("conditional_rendering",),
         ),
         "draw_indirect": Sample(
