@@ -121,7 +121,7 @@ class Renderer:
         if visibility is None:
             visibility = make_visibility("auto", scene, device)
             self._own.append(visibility)
-        self._plans: dict[tuple[object, ...], Plan] = {}
+        self._plans: dict[tuple[object, ...], Plan[Frame]] = {}
         self._planned: Technique | None = None
         with ExitStack() as made:
             self._targets = Targets(device, size)
@@ -194,13 +194,13 @@ class Renderer:
         counters["skipped_simulations"] = len(self.simulator) - self.simulator.seen
         return FrameResult(self._targets.image, self._targets.depth, frame.statistics, frame.drawn, counters)
 
-    def plan(self, camera: Camera) -> tuple[Needs, Plan]:
+    def plan(self, camera: Camera) -> tuple[Needs, Plan[Frame]]:
         """Return what a frame of `camera` needs, and its plan; nothing is drawn."""
         width, height = self.size
         needs = find_needs(self.scene, camera.with_aspect(width / height), reaches=self._resources.reaching)
         return needs, self._plan(needs)
 
-    def _plan(self, needs: Needs) -> Plan:
+    def _plan(self, needs: Needs) -> Plan[Frame]:
         """Return the plan of a frame with these needs; it is made once."""
         if self._planned is not self.technique:
             self._plans.clear()

@@ -17,15 +17,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import Final, Generic, TypeVar
 
 from renderer import rules
 from rhi import Format, refuse
 
-if TYPE_CHECKING:
-    from renderer.frame.frame import Frame
-
 __rhi_internal__ = True
+
+F = TypeVar("F")
+"""What passes are run with: a frame."""
 
 OUTPUTS: Final = ("image", "depth")
 """The contents that every frame has: its image, and the depth that layers and tools read."""
@@ -52,7 +52,7 @@ class Target:
 
 
 @dataclass(frozen=True, slots=True)
-class Pass:
+class Pass(Generic[F]):
     """A step of a frame: render passes, compute work, or both.
 
     Attributes:
@@ -66,7 +66,7 @@ class Pass:
     """
 
     name: str
-    run: Callable[[Frame], None]
+    run: Callable[[F], None]
     because: str
     reads: tuple[str, ...] = ()
     writes: tuple[Target, ...] = ()
@@ -103,7 +103,7 @@ class DroppedPass:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class Plan(Generic[F]):
     """What a frame executes.
 
     Attributes:
@@ -111,7 +111,7 @@ class Plan:
         textures: those that they draw to. dropped: declared passes that don't run.
     """
 
-    passes: tuple[Pass, ...]
+    passes: tuple[Pass[F], ...]
     textures: tuple[SharedTexture, ...]
     dropped: tuple[DroppedPass, ...]
 
@@ -128,7 +128,7 @@ def fit_size(size: tuple[int, int], scale: float) -> tuple[int, int]:
     return width, height
 
 
-def make_plan(passes: Sequence[Pass], outputs: Iterable[str] = OUTPUTS) -> Plan:
+def make_plan(passes: Sequence[Pass[F]], outputs: Iterable[str] = OUTPUTS) -> Plan[F]:
     """Plan a frame with these passes, whose `outputs` are used after it.
 
     Raises:
@@ -148,10 +148,10 @@ def make_plan(passes: Sequence[Pass], outputs: Iterable[str] = OUTPUTS) -> Plan:
     return Plan(tuple(passes[i] for i in order), contents.share(order, outputs), dropped)
 
 
-class _Contents:
+class _Contents(Generic[F]):
     """Which pass writes, reads and draws over which contents."""
 
-    def __init__(self, passes: Sequence[Pass]) -> None:
+    def __init__(self, passes: Sequence[Pass[F]]) -> None:
         self._passes = passes
         self._writers: dict[str, int] = {}
         self._targets: dict[str, Target] = {}  # by the name of contents written from scratch
@@ -276,7 +276,7 @@ class _Contents:
         return name
 
 
-def _list_written(one: Pass) -> list[str]:
+def _list_written(one: Pass[F]) -> list[str]:
     return [*(target.name for target in one.writes), *one.changes.values()]
 
 

@@ -17,7 +17,7 @@ class Forward:
 
     name: Final = "forward"
 
-    def declare(self, needs: Needs) -> tuple[Pass, ...]:
+    def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the only pass."""
         return (
             Pass(

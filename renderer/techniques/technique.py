@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-from renderer.frame import Needs, Pass
+from renderer.frame import Frame, Needs, Pass
 
 
 class Technique(Protocol):
@@ -20,7 +20,7 @@ class Technique(Protocol):
         """The name on the command line."""
         ...
 
-    def declare(self, needs: Needs) -> Sequence[Pass]:
+    def declare(self, needs: Needs) -> Sequence[Pass[Frame]]:
         """Return the passes of a frame with these needs.
 
         They write the contents `image` and `depth`, and draw the scene with `Frame.draw_visible`. The result is kept
