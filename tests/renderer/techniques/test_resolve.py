@@ -1,0 +1,75 @@
+"""The way back from pixels and depths to positions, and the resolve pass."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from renderer.scene import Camera, Depth, Orthographic, Perspective, Projection
+from renderer.scene.arrays import Floats
+from renderer.shaders.pixels import PixelConstants, nearness_of, position_at
+from renderer.techniques.full_screen import find_pixel_constants
+from rhi.shading import evaluate
+
+SIZE = (97, 55)
+
+
+@dataclass(frozen=True)
+class OffAxis:
+    """A lens whose axis isn't in the middle of the image."""
+
+    depth: Depth = Depth.REVERSED
+
+    @property
+    def matrix(self) -> Floats:
+        m = Perspective(depth=self.depth).matrix.copy()
+        m[0, 2], m[1, 2] = 0.4, -0.7
+        return m
+
+    def with_aspect(self, aspect: float) -> OffAxis:
+        return self
+
+
+LENSES = {
+    "perspective": lambda depth: Perspective(depth=depth),
+    "with a far plane": lambda depth: Perspective(near=0.5, far=2000.0, depth=depth),
+    "orthographic": lambda depth: Orthographic(30.0, near=-5.0, far=500.0, depth=depth),
+    "off-axis": lambda depth: OffAxis(depth),
+}
+
+
+def project(lens: Projection, places: Floats) -> tuple[Camera, Floats, Floats]:
+    """Return a camera, positions relative to it, and their pixels and depths (n, 3), of `places` in view space."""
+    camera = Camera.look_at((3e6, 7.0, -5e6), (3e6 + 2.0, 5.0, -5e6 - 9.0), projection=lens)
+    relative = places @ camera.rotation
+    clip = np.concatenate([places, np.ones((len(places), 1))], 1) @ lens.matrix.T
+    ndc = clip[:, :3] / clip[:, 3:]
+    pixels = np.stack([(0.5 + 0.5 * ndc[:, 0]) * SIZE[0], (0.5 - 0.5 * ndc[:, 1]) * SIZE[1], ndc[:, 2]], 1)
+    return camera, relative, pixels
+
+
+@pytest.mark.parametrize("direction", list(Depth))
+@pytest.mark.parametrize("lens", LENSES)
+def test_a_pixel_and_its_depth_lead_back_to_the_position(lens: str, direction: Depth) -> None:
+    rng = np.random.default_rng(5)
+    places = rng.uniform((-8, -8, -200), (8, 8, -1), (200, 3))
+    camera, relative, pixels = project(LENSES[lens](direction), places)
+    constants = find_pixel_constants(camera, SIZE)
+    depth = pixels[:, 2].astype(np.float32)  # as a target holds it
+    nearness = evaluate(nearness_of, depth, constants, dtype=np.float32)
+    found = evaluate(position_at, pixels[:, :2], nearness, constants, dtype=np.float32)
+    # A step of standard depth near 1 is 6e-8, which at 200 m and a near plane of 0.1 m is 24 mm.
+    exact = direction is Depth.REVERSED
+    assert np.abs(found - relative).max() < (1e-3 if exact else 0.05)
+
+
+@pytest.mark.parametrize(("direction", "far"), [(Depth.REVERSED, 0.0), (Depth.STANDARD, 1.0)])
+def test_only_the_farthest_depth_has_no_nearness(direction: Depth, far: float) -> None:
+    camera = Camera.look_at((0, 0, 0), (0, 0, -1), projection=Perspective(depth=direction))
+    constants = find_pixel_constants(camera, SIZE)
+    assert isinstance(constants, PixelConstants)
+    before = np.nextafter(np.float32(far), np.float32(0.5))
+    assert evaluate(nearness_of, np.float32(far), constants, dtype=np.float32) == 0.0
+    assert evaluate(nearness_of, before, constants, dtype=np.float32) > 0.0
