@@ -36,7 +36,8 @@ FARTHEST: Final = {Depth.REVERSED: 0.0, Depth.STANDARD: 1.0}
 NEARER: Final = {Depth.REVERSED: DepthFunction.GREATER, Depth.STANDARD: DepthFunction.LESS}
 """The depth function that nearer fragments pass."""
 
-_WINDINGS: Final = ((False, FrontFace.COUNTER_CLOCKWISE), (True, FrontFace.CLOCKWISE))
+WINDINGS: Final = ((False, FrontFace.COUNTER_CLOCKWISE), (True, FrontFace.CLOCKWISE))
+"""Whether objects are mirrored, and the winding of their triangles."""
 
 
 class Drawn:
@@ -202,7 +203,7 @@ class TechniquePass:
         self.drawn.add_batch(rows)
         if len(rows) > 1:
             rows = rows[np.argsort(self._find_farthest(rows), kind="stable")]
-        for mirrored, winding in _WINDINGS:
+        for mirrored, winding in WINDINGS:
             part = rows[resources.find_winding(rows, mirrored=mirrored)]
             if part.size:
                 with self._device.states(winding):
@@ -219,7 +220,7 @@ class TechniquePass:
         self.drawn.add_conditional(rows, queries, answers)
         order = np.lexsort((self._find_farthest(rows), answers))
         rows, answers = rows[order], answers[order]
-        for mirrored, winding in _WINDINGS:
+        for mirrored, winding in WINDINGS:
             chosen = resources.find_winding(rows, mirrored=mirrored)
             part = rows[chosen]
             if part.size:
@@ -256,7 +257,7 @@ class TechniquePass:
     def draw_list(self, encoder: Encoder, draws: DeviceList, *, first: bool) -> None:
         """Draw the objects that the device has listed, in a pass of their own."""
         with self._begin(encoder, clears=first and self._clears_list):
-            for mirrored, winding in _WINDINGS:
+            for mirrored, winding in WINDINGS:
                 if self._resources.has_winding(mirrored=mirrored):
                     with encoder.states(winding):
                         encoder.draw_indirect(

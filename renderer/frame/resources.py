@@ -177,6 +177,7 @@ class SceneResources:
         self.spot = keep(MirroredArray(device, shaders.SpotLight, "spot lights"))
         self.light_rows = keep(MirroredArray(device, int, "light rows"))
         self._lit: tuple[NDArray[Any], ...] = ()  # the state that the light lists were made from
+        self._listed: NDArray[np.int64] = np.zeros(0, np.int64)  # the light rows, as they are on the device
         self._reaching = (False, False)  # whether any point light is on a list, and any spot light
         self.ambient = keep(MirroredValue(device, _ambient(scene)))
         self.haze = keep(MirroredValue(device, _haze(scene)))
@@ -268,6 +269,23 @@ class SceneResources:
             return slice(0)
         return self.mirrored[rows] == mirrored if self.has_winding(mirrored=not mirrored) else slice(None)
 
+    def pair_lights(
+        self, rows: NDArray[np.int64], lights: NDArray[np.int64], *, spots: bool
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the objects (k,) and the entries (k,) of `light_rows` that are the pairs of one of the objects `rows`
+        and a light that reaches it. Only the point or spot lights `lights`, ascending, are paired. Pairs are in the
+        order of their lights."""
+        begins = self._rows["points_end" if spots else "lights_begin"][rows].astype(np.int64)
+        counts = self._rows["lights_end" if spots else "points_end"][rows] - begins
+        ends = np.cumsum(counts)
+        entries = np.arange(ends[-1] if len(ends) else 0) + np.repeat(begins - ends + counts, counts)
+        lit = self._listed[entries]
+        chosen = np.zeros(len(self.scene.lights.spot if spots else self.scene.lights.point), bool)
+        chosen[lights] = True
+        kept = np.flatnonzero(chosen[lit])
+        order = kept[np.argsort(lit[kept], kind="stable")]
+        return np.repeat(rows, counts)[order], entries[order]
+
     @property
     def reaching(self) -> tuple[bool, bool]:
         """Whether any point light reaches an object, and whether any spot light does."""
@@ -331,7 +349,7 @@ class SceneResources:
         # A power of two, so that the buffer isn't replaced in each frame.
         room = 1 << (len(listed) - 1).bit_length() if len(listed) else 0
         light_rows = np.zeros(room, np.int32)
-        light_rows[: len(listed)] = np.where(is_spot, listed - points, listed)
+        light_rows[: len(listed)] = self._listed = np.where(is_spot, listed - points, listed)
         self.light_rows.write(light_rows)
         self._reaching = (not is_spot.all(), bool(is_spot.any()))
         return True

@@ -4,10 +4,14 @@ from collections.abc import Callable
 from typing import Final
 
 from renderer.techniques.forward import Forward
+from renderer.techniques.forward_multipass import ForwardMultipass
 from renderer.techniques.particles import Particles
 from renderer.techniques.technique import Technique
 
-TECHNIQUES: Final[dict[str, Callable[[], Technique]]] = {Forward.name: Forward}
+TECHNIQUES: Final[dict[str, Callable[[], Technique]]] = {
+    Forward.name: Forward,
+    ForwardMultipass.name: ForwardMultipass,
+}
 """Constructors of all techniques, by name."""
 
-__all__ = ["TECHNIQUES", "Forward", "Particles", "Technique"]
+__all__ = ["TECHNIQUES", "Forward", "ForwardMultipass", "Particles", "Technique"]

@@ -5,6 +5,7 @@ Objects are drawn front to back, so that early depth tests avoid the shading of 
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any, Final
 
 from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Effect, Frame, Needs, Pass, Target, TechniquePass
@@ -32,7 +33,7 @@ class Forward:
 def draw_lit(frame: Frame) -> None:
     """Draw the visible objects, lit by all lights that reach them."""
     targets = frame.targets
-    program, bindings = bind_forward(frame)
+    program, bindings = bind_forward(frame, "ambient")
     frame.draw_visible(
         TechniquePass(
             frame.device,
@@ -47,9 +48,15 @@ def draw_lit(frame: Frame) -> None:
     )
 
 
-def bind_forward(frame: Frame) -> tuple[Program[Any], dict[str, Any]]:
-    """Return the forward program for the effects that the frame needs, and its bindings."""
-    resources, effects = frame.resources, frame.needs.effects
+def bind_forward(
+    frame: Frame, *parts: str, effects: Collection[Effect] | None = None, **more: Any
+) -> tuple[Program[Any], dict[str, Any]]:
+    """Return the forward program for effects, by default all that the frame needs, and its bindings.
+
+    Args:
+        parts: further `PARTS` of the shader. more: their bindings.
+    """
+    resources, needed = frame.resources, frame.needs.effects if effects is None else effects
     optional = {
         Effect.IMAGES: ("images", resources.images),
         Effect.DIRECTIONAL_LIGHTS: ("directional_lights", resources.directional.buffer),
@@ -57,14 +64,15 @@ def bind_forward(frame: Frame) -> tuple[Program[Any], dict[str, Any]]:
         Effect.SPOT_LIGHTS: ("spot_lights", resources.spot.buffer),
         Effect.HAZE: ("haze", resources.haze.buffer),
     }
-    present: dict[str, Any] = dict(binding for effect, binding in optional.items() if effect in effects)
-    features = [*present, *(["emission"] if Effect.EMISSION in effects else [])]
+    present: dict[str, Any] = dict(binding for effect, binding in optional.items() if effect in needed)
+    features = [*parts, *present, *(["emission"] if Effect.EMISSION in needed else [])]
     program: Program[Any] = frame.device.program(forward_variant(*features, has_sun=frame.needs.has_sun))
     if "point_lights" in present or "spot_lights" in present:
         present["light_rows"] = resources.light_rows.buffer
-    return program, present | {
+    if "ambient" in parts:
+        present["ambient"] = resources.ambient.buffer
+    return program, present | more | {
         "view": frame.view.buffer,
-        "ambient": resources.ambient.buffer,
         "objects": resources.objects.buffer,
         "places": resources.places.buffer,
         "materials": resources.materials.buffer,

@@ -1,7 +1,9 @@
-"""The forward shader: each fragment is lit by all lights that reach its object, in one pass.
+"""The forward shader: a fragment is lit by the lights that reach its object, as its geometry is drawn.
 
-A feature that a scene lacks costs nothing: `ForwardShader` has no lights and no textures, each of the classes
-below adds one feature with its binding, and `forward_variant` combines those that are needed.
+A feature that a scene or a pass lacks costs nothing: `ForwardShader` has no light and no textures, each of the
+classes below adds one feature with its bindings, and `forward_variant` combines those that are needed. The techniques
+that light geometry as it is drawn differ in these features only: `ForPointPairs` draws an object once for each of its
+point lights, and `WithIndexedPointLights` finds a pixel's point lights in a texture.
 """
 
 from __future__ import annotations
@@ -37,6 +39,7 @@ from rhi.shading import (
     Precision,
     Shader,
     Storage,
+    Struct,
     Texture2DArray,
     Uniform,
     exp,
@@ -51,19 +54,22 @@ from rhi.shading import (
 
 
 class ForwardShader(Shader):
-    """The base of all variants: ambient light with the rim term."""
+    """The base of all variants: no light."""
 
     # Highlights end up in 8 bits: a pow as exact as GL's (128 ulp) halves the time of a lit pass on OpenCL.
     precision = Precision.FAST
 
     view: Uniform[ViewConstants]
-    ambient: Uniform[Ambient]
     objects: Storage[Object]
     places: Storage[ObjectPosition]
     materials: Storage[Material]
 
     def vertex(self, v: Vertex) -> SurfaceVarying:
         row = instance_index()
+        thing = self.objects[row]
+        return self.transform(v, row, ivec3(thing.lights_begin, thing.points_end, thing.lights_end))
+
+    def transform(self, v: Vertex, row: int, lights: ivec3) -> SurfaceVarying:
         thing = self.objects[row]
         position = thing.linear @ v.position + relative_position(self.places[row], self.view)
         return SurfaceVarying(
@@ -72,7 +78,7 @@ class ForwardShader(Shader):
             normal=thing.normal @ v.normal,
             uv=v.uv,
             material=thing.material,
-            lights=ivec3(thing.lights_begin, thing.points_end, thing.lights_end),
+            lights=lights,
         )
 
     def fragment(self, v: SurfaceVarying) -> vec4:
@@ -85,15 +91,21 @@ class ForwardShader(Shader):
             specular_color=material.specular_color,
             shininess=material.shininess,
         )
-        color = ambient_light(surface, self.ambient, material.rim_strength, material.rim_power)
+        color = self.surroundings(surface, material)
         color += self.emitted(surface, material)
         color += self.sunlight(surface)
         color += self.pointlight(surface, v.lights.x, v.lights.y)
         color += self.spotlight(surface, v.lights.y, v.lights.z)
-        return vec4(self.through_air(tone_map(color), v.position), 1.0)
+        return vec4(self.shown(color, v.position), 1.0)
+
+    def shown(self, color: vec3, position: vec3) -> vec3:
+        return self.through_air(tone_map(color), position)
 
     def texel(self, image: int, uv: vec2) -> vec3:
         return vec3(1.0)
+
+    def surroundings(self, surface: SurfacePoint, material: Material) -> vec3:
+        return vec3(0.0)
 
     def emitted(self, surface: SurfacePoint, material: Material) -> vec3:
         return vec3(0.0)
@@ -121,6 +133,15 @@ class Textured(ForwardShader):
         if image < 0:
             return vec3(1.0)
         return self.images.sample(vec3(uv, float(image))).rgb
+
+
+class WithAmbient(ForwardShader):
+    """Adds ambient light with the rim term."""
+
+    ambient: Uniform[Ambient]
+
+    def surroundings(self, surface: SurfacePoint, material: Material) -> vec3:
+        return ambient_light(surface, self.ambient, material.rim_strength, material.rim_power)
 
 
 class WithEmission(ForwardShader):
@@ -191,13 +212,51 @@ class WithHaze(ForwardShader):
         return mix(self.haze.color, color, exp(-self.haze.density * length(position)))
 
 
+class Unmapped(ForwardShader):
+    """Leaves light linear and of any strength, to be added to other light."""
+
+    def shown(self, color: vec3, position: vec3) -> vec3:
+        return color
+
+
+class Pair(Struct):
+    """An object and one of its lights: the rows `object` of the objects, and `entry` of the light rows."""
+
+    object: int
+    entry: int
+
+
+class ForPointPairs(ForwardShader):
+    """Draws pairs of an object and one point light that reaches it; a pair is an instance."""
+
+    pairs: Storage[Pair]
+
+    def vertex(self, v: Vertex) -> SurfaceVarying:
+        pair = self.pairs[instance_index()]
+        return self.transform(v, pair.object, ivec3(pair.entry, pair.entry + 1, pair.entry + 1))
+
+
+class ForSpotPairs(ForwardShader):
+    """Draws pairs of an object and one spot light that reaches it; a pair is an instance."""
+
+    pairs: Storage[Pair]
+
+    def vertex(self, v: Vertex) -> SurfaceVarying:
+        pair = self.pairs[instance_index()]
+        return self.transform(v, pair.object, ivec3(pair.entry, pair.entry, pair.entry + 1))
+
+
 PARTS: Final[dict[str, type[ForwardShader]]] = {
+    "ambient": WithAmbient,
     "images": Textured,
     "directional_lights": WithDirectionalLights,
     "point_lights": WithPointLights,
     "spot_lights": WithSpotLights,
     "haze": WithHaze,
     "emission": WithEmission,
+    "unmapped": Unmapped,
+    "point_pairs": ForPointPairs,
+    "spot_pairs": ForSpotPairs,
 }
 """The features that can be added to the forward shader, by the names of their bindings where they have one."""
 
