@@ -40,17 +40,31 @@ from rhi.shading import (
     Shader,
     Storage,
     Struct,
+    Texture2D,
     Texture2DArray,
     Uniform,
     exp,
+    fragment_coordinate,
+    function,
     instance_index,
+    ivec2,
     ivec3,
     length,
+    max,
     mix,
+    uvec4,
     vec2,
     vec3,
     vec4,
 )
+
+LIGHT_BITS: Final = 3
+"""Bits of a light's number in each of the four channels of a texture of light indices."""
+LIGHT_MASK: Final = (1 << LIGHT_BITS) - 1
+LIGHTS_PER_PIXEL: Final = 24 // LIGHT_BITS
+"""The lights whose numbers a pixel of light indices can hold: a float has 24 bits."""
+LIGHTS_FULL: Final = float(1 << 24)
+"""A channel of this or more says that a pixel has too many lights."""
 
 
 class ForwardShader(Shader):
@@ -212,6 +226,59 @@ class WithHaze(ForwardShader):
         return mix(self.haze.color, color, exp(-self.haze.density * length(position)))
 
 
+@function
+def next_light(packed: uvec4) -> int:
+    """Return the number of the first light of a pixel's packed numbers, 0 if there is none (`light_indexed`)."""
+    parts = packed & uvec4(LIGHT_MASK)
+    return int(
+        parts.x | (parts.y << LIGHT_BITS) | (parts.z << (2 * LIGHT_BITS)) | (parts.w << (3 * LIGHT_BITS))
+    )
+
+
+class WithIndexedPointLights(WithPointLights):
+    """Finds the point lights of a pixel in a texture. A pixel with too many lights uses its object's list."""
+
+    light_indices: Texture2D
+    numbered: Storage[int]
+
+    def pointlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
+        indices = self.light_indices.load(ivec2(fragment_coordinate().xy))
+        if max(max(indices.x, indices.y), max(indices.z, indices.w)) >= LIGHTS_FULL:
+            return super().pointlight(surface, begin, end)
+        packed = uvec4(indices)
+        color = vec3(0.0)
+        number = next_light(packed)
+        while number > 0:
+            row = self.numbered[number - 1]
+            if row >= 0:
+                color += point_light(surface, self.point_lights[row])
+            packed = packed >> uvec4(LIGHT_BITS)
+            number = next_light(packed)
+        return color
+
+
+class WithIndexedSpotLights(WithSpotLights):
+    """Finds the spot lights of a pixel in a texture. A pixel with too many lights uses its object's list."""
+
+    light_indices: Texture2D
+    numbered: Storage[int]
+
+    def spotlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
+        indices = self.light_indices.load(ivec2(fragment_coordinate().xy))
+        if max(max(indices.x, indices.y), max(indices.z, indices.w)) >= LIGHTS_FULL:
+            return super().spotlight(surface, begin, end)
+        packed = uvec4(indices)
+        color = vec3(0.0)
+        number = next_light(packed)
+        while number > 0:
+            row = self.numbered[number - 1]
+            if row < 0:
+                color += spot_light(surface, self.spot_lights[~row])
+            packed = packed >> uvec4(LIGHT_BITS)
+            number = next_light(packed)
+        return color
+
+
 class Unmapped(ForwardShader):
     """Leaves light linear and of any strength, to be added to other light."""
 
@@ -255,6 +322,8 @@ PARTS: Final[dict[str, type[ForwardShader]]] = {
     "haze": WithHaze,
     "emission": WithEmission,
     "unmapped": Unmapped,
+    "indexed_points": WithIndexedPointLights,
+    "indexed_spots": WithIndexedSpotLights,
     "point_pairs": ForPointPairs,
     "spot_pairs": ForSpotPairs,
 }
