@@ -6,7 +6,8 @@ name means never depends on an order. From this `make_plan` finds everything els
 
 - **order**: contents are written before they are read, and read before they are drawn over. Passes that don't depend on
   each other keep the order of their declaration. A circle is refused by the names of its passes.
-- **what runs**: the frame's outputs are needed, and so is what a needed pass reads. A pass with side effects is needed,
+- **what runs**: the frame's outputs are needed as the last pass leaves that draws over them, and so is what a needed
+  pass reads. A pass with side effects is needed,
   and so are its inputs. Contents that a needed pass reads from the last frame are needed, too. The rest is dropped.
 - **memory**: contents of the same format, size and samples share a texture unless both are needed at the same time.
 
@@ -188,7 +189,7 @@ class _Contents(Generic[F]):
     def find_needed(self, outputs: Iterable[str]) -> set[int]:
         """Return the passes that run."""
         needed: set[int] = set()
-        waiting = [self.find_writer(name, "the frame's outputs") for name in outputs]
+        waiting = [self.find_writer(self._find_result(name), "the frame's outputs") for name in outputs]
         waiting += [number for number, one in enumerate(self._passes) if one.has_side_effects]
         while waiting:
             number = waiting.pop()
@@ -268,6 +269,12 @@ class _Contents(Generic[F]):
                 textures.append((kind, is_kept, names[root]))
                 ends.append(end)
         return tuple(SharedTexture(*kind, tuple(held), is_kept) for kind, is_kept, held in textures)
+
+    def _find_result(self, name: str) -> str:
+        """Return the name of what is left after all that is drawn over the contents `name`."""
+        while name in self._results:
+            name = self._results[name]
+        return name
 
     def _find_root(self, name: str) -> str:
         """Return the name of the contents that were written from scratch where `name` was drawn over them."""

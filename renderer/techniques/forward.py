@@ -9,30 +9,68 @@ from collections.abc import Collection
 from typing import Any, Final
 
 from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Effect, Frame, Needs, Pass, Target, TechniquePass
+from renderer.techniques.depth import draw_depth
 from renderer.techniques.forward_shader import forward_variant
-from rhi import Program
+from rhi import Program, Texture
 
 
 class Forward:
-    """Draws the scene lit in one pass; the shader handles only the effects that the frame needs."""
+    """Draws the scene lit in one pass; the shader handles only the effects that the frame needs.
+
+    With several samples per pixel, edges are smooth. Depth of several samples can't be read, but layers and visibility
+    algorithms read it: so a pass of its own draws depth first, and finds the visible objects.
+    """
 
     name: Final = "forward"
 
+    def __init__(self, samples: int = 1) -> None:
+        """Choose the number of samples per pixel, one of the device's `capabilities.sample_counts`."""
+        self.samples = samples
+
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
-        """Return the only pass."""
+        """Return the only pass; with several samples, one that draws depth before it, and one that resolves them."""
+        image, depth = Target("image", IMAGE_FORMAT), Target("depth", DEPTH_FORMAT)
+        because = "draws the visible objects, lit"
+        if self.samples == 1:
+            return (Pass("forward", _draw_lit, because, writes=(image, depth)),)
         return (
             Pass(
+                "depth", draw_depth, "layers and culling can't read depth of several samples", writes=(depth,)
+            ),
+            Pass(
                 "forward",
-                draw_lit,
-                "draws the visible objects, lit",
-                writes=(Target("image", IMAGE_FORMAT), Target("depth", DEPTH_FORMAT)),
+                _draw_samples,
+                f"{because}, {self.samples} samples per pixel",
+                reads=("depth",),
+                writes=(
+                    Target("image samples", IMAGE_FORMAT, samples=self.samples),
+                    Target("depth samples", DEPTH_FORMAT, samples=self.samples),
+                ),
+            ),
+            Pass(
+                "resolve",
+                _resolve_samples,
+                "a pixel is the mean of its samples",
+                reads=("image samples",),
+                writes=(image,),
             ),
         )
 
 
-def draw_lit(frame: Frame) -> None:
+def _draw_lit(frame: Frame) -> None:
+    draw_lit(frame, frame.targets["image"], frame.targets["depth"])
+
+
+def _draw_samples(frame: Frame) -> None:
+    draw_lit(frame, frame.targets["image samples"], frame.targets["depth samples"])
+
+
+def _resolve_samples(frame: Frame) -> None:
+    frame.targets["image samples"].resolve_to(frame.targets["image"])
+
+
+def draw_lit(frame: Frame, image: Texture, depth: Texture) -> None:
     """Draw the visible objects, lit by all lights that reach them."""
-    targets = frame.targets
     program, bindings = bind_forward(frame, "ambient")
     frame.draw_visible(
         TechniquePass(
@@ -41,8 +79,8 @@ def draw_lit(frame: Frame) -> None:
             frame.view,
             program,
             bindings,
-            color=targets.image,
-            depth=targets.depth,
+            color=image,
+            depth=depth,
             clear=(*frame.resources.scene.background, 1.0),
         )
     )

@@ -24,7 +24,7 @@ from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Effect, Frame, Needs, Pas
 from renderer.lights.rectangles import bound_cones, bound_spheres
 from renderer.shaders.lighting import safe_normalize
 from renderer.shaders.pixels import PixelConstants, nearness_of, position_at
-from renderer.shaders.structs import Object, ObjectPosition, ViewConstants, relative_position
+from renderer.techniques.depth import draw_depth
 from renderer.techniques.forward import Forward, bind_forward
 from renderer.techniques.forward_multipass import LAMPS
 from renderer.techniques.forward_shader import LIGHT_BITS, LIGHT_MASK, LIGHTS_FULL
@@ -72,25 +72,6 @@ _PACKED: Final = (
     BlendColor(_SHIFT, _SHIFT, _SHIFT, _SHIFT),
 )
 _CORNERS: Final = 6  # of the two triangles of a rectangle
-
-
-class PlacedVertex(Struct):
-    """The part of a vertex that depth depends on."""
-
-    position: vec3
-
-
-class DepthOnly(Shader):
-    """Draws depth, bit for bit that of the forward shader."""
-
-    view: Uniform[ViewConstants]
-    objects: Storage[Object]
-    places: Storage[ObjectPosition]
-
-    def vertex(self, v: PlacedVertex) -> vec4:
-        row = instance_index()
-        position = self.objects[row].linear @ v.position + relative_position(self.places[row], self.view)
-        return self.view.relative_view_projection @ vec4(position, 1.0)
 
 
 class LightVolume(Struct):
@@ -166,7 +147,7 @@ class LightIndexed:
         return (
             Pass(
                 "depth",
-                _draw_depth,
+                draw_depth,
                 "finds the surface that lights reach at each pixel",
                 writes=(Target("depth", DEPTH_FORMAT),),
             ),
@@ -190,26 +171,6 @@ class LightIndexed:
 def count_overflowing(indices: Texture) -> int:
     """Return the number of pixels with more lights than the contents `light indices` can hold. Waits for the device."""
     return int((indices.read() >= LIGHTS_FULL).any(-1).sum())
-
-
-def _draw_depth(frame: Frame) -> None:
-    resources = frame.resources
-    bindings = {
-        "view": frame.view.buffer,
-        "objects": resources.objects.buffer,
-        "places": resources.places.buffer,
-    }
-    frame.draw_visible(
-        TechniquePass(
-            frame.device,
-            resources,
-            frame.view,
-            frame.device.program(DepthOnly),
-            bindings,
-            color=None,
-            depth=frame.targets["depth"],
-        )
-    )
 
 
 def _pack_indices(frame: Frame) -> None:
