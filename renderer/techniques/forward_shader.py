@@ -1,7 +1,7 @@
 """The forward shader: each fragment is lit by all lights that reach its object, in one pass.
 
 A feature that a scene lacks costs nothing: `ForwardShader` has no lights and no textures, each of the classes
-below adds one feature with its binding, and `forward_variant` combines those that are needed.
+below and in `scene_shader` adds one feature with its binding, and `forward_variant` combines those that are needed.
 """
 
 from __future__ import annotations
@@ -9,71 +9,24 @@ from __future__ import annotations
 from functools import cache
 from typing import Final
 
-from renderer.shaders.lighting import (
-    ambient_light,
-    directional_light,
-    in_range,
-    point_light,
-    safe_normalize,
-    spot_light,
-    tone_map,
+from renderer.shaders.lighting import in_range, point_light, safe_normalize, spot_light
+from renderer.shaders.structs import Material, PointLight, SpotLight, SurfacePoint, SurfaceVarying
+from renderer.techniques.scene_shader import (
+    SceneShader,
+    ShadingShader,
+    Textured,
+    WithDirectionalLights,
+    WithEmission,
+    WithHaze,
+    WithSun,
 )
-from renderer.shaders.structs import (
-    Ambient,
-    DirectionalLight,
-    Haze,
-    Material,
-    Object,
-    ObjectPosition,
-    PointLight,
-    SpotLight,
-    SurfacePoint,
-    SurfaceVarying,
-    Vertex,
-    ViewConstants,
-    relative_position,
-)
-from rhi.shading import (
-    Precision,
-    Shader,
-    Storage,
-    Texture2DArray,
-    Uniform,
-    exp,
-    instance_index,
-    ivec3,
-    length,
-    mix,
-    vec2,
-    vec3,
-    vec4,
-)
+from rhi.shading import Shader, Storage, vec3, vec4
 
 
-class ForwardShader(Shader):
+class ForwardShader(SceneShader, ShadingShader):
     """The base of all variants: ambient light with the rim term."""
 
-    # Highlights end up in 8 bits: a pow as exact as GL's (128 ulp) halves the time of a lit pass on OpenCL.
-    precision = Precision.FAST
-
-    view: Uniform[ViewConstants]
-    ambient: Uniform[Ambient]
-    objects: Storage[Object]
-    places: Storage[ObjectPosition]
     materials: Storage[Material]
-
-    def vertex(self, v: Vertex) -> SurfaceVarying:
-        row = instance_index()
-        thing = self.objects[row]
-        position = thing.linear @ v.position + relative_position(self.places[row], self.view)
-        return SurfaceVarying(
-            clip=self.view.relative_view_projection @ vec4(position, 1.0),
-            position=position,
-            normal=thing.normal @ v.normal,
-            uv=v.uv,
-            material=thing.material,
-            lights=ivec3(thing.lights_begin, thing.points_end, thing.lights_end),
-        )
 
     def fragment(self, v: SurfaceVarying) -> vec4:
         material = self.materials[v.material]
@@ -85,71 +38,16 @@ class ForwardShader(Shader):
             specular_color=material.specular_color,
             shininess=material.shininess,
         )
-        color = ambient_light(surface, self.ambient, material.rim_strength, material.rim_power)
-        color += self.emitted(surface, material)
-        color += self.sunlight(surface)
+        color = self.shade(surface, material)
         color += self.pointlight(surface, v.lights.x, v.lights.y)
         color += self.spotlight(surface, v.lights.y, v.lights.z)
-        return vec4(self.through_air(tone_map(color), v.position), 1.0)
-
-    def texel(self, image: int, uv: vec2) -> vec3:
-        return vec3(1.0)
-
-    def emitted(self, surface: SurfacePoint, material: Material) -> vec3:
-        return vec3(0.0)
-
-    def sunlight(self, surface: SurfacePoint) -> vec3:
-        return vec3(0.0)
+        return self.finish(color, v.position)
 
     def pointlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
         return vec3(0.0)
 
     def spotlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
         return vec3(0.0)
-
-    def through_air(self, color: vec3, position: vec3) -> vec3:
-        return color
-
-
-class Textured(ForwardShader):
-    """Adds images: the layers of one texture."""
-
-    images: Texture2DArray
-
-    def texel(self, image: int, uv: vec2) -> vec3:
-        # All fragments of a primitive take the same branch, so the derivatives of uv are defined.
-        if image < 0:
-            return vec3(1.0)
-        return self.images.sample(vec3(uv, float(image))).rgb
-
-
-class WithEmission(ForwardShader):
-    """Adds light that materials emit."""
-
-    def emitted(self, surface: SurfacePoint, material: Material) -> vec3:
-        return surface.base_color * material.emission
-
-
-class WithDirectionalLights(ForwardShader):
-    """Adds directional lights."""
-
-    directional_lights: Storage[DirectionalLight]
-
-    def sunlight(self, surface: SurfacePoint) -> vec3:
-        color = vec3(0.0)
-        for i in range(len(self.directional_lights)):
-            color += directional_light(surface, self.directional_lights[i])
-        return color
-
-
-class WithSun(ForwardShader):
-    """Adds a single directional light. Without a loop, a compiler sees that the light is the same for all fragments,
-    which saves llvmpipe a twentieth of the pass."""
-
-    directional_lights: Storage[DirectionalLight]
-
-    def sunlight(self, surface: SurfacePoint) -> vec3:
-        return directional_light(surface, self.directional_lights[0])
 
 
 class WithPointLights(ForwardShader):
@@ -182,16 +80,7 @@ class WithSpotLights(ForwardShader):
         return color
 
 
-class WithHaze(ForwardShader):
-    """Adds haze, which fades to the background. That is a final colour, so it is mixed in after tone mapping."""
-
-    haze: Uniform[Haze]
-
-    def through_air(self, color: vec3, position: vec3) -> vec3:
-        return mix(self.haze.color, color, exp(-self.haze.density * length(position)))
-
-
-PARTS: Final[dict[str, type[ForwardShader]]] = {
+PARTS: Final[dict[str, type[Shader]]] = {
     "images": Textured,
     "directional_lights": WithDirectionalLights,
     "point_lights": WithPointLights,
