@@ -3,11 +3,14 @@
 from collections.abc import Callable
 from typing import Final
 
+from renderer.techniques.deferred import Deferred
 from renderer.techniques.forward import Forward
 from renderer.techniques.particles import Particles
 from renderer.techniques.technique import Technique
 
-TECHNIQUES: Final[dict[str, Callable[[], Technique]]] = {Forward.name: Forward}
+TECHNIQUES: Final[dict[str, Callable[[], Technique]]] = {
+    one.name: one for one in (Forward, Deferred)
+}
 """Constructors of all techniques, by name."""
 
-__all__ = ["TECHNIQUES", "Forward", "Particles", "Technique"]
+__all__ = ["TECHNIQUES", "Deferred", "Forward", "Particles", "Technique"]

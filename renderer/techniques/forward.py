@@ -50,22 +50,37 @@ def draw_lit(frame: Frame) -> None:
 def bind_forward(frame: Frame) -> tuple[Program[Any], dict[str, Any]]:
     """Return the forward program for the effects that the frame needs, and its bindings."""
     resources, effects = frame.resources, frame.needs.effects
+    features, bindings = bind_shading(frame)
     optional = {
         Effect.IMAGES: ("images", resources.images),
-        Effect.DIRECTIONAL_LIGHTS: ("directional_lights", resources.directional.buffer),
         Effect.POINT_LIGHTS: ("point_lights", resources.point.buffer),
         Effect.SPOT_LIGHTS: ("spot_lights", resources.spot.buffer),
+    }
+    present: dict[str, Any] = dict(binding for effect, binding in optional.items() if effect in effects)
+    features += present
+    program: Program[Any] = frame.device.program(forward_variant(*features, has_sun=frame.needs.has_sun))
+    if "point_lights" in present or "spot_lights" in present:
+        present["light_rows"] = resources.light_rows.buffer
+    return (
+        program,
+        bindings
+        | present
+        | {
+            "view": frame.view.buffer,
+            "objects": resources.objects.buffer,
+            "places": resources.places.buffer,
+            "materials": resources.materials.buffer,
+        },
+    )
+
+
+def bind_shading(frame: Frame) -> tuple[list[str], dict[str, Any]]:
+    """Return the names of the parts that a `ShadingShader` needs for the frame's effects, and its bindings."""
+    resources, effects = frame.resources, frame.needs.effects
+    optional = {
+        Effect.DIRECTIONAL_LIGHTS: ("directional_lights", resources.directional.buffer),
         Effect.HAZE: ("haze", resources.haze.buffer),
     }
     present: dict[str, Any] = dict(binding for effect, binding in optional.items() if effect in effects)
     features = [*present, *(["emission"] if Effect.EMISSION in effects else [])]
-    program: Program[Any] = frame.device.program(forward_variant(*features, has_sun=frame.needs.has_sun))
-    if "point_lights" in present or "spot_lights" in present:
-        present["light_rows"] = resources.light_rows.buffer
-    return program, present | {
-        "view": frame.view.buffer,
-        "ambient": resources.ambient.buffer,
-        "objects": resources.objects.buffer,
-        "places": resources.places.buffer,
-        "materials": resources.materials.buffer,
-    }
+    return features, present | {"ambient": resources.ambient.buffer}

@@ -11,15 +11,7 @@ from typing import Final
 
 from renderer.shaders.lighting import in_range, point_light, safe_normalize, spot_light
 from renderer.shaders.structs import Material, PointLight, SpotLight, SurfacePoint, SurfaceVarying
-from renderer.techniques.scene_shader import (
-    SceneShader,
-    ShadingShader,
-    Textured,
-    WithDirectionalLights,
-    WithEmission,
-    WithHaze,
-    WithSun,
-)
+from renderer.techniques.scene_shader import SHADING_PARTS, SceneShader, ShadingShader, Textured, WithSun
 from rhi.shading import Shader, Storage, vec3, vec4
 
 
@@ -81,12 +73,10 @@ class WithSpotLights(ForwardShader):
 
 
 PARTS: Final[dict[str, type[Shader]]] = {
+    **SHADING_PARTS,
     "images": Textured,
-    "directional_lights": WithDirectionalLights,
     "point_lights": WithPointLights,
     "spot_lights": WithSpotLights,
-    "haze": WithHaze,
-    "emission": WithEmission,
 }
 """The features that can be added to the forward shader, by the names of their bindings where they have one."""
 

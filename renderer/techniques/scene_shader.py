@@ -7,6 +7,8 @@ the vertex stage of `SceneShader`, so that equal code gives equal depth: a later
 
 from __future__ import annotations
 
+from typing import Final
+
 from renderer.shaders.lighting import ambient_light, directional_light, tone_map
 from renderer.shaders.structs import (
     Ambient,
@@ -140,3 +142,11 @@ class WithHaze(ShadingShader):
 
     def through_air(self, color: vec3, position: vec3) -> vec3:
         return mix(self.haze.color, color, exp(-self.haze.density * length(position)))
+
+
+SHADING_PARTS: Final[dict[str, type[Shader]]] = {
+    "directional_lights": WithDirectionalLights,
+    "haze": WithHaze,
+    "emission": WithEmission,
+}
+"""The features that can be added to a `ShadingShader`, by the names of their bindings where they have one."""
