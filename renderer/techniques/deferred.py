@@ -12,10 +12,11 @@ buffer and only the passes 1 and 3.
 
 from __future__ import annotations
 
-from functools import cache
+from collections.abc import Sequence
+from functools import cache, partial
 from typing import Any, Final
 
-from renderer.frame import IMAGE_FORMAT, Effect, Frame, Needs, Pass, Target
+from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Effect, Frame, Needs, Pass, Target
 from renderer.shaders.lighting import is_near, point_light, spot_light
 from renderer.techniques.forward import bind_shading
 from renderer.techniques.geometry_buffer import (
@@ -27,23 +28,17 @@ from renderer.techniques.geometry_buffer import (
     geometry_pass,
 )
 from renderer.techniques.light_volumes import (
+    BRIGHTEST,
     PointVolumes,
     SpotVolumes,
     VolumeShader,
     VolumeVarying,
+    declare_lights,
     draw_volumes,
 )
 from renderer.techniques.scene_shader import SHADING_PARTS, ShadingShader, WithSun
 from rhi import Format
 from rhi.shading import Precision, Shader, Texture2D, fragment_coordinate, ivec2, min, vec3, vec4
-
-LIGHT_FORMAT: Final = Format.RGBA16F
-"""The format of buffers that light is added up in."""
-BRIGHTEST: Final = 65504.0
-"""The largest number in a light buffer; beyond it is infinity. It is white in each image."""
-LIGHTS: Final = {Effect.POINT_LIGHTS: "point lights", Effect.SPOT_LIGHTS: "spot lights"}
-"""The passes of lights that have volumes."""
-
 
 class PointLighting(PointVolumes, GeometryReader):
     """Lights the geometry buffer by point lights."""
@@ -113,32 +108,18 @@ class Deferred:
 
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the passes `geometry`, `point lights` and `spot lights` if there are any in view, and `resolve`."""
-        passes = [geometry_pass(needs, Format.D32FS8 if self.stencil else Format.D32F)]
-        light = None
-        for effect in LIGHTS:
-            if effect in needs.effects:
-                passes.append(self._light_pass(needs, effect, light))
-                light = effect.value
-        passes.append(
+        reads = ("surface", "material", "depth")
+        lights, last = declare_lights(needs, ["light"], reads, partial(light_geometry, stencil=self.stencil))
+        return (
+            geometry_pass(needs, Format.D32FS8 if self.stencil else DEPTH_FORMAT),
+            *lights,
             Pass(
                 "resolve",
-                lambda frame: resolve(frame, light),
+                partial(resolve, lights=last),
                 "lights surfaces by what reaches all of them",
-                reads=("surface", "material", "depth", *([light] if light else [])),
+                reads=(*reads, *last),
                 writes=(Target("image", IMAGE_FORMAT),),
-            )
-        )
-        return tuple(passes)
-
-    def _light_pass(self, needs: Needs, effect: Effect, before: str | None) -> Pass[Frame]:
-        name = effect.value
-        return Pass(
-            name,
-            lambda frame: light_volumes(frame, effect, clears=before is None, stencil=self.stencil),
-            needs.explain(effect),
-            reads=("surface", "material", "depth"),
-            writes=() if before else (Target(name, LIGHT_FORMAT),),
-            changes={before: name} if before else {},
+            ),
         )
 
 
@@ -149,7 +130,9 @@ def lighting_variant(effect: Effect, *, has_images: bool) -> type[VolumeShader]:
     return type(base.__name__, (base,), {"__module__": __name__, "has_images": True}) if has_images else base
 
 
-def light_volumes(frame: Frame, effect: Effect, *, clears: bool, stencil: bool) -> None:
+def light_geometry(
+    frame: Frame, effect: Effect, targets: Sequence[str], clears: bool, *, stencil: bool
+) -> None:
     """Add the light of the point or spot lights in view to the light buffer."""
     device = frame.device
     shader = lighting_variant(effect, has_images=Effect.IMAGES in frame.needs.effects)
@@ -159,7 +142,7 @@ def light_volumes(frame: Frame, effect: Effect, *, clears: bool, stencil: bool) 
         effect,
         device.program(shader),
         bind_geometry(frame),
-        [frame.targets[effect.value]],
+        targets,
         clears=clears,
         mask=device.program(mask) if stencil else None,
     )
@@ -173,16 +156,15 @@ def resolve_variant(*parts: str, has_sun: bool, has_images: bool, has_lights: bo
     return type("Resolve", bases, {"__module__": __name__, "has_images": has_images})
 
 
-def resolve(frame: Frame, light: str | None) -> None:
-    """Make the image: shade each pixel of the geometry buffer and add the light that was collected."""
+def resolve(frame: Frame, *, lights: Sequence[str]) -> None:
+    """Make the image: shade each pixel of the geometry buffer and add the light that was collected, if any was."""
     device, targets, needs = frame.device, frame.targets, frame.needs
     features, bindings = bind_shading(frame)
     shader = resolve_variant(
-        *features, has_sun=needs.has_sun, has_images=Effect.IMAGES in needs.effects, has_lights=light is not None
+        *features, has_sun=needs.has_sun, has_images=Effect.IMAGES in needs.effects, has_lights=bool(lights)
     )
     bindings |= bind_geometry(frame)
-    if light is not None:
-        bindings["light"] = targets[light]
+    bindings |= {"light": targets[name] for name in lights}
     with (
         device.render_pass(
             targets.image, targets["depth"], clear=(*frame.resources.scene.background, 1.0)

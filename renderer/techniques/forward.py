@@ -50,28 +50,32 @@ def draw_lit(frame: Frame) -> None:
 def bind_forward(frame: Frame) -> tuple[Program[Any], dict[str, Any]]:
     """Return the forward program for the effects that the frame needs, and its bindings."""
     resources, effects = frame.resources, frame.needs.effects
-    features, bindings = bind_shading(frame)
+    features, bindings = bind_materials(frame)
     optional = {
-        Effect.IMAGES: ("images", resources.images),
         Effect.POINT_LIGHTS: ("point_lights", resources.point.buffer),
         Effect.SPOT_LIGHTS: ("spot_lights", resources.spot.buffer),
     }
     present: dict[str, Any] = dict(binding for effect, binding in optional.items() if effect in effects)
-    features += present
-    program: Program[Any] = frame.device.program(forward_variant(*features, has_sun=frame.needs.has_sun))
-    if "point_lights" in present or "spot_lights" in present:
+    shader = forward_variant(*features, *present, has_sun=frame.needs.has_sun)
+    if present:
         present["light_rows"] = resources.light_rows.buffer
-    return (
-        program,
-        bindings
-        | present
-        | {
-            "view": frame.view.buffer,
-            "objects": resources.objects.buffer,
-            "places": resources.places.buffer,
-            "materials": resources.materials.buffer,
-        },
-    )
+    return frame.device.program(shader), bindings | present
+
+
+def bind_materials(frame: Frame) -> tuple[list[str], dict[str, Any]]:
+    """Return the names of the parts that a `ForwardShader` needs for the frame's effects, without those of point and
+    spot lights, and its bindings."""
+    resources = frame.resources
+    features, bindings = bind_shading(frame)
+    if Effect.IMAGES in frame.needs.effects:
+        features.append("images")
+        bindings["images"] = resources.images
+    return features, bindings | {
+        "view": frame.view.buffer,
+        "objects": resources.objects.buffer,
+        "places": resources.places.buffer,
+        "materials": resources.materials.buffer,
+    }
 
 
 def bind_shading(frame: Frame) -> tuple[list[str], dict[str, Any]]:

@@ -324,11 +324,15 @@ def bind_scene(frame: Frame) -> dict[str, Any]:
     }
 
 
+def bind_surface(frame: Frame) -> dict[str, Any]:
+    """Return the bindings of a `SurfaceReader`."""
+    rays = frame.resources.workspace(Screen).find_rays(frame)
+    return {"rays": rays, "surface": frame.targets["surface"]}
+
+
 def bind_geometry(frame: Frame) -> dict[str, Any]:
     """Return the bindings of a `GeometryReader`."""
-    return {
-        "rays": frame.resources.workspace(Screen).find_rays(frame),
-        "surface": frame.targets["surface"],
+    return bind_surface(frame) | {
         "material": frame.targets["material"],
         "materials": frame.resources.materials.buffer,
     }

@@ -17,12 +17,14 @@ as a whole, which never hides a lit pixel.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.frame import Effect, Frame
+from renderer.frame import Effect, Frame, Needs, Pass, Target
 from renderer.frame.passes import NEARER
 from renderer.lights.hulls import make_cone, make_sphere
 from renderer.shaders.structs import PointLight, SpotLight, ViewConstants
@@ -35,13 +37,13 @@ from rhi import (
     DepthTest,
     DepthWrite,
     Device,
+    Format,
     Mesh,
     Program,
     StencilBack,
     StencilFront,
     StencilOperation,
     StencilTest,
-    Texture,
 )
 from rhi.shading import (
     Shader,
@@ -60,6 +62,10 @@ from rhi.shading import (
     vec4,
 )
 
+LIGHT_FORMAT: Final = Format.RGBA16F
+"""The format of buffers that light is added up in."""
+BRIGHTEST: Final = 65504.0
+"""The largest number in a light buffer; beyond it is infinity. It is white in each image."""
 WIDEST_CONE: Final = np.pi / 3
 """The largest outer half angle for which a cone is drawn: about there, a sphere is as small."""
 
@@ -164,6 +170,41 @@ def _make_mesh(
     return device.mesh(vertices, triangles.reshape(-1), label=label)
 
 
+def declare_lights(
+    needs: Needs, buffers: Sequence[str], reads: tuple[str, ...], run: Callable[[Frame, Effect, list[str], bool], None]
+) -> tuple[list[Pass[Frame]], list[str]]:
+    """Return the passes that add the light of each kind of lights in view to light buffers, and their contents' names
+    after the last pass: none if there are no such lights.
+
+    Args:
+        run: issues the commands; is given the frame, the kind, the names of the targets, and whether to clear them.
+    """
+    passes: list[Pass[Frame]] = []
+    last: list[str] = []
+    for effect in (Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS):
+        if effect not in needs.effects:
+            continue
+        names = [f"{buffer} with {effect.value}" for buffer in buffers] if last else list(buffers)
+        passes.append(
+            Pass(
+                effect.value,
+                partial(_run, run, effect, names, not last),
+                needs.explain(effect),
+                reads=reads,
+                writes=() if last else tuple(Target(name, LIGHT_FORMAT) for name in names),
+                changes=dict(zip(last, names, strict=True)) if last else {},
+            )
+        )
+        last = names
+    return passes, last
+
+
+def _run(
+    run: Callable[[Frame, Effect, list[str], bool], None], effect: Effect, names: list[str], clears: bool, frame: Frame
+) -> None:
+    run(frame, effect, names, clears)
+
+
 def list_volumes(frame: Frame, effect: Effect) -> list[tuple[Mesh, NDArray[np.int64]]]:
     """Return the meshes of the point or spot lights in view, each with the rows of its lights."""
     meshes = frame.resources.workspace(VolumeMeshes)
@@ -179,16 +220,16 @@ def draw_volumes(
     effect: Effect,
     program: Program[Any],
     bindings: dict[str, Any],
-    targets: list[Texture],
+    targets: Sequence[str],
     *,
     clears: bool,
     mask: Program[Any] | None = None,
 ) -> None:
-    """Draw the volumes of the point or spot lights in view, and add what the program returns to `targets`.
+    """Draw the volumes of the point or spot lights in view, and add what the program returns to contents.
 
     Args:
         program: a subclass of `PointVolumes` or `SpotVolumes`, with its `bindings` but those of the base.
-        clears: whether the targets are cleared to 0 first.
+        targets: the names of the contents. clears: whether they are cleared to 0 first.
         mask: the base itself, to mask each light in the stencil buffer; None draws all lights in one draw.
     """
     device, resources = frame.device, frame.resources
@@ -198,7 +239,7 @@ def draw_volumes(
     behind, nearer = (table[frame.camera.projection.depth] for table in (BEHIND, NEARER))
     with (
         device.render_pass(
-            targets,
+            [frame.targets[target] for target in targets],
             frame.targets["depth"],
             clear=(0.0, 0.0, 0.0, 0.0) if clears else None,
             clear_stencil=None if mask is None else 0,
