@@ -8,7 +8,7 @@ every finite input: directions of length 0, lights at the surface, ranges and co
 
 from __future__ import annotations
 
-from renderer.shaders.structs import Ambient, DirectionalLight, PointLight, SpotLight, SurfacePoint
+from renderer.shaders.structs import Ambient, DirectionalLight, Incidence, PointLight, SpotLight, SurfacePoint
 from rhi.shading import dot, function, inversesqrt, max, min, mix, pow, reflect, saturate, vec3
 
 
@@ -19,14 +19,21 @@ def safe_normalize(v: vec3) -> vec3:
 
 
 @function
+def highlight(surface: SurfacePoint, to_light: vec3) -> float:
+    """Return how much of the light from the unit direction `to_light` is mirrored to the eye, for a specular color of
+    1."""
+    halfway = safe_normalize(to_light + surface.to_eye)
+    lobe = pow(saturate(dot(surface.normal, halfway)), surface.shininess)
+    return lobe * (surface.shininess + 8.0) * 0.125
+
+
+@function
 def reflected_light(surface: SurfacePoint, to_light: vec3, irradiance: vec3) -> vec3:
     """Return the light that the surface reflects to the eye, of light from the unit direction `to_light`."""
     facing = dot(surface.normal, to_light)
     if facing <= 0.0:
         return vec3(0.0)
-    halfway = safe_normalize(to_light + surface.to_eye)
-    lobe = pow(saturate(dot(surface.normal, halfway)), surface.shininess)
-    specular = surface.specular_color * (lobe * (surface.shininess + 8.0) * 0.125)
+    specular = surface.specular_color * highlight(surface, to_light)
     return (surface.base_color + specular) * irradiance * facing
 
 
@@ -48,34 +55,56 @@ def attenuation(distance_squared: float, range: float) -> float:
 
 
 @function
+def is_near(place: vec3, position: vec3, range: float) -> bool:
+    """Return whether a place is within the range of a light at `position`."""
+    to_light = position - place
+    return dot(to_light, to_light) < range * range
+
+
+@function
 def in_range(surface: SurfacePoint, position: vec3, range: float) -> bool:
     """Return whether the surface is within a light's range. Test this before reading the rest of the light."""
-    to_light = position - surface.position
-    return dot(to_light, to_light) < range * range
+    return is_near(surface.position, position, range)
+
+
+@function
+def point_incidence(position: vec3, light: PointLight) -> Incidence:
+    """Return the light of a point light that arrives at a position; 0 beyond its range."""
+    to_light = light.position - position
+    distance_squared = dot(to_light, to_light)
+    return Incidence(
+        direction=safe_normalize(to_light),
+        irradiance=light.color * (light.intensity * attenuation(distance_squared, light.range)),
+    )
+
+
+@function
+def spot_incidence(position: vec3, light: SpotLight) -> Incidence:
+    """Return the light of a spot light that arrives at a position: full inside the inner angle, squared between, and
+    outside the outer angle 0, from no direction."""
+    to_light = light.position - position
+    distance_squared = dot(to_light, to_light)
+    direction = safe_normalize(to_light)
+    away = -dot(direction, light.direction)
+    if away <= light.cos_outer:
+        return Incidence(direction=vec3(0.0), irradiance=vec3(0.0))
+    cone = saturate((away - light.cos_outer) / max(light.cos_inner - light.cos_outer, 1e-4))
+    irradiance = light.color * (light.intensity * cone * cone * attenuation(distance_squared, light.range))
+    return Incidence(direction=direction, irradiance=irradiance)
 
 
 @function
 def point_light(surface: SurfacePoint, light: PointLight) -> vec3:
     """Return the reflected light of a point light; 0 beyond its range."""
-    to_light = light.position - surface.position
-    distance_squared = dot(to_light, to_light)
-    irradiance = light.color * (light.intensity * attenuation(distance_squared, light.range))
-    return reflected_light(surface, safe_normalize(to_light), irradiance)
+    incidence = point_incidence(surface.position, light)
+    return reflected_light(surface, incidence.direction, incidence.irradiance)
 
 
 @function
 def spot_light(surface: SurfacePoint, light: SpotLight) -> vec3:
-    """Return the reflected light of a spot light: full inside the inner angle, 0 outside the outer, squared
-    between."""
-    to_light = light.position - surface.position
-    distance_squared = dot(to_light, to_light)
-    direction = safe_normalize(to_light)
-    away = -dot(direction, light.direction)
-    if away <= light.cos_outer:
-        return vec3(0.0)
-    cone = saturate((away - light.cos_outer) / max(light.cos_inner - light.cos_outer, 1e-4))
-    irradiance = light.color * (light.intensity * cone * cone * attenuation(distance_squared, light.range))
-    return reflected_light(surface, direction, irradiance)
+    """Return the reflected light of a spot light; 0 outside its cone."""
+    incidence = spot_incidence(surface.position, light)
+    return reflected_light(surface, incidence.direction, incidence.irradiance)
 
 
 @function

@@ -149,3 +149,10 @@ class SurfacePoint(Struct):
     base_color: vec3
     specular_color: vec3
     shininess: float
+
+
+class Incidence(Struct):
+    """Light that arrives at a point: the unit direction that it comes from, and its irradiance."""
+
+    direction: vec3
+    irradiance: vec3

@@ -3,17 +3,28 @@
 from collections.abc import Callable
 from typing import Final
 
+from renderer.techniques.deferred import Deferred
 from renderer.techniques.forward import Forward
 from renderer.techniques.forward_multipass import ForwardMultipass
+from renderer.techniques.fxaa import Smoothed
 from renderer.techniques.light_indexed import LightIndexed
+from renderer.techniques.light_pre_pass import LightPrePass
 from renderer.techniques.particles import Particles
 from renderer.techniques.technique import Technique
 
 TECHNIQUES: Final[dict[str, Callable[[], Technique]]] = {
-    Forward.name: Forward,
-    ForwardMultipass.name: ForwardMultipass,
-    LightIndexed.name: LightIndexed,
+    one.name: one for one in (Forward, ForwardMultipass, Deferred, LightPrePass, LightIndexed)
 }
 """Constructors of all techniques, by name."""
 
-__all__ = ["TECHNIQUES", "Forward", "ForwardMultipass", "LightIndexed", "Particles", "Technique"]
+__all__ = [
+    "TECHNIQUES",
+    "Deferred",
+    "Forward",
+    "ForwardMultipass",
+    "LightIndexed",
+    "LightPrePass",
+    "Particles",
+    "Smoothed",
+    "Technique",
+]

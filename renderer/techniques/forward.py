@@ -5,13 +5,16 @@ Objects are drawn front to back, so that early depth tests avoid the shading of 
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Iterable
 from typing import Any, Final
 
 from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Effect, Frame, Needs, Pass, Target, TechniquePass
 from renderer.techniques.depth import draw_depth
 from renderer.techniques.forward_shader import forward_variant
 from rhi import Program, Texture
+
+LAMPS: Final = {Effect.POINT_LIGHTS: "point lights", Effect.SPOT_LIGHTS: "spot lights"}
+"""The lights that have a range, and the names of their passes."""
 
 
 class Forward:
@@ -71,7 +74,7 @@ def _resolve_samples(frame: Frame) -> None:
 
 def draw_lit(frame: Frame, image: Texture, depth: Texture) -> None:
     """Draw the visible objects, lit by all lights that reach them."""
-    program, bindings = bind_forward(frame, "ambient")
+    program, bindings = bind_forward(frame)
     frame.draw_visible(
         TechniquePass(
             frame.device,
@@ -86,32 +89,54 @@ def draw_lit(frame: Frame, image: Texture, depth: Texture) -> None:
     )
 
 
-def bind_forward(
-    frame: Frame, *parts: str, effects: Collection[Effect] | None = None, **more: Any
-) -> tuple[Program[Any], dict[str, Any]]:
-    """Return the forward program for effects, by default all that the frame needs, and its bindings.
+def bind_forward(frame: Frame) -> tuple[Program[Any], dict[str, Any]]:
+    """Return the forward program for the effects that the frame needs, and its bindings."""
+    (features, bindings), (more, lamps) = bind_materials(frame), bind_lamps(frame)
+    shader = forward_variant(*features, *more, has_sun=frame.needs.has_sun)
+    return frame.device.program(shader), bindings | lamps
 
-    Args:
-        parts: further `PARTS` of the shader. more: their bindings.
-    """
-    resources, needed = frame.resources, frame.needs.effects if effects is None else effects
+
+def bind_lamps(frame: Frame, effects: Iterable[Effect] = LAMPS) -> tuple[list[str], dict[str, Any]]:
+    """Return the names of the parts that a `LampShader` needs for those of the point and spot lights that the frame
+    needs, and its bindings."""
+    resources = frame.resources
     optional = {
-        Effect.IMAGES: ("images", resources.images),
-        Effect.DIRECTIONAL_LIGHTS: ("directional_lights", resources.directional.buffer),
         Effect.POINT_LIGHTS: ("point_lights", resources.point.buffer),
         Effect.SPOT_LIGHTS: ("spot_lights", resources.spot.buffer),
-        Effect.HAZE: ("haze", resources.haze.buffer),
     }
-    present: dict[str, Any] = dict(binding for effect, binding in optional.items() if effect in needed)
-    features = [*parts, *present, *(["emission"] if Effect.EMISSION in needed else [])]
-    program: Program[Any] = frame.device.program(forward_variant(*features, has_sun=frame.needs.has_sun))
-    if "point_lights" in present or "spot_lights" in present:
+    present: dict[str, Any] = dict(optional[effect] for effect in effects if effect in frame.needs.effects)
+    parts = list(present)
+    if present:
         present["light_rows"] = resources.light_rows.buffer
-    if "ambient" in parts:
-        present["ambient"] = resources.ambient.buffer
-    return program, present | more | {
+    return parts, present
+
+
+def bind_materials(frame: Frame) -> tuple[list[str], dict[str, Any]]:
+    """Return the names of the parts that a `ForwardShader` needs for the frame's effects, without those of point and
+    spot lights, and its bindings."""
+    (features, bindings), (more, surfaces) = bind_shading(frame), bind_surfaces(frame)
+    return [*features, *more], bindings | surfaces
+
+
+def bind_surfaces(frame: Frame) -> tuple[list[str], dict[str, Any]]:
+    """Return the names of the parts that a `LampShader` needs for the frame's images, and its bindings."""
+    resources = frame.resources
+    images = {"images": resources.images} if Effect.IMAGES in frame.needs.effects else {}
+    return list(images), images | {
         "view": frame.view.buffer,
         "objects": resources.objects.buffer,
         "places": resources.places.buffer,
         "materials": resources.materials.buffer,
     }
+
+
+def bind_shading(frame: Frame) -> tuple[list[str], dict[str, Any]]:
+    """Return the names of the parts that a `ShadingShader` needs for the frame's effects, and its bindings."""
+    resources, effects = frame.resources, frame.needs.effects
+    optional = {
+        Effect.DIRECTIONAL_LIGHTS: ("directional_lights", resources.directional.buffer),
+        Effect.HAZE: ("haze", resources.haze.buffer),
+    }
+    present: dict[str, Any] = dict(binding for effect, binding in optional.items() if effect in effects)
+    features = [*present, *(["emission"] if Effect.EMISSION in effects else [])]
+    return features, present | {"ambient": resources.ambient.buffer}

@@ -11,6 +11,7 @@ the lights, in which an instance is a pair of an object and a light; so are all 
 
 from __future__ import annotations
 
+from functools import cache, partial
 from typing import Any, Final
 
 import numpy as np
@@ -18,13 +19,19 @@ import numpy as np
 from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target, TechniquePass
 from renderer.frame.passes import WINDINGS
 from renderer.scene.arrays import Rows
-from renderer.techniques.forward import Forward, bind_forward
-from renderer.techniques.forward_shader import Pair
+from renderer.shaders.structs import SurfaceVarying, Vertex
+from renderer.techniques.forward import LAMPS, Forward, bind_lamps, bind_materials, bind_surfaces
+from renderer.techniques.forward_shader import (
+    ForwardShader,
+    LampShader,
+    WithPointLights,
+    WithSpotLights,
+    forward_variant,
+)
 from renderer.techniques.resolve import LIGHT_FORMAT, declare_resolve
-from rhi import BlendFunction, CullMode, DepthFunction, DepthTest, DepthWrite, State
-
-LAMPS: Final = {Effect.POINT_LIGHTS: "point lights", Effect.SPOT_LIGHTS: "spot lights"}
-"""The lights that have a range, and the names of their passes."""
+from renderer.techniques.scene_shader import Textured
+from rhi import BlendFunction, CullMode, DepthFunction, DepthTest, DepthWrite, Program, State
+from rhi.shading import Shader, Storage, Struct, instance_index, ivec3, vec3, vec4
 
 _ADDED: Final[tuple[State, ...]] = (
     CullMode.BACK,
@@ -33,6 +40,41 @@ _ADDED: Final[tuple[State, ...]] = (
     DepthFunction.EQUAL,
     BlendFunction.ADDITIVE,
 )
+
+
+class Unmapped(ForwardShader):
+    """Leaves light linear and of any strength, to be added to other light."""
+
+    def finish(self, color: vec3, position: vec3) -> vec4:
+        return vec4(color, 1.0)
+
+
+class Pair(Struct):
+    """An object and one of its lights: the rows `object` of the objects, and `entry` of the light rows."""
+
+    object: int
+    entry: int
+
+
+class PointPairs(LampShader):
+    """Adds the light of pairs of an object and one point light that reaches it; a pair is an instance."""
+
+    pairs: Storage[Pair]
+
+    def vertex(self, v: Vertex) -> SurfaceVarying:
+        pair = self.pairs[instance_index()]
+        return self.transform(v, pair.object, ivec3(pair.entry, pair.entry + 1, pair.entry + 1))
+
+    def fragment(self, v: SurfaceVarying) -> vec4:
+        return vec4(self.lamplight(self.find_surface(v), v.lights), 0.0)
+
+
+class SpotPairs(PointPairs):
+    """Adds the light of pairs of an object and one spot light that reaches it."""
+
+    def vertex(self, v: Vertex) -> SurfaceVarying:
+        pair = self.pairs[instance_index()]
+        return self.transform(v, pair.object, ivec3(pair.entry, pair.entry, pair.entry + 1))
 
 
 class ForwardMultipass:
@@ -57,7 +99,7 @@ class ForwardMultipass:
             passes.append(
                 Pass(
                     LAMPS[effect],
-                    _add_points if effect is Effect.POINT_LIGHTS else _add_spots,
+                    partial(_add_lamps, effect=effect),
                     f"adds a light at a time; {needs.explain(effect)}",
                     reads=("depth",),
                     changes={light: result},
@@ -67,10 +109,25 @@ class ForwardMultipass:
         return *passes, declare_resolve(needs, light)
 
 
+@cache
+def unmapped_variant(parts: tuple[str, ...], *, has_sun: bool) -> type[Shader]:
+    """Return the forward shader with these parts that leaves light unmapped."""
+    return type("Base", (Unmapped, forward_variant(*parts, has_sun=has_sun)), {"__module__": __name__})
+
+
+@cache
+def pair_variant(effect: Effect, *, has_images: bool) -> type[Shader]:
+    """Return the shader that adds the light of pairs with one kind of lamp."""
+    is_point = effect is Effect.POINT_LIGHTS
+    bases = (PointPairs, WithPointLights) if is_point else (SpotPairs, WithSpotLights)
+    return type("Pairs", (*bases, *([Textured] if has_images else [])), {"__module__": __name__})
+
+
 def _draw_base(frame: Frame) -> None:
-    program, bindings = bind_forward(
-        frame, "unmapped", "ambient", effects=frame.needs.effects - {*LAMPS, Effect.HAZE}
-    )
+    features, bindings = bind_materials(frame)
+    bindings.pop("haze", None)  # which is mixed in at the end
+    parts = tuple(part for part in features if part != "haze")
+    program = frame.device.program(unmapped_variant(parts, has_sun=frame.needs.has_sun))
     frame.draw_visible(
         TechniquePass(
             frame.device,
@@ -85,38 +142,27 @@ def _draw_base(frame: Frame) -> None:
     )
 
 
-def _add_points(frame: Frame) -> None:
-    _add_lamps(frame, Effect.POINT_LIGHTS, "point_pairs", frame.needs.point_rows)
-
-
-def _add_spots(frame: Frame) -> None:
-    _add_lamps(frame, Effect.SPOT_LIGHTS, "spot_pairs", frame.needs.spot_rows)
-
-
-def _add_lamps(frame: Frame, effect: Effect, part: str, lights: Rows) -> None:
+def _add_lamps(frame: Frame, effect: Effect) -> None:
     """Draw every pair of a visible object and a light that reaches it, adding up the light."""
     device, resources, targets = frame.device, frame.resources, frame.targets
-    rows = _list_visible(frame)
-    objects, entries = resources.pair_lights(rows, lights, spots=effect is Effect.SPOT_LIGHTS)
+    is_point = effect is Effect.POINT_LIGHTS
+    lights = frame.needs.point_rows if is_point else frame.needs.spot_rows
+    objects, entries = resources.pair_lights(_list_visible(frame), lights, spots=not is_point)
     if not len(objects):
         return
     pairs: Any = np.zeros(len(objects), Pair.dtype)
     pairs["object"], pairs["entry"] = objects, entries
     draws = resources.draws[objects]
     draws["base_instance"] = np.arange(len(objects))
-    program, bindings = bind_forward(
-        frame,
-        "unmapped",
-        part,
-        effects={effect, Effect.IMAGES} & frame.needs.effects,
-        pairs=device.transient.storage(Pair, pairs),
-    )
+    (images, bindings), (_, lamps) = bind_surfaces(frame), bind_lamps(frame, [effect])
+    program: Program[Any] = device.program(pair_variant(effect, has_images=bool(images)))
+    bindings |= lamps | {"pairs": device.transient.storage(Pair, pairs)}
     with device.render_pass(targets["light"], targets["depth"]), device.states(*_ADDED):
         for mirrored, winding in WINDINGS:
-            part_of = draws[resources.find_winding(objects, mirrored=mirrored)]
-            if part_of.size:
+            chosen = draws[resources.find_winding(objects, mirrored=mirrored)]
+            if chosen.size:
                 with device.states(winding):
-                    device.draw_many(program, resources.mesh, part_of, **bindings)
+                    device.draw_many(program, resources.mesh, chosen, **bindings)
 
 
 def _list_visible(frame: Frame) -> Rows:

@@ -15,19 +15,20 @@ costs more, and looks the same.
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Effect, Frame, Needs, Pass, Target, TechniquePass
+from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target, TechniquePass
 from renderer.lights.rectangles import bound_cones, bound_spheres
-from renderer.shaders.lighting import safe_normalize
+from renderer.shaders.lighting import point_light, safe_normalize, spot_light
 from renderer.shaders.pixels import PixelConstants, nearness_of, position_at
+from renderer.shaders.structs import SurfacePoint
 from renderer.techniques.depth import draw_depth
-from renderer.techniques.forward import Forward, bind_forward
-from renderer.techniques.forward_multipass import LAMPS
-from renderer.techniques.forward_shader import LIGHT_BITS, LIGHT_MASK, LIGHTS_FULL
+from renderer.techniques.forward import LAMPS, Forward, bind_lamps, bind_materials
+from renderer.techniques.forward_shader import WithPointLights, WithSpotLights, forward_variant
 from renderer.techniques.full_screen import bind_pixels
 from rhi import (
     BlendColor,
@@ -50,8 +51,11 @@ from rhi.shading import (
     discard,
     dot,
     fragment_coordinate,
+    function,
     instance_index,
     ivec2,
+    max,
+    uvec4,
     vec2,
     vec3,
     vec4,
@@ -60,6 +64,13 @@ from rhi.shading import (
 
 INDICES: Final = "light indices"
 """The contents that hold the numbers of each pixel's lights."""
+LIGHT_BITS: Final = 3
+"""Bits of a light's number in each of the four channels of a texture of light indices."""
+LIGHT_MASK: Final = (1 << LIGHT_BITS) - 1
+LIGHTS_PER_PIXEL: Final = 24 // LIGHT_BITS
+"""The lights whose numbers a pixel of light indices can hold: a float has 24 bits."""
+LIGHTS_FULL: Final = float(1 << 24)
+"""A channel of this or more says that a pixel has too many lights."""
 MOST_LIGHTS: Final = (1 << 4 * LIGHT_BITS) - 1
 """The lights in view that have a number."""
 
@@ -74,7 +85,7 @@ _PACKED: Final = (
 _CORNERS: Final = 6  # of the two triangles of a rectangle
 
 
-class LightVolume(Struct):
+class IndexedVolume(Struct):
     """The volume of a light: the rectangle around it in the image, its place relative to the eye, and the value that
     is packed for it. A point light has a cone of -2, which holds all directions."""
 
@@ -86,7 +97,7 @@ class LightVolume(Struct):
     cos_outer: float
 
 
-class VolumeVarying(Struct):
+class IndexVarying(Struct):
     """The varyings of `PackIndices`."""
 
     clip: vec4
@@ -96,19 +107,19 @@ class VolumeVarying(Struct):
 class PackIndices(Shader):
     """Writes the numbers of the lights that reach the surface at each pixel; an instance is a light."""
 
-    volumes: Storage[LightVolume]
+    volumes: Storage[IndexedVolume]
     depth: Texture2D
     pixels: Uniform[PixelConstants]
 
-    def vertex(self) -> VolumeVarying:
+    def vertex(self) -> IndexVarying:
         corner = vertex_index()
         volume = instance_index()
         sides = self.volumes[volume].rectangle
         x = sides.z if ((22 >> corner) & 1) == 1 else sides.x  # the corners of the two triangles:
         y = sides.w if ((52 >> corner) & 1) == 1 else sides.y  # 00 10 11, 00 11 01
-        return VolumeVarying(clip=vec4(vec2(x, y), 0.5, 1.0), volume=volume)
+        return IndexVarying(clip=vec4(vec2(x, y), 0.5, 1.0), volume=volume)
 
-    def fragment(self, v: VolumeVarying) -> vec4:
+    def fragment(self, v: IndexVarying) -> vec4:
         place = fragment_coordinate().xy
         nearness = nearness_of(self.depth.load(ivec2(place)).x, self.pixels)
         if nearness == 0.0:
@@ -122,7 +133,60 @@ class PackIndices(Shader):
         return light.packed
 
 
-class VolumeMesh:
+@function
+def next_light(packed: uvec4) -> int:
+    """Return the number of the first light of a pixel's packed numbers, 0 if there is none (`light_indexed`)."""
+    parts = packed & uvec4(LIGHT_MASK)
+    return int(
+        parts.x | (parts.y << LIGHT_BITS) | (parts.z << (2 * LIGHT_BITS)) | (parts.w << (3 * LIGHT_BITS))
+    )
+
+
+class WithIndexedPointLights(WithPointLights):
+    """Finds the point lights of a pixel in a texture. A pixel with too many lights uses its object's list."""
+
+    light_indices: Texture2D
+    numbered: Storage[int]
+
+    def pointlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
+        indices = self.light_indices.load(ivec2(fragment_coordinate().xy))
+        if max(max(indices.x, indices.y), max(indices.z, indices.w)) >= LIGHTS_FULL:
+            return super().pointlight(surface, begin, end)
+        packed = uvec4(indices)
+        color = vec3(0.0)
+        number = next_light(packed)
+        while number > 0:
+            row = self.numbered[number - 1]
+            if row >= 0:
+                color += point_light(surface, self.point_lights[row])
+            packed = packed >> uvec4(LIGHT_BITS)
+            number = next_light(packed)
+        return color
+
+
+class WithIndexedSpotLights(WithSpotLights):
+    """Finds the spot lights of a pixel in a texture. A pixel with too many lights uses its object's list."""
+
+    light_indices: Texture2D
+    numbered: Storage[int]
+
+    def spotlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
+        indices = self.light_indices.load(ivec2(fragment_coordinate().xy))
+        if max(max(indices.x, indices.y), max(indices.z, indices.w)) >= LIGHTS_FULL:
+            return super().spotlight(surface, begin, end)
+        packed = uvec4(indices)
+        color = vec3(0.0)
+        number = next_light(packed)
+        while number > 0:
+            row = self.numbered[number - 1]
+            if row < 0:
+                color += spot_light(surface, self.spot_lights[~row])
+            packed = packed >> uvec4(LIGHT_BITS)
+            number = next_light(packed)
+        return color
+
+
+class RectangleMesh:
     """Keeps the corners of a light's rectangle."""
 
     def __init__(self, device: Device) -> None:
@@ -182,19 +246,19 @@ def _pack_indices(frame: Frame) -> None:
     ):
         device.draw(
             device.program(PackIndices),
-            frame.resources.workspace(VolumeMesh).mesh,
+            frame.resources.workspace(RectangleMesh).mesh,
             len(volumes),
-            volumes=device.transient.storage(LightVolume, volumes),
+            volumes=device.transient.storage(IndexedVolume, volumes),
             depth=frame.targets["depth"],
             pixels=bind_pixels(frame),
         )
 
 
 def list_volumes(frame: Frame) -> NDArray[Any]:
-    """Return the volumes (l,) of `LightVolume` of the lights in view: point lights, then spot lights."""
+    """Return the volumes (l,) of `IndexedVolume` of the lights in view: point lights, then spot lights."""
     needs, lights, eye = frame.needs, frame.resources.scene.lights, frame.camera.position
     points, spots = lights.point[needs.point_rows], lights.spot[needs.spot_rows]
-    volumes: Any = np.zeros(len(points) + len(spots), LightVolume.dtype)
+    volumes: Any = np.zeros(len(points) + len(spots), IndexedVolume.dtype)
     first, last = volumes[: len(points)], volumes[len(points) :]
     first["cos_outer"] = -2.0
     last["cos_outer"], last["direction"] = np.cos(spots["outer"]), spots["direction"]
@@ -218,24 +282,27 @@ def pack_numbers(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
     return packed
 
 
+@cache
+def indexed_variant(parts: tuple[str, ...], *, has_sun: bool) -> type[Shader]:
+    """Return the forward shader with these parts, which finds the lamps of a pixel by its indices."""
+    found = {"point_lights": WithIndexedPointLights, "spot_lights": WithIndexedSpotLights}
+    bases = (shader for part, shader in found.items() if part in parts)
+    return type("Indexed", (*bases, forward_variant(*parts, has_sun=has_sun)), {"__module__": __name__})
+
+
 def _draw_lit(frame: Frame) -> None:
     needs, targets = frame.needs, frame.targets
+    (features, bindings), (more, lamps) = bind_materials(frame), bind_lamps(frame)
     numbered = np.concatenate([needs.point_rows, ~needs.spot_rows]).astype(np.int32)
-    parts = {Effect.POINT_LIGHTS: "indexed_points", Effect.SPOT_LIGHTS: "indexed_spots"}
-    program, bindings = bind_forward(
-        frame,
-        "ambient",
-        *(part for effect, part in parts.items() if effect in needs.effects),
-        light_indices=targets[INDICES],
-        numbered=frame.device.transient.storage(int, numbered),
-    )
+    indices = {"light_indices": targets[INDICES], "numbered": frame.device.transient.storage(int, numbered)}
+    shader = indexed_variant((*features, *more), has_sun=needs.has_sun)
     frame.draw_visible(
         TechniquePass(
             frame.device,
             frame.resources,
             frame.view,
-            program,
-            bindings,
+            frame.device.program(shader),
+            bindings | lamps | indices,
             color=targets["image"],
             depth=targets["depth"],
             clear=(*frame.resources.scene.background, 1.0),

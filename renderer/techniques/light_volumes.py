@@ -1,0 +1,269 @@
+"""Light volumes: the point and spot lights in view, drawn as the spaces that they reach, each pixel of them once.
+
+A sphere encloses a light's range, and a cone that of a spot light whose outer angle is at most 60°; what is left beyond
+the volume is cut off by the shader, as everywhere. Of a volume only the **back faces** are drawn, with a depth test that
+passes where they are behind the geometry. So a pixel is lit once, whether the eye is outside or inside, a volume cut by
+the near plane needs nothing, and neither the background nor what is behind the volume is lit. One instanced draw lights
+all lights of a kind (two if there are narrow and wide spot lights).
+
+What lies in front of a volume passes this test. **Stencil masking** leaves that out, too, as in Wilks (2019): each light
+is drawn twice, first both faces into the stencil buffer (plus 1 where a back face is behind the geometry, minus 1 where
+a front face is: what remains is inside), then the back faces where the buffer isn't 0, which also sets it back.
+It evaluates fewer lights and takes two draws for each; docs/lighting.md has the measurements.
+
+Back faces beyond a far plane would be clipped. A volume that reaches it is moved to the depth of the background
+as a whole, which never hides a lit pixel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.frame import Effect, Frame, Needs, Pass, Target
+from renderer.frame.passes import NEARER
+from renderer.lights.hulls import make_cone, make_sphere
+from renderer.shaders.structs import PointLight, SpotLight, ViewConstants
+from renderer.techniques.geometry_buffer import BEHIND, PixelRays
+from rhi import (
+    BlendFunction,
+    ColorWrite,
+    Comparison,
+    CullMode,
+    DepthTest,
+    DepthWrite,
+    Device,
+    Format,
+    Mesh,
+    Program,
+    StencilBack,
+    StencilFront,
+    StencilOperation,
+    StencilTest,
+)
+from rhi.shading import (
+    Shader,
+    Storage,
+    Struct,
+    Uniform,
+    abs,
+    cross,
+    dot,
+    function,
+    instance_index,
+    max,
+    normalize,
+    sqrt,
+    vec3,
+    vec4,
+)
+
+LIGHT_FORMAT: Final = Format.RGBA16F
+"""The format of buffers that light is added up in."""
+BRIGHTEST: Final = 65504.0
+"""The largest number in a light buffer; beyond it is infinity. It is white in each image."""
+WIDEST_CONE: Final = np.pi / 3
+"""The largest outer half angle for which a cone is drawn: about there, a sphere is as small."""
+
+_MARGIN: Final = 1.001
+"""How much wider volumes are than they must be, for the rounding of what is drawn."""
+FARTHEST_CORNER: Final = 1.5
+"""More than the distance of any corner from the light, in ranges or in the widths of a cone's base."""
+
+
+class VolumeCorner(Struct):
+    """A corner of a volume, whose `z` is along the axis; `cone` is 1 for cones, whose width follows from their
+    angle, and 0 for spheres."""
+
+    position: vec3
+    cone: float
+
+
+class VolumeVarying(Struct):
+    """The varyings of light volumes."""
+
+    clip: vec4
+    light: int
+
+
+@function
+def project_volume(center: vec3, offset: vec3, reach: float, view: ViewConstants, rays: PixelRays) -> vec4:
+    """Return the clip position of a corner, `offset` from the light, of a volume that reaches at most `reach` far."""
+    clip = view.relative_view_projection @ vec4(center + offset, 1.0)
+    if dot(center, rays.forward) + reach > rays.far:
+        clip.z = rays.farthest * clip.w
+    return clip
+
+
+class VolumeShader(Shader):
+    """The base of shaders that draw light volumes; `rows` are the rows of the lights to be drawn."""
+
+    view: Uniform[ViewConstants]
+    rays: Uniform[PixelRays]
+    rows: Storage[int]
+
+
+class PointVolumes(VolumeShader):
+    """Draws the spheres of point lights."""
+
+    point_lights: Storage[PointLight]
+
+    def vertex(self, v: VolumeCorner) -> VolumeVarying:
+        row = self.rows[instance_index()]
+        light = self.point_lights[row]
+        offset = v.position * light.range
+        reach = light.range * FARTHEST_CORNER
+        return VolumeVarying(
+            clip=project_volume(light.position, offset, reach, self.view, self.rays), light=row
+        )
+
+
+class SpotVolumes(VolumeShader):
+    """Draws the cones of narrow spot lights, or the spheres of wide ones."""
+
+    spot_lights: Storage[SpotLight]
+
+    def vertex(self, v: VolumeCorner) -> VolumeVarying:
+        row = self.rows[instance_index()]
+        light = self.spot_lights[row]
+        # A float32 is too coarse for the cosine of a small angle; light reaches up to two steps of it beyond the cone.
+        cosine = max(light.cos_outer - 1e-6, 1e-3)
+        slope = sqrt(max(1.0 - cosine * cosine, 0.0)) / cosine
+        width = light.range * (slope if v.cone > 0.0 else 1.0)
+        up = vec3(0.0, 1.0, 0.0) if abs(light.direction.y) < 0.9 else vec3(1.0, 0.0, 0.0)
+        aside = normalize(cross(up, light.direction))
+        across = cross(light.direction, aside)
+        offset = (aside * v.position.x + across * v.position.y) * width
+        offset += light.direction * (v.position.z * light.range)
+        reach = max(light.range, width) * FARTHEST_CORNER
+        return VolumeVarying(
+            clip=project_volume(light.position, offset, reach, self.view, self.rays), light=row
+        )
+
+
+class VolumeMeshes:
+    """What light volumes keep between frames.
+
+    Attributes:
+        sphere, cone: the meshes.
+    """
+
+    def __init__(self, device: Device) -> None:
+        self.sphere = _make_mesh(device, "light spheres", *make_sphere(), cone=0.0)
+        self.cone = _make_mesh(device, "light cones", *make_cone(), cone=1.0)
+
+    def destroy(self) -> None:
+        """Destroy the meshes."""
+        self.sphere.destroy()
+        self.cone.destroy()
+
+
+def _make_mesh(
+    device: Device, label: str, corners: NDArray[np.float64], triangles: NDArray[np.uint32], cone: float
+) -> Mesh:
+    vertices = np.zeros(len(corners), VolumeCorner.dtype)
+    vertices["position"], vertices["cone"] = corners * _MARGIN, cone
+    return device.mesh(vertices, triangles.reshape(-1), label=label)
+
+
+def declare_lights(
+    needs: Needs, buffers: Sequence[str], reads: tuple[str, ...], run: Callable[[Frame, Effect, list[str], bool], None]
+) -> tuple[list[Pass[Frame]], list[str]]:
+    """Return the passes that add the light of each kind of lights in view to light buffers, and their contents' names
+    after the last pass: none if there are no such lights.
+
+    Args:
+        run: issues the commands; is given the frame, the kind, the names of the targets, and whether to clear them.
+    """
+    passes: list[Pass[Frame]] = []
+    last: list[str] = []
+    for effect in (Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS):
+        if effect not in needs.effects:
+            continue
+        names = [f"{buffer} with {effect.value}" for buffer in buffers] if last else list(buffers)
+        passes.append(
+            Pass(
+                effect.value,
+                partial(_run, run, effect, names, not last),
+                needs.explain(effect),
+                reads=reads,
+                writes=() if last else tuple(Target(name, LIGHT_FORMAT) for name in names),
+                changes=dict(zip(last, names, strict=True)) if last else {},
+            )
+        )
+        last = names
+    return passes, last
+
+
+def _run(
+    run: Callable[[Frame, Effect, list[str], bool], None], effect: Effect, names: list[str], clears: bool, frame: Frame
+) -> None:
+    run(frame, effect, names, clears)
+
+
+def list_volumes(frame: Frame, effect: Effect) -> list[tuple[Mesh, NDArray[np.int64]]]:
+    """Return the meshes of the point or spot lights in view, each with the rows of its lights."""
+    meshes = frame.resources.workspace(VolumeMeshes)
+    if effect is Effect.POINT_LIGHTS:
+        return [(meshes.sphere, frame.needs.point_rows)]
+    rows = frame.needs.spot_rows
+    narrow = frame.resources.scene.lights.spot["outer"][rows] <= WIDEST_CONE
+    return [(mesh, part) for mesh, part in ((meshes.cone, rows[narrow]), (meshes.sphere, rows[~narrow])) if len(part)]
+
+
+def draw_volumes(
+    frame: Frame,
+    effect: Effect,
+    program: Program[Any],
+    bindings: dict[str, Any],
+    targets: Sequence[str],
+    *,
+    clears: bool,
+    mask: Program[Any] | None = None,
+) -> None:
+    """Draw the volumes of the point or spot lights in view, and add what the program returns to contents.
+
+    Args:
+        program: a subclass of `PointVolumes` or `SpotVolumes`, with its `bindings` but those of the base.
+        targets: the names of the contents. clears: whether they are cleared to 0 first.
+        mask: the base itself, to mask each light in the stencil buffer; None draws all lights in one draw.
+    """
+    device, resources = frame.device, frame.resources
+    lights = resources.point if effect is Effect.POINT_LIGHTS else resources.spot
+    name = "point_lights" if effect is Effect.POINT_LIGHTS else "spot_lights"
+    own = {"view": frame.view.buffer, name: lights.buffer}
+    behind, nearer = (table[frame.camera.projection.depth] for table in (BEHIND, NEARER))
+    with (
+        device.render_pass(
+            [frame.targets[target] for target in targets],
+            frame.targets["depth"],
+            clear=(0.0, 0.0, 0.0, 0.0) if clears else None,
+            clear_stencil=None if mask is None else 0,
+        ),
+        device.states(DepthWrite.OFF, CullMode.FRONT, behind, BlendFunction.ADDITIVE),
+    ):
+        for mesh, rows in list_volumes(frame, effect):
+            own["rows"] = device.transient.storage(int, rows.astype(np.int32))
+            if mask is None:
+                device.draw(program, mesh, len(rows), **bindings, **own)
+                continue
+            for draw in mesh.draws(base_instance=np.arange(len(rows)))[:, None]:
+                with device.states(CullMode.NONE, nearer, ColorWrite.OFF, *_MARKING):
+                    device.draw_many(mask, mesh, draw, rays=bindings["rays"], **own)
+                with device.states(DepthTest.OFF, *_MARKED):
+                    device.draw_many(program, mesh, draw, **bindings, **own)
+
+
+_MARKING: Final = (
+    StencilTest.ON,
+    StencilFront(depth_fail=StencilOperation.DECREMENT_WRAP),
+    StencilBack(depth_fail=StencilOperation.INCREMENT_WRAP),
+)
+_MARKED: Final = (
+    StencilTest.ON,
+    StencilBack(Comparison.NOT_EQUAL, both_pass=StencilOperation.ZERO),
+)
