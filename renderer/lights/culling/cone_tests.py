@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from renderer.lights.culling.cells import Cell, corner, extent_along, seen_from
 from renderer.lights.culling.sphere_tests import nearest_vertex
-from rhi.shading import Struct, dot, function, length, max, sqrt, vec3, vec4
+from rhi.shading import Struct, dot, function, length, max, min, sqrt, vec3, vec4
 
 __rhi_internal__ = True
 
@@ -56,10 +56,8 @@ def cone_overlaps_sphere(cell: Cell, cone: Cone, padding: float) -> bool:
         square = max(square, dot(away, away))
     radius = sqrt(square) + padding
     along = dot(centre, cone.axis)
-    across = sqrt(max(dot(centre, centre) - along * along, 0.0))  # on the axis rounding makes it negative
-    beside = cone.cosine * across - _sine(cone) * along
     behind = cone.cosine >= 0.0 and along < -radius
-    return not (beside > radius or behind or along > cone.range + radius)
+    return not (_beside(cone, centre) > radius or behind or along > cone.range + radius)
 
 
 @function
@@ -71,8 +69,15 @@ def cone_overlaps_planes(cell: Cell, cone: Cone, padding: float) -> bool:
 @function
 def cone_overlaps_tightly(cell: Cell, cone: Cone, padding: float) -> bool:
     """Return whether no plane of a cell separates it from a cone, nor the axis to its nearest vertex, nor the cone's
-    tangent planes towards that vertex and towards the middle."""
+    tangent planes towards that vertex and towards the middle. What a cone of more than 90° leaves out is convex: a cell
+    with all corners there is outside."""
     seen = seen_from(cell, cone.apex)
+    if cone.cosine < 0.0:
+        least = cone.range
+        for index in range(8):
+            least = min(least, _beside(cone, corner(seen, index)))
+        if least > padding:
+            return False
     if not _meets_cone_planes(seen, cone, padding):
         return False
     vertex = nearest_vertex(seen)
@@ -96,6 +101,15 @@ def reach_along(cone: Cone, axis: vec3) -> float:
         return cone.range * size
     sine = sqrt(max(1.0 - cosine * cosine, 0.0))
     return cone.range * size * max(cosine * cone.cosine + sine * _sine(cone), 0.0)
+
+
+@function
+def _beside(cone: Cone, place: vec3) -> float:
+    """Return how far a place, seen from the apex, lies outside of a cone's side; negative inside."""
+    along = dot(place, cone.axis)
+    # The root of |place|² - along² would be off by 3e-4 of the length near the axis, or not a number.
+    across = length(place - cone.axis * along)
+    return cone.cosine * across - _sine(cone) * along
 
 
 @function

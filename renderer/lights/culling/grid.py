@@ -24,7 +24,7 @@ from renderer.lights.culling.kernels import (
     collect_variant,
 )
 from renderer.lights.culling.projections import make_grid
-from renderer.lights.culling.table import find_cone_test, find_sphere_test
+from renderer.lights.culling.table import CONE_TESTS, find_cone_test, find_sphere_test
 from renderer.lights.culling.volumes import LightVolumes, find_volumes
 from renderer.scene import Camera, Lights, Perspective
 from renderer.shaders.prefix_sum import PrefixSum
@@ -67,17 +67,17 @@ class LightGrid:
 
     `collect` issues the commands that make the lists of a frame; shaders then read `lists` with the index that
     `cell_index` gives: for cell c, `lists[2 c]`, `lists[2 c + 1]` and `lists[2 c + 2]` are the places in `lists` where
-    its point lights begin, where they end and its spot lights begin, and where those end. `parameters` holds the
-    `CellGrid`.
+    its point lights begin, where they end and its spot lights begin, and where those end.
 
     The lists have room for as many lights as earlier frames needed. If a frame needs more, those for which there is no
-    room are missing in that frame; a later `collect` learns their number without waiting, enlarges the lists, and
-    notes it in `dropped` and `overflows`.
+    room are missing in that frame. A later `collect` learns their number without waiting, enlarges the lists, and notes
+    it in `overflows` and `dropped`.
 
     Attributes:
+        parameters: the grid of the last frame. uniform: the same for shaders.
         capacity: number of lights that fit in all lists together.
-        dropped: number of lights that were missing in the last frame whose number is known.
-        overflows: number of frames known in which lights were missing.
+        overflows: number of frames in which lights were missing, as far as the CPU knows by now.
+        dropped: number of entries that were missing in them.
     """
 
     def __init__(
@@ -118,18 +118,18 @@ class LightGrid:
         )
         self._by_depth: tuple[type[CollectLights], ...] = (CollectByMask if depth_mask else CollectByDepth,)
         self._counted: tuple[type[CollectLights], ...] = (CollectCounted,) if counted else ()
-        self._grid = make_grid(Perspective(), (1, 1), tile, slices=slices)
-        self.parameters: UniformBuffer[CellGrid] = device.uniform(self._grid)
+        self.parameters = make_grid(Perspective(), (1, 1), tile, slices=slices)
+        self.uniform: UniformBuffer[CellGrid] = device.uniform(self.parameters)
         self._counts: UniformBuffer[LightCounts] = device.uniform(LightCounts(words=0, point_words=0))
         self._buffers: dict[str, StorageBuffer[Any]] = {}
         self._pending: Readback | None = None
-        self._is_new = False  # whether a frame was collected whose need is not yet asked for
-        self._noted = 0  # the capacity of the frame that was asked for
+        self._room = 0  # the capacity of the frame whose need is pending
+        self._unasked: int | None = None  # that of the last frame, if its need isn't asked for yet
 
     @property
     def cells(self) -> int:
         """The number of cells of the last frame."""
-        count = self._grid.count
+        count = self.parameters.count
         return count.x * count.y * count.z
 
     @property
@@ -153,25 +153,28 @@ class LightGrid:
         self._learn()
         volumes = find_volumes(lights, camera)
         self._aim(camera, size, volumes)
-        buffers, columns = self._buffers, (-(-self._grid.count.x // BLOCK), -(-self._grid.count.y // BLOCK))
+        buffers, columns = self._buffers, (-(-self.parameters.count.x // BLOCK), -(-self.parameters.count.y // BLOCK))
         features, given = self._counted, {name: buffers[name] for name in ("spheres", "cones", "masks", "counts")}
         if depth is not None:
             features += self._by_depth
             given["depths"] = buffers["depths"]
             encoder.dispatch(
                 self._device.program(FindTileDepths),
-                (self._grid.count.x, self._grid.count.y),
-                grid=self.parameters,
+                (self.parameters.count.x, self.parameters.count.y),
+                grid=self.uniform,
                 depth=depth,
                 depths=buffers["depths"],
             )
         if self._counted:
             buffers["tests"].write(np.zeros(1, np.uint32))
             given["tests"] = buffers["tests"]
+        sphere_test, cone_test, block_test = self._tests
+        if not len(lights.spot):
+            cone_test = CONE_TESTS["sphere"]  # less to compile, and never made
         encoder.dispatch(
-            self._device.program(collect_variant(*self._tests, *features)),
+            self._device.program(collect_variant(sphere_test, cone_test, block_test, *features)),
             (*columns, self.slices),
-            grid=self.parameters,
+            grid=self.uniform,
             lights=self._counts,
             **given,
         )
@@ -184,7 +187,7 @@ class LightGrid:
             sums=buffers["counts"],
             lists=buffers["lists"],
         )
-        self._is_new = True
+        self._unasked = self.capacity
 
     def read(self) -> CellLists:
         """Return the lists of the last frame. Waits for the device."""
@@ -202,7 +205,7 @@ class LightGrid:
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
-        for resource in (self.parameters, self._counts, *self._buffers.values()):
+        for resource in (self.uniform, self._counts, *self._buffers.values()):
             resource.destroy()
         self._buffers = {}
 
@@ -212,18 +215,17 @@ class LightGrid:
         if self._pending is not None and self._pending.done:
             needed = int(self._pending.result()[0])
             self._pending = None
-            self.dropped = max(needed - self._noted, 0)
-            if self.dropped:
+            if needed > self._room:
                 self.overflows += 1
-                self.capacity = max(self.capacity, 1 << (needed - 1).bit_length())
-        if self._pending is None and self._is_new:
-            self._noted = self.capacity
+                self.dropped += needed - self._room
+                self.capacity = max(self.capacity, _round_up(needed))
+        if self._pending is None and self._unasked is not None:
+            self._room, self._unasked = self._unasked, None
             self._pending = self._buffers["counts"].read_async(self.cells, 1)
-            self._is_new = False
 
     def _aim(self, camera: Camera, size: tuple[int, int], volumes: LightVolumes) -> None:
         """Bring constants and lights to the device, and make room for the results."""
-        self._grid = grid = make_grid(
+        self.parameters = grid = make_grid(
             camera.projection,
             size,
             self.tile,
@@ -231,7 +233,7 @@ class LightGrid:
             first_slice=self.first_slice,
             reach=volumes.reach,
         )
-        self.parameters.write(grid)
+        self.uniform.write(grid)
         self._counts.write(LightCounts(words=volumes.words, point_words=volumes.point_words))
         cells, tiles = self.cells, grid.count.x * grid.count.y
         self.capacity = self.capacity or _START * cells
