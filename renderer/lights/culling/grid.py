@@ -74,7 +74,7 @@ class LightGrid:
     it in `overflows` and `dropped`.
 
     Attributes:
-        parameters: the grid of the last frame. uniform: the same for shaders.
+        layout: the grid of the last frame. parameters: the same for shaders.
         capacity: number of lights that fit in all lists together.
         overflows: number of frames in which lights were missing, as far as the CPU knows by now.
         dropped: number of entries that were missing in them.
@@ -118,8 +118,8 @@ class LightGrid:
         )
         self._by_depth: tuple[type[CollectLights], ...] = (CollectByMask if depth_mask else CollectByDepth,)
         self._counted: tuple[type[CollectLights], ...] = (CollectCounted,) if counted else ()
-        self.parameters = make_grid(Perspective(), (1, 1), tile, slices=slices)
-        self.uniform: UniformBuffer[CellGrid] = device.uniform(self.parameters)
+        self.layout = make_grid(Perspective(), (1, 1), tile, slices=slices)
+        self.parameters: UniformBuffer[CellGrid] = device.uniform(self.layout)
         self._counts: UniformBuffer[LightCounts] = device.uniform(LightCounts(words=0, point_words=0))
         self._buffers: dict[str, StorageBuffer[Any]] = {}
         self._pending: Readback | None = None
@@ -129,7 +129,7 @@ class LightGrid:
     @property
     def cells(self) -> int:
         """The number of cells of the last frame."""
-        count = self.parameters.count
+        count = self.layout.count
         return count.x * count.y * count.z
 
     @property
@@ -153,15 +153,15 @@ class LightGrid:
         self._learn()
         volumes = find_volumes(lights, camera)
         self._aim(camera, size, volumes)
-        buffers, columns = self._buffers, (-(-self.parameters.count.x // BLOCK), -(-self.parameters.count.y // BLOCK))
+        buffers, columns = self._buffers, (-(-self.layout.count.x // BLOCK), -(-self.layout.count.y // BLOCK))
         features, given = self._counted, {name: buffers[name] for name in ("spheres", "cones", "masks", "counts")}
         if depth is not None:
             features += self._by_depth
             given["depths"] = buffers["depths"]
             encoder.dispatch(
                 self._device.program(FindTileDepths),
-                (self.parameters.count.x, self.parameters.count.y),
-                grid=self.uniform,
+                (self.layout.count.x, self.layout.count.y),
+                grid=self.parameters,
                 depth=depth,
                 depths=buffers["depths"],
             )
@@ -174,7 +174,7 @@ class LightGrid:
         encoder.dispatch(
             self._device.program(collect_variant(sphere_test, cone_test, block_test, *features)),
             (*columns, self.slices),
-            grid=self.uniform,
+            grid=self.parameters,
             lights=self._counts,
             **given,
         )
@@ -205,7 +205,7 @@ class LightGrid:
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
-        for resource in (self.uniform, self._counts, *self._buffers.values()):
+        for resource in (self.parameters, self._counts, *self._buffers.values()):
             resource.destroy()
         self._buffers = {}
 
@@ -225,7 +225,7 @@ class LightGrid:
 
     def _aim(self, camera: Camera, size: tuple[int, int], volumes: LightVolumes) -> None:
         """Bring constants and lights to the device, and make room for the results."""
-        self.parameters = grid = make_grid(
+        self.layout = grid = make_grid(
             camera.projection,
             size,
             self.tile,
@@ -233,7 +233,7 @@ class LightGrid:
             first_slice=self.first_slice,
             reach=volumes.reach,
         )
-        self.uniform.write(grid)
+        self.parameters.write(grid)
         self._counts.write(LightCounts(words=volumes.words, point_words=volumes.point_words))
         cells, tiles = self.cells, grid.count.x * grid.count.y
         self.capacity = self.capacity or _START * cells

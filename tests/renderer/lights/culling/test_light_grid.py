@@ -120,7 +120,7 @@ def test_cells_list_the_lights_whose_spheres_reach_them(
     lights, camera = make_lights(), look(LENSES[lens])
     grid = make(tile=16 if slices == 1 else 32, slices=slices, sphere_test="exact", cone_test="sphere")
     found = as_pairs(collect(grid, device, camera, lights), lights)
-    certain, possible = find_exactly(camera, grid.parameters, lights)
+    certain, possible = find_exactly(camera, grid.layout, lights)
     assert not (certain & ~found).any()
     assert not (found & ~possible).any()
     assert 0.002 < certain.mean() < 0.3
@@ -281,7 +281,7 @@ def test_no_surface_is_lit_by_fewer_lights_than_reach_it(
     pixels = np.column_stack([rng.integers(0, SIZE[0], 3000), rng.integers(0, SIZE[1], 3000)])
     ahead = z[pixels[:, 1], pixels[:, 0]]
     pixels, ahead = pixels[np.isfinite(ahead)], ahead[np.isfinite(ahead)]
-    starts = evaluate(slice_start, grid.parameters, np.arange(slices + 1), dtype=np.float64)
+    starts = evaluate(slice_start, grid.layout, np.arange(slices + 1), dtype=np.float64)
     layer = np.clip(np.searchsorted(starts, ahead, side="right") - 1, 0, slices - 1)
     cell = (layer * 12 + pixels[:, 1] // 16) * 21 + pixels[:, 0] // 16
     places = camera.position + find_places(camera.projection, pixels, ahead) @ camera.rotation
