@@ -132,6 +132,10 @@ BAD_SETTINGS: Final = Rule(
     "python -m renderer tune writes one",
 )
 
+# Light culling
+BAD_GRID: Final = Rule("lights-bad-grid", "a view can't be divided into cells like this")
+UNKNOWN_LIGHT_TEST: Final = Rule("lights-unknown-test", "no test of light culling has this name")
+
 # A frame's plan
 TWO_WRITERS: Final = Rule(
     "plan-two-writers",

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.shaders import MeshPart, ObjectPosition
+from renderer.shaders.prefix_sum import PrefixSum
 from renderer.visibility.gpu.occludees import DRAWN, GROUP, HIDDEN, VISIBLE, Occludee, Occludees
 from renderer.visibility.repeated import clear
 from renderer.visibility.scene_pass import SceneArrays
@@ -47,7 +48,6 @@ _BUCKETS: Final = 31
 """Number of distance classes: up to 1/8 m, then a half octave each up to 4 km, then all beyond."""
 _HIDDEN_KEY: Final = 2 * _BUCKETS
 _NO_KEY: Final = 63
-_LANES: Final = 256
 
 
 class DrawArguments(Struct):
@@ -104,36 +104,6 @@ class CountKeys(Shader):
         if row < len(self.marks):
             self.keys[row] = uint(key + GROUP * rank)
         self.counts[lane * group_count().x + group_id().x] = count
-
-
-class AddCounts(Shader):
-    """Replaces counts by their exclusive prefix sums. There is one group, each lane of which has a run of counts."""
-
-    work_group = (_LANES,)
-    counts: StorageRW[uint]
-    sums = shared(uint, _LANES)
-
-    def compute(self) -> None:
-        lane = local_index()
-        share = (len(self.counts) + _LANES - 1) // _LANES
-        begin = min(lane * share, len(self.counts))
-        end = min(begin + share, len(self.counts))
-        total = uint(0)
-        for place in range(begin, end):
-            total += self.counts[place]
-        self.sums[lane] = total
-        step = 1
-        while step < _LANES:
-            barrier()
-            before = self.sums[lane - step] if lane >= step else uint(0)
-            barrier()
-            self.sums[lane] += before
-            step *= 2
-        place_sum = self.sums[lane] - total
-        for place in range(begin, end):
-            count = self.counts[place]
-            self.counts[place] = place_sum
-            place_sum += count
 
 
 class WriteDraws(Shader):
@@ -198,7 +168,7 @@ class IndirectDrawList:
         self._keys = device.storage(uint, count, label="keys")
         self._counts = device.storage(uint, GROUP * occludees.groups, label="key counts")
         self._count_keys = device.program(CountKeys)
-        self._add_counts = device.program(AddCounts)
+        self._add_counts = device.program(PrefixSum)
         self._write_draws = device.program(WriteDraws)
 
     def renew(self) -> None:

@@ -146,7 +146,7 @@ def scalars_of(type: HostType, value: Any, dtype: Any, call: str) -> list[Any]:
         )
     if not shape:
         return [array[()]]
-    flat = array.reshape(*array.shape[: array.ndim - len(shape)], -1)
+    flat = array.reshape(*array.shape[: array.ndim - len(shape)], len(kinds))
     return [flat[..., i] for i in range(len(kinds))]
 
 

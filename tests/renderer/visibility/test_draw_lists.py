@@ -12,9 +12,9 @@ from renderer.content import load_scene
 from renderer.frame import SceneResources, View
 from renderer.scene import Camera, Scene
 from renderer.shaders import MeshPart, ObjectPosition
+from renderer.shaders.prefix_sum import PrefixSum
 from renderer.visibility import NoCulling
 from renderer.visibility.gpu.draw_lists import (
-    AddCounts,
     CountKeys,
     DrawArguments,
     IndirectDrawList,
@@ -79,7 +79,7 @@ def test_lists_are_of_marked_rows_near_first(count: int, seed: int) -> None:
     counted = run_compute(
         CountKeys, groups, places=places, occludees=boxes, marks=marks, keys=count, counts=64 * groups
     )
-    sums = run_compute(AddCounts, 1, counts=counted["counts"])["counts"]
+    sums = run_compute(PrefixSum, 1, counts=counted["counts"])["counts"]
     assert sums.tolist() == np.append(0, np.cumsum(counted["counts"]))[:-1].tolist()
     written = run_compute(
         WriteDraws, groups, places=places, parts=parts, keys=counted["keys"], sums=sums, listed=2 * count,

@@ -1,0 +1,259 @@
+"""Cells: the parts into which a grid divides a view, and the shapes that lights are tested against.
+
+A cell is what a rectangle of pixels sees between two depths: a tile of the image, or a cluster, which is one depth
+slice of a tile. All of it is in *eye space*: x to the right, y up, z ahead, in metres from the eye. So z is a
+distance, where view space would have it negative.
+
+Whatever the projection, the four sides of a cell are straight in z: its left side is at `low.x + low_slope.x · z`.
+For a perspective lens the offsets are 0, for a parallel one the slopes are; an off-axis eye only shifts the slopes. So
+ten numbers are a cell, no projection is a special case, and neighbours share their sides to the last bit.
+
+The functions run in float32 on every device, and in float64 on NumPy with `evaluate`.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from rhi.shading import (
+    Struct,
+    abs,
+    clamp,
+    dot,
+    exp2,
+    floor,
+    function,
+    ivec2,
+    ivec3,
+    log2,
+    max,
+    min,
+    uint,
+    vec2,
+    vec3,
+    vec4,
+)
+
+__rhi_internal__ = True
+
+PADDING: Final = 2.0**-20
+"""The share of a test's lengths by which a radius is enlarged, for the rounding of float32."""
+DEPTH_SLACK: Final = 2.0**-22
+"""How far a depth in a texture may be off: this share of it and a quarter of it absolutely. Rasterisers interpolate
+depth in float32."""
+MASK_SLICES: Final = 32
+"""Number of depth slices of a tile that its mask tells apart."""
+
+
+class Cell(Struct):
+    """A part of the view in eye space: between the depths `near` and `far`, and in x and y between
+    `low + low_slope · z` and `high + high_slope · z`. It is empty if `near` > `far`."""
+
+    low: vec2
+    low_slope: vec2
+    high: vec2
+    high_slope: vec2
+    near: float
+    far: float
+
+
+class CellGrid(Struct):
+    """A view that is divided into cells.
+
+    The side of an image at pixel p, counted from the top left corner, is `offset + offset_step · p` at the eye, and
+    changes by `slope + slope_step · p` for each metre of depth. `count` is the number of columns, rows and slices,
+    `tile` the side of a tile in pixels; `near` and `far` are the ends of the first and the last slice.
+
+    Slice i of n begins at `slice_end · 2^((i - n) · slice_rate)`; if the rate is 0, all slices are equally long.
+    A depth d in a texture is a distance of `(depth.x - depth.y · d) / (depth.z - depth.w · d)`; `background` is the
+    depth of pixels where nothing is drawn.
+    """
+
+    offset: vec2
+    offset_step: vec2
+    slope: vec2
+    slope_step: vec2
+    depth: vec4
+    count: ivec3
+    tile: int
+    size: ivec2
+    near: float
+    far: float
+    slice_end: float
+    slice_rate: float
+    background: float
+
+
+@function
+def block_cell(grid: CellGrid, tile: ivec2, across: int, near: float, far: float) -> Cell:
+    """Return the cell of a block of `across` × `across` tiles, the first of which is `tile`, between two depths. At the
+    image's right and lower edge it ends with the image."""
+    first = tile * grid.tile
+    last = min(first + across * grid.tile, grid.size)
+    lower = vec2(ivec2(first.x, last.y))  # pixel rows count downwards
+    upper = vec2(ivec2(last.x, first.y))
+    return Cell(
+        low=grid.offset + grid.offset_step * lower,
+        low_slope=grid.slope + grid.slope_step * lower,
+        high=grid.offset + grid.offset_step * upper,
+        high_slope=grid.slope + grid.slope_step * upper,
+        near=near,
+        far=far,
+    )
+
+
+@function
+def slice_start(grid: CellGrid, index: int) -> float:
+    """Return the depth at which a slice begins. The first one begins at the near plane, and where an index is the
+    number of slices, that is the end of the grid."""
+    if index <= 0:
+        return grid.near
+    if index >= grid.count.z:
+        return grid.far
+    if grid.slice_rate > 0.0:
+        return grid.slice_end * exp2(float(index - grid.count.z) * grid.slice_rate)
+    return grid.near + (grid.slice_end - grid.near) * (float(index) / float(grid.count.z))
+
+
+@function
+def slice_of(grid: CellGrid, z: float) -> int:
+    """Return the slice that a depth is in; before the first and behind the last slice, that one.
+
+    The formula gives a first guess, `slice_start` decides. So what a shader looks up is what was culled, whatever a
+    device's logarithm is.
+    """
+    count = grid.count.z
+    guess = 0.0
+    if grid.slice_rate > 0.0:
+        guess = log2(max(z, 1e-30) / grid.slice_end) / grid.slice_rate + float(count)
+    else:
+        guess = (z - grid.near) / (grid.slice_end - grid.near) * float(count)
+    index = int(clamp(floor(guess), 0.0, float(count - 1)))
+    while index > 0 and z < slice_start(grid, index):
+        index -= 1
+    while index < count - 1 and z >= slice_start(grid, index + 1):
+        index += 1
+    return index
+
+
+@function
+def cell_index(grid: CellGrid, pixel: ivec2, z: float) -> int:
+    """Return the index of the cell that a pixel's surface at depth `z` is in. Cells are counted row by row, then
+    slice by slice."""
+    tile = pixel // grid.tile
+    return (slice_of(grid, z) * grid.count.y + tile.y) * grid.count.x + tile.x
+
+
+@function
+def distance_of(grid: CellGrid, depth: float) -> float:
+    """Return the distance, along the view, of a depth in a texture; within the grid's ends, also at infinity."""
+    below = grid.depth.z - grid.depth.w * depth
+    if below == 0.0:
+        return grid.far
+    return clamp((grid.depth.x - grid.depth.y * depth) / below, grid.near, grid.far)
+
+
+@function
+def distances_of(grid: CellGrid, depth: float) -> vec2:
+    """Return the least and the greatest distance of a surface whose depth, as the texture holds it, is rounded."""
+    slack = DEPTH_SLACK * (depth + 0.25)
+    one = distance_of(grid, clamp(depth - slack, 0.0, 1.0))
+    other = distance_of(grid, clamp(depth + slack, 0.0, 1.0))
+    return vec2(min(one, other), max(one, other))
+
+
+@function
+def depth_bits(near: float, far: float, low: float, high: float) -> uint:
+    """Return the slices between the depths `low` and `high`, a bit for each of the 32 slices of a range.
+
+    All slices of a flat range, `near` = `far`, are the first one. Rounding can't separate what touches: a slice's
+    number never falls as depth grows.
+    """
+    scale = float(MASK_SLICES) / (far - near) if far > near else 0.0
+    last = float(MASK_SLICES - 1)
+    first_bit = int(clamp(floor((low - near) * scale), 0.0, last))
+    last_bit = int(clamp(floor((high - near) * scale), 0.0, last))
+    return (uint(0xFFFFFFFF) << uint(first_bit)) & (uint(0xFFFFFFFF) >> uint(MASK_SLICES - 1 - last_bit))
+
+
+@function
+def padded_radius(cell: Cell, centre: vec3, radius: float) -> float:
+    """Return a radius with which tests in float32 find all that they would find without rounding: larger by 2^-20 of
+    the greatest coordinates."""
+    reach = max(abs(cell.near), abs(cell.far))
+    sides = max(abs(cell.low), abs(cell.high)) + max(abs(cell.low_slope), abs(cell.high_slope)) * reach
+    away = abs(centre)
+    return radius + PADDING * (radius + reach + sides.x + sides.y + away.x + away.y + away.z)
+
+
+@function
+def seen_from(cell: Cell, place: vec3) -> Cell:
+    """Return the same cell with the origin at `place`."""
+    return Cell(
+        low=cell.low + cell.low_slope * place.z - place.xy,
+        low_slope=cell.low_slope,
+        high=cell.high + cell.high_slope * place.z - place.xy,
+        high_slope=cell.high_slope,
+        near=cell.near - place.z,
+        far=cell.far - place.z,
+    )
+
+
+@function
+def corner(cell: Cell, index: int) -> vec3:
+    """Return one of the eight corners: bit 0 of the index says right, bit 1 top, bit 2 far."""
+    z = cell.far if index >= 4 else cell.near
+    low = cell.low + cell.low_slope * z
+    high = cell.high + cell.high_slope * z
+    return vec3(high.x if index % 2 == 1 else low.x, high.y if index // 2 % 2 == 1 else low.y, z)
+
+
+@function
+def extent_along(cell: Cell, axis: vec3) -> vec2:
+    """Return the least and the greatest value of `dot(axis, p)` in a cell."""
+    across = axis.xy
+    near_low = across * (cell.low + cell.low_slope * cell.near)
+    near_high = across * (cell.high + cell.high_slope * cell.near)
+    far_low = across * (cell.low + cell.low_slope * cell.far)
+    far_high = across * (cell.high + cell.high_slope * cell.far)
+    near = axis.z * cell.near
+    far = axis.z * cell.far
+    least_near = min(near_low, near_high)
+    least_far = min(far_low, far_high)
+    most_near = max(near_low, near_high)
+    most_far = max(far_low, far_high)
+    return vec2(
+        min(least_near.x + least_near.y + near, least_far.x + least_far.y + far),
+        max(most_near.x + most_near.y + near, most_far.x + most_far.y + far),
+    )
+
+
+@function
+def squared_distance(cell: Cell) -> float:
+    """Return the squared distance of a cell that isn't empty from the origin.
+
+    At depth z the cell is a rectangle, at a squared distance of `x² + y² + z²`, where x and y are 0 if the rectangle
+    spans 0 there. That is convex in z and smooth. With each of none, the low and the high side nearest in x and in y it
+    is a parabola, and its least value lies at the lowest point of one of the nine, or at an end. Every value is the
+    distance of some point of the cell, so the least is exact and never too small.
+    """
+    low = cell.low * cell.low_slope
+    high = cell.high * cell.high_slope
+    low_square = cell.low_slope * cell.low_slope
+    high_square = cell.high_slope * cell.high_slope
+    best = _square_at(cell, 0.0)
+    for x in range(3):
+        product = 0.0 if x == 0 else low.x if x == 1 else high.x
+        square = 1.0 if x == 0 else 1.0 + (low_square.x if x == 1 else high_square.x)
+        best = min(best, _square_at(cell, -product / square))
+        best = min(best, _square_at(cell, -(product + low.y) / (square + low_square.y)))
+        best = min(best, _square_at(cell, -(product + high.y) / (square + high_square.y)))
+    return best
+
+
+@function
+def _square_at(cell: Cell, z: float) -> float:
+    """Return the squared distance of the rectangle at the depth nearest to `z` from the origin."""
+    at = clamp(z, cell.near, cell.far)
+    gap = max(max(cell.low + cell.low_slope * at, -(cell.high + cell.high_slope * at)), vec2(0.0))
+    return dot(gap, gap) + at * at

@@ -1,0 +1,262 @@
+"""Lists of the lights that reach each cell of a view, made on the device."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.lights.culling.cells import CellGrid
+from renderer.lights.culling.cone_tests import Cone
+from renderer.lights.culling.kernels import (
+    BLOCK,
+    GROUP,
+    CollectByDepth,
+    CollectByMask,
+    CollectCounted,
+    CollectLights,
+    FindTileDepths,
+    LightCounts,
+    TileDepths,
+    WriteLists,
+    collect_variant,
+)
+from renderer.lights.culling.projections import make_grid
+from renderer.lights.culling.table import CONE_TESTS, find_cone_test, find_sphere_test
+from renderer.lights.culling.volumes import LightVolumes, find_volumes
+from renderer.scene import Camera, Lights, Perspective
+from renderer.shaders.prefix_sum import PrefixSum
+from rhi import Device, Encoder, Readback, StorageBuffer, Texture, UniformBuffer
+from rhi.shading import uint, vec4
+
+__rhi_internal__ = True
+
+_START: Final = 8
+"""Number of lights for each cell that lists have room for at first."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class CellLists:
+    """The lists of all cells, read back. Cells are counted row by row, then slice by slice.
+
+    Attributes:
+        begins, points_ends, ends: (c,) of each cell: its point lights are `lights[begins[i]:points_ends[i]]`, its spot
+            lights `lights[points_ends[i]:ends[i]]`.
+        lights: rows of the point or spot lights, ascending in each list.
+        dropped: number of lights of all lists for which there was no room. Where it isn't 0, lists are incomplete.
+        tests: number of tests of lights against cells and blocks; None if they weren't counted.
+    """
+
+    begins: NDArray[np.int64]
+    points_ends: NDArray[np.int64]
+    ends: NDArray[np.int64]
+    lights: NDArray[np.int64]
+    dropped: int
+    tests: int | None
+
+    @property
+    def pairs(self) -> int:
+        """The number of pairs of a cell and a light, those included that were dropped."""
+        return len(self.lights) + self.dropped
+
+
+class LightGrid:
+    """Lists, for each tile or cluster of a view, the point and spot lights that reach it.
+
+    `collect` issues the commands that make the lists of a frame; shaders then read `lists` with the index that
+    `cell_index` gives: for cell c, `lists[2 c]`, `lists[2 c + 1]` and `lists[2 c + 2]` are the places in `lists` where
+    its point lights begin, where they end and its spot lights begin, and where those end.
+
+    The lists have room for as many lights as earlier frames needed. If a frame needs more, those for which there is no
+    room are missing in that frame. A later `collect` learns their number without waiting, enlarges the lists, and notes
+    it in `overflows` and `dropped`.
+
+    Attributes:
+        layout: the grid of the last frame. parameters: the same for shaders.
+        capacity: number of lights that fit in all lists together.
+        overflows: number of frames in which lights were missing, as far as the CPU knows by now.
+        dropped: number of entries that were missing in them.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        *,
+        tile: int = 16,
+        slices: int = 1,
+        first_slice: float | None = None,
+        sphere_test: str = "hybrid",
+        cone_test: str = "tight",
+        block_test: str = "planes",
+        depth_mask: bool = True,
+        counted: bool = False,
+        capacity: int | None = None,
+    ) -> None:
+        """Cells are tiles of `tile` × `tile` pixels, divided into `slices` by depth (see `make_grid`).
+
+        Args:
+            sphere_test, cone_test: names of the tests of cells, of `SPHERE_TESTS` and `CONE_TESTS`.
+            block_test: the name of the test of blocks of cells; with "none" all cells are tested against all lights.
+            depth_mask: whether, with a depth texture, 32 slices of a tile's depths are told apart.
+            counted: whether to count tests, for `read`.
+            capacity: number of lights for which lists have room at first; by default 8 for each cell.
+
+        Raises:
+            ValidationError `lights-unknown-test`: a test has another name.
+        """
+        call = "LightGrid"
+        self.tile, self.slices, self.first_slice = tile, slices, first_slice
+        self.capacity = capacity or 0
+        self.dropped = self.overflows = 0
+        self._device = device
+        self._tests = (
+            find_sphere_test(sphere_test, f"{call}(sphere_test=...)"),
+            find_cone_test(cone_test, f"{call}(cone_test=...)"),
+            find_sphere_test(block_test, f"{call}(block_test=...)"),
+        )
+        self._by_depth: tuple[type[CollectLights], ...] = (CollectByMask if depth_mask else CollectByDepth,)
+        self._counted: tuple[type[CollectLights], ...] = (CollectCounted,) if counted else ()
+        self.layout = make_grid(Perspective(), (1, 1), tile, slices=slices)
+        self.parameters: UniformBuffer[CellGrid] = device.uniform(self.layout)
+        self._counts: UniformBuffer[LightCounts] = device.uniform(LightCounts(words=0, point_words=0))
+        self._buffers: dict[str, StorageBuffer[Any]] = {}
+        self._pending: Readback | None = None
+        self._room = 0  # the capacity of the frame whose need is pending
+        self._unasked: int | None = None  # that of the last frame, if its need isn't asked for yet
+
+    @property
+    def cells(self) -> int:
+        """The number of cells of the last frame."""
+        count = self.layout.count
+        return count.x * count.y * count.z
+
+    @property
+    def lists(self) -> StorageBuffer[int]:
+        """The lists of the last frame. Another `collect` may replace the buffer."""
+        return self._buffers["lists"]
+
+    def collect(
+        self,
+        encoder: Encoder,
+        camera: Camera,
+        size: tuple[int, int],
+        lights: Lights,
+        depth: Texture | None = None,
+    ) -> None:
+        """List the lights that reach each cell of an image of `size` pixels. Must be called outside of passes.
+
+        Args:
+            depth: the depth of all that is lit through the lists; cells then end at the surfaces of their tile.
+        """
+        self._learn()
+        volumes = find_volumes(lights, camera)
+        self._aim(camera, size, volumes)
+        buffers, columns = self._buffers, (-(-self.layout.count.x // BLOCK), -(-self.layout.count.y // BLOCK))
+        features, given = self._counted, {name: buffers[name] for name in ("spheres", "cones", "masks", "counts")}
+        if depth is not None:
+            features += self._by_depth
+            given["depths"] = buffers["depths"]
+            encoder.dispatch(
+                self._device.program(FindTileDepths),
+                (self.layout.count.x, self.layout.count.y),
+                grid=self.parameters,
+                depth=depth,
+                depths=buffers["depths"],
+            )
+        if self._counted:
+            buffers["tests"].write(np.zeros(1, np.uint32))
+            given["tests"] = buffers["tests"]
+        sphere_test, cone_test, block_test = self._tests
+        if not len(lights.spot):
+            cone_test = CONE_TESTS["sphere"]  # less to compile, and never made
+        encoder.dispatch(
+            self._device.program(collect_variant(sphere_test, cone_test, block_test, *features)),
+            (*columns, self.slices),
+            grid=self.parameters,
+            lights=self._counts,
+            **given,
+        )
+        encoder.dispatch(self._device.program(PrefixSum), 1, counts=buffers["counts"])
+        encoder.dispatch(
+            self._device.program(WriteLists),
+            self.cells // GROUP + 1,
+            lights=self._counts,
+            masks=buffers["masks"],
+            sums=buffers["counts"],
+            lists=buffers["lists"],
+        )
+        self._unasked = self.capacity
+
+    def read(self) -> CellLists:
+        """Return the lists of the last frame. Waits for the device."""
+        cells, lists = self.cells, self.lists.read().astype(np.int64)
+        header = 2 * cells + 1
+        total = int(self._buffers["counts"].read(cells, 1)[0])
+        return CellLists(
+            begins=lists[: header - 1 : 2] - header,
+            points_ends=lists[1:header:2] - header,
+            ends=lists[2:header:2] - header,
+            lights=lists[header:][:total],
+            dropped=max(total - (len(lists) - header), 0),
+            tests=int(self._buffers["tests"].read()[0]) if self._counted else None,
+        )
+
+    def destroy(self) -> None:
+        """Destroy the resources on the device."""
+        for resource in (self.parameters, self._counts, *self._buffers.values()):
+            resource.destroy()
+        self._buffers = {}
+
+    def _learn(self) -> None:
+        """Note how many lights the lists of an earlier frame needed, if the device has finished it, and enlarge
+        them."""
+        if self._pending is not None and self._pending.done:
+            needed = int(self._pending.result()[0])
+            self._pending = None
+            if needed > self._room:
+                self.overflows += 1
+                self.dropped += needed - self._room
+                self.capacity = max(self.capacity, _round_up(needed))
+        if self._pending is None and self._unasked is not None:
+            self._room, self._unasked = self._unasked, None
+            self._pending = self._buffers["counts"].read_async(self.cells, 1)
+
+    def _aim(self, camera: Camera, size: tuple[int, int], volumes: LightVolumes) -> None:
+        """Bring constants and lights to the device, and make room for the results."""
+        self.layout = grid = make_grid(
+            camera.projection,
+            size,
+            self.tile,
+            slices=self.slices,
+            first_slice=self.first_slice,
+            reach=volumes.reach,
+        )
+        self.parameters.write(grid)
+        self._counts.write(LightCounts(words=volumes.words, point_words=volumes.point_words))
+        cells, tiles = self.cells, grid.count.x * grid.count.y
+        self.capacity = self.capacity or _START * cells
+        self._fit("spheres", vec4, _round_up(len(volumes.spheres)))
+        self._fit("cones", Cone, _round_up(len(volumes.cones)))
+        self._fit("masks", uint, _round_up(cells * volumes.words))
+        self._fit("counts", uint, cells + 1)
+        self._fit("depths", TileDepths, tiles)
+        self._fit("lists", int, 2 * cells + 1 + self.capacity)
+        self._fit("tests", uint, 1)
+        for name, rows in (("spheres", volumes.spheres), ("cones", volumes.cones)):
+            if len(rows):
+                self._buffers[name].write(rows)
+
+    def _fit(self, name: str, element: type[Any], count: int) -> None:
+        """Make a buffer have `count` elements; it is created again if it has another number."""
+        buffer = self._buffers.get(name)
+        if buffer is None or len(buffer) != count:
+            if buffer is not None:
+                buffer.destroy()
+            self._buffers[name] = self._device.storage(element, count, label=f"light grid: {name}")
+
+
+def _round_up(count: int) -> int:
+    """Return the next power of two, so that a changing count seldom changes a buffer's size."""
+    return 1 << max(count - 1, 0).bit_length()

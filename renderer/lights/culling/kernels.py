@@ -1,0 +1,334 @@
+"""The compute shaders that list the lights of each cell.
+
+1. `FindTileDepths`, where there is a depth texture: each tile's nearest and farthest surface, and a mask of the depths
+   between them that have a surface (Harada, McKee and Yang 2013: 2.5D culling).
+2. `CollectLights`: a work-group has a block of 8 × 8 tiles of one slice. First, as a pre-filter, it tests each light
+   against the whole block, then each tile against the lights that the block has kept. The result is a bit for each cell
+   and light.
+3. `PrefixSum` turns the number of lights of each cell into the place where its list begins.
+4. `WriteLists` writes the bits as lists.
+
+A bit has one place whoever finds it, so lists are in ascending order, the same in every run and on every device. All
+lanes of a work-group read the same light at the same time.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, Final
+
+from renderer.lights.culling.cells import (
+    Cell,
+    CellGrid,
+    block_cell,
+    depth_bits,
+    distances_of,
+    padded_radius,
+    slice_start,
+)
+from renderer.lights.culling.cone_tests import Cone
+from renderer.lights.culling.sphere_tests import overlaps_always
+from renderer.lights.culling.table import ConeTest, SphereTest
+from renderer.lights.culling.volumes import WORD
+from rhi.shading import (
+    Shader,
+    Storage,
+    StorageRW,
+    Struct,
+    Texture2D,
+    Uniform,
+    atomic_add,
+    atomic_max,
+    atomic_min,
+    atomic_or,
+    barrier,
+    bit_count,
+    find_lsb,
+    float_bits_to_uint,
+    global_id,
+    group_id,
+    ivec2,
+    local_index,
+    max,
+    min,
+    shared,
+    uint,
+    uint_bits_to_float,
+    vec2,
+    vec3,
+    vec4,
+)
+
+__rhi_internal__ = True
+
+BLOCK: Final = 8
+"""The side of a block in tiles."""
+GROUP: Final = BLOCK * BLOCK
+_CHUNK: Final = 64
+"""Number of words of lights that a block holds at a time."""
+
+
+class LightCounts(Struct):
+    """The number of words with a bit for each light, and of those before the spot lights'."""
+
+    words: int
+    point_words: int
+
+
+class TileDepths(Struct):
+    """The depths of a tile's nearest and farthest surface, and a bit for each of 32 slices between them that has
+    one."""
+
+    near: float
+    far: float
+    mask: uint
+
+
+class FindTileDepths(Shader):
+    """Finds the depths of each tile. A work-group has one tile."""
+
+    work_group = (GROUP,)
+    grid: Uniform[CellGrid]
+    depth: Texture2D
+    depths: StorageRW[TileDepths]
+    least = shared(uint)
+    greatest = shared(uint)
+    mask = shared(uint)
+
+    def compute(self) -> None:
+        lane = local_index()
+        tile = group_id().xy
+        first = tile * self.grid.tile
+        across = min(first + self.grid.tile, self.grid.size) - first
+        pixels = across.x * across.y
+        if lane == 0:
+            self.least = uint(0xFFFFFFFF)
+            self.greatest = uint(0)
+            self.mask = uint(0)
+        barrier()
+        low = uint(0xFFFFFFFF)
+        high = uint(0)
+        for pixel in range(lane, pixels, GROUP):
+            depth = self.depth.load(first + ivec2(pixel % across.x, pixel // across.x)).r
+            if depth != self.grid.background:
+                bits = float_bits_to_uint(depth)  # ordered as the depths are, none of which is below 0
+                low = min(low, bits)
+                high = max(high, bits)
+        if low <= high:
+            atomic_min(self.least, low)
+            atomic_max(self.greatest, high)
+        barrier()
+        near = 1.0
+        far = 0.0
+        if self.least <= self.greatest:
+            one = distances_of(self.grid, uint_bits_to_float(self.least))
+            other = distances_of(self.grid, uint_bits_to_float(self.greatest))
+            near = min(one.x, other.x)
+            far = max(one.y, other.y)
+        bits = uint(0)
+        for pixel in range(lane, pixels, GROUP):
+            depth = self.depth.load(first + ivec2(pixel % across.x, pixel // across.x)).r
+            if depth != self.grid.background:
+                between = distances_of(self.grid, depth)
+                bits = bits | depth_bits(near, far, between.x, between.y)
+        if bits != uint(0):
+            atomic_or(self.mask, bits)
+        barrier()
+        if lane == 0:
+            self.depths[tile.y * self.grid.count.x + tile.x] = TileDepths(near=near, far=far, mask=self.mask)
+
+
+class CollectLights(Shader):
+    """Finds the lights of each cell, and counts them. The subclasses add what not every grid has; `collect_variant`
+    combines them."""
+
+    work_group = (BLOCK, BLOCK)
+    grid: Uniform[CellGrid]
+    lights: Uniform[LightCounts]
+    spheres: Storage[vec4]
+    cones: Storage[Cone]
+    masks: StorageRW[uint]
+    counts: StorageRW[uint]
+    kept = shared(uint, _CHUNK)
+    tests_blocks = True
+
+    def compute(self) -> None:
+        lane = local_index()
+        block = group_id()
+        first = block.xy * BLOCK
+        tile = global_id().xy
+        slice_near = slice_start(self.grid, block.z)
+        slice_far = slice_start(self.grid, block.z + 1)
+        inside = tile.x < self.grid.count.x and tile.y < self.grid.count.y
+        depths = TileDepths(near=1.0, far=0.0, mask=uint(0))
+        if inside:
+            depths = self.tile_depths(tile.y * self.grid.count.x + tile.x)
+        near = max(slice_near, depths.near)
+        far = min(slice_far, depths.far)
+        cell = block_cell(self.grid, tile, 1, near, far)
+        has_surface = inside and near <= far
+
+        ends = self.block_depths(lane, near, far, slice_near, slice_far)
+        whole = block_cell(self.grid, first, BLOCK, ends.x, ends.y)
+        words = self.lights.words
+        index = (block.z * self.grid.count.y + tile.y) * self.grid.count.x + tile.x
+        count = 0
+        tests = 0
+        for base in range(0, words, _CHUNK):
+            self.kept[lane] = uint(0)
+            barrier()
+            for k in range(lane, WORD * min(words - base, _CHUNK), GROUP):
+                sphere = self.spheres[WORD * base + k]
+                if sphere.w >= 0.0 and ends.x <= ends.y:
+                    if self.tests_blocks:
+                        tests += 1
+                    if self.keeps(whole, sphere):
+                        atomic_or(self.kept[k // WORD], uint(1) << uint(k % WORD))
+            barrier()
+            for w in range(min(words - base, _CHUNK)):
+                bits = self.kept[w]
+                found = uint(0)
+                if has_surface:
+                    while bits != uint(0):
+                        bit = find_lsb(bits)
+                        bits = bits & (bits - uint(1))
+                        tests += 1
+                        if self.is_lit_by(WORD * (base + w) + bit, cell, depths):
+                            found = found | (uint(1) << uint(bit))
+                if inside:
+                    self.masks[index * words + base + w] = found
+                    count += bit_count(found)
+            barrier()
+        if inside:
+            self.counts[index] = uint(count)
+        if index == 0:
+            self.counts[self.grid.count.x * self.grid.count.y * self.grid.count.z] = uint(0)
+        self.note_tests(tests, lane)
+
+    def tile_depths(self, tile: int) -> TileDepths:
+        return TileDepths(near=self.grid.near, far=self.grid.far, mask=uint(0xFFFFFFFF))
+
+    def block_depths(self, lane: int, near: float, far: float, slice_near: float, slice_far: float) -> vec2:
+        return vec2(slice_near, slice_far)
+
+    def keeps(self, block: Cell, sphere: vec4) -> bool:
+        return self.overlaps_block(block, sphere.xyz, padded_radius(block, sphere.xyz, sphere.w))
+
+    def is_lit_by(self, light: int, cell: Cell, depths: TileDepths) -> bool:
+        if not self.reaches(cell, self.spheres[light], depths):
+            return False
+        spot = light - WORD * self.lights.point_words
+        return spot < 0 or self.lights_cone(cell, self.cones[spot])
+
+    def reaches(self, cell: Cell, sphere: vec4, depths: TileDepths) -> bool:
+        return self.overlaps(cell, sphere.xyz, padded_radius(cell, sphere.xyz, sphere.w))
+
+    def lights_cone(self, cell: Cell, cone: Cone) -> bool:
+        return self.overlaps_cone(cell, cone, padded_radius(cell, cone.apex, cone.range) - cone.range)
+
+    def note_tests(self, tests: int, lane: int) -> None:
+        return
+
+    @staticmethod
+    def overlaps_block(cell: Cell, centre: vec3, radius: float) -> bool:
+        return True
+
+    @staticmethod
+    def overlaps(cell: Cell, centre: vec3, radius: float) -> bool:
+        return True
+
+    @staticmethod
+    def overlaps_cone(cell: Cell, cone: Cone, padding: float) -> bool:
+        return True
+
+
+class CollectByDepth(CollectLights):
+    """Tests cells between the surfaces of their tiles only."""
+
+    depths: Storage[TileDepths]
+    nears = shared(float, GROUP)
+    fars = shared(float, GROUP)
+
+    def tile_depths(self, tile: int) -> TileDepths:
+        return self.depths[tile]
+
+    def block_depths(self, lane: int, near: float, far: float, slice_near: float, slice_far: float) -> vec2:
+        self.nears[lane] = near if near <= far else slice_far
+        self.fars[lane] = far if near <= far else slice_near
+        barrier()
+        least = slice_far
+        greatest = slice_near
+        for other in range(GROUP):
+            least = min(least, self.nears[other])
+            greatest = max(greatest, self.fars[other])
+        return vec2(least, greatest)
+
+
+class CollectByMask(CollectByDepth):
+    """Tests, besides, whether a light's depths have a surface."""
+
+    def reaches(self, cell: Cell, sphere: vec4, depths: TileDepths) -> bool:
+        radius = padded_radius(cell, sphere.xyz, sphere.w)
+        bits = depth_bits(depths.near, depths.far, sphere.z - radius, sphere.z + radius)
+        if (bits & depths.mask) == uint(0):
+            return False
+        return self.overlaps(cell, sphere.xyz, radius)
+
+
+class CollectCounted(CollectLights):
+    """Counts the tests of cells."""
+
+    tests: StorageRW[uint]
+
+    def note_tests(self, tests: int, lane: int) -> None:
+        atomic_add(self.tests[0], uint(tests))
+
+
+class WriteLists(Shader):
+    """Writes the lists of lights: for each cell its begin and the end of its point lights, then the end of all, then
+    the lists. What would lie behind the buffer's end isn't written."""
+
+    work_group = (GROUP,)
+    lights: Uniform[LightCounts]
+    masks: Storage[uint]
+    sums: Storage[uint]
+    lists: StorageRW[int]
+
+    def compute(self) -> None:
+        cell = global_id().x
+        cells = len(self.sums) - 1
+        if cell > cells:
+            return
+        header = 2 * cells + 1
+        end = len(self.lists)
+        place = header + int(self.sums[cell])
+        self.lists[2 * cell] = min(place, end)
+        if cell == cells:
+            return
+        points_end = place
+        for word in range(self.lights.words):
+            bits = self.masks[cell * self.lights.words + word]
+            first = WORD * (word if word < self.lights.point_words else word - self.lights.point_words)
+            while bits != uint(0):
+                if place < end:
+                    self.lists[place] = first + find_lsb(bits)
+                bits = bits & (bits - uint(1))
+                place += 1
+            if word < self.lights.point_words:
+                points_end = place
+        self.lists[2 * cell + 1] = min(points_end, end)
+
+
+@cache
+def collect_variant(
+    sphere_test: SphereTest, cone_test: ConeTest, block_test: SphereTest, *features: type[CollectLights]
+) -> type[CollectLights]:
+    """Return the shader with these tests of cells and of blocks, and the features of these classes."""
+    methods: dict[str, Any] = {
+        "overlaps": staticmethod(sphere_test.function.python),
+        "overlaps_cone": staticmethod(cone_test.function.python),
+        "overlaps_block": staticmethod(block_test.function.python),
+        "tests_blocks": block_test.function is not overlaps_always,
+    }
+    bases = (*features, CollectLights)
+    return type("Collect", bases, methods | {"__module__": __name__})

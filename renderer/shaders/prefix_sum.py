@@ -1,0 +1,39 @@
+"""Prefix sums, by which a device finds the places of what it lists."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from rhi.shading import Shader, StorageRW, barrier, local_index, shared, uint
+
+_LANES: Final = 256
+
+
+class PrefixSum(Shader):
+    """Replaces counts by their exclusive prefix sums. There is one group, each lane of which has a run of counts."""
+
+    work_group = (_LANES,)
+    counts: StorageRW[uint]
+    sums = shared(uint, _LANES)
+
+    def compute(self) -> None:
+        lane = local_index()
+        share = (len(self.counts) + _LANES - 1) // _LANES
+        begin = min(lane * share, len(self.counts))
+        end = min(begin + share, len(self.counts))
+        total = uint(0)
+        for place in range(begin, end):
+            total += self.counts[place]
+        self.sums[lane] = total
+        step = 1
+        while step < _LANES:
+            barrier()
+            before = self.sums[lane - step] if lane >= step else uint(0)
+            barrier()
+            self.sums[lane] += before
+            step *= 2
+        place_sum = self.sums[lane] - total
+        for place in range(begin, end):
+            count = self.counts[place]
+            self.counts[place] = place_sum
+            place_sum += count
