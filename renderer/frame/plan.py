@@ -6,9 +6,9 @@ name means never depends on an order. From this `make_plan` finds everything els
 
 - **order**: contents are written before they are read, and read before they are drawn over. Passes that don't depend on
   each other keep the order of their declaration. A circle is refused by the names of its passes.
-- **what runs**: the frame's outputs are needed as the last pass leaves that draws over them, and so is what a needed
-  pass reads. A pass with side effects is needed,
-  and so are its inputs. Contents that a needed pass reads from the last frame are needed, too. The rest is dropped.
+- **what runs**: the frame's outputs are needed as the last pass that draws over them leaves them, and so is what a
+  needed pass reads. A pass with side effects is needed, and so are its inputs. Contents that a needed pass reads from
+  the last frame are needed, too. The rest is dropped.
 - **memory**: contents of the same format, size and samples share a texture unless both are needed at the same time.
 
 A plan depends on the declaration only. It knows no device, and is kept until the declaration changes.
@@ -60,7 +60,7 @@ class Pass(Generic[F]):
         run: issues the commands.
         because: why the pass is in the frame, such as the effect that calls for it; part of a sentence.
         reads: names of contents that are read.
-        writes: contents that are written from scratch.
+        writes: contents that are written from scratch; a name alone is for those in a buffer that a technique keeps.
         changes: names of contents that are drawn over, each with the name of the result.
         reads_last: names of contents that are read as the last frame left them.
         has_side_effects: whether something besides the contents depends on the pass, so that it is never dropped.
@@ -70,7 +70,7 @@ class Pass(Generic[F]):
     run: Callable[[F], None]
     because: str
     reads: tuple[str, ...] = ()
-    writes: tuple[Target, ...] = ()
+    writes: tuple[Target | str, ...] = ()
     changes: Mapping[str, str] = field(default_factory=dict)
     reads_last: tuple[str, ...] = ()
     has_side_effects: bool = False
@@ -129,6 +129,11 @@ def fit_size(size: tuple[int, int], scale: float) -> tuple[int, int]:
     return width, height
 
 
+def list_names(contents: Iterable[Target | str]) -> list[str]:
+    """Return the names of contents, whether they are in a texture or not."""
+    return [one if isinstance(one, str) else one.name for one in contents]
+
+
 def make_plan(passes: Sequence[Pass[F]], outputs: Iterable[str] = OUTPUTS) -> Plan[F]:
     """Plan a frame with these passes, whose `outputs` are used after it.
 
@@ -159,9 +164,9 @@ class _PassGraph(Generic[F]):
         self._origins: dict[str, str] = {}  # by the name of a result: the contents that were drawn over
         self._results: dict[str, str] = {}  # the reverse
         for number, one in enumerate(passes):
-            for target in one.writes:
-                self._add_writer(target.name, number)
-                self._targets[target.name] = target
+            for name in list_names(one.writes):
+                self._add_writer(name, number)
+            self._targets.update((target.name, target) for target in one.writes if isinstance(target, Target))
             for old, new in one.changes.items():
                 self._add_writer(new, number)
                 if old in self._results:
@@ -245,9 +250,9 @@ class _PassGraph(Generic[F]):
         kept: set[str] = set()
         for at, number in enumerate(order):
             one = self._passes[number]
-            for target in one.writes:
-                lives[target.name] = [at, at]
-                names[target.name] = [target.name]
+            for name in list_names(one.writes):
+                lives[name] = [at, at]
+                names[name] = [name]
             for new in one.changes.values():
                 names[self._find_root(new)].append(new)
             for name in (*one.reads, *one.changes):
@@ -258,7 +263,9 @@ class _PassGraph(Generic[F]):
         textures: list[tuple[tuple[Format, float, int], bool, list[str]]] = []
         ends: list[int] = []
         for root, (begin, end) in lives.items():
-            target = self._targets[root]
+            target = self._targets.get(root)
+            if target is None:
+                continue
             kind, is_kept = (target.format, target.scale, target.samples), root in kept
             for i, (other, other_kept, held) in enumerate(textures):
                 if other == kind and not is_kept and not other_kept and ends[i] < begin:
@@ -284,7 +291,7 @@ class _PassGraph(Generic[F]):
 
 
 def _list_written(one: Pass[F]) -> list[str]:
-    return [*(target.name for target in one.writes), *one.changes.values()]
+    return [*list_names(one.writes), *one.changes.values()]
 
 
 def _join(names: Sequence[str]) -> str:

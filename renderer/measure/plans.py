@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import rhi
 from renderer.frame import Effect, Frame, Needs, Pass, Plan
+from renderer.frame.plan import list_names
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene
 from renderer.techniques import Technique
@@ -97,13 +98,13 @@ def _report(
     by_name = {name: texture for texture in plan.textures for name in texture.names}
 
     def describe(one: Pass[Frame]) -> PassRow:
-        written = [*(target.name for target in one.writes), *one.changes.values()]
+        written = [*list_names(one.writes), *one.changes.values()]
         return PassRow(
             name=one.name,
             because=one.because,
             reads=[*one.reads, *one.changes, *(f"{name} of the last frame" for name in one.reads_last)],
             writes=written,
-            bytes=sum(by_name[name].count_bytes(size) for name in written),
+            bytes=sum(by_name[name].count_bytes(size) for name in written if name in by_name),
             draws=counts[one.name]["draws"],
             dispatches=counts[one.name]["dispatches"],
         )

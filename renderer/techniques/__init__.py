@@ -6,6 +6,7 @@ from typing import Final
 from renderer.techniques.deferred import Deferred
 from renderer.techniques.forward import Forward
 from renderer.techniques.forward_multipass import ForwardMultipass
+from renderer.techniques.forward_plus import Clustered, ForwardPlus
 from renderer.techniques.fxaa import Smoothed
 from renderer.techniques.light_indexed import LightIndexed
 from renderer.techniques.light_pre_pass import LightPrePass
@@ -13,15 +14,18 @@ from renderer.techniques.particles import Particles
 from renderer.techniques.technique import Technique
 
 TECHNIQUES: Final[dict[str, Callable[[], Technique]]] = {
-    one.name: one for one in (Forward, ForwardMultipass, Deferred, LightPrePass, LightIndexed)
+    one.name: one
+    for one in (Forward, ForwardMultipass, Deferred, LightPrePass, LightIndexed, ForwardPlus, Clustered)
 }
 """Constructors of all techniques, by name."""
 
 __all__ = [
     "TECHNIQUES",
+    "Clustered",
     "Deferred",
     "Forward",
     "ForwardMultipass",
+    "ForwardPlus",
     "LightIndexed",
     "LightPrePass",
     "Particles",

@@ -40,6 +40,7 @@ from renderer.techniques.scene_shader import SHADING_PARTS, ShadingShader, WithS
 from rhi import Format
 from rhi.shading import Precision, Shader, Texture2D, fragment_coordinate, ivec2, min, vec3, vec4
 
+
 class PointLighting(PointVolumes, GeometryReader):
     """Lights the geometry buffer by point lights."""
 

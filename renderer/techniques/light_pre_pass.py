@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache, partial
-from typing import Any, Final
+from typing import Final
 
 from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Effect, Frame, Needs, Pass, Target, TechniquePass
 from renderer.shaders.lighting import highlight, is_near, point_incidence, safe_normalize, spot_incidence

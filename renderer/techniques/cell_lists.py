@@ -1,0 +1,74 @@
+"""Lights of cells: techniques whose pixels are lit by the lights of their tile or cluster.
+
+The lists are made on the device (`renderer.lights.culling`). They have the layout of the lists of objects, so a
+shader that is lit by its object's lights becomes one that is lit by its cell's: only where a list begins and ends is
+looked up elsewhere.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from renderer.frame import Frame, Needs, Pass
+from renderer.lights.culling.cells import CellGrid, cell_index
+from renderer.lights.culling.grid import LightGrid
+from renderer.techniques.forward import LAMPS
+from rhi import Device
+from rhi.shading import Shader, Storage, Uniform, fragment_coordinate, ivec2, ivec3
+
+__rhi_internal__ = True
+
+
+class TileLists(LightGrid):
+    """The lists of tiles of 16 × 16 pixels, between the nearest and the farthest surface of each tile."""
+
+    def __init__(self, device: Device) -> None:
+        super().__init__(device, tile=16)
+
+
+class ClusterLists(LightGrid):
+    """The lists of clusters: tiles of 64 × 64 pixels in 24 depth slices (Olsson, Billeter and Assarsson 2012)."""
+
+    def __init__(self, device: Device) -> None:
+        super().__init__(device, tile=64, slices=24)
+
+
+class CellReader(Shader):
+    """The base of shaders that are lit by the lights of a cell."""
+
+    grid: Uniform[CellGrid]
+    light_rows: Storage[int]
+
+    def find_cell_lights(self, distance: float) -> ivec3:
+        """Return where the point lights of the pixel's cell at this distance along the view begin in the light rows,
+        where they end and the spot lights begin, and where those end."""
+        cell = cell_index(self.grid, ivec2(fragment_coordinate().xy), distance)
+        return ivec3(self.light_rows[2 * cell], self.light_rows[2 * cell + 1], self.light_rows[2 * cell + 2])
+
+
+def has_lamps(needs: Needs) -> bool:
+    """Return whether there are lights to list."""
+    return not needs.effects.isdisjoint(LAMPS)
+
+
+def list_pass(needs: Needs, kind: type[LightGrid], *, depth: str | None = None) -> Pass[Frame]:
+    """Return the pass that lists the lights of cells, as the contents `light lists`.
+
+    Args:
+        depth: contents with the depth of all that is lit; cells then end at the surfaces of their tile.
+    """
+
+    def collect(frame: Frame) -> None:
+        texture = None if depth is None else frame.targets[depth]
+        grid = frame.resources.workspace(kind)
+        grid.collect(frame.device, frame.camera, frame.targets.size, frame.resources.scene.lights, texture)
+
+    because = "; ".join(needs.explain(effect) for effect in LAMPS if effect in needs.effects)
+    reads = () if depth is None else (depth,)
+    return Pass("light lists", collect, because, reads=reads, writes=("light lists",))
+
+
+def bind_lists(frame: Frame, kind: type[LightGrid]) -> dict[str, Any]:
+    """Return the bindings of a `CellReader`, after the lists were made."""
+    grid = frame.resources.workspace(kind)
+    return {"grid": grid.parameters, "light_rows": grid.lists}

@@ -1,0 +1,122 @@
+"""Forward shading with lists of lights for tiles or clusters.
+
+`forward_plus` (Harada, McKee and Yang 2012; Thatcher 2018) draws depth first, lists the lights that reach the surfaces
+of each tile, and then draws the scene lit by the lists. No hidden fragment is lit. `clustered` (Olsson, Billeter and
+Assarsson 2012) lists the lights of clusters, which needs no depth, so the scene is drawn once.
+
+Without point and spot lights in view there is nothing to list, and both are plain forward shading.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Final
+
+from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target, TechniquePass
+from renderer.lights.culling.grid import LightGrid
+from renderer.shaders.structs import SurfaceVarying
+from renderer.techniques.cell_lists import (
+    CellReader,
+    ClusterLists,
+    TileLists,
+    bind_lists,
+    has_lamps,
+    list_pass,
+)
+from renderer.techniques.depth import draw_depth
+from renderer.techniques.forward import Forward, bind_lamps, bind_materials
+from renderer.techniques.forward_shader import ForwardShader, forward_variant
+from renderer.techniques.geometry_buffer import PixelRays, Screen
+from rhi import DepthFunction, DepthWrite
+from rhi.shading import Shader, Uniform, dot, vec4
+
+__rhi_internal__ = True
+
+
+class LitByCells(CellReader, ForwardShader):
+    """Lights a fragment by the lights of its cell instead of those of its object."""
+
+    rays: Uniform[PixelRays]
+
+    def fragment(self, v: SurfaceVarying) -> vec4:
+        surface = self.find_surface(v)
+        color = self.shade(surface, self.materials[v.material])
+        color += self.lamplight(surface, self.find_cell_lights(dot(v.position, self.rays.forward)))
+        return self.finish(color, v.position)
+
+
+class ForwardPlus:
+    """Draws depth, lists the lights of tiles, and draws what is seen, lit by its tile's lights."""
+
+    name: Final = "forward_plus"
+
+    def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
+        """Return the passes `depth`, `light lists` and `forward`; only the last one without lights to list."""
+        if not has_lamps(needs):
+            return Forward().declare(needs)
+        return (
+            Pass(
+                "depth",
+                draw_depth,
+                "lights are listed for what is seen",
+                writes=(Target("depth", DEPTH_FORMAT),),
+            ),
+            list_pass(needs, TileLists, depth="depth"),
+            Pass(
+                "forward",
+                lambda frame: draw_listed(frame, TileLists, after_depth=True),
+                "draws what is seen, lit by its tile's lights",
+                reads=("depth", "light lists"),
+                writes=(Target("image", IMAGE_FORMAT),),
+            ),
+        )
+
+
+class Clustered:
+    """Lists the lights of clusters, and draws the scene lit by them."""
+
+    name: Final = "clustered"
+
+    def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
+        """Return the passes `light lists` and `forward`; only the last one without lights to list."""
+        if not has_lamps(needs):
+            return Forward().declare(needs)
+        return (
+            list_pass(needs, ClusterLists),
+            Pass(
+                "forward",
+                lambda frame: draw_listed(frame, ClusterLists, after_depth=False),
+                "draws the visible objects, lit by their clusters' lights",
+                reads=("light lists",),
+                writes=(Target("image", IMAGE_FORMAT), Target("depth", DEPTH_FORMAT)),
+            ),
+        )
+
+
+@cache
+def cells_variant(parts: tuple[str, ...], *, has_sun: bool) -> type[Shader]:
+    """Return the forward shader with these parts, lit by the lights of cells."""
+    return type(
+        "LitByCells", (LitByCells, forward_variant(*parts, has_sun=has_sun)), {"__module__": __name__}
+    )
+
+
+def draw_listed(frame: Frame, kind: type[LightGrid], *, after_depth: bool) -> None:
+    """Draw the visible objects, lit by the lights of their cells; where depth was drawn before, only what is seen."""
+    (features, bindings), (more, lamps) = bind_materials(frame), bind_lamps(frame)
+    shader = cells_variant((*features, *more), has_sun=frame.needs.has_sun)
+    rays = {"rays": frame.resources.workspace(Screen).find_rays(frame)}
+    frame.draw_visible(
+        TechniquePass(
+            frame.device,
+            frame.resources,
+            frame.view,
+            frame.device.program(shader),
+            bindings | lamps | bind_lists(frame, kind) | rays,
+            color=frame.targets["image"],
+            depth=frame.targets["depth"],
+            clear=(*frame.resources.scene.background, 1.0),
+            states=(DepthFunction.EQUAL, DepthWrite.OFF) if after_depth else (),
+            clears=not after_depth,
+        )
+    )
