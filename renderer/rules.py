@@ -159,6 +159,7 @@ FONT_SIZE: Final = Rule("canvas-font-size", "a font's size is out of its range")
 # Measurements
 
 NO_IMAGES: Final = Rule("measure-no-images", "the textured pass needs a scene with images")
+FEW_LIGHTS: Final = Rule("measure-few-lights", "the scene has fewer point and spot lights than are compared")
 NO_PICTURES: Final = Rule("measure-no-pictures", "a backend that draws no pictures has no passes to time")
 
 

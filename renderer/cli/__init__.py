@@ -11,6 +11,7 @@ from typing import Final, NoReturn
 
 from renderer.cli import (
     compare_backends,
+    compare_light_culling,
     compare_visibility,
     debug_visibility,
     demo,
@@ -30,8 +31,8 @@ COMMANDS: Final[tuple[Subcommand | SubcommandGroup, ...]] = (
     demo.COMMAND,
     SubcommandGroup(
         "compare",
-        "compare visibility algorithms or backends",
-        (compare_visibility.COMMAND, compare_backends.COMMAND),
+        "compare visibility algorithms, tests of light culling, or backends",
+        (compare_visibility.COMMAND, compare_light_culling.COMMAND, compare_backends.COMMAND),
     ),
     plan.COMMAND,
     tune.COMMAND,

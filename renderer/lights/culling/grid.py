@@ -18,6 +18,7 @@ from renderer.lights.culling.kernels import (
     CollectCounted,
     CollectLights,
     FindTileDepths,
+    FindTileMasks,
     LightCounts,
     TileDepths,
     WriteLists,
@@ -110,7 +111,7 @@ class LightGrid:
         self.tile, self.slices, self.first_slice = tile, slices, first_slice
         self.capacity = capacity or 0
         self.dropped = self.overflows = 0
-        self._device = device
+        self.device = device
         self._tests = (
             find_sphere_test(sphere_test, f"{call}(sphere_test=...)"),
             find_cone_test(cone_test, f"{call}(cone_test=...)"),
@@ -153,14 +154,14 @@ class LightGrid:
         self._learn()
         volumes = find_volumes(lights, camera)
         self._aim(camera, size, volumes)
-        buffers, columns = self._buffers, (-(-self.layout.count.x // BLOCK), -(-self.layout.count.y // BLOCK))
+        buffers, blocks = self._buffers, (-(-self.layout.count.x // BLOCK), -(-self.layout.count.y // BLOCK))
         features, given = self._counted, {name: buffers[name] for name in ("spheres", "cones", "masks", "counts")}
         if depth is not None:
             features += self._by_depth
             given["depths"] = buffers["depths"]
             encoder.dispatch(
-                self._device.program(FindTileDepths),
-                (self.layout.count.x, self.layout.count.y),
+                self.device.program(FindTileMasks if CollectByMask in self._by_depth else FindTileDepths),
+                blocks,
                 grid=self.parameters,
                 depth=depth,
                 depths=buffers["depths"],
@@ -172,15 +173,15 @@ class LightGrid:
         if not len(lights.spot):
             cone_test = CONE_TESTS["sphere"]  # less to compile, and never made
         encoder.dispatch(
-            self._device.program(collect_variant(sphere_test, cone_test, block_test, *features)),
-            (*columns, self.slices),
+            self.device.program(collect_variant(sphere_test, cone_test, block_test, features)),
+            (*blocks, self.slices),
             grid=self.parameters,
             lights=self._counts,
             **given,
         )
-        encoder.dispatch(self._device.program(PrefixSum), 1, counts=buffers["counts"])
+        encoder.dispatch(self.device.program(PrefixSum), 1, counts=buffers["counts"])
         encoder.dispatch(
-            self._device.program(WriteLists),
+            self.device.program(WriteLists),
             self.cells // GROUP + 1,
             lights=self._counts,
             masks=buffers["masks"],
@@ -205,8 +206,10 @@ class LightGrid:
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
-        for resource in (self.parameters, self._counts, *self._buffers.values()):
-            resource.destroy()
+        for buffer in self._buffers.values():
+            buffer.destroy()
+        self.parameters.destroy()
+        self._counts.destroy()
         self._buffers = {}
 
     def _learn(self) -> None:
@@ -244,7 +247,7 @@ class LightGrid:
         self._fit("depths", TileDepths, tiles)
         self._fit("lists", int, 2 * cells + 1 + self.capacity)
         self._fit("tests", uint, 1)
-        for name, rows in (("spheres", volumes.spheres), ("cones", volumes.cones)):
+        for name, rows in (("spheres", volumes.spheres.astype(np.float32)), ("cones", volumes.cones)):
             if len(rows):
                 self._buffers[name].write(rows)
 
@@ -254,7 +257,7 @@ class LightGrid:
         if buffer is None or len(buffer) != count:
             if buffer is not None:
                 buffer.destroy()
-            self._buffers[name] = self._device.storage(element, count, label=f"light grid: {name}")
+            self._buffers[name] = self.device.storage(element, count, label=f"light grid: {name}")
 
 
 def _round_up(count: int) -> int:

@@ -1,7 +1,7 @@
 """The compute shaders that list the lights of each cell.
 
-1. `FindTileDepths`, where there is a depth texture: each tile's nearest and farthest surface, and a mask of the depths
-   between them that have a surface (Harada, McKee and Yang 2013: 2.5D culling).
+1. Where there is a depth texture, `FindTileDepths` finds each tile's nearest and farthest surface, and `FindTileMasks`
+   besides a mask of the depths between them that have a surface (Harada, McKee and Yang 2013: 2.5D culling).
 2. `CollectLights`: a work-group has a block of 8 × 8 tiles of one slice. First, as a pre-filter, it tests each light
    against the whole block, then each tile against the lights that the block has kept. The result is a bit for each cell
    and light.
@@ -38,13 +38,10 @@ from rhi.shading import (
     Texture2D,
     Uniform,
     atomic_add,
-    atomic_max,
-    atomic_min,
     atomic_or,
     barrier,
     bit_count,
     find_lsb,
-    float_bits_to_uint,
     global_id,
     group_id,
     ivec2,
@@ -53,7 +50,6 @@ from rhi.shading import (
     min,
     shared,
     uint,
-    uint_bits_to_float,
     vec2,
     vec3,
     vec4,
@@ -85,57 +81,54 @@ class TileDepths(Struct):
 
 
 class FindTileDepths(Shader):
-    """Finds the depths of each tile. A work-group has one tile."""
+    """Finds the depths of each tile. An invocation has a tile, so that there is nothing to wait for: software devices
+    take a tenth of the time of a work-group for each tile."""
 
-    work_group = (GROUP,)
+    work_group = (BLOCK, BLOCK)
     grid: Uniform[CellGrid]
     depth: Texture2D
     depths: StorageRW[TileDepths]
-    least = shared(uint)
-    greatest = shared(uint)
-    mask = shared(uint)
 
     def compute(self) -> None:
-        lane = local_index()
-        tile = group_id().xy
+        tile = global_id().xy
+        if tile.x >= self.grid.count.x or tile.y >= self.grid.count.y:
+            return
         first = tile * self.grid.tile
-        across = min(first + self.grid.tile, self.grid.size) - first
-        pixels = across.x * across.y
-        if lane == 0:
-            self.least = uint(0xFFFFFFFF)
-            self.greatest = uint(0)
-            self.mask = uint(0)
-        barrier()
-        low = uint(0xFFFFFFFF)
-        high = uint(0)
-        for pixel in range(lane, pixels, GROUP):
-            depth = self.depth.load(first + ivec2(pixel % across.x, pixel // across.x)).r
-            if depth != self.grid.background:
-                bits = float_bits_to_uint(depth)  # ordered as the depths are, none of which is below 0
-                low = min(low, bits)
-                high = max(high, bits)
-        if low <= high:
-            atomic_min(self.least, low)
-            atomic_max(self.greatest, high)
-        barrier()
+        end = min(first + self.grid.tile, self.grid.size)
+        least = 2.0
+        greatest = -1.0
+        for y in range(first.y, end.y):
+            for x in range(first.x, end.x):
+                depth = self.depth.load(ivec2(x, y)).r
+                if depth != self.grid.background:
+                    least = min(least, depth)
+                    greatest = max(greatest, depth)
         near = 1.0
         far = 0.0
-        if self.least <= self.greatest:
-            one = distances_of(self.grid, uint_bits_to_float(self.least))
-            other = distances_of(self.grid, uint_bits_to_float(self.greatest))
+        if least <= greatest:
+            one = distances_of(self.grid, least)
+            other = distances_of(self.grid, greatest)
             near = min(one.x, other.x)
             far = max(one.y, other.y)
-        bits = uint(0)
-        for pixel in range(lane, pixels, GROUP):
-            depth = self.depth.load(first + ivec2(pixel % across.x, pixel // across.x)).r
-            if depth != self.grid.background:
-                between = distances_of(self.grid, depth)
-                bits = bits | depth_bits(near, far, between.x, between.y)
-        if bits != uint(0):
-            atomic_or(self.mask, bits)
-        barrier()
-        if lane == 0:
-            self.depths[tile.y * self.grid.count.x + tile.x] = TileDepths(near=near, far=far, mask=self.mask)
+        mask = self.find_mask(first, end, near, far)
+        self.depths[tile.y * self.grid.count.x + tile.x] = TileDepths(near=near, far=far, mask=mask)
+
+    def find_mask(self, first: ivec2, end: ivec2, near: float, far: float) -> uint:
+        return uint(0xFFFFFFFF)
+
+
+class FindTileMasks(FindTileDepths):
+    """Finds the masks of each tile's depths as well."""
+
+    def find_mask(self, first: ivec2, end: ivec2, near: float, far: float) -> uint:
+        mask = uint(0)
+        for y in range(first.y, end.y):
+            for x in range(first.x, end.x):
+                depth = self.depth.load(ivec2(x, y)).r
+                if depth != self.grid.background:
+                    between = distances_of(self.grid, depth)
+                    mask = mask | depth_bits(near, far, between.x, between.y)
+        return mask
 
 
 class CollectLights(Shader):
@@ -321,7 +314,10 @@ class WriteLists(Shader):
 
 @cache
 def collect_variant(
-    sphere_test: SphereTest, cone_test: ConeTest, block_test: SphereTest, *features: type[CollectLights]
+    sphere_test: SphereTest,
+    cone_test: ConeTest,
+    block_test: SphereTest,
+    features: tuple[type[CollectLights], ...],
 ) -> type[CollectLights]:
     """Return the shader with these tests of cells and of blocks, and the features of these classes."""
     methods: dict[str, Any] = {

@@ -24,14 +24,14 @@ class LightVolumes:
     """The volumes of all lights that have an end.
 
     Attributes:
-        spheres: (32 w, 4) float32, centres and radii: of the point lights, then from a multiple of 32 on those around
+        spheres: (32 w, 4) float64, centres and radii: of the point lights, then from a multiple of 32 on those around
             the cones of the spot lights. Rows between them have a radius of -1.
         cones: (s,) of `Cone`, of the spot lights.
         point_words: the number of words before the spot lights'.
         reach: the farthest depth that a light reaches; -inf without lights.
     """
 
-    spheres: NDArray[np.float32]
+    spheres: Floats
     cones: NDArray[Any]
     point_words: int
     reach: float
@@ -66,6 +66,4 @@ def find_volumes(lights: Lights, camera: Camera) -> LightVolumes:
     spheres[: len(points), 3] = points["range"]
     spheres[WORD * point_words :][: len(spots)] = around
     ends = (spheres[:, 2] + spheres[:, 3])[spheres[:, 3] >= 0.0]
-    return LightVolumes(
-        spheres.astype(np.float32), cones, point_words, float(ends.max()) if len(ends) else -np.inf
-    )
+    return LightVolumes(spheres, cones, point_words, float(ends.max()) if len(ends) else -np.inf)

@@ -341,3 +341,20 @@ def test_a_test_of_another_name_is_refused(device: rhi.Device) -> None:
         with pytest.raises(ValidationError) as refused:
             LightGrid(device, **{name: "hybrit"})
         assert refused.value.rule.id == "lights-unknown-test"
+
+
+def test_a_frame_issues_three_dispatches_and_one_more_for_depth() -> None:
+    with rhi.create_device("null") as null:
+        lights, camera = make_lights(), look(LENSES["perspective"])
+        depth = null.texture(SIZE, Format.D32F)
+        grid = LightGrid(null)
+        grid.collect(null, camera, SIZE, lights)
+        null.stream.clear()
+        before = null.statistics
+        grid.collect(null, camera, SIZE, lights)
+        after = null.statistics
+        assert after.dispatches - before.dispatches == 3
+        assert after.upload_bytes - before.upload_bytes < 10_000
+        grid.collect(null, camera, SIZE, lights, depth)
+        assert null.statistics.dispatches - after.dispatches == 4
+        grid.destroy()
