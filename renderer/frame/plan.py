@@ -136,20 +136,20 @@ def make_plan(passes: Sequence[Pass[F]], outputs: Iterable[str] = OUTPUTS) -> Pl
             (`plan-drawn-over-twice`) or that none writes (`plan-unwritten`); passes that wait for each other
             (`plan-circle`).
     """
-    contents = _Contents(passes)
+    graph = _PassGraph(passes)
     outputs = tuple(outputs)
-    needed = contents.find_needed(outputs)
-    order = contents.sort(needed)
+    needed = graph.find_needed(outputs)
+    order = graph.sort(needed)
     dropped = tuple(
         DroppedPass(one.name, f"nothing reads {_join(_list_written(one))}")
         for number, one in enumerate(passes)
         if number not in needed
     )
-    return Plan(tuple(passes[i] for i in order), contents.share(order, outputs), dropped)
+    return Plan(tuple(passes[i] for i in order), graph.share(order, outputs), dropped)
 
 
-class _Contents(Generic[F]):
-    """Which pass writes, reads and draws over which contents."""
+class _PassGraph(Generic[F]):
+    """A technique's passes: which of them write, read and draw over which contents."""
 
     def __init__(self, passes: Sequence[Pass[F]]) -> None:
         self._passes = passes
