@@ -40,6 +40,7 @@ from renderer.techniques.scene_shader import SHADING_PARTS, ShadingShader, WithS
 from rhi import Format
 from rhi.shading import Precision, Shader, Texture2D, fragment_coordinate, ivec2, min, vec3, vec4
 
+
 class PointLighting(PointVolumes, GeometryReader):
     """Lights the geometry buffer by point lights."""
 
@@ -164,7 +165,8 @@ def resolve(frame: Frame, *, lights: Sequence[str]) -> None:
         *features, has_sun=needs.has_sun, has_images=Effect.IMAGES in needs.effects, has_lights=bool(lights)
     )
     bindings |= bind_geometry(frame)
-    bindings |= {"light": targets[name] for name in lights}
+    if lights:
+        (bindings["light"],) = (targets[name] for name in lights)
     with (
         device.render_pass(
             targets.image, targets["depth"], clear=(*frame.resources.scene.background, 1.0)
