@@ -165,7 +165,8 @@ def resolve(frame: Frame, *, lights: Sequence[str]) -> None:
         *features, has_sun=needs.has_sun, has_images=Effect.IMAGES in needs.effects, has_lights=bool(lights)
     )
     bindings |= bind_geometry(frame)
-    bindings |= {"light": targets[name] for name in lights}
+    if lights:
+        (bindings["light"],) = (targets[name] for name in lights)
     with (
         device.render_pass(
             targets.image, targets["depth"], clear=(*frame.resources.scene.background, 1.0)

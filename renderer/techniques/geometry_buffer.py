@@ -67,8 +67,8 @@ BEHIND: Final = {Depth.REVERSED: DepthFunction.LESS, Depth.STANDARD: DepthFuncti
 
 
 class PixelRays(Struct):
-    """Where the pixels of a view are. What is `distance` along the view in the pixel at (x, y) is at `direction @ (x, y,
-    1) * distance + origin @ (x, y, 1)`, relative to the eye. The origins of a perspective lens are 0.
+    """Where the pixels of a view are: what is `distance` along the view in the pixel at (x, y) is at
+    `direction @ (x, y, 1) * distance + origin @ (x, y, 1)`, relative to the eye. With a perspective lens `origin` is 0.
 
     `forward` is the direction of the view, `far` the distance of its far plane, and `farthest` its depth.
     """

@@ -6,8 +6,8 @@
 3. `materials` draws the geometry again, where its depth equals, with the shader of forward shading. Each material
    completes the equation itself, and adds what no light buffer has: ambient and directional light, rim, emission.
 
-So a geometry buffer need not hold what materials are made of: 10 bytes a pixel instead of 16, for geometry that is drawn
-twice. A scene without point and spot lights is drawn once, by forward shading.
+So a geometry buffer need not hold what materials are made of: 10 bytes a pixel instead of 16, for geometry that is
+drawn twice. A scene without point and spot lights is drawn once, by forward shading.
 
 The terms take six channels. With `specular_channels=1` they take four: what is mirrored is stored as its luminance, in
 the alpha of the diffuse term, and gets that term's hue. That is right where one light prevails.
