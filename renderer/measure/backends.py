@@ -146,7 +146,8 @@ class BackendPasses:
     def _draw_lit(self, images: bool) -> None:
         effects = self._needs.effects if images else self._needs.effects - {Effect.IMAGES}
         needs = replace(self._needs, effects=effects)
-        draw_lit(Frame(self.device, self.view, self.resources, self.targets, needs))
+        frame = Frame(self.device, self.view, self.resources, self.targets, needs)
+        draw_lit(frame, self.targets.image, self.targets.depth)
         self.device.finish()
 
     def _prepare_boxes(self) -> None:

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Final
 
 from renderer.techniques.deferred import Deferred
+from renderer.techniques.deferred_cells import ClusteredDeferred, TiledDeferred
 from renderer.techniques.forward import Forward
 from renderer.techniques.forward_multipass import ForwardMultipass
 from renderer.techniques.forward_plus import Clustered, ForwardPlus
@@ -15,13 +16,24 @@ from renderer.techniques.technique import Technique
 
 TECHNIQUES: Final[dict[str, Callable[[], Technique]]] = {
     one.name: one
-    for one in (Forward, ForwardMultipass, Deferred, LightPrePass, LightIndexed, ForwardPlus, Clustered)
+    for one in (
+        Forward,
+        ForwardMultipass,
+        Deferred,
+        LightPrePass,
+        LightIndexed,
+        ForwardPlus,
+        Clustered,
+        TiledDeferred,
+        ClusteredDeferred,
+    )
 }
 """Constructors of all techniques, by name."""
 
 __all__ = [
     "TECHNIQUES",
     "Clustered",
+    "ClusteredDeferred",
     "Deferred",
     "Forward",
     "ForwardMultipass",
@@ -31,4 +43,5 @@ __all__ = [
     "Particles",
     "Smoothed",
     "Technique",
+    "TiledDeferred",
 ]

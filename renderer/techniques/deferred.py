@@ -18,7 +18,9 @@ from typing import Any, Final
 
 from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Effect, Frame, Needs, Pass, Target
 from renderer.shaders.lighting import is_near, point_light, spot_light
+from renderer.shaders.structs import SurfacePoint
 from renderer.techniques.forward import bind_shading
+from renderer.techniques.forward_shader import PARTS
 from renderer.techniques.geometry_buffer import (
     CoverShader,
     GeometryReader,
@@ -36,9 +38,19 @@ from renderer.techniques.light_volumes import (
     declare_lights,
     draw_volumes,
 )
-from renderer.techniques.scene_shader import SHADING_PARTS, ShadingShader, WithSun
+from renderer.techniques.scene_shader import ShadingShader, WithSun
 from rhi import Format
-from rhi.shading import Precision, Shader, Texture2D, fragment_coordinate, ivec2, min, vec3, vec4
+from rhi.shading import (
+    Precision,
+    Shader,
+    Texture2D,
+    fragment_coordinate,
+    ivec2,
+    min,
+    uint_bits_to_float,
+    vec3,
+    vec4,
+)
 
 
 class PointLighting(PointVolumes, GeometryReader):
@@ -82,10 +94,11 @@ class ResolveShader(CoverShader, GeometryReader, ShadingShader):
         row = self.material.load(ivec2(pixel))
         position = self.find_place(texel, pixel)
         surface = self.read_surface(row, texel, position)
-        color = self.shade(surface, self.materials[int(row.x)]) + self.local_light(ivec2(pixel))
+        color = self.shade(surface, self.materials[int(row.x)])
+        color += self.local_light(surface, ivec2(pixel), uint_bits_to_float(texel.y))
         return self.finish(color, position)
 
-    def local_light(self, place: ivec2) -> vec3:
+    def local_light(self, surface: SurfacePoint, pixel: ivec2, distance: float) -> vec3:
         return vec3(0.0)
 
 
@@ -94,8 +107,8 @@ class WithLightBuffer(ResolveShader):
 
     light: Texture2D
 
-    def local_light(self, place: ivec2) -> vec3:
-        return min(self.light.load(place).rgb, BRIGHTEST)
+    def local_light(self, surface: SurfacePoint, pixel: ivec2, distance: float) -> vec3:
+        return min(self.light.load(pixel).rgb, BRIGHTEST)
 
 
 class Deferred:
@@ -150,23 +163,29 @@ def light_geometry(
 
 
 @cache
-def resolve_variant(*parts: str, has_sun: bool, has_images: bool, has_lights: bool) -> type[Shader]:
-    """Return the shader of the last pass with these of `SHADING_PARTS`, and only their bindings."""
-    known = SHADING_PARTS | {"directional_lights": WithSun} if has_sun else SHADING_PARTS
-    bases = (*(known[part] for part in parts), WithLightBuffer if has_lights else ResolveShader)
+def resolve_variant(base: type[ResolveShader], *parts: str, has_sun: bool, has_images: bool) -> type[Shader]:
+    """Return a shader of the last pass with these of `PARTS`, and only their bindings."""
+    known = PARTS | {"directional_lights": WithSun} if has_sun else PARTS
+    bases = (*(known[part] for part in parts), base)
     return type("Resolve", bases, {"__module__": __name__, "has_images": has_images})
 
 
 def resolve(frame: Frame, *, lights: Sequence[str]) -> None:
     """Make the image: shade each pixel of the geometry buffer and add the light that was collected, if any was."""
-    device, targets, needs = frame.device, frame.targets, frame.needs
     features, bindings = bind_shading(frame)
-    shader = resolve_variant(
-        *features, has_sun=needs.has_sun, has_images=Effect.IMAGES in needs.effects, has_lights=bool(lights)
-    )
-    bindings |= bind_geometry(frame)
     if lights:
-        (bindings["light"],) = (targets[name] for name in lights)
+        (bindings["light"],) = (frame.targets[name] for name in lights)
+    draw_resolve(frame, WithLightBuffer if lights else ResolveShader, features, bindings)
+
+
+def draw_resolve(
+    frame: Frame, base: type[ResolveShader], parts: Sequence[str], bindings: dict[str, Any]
+) -> None:
+    """Make the image with a shader and parts of it, and their bindings besides those of the geometry buffer."""
+    device, targets, needs = frame.device, frame.targets, frame.needs
+    shader = resolve_variant(
+        base, *parts, has_sun=needs.has_sun, has_images=Effect.IMAGES in needs.effects
+    )
     with (
         device.render_pass(
             targets.image, targets["depth"], clear=(*frame.resources.scene.background, 1.0)
@@ -174,4 +193,5 @@ def resolve(frame: Frame, *, lights: Sequence[str]) -> None:
         device.states(*cover_geometry(frame)),
     ):
         program: Any = device.program(shader)
-        device.draw(program, frame.resources.workspace(Screen).triangle, **bindings)
+        triangle = frame.resources.workspace(Screen).triangle
+        device.draw(program, triangle, **bindings, **bind_geometry(frame))

@@ -119,7 +119,7 @@ def bind_materials(frame: Frame) -> tuple[list[str], dict[str, Any]]:
 
 
 def bind_surfaces(frame: Frame) -> tuple[list[str], dict[str, Any]]:
-    """Return the names of the parts that a `LampShader` needs for the frame's images, and its bindings."""
+    """Return the names of the parts that a `MaterialShader` needs for the frame's images, and its bindings."""
     resources = frame.resources
     images = {"images": resources.images} if Effect.IMAGES in frame.needs.effects else {}
     return list(images), images | {

@@ -24,6 +24,7 @@ from renderer.techniques.forward import LAMPS, Forward, bind_lamps, bind_materia
 from renderer.techniques.forward_shader import (
     ForwardShader,
     LampShader,
+    MaterialShader,
     WithPointLights,
     WithSpotLights,
     forward_variant,
@@ -56,7 +57,7 @@ class Pair(Struct):
     entry: int
 
 
-class PointPairs(LampShader):
+class PointPairs(MaterialShader, LampShader):
     """Adds the light of pairs of an object and one point light that reaches it; a pair is an instance."""
 
     pairs: Storage[Pair]

@@ -15,8 +15,24 @@ from renderer.techniques.scene_shader import SHADING_PARTS, SceneShader, Shading
 from rhi.shading import Shader, Storage, ivec3, vec3, vec4
 
 
-class LampShader(SceneShader):
-    """The base of shaders that light geometry by lamps, point and spot lights, as it is drawn: without any."""
+class LampShader(Shader):
+    """The base of shaders that light surfaces by lists of lamps, point and spot lights: without any."""
+
+    def lamplight(self, surface: SurfacePoint, lights: ivec3) -> vec3:
+        """Return the light of the lamps between three places in the light rows: where the point lights begin, where
+        they end and the spot lights begin, and where those end."""
+        color = self.pointlight(surface, lights.x, lights.y)
+        return color + self.spotlight(surface, lights.y, lights.z)
+
+    def pointlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
+        return vec3(0.0)
+
+    def spotlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
+        return vec3(0.0)
+
+
+class MaterialShader(SceneShader):
+    """The base of shaders that draw the scene's geometry with its materials."""
 
     materials: Storage[Material]
 
@@ -31,18 +47,8 @@ class LampShader(SceneShader):
             shininess=material.shininess,
         )
 
-    def lamplight(self, surface: SurfacePoint, lights: ivec3) -> vec3:
-        color = self.pointlight(surface, lights.x, lights.y)
-        return color + self.spotlight(surface, lights.y, lights.z)
 
-    def pointlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
-        return vec3(0.0)
-
-    def spotlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
-        return vec3(0.0)
-
-
-class ForwardShader(LampShader, ShadingShader):
+class ForwardShader(MaterialShader, LampShader, ShadingShader):
     """The base of all variants: ambient light with the rim term."""
 
     def fragment(self, v: SurfaceVarying) -> vec4:

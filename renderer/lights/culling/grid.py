@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from renderer.lights.culling.cells import CellGrid
-from renderer.lights.culling.cone_tests import Cone
 from renderer.lights.culling.kernels import (
     BLOCK,
     GROUP,
@@ -19,18 +18,16 @@ from renderer.lights.culling.kernels import (
     CollectLights,
     FindTileDepths,
     FindTileMasks,
-    LightCounts,
     TileDepths,
     WriteLists,
     collect_variant,
 )
-from renderer.lights.culling.projections import make_grid
 from renderer.lights.culling.table import CONE_TESTS, find_cone_test, find_sphere_test
-from renderer.lights.culling.volumes import LightVolumes, find_volumes
-from renderer.scene import Camera, Lights, Perspective
+from renderer.lights.culling.uploads import BufferSet, LightUploads, round_up
+from renderer.scene import Camera, Lights
 from renderer.shaders.prefix_sum import PrefixSum
 from rhi import Device, Encoder, Readback, StorageBuffer, Texture, UniformBuffer
-from rhi.shading import uint, vec4
+from rhi.shading import uint
 
 __rhi_internal__ = True
 
@@ -75,7 +72,6 @@ class LightGrid:
     it in `overflows` and `dropped`.
 
     Attributes:
-        layout: the grid of the last frame. parameters: the same for shaders.
         capacity: number of lights that fit in all lists together.
         overflows: number of frames in which lights were missing, as far as the CPU knows by now.
         dropped: number of entries that were missing in them.
@@ -108,7 +104,7 @@ class LightGrid:
             ValidationError `lights-unknown-test`: a test has another name.
         """
         call = "LightGrid"
-        self.tile, self.slices, self.first_slice = tile, slices, first_slice
+        self._uploads = LightUploads(device, tile=tile, slices=slices, first_slice=first_slice)
         self.capacity = capacity or 0
         self.dropped = self.overflows = 0
         self.device = device
@@ -119,13 +115,20 @@ class LightGrid:
         )
         self._by_depth: tuple[type[CollectLights], ...] = (CollectByMask if depth_mask else CollectByDepth,)
         self._counted: tuple[type[CollectLights], ...] = (CollectCounted,) if counted else ()
-        self.layout = make_grid(Perspective(), (1, 1), tile, slices=slices)
-        self.parameters: UniformBuffer[CellGrid] = device.uniform(self.layout)
-        self._counts: UniformBuffer[LightCounts] = device.uniform(LightCounts(words=0, point_words=0))
-        self._buffers: dict[str, StorageBuffer[Any]] = {}
+        self._buffers = BufferSet(device, "light grid")
         self._pending: Readback | None = None
         self._room = 0  # the capacity of the frame whose need is pending
         self._unasked: int | None = None  # that of the last frame, if its need isn't asked for yet
+
+    @property
+    def layout(self) -> CellGrid:
+        """The grid of the last frame."""
+        return self._uploads.layout
+
+    @property
+    def parameters(self) -> UniformBuffer[CellGrid]:
+        """The grid of the last frame for shaders."""
+        return self._uploads.parameters
 
     @property
     def cells(self) -> int:
@@ -152,10 +155,11 @@ class LightGrid:
             depth: the depth of all that is lit through the lists; cells then end at the surfaces of their tile.
         """
         self._learn()
-        volumes = find_volumes(lights, camera)
-        self._aim(camera, size, volumes)
+        self._uploads.write(camera, size, lights)
+        self._make_room()
         buffers, blocks = self._buffers, (-(-self.layout.count.x // BLOCK), -(-self.layout.count.y // BLOCK))
-        features, given = self._counted, {name: buffers[name] for name in ("spheres", "cones", "masks", "counts")}
+        features, given = self._counted, {name: buffers[name] for name in ("masks", "counts")}
+        uploads = self._uploads.bindings
         if depth is not None:
             features += self._by_depth
             given["depths"] = buffers["depths"]
@@ -174,16 +178,15 @@ class LightGrid:
             cone_test = CONE_TESTS["sphere"]  # less to compile, and never made
         encoder.dispatch(
             self.device.program(collect_variant(sphere_test, cone_test, block_test, features)),
-            (*blocks, self.slices),
-            grid=self.parameters,
-            lights=self._counts,
+            (*blocks, self.layout.count.z),
+            **uploads,
             **given,
         )
         encoder.dispatch(self.device.program(PrefixSum), 1, counts=buffers["counts"])
         encoder.dispatch(
             self.device.program(WriteLists),
             self.cells // GROUP + 1,
-            lights=self._counts,
+            lights=uploads["lights"],
             masks=buffers["masks"],
             sums=buffers["counts"],
             lists=buffers["lists"],
@@ -206,11 +209,8 @@ class LightGrid:
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
-        for buffer in self._buffers.values():
-            buffer.destroy()
-        self.parameters.destroy()
-        self._counts.destroy()
-        self._buffers = {}
+        self._buffers.destroy()
+        self._uploads.destroy()
 
     def _learn(self) -> None:
         """Note how many lights the lists of an earlier frame needed, if the device has finished it, and enlarge
@@ -221,45 +221,17 @@ class LightGrid:
             if needed > self._room:
                 self.overflows += 1
                 self.dropped += needed - self._room
-                self.capacity = max(self.capacity, _round_up(needed))
+                self.capacity = max(self.capacity, round_up(needed))
         if self._pending is None and self._unasked is not None:
             self._room, self._unasked = self._unasked, None
             self._pending = self._buffers["counts"].read_async(self.cells, 1)
 
-    def _aim(self, camera: Camera, size: tuple[int, int], volumes: LightVolumes) -> None:
-        """Bring constants and lights to the device, and make room for the results."""
-        self.layout = grid = make_grid(
-            camera.projection,
-            size,
-            self.tile,
-            slices=self.slices,
-            first_slice=self.first_slice,
-            reach=volumes.reach,
-        )
-        self.parameters.write(grid)
-        self._counts.write(LightCounts(words=volumes.words, point_words=volumes.point_words))
-        cells, tiles = self.cells, grid.count.x * grid.count.y
+    def _make_room(self) -> None:
+        """Make room for the results."""
+        cells, count = self.cells, self.layout.count
         self.capacity = self.capacity or _START * cells
-        self._fit("spheres", vec4, _round_up(len(volumes.spheres)))
-        self._fit("cones", Cone, _round_up(len(volumes.cones)))
-        self._fit("masks", uint, _round_up(cells * volumes.words))
-        self._fit("counts", uint, cells + 1)
-        self._fit("depths", TileDepths, tiles)
-        self._fit("lists", int, 2 * cells + 1 + self.capacity)
-        self._fit("tests", uint, 1)
-        for name, rows in (("spheres", volumes.spheres.astype(np.float32)), ("cones", volumes.cones)):
-            if len(rows):
-                self._buffers[name].write(rows)
-
-    def _fit(self, name: str, element: type[Any], count: int) -> None:
-        """Make a buffer have `count` elements; it is created again if it has another number."""
-        buffer = self._buffers.get(name)
-        if buffer is None or len(buffer) != count:
-            if buffer is not None:
-                buffer.destroy()
-            self._buffers[name] = self.device.storage(element, count, label=f"light grid: {name}")
-
-
-def _round_up(count: int) -> int:
-    """Return the next power of two, so that a changing count seldom changes a buffer's size."""
-    return 1 << max(count - 1, 0).bit_length()
+        self._buffers.fit("masks", uint, round_up(cells * self._uploads.words))
+        self._buffers.fit("counts", uint, cells + 1)
+        self._buffers.fit("depths", TileDepths, count.x * count.y)
+        self._buffers.fit("lists", int, 2 * cells + 1 + self.capacity)
+        self._buffers.fit("tests", uint, 1)

@@ -1,0 +1,292 @@
+"""Deferred shading by the lights of tiles or clusters: no light volumes are drawn.
+
+`tiled_deferred` (Andersson 2009; Lauritzen 2010) has one compute shader that does both: a work-group finds the depths
+of its tile, tests the lights against them, and lights its pixels by those that it has kept. `clustered_deferred`
+(Olsson, Billeter and Assarsson 2012) lists the lights of clusters and lights each pixel by its cluster's list, in the
+same pass that makes the image.
+
+Without point and spot lights in view, both are deferred shading.
+"""
+
+from __future__ import annotations
+
+from functools import cache, partial
+from typing import Final
+
+from renderer.frame import IMAGE_FORMAT, Effect, Frame, Needs, Pass, Target
+from renderer.lights.culling.cells import Cell, CellGrid, block_cell, distances_of, padded_radius
+from renderer.lights.culling.cone_tests import Cone, cone_overlaps_tightly
+from renderer.lights.culling.kernels import LightCounts
+from renderer.lights.culling.sphere_tests import overlaps_hybrid
+from renderer.lights.culling.uploads import LightUploads
+from renderer.lights.culling.volumes import WORD
+from renderer.shaders.lighting import is_near, point_light, spot_light
+from renderer.shaders.structs import PointLight, SpotLight, SurfacePoint
+from renderer.techniques.cell_lists import CellReader, ClusterLists, bind_lists, has_lamps, list_pass
+from renderer.techniques.deferred import Deferred, ResolveShader, draw_resolve, resolve
+from renderer.techniques.forward import LAMPS, bind_lamps, bind_shading
+from renderer.techniques.forward_shader import LampShader
+from renderer.techniques.geometry_buffer import GeometryReader, bind_geometry, geometry_pass
+from renderer.techniques.light_volumes import LIGHT_FORMAT
+from rhi import Device
+from rhi.shading import (
+    Image2D,
+    Precision,
+    Shader,
+    Storage,
+    Texture2D,
+    Uniform,
+    atomic_max,
+    atomic_min,
+    atomic_or,
+    barrier,
+    find_lsb,
+    float_bits_to_uint,
+    global_id,
+    group_id,
+    image,
+    ivec2,
+    local_index,
+    max,
+    min,
+    shared,
+    uint,
+    uint_bits_to_float,
+    uvec4,
+    vec2,
+    vec3,
+    vec4,
+)
+
+__rhi_internal__ = True
+
+TILE: Final = 16
+"""The side of a tile in pixels: a work-group has a pixel for each of its threads."""
+_GROUP: Final = TILE * TILE
+_CHUNK: Final = 64
+"""Number of words of lights that a tile holds at a time."""
+_READS: Final = ("surface", "material", "depth")
+
+
+class LitByLists(CellReader, LampShader, ResolveShader):
+    """Makes the image from the geometry buffer, lit by the lights of clusters."""
+
+    def local_light(self, surface: SurfacePoint, pixel: ivec2, distance: float) -> vec3:
+        return self.lamplight(surface, self.find_cell_lights(distance))
+
+
+class TiledLighting(GeometryReader):
+    """Adds up the light of each pixel. A work-group has one tile."""
+
+    # As in other passes: highlights end up in 8 bits.
+    precision = Precision.FAST
+    work_group = (TILE, TILE)
+
+    grid: Uniform[CellGrid]
+    lights: Uniform[LightCounts]
+    spheres: Storage[vec4]
+    cones: Storage[Cone]
+    depth: Texture2D
+    lit: Image2D = image(LIGHT_FORMAT)
+    least = shared(uint)
+    greatest = shared(uint)
+    kept = shared(uint, _CHUNK)
+
+    def compute(self) -> None:
+        lane = local_index()
+        tile = group_id().xy
+        pixel = global_id().xy
+        inside = pixel.x < self.grid.size.x and pixel.y < self.grid.size.y
+        depth = self.grid.background
+        if inside:
+            depth = self.depth.load(pixel).r
+        has_surface = depth != self.grid.background
+        cell = self.find_cell(lane, tile, depth, has_surface)
+
+        texel = uvec4(0)
+        row = uvec4(0)
+        if has_surface:
+            texel = self.surface.load(pixel)
+            row = self.material.load(pixel)
+        position = self.find_place(texel, vec2(pixel) + 0.5)
+        surface = self.read_surface(row, texel, position)
+        color = vec3(0.0)
+        words = self.lights.words
+        for base in range(0, words, _CHUNK):
+            if lane < _CHUNK:
+                self.kept[lane] = uint(0)
+            barrier()
+            if cell.near <= cell.far:
+                for k in range(lane, WORD * min(words - base, _CHUNK), _GROUP):
+                    if self.reaches(WORD * base + k, cell):
+                        atomic_or(self.kept[k // WORD], uint(1) << uint(k % WORD))
+            barrier()
+            if has_surface:
+                for w in range(min(words - base, _CHUNK)):
+                    bits = self.kept[w]
+                    while bits != uint(0):
+                        light = WORD * (base + w) + find_lsb(bits)
+                        bits = bits & (bits - uint(1))
+                        color += self.light_of(surface, light)
+            barrier()
+        if inside:
+            self.lit.store(pixel, vec4(color, 0.0))
+
+    def find_cell(self, lane: int, tile: ivec2, depth: float, has_surface: bool) -> Cell:
+        """Return the tile's cell between its nearest and its farthest surface; it is empty without any."""
+        if lane == 0:
+            self.least = uint(0xFFFFFFFF)
+            self.greatest = uint(0)
+        barrier()
+        if has_surface:
+            bits = float_bits_to_uint(depth)  # ordered as the depths are, none of which is below 0
+            atomic_min(self.least, bits)
+            atomic_max(self.greatest, bits)
+        barrier()
+        near = 1.0
+        far = 0.0
+        if self.least <= self.greatest:
+            one = distances_of(self.grid, uint_bits_to_float(self.least))
+            other = distances_of(self.grid, uint_bits_to_float(self.greatest))
+            near = min(one.x, other.x)
+            far = max(one.y, other.y)
+        return block_cell(self.grid, tile, 1, near, far)
+
+    def reaches(self, light: int, cell: Cell) -> bool:
+        """Return whether a light may reach a cell that isn't empty."""
+        sphere = self.spheres[light]
+        if sphere.w < 0.0:
+            return False
+        if not overlaps_hybrid(cell, sphere.xyz, padded_radius(cell, sphere.xyz, sphere.w)):
+            return False
+        return self.reaches_in_cone(light - WORD * self.lights.point_words, cell)
+
+    def reaches_in_cone(self, spot: int, cell: Cell) -> bool:
+        return True
+
+    def light_of(self, surface: SurfacePoint, light: int) -> vec3:
+        spot = light - WORD * self.lights.point_words
+        if spot < 0:
+            return self.point_lamp(surface, light)
+        return self.spot_lamp(surface, spot)
+
+    def point_lamp(self, surface: SurfacePoint, row: int) -> vec3:
+        return vec3(0.0)
+
+    def spot_lamp(self, surface: SurfacePoint, row: int) -> vec3:
+        return vec3(0.0)
+
+
+class TiledPointLights(TiledLighting):
+    """Adds point lights."""
+
+    point_lights: Storage[PointLight]
+
+    def point_lamp(self, surface: SurfacePoint, row: int) -> vec3:
+        light = self.point_lights[row]
+        if not is_near(surface.position, light.position, light.range):
+            return vec3(0.0)
+        return point_light(surface, light)
+
+
+class TiledSpotLights(TiledLighting):
+    """Adds spot lights."""
+
+    spot_lights: Storage[SpotLight]
+
+    def reaches_in_cone(self, spot: int, cell: Cell) -> bool:
+        if spot < 0:
+            return True
+        cone = self.cones[spot]
+        return cone_overlaps_tightly(cell, cone, padded_radius(cell, cone.apex, cone.range) - cone.range)
+
+    def spot_lamp(self, surface: SurfacePoint, row: int) -> vec3:
+        light = self.spot_lights[row]
+        if not is_near(surface.position, light.position, light.range):
+            return vec3(0.0)
+        return spot_light(surface, light)
+
+
+class TileUploads(LightUploads):
+    """The lights of a frame, for tiles as large as the work-groups of `TiledLighting`."""
+
+    def __init__(self, device: Device) -> None:
+        super().__init__(device, tile=TILE)
+
+
+class TiledDeferred:
+    """Draws the scene to a geometry buffer, and lights it tile by tile in one compute pass."""
+
+    name: Final = "tiled_deferred"
+
+    def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
+        """Return the passes `geometry`, `tiles` and `resolve`; those of `Deferred` without lights to test."""
+        if not has_lamps(needs):
+            return Deferred().declare(needs)
+        because = "; ".join(needs.explain(effect) for effect in LAMPS if effect in needs.effects)
+        return (
+            geometry_pass(needs),
+            Pass("tiles", light_tiles, because, reads=_READS, writes=(Target("light", LIGHT_FORMAT),)),
+            Pass(
+                "resolve",
+                partial(resolve, lights=("light",)),
+                "lights surfaces by what reaches all of them",
+                reads=(*_READS, "light"),
+                writes=(Target("image", IMAGE_FORMAT),),
+            ),
+        )
+
+
+class ClusteredDeferred:
+    """Draws the scene to a geometry buffer, and lights it by the lists of clusters."""
+
+    name: Final = "clustered_deferred"
+
+    def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
+        """Return the passes `geometry`, `light lists` and `resolve`; those of `Deferred` without lights to list."""
+        if not has_lamps(needs):
+            return Deferred().declare(needs)
+        return (
+            geometry_pass(needs),
+            list_pass(needs, ClusterLists),
+            Pass(
+                "resolve",
+                light_clusters,
+                "lights surfaces by what reaches all of them and by their clusters' lights",
+                reads=(*_READS, "light lists"),
+                writes=(Target("image", IMAGE_FORMAT),),
+            ),
+        )
+
+
+@cache
+def tiled_variant(parts: tuple[str, ...], *, has_images: bool) -> type[Shader]:
+    """Return the compute shader for point lights, spot lights or both."""
+    known = {"point_lights": TiledPointLights, "spot_lights": TiledSpotLights}
+    bases = tuple(known[part] for part in parts)
+    return type("TiledLights", bases, {"__module__": __name__, "has_images": has_images})
+
+
+def light_tiles(frame: Frame) -> None:
+    """Add up the light of point and spot lights in `light`."""
+    resources = frame.resources
+    uploads = resources.workspace(TileUploads)
+    uploads.write(frame.camera, frame.targets.size, resources.scene.lights)
+    parts, lamps = bind_lamps(frame)
+    lamps.pop("light_rows")
+    count = uploads.layout.count
+    frame.device.dispatch(
+        frame.device.program(tiled_variant(tuple(parts), has_images=Effect.IMAGES in frame.needs.effects)),
+        (count.x, count.y),
+        depth=frame.targets["depth"],
+        lit=frame.targets["light"].image(0),
+        **uploads.bindings,
+        **bind_geometry(frame),
+        **lamps,
+    )
+
+
+def light_clusters(frame: Frame) -> None:
+    """Make the image: shade each pixel of the geometry buffer by the light of everything and of its cluster."""
+    (features, bindings), (parts, lamps) = bind_shading(frame), bind_lamps(frame)
+    draw_resolve(frame, LitByLists, [*features, *parts], bindings | lamps | bind_lists(frame, ClusterLists))
