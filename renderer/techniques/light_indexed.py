@@ -279,7 +279,7 @@ def list_volumes(frame: Frame) -> NDArray[Any]:
 
 def pack_numbers(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return what is packed (l, 4) for lights with these numbers; those that are too large fill a pixel."""
-    packed = numbers[:, None] >> LIGHT_BITS * np.arange(4) & LIGHT_MASK
+    packed: NDArray[np.int64] = numbers[:, None] >> LIGHT_BITS * np.arange(4) & LIGHT_MASK
     packed[numbers > MOST_LIGHTS] = int(LIGHTS_FULL)
     return packed
 
