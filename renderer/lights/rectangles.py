@@ -34,8 +34,8 @@ def bound_spheres(camera: Camera, centers: Floats, radii: Floats) -> Floats:
     for axis in (0, 1):
         low, high = _bound(turned[axis], middles[:, axis], turned[3], middles[:, 3], radii, near)
         result[:, axis], result[:, axis + 2] = low - _MARGIN, high + _MARGIN
-    seen: NDArray[np.bool_] = (result[:, :2] <= result[:, 2:]).all(1)
-    return np.where(seen[:, None], np.clip(result, -1.0, 1.0), 0.0)
+    result[np.any(result[:, :2] > result[:, 2:], axis=1)] = 0.0
+    return result.clip(-1.0, 1.0)
 
 
 def bound_cones(

@@ -274,7 +274,8 @@ def list_volumes(frame: Frame) -> NDArray[Any]:
         np.concatenate([points["range"].astype(np.float64), radii]),
     )
     volumes["packed"] = pack_numbers(np.arange(1, len(volumes) + 1))
-    return volumes
+    made: NDArray[Any] = volumes
+    return made
 
 
 def pack_numbers(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
