@@ -64,13 +64,14 @@ class FrameStatistics:
 class FrameResult:
     """A submitted frame.
 
-    `image` and `depth` are overwritten by the next frame. `visibility` is the cost of finding the visible objects,
-    None if the technique didn't do so. Where the device decides what is drawn, the first use of `visible` or
-    `statistics` waits for the device; they can be read until the next frame.
+    `image`, `depth` and all other contents of the frame, `targets`, are overwritten by the next frame. `visibility` is
+    the cost of finding the visible objects, None if the technique didn't do so. Where the device decides what is drawn,
+    the first use of `visible` or `statistics` waits for the device; they can be read until the next frame.
     """
 
     image: Texture
     depth: Texture
+    targets: Targets
     visibility: VisibilityStatistics | None
     _drawn: Drawn
     _counters: dict[str, int]
@@ -192,7 +193,8 @@ class Renderer:
         counters = {name: getattr(after, name) - getattr(before, name) for name in _COUNTERS}
         counters["simulation_steps"] = self.simulator.steps
         counters["skipped_simulations"] = len(self.simulator) - self.simulator.seen
-        return FrameResult(self._targets.image, self._targets.depth, frame.statistics, frame.drawn, counters)
+        targets = self._targets
+        return FrameResult(targets.image, targets.depth, targets, frame.statistics, frame.drawn, counters)
 
     def plan(self, camera: Camera) -> tuple[Needs, Plan[Frame]]:
         """Return what a frame of `camera` needs, and its plan; nothing is drawn."""

@@ -152,6 +152,13 @@ UNWRITTEN: Final = Rule(
 )
 PLAN_CIRCLE: Final = Rule("plan-circle", "the passes of a frame don't wait for each other in a circle")
 
+# Techniques
+ONE_SAMPLE: Final = Rule(
+    "technique-one-sample",
+    "this technique draws one sample per pixel",
+    "smooth its image with --fxaa, or use --technique forward",
+)
+
 # The canvas
 FONT_FILE: Final = Rule("canvas-font-file", "the file can't be read as a font")
 FONT_SIZE: Final = Rule("canvas-font-size", "a font's size is out of its range")

@@ -7,8 +7,11 @@ from pathlib import Path
 from typing import Final
 
 import rhi
+from renderer import rules
 from renderer.cli.subcommand import Parser
+from renderer.techniques import TECHNIQUES, Forward, Smoothed, Technique
 from renderer.visibility import Settings
+from rhi import refuse
 
 PATH_HELP: Final = (
     "a path of the scene (ground, sky), or the .json file of a walk-through (default: %(default)s)"
@@ -45,6 +48,34 @@ def add_size(
     """Add `--size WxH`; `what` says what has that size."""
     help = f"{what} (default: {size[0]}x{size[1]})"
     parser.add_argument("--size", type=parse_size, default=size, metavar="WxH", help=help)
+
+
+def add_technique(parser: Parser) -> None:
+    """Add `--technique NAME`, `--samples N` and `--fxaa`, which `make_technique` reads."""
+    parser.add_argument(
+        "--technique",
+        choices=TECHNIQUES,
+        default="forward",
+        help="how the scene is drawn (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--samples",
+        type=parse_count,
+        default=1,
+        metavar="N",
+        help="samples per pixel, which smooth edges; more than one needs the technique forward (default: 1)",
+    )
+    parser.add_argument("--fxaa", action="store_true", help="smooth the edges of the image, with any technique")
+
+
+def make_technique(given: argparse.Namespace) -> Technique:
+    """Return the technique that the arguments of `add_technique` describe."""
+    technique = TECHNIQUES[given.technique]()
+    if given.samples > 1:
+        if not isinstance(technique, Forward):
+            refuse(rules.ONE_SAMPLE, "render", f"{technique.name} with --samples {given.samples}")
+        technique = Forward(given.samples)
+    return Smoothed(technique) if given.fxaa else technique
 
 
 def add_walk(parser: Parser, what: str) -> None:

@@ -8,13 +8,19 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Final
 
-from renderer.cli.arguments import CAMERA_HELP, add_scene, add_size, parse_frame
+from renderer.cli.arguments import (
+    CAMERA_HELP,
+    add_scene,
+    add_size,
+    add_technique,
+    make_technique,
+    parse_frame,
+)
 from renderer.cli.output import OutputError, draw_chart, note
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import load_scene, parse_camera
 from renderer.measure.plans import PlanReport, describe_plan
 from renderer.measure.table import format_table
-from renderer.techniques import TECHNIQUES
 
 _NOTES: Final = """\
   python -m renderer plan city
@@ -28,12 +34,7 @@ the contents that it holds in turn: dark where they are written, light where the
 
 def _add_arguments(parser: Parser) -> None:
     add_scene(parser)
-    parser.add_argument(
-        "--technique",
-        choices=TECHNIQUES,
-        default="forward",
-        help="how the scene is drawn (default: %(default)s)",
-    )
+    add_technique(parser)
     parser.add_argument("--camera", metavar="CAMERA", help=f"{CAMERA_HELP} (default: the scene's first view)")
     parser.add_argument(
         "--frame", type=parse_frame, default=0, metavar="N", help="frame of the path (default: 0)"
@@ -48,7 +49,7 @@ def _run(given: argparse.Namespace) -> None:
         raise OutputError(f"--plot: {given.plot.name!r} is not the name of a chart; end it with .svg")
     scene = load_scene(given.scene)
     camera = parse_camera(given.camera or next(iter(scene.views)), scene, given.frame)
-    report = describe_plan(scene, TECHNIQUES[given.technique](), camera, given.size)
+    report = describe_plan(scene, make_technique(given), camera, given.size)
     if given.plot is not None:
         given.plot.parent.mkdir(parents=True, exist_ok=True)
         plot_plan(report, given.plot, f"{given.technique}: {scene.name}")

@@ -19,7 +19,9 @@ from renderer.cli.arguments import (
     add_scene,
     add_settings,
     add_size,
+    add_technique,
     load_settings,
+    make_technique,
     parse_count,
     parse_frame,
 )
@@ -30,7 +32,8 @@ from renderer.measure import FrameCost, measure_frame
 from renderer.overlay import Overlay
 from renderer.renderer import Renderer
 from renderer.scene import FRAMES_PER_SECOND, Camera, CameraPath, Depth, Orthographic, Perspective, Scene
-from renderer.techniques import TECHNIQUES, Particles
+from renderer.techniques import Particles
+from renderer.techniques.light_indexed import count_overflowing
 from renderer.visibility import (
     ALGORITHMS,
     AutoCulling,
@@ -60,12 +63,7 @@ their mean. The image is that of the last frame."""
 def _add_arguments(parser: Parser) -> None:
     add_scene(parser)
     add_backend(parser)
-    parser.add_argument(
-        "--technique",
-        choices=TECHNIQUES,
-        default="forward",
-        help="how the scene is drawn (default: %(default)s)",
-    )
+    add_technique(parser)
     parser.add_argument(
         "--visibility",
         choices=ALGORITHMS,
@@ -137,7 +135,7 @@ def _run(given: argparse.Namespace) -> None:
         Renderer(
             device,
             scene,
-            technique=TECHNIQUES[given.technique](),
+            technique=make_technique(given),
             visibility=_make_visibility(given.visibility, scene, device, settings),
             size=given.size,
         ) as renderer,
@@ -160,13 +158,14 @@ def _run(given: argparse.Namespace) -> None:
             given.trace.parent.mkdir(parents=True, exist_ok=True)
             save(device, given.trace)
             note(f"wrote {given.trace}: {len(device.stream):,} commands")
-        image = None
+        image, overflowing = None, None
         if device.capabilities.shading:
+            overflowing = count_overflowing(result.targets)
             image = prepare_image(given.output or Path(f"{name_of(scene)}.png"))
             write_image(image, result.image.read())
         else:
             note(f"the {device.backend_name} device records and draws nothing: there is no image")
-        report = describe_run(renderer, costs, image)
+        report = describe_run(renderer, costs, image, overflowing)
     print(json.dumps(report) if given.json else show_report(report))
 
 
@@ -189,7 +188,9 @@ def with_depth(camera: Camera, depth: Depth) -> Camera:
     return camera.with_projection(replace(lens, depth=depth))
 
 
-def describe_run(renderer: Renderer, costs: list[FrameCost], image: Path | None) -> dict[str, Any]:
+def describe_run(
+    renderer: Renderer, costs: list[FrameCost], image: Path | None, overflowing: int | None = None
+) -> dict[str, Any]:
     """Return the report that `--json` prints."""
     summary = FrameCost.summarize(costs)
     summary["uploads_bytes"] = summary.pop("upload_bytes")
@@ -200,6 +201,7 @@ def describe_run(renderer: Renderer, costs: list[FrameCost], image: Path | None)
         "size": list(renderer.size),
         "frames": len(costs),
         **summary,
+        **({} if overflowing is None else {"overflowing_pixels": overflowing}),
         "image": None if image is None else str(image),
     }
 

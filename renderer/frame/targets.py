@@ -63,6 +63,10 @@ class Targets:
         """Return the texture with the contents `name`."""
         return self._held[name]
 
+    def find(self, name: str) -> Texture | None:
+        """Return the texture with the contents `name`, or None if the plan has no such contents."""
+        return self._held.get(name)
+
     def last(self, name: str) -> Texture | None:
         """Return the texture with the contents `name` of the last frame, or None if its plan was another one."""
         return self._last.get(name)

@@ -34,8 +34,8 @@ def bound_spheres(camera: Camera, centers: Floats, radii: Floats) -> Floats:
     for axis in (0, 1):
         low, high = _bound(turned[axis], middles[:, axis], turned[3], middles[:, 3], radii, near)
         result[:, axis], result[:, axis + 2] = low - _MARGIN, high + _MARGIN
-    seen = (result[:, :2] <= result[:, 2:]).all(1)
-    return np.where(seen[:, None], np.clip(result, -1.0, 1.0), 0.0)
+    result[np.any(result[:, :2] > result[:, 2:], axis=1)] = 0.0
+    return result.clip(-1.0, 1.0)
 
 
 def bound_cones(
@@ -65,7 +65,7 @@ def _find_near(lens: Floats, depth: Depth) -> float:
 def _bound(a: Floats, x: Floats, b: Floats, w: Floats, radii: Floats, near: float) -> tuple[Floats, Floats]:
     """Return the least and the largest x / w, where w >= near, of the spheres whose points have (x, w) + radius ·
     (a · d, b · d) for all d of length 1 or less. Without such a point the least is inf and the largest -inf."""
-    aa, ab, bb = a @ a, a @ b, b @ b
+    aa, ab, bb = float(a @ a), float(a @ b), float(b @ b)
     if bb == 0.0:  # parallel rays
         reach = radii * np.sqrt(aa)
         return (x - reach) / w, (x + reach) / w

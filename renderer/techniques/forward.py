@@ -35,7 +35,7 @@ class Forward:
         image, depth = Target("image", IMAGE_FORMAT), Target("depth", DEPTH_FORMAT)
         because = "draws the visible objects, lit"
         if self.samples == 1:
-            return (Pass("forward", _draw_lit, because, writes=(image, depth)),)
+            return (Pass("forward", draw_lit, because, writes=(image, depth)),)
         return (
             Pass(
                 "depth", draw_depth, "layers and culling can't read depth of several samples", writes=(depth,)
@@ -60,20 +60,20 @@ class Forward:
         )
 
 
-def _draw_lit(frame: Frame) -> None:
-    draw_lit(frame, frame.targets["image"], frame.targets["depth"])
+def draw_lit(frame: Frame) -> None:
+    """Draw the visible objects to `image` and `depth`, lit by all lights that reach them."""
+    _draw_to(frame, frame.targets["image"], frame.targets["depth"])
 
 
 def _draw_samples(frame: Frame) -> None:
-    draw_lit(frame, frame.targets["image samples"], frame.targets["depth samples"])
+    _draw_to(frame, frame.targets["image samples"], frame.targets["depth samples"])
 
 
 def _resolve_samples(frame: Frame) -> None:
     frame.targets["image samples"].resolve_to(frame.targets["image"])
 
 
-def draw_lit(frame: Frame, image: Texture, depth: Texture) -> None:
-    """Draw the visible objects, lit by all lights that reach them."""
+def _draw_to(frame: Frame, image: Texture, depth: Texture) -> None:
     program, bindings = bind_forward(frame)
     frame.draw_visible(
         TechniquePass(

@@ -64,10 +64,12 @@ class PointPairs(MaterialShader, LampShader):
 
     def vertex(self, v: Vertex) -> SurfaceVarying:
         pair = self.pairs[instance_index()]
-        return self.transform(v, pair.object, ivec3(pair.entry, pair.entry + 1, pair.entry + 1))
+        return self.transform(
+            v, pair.object, self.objects[pair.object], ivec3(pair.entry, pair.entry + 1, pair.entry + 1)
+        )
 
     def fragment(self, v: SurfaceVarying) -> vec4:
-        return vec4(self.lamplight(self.find_surface(v), v.lights), 0.0)
+        return vec4(self.lamplight(self.find_surface(v, self.materials[v.material]), v.lights), 0.0)
 
 
 class SpotPairs(PointPairs):
@@ -75,7 +77,9 @@ class SpotPairs(PointPairs):
 
     def vertex(self, v: Vertex) -> SurfaceVarying:
         pair = self.pairs[instance_index()]
-        return self.transform(v, pair.object, ivec3(pair.entry, pair.entry, pair.entry + 1))
+        return self.transform(
+            v, pair.object, self.objects[pair.object], ivec3(pair.entry, pair.entry, pair.entry + 1)
+        )
 
 
 class ForwardMultipass:
@@ -128,7 +132,7 @@ def _draw_base(frame: Frame) -> None:
     features, bindings = bind_materials(frame)
     bindings.pop("haze", None)  # which is mixed in at the end
     parts = tuple(part for part in features if part != "haze")
-    program = frame.device.program(unmapped_variant(parts, has_sun=frame.needs.has_sun))
+    program: Program[Any] = frame.device.program(unmapped_variant(parts, has_sun=frame.needs.has_sun))
     frame.draw_visible(
         TechniquePass(
             frame.device,

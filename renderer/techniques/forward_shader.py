@@ -36,8 +36,7 @@ class MaterialShader(SceneShader):
 
     materials: Storage[Material]
 
-    def find_surface(self, v: SurfaceVarying) -> SurfacePoint:
-        material = self.materials[v.material]
+    def find_surface(self, v: SurfaceVarying, material: Material) -> SurfacePoint:
         return SurfacePoint(
             position=v.position,
             normal=safe_normalize(v.normal),
@@ -52,8 +51,9 @@ class ForwardShader(MaterialShader, LampShader, ShadingShader):
     """The base of all variants: ambient light with the rim term."""
 
     def fragment(self, v: SurfaceVarying) -> vec4:
-        surface = self.find_surface(v)
-        color = self.shade(surface, self.materials[v.material])
+        material = self.materials[v.material]
+        surface = self.find_surface(v, material)
+        color = self.shade(surface, material)
         color += self.lamplight(surface, v.lights)
         return self.finish(color, v.position)
 

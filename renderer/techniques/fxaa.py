@@ -19,6 +19,7 @@ from rhi.shading import (
     Texture2D,
     abs,
     clamp,
+    discard,
     dot,
     fragment_coordinate,
     ivec2,
@@ -52,9 +53,8 @@ class Fxaa(FullScreen):
         east = self.luma(place + ivec2(1, 0))
         highest = max(middle, max(max(north, south), max(west, east)))
         contrast = highest - min(middle, min(min(north, south), min(west, east)))
-        color = self.source.load(place)
         if contrast < max(self.least, highest * self.least_share):
-            return color
+            discard()  # the image already has this color
         north_west = self.luma(place + ivec2(-1, -1))
         north_east = self.luma(place + ivec2(1, -1))
         south_west = self.luma(place + ivec2(-1, 1))
@@ -83,7 +83,7 @@ class Fxaa(FullScreen):
         single = saturate(abs(around / 12.0 - middle) / contrast)
         single = single * single * (3.0 - 2.0 * single)
         shift = max(shift, single * single * self.blur)
-        return mix(color, self.texel(place + across), shift)
+        return mix(self.source.load(place), self.texel(place + across), shift)
 
     def find_shift(self, place: ivec2, along: ivec2, across: ivec2, middle: float, beyond: float) -> float:
         """Return the share of the pixel that the edge between it and the next one across cuts off."""

@@ -21,7 +21,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target, TechniquePass
+from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target, Targets, TechniquePass
 from renderer.lights.rectangles import bound_cones, bound_spheres
 from renderer.shaders.lighting import point_light, safe_normalize, spot_light
 from renderer.shaders.pixels import PixelConstants, nearness_of, position_at
@@ -232,9 +232,11 @@ class LightIndexed:
         )
 
 
-def count_overflowing(indices: Texture) -> int:
-    """Return the number of pixels with more lights than the contents `light indices` can hold. Waits for the device."""
-    return int((indices.read() >= LIGHTS_FULL).any(-1).sum())
+def count_overflowing(targets: Targets) -> int | None:
+    """Return the number of pixels of the last frame that more lights reach than can be packed; None if its plan has no
+    light indices. Waits for the device."""
+    indices = targets.find(INDICES)
+    return None if indices is None else int((indices.read() >= LIGHTS_FULL).any(-1).sum())
 
 
 def _pack_indices(frame: Frame) -> None:
@@ -272,12 +274,13 @@ def list_volumes(frame: Frame) -> NDArray[Any]:
         np.concatenate([points["range"].astype(np.float64), radii]),
     )
     volumes["packed"] = pack_numbers(np.arange(1, len(volumes) + 1))
-    return volumes
+    made: NDArray[Any] = volumes
+    return made
 
 
 def pack_numbers(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return what is packed (l, 4) for lights with these numbers; those that are too large fill a pixel."""
-    packed = numbers[:, None] >> LIGHT_BITS * np.arange(4) & LIGHT_MASK
+    packed: NDArray[np.int64] = numbers[:, None] >> LIGHT_BITS * np.arange(4) & LIGHT_MASK
     packed[numbers > MOST_LIGHTS] = int(LIGHTS_FULL)
     return packed
 

@@ -6,7 +6,7 @@ the distance of its surface, which its depth tells. A pixel without a surface is
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
 from renderer.frame import IMAGE_FORMAT, Effect, Frame, Needs, Pass, Target
 from renderer.shaders.lighting import tone_map
@@ -54,7 +54,7 @@ def declare_resolve(needs: Needs, light: str = "light", depth: str = "depth") ->
     def resolve(frame: Frame) -> None:
         resources, targets = frame.resources, frame.targets
         has_haze = Effect.HAZE in frame.needs.effects
-        haze = {"haze": resources.haze.buffer} if has_haze else {}
+        haze: dict[str, Any] = {"haze": resources.haze.buffer} if has_haze else {}
         draw_full_screen(
             frame,
             ResolveHaze if has_haze else Resolve,

@@ -53,10 +53,9 @@ class SceneShader(Shader):
     def vertex(self, v: Vertex) -> SurfaceVarying:
         row = instance_index()
         thing = self.objects[row]
-        return self.transform(v, row, ivec3(thing.lights_begin, thing.points_end, thing.lights_end))
+        return self.transform(v, row, thing, ivec3(thing.lights_begin, thing.points_end, thing.lights_end))
 
-    def transform(self, v: Vertex, row: int, lights: ivec3) -> SurfaceVarying:
-        thing = self.objects[row]
+    def transform(self, v: Vertex, row: int, thing: Object, lights: ivec3) -> SurfaceVarying:
         position = thing.linear @ v.position + relative_position(self.places[row], self.view)
         return SurfaceVarying(
             clip=self.view.relative_view_projection @ vec4(position, 1.0),

@@ -83,6 +83,14 @@ def test_a_pass_with_side_effects_runs_and_keeps_its_inputs() -> None:
     ]  # fmt: skip
 
 
+def test_an_output_is_what_the_last_pass_leaves_that_draws_over_it() -> None:
+    haze, smooth = step("haze", changes={"image": "hazy"}), step("smooth", changes={"hazy": "smooth"})
+    plan = make_plan([smooth, GEOMETRY, LIGHTS, RESOLVE, haze])
+    assert names(plan) == ["geometry", "lights", "resolve", "haze", "smooth"]
+    (texture,) = (one for one in plan.textures if "image" in one.names)
+    assert texture.names == ("image", "hazy", "smooth")
+
+
 def test_what_is_read_in_the_next_frame_is_needed() -> None:
     history = step("remember", "lit", [Target("history", Format.RGBA16F)])
     without = make_plan([GEOMETRY, LIGHTS, history, RESOLVE])

@@ -1,0 +1,291 @@
+"""Forward techniques of several passes, and smooth edges: pixels against the forward technique, and commands."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import rhi
+from renderer.content import BUILT_IN as MESHES
+from renderer.content import load_scene
+from renderer.renderer import Renderer
+from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene, SceneBuilder, scaling, translation
+from renderer.techniques import Forward, ForwardMultipass, LightIndexed, Smoothed, Technique
+from renderer.techniques.light_indexed import (
+    LIGHTS_FULL,
+    LIGHTS_PER_PIXEL,
+    MOST_LIGHTS,
+    count_overflowing,
+    pack_numbers,
+)
+from renderer.visibility import make_visibility
+from rhi import Op
+
+SIZE = (64, 48)
+TECHNIQUES = [ForwardMultipass, LightIndexed]
+
+
+def lamps(points: int, spots: int = 0, *, haze: float = 0.0, mirrored: bool = False) -> SceneBuilder:
+    """Make boxes on a floor, lit by lamps that reach a part of them each."""
+    rng = np.random.default_rng(8)
+    builder = SceneBuilder("lamps")
+    material = builder.add_material(
+        base_color=(0.8, 0.7, 0.6), specular_color=(0.2, 0.2, 0.2), shininess=20.0
+    )
+    mesh = builder.add_mesh(MESHES["box"]())
+    for x in range(-2, 3):
+        for z in range(-2, 3):
+            flip = scaling((-1, 1, 1) if mirrored and x == z else (1, 1, 1))
+            builder.add_objects(builder.add_node(translation((2.0 * x, 0, 2.0 * z)) @ flip), mesh, material)
+    floor = builder.add_node(translation((0, -0.6, 0)) @ scaling((14, 0.1, 14)))
+    builder.add_objects(floor, mesh, material)
+    for _ in range(points):
+        place = rng.uniform((-4, 0.8, -4), (4, 2.0, 4))
+        builder.lights.add_point(place, 3.0, rng.uniform(0.2, 1, 3), 1.5)
+    for _ in range(spots):
+        place, way = rng.uniform((-4, 2.0, -4), (4, 4.0, 4)), rng.uniform((-0.4, -1, -0.4), (0.4, -1, 0.4))
+        builder.lights.add_spot(place, way, 6.0, 0.2, 0.6, rng.uniform(0.2, 1, 3), 9.0)
+    builder.haze, builder.background = haze, (0.3, 0.5, 0.7)
+    builder.views["eye"] = Camera.look_at((4, 5, 7), (0, 0, 0))
+    return builder
+
+
+def draw(
+    device: rhi.Device,
+    scene: Scene,
+    technique: Technique,
+    camera: Camera | None = None,
+    *,
+    visibility: str = "frustum",
+    size: tuple[int, int] = SIZE,
+) -> NDArray[Any]:
+    """Return the image (height, width, 3)."""
+    found = make_visibility(visibility, scene, device)
+    with Renderer(device, scene, technique=technique, visibility=found, size=size) as renderer:
+        for _ in range(2 if visibility != "frustum" else 1):
+            result = renderer.render(camera or next(iter(scene.views.values())))
+        return result.image.read()[..., :3].astype(int)
+
+
+def farthest_apart(one: NDArray[Any], other: NDArray[Any]) -> int:
+    return int(np.abs(one - other).max())
+
+
+@pytest.mark.parametrize("technique", TECHNIQUES)
+@pytest.mark.parametrize("text", ["city:blocks=6", "hall:columns=6,flags=2", "grid:count=9"])
+def test_a_scene_looks_as_in_one_pass(
+    drawing_device: rhi.Device, technique: Callable[[], Technique], text: str
+) -> None:
+    scene = load_scene(text)
+    camera = scene.paths["ground"].camera(500)
+    wanted = draw(drawing_device, scene, Forward(), camera)
+    assert wanted.std() > 5.0
+    assert farthest_apart(draw(drawing_device, scene, technique(), camera), wanted) <= 2
+
+
+@pytest.mark.parametrize("technique", TECHNIQUES)
+@pytest.mark.parametrize("depth", list(Depth))
+@pytest.mark.parametrize("lens", ["perspective", "far plane", "orthographic"])
+def test_every_lens_and_direction_of_depth_looks_as_in_one_pass(
+    drawing_device: rhi.Device, technique: Callable[[], Technique], depth: Depth, lens: str
+) -> None:
+    projection = {
+        "perspective": Perspective(depth=depth),
+        "far plane": Perspective(far=50.0, depth=depth),
+        "orthographic": Orthographic(9.0, near=-20.0, far=80.0, depth=depth),
+    }[lens]
+    scene = lamps(5, 2, haze=0.05, mirrored=True).build()
+    camera = Camera.look_at((4, 5, 7), (0, 0, 0), projection=projection)
+    wanted = draw(drawing_device, scene, Forward(), camera)
+    assert farthest_apart(draw(drawing_device, scene, technique(), camera), wanted) <= 2
+
+
+@pytest.mark.parametrize("technique", TECHNIQUES)
+def test_lamps_around_and_beside_the_eye_look_as_in_one_pass(
+    drawing_device: rhi.Device, technique: Callable[[], Technique]
+) -> None:
+    builder = lamps(0)
+    for place in ((1.0, 1.0, 1.0), (0.2, 1.4, 1.9), (-1.5, 1.2, 2.2)):
+        builder.lights.add_point(place, 2.5, (0.5, 0.7, 0.9), 2.0)
+    builder.lights.add_spot((1.0, 1.6, 1.4), (0, -1, -0.5), 4.0, 0.3, 1.3, (1, 0.5, 0.2), 3.0)
+    scene = builder.build()
+    camera = Camera.look_at((0.9, 1.1, 1.2), (0, 0, -1))
+    dark = draw(drawing_device, lamps(0).build(), Forward(), camera)
+    wanted = draw(drawing_device, scene, Forward(), camera)
+    assert farthest_apart(wanted, dark) > 50
+    assert farthest_apart(draw(drawing_device, scene, technique(), camera), wanted) <= 2
+
+
+@pytest.mark.parametrize("technique", [*TECHNIQUES, lambda: Forward(samples=4)])
+@pytest.mark.parametrize("visibility", ["chc_plus_plus", "conditional", "two_pass"])
+def test_every_way_to_find_the_visible_objects_gives_the_same_image(
+    gl: rhi.Device, technique: Callable[[], Technique], visibility: str
+) -> None:
+    scene = lamps(4, 2, mirrored=True).build()
+    wanted = draw(gl, scene, technique(), visibility="none")
+    assert farthest_apart(draw(gl, scene, technique(), visibility=visibility), wanted) == 0
+
+
+def test_a_pixel_with_too_many_lights_is_counted_and_lit_by_all_of_them(drawing_device: rhi.Device) -> None:
+    few, many = (lamps(0), lamps(0))
+    for builder, count in ((few, LIGHTS_PER_PIXEL), (many, LIGHTS_PER_PIXEL + 1)):
+        for i in range(count):
+            builder.lights.add_point((0.05 * i, 2.0, 0.1 * i), 9.0, (1, 1 - 0.1 * i, 0.1 * i), 0.7)
+    counts = []
+    for builder in (few, many):
+        scene = builder.build()
+        wanted = draw(drawing_device, scene, Forward())
+        found = make_visibility("frustum", scene, drawing_device)
+        with Renderer(
+            drawing_device, scene, technique=LightIndexed(), visibility=found, size=SIZE
+        ) as renderer:
+            result = renderer.render(scene.views["eye"])
+            assert farthest_apart(result.image.read()[..., :3].astype(int), wanted) <= 2
+            indices = result.targets["light indices"].read()
+            assert (indices[..., 0] > 0.0).any()
+            counts.append(count_overflowing(result.targets))
+    assert counts[0] == 0
+    assert counts[1] is not None
+    assert counts[1] > 500
+
+
+def test_a_technique_without_light_indices_counts_no_overflow(null: rhi.Device) -> None:
+    scene = lamps(1).build()
+    with Renderer(null, scene, size=SIZE) as renderer:
+        assert count_overflowing(renderer.render(scene.views["eye"]).targets) is None
+
+
+def test_packed_numbers_are_exact_up_to_the_last_light_and_fill_a_pixel_beyond() -> None:
+    numbers = np.arange(1, MOST_LIGHTS + 3)
+    packed = pack_numbers(numbers)
+    assert ((packed[:-2] << 3 * np.arange(4)).sum(1) == numbers[:-2]).all()
+    assert (packed[:-2].max(1) > 0).all()  # no number is nothing
+    assert (packed[-2:] == LIGHTS_FULL).all()
+    # Blended as the device does, in float32: eight lights stay below the mark, the ninth passes it.
+    rng = np.random.default_rng(2)
+    for _ in range(200):
+        pixel = np.zeros(4, np.float32)
+        for count, number in enumerate(rng.choice(packed[:-2], 9), 1):
+            pixel = pixel * np.float32(8) + number.astype(np.float32)
+            assert bool((pixel >= LIGHTS_FULL).any()) == (count > LIGHTS_PER_PIXEL)
+
+
+def passes_of(device: rhi.Device, scene: Scene, technique: Technique) -> list[str]:
+    camera = next(iter(scene.views.values()))
+    with Renderer(device, scene, technique=technique, size=SIZE) as renderer:
+        renderer.render(camera)
+        return [one.name for one in renderer.plan(camera)[1].passes]
+
+
+@pytest.mark.parametrize(
+    ("points", "spots", "multipass", "indexed"),
+    [
+        (0, 0, ["forward"], ["forward"]),
+        (1, 0, ["base", "point lights", "resolve"], ["depth", "light indices", "forward"]),
+        (0, 1, ["base", "spot lights", "resolve"], ["depth", "light indices", "forward"]),
+        (3, 1, ["base", "point lights", "spot lights", "resolve"], ["depth", "light indices", "forward"]),
+    ],
+)
+def test_only_lamps_in_view_have_passes(
+    null: rhi.Device, points: int, spots: int, multipass: list[str], indexed: list[str]
+) -> None:
+    builder = lamps(points, spots)
+    builder.lights.add_point((500, 1, 0), 2.0)  # reaches nothing
+    scene = builder.build()
+    assert passes_of(null, scene, ForwardMultipass()) == multipass
+    assert passes_of(null, scene, LightIndexed()) == indexed
+
+
+def record(device: rhi.Device, scene: Scene, technique: Technique) -> rhi.CommandStream:
+    """Return the commands of the second of two frames."""
+    found = make_visibility("frustum", scene, device)
+    renderer = Renderer(device, scene, technique=technique, visibility=found, size=SIZE)
+    for _ in range(2):
+        device.stream.clear()
+        renderer.render(next(iter(scene.views.values())))
+    return device.stream
+
+
+def test_all_pairs_of_objects_and_point_lights_are_one_call(null: rhi.Device) -> None:
+    scene = lamps(6).build()
+    base, added, _ = record(null, scene, ForwardMultipass()).draws()
+    lists, lights = scene.objects, scene.lights.point
+    away = lights["position"] - np.clip(lights["position"], lists.lower[:, None], lists.upper[:, None])
+    reached = (away**2).sum(-1) < lights["range"].astype(float) ** 2
+    assert base["draws"] == len(lists)
+    assert added["draws"] == reached.sum()
+    assert added.states[rhi.DepthFunction] is rhi.DepthFunction.EQUAL
+    assert added.states[rhi.BlendFunction][0] == rhi.BlendFunction.ADDITIVE
+
+
+def test_a_lights_objects_are_drawn_together(null: rhi.Device) -> None:
+    scene = lamps(6, 3).build()
+    with Renderer(null, scene, size=SIZE) as renderer:
+        renderer.render(scene.views["eye"])
+        resources, rows = renderer._resources, np.arange(len(scene.objects))
+        for spots, lights in ((False, scene.lights.point), (True, scene.lights.spot)):
+            objects, entries = resources.pair_lights(rows, np.arange(len(lights)), spots=spots)
+            lit = resources._listed[entries]
+            assert (np.diff(lit) >= 0).all()
+            assert len({*zip(objects.tolist(), lit.tolist(), strict=True)}) == len(objects) > len(lights)
+            fewer, some = resources.pair_lights(rows[::2], np.array([1]), spots=spots)
+            assert (resources._listed[some] == 1).all()
+            assert fewer.tolist() == [row for row in objects[lit == 1].tolist() if row % 2 == 0]
+
+
+def test_all_lights_are_packed_by_one_draw(null: rhi.Device) -> None:
+    depth, packed, lit = record(null, lamps(6, 3).build(), LightIndexed()).draws()
+    assert packed["instances"] == 9
+    assert depth["draws"] == lit["draws"] == 26
+    assert lit.states[rhi.DepthFunction] is rhi.DepthFunction.EQUAL
+
+
+def test_one_sample_per_pixel_takes_one_pass(null: rhi.Device) -> None:
+    scene = lamps(1).build()
+    assert passes_of(null, scene, Forward()) == ["forward"]
+    assert passes_of(null, scene, Forward(samples=4)) == ["depth", "forward", "resolve"]
+    stream = record(null, scene, Forward())
+    assert len(stream.filter(Op.BEGIN_PASS)) == 1
+
+
+def edge() -> Scene:
+    """Make a bright box whose sides are slanted in the image, before a dark background."""
+    builder = SceneBuilder("edge")
+    bright = builder.add_material(base_color=(1, 1, 1), specular_color=(0, 0, 0), emission=1.0)
+    builder.add_objects(builder.add_node(np.eye(4)), builder.add_mesh(MESHES["box"]()), bright)
+    builder.views["eye"] = Camera.look_at((0.25, 0.1, 2.1), (0, 0, 0), up=(0.17, 1, 0))
+    return builder.build()
+
+
+@pytest.mark.parametrize("smooth", [lambda: Forward(samples=4), lambda: Smoothed(Forward())])
+def test_edges_are_nearer_to_those_of_many_samples(
+    drawing_device: rhi.Device, smooth: Callable[[], Technique]
+) -> None:
+    scene, n = edge(), 8
+    large = draw(drawing_device, scene, Forward(), size=(n * SIZE[0], n * SIZE[1]))
+    wanted = large.reshape(SIZE[1], n, SIZE[0], n, 3).mean((1, 3))
+    before = np.square(draw(drawing_device, scene, Forward()) - wanted).mean() ** 0.5
+    after = np.square(draw(drawing_device, scene, smooth()) - wanted).mean() ** 0.5
+    assert before > 3.0
+    assert after < 0.7 * before
+
+
+def test_fxaa_leaves_what_has_no_edges_as_it_is(drawing_device: rhi.Device) -> None:
+    scene = edge()
+    plain, smooth = (draw(drawing_device, scene, one) for one in (Forward(), Smoothed(Forward())))
+    changed = np.abs(plain - smooth).max(-1) > 0
+    neighbours = np.stack([np.roll(plain, (y, x), (0, 1)) for y in (-1, 0, 1) for x in (-1, 0, 1)])
+    flat = (neighbours == plain).all((0, -1))
+    assert changed.any()
+    assert flat.mean() > 0.5
+    assert not (changed & flat)[1:-1, 1:-1].any()
+
+
+@pytest.mark.parametrize("technique", [Forward, *TECHNIQUES])
+def test_fxaa_is_one_pass_after_any_technique(null: rhi.Device, technique: Callable[[], Technique]) -> None:
+    scene = lamps(2).build()
+    assert passes_of(null, scene, Smoothed(technique())) == [*passes_of(null, scene, technique()), "fxaa"]
