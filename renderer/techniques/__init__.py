@@ -5,13 +5,14 @@ from typing import Final
 
 from renderer.techniques.deferred import Deferred
 from renderer.techniques.forward import Forward
+from renderer.techniques.inferred import Inferred
 from renderer.techniques.light_pre_pass import LightPrePass
 from renderer.techniques.particles import Particles
 from renderer.techniques.technique import Technique
 
 TECHNIQUES: Final[dict[str, Callable[[], Technique]]] = {
-    one.name: one for one in (Forward, Deferred, LightPrePass)
+    one.name: one for one in (Forward, Deferred, LightPrePass, Inferred)
 }
 """Constructors of all techniques, by name."""
 
-__all__ = ["TECHNIQUES", "Deferred", "Forward", "LightPrePass", "Particles", "Technique"]
+__all__ = ["TECHNIQUES", "Deferred", "Forward", "Inferred", "LightPrePass", "Particles", "Technique"]

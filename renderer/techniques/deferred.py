@@ -47,13 +47,13 @@ class PointLighting(PointVolumes, GeometryReader):
     precision = Precision.FAST
 
     def fragment(self, v: VolumeVarying) -> vec4:
-        pixel = fragment_coordinate().xy
-        texel = self.surface.load(ivec2(pixel))
-        position = self.find_place(texel, pixel)
+        place = ivec2(fragment_coordinate().xy)
+        texel = self.surface.load(place)
+        position = self.find_place(texel, place)
         light = self.point_lights[v.light]
         if not is_near(position, light.position, light.range):
             return vec4(0.0)
-        surface = self.read_surface(self.material.load(ivec2(pixel)), texel, position)
+        surface = self.read_surface(self.material.load(place), texel, position)
         return vec4(point_light(surface, light), 0.0)
 
 
@@ -63,13 +63,13 @@ class SpotLighting(SpotVolumes, GeometryReader):
     precision = Precision.FAST
 
     def fragment(self, v: VolumeVarying) -> vec4:
-        pixel = fragment_coordinate().xy
-        texel = self.surface.load(ivec2(pixel))
-        position = self.find_place(texel, pixel)
+        place = ivec2(fragment_coordinate().xy)
+        texel = self.surface.load(place)
+        position = self.find_place(texel, place)
         light = self.spot_lights[v.light]
         if not is_near(position, light.position, light.range):
             return vec4(0.0)
-        surface = self.read_surface(self.material.load(ivec2(pixel)), texel, position)
+        surface = self.read_surface(self.material.load(place), texel, position)
         return vec4(spot_light(surface, light), 0.0)
 
 
@@ -77,12 +77,12 @@ class ResolveShader(CoverShader, GeometryReader, ShadingShader):
     """Makes the image from the geometry buffer."""
 
     def fragment(self) -> vec4:
-        pixel = fragment_coordinate().xy
-        texel = self.surface.load(ivec2(pixel))
-        row = self.material.load(ivec2(pixel))
-        position = self.find_place(texel, pixel)
+        place = ivec2(fragment_coordinate().xy)
+        texel = self.surface.load(place)
+        row = self.material.load(place)
+        position = self.find_place(texel, place)
         surface = self.read_surface(row, texel, position)
-        color = self.shade(surface, self.materials[int(row.x)]) + self.local_light(ivec2(pixel))
+        color = self.shade(surface, self.materials[int(row.x)]) + self.local_light(place)
         return self.finish(color, position)
 
     def local_light(self, place: ivec2) -> vec3:
