@@ -53,11 +53,12 @@ from rhi.shading import (
     fragment_coordinate,
     ivec2,
     length,
-    max,
     min,
+    step,
     uvec2,
     vec2,
     vec3,
+    vec4,
 )
 
 _NEAR_PLANE: Final = 0.01
@@ -65,9 +66,9 @@ _NEAR_PLANE: Final = 0.01
 _ALIKE: Final = 0.9
 """The least cosine between normals of one surface."""
 _STRANGER: Final = 1e-4
-"""The share of a texel with another surface."""
+"""The weight of a texel with another surface, where all four have one."""
 _LEAST: Final = 1e-3
-"""The least share of the four texels, so that one of the fragment's surface counts however far it is."""
+"""Where texels of the fragment's surface have less of the bilinear weights, all of them count the same."""
 
 
 class Shrunk(Struct):
@@ -111,27 +112,39 @@ class Inference(ForwardShader, SurfaceReader):
     def pointlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
         size = self.surface.size()
         at = fragment_coordinate().xy * vec2(size) / self.rays.size - 0.5
-        first = floor(at)
-        share = at - first
-        near = _NEAR_PLANE * length(surface.position)
-        diffuse = vec3(0.0)
-        specular = vec3(0.0)
-        total = 0.0
-        for i in range(4):
-            right = i & 1
-            below = i >> 1
-            place = clamp(ivec2(first) + ivec2(right, below), ivec2(0), size - 1)
-            texel = self.surface.load(place)
-            across = share.x if right == 1 else 1.0 - share.x
-            down = share.y if below == 1 else 1.0 - share.y
-            weight = max(across * down, _LEAST)
-            away = dot(surface.normal, self.find_place(texel, place) - surface.position)
-            if abs(away) > near or dot(surface.normal, decode_normal(texel.x)) < _ALIKE:
-                weight *= _STRANGER
-            diffuse += weight * min(self.diffuse.load(place).rgb, BRIGHTEST)
-            specular += weight * min(self.specular.load(place).rgb, BRIGHTEST)
-            total += weight
-        return (surface.base_color * diffuse + surface.specular_color * specular) / total
+        share = at - floor(at)
+        first = clamp(ivec2(floor(at)), ivec2(0), size - 1)
+        last = clamp(ivec2(floor(at)) + 1, ivec2(0), size - 1)
+        right = ivec2(last.x, first.y)
+        below = ivec2(first.x, last.y)
+        alike = vec4(
+            self.compare(surface, first),
+            self.compare(surface, right),
+            self.compare(surface, below),
+            self.compare(surface, last),
+        )
+        across = vec2(1.0 - share.x, share.x)
+        weights = vec4(across * (1.0 - share.y), across * share.y) * step(vec4(0.5), alike)
+        if dot(weights, vec4(1.0)) < _LEAST:
+            weights = alike
+        weights = weights / dot(weights, vec4(1.0))
+        diffuse = min(self.diffuse.load(first).rgb, BRIGHTEST) * weights.x
+        diffuse += min(self.diffuse.load(right).rgb, BRIGHTEST) * weights.y
+        diffuse += min(self.diffuse.load(below).rgb, BRIGHTEST) * weights.z
+        diffuse += min(self.diffuse.load(last).rgb, BRIGHTEST) * weights.w
+        specular = min(self.specular.load(first).rgb, BRIGHTEST) * weights.x
+        specular += min(self.specular.load(right).rgb, BRIGHTEST) * weights.y
+        specular += min(self.specular.load(below).rgb, BRIGHTEST) * weights.z
+        specular += min(self.specular.load(last).rgb, BRIGHTEST) * weights.w
+        return surface.base_color * diffuse + surface.specular_color * specular
+
+    def compare(self, surface: SurfacePoint, place: ivec2) -> float:
+        """Return the weight of a texel: 1 if it is of the same surface, or else that of a stranger."""
+        texel = self.surface.load(place)
+        away = abs(dot(surface.normal, self.find_place(texel, place) - surface.position))
+        if away > _NEAR_PLANE * length(surface.position) or dot(surface.normal, decode_normal(texel.x)) < _ALIKE:
+            return _STRANGER
+        return 1.0
 
 
 class Inferred:

@@ -9,13 +9,14 @@ import rhi
 from renderer.content import BUILT_IN, load_scene
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Perspective, Scene, SceneBuilder
-from renderer.techniques import Deferred, Forward, LightPrePass, Technique
+from renderer.techniques import Deferred, Forward, Inferred, LightPrePass, Technique
 from renderer.visibility import NoCulling
 from rhi import DepthFunction, DepthWrite, Op
 
 SIZE = (32, 16)
 DEFERRED = [Deferred(), Deferred(stencil=True)]
-ALL: list[Technique] = [*DEFERRED, LightPrePass(), LightPrePass(stencil=True), LightPrePass(specular_channels=1)]
+PRE_PASS = [LightPrePass(), LightPrePass(stencil=True), LightPrePass(specular_channels=1)]
+ALL: list[Technique] = [*DEFERRED, *PRE_PASS, Inferred()]
 
 
 def boxes(lamps: int = 0, *, narrow: int = 0, wide: int = 0) -> Scene:
@@ -64,11 +65,11 @@ def test_deferred_without_lamps_draws_geometry_and_one_triangle(null: rhi.Device
     assert count(null, boxes(), technique) == (2, 2)
 
 
-@pytest.mark.parametrize("specular_channels", [1, 3])
-def test_a_light_pre_pass_without_lamps_is_forward_shading(null: rhi.Device, specular_channels: int) -> None:
+@pytest.mark.parametrize("technique", [LightPrePass(), LightPrePass(specular_channels=1), Inferred()])
+def test_a_light_pre_pass_without_lamps_is_forward_shading(null: rhi.Device, technique: Technique) -> None:
     with rhi.create_device("null") as other:
         wanted = record(other, boxes(), Forward())
-        stream = record(null, boxes(), LightPrePass(specular_channels=specular_channels))
+        stream = record(null, boxes(), technique)
         assert [(c.op, c.values) for c in stream] == [(c.op, c.values) for c in wanted]
 
 
@@ -77,6 +78,8 @@ def test_a_lamp_adds_its_pass_and_one_draw(null: rhi.Device) -> None:
     assert count(null, boxes(1), Deferred()) == (3, 3)
     assert names(null, boxes(1), LightPrePass()) == ["normals", "point lights", "materials"]
     assert count(null, boxes(1), LightPrePass()) == (3, 3)
+    assert names(null, boxes(1), Inferred()) == ["normals", "shrink", "point lights", "materials"]
+    assert count(null, boxes(1), Inferred()) == (4, 4)
 
 
 @pytest.mark.parametrize("technique", [Deferred(), LightPrePass()])
@@ -104,6 +107,15 @@ def test_a_masked_lamp_is_drawn_twice(null: rhi.Device, technique: Technique) ->
     assert set(marking.states[rhi.ColorWrite]) == {rhi.ColorWrite.OFF}
     assert marked.states[rhi.CullMode] is rhi.CullMode.FRONT
     assert marked.states[rhi.DepthTest] is rhi.DepthTest.OFF
+
+
+@pytest.mark.parametrize(("scale", "size"), [(1.0, (32, 16)), (0.6, (20, 10)), (0.4, (13, 7))])
+def test_inferred_light_is_collected_in_smaller_buffers(
+    null: rhi.Device, scale: float, size: tuple[int, int]
+) -> None:
+    stream = record(null, boxes(1), Inferred(scale=scale))
+    sizes = [begin["descriptor"].size for begin in stream.filter(Op.BEGIN_PASS)]
+    assert sizes == [SIZE, size, size, SIZE]
 
 
 def test_a_lamp_that_a_far_plane_cuts_is_not_masked(null: rhi.Device) -> None:
