@@ -286,7 +286,7 @@ def test_light_does_not_leak_over_edges(gl: rhi.Device, monkeypatch: pytest.Monk
     builder.add_objects(builder.add_node(translation((0, 8, 0)) @ scaling((3, 0.1, 3))), box, material)
     for x in (-3, 3):
         for z in (-3, 3):
-            builder.lights.add_point((x, 3, z), 5.0, intensity=40.0)
+            builder.lights.add_point((x, 5, z), 30.0, intensity=40.0)
     builder.lights.sky = (0.01, 0.01, 0.01)
     scene, camera = builder.build(), Camera.look_at((0.5, 14, 1), (0, 8, 0))
     expected, image = render_all(gl, scene, camera, [Forward(), Inferred()])
