@@ -51,7 +51,9 @@ def stage(middle: tuple[float, float, float] = (0, 0, 0), *, textured: bool = Fa
         builder.add_material(
             base_color=(0.2, 0.4, 0.9), specular_color=(0.9, 0.9, 0.9), shininess=80.0, rim_strength=0.4
         ),
-        builder.add_material(base_color=(0.9, 0.3, 0.2), shininess=4.0, emission=0.05, texture=image),
+        builder.add_material(
+            base_color=(0.9, 0.3, 0.0), specular_color=(0, 0, 0), emission=0.05, texture=image
+        ),
     ]
     meshes = [builder.add_mesh(BUILT_IN[name]()) for name in ("box", "sphere")]
     at = translation(middle)
