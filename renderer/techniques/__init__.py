@@ -9,6 +9,7 @@ from renderer.techniques.forward import Forward
 from renderer.techniques.forward_multipass import ForwardMultipass
 from renderer.techniques.forward_plus import Clustered, ForwardPlus
 from renderer.techniques.fxaa import Smoothed
+from renderer.techniques.inferred import Inferred
 from renderer.techniques.light_indexed import LightIndexed
 from renderer.techniques.light_pre_pass import LightPrePass
 from renderer.techniques.particles import Particles
@@ -21,6 +22,7 @@ TECHNIQUES: Final[dict[str, Callable[[], Technique]]] = {
         ForwardMultipass,
         Deferred,
         LightPrePass,
+        Inferred,
         LightIndexed,
         ForwardPlus,
         Clustered,
@@ -38,6 +40,7 @@ __all__ = [
     "Forward",
     "ForwardMultipass",
     "ForwardPlus",
+    "Inferred",
     "LightIndexed",
     "LightPrePass",
     "Particles",

@@ -59,13 +59,13 @@ class PointLighting(PointVolumes, GeometryReader):
     precision = Precision.FAST
 
     def fragment(self, v: VolumeVarying) -> vec4:
-        pixel = fragment_coordinate().xy
-        texel = self.surface.load(ivec2(pixel))
-        position = self.find_place(texel, pixel)
+        place = ivec2(fragment_coordinate().xy)
+        texel = self.surface.load(place)
+        position = self.find_place(texel, place)
         light = self.point_lights[v.light]
         if not is_near(position, light.position, light.range):
             return vec4(0.0)
-        surface = self.read_surface(self.material.load(ivec2(pixel)), texel, position)
+        surface = self.read_surface(self.material.load(place), texel, position)
         return vec4(point_light(surface, light), 0.0)
 
 
@@ -75,13 +75,13 @@ class SpotLighting(SpotVolumes, GeometryReader):
     precision = Precision.FAST
 
     def fragment(self, v: VolumeVarying) -> vec4:
-        pixel = fragment_coordinate().xy
-        texel = self.surface.load(ivec2(pixel))
-        position = self.find_place(texel, pixel)
+        place = ivec2(fragment_coordinate().xy)
+        texel = self.surface.load(place)
+        position = self.find_place(texel, place)
         light = self.spot_lights[v.light]
         if not is_near(position, light.position, light.range):
             return vec4(0.0)
-        surface = self.read_surface(self.material.load(ivec2(pixel)), texel, position)
+        surface = self.read_surface(self.material.load(place), texel, position)
         return vec4(spot_light(surface, light), 0.0)
 
 
@@ -89,13 +89,13 @@ class ResolveShader(CoverShader, GeometryReader, ShadingShader):
     """Makes the image from the geometry buffer."""
 
     def fragment(self) -> vec4:
-        pixel = fragment_coordinate().xy
-        texel = self.surface.load(ivec2(pixel))
-        row = self.material.load(ivec2(pixel))
-        position = self.find_place(texel, pixel)
+        place = ivec2(fragment_coordinate().xy)
+        texel = self.surface.load(place)
+        row = self.material.load(place)
+        position = self.find_place(texel, place)
         surface = self.read_surface(row, texel, position)
         color = self.shade(surface, self.materials[int(row.x)])
-        color += self.local_light(surface, ivec2(pixel), uint_bits_to_float(texel.y))
+        color += self.local_light(surface, place, uint_bits_to_float(texel.y))
         return self.finish(color, position)
 
     def local_light(self, surface: SurfacePoint, pixel: ivec2, distance: float) -> vec3:

@@ -53,7 +53,6 @@ from rhi.shading import (
     uint,
     uint_bits_to_float,
     uvec4,
-    vec2,
     vec3,
     vec4,
 )
@@ -108,7 +107,7 @@ class TiledLighting(GeometryReader):
         if has_surface:
             texel = self.surface.load(pixel)
             row = self.material.load(pixel)
-        position = self.find_place(texel, vec2(pixel) + 0.5)
+        position = self.find_place(texel, pixel)
         surface = self.read_surface(row, texel, position)
         color = vec3(0.0)
         words = self.lights.words

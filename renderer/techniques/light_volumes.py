@@ -171,12 +171,17 @@ def _make_mesh(
 
 
 def declare_lights(
-    needs: Needs, buffers: Sequence[str], reads: tuple[str, ...], run: Callable[[Frame, Effect, list[str], bool], None]
+    needs: Needs,
+    buffers: Sequence[str],
+    reads: tuple[str, ...],
+    run: Callable[[Frame, Effect, list[str], bool], None],
+    scale: float = 1.0,
 ) -> tuple[list[Pass[Frame]], list[str]]:
     """Return the passes that add the light of each kind of lights in view to light buffers, and their contents' names
     after the last pass: none if there are no such lights.
 
     Args:
+        scale: the size of the buffers in that of the frame.
         run: issues the commands; is given the frame, the kind, the names of the targets, and whether to clear them.
     """
     passes: list[Pass[Frame]] = []
@@ -191,7 +196,7 @@ def declare_lights(
                 partial(_run, run, effect, names, not last),
                 needs.explain(effect),
                 reads=reads,
-                writes=() if last else tuple(Target(name, LIGHT_FORMAT) for name in names),
+                writes=() if last else tuple(Target(name, LIGHT_FORMAT, scale) for name in names),
                 changes=dict(zip(last, names, strict=True)) if last else {},
             )
         )
@@ -222,6 +227,7 @@ def draw_volumes(
     bindings: dict[str, Any],
     targets: Sequence[str],
     *,
+    depth: str = "depth",
     clears: bool,
     mask: Program[Any] | None = None,
 ) -> None:
@@ -229,7 +235,7 @@ def draw_volumes(
 
     Args:
         program: a subclass of `PointVolumes` or `SpotVolumes`, with its `bindings` but those of the base.
-        targets: the names of the contents. clears: whether they are cleared to 0 first.
+        targets, depth: the names of the contents. clears: whether they are cleared to 0 first.
         mask: the base itself, to mask each light in the stencil buffer; None draws all lights in one draw.
     """
     device, resources = frame.device, frame.resources
@@ -240,7 +246,7 @@ def draw_volumes(
     with (
         device.render_pass(
             [frame.targets[target] for target in targets],
-            frame.targets["depth"],
+            frame.targets[depth],
             clear=(0.0, 0.0, 0.0, 0.0) if clears else None,
             clear_stencil=None if mask is None else 0,
         ),

@@ -33,7 +33,7 @@ def test_a_body_is_closed_and_convex_and_turned_outward(hull: tuple[Floats, np.n
 
 def test_the_sphere_is_inside_its_body_and_touches_it() -> None:
     normals, distances = planes(*make_sphere())
-    assert (DIRECTIONS @ normals.T <= distances + 1e-12).all()
+    assert (distances + 1e-12 >= DIRECTIONS @ normals.T).all()
     assert distances.min() == pytest.approx(1.0)
     assert np.linalg.norm(make_sphere()[0], axis=1).max() < 1.1
 

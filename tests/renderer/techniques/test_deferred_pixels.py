@@ -23,7 +23,7 @@ from renderer.scene import (
     scaling,
     translation,
 )
-from renderer.techniques import Deferred, Forward, LightPrePass, Technique
+from renderer.techniques import Deferred, Forward, Inferred, LightPrePass, Technique, inferred
 from renderer.visibility import NoCulling
 
 SIZE = (96, 64)
@@ -32,6 +32,7 @@ TECHNIQUES: dict[str, Callable[[], Technique]] = {
     "deferred, stencil": lambda: Deferred(stencil=True),
     "light pre-pass": LightPrePass,
     "light pre-pass, stencil": lambda: LightPrePass(stencil=True),
+    "inferred at full size": lambda: Inferred(scale=1.0),
 }
 EYE = Camera.look_at((0, 3, 9), (0, 0.5, 0))
 
@@ -50,7 +51,9 @@ def stage(middle: tuple[float, float, float] = (0, 0, 0), *, textured: bool = Fa
         builder.add_material(
             base_color=(0.2, 0.4, 0.9), specular_color=(0.9, 0.9, 0.9), shininess=80.0, rim_strength=0.4
         ),
-        builder.add_material(base_color=(0.9, 0.3, 0.2), shininess=4.0, emission=0.05, texture=image),
+        builder.add_material(
+            base_color=(0.9, 0.3, 0.0), specular_color=(0, 0, 0), emission=0.05, texture=image
+        ),
     ]
     meshes = [builder.add_mesh(BUILT_IN[name]()) for name in ("box", "sphere")]
     at = translation(middle)
@@ -258,3 +261,40 @@ def test_one_specular_channel_is_exact_for_one_light_and_loses_hues_for_two(
     expected, one, three = render_all(drawing_device, builder.build(), EYE, techniques)
     assert np.abs(one - expected).max() > 2
     assert np.abs(three - expected).max() <= 2
+
+
+def find_signal_to_noise(image: NDArray[np.int64], expected: NDArray[np.int64]) -> float:
+    """Return how near an image is to the expected one, in dB."""
+    return float(10.0 * np.log10(255.0**2 / ((image - expected)[:, :, :3] ** 2).mean()))
+
+
+def test_inferred_light_is_near_and_nearer_with_more_of_it(drawing_device: rhi.Device) -> None:
+    builder = stage(textured=True)
+    add_random_lights(builder, 20, seed=4)
+    techniques: list[Technique] = [Forward(), *(Inferred(scale=scale) for scale in (0.4, 0.6, 0.8))]
+    expected, *images = render_all(drawing_device, builder.build(), EYE, techniques, (192, 128))
+    quality = [find_signal_to_noise(image, expected) for image in images]
+    assert quality[0] > 24
+    assert quality[1] > 26
+    assert quality[0] < quality[2]
+
+
+def test_light_does_not_leak_over_edges(gl: rhi.Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    # A bright floor far below a dark table: beside the edges, four texels are of both.
+    builder = SceneBuilder("table")
+    box = builder.add_mesh(BUILT_IN["box"]())
+    material = builder.add_material(base_color=(0.8, 0.8, 0.8), specular_color=(0, 0, 0))
+    builder.add_objects(builder.add_node(scaling((40, 1, 40))), box, material)
+    builder.add_objects(builder.add_node(translation((0, 8, 0)) @ scaling((3, 0.1, 3))), box, material)
+    for x in (-3, 3):
+        for z in (-3, 3):
+            builder.lights.add_point((x, 5, z), 30.0, intensity=40.0)
+    builder.lights.sky = (0.01, 0.01, 0.01)
+    scene, camera = builder.build(), Camera.look_at((0.5, 14, 1), (0, 8, 0))
+    expected, image = render_all(gl, scene, camera, [Forward(), Inferred()])
+    inferred.inferred_variant.cache_clear()
+    monkeypatch.setattr(inferred, "_NEAR_PLANE", 1e6)  # the control: a bilinear filter
+    (blurred,) = render_all(gl, scene, camera, [Inferred()])
+    inferred.inferred_variant.cache_clear()
+    assert (np.abs(image - expected) > 16).any(2).mean() < 0.002
+    assert (np.abs(blurred - expected) > 16).any(2).mean() > 0.02
