@@ -123,7 +123,7 @@ def compare_light_culling(
 
         work = {key: (lambda _, grid=grid: collect(grid)) for key, grid in grids.items()}
         times = alternate({str(key): run for key, run in work.items()}, progress(range(rounds)))
-        assert overlap is not None
+        overlapping = 1 if overlap is None else max(int(np.count_nonzero(overlap)), 1)
         for key, (pairs, missed, tests_made) in found.items():
             rows.append(
                 LightCullingRow(
@@ -131,7 +131,7 @@ def compare_light_culling(
                     pre_filter=key[1],
                     lights=len(lights.point) + len(lights.spot),
                     pairs=pairs,
-                    over_exact=round(pairs / max(np.count_nonzero(overlap), 1), 4),
+                    over_exact=round(pairs / overlapping, 4),
                     missed=int(missed),
                     tests_made=tests_made or 0,
                     collect_ms=round(1e3 * times[str(key)].median, 3),

@@ -84,7 +84,7 @@ class LightGrid:
         tile: int = 16,
         slices: int = 1,
         first_slice: float | None = None,
-        sphere_test: str = "hybrid",
+        sphere_test: str = "exact",
         cone_test: str = "tight",
         block_test: str = "planes",
         depth_mask: bool = True,
@@ -94,7 +94,9 @@ class LightGrid:
         """Cells are tiles of `tile` × `tile` pixels, divided into `slices` by depth (see `make_grid`).
 
         Args:
-            sphere_test, cone_test: names of the tests of cells, of `SPHERE_TESTS` and `CONE_TESTS`.
+            sphere_test, cone_test: names of the tests of cells, of `SPHERE_TESTS` and `CONE_TESTS`. With the exact
+                test a frame takes 8 % more processor time than with the hybrid one on cl, 20 % more on gl, and its
+                lists are up to a fifth shorter.
             block_test: the name of the test of blocks of cells; with "none" all cells are tested against all lights.
             depth_mask: whether, with a depth texture, 32 slices of a tile's depths are told apart.
             counted: whether to count tests, for `read`.

@@ -81,8 +81,8 @@ class TileDepths(Struct):
 
 
 class FindTileDepths(Shader):
-    """Finds the depths of each tile. An invocation has a tile, so that there is nothing to wait for: software devices
-    take a tenth of the time of a work-group for each tile."""
+    """Finds the depths of each tile. An invocation has a tile, so that there is nothing to wait for. With a work-group
+    for each tile of 8 × 8 pixels, PoCL takes 6 times the processor time and llvmpipe 11 times."""
 
     work_group = (BLOCK, BLOCK)
     grid: Uniform[CellGrid]

@@ -3,8 +3,6 @@
 A sphere and a convex body are apart if they are along some axis: that of a face's normal, of the line from an edge, or
 from a vertex, to the centre. Tests that skip axes keep too much, never too little. An axis need not have length 1, and
 since any axis that separates proves that the two are apart, its own rounding is harmless.
-
-All keep what they can't tell: an empty radius at a cell's side, a number that isn't one.
 """
 
 from __future__ import annotations

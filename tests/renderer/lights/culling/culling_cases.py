@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -127,15 +128,16 @@ class Pairs:
     radii: np.ndarray
     distances: np.ndarray
 
-    @property
+    @cached_property
     def cells(self) -> np.ndarray:
         return evaluate(block_cell, self.grid, self.tiles, 1, self.near, self.far, dtype=np.float64)
 
-    @property
+    @cached_property
     def overlap(self) -> np.ndarray:
         return self.distances <= self.radii
 
 
+@cache  # a module's fixture is made again for each device
 def make_pairs(lens: str, count: int, seed: int = 0, size: tuple[int, int] = (1366, 768)) -> Pairs:
     """Make pairs most of which nearly touch: a third have a radius within a millionth of the distance."""
     rng = np.random.default_rng([seed, *lens.encode()])

@@ -6,6 +6,7 @@ That a pair overlaps is shown by a point of both, which is sought by projecting 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import pytest
@@ -90,10 +91,15 @@ def are_in_cones(cones: dict[str, np.ndarray], points: np.ndarray) -> np.ndarray
 
 @pytest.fixture(scope="module", params=LENSES)
 def pairs(request: pytest.FixtureRequest) -> ConePairs:
-    rng = np.random.default_rng([7, *request.param.encode()])
-    grid = make_test_grid(request.param, slices=1, tile=32)
+    return make_cone_pairs(request.param)
+
+
+@cache  # a module's fixture is made again for each device
+def make_cone_pairs(name: str) -> ConePairs:
+    rng = np.random.default_rng([7, *name.encode()])
+    grid = make_test_grid(name, tile=32)
     tiles, near, far = choose_cells(grid, COUNT, rng)
-    lens = LENSES[request.param].with_aspect(1366 / 768)
+    lens = LENSES[name].with_aspect(1366 / 768)
     corners = find_corners(lens, grid, tiles, near, far)
     aim = (rng.dirichlet(np.full(8, 0.5), COUNT)[:, :, None] * corners).sum(1)
     scale = 10.0 ** rng.uniform(-1.0, 1.5, COUNT)

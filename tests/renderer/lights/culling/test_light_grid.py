@@ -221,6 +221,20 @@ def test_a_grid_fits_every_resolution(
         assert lists[cell, light]
 
 
+def test_a_grid_follows_the_images_size_and_the_number_of_lights(
+    device: rhi.Device, make: Callable[..., LightGrid]
+) -> None:
+    camera, grid = look(LENSES["perspective"]), make(capacity=100_000)
+    for size, points, spots in (((333, 187), 90, 0), ((640, 360), 40, 60), ((64, 64), 300, 10), ((333, 187), 90, 0)):
+        fresh, lights = make(capacity=100_000), make_lights(points, spots)
+        for one in (grid, fresh):
+            one.collect(device, camera.with_aspect(size[0] / size[1]), size, lights)
+        found, expected = grid.read(), fresh.read()
+        for name in ("begins", "points_ends", "ends", "lights"):
+            assert (getattr(found, name) == getattr(expected, name)).all()
+    assert grid.overflows == 0
+
+
 class GivenDepth(Struct):
     depth: FragmentDepth
 

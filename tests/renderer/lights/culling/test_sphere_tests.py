@@ -8,6 +8,7 @@ from culling_cases import LENSES, Pairs, make_pairs
 
 import rhi
 from renderer.lights.culling.cells import Cell, CellGrid, block_cell, corner, padded_radius
+from renderer.lights.culling.projections import make_grid
 from renderer.lights.culling.sphere_tests import (
     overlaps_all_axes,
     overlaps_always,
@@ -25,6 +26,7 @@ from renderer.lights.culling.sphere_tests import (
     overlaps_vertices,
 )
 from renderer.lights.culling.table import SPHERE_TESTS
+from renderer.scene import Perspective
 from rhi.shading import (
     Shader,
     Storage,
@@ -89,18 +91,26 @@ class RunSphereTests(Shader):
         )
 
 
-def run(device: rhi.Device, pairs: Pairs) -> dict[str, np.ndarray]:
-    """Make all tests on a device, in float32."""
-    rows = np.zeros(len(pairs.radii), Pair.dtype)
-    rows["centre"], rows["radius"], rows["tile"] = pairs.centres, pairs.radii, pairs.tiles
-    rows["near"], rows["far"] = pairs.near, pairs.far
+def run_rows(device: rhi.Device, grid: CellGrid, rows: np.ndarray) -> dict[str, np.ndarray]:
+    """Make all tests of rows of `Pair`."""
     kept = device.storage(uint, len(rows))
-    grid = device.uniform(pairs.grid)
     device.dispatch(
-        device.program(RunSphereTests), -(-len(rows) // 64), grid=grid, pairs=device.storage(Pair, rows), kept=kept
+        device.program(RunSphereTests),
+        -(-len(rows) // 64),
+        grid=device.uniform(grid),
+        pairs=device.storage(Pair, rows),
+        kept=kept,
     )
     bits = kept.read()
     return {name: (bits >> index & 1).astype(bool) for index, name in enumerate(SPHERE_TESTS)}
+
+
+def run(device: rhi.Device, pairs: Pairs) -> dict[str, np.ndarray]:
+    """Make all tests of pairs on a device, in float32."""
+    rows = np.zeros(len(pairs.radii), Pair.dtype)
+    rows["centre"], rows["radius"], rows["tile"] = pairs.centres, pairs.radii, pairs.tiles
+    rows["near"], rows["far"] = pairs.near, pairs.far
+    return run_rows(device, pairs.grid, rows)
 
 
 @pytest.fixture(scope="module", params=LENSES)
@@ -142,6 +152,38 @@ def test_padding_adds_few_pairs_on_a_device(device: rhi.Device, pairs: Pairs) ->
     assert beyond.mean() > 0.2
     assert not (kept["exact"] & beyond).any()
     assert not (kept["all_axes"] & beyond).any()
+
+
+# The cell is the whole view of a square lens that sees half a metre to each side at a distance of one.
+HARD_CASES = {
+    "a sphere beside a corner, behind no plane": ((6.2, 0.0, 11.4), 1.6, (1.0, 10.0), False),
+    "a tangent sphere": ((0.0, 0.0, 11.0), 1.0 + 1e-6, (1.0, 10.0), True),
+    "a tangent sphere beside an edge": ((6.0, 0.0, 10.0), 1.0 + 1e-6, (1.0, 10.0), True),
+    "no radius, inside": ((0.0, 0.0, 5.0), 0.0, (1.0, 10.0), True),
+    "no radius, outside": ((0.0, 0.0, 10.1), 0.0, (1.0, 10.0), False),
+    "a huge radius": ((1e6, 0.0, 5.0), 1e6 + 10.0, (1.0, 10.0), True),
+    "a huge radius, and too far": ((0.0, 0.0, -1e6), 1e6 - 10.0, (1.0, 10.0), False),
+    "behind the eye": ((0.3, -0.2, -4.0), 5.3, (1.0, 10.0), True),
+    "behind the eye, and too far": ((0.3, -0.2, -4.0), 4.9, (1.0, 10.0), False),
+    "a flat cell": ((1.0, 1.0, 5.0), 1.0, (4.0, 4.0), True),
+    "the corner of a flat cell": ((2.0, 2.0, 4.0), 0.0, (4.0, 4.0), True),
+    "before a flat cell": ((1.0, 1.0, 5.01), 1.0, (4.0, 4.0), False),
+}
+
+
+@pytest.mark.parametrize("case", HARD_CASES)
+def test_hard_cases_on_a_device(device: rhi.Device, case: str) -> None:
+    centre, radius, (near, far), overlaps = HARD_CASES[case]
+    grid = make_grid(Perspective(fov=2 * np.arctan(0.5), aspect=1.0), (1, 1), 1)
+    row = np.zeros(1, Pair.dtype)
+    row["centre"], row["radius"], row["near"], row["far"] = centre, radius, near, far
+    kept = {name: bool(found[0]) for name, found in run_rows(device, grid, row).items()}
+    if overlaps:
+        assert all(kept.values())
+    else:
+        assert kept["planes"] or "too far" in case or case.startswith(("no", "before"))
+        assert not kept["exact"]
+        assert not kept["all_axes"]
 
 
 @pytest.mark.nightly

@@ -262,6 +262,17 @@ def test_a_function_runs_on_arrays_that_broadcast():
     assert evaluate(falloff, d, radius=2.0).dtype == np.float32
 
 
+@function
+def flip(v: vec3) -> vec3:
+    return -v
+
+
+def test_a_function_runs_on_no_elements():
+    assert evaluate(falloff, np.zeros(0), 1.0).shape == (0,)
+    assert evaluate(flip, np.zeros((0, 3))).shape == (0, 3)
+    assert evaluate(flip, np.ones((2, 3))).shape == (2, 3)
+
+
 def test_a_functions_arguments_have_their_types():
     assert evaluate(bits, 1.0, 2) == 0x3F800002
     with pytest.raises(ValidationError, match="radius") as caught:
