@@ -146,8 +146,7 @@ class BackendPasses:
     def _draw_lit(self, images: bool) -> None:
         effects = self._needs.effects if images else self._needs.effects - {Effect.IMAGES}
         needs = replace(self._needs, effects=effects)
-        frame = Frame(self.device, self.view, self.resources, self.targets, needs)
-        draw_lit(frame, self.targets.image, self.targets.depth)
+        draw_lit(Frame(self.device, self.view, self.resources, self.targets, needs))
         self.device.finish()
 
     def _prepare_boxes(self) -> None:

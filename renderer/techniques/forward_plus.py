@@ -39,8 +39,9 @@ class LitByCells(CellReader, ForwardShader):
     rays: Uniform[PixelRays]
 
     def fragment(self, v: SurfaceVarying) -> vec4:
-        surface = self.find_surface(v)
-        color = self.shade(surface, self.materials[v.material])
+        material = self.materials[v.material]
+        surface = self.find_surface(v, material)
+        color = self.shade(surface, material)
         color += self.lamplight(surface, self.find_cell_lights(dot(v.position, self.rays.forward)))
         return self.finish(color, v.position)
 
