@@ -163,11 +163,13 @@ def light_geometry(
 
 
 @cache
-def resolve_variant(base: type[ResolveShader], *parts: str, has_sun: bool, has_images: bool) -> type[Shader]:
-    """Return a shader of the last pass with these of `PARTS`, and only their bindings."""
+def resolve_variant(
+    parts: tuple[str, ...], bases: tuple[type[ResolveShader], ...], *, has_sun: bool, has_images: bool
+) -> type[Shader]:
+    """Return a shader of the last pass with these of `PARTS` and these bases, and only their bindings."""
     known = PARTS | {"directional_lights": WithSun} if has_sun else PARTS
-    bases = (*(known[part] for part in parts), base)
-    return type("Resolve", bases, {"__module__": __name__, "has_images": has_images})
+    added = tuple(known[part] for part in parts)
+    return type("Resolve", (*added, *bases), {"__module__": __name__, "has_images": has_images})
 
 
 def resolve(frame: Frame, *, lights: Sequence[str]) -> None:
@@ -183,9 +185,8 @@ def draw_resolve(
 ) -> None:
     """Make the image with a shader and parts of it, and their bindings besides those of the geometry buffer."""
     device, targets, needs = frame.device, frame.targets, frame.needs
-    shader = resolve_variant(
-        base, *parts, has_sun=needs.has_sun, has_images=Effect.IMAGES in needs.effects
-    )
+    has_images = Effect.IMAGES in needs.effects
+    shader = resolve_variant(tuple(parts), (base,), has_sun=needs.has_sun, has_images=has_images)
     with (
         device.render_pass(
             targets.image, targets["depth"], clear=(*frame.resources.scene.background, 1.0)
