@@ -39,7 +39,7 @@ from rhi.device.core.interrupts import HeldInterrupts
 from rhi.device.core.state_cache import StateVector
 from rhi.device.core.timeline import Timeline
 from rhi.device.encoder import Encoder, check_drawable
-from rhi.device.queries.occlusion import Conditional, OcclusionQuery, OpenQuery
+from rhi.device.queries.occlusion import Conditional, OcclusionQuery, QueryScope
 from rhi.device.queries.sets import QuerySet
 from rhi.device.queries.timers import Timers
 from rhi.device.recording import RecordedProgram, RecordingCore
@@ -387,10 +387,11 @@ class CommandBuffer(Encoder):
             device.states.lose_hardware()
 
 
-class RecordedQuery:
+class RecordedQuery(QueryScope):
     """A `with commands.query(query):` block."""
 
-    __slots__ = ("_core", "_query", "_scope")
+    __slots__ = ("__weakref__", "_core", "_query")
+    _core: RecordingCore
 
     def __init__(self, core: RecordingCore, query: OcclusionQuery) -> None:
         call = "commands.query"
@@ -400,7 +401,6 @@ class RecordedQuery:
         query.check_usable(core.device, call)
         self._core = core
         self._query = query
-        self._scope = OpenQuery(core)
 
     def __enter__(self) -> None:
         core, query, call = self._core, self._query, "commands.query"
@@ -413,15 +413,14 @@ class RecordedQuery:
             core.refuse(QUERY_STATE, call, "the same query twice in a command buffer", "each query once")
         for resource in query.ids:
             core.note_use(resource, query)
-        self._scope.owner = self
-        core.scopes.push(self._scope)
+        core.scopes.push(self)
         query.write_begin(core)
-        core.open_query = self._scope
+        core.open_query = self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._core.scopes.leave(self._scope, error)
+        self._core.scopes.leave(self, error)
 
     def complete(self) -> None:
         """End the query."""

@@ -22,7 +22,7 @@ from rhi.contract.states import AlphaTest
 from rhi.device.core.interrupts import HeldInterrupts
 from rhi.device.core.readback_pool import ReadbackPool
 from rhi.device.core.refusals import RefusalLog
-from rhi.device.core.scopes import Bracket
+from rhi.device.core.scopes import Scope
 from rhi.device.core.state_cache import StateCache, StateVector
 from rhi.device.core.timeline import Timeline
 from rhi.errors import DeviceError, Rule
@@ -208,7 +208,7 @@ class Core:
         self._context = _find_context(backend)
         self.program: object | None = None
         self.render_pass: PassDescriptor | None = None
-        self.open_query: Bracket | None = None
+        self.open_query: Scope | None = None
         self.condition_open = False
         self.condition_count = 0
         self.targets = NO_TARGETS

@@ -297,7 +297,7 @@ class StateScope(Scope):
         before: the vector that it restores while it is open, None otherwise.
     """
 
-    __slots__ = ("before", "cache", "states")
+    __slots__ = ("__weakref__", "before", "cache", "states")
     cache: StateCache
     states: tuple[State, ...]
     before: StateVector | None
@@ -318,7 +318,7 @@ class StateScope(Scope):
         try:
             scopes._data[index] = self
         except IndexError:
-            scopes.push(self)  # is refused
+            scopes.refuse_full()
         scopes._index = index + 1
         self.before = before
         cache.wanted = target
@@ -343,10 +343,6 @@ class StateScope(Scope):
         again = _EnteredAgain()
         again.cache, again.states, again.before, again.block = self.cache, self.states, None, ref(self)
         again.__enter__()
-
-    def find_block(self) -> object | None:
-        """Return the scope itself, which is its own block."""
-        return self
 
     def describe(self) -> str:
         """Return the scope's text in messages."""
@@ -380,7 +376,7 @@ class _EnteredAgain(StateScope):
     """A scope in the stack that was entered through one that was already open."""
 
     __slots__ = ("block",)
-    block: Callable[[], object | None]
+    block: Callable[[], Scope | None]
 
-    def find_block(self) -> object | None:
+    def find_block(self) -> Scope | None:
         return self.block()
