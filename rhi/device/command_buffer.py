@@ -390,7 +390,7 @@ class CommandBuffer(Encoder):
 class RecordedQuery(QueryScope):
     """A `with commands.query(query):` block."""
 
-    __slots__ = ("__weakref__", "_core", "_query")
+    __slots__ = ("_core", "_query")
     _core: RecordingCore
 
     def __init__(self, core: RecordingCore, query: OcclusionQuery) -> None:

@@ -44,7 +44,7 @@ _CLEAR: Final = "4 finite numbers: red, green, blue, alpha"
 class RenderPass(Scope):
     """A `with device.render_pass(...)` block."""
 
-    __slots__ = ("__weakref__", "_core", "_descriptor", "_kinds", "_lost", "_resolves", "_textures")
+    __slots__ = ("_core", "_descriptor", "_kinds", "_lost", "_resolves", "_textures")
 
     def __init__(
         self,

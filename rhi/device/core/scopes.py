@@ -20,7 +20,6 @@ from __future__ import annotations
 
 from sys import getrefcount
 from typing import Final, NoReturn
-from weakref import WeakSet
 
 from rhi.device.core.containers import FixedStack
 from rhi.device.core.interrupts import HeldInterrupts
@@ -36,11 +35,11 @@ _OWN: Final = 2
 
 
 class Scope:
-    """An entry of the stack: a `with` block that was entered. Its class has a slot for weak references."""
+    """An entry of the stack: a `with` block that was entered."""
 
     __slots__ = ()
 
-    def find_block(self) -> Scope | None:
+    def find_block(self) -> Scope:
         """Return the block whose end ends this scope: itself, unless the block was entered inside itself."""
         return self
 
@@ -65,7 +64,7 @@ class _LastInside(Scope):
     def __init__(self, scope: Scope) -> None:
         self.scope = scope
 
-    def find_block(self) -> Scope | None:
+    def find_block(self) -> Scope:
         return self.scope.find_block()
 
     def describe(self) -> str:
@@ -87,7 +86,7 @@ class OpenScopes(FixedStack[Scope]):
         self.refusals = refusals
         self.keeps_lines = False
         self._closed = False
-        self._cut: WeakSet[Scope] = WeakSet()  # ended before their blocks
+        self._cut: set[Scope] = set()  # blocks whose scopes ended before them
         self._lines: dict[int, CallSite | None] = {}  # by place in the stack
 
     def push(self, value: Scope) -> None:
@@ -138,7 +137,7 @@ class OpenScopes(FixedStack[Scope]):
             return
         if _comes_of_interrupt(error):
             while self._index > place + 1:
-                self._cut.add(unwrap(self.top))
+                self._cut.add(self.top.find_block())
                 self._end_innermost(cut_off=True)
         else:
             self.end_unheld()
@@ -166,7 +165,7 @@ class OpenScopes(FixedStack[Scope]):
             scope.cut_off() if cut_off else scope.finish(failed)
         finally:
             if isinstance(entry, _LastInside) and self._index:
-                self._cut.add(unwrap(self.top))
+                self._cut.add(self.top.find_block())
                 self._end_innermost()
 
     def _find(self, scope: Scope) -> int:
@@ -181,22 +180,22 @@ class OpenScopes(FixedStack[Scope]):
         """Take a scope out, with all that is inside it, which can't be ended; their blocks are left quietly."""
         place = self._find(scope)
         if place >= 0:
-            self._cut.update(map(unwrap, self._data[place : self._index]))  # type: ignore[arg-type]
+            self._cut.update(entry.find_block() for entry in self._data[place : self._index] if entry)
             self._data[place : self._index] = [None] * (self._index - place)
             self._index = place
 
     def end_unheld(self) -> None:
-        """End the innermost scopes whose blocks nobody holds any more."""
+        """End the innermost scopes whose blocks nobody holds any more, and forget such blocks."""
+        if self._cut:
+            self._cut = {block for block in self._cut if getrefcount(block) > 1 + _OWN}
         while self._index and not self._is_held():
             self._end_innermost(cut_off=True)
 
     def _is_held(self) -> bool:
         """Return whether anybody but this stack holds the block of the innermost scope."""
-        scope = unwrap(self.top)
-        block = scope.find_block()
-        places = 1 if block is scope else sum(unwrap(entry) is block for entry in self)  # 0 if it was withdrawn
-        del scope
-        return block is not None and getrefcount(block) > places + _OWN
+        block = self.top.find_block()
+        places = sum(entry.find_block() is block for entry in self)  # each has one reference to it
+        return getrefcount(block) > places + _OWN
 
     def refuse_unopened(self, scope: str, error: BaseException | None) -> None:
         """Refuse the end of a scope that isn't open, unless that would hide an exception that is on its way."""
@@ -218,6 +217,7 @@ class OpenScopes(FixedStack[Scope]):
     def close(self) -> None:
         """Forget all scopes: their blocks are left quietly from now on."""
         self.clear()
+        self._cut.clear()
         self._closed = True
 
 

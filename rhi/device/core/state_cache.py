@@ -15,11 +15,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from types import TracebackType
 from typing import Final, Protocol
-from weakref import ref
 
 from rhi.contract.states import (
     DEFAULTS,
@@ -297,7 +295,7 @@ class StateScope(Scope):
         before: the vector that it restores while it is open, None otherwise.
     """
 
-    __slots__ = ("__weakref__", "before", "cache", "states")
+    __slots__ = ("before", "cache", "states")
     cache: StateCache
     states: tuple[State, ...]
     before: StateVector | None
@@ -341,7 +339,7 @@ class StateScope(Scope):
     def _enter_again(self) -> None:
         """Enter an open scope inside itself: a second one takes its place in the stack."""
         again = _EnteredAgain()
-        again.cache, again.states, again.before, again.block = self.cache, self.states, None, ref(self)
+        again.cache, again.states, again.before, again.block = self.cache, self.states, None, self
         again.__enter__()
 
     def describe(self) -> str:
@@ -376,7 +374,7 @@ class _EnteredAgain(StateScope):
     """A scope in the stack that was entered through one that was already open."""
 
     __slots__ = ("block",)
-    block: Callable[[], Scope | None]
+    block: StateScope
 
-    def find_block(self) -> Scope | None:
-        return self.block()
+    def find_block(self) -> Scope:
+        return self.block

@@ -208,7 +208,7 @@ class OcclusionQuery(PendingQuery[int], QueryScope):
     A query may be used any number of times; `begin` discards the earlier answer. `with query:` begins and ends it.
     """
 
-    __slots__ = ("__weakref__", "_checks")
+    __slots__ = ("_checks")
 
     def __init__(self, core: Core, emulated: bool) -> None:
         super().__init__(core, 1, emulated, "device.occlusion_query")
@@ -342,7 +342,7 @@ class OcclusionQuery(PendingQuery[int], QueryScope):
 class Conditional(Scope):
     """A `with device.conditional(query):` block, whose draws are executed only if the query counted samples."""
 
-    __slots__ = ("__weakref__", "_core", "_inverted", "_query")
+    __slots__ = ("_core", "_inverted", "_query")
 
     def __init__(self, core: Core, query: OcclusionQuery, inverted: bool) -> None:
         call = "device.conditional"

@@ -13,7 +13,6 @@ from threading import get_ident
 from time import perf_counter
 from types import TracebackType
 from typing import Final, TypeAlias
-from weakref import ref
 
 from rhi.contract.descriptors import Id, QueryKind
 from rhi.device.core.core import Core
@@ -160,7 +159,7 @@ class EventScope(Scope):
         first, last: its timestamps, 0 if it takes none.
     """
 
-    __slots__ = ("__weakref__", "_core", "_timers", "began", "first", "label", "last", "node")
+    __slots__ = ("_core", "_timers", "began", "first", "label", "last", "node")
     began: float
     first: Id
     last: Id
@@ -225,7 +224,7 @@ class _EventAgain(EventScope):
 
     def __init__(self, block: EventScope, core: Core, timers: Timers, label: str) -> None:
         super().__init__(core, timers, label)
-        self.block = ref(block)
+        self.block = block
 
-    def find_block(self) -> Scope | None:
-        return self.block()
+    def find_block(self) -> Scope:
+        return self.block

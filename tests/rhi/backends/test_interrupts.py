@@ -234,6 +234,18 @@ def test_an_interrupt_ends_a_scope_that_was_left_too_early(null_device: Device) 
     assert states.depth == 0
 
 
+def test_blocks_whose_scopes_ended_early_are_forgotten_with_their_last_reference(null_device: Device) -> None:
+    scopes, early = null_device._core.scopes, null_device.states(CullMode.NONE)
+    early.__enter__()
+    with null_device.states(CullMode.FRONT), pytest.raises(rhi.ValidationError):
+        early.__exit__(None, None, None)
+    null_device.present()
+    assert scopes._cut == {early}  # it may be left once more, quietly
+    del early
+    null_device.present()
+    assert not scopes._cut
+
+
 def test_scopes_inside_each_other_end_one_by_one_without_errors(null_device: Device) -> None:
     states, scope = null_device._core.states, null_device.states(CullMode.NONE)
     with scope, scope:
