@@ -194,8 +194,8 @@ class OpenScopes(FixedStack[Scope]):
     def _is_held(self) -> bool:
         """Return whether anybody but this stack holds the block of the innermost scope."""
         block = self.top.find_block()
-        places = sum(entry.find_block() is block for entry in self)  # each has one reference to it
-        return getrefcount(block) > places + _OWN
+        ours = sum(entry.find_block() is block for entry in self) + (block in self._cut)
+        return getrefcount(block) > ours + _OWN
 
     def refuse_unopened(self, scope: str, error: BaseException | None) -> None:
         """Refuse the end of a scope that isn't open, unless that would hide an exception that is on its way."""

@@ -55,7 +55,7 @@ class StateVector:
 
     def __init__(self, values: tuple[object, ...]) -> None:
         self.values = values
-        self.after: dict[tuple[State, ...], StateVector] = {}
+        self.after: dict[tuple[State, ...], tuple[StateVector, int]] = {}  # and the number of these states
         self.changes: dict[StateVector, tuple[StateChange, ...]] = {}
 
     def __getitem__(self, state_type: type) -> object:
@@ -142,8 +142,8 @@ class StateCache:
         scope.cache, scope.states, scope.before = self, states, None
         return scope
 
-    def derive(self, states: tuple[State, ...]) -> StateVector:
-        """Return the vector that a scope of these states would set, after the same checks."""
+    def derive(self, states: tuple[State, ...]) -> tuple[StateVector, int]:
+        """Return the vector that a scope of these states would set, after the same checks, and their number."""
         try:
             return self.wanted.after.get(states) or self._derive(states)
         except TypeError:  # an unhashable object, which can't be a state
@@ -188,7 +188,7 @@ class StateCache:
         """Set both counters to zero."""
         self.software_changes = self.hardware_changes = 0
 
-    def _derive(self, states: tuple[State, ...]) -> StateVector:
+    def _derive(self, states: tuple[State, ...]) -> tuple[StateVector, int]:
         """Check states, and return and memoise the vector that they make of the wanted one."""
         self._validate(states)
         values = list(self.wanted.values)
@@ -207,8 +207,8 @@ class StateCache:
                 values[index] = tuple(per_target)
         self._reserve()
         vector = self._intern(tuple(values))
-        self.wanted.after[states] = vector
-        return vector
+        step = self.wanted.after[states] = vector, len(states)
+        return step
 
     def _validate(self, states: tuple[State, ...]) -> None:
         call = "device.states(" + ", ".join(map(repr, states)) + ")"
@@ -307,10 +307,10 @@ class StateScope(Scope):
         cache, states = self.cache, self.states
         before = cache.wanted
         try:
-            target = before.after.get(states) or cache._derive(states)
-        except TypeError:
-            target = cache.derive(states)
-        count = len(states)
+            step = before.after[states]
+        except (KeyError, TypeError):
+            step = None
+        target, count = step or cache.derive(states)
         scopes = cache.scopes
         index = scopes._index  # from here on nothing may be interrupted, so it calls nothing
         try:

@@ -241,7 +241,11 @@ def test_blocks_whose_scopes_ended_early_are_forgotten_with_their_last_reference
         early.__exit__(None, None, None)
     null_device.present()
     assert scopes._cut == {early}  # it may be left once more, quietly
+    cut_off(early, type(early))
+    assert len(scopes) == 1
     del early
+    null_device.present()
+    assert len(scopes) == 0
     null_device.present()
     assert not scopes._cut
 
