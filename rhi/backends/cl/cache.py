@@ -170,7 +170,7 @@ class KernelCache:
             return None
         with suppress(OSError):
             os.utime(record)
-        return Stored(code or b"", frozenset(name.split("/")[0] for name in files))
+        return Stored(code or b"", frozenset(name.split("/")[0] for name in files if "/" in name))
 
     def knows(self, key: str, kernels: Sequence[str] = ()) -> bool:
         """Return whether a program is there and undamaged, with machine code of these kernels."""
