@@ -110,7 +110,7 @@ class Request:
         return source, options
 
 
-class Stored(NamedTuple):
+class CachedProgram(NamedTuple):
     """An undamaged program in the cache.
 
     Attributes:
@@ -150,7 +150,7 @@ class KernelCache:
         key = hashlib.sha256(whole.encode()).hexdigest()[:24]
         return Request(key, tuple(options), source, self.declares, self.works)
 
-    def find(self, key: str) -> Stored | None:
+    def find(self, key: str) -> CachedProgram | None:
         """Return a program that is there and undamaged. What is damaged is removed."""
         if self._folder is None:
             return None
@@ -170,7 +170,7 @@ class KernelCache:
             return None
         with suppress(OSError):
             os.utime(record)
-        return Stored(code or b"", frozenset(name.split("/")[0] for name in files if "/" in name))
+        return CachedProgram(code or b"", frozenset(name.split("/")[0] for name in files if "/" in name))
 
     def knows(self, key: str, kernels: Sequence[str] = ()) -> bool:
         """Return whether a program is there and undamaged, with machine code of these kernels."""

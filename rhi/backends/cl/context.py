@@ -22,7 +22,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from rhi.backends.cl.cache import KernelCache, Request, Stored, choose_folder, make_mark
+from rhi.backends.cl.cache import KernelCache, Request, CachedProgram, choose_folder, make_mark
 from rhi.backends.cl.drivers import Loading
 from rhi.backends.cl.errors import shorten
 from rhi.backends.cl.workers import list_threads, spread_threads
@@ -226,7 +226,7 @@ def probe(context: cl.Context, queue: cl.CommandQueue, cache: KernelCache) -> tu
 
 
 def build_cached(
-    context: cl.Context, cache: KernelCache, request: Request, stored: Stored | None
+    context: cl.Context, cache: KernelCache, request: Request, stored: CachedProgram | None
 ) -> cl.Program:
     """Build a program, or make it of the driver's LLVM code; `stored`: what the cache has of it. If that is nothing, it
     is kept there."""

@@ -12,6 +12,7 @@ import pytest
 from rhi.backends.cl import create_backend, drivers
 from rhi.backends.cl.context import find_devices, open_context
 from rhi.backends.cl.drivers import Loading
+from rhi.backends.cl.workers import list_threads
 
 LIBRARY = cl._cl.__file__
 FIRST = """
@@ -19,6 +20,7 @@ import ctypes, sys
 import pyopencl
 from rhi.backends.cl import workers
 from rhi.backends.cl.drivers import Loading
+from rhi.backends.cl.workers import list_threads
 loading = Loading(pyopencl._cl.__file__)
 before = loading.finish()
 loaded = "libpocl" in open("/proc/self/maps").read()
@@ -54,7 +56,7 @@ def test_without_another_thread_they_are_loaded_at_once(monkeypatch: pytest.Monk
     monkeypatch.setattr(drivers, "_load", asked.append)
     loading = Loading(LIBRARY)
     assert asked == [LIBRARY]
-    assert loading.finish() == drivers.list_threads()
+    assert loading.finish() == list_threads()
 
 
 def test_no_thread_of_it_is_left() -> None:
