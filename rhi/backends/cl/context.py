@@ -22,7 +22,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from rhi.backends.cl.cache import KernelCache, Request, CachedProgram, choose_folder, make_mark
+from rhi.backends.cl.cache import CachedProgram, KernelCache, Request, choose_folder, make_mark
 from rhi.backends.cl.drivers import Loading
 from rhi.backends.cl.errors import shorten
 from rhi.backends.cl.workers import list_threads, spread_threads
