@@ -4,6 +4,8 @@
 //   `Batch`, and access everything else by addresses in memory: no argument is set per draw, whatever a draw binds.
 // - Work is divided into groups of 16 vertices or primitives. A group belongs to one instance of one draw, so everything
 //   that differs from draw to draw is uniform over its 16 lanes. tables.py mirrors the structs.
+// - Functions are given structs by address, and give them so. For each program that is loaded, PoCL keeps the attributes of
+//   functions that take or return structs by value, as long as the process lives.
 // - Window positions are integers in subtexels (1/256 texel) from the centre of texel 0, 0; y counts from the top.
 
 #define INLINE static inline __attribute__((always_inline))
