@@ -23,6 +23,7 @@ from rhi import (
     Device,
     Encoder,
     FrontFace,
+    IndirectDraws,
     Program,
     QuerySet,
     Texture,
@@ -164,9 +165,9 @@ class TechniquePass:
 
     def draw(self, rows: NDArray[np.int64]) -> None:
         """Draw the objects `rows` (k,)."""
-        resources = self._begin_batch(rows)
-        if len(rows) > 1:
-            rows = rows[np.argsort(self._find_farthest(rows), kind="stable")]
+        self.open()
+        resources = self._record_drawn(rows)
+        rows = self._sort(rows)
         for mirrored, winding in _WINDINGS:
             part = rows[resources.find_winding(rows, mirrored=mirrored)]
             if part.size:
@@ -175,12 +176,31 @@ class TechniquePass:
                         self._program, resources.mesh, resources.draws[part], **self._bindings
                     )
 
+    def draw_alone(self, rows: NDArray[np.int64]) -> None:
+        """Draw the objects `rows` (k,) in a pass of their own. The commands are recorded when they come again, and then
+        only submitted; see `FrameBatch`."""
+        self.close()
+        resources = self._record_drawn(rows)
+        rows = self._sort(rows)
+        parts = [rows[resources.find_winding(rows, mirrored=mirrored)] for mirrored, _ in _WINDINGS]
+
+        def issue(encoder: Encoder, arguments: list[IndirectDraws | None]) -> None:
+            with self._begin(encoder, clears=not self.was_opened):
+                for (_, winding), draws in zip(_WINDINGS, arguments, strict=True):
+                    if draws is not None:
+                        with encoder.states(winding):
+                            encoder.draw_indirect(self._program, resources.mesh, draws, **self._bindings)
+
+        resources.batch.execute(self.key, parts, issue)
+        self.was_opened = True
+
     def draw_conditional(
         self, rows: NDArray[np.int64], queries: QuerySet, answers: NDArray[np.int64]
     ) -> None:
         """Draw the objects `rows` (k,), each on condition that row `answers[i]` (k,) of a query set counted a sample.
         Objects with the same condition are drawn together, front to back."""
-        resources = self._begin_batch(rows)
+        self.open()
+        resources = self._record_drawn(rows)
         order = np.lexsort((self._find_farthest(rows), answers))
         rows, answers = rows[order], answers[order]
         for mirrored, winding in _WINDINGS:
@@ -197,12 +217,17 @@ class TechniquePass:
                         **self._bindings,
                     )
 
-    def _begin_batch(self, rows: NDArray[np.int64]) -> SceneResources:
-        """Open the pass, and record and simulate the objects that are drawn next; return the scene's resources."""
-        self.open()
+    def _record_drawn(self, rows: NDArray[np.int64]) -> SceneResources:
+        """Record and simulate the objects that are drawn next; return the scene's resources."""
         self.drawn.batches.append(rows)
         self._resources.simulate(rows)
         return self._resources
+
+    def _sort(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return objects front to back."""
+        if len(rows) > 1:
+            rows = rows[np.argsort(self._find_farthest(rows), kind="stable")]
+        return rows
 
     def _find_farthest(self, rows: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the depth of the farthest corner of each object's box."""

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from renderer import rules, shaders
+from renderer.frame.batch import FrameBatch
 from renderer.lights.lists import list_lights
 from renderer.scene import Camera, Deformed, Scene, Simulator, normal_matrices
 from renderer.visibility import SceneArrays
@@ -130,6 +131,7 @@ class SceneResources:
 
     Attributes:
         mesh: all meshes in one. draws: (n,) of `rhi.DRAW`, one for each object.
+        batch: the draws of a frame that is one batch.
         mirrored: (n,) bool, whether an object's transform mirrors it, which reverses the winding of its triangles.
         images: the scene's images as layers; None if there are none.
         objects, places, materials, directional, point, spot, light_rows: the arrays that shaders read; point and spot
@@ -164,6 +166,7 @@ class SceneResources:
             base_vertex=ranges["base_vertex"],
             base_instance=np.arange(len(objects)),
         )
+        self.batch: FrameBatch = self._keep(FrameBatch(device, self.draws))
         images = _make_images(device, scene)
         self.images: Texture | None = images and self._keep(images)
         keep = self._keep

@@ -160,6 +160,68 @@ def test_a_new_size_with_questions_in_flight_changes_no_pixel(device: rhi.Device
     algorithm.destroy()
 
 
+# -- frames of one batch -----------------------------------------------------------------------------------
+
+
+def count_recorded(device: rhi.Device, scene: Scene, name: str, cameras: list[Camera]) -> list[int]:
+    """Return the number of commands recorded in each frame, at a time that passes."""
+    algorithm, counts = make_visibility(name, scene, device), []
+    with Renderer(device, scene, visibility=algorithm, size=(64, 36)) as renderer:
+        for frame, camera in enumerate(cameras):
+            before = device.statistics.recorded_commands
+            renderer.render(camera, frame / 60)
+            counts.append(device.statistics.recorded_commands - before)
+    return counts
+
+
+def test_drawing_everything_is_recorded_once_however_camera_and_objects_move(null: rhi.Device) -> None:
+    scene = load_scene("hall:columns=12,rows=4,flags=1")
+    assert len(scene.objects.dynamic_rows)
+    cameras = [scene.paths["ground"].camera(20 * frame) for frame in range(8)]
+    counts = count_recorded(null, scene, "none", cameras)
+    assert counts[1] > 4
+    assert counts[:1] + counts[2:] == [0] * 7
+
+
+def test_what_the_frustum_leaves_is_recorded_when_its_number_comes_again(null: rhi.Device) -> None:
+    scene = make_cloud()
+    near = [look((0.0, 0.0, 4.0 + distance), ORIGIN, near=0.1) for distance in range(5)]
+    with Renderer(null, scene, visibility=make_visibility("frustum", scene, null)) as renderer:
+        assert len({len(renderer.render(camera).visible) for camera in near}) == 5
+    counts = count_recorded(null, scene, "frustum", [*near, near[-1], near[-1], near[0], near[0]])
+    assert [count > 0 for count in counts] == [False] * 5 + [True, False, False, True]
+
+
+@pytest.mark.parametrize("depth", Depth)
+@pytest.mark.parametrize("name", ["none", "frustum"])
+def test_a_steady_frame_that_is_submitted_changes_no_states(null: rhi.Device, name: str, depth: Depth) -> None:
+    scene = make_cloud()
+    camera = CAMERA.with_projection(Perspective(near=0.1, far=90.0, depth=depth))
+    changes = []
+    with Renderer(null, scene, visibility=make_visibility(name, scene, null)) as renderer:
+        for _ in range(4):
+            changes.append(renderer.render(camera).statistics.hardware_state_changes)
+    assert changes == [int(depth is Depth.STANDARD), 0, 0, 0]
+
+
+@pytest.mark.parametrize("name", ["none", "frustum"])
+def test_a_frame_that_is_submitted_looks_as_one_that_is_drawn_at_once(device: rhi.Device, name: str) -> None:
+    """The objects move, and the camera. Some are mirrored."""
+    scene = load_scene("hall:columns=6,flags=2")
+    path, shown = scene.paths["ground"], set()
+    with Renderer(device, scene, visibility=make_visibility(name, scene, device), size=(97, 55)) as renderer:
+        for frame in range(0, 60, 10):
+            before = device.statistics.recorded_commands
+            image = renderer.render(path.camera(frame), frame / 60).image.read()
+            recorded = device.statistics.recorded_commands > before
+            fresh = make_visibility(name, scene, device)
+            with Renderer(device, scene, visibility=fresh, size=(97, 55)) as other:
+                assert (image == other.render(path.camera(frame), frame / 60).image.read()).all(), frame
+            shown.add((image.tobytes(), recorded))
+    assert len(shown) == 6, "a frame that doesn't change proves nothing"
+    assert name == "frustum" or any(recorded for _, recorded in shown)
+
+
 # -- frames that overlap -----------------------------------------------------------------------------------
 
 
