@@ -302,7 +302,7 @@ def test_vertices_of_adjacent_meshes_are_written_together(null: rhi.Device) -> N
     writes = [command for command in null.stream if command.op in WRITES]
     sizes = sorted(len(bytes(command["data"])) for command in writes)
     assert sizes[-1] == 6 * 1080 * 32
-    assert len(writes) == 2  # the vertices and the draws
+    assert len(writes) == 1  # the vertices; the draws are those of the last frame
 
 
 def widen(scene: Scene, by: float) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -206,7 +207,7 @@ def test_a_steady_frame_that_is_submitted_changes_no_states(null: rhi.Device, na
 
 @pytest.mark.parametrize("name", ["none", "frustum"])
 def test_a_frame_that_is_submitted_looks_as_one_that_is_drawn_at_once(device: rhi.Device, name: str) -> None:
-    """The objects move, and the camera. Some are mirrored."""
+    """The objects move, and the camera."""
     scene = load_scene("hall:columns=6,flags=2")
     path, shown = scene.paths["ground"], set()
     with Renderer(device, scene, visibility=make_visibility(name, scene, device), size=(97, 55)) as renderer:
@@ -254,6 +255,44 @@ def find_overlap(name: str, *, waits: bool = False) -> float:
 @pytest.mark.parametrize("name", ["none", "frustum", "conditional", *DEVICE])
 def test_a_frame_is_recorded_while_the_gpu_draws_the_one_before(name: str) -> None:
     assert find_overlap(name) > 0.8
+
+
+def find_turns(device: rhi.Device, *, waits: bool) -> tuple[int, int]:
+    """Return of how many frames the tree of timers says that the CPU began them before the GPU had ended the one
+    before, and how many were looked at."""
+    scene, trees = load_scene("city:blocks=4,detail=2"), []
+    device.timing = True
+    with Renderer(device, scene, visibility=NoCulling(scene), size=(320, 180)) as renderer:
+        for frame in range(12):
+            renderer.render(scene.paths["ground"].camera(20 * frame))
+            if waits:
+                device.finish()
+            if device.timers and (not trees or device.timers is not trees[-1]):
+                trees.append(device.timers)
+        device.finish()
+    early = 0
+    for (before,), (node,) in pairwise(trees):
+        assert before.gpu_span is not None
+        assert node.cpu_span is not None
+        early += node.cpu_span[0] < before.gpu_span[1]
+    return early, len(trees) - 1
+
+
+def test_the_timer_tree_shows_that_a_frame_is_recorded_while_the_gpu_draws_the_one_before() -> None:
+    cost = CostModel(command=2000.0, vertex=0.0, pixel=0.0, byte=0.0, state_change=0.0, invocation=0.0)
+    simulation = Simulation(cost, call=1000, submission_latency=10, wake_latency=10, batch=10**6)
+    for waits in (False, True):
+        with rhi.create_device("null", simulation=simulation) as device:
+            early, frames = find_turns(device, waits=waits)
+        assert frames > 6
+        assert early == (0 if waits else frames)
+
+
+def test_the_timer_tree_of_a_real_device_shows_it_too(device: rhi.Device) -> None:
+    early, frames = find_turns(device, waits=True)
+    assert (early, frames) == (0, 11)
+    early, frames = find_turns(device, waits=False)
+    assert early > 0
 
 
 def test_frames_that_are_waited_for_take_turns_with_the_gpu() -> None:
