@@ -1,8 +1,8 @@
 """What a frame of one batch costs the CPU: recorded once and submitted, compared with drawn at once.
 
 The processor time of the main thread in `Renderer.render`, in microseconds, and the median of the ratios. Both variants
-render the same frames in turns, on one device; the GPU is idle when a frame begins. `still`: the camera rests. `walking`:
-it follows the scene's path, so that the order of the objects and (`frustum`) their number change.
+render the same frames in turns, on one device; the GPU is idle when a frame begins. `still`: the camera rests.
+`walking`: it follows the scene's path, so that the order of the objects and (`frustum`) their number change.
 
     python benchmarks/frame_batch.py [--backend gl] [--scene city:blocks=8,detail=2] [--rounds 200] [--timers]
 
@@ -22,7 +22,13 @@ import rhi
 from renderer.content import load_scene
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene
-from renderer.visibility import ScenePass, VisibilityAlgorithm, VisibilityStatistics, make_visibility
+from renderer.visibility import (
+    CallbackPass,
+    ScenePass,
+    VisibilityAlgorithm,
+    VisibilityStatistics,
+    make_visibility,
+)
 
 
 class AtOnce:
@@ -35,8 +41,7 @@ class AtOnce:
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw the objects."""
-        scene_pass.draw_alone = scene_pass.draw  # type: ignore[method-assign]
-        return self._algorithm.render(camera, scene_pass)
+        return self._algorithm.render(camera, CallbackPass(scene_pass.draw))
 
     def destroy(self) -> None:
         """Destroy the algorithm."""
@@ -58,7 +63,7 @@ def measure(backend: str, scene: Scene, name: str, rounds: int, *, walks: bool) 
         for number in range(-5, rounds):
             camera = path.camera(600 + (number + 5) % 900 if walks else 600)
             for submits in (number % 2 == 0, number % 2 == 1):
-                if device.recording:
+                if backend == "null":  # it records all commands
                     device.stream.clear()
                 began = thread_time()
                 renderers[submits].render(camera)
