@@ -16,7 +16,7 @@ from renderer.scene import Camera, Depth, Perspective, Scene
 from renderer.visibility import NoCulling, make_visibility
 from renderer.visibility.repeated import RepeatedCommands, clear
 from rhi import Op
-from rhi.backends.null import Activity, CostModel, Lane, SimulatedBackend, Simulation
+from rhi.backends.null import Activity, CostModel, Lane, NullBackend, SimulatedBackend, Simulation
 
 CAMERA = look((0.0, 0.0, 30.0), ORIGIN, near=0.1)
 
@@ -221,6 +221,22 @@ def test_a_frame_that_is_submitted_looks_as_one_that_is_drawn_at_once(device: rh
             shown.add((image.tobytes(), recorded))
     assert len(shown) == 6, "a frame that doesn't change proves nothing"
     assert name == "frustum" or any(recorded for _, recorded in shown)
+
+
+def test_a_frame_that_is_submitted_draws_the_objects_of_its_own_view(null: rhi.Device) -> None:
+    """Two views see one object each, so the commands are the same."""
+    scene = make_boxes(np.array([[-50.0, 0.0, 0.0], [50.0, 0.0, 0.0]]), np.ones((2, 3)))
+    views = [look((x, 0.0, 9.0), (x, 0.0, 0.0), near=0.1) for x in (-50.0, 50.0)]
+    drawn = []
+    with Renderer(null, scene, visibility=make_visibility("frustum", scene, null)) as renderer:
+        for view in (0, 0, 1, 0):
+            assert renderer.render(views[view]).visible.tolist() == [view]
+            null.finish()
+            (draw,) = null.stream.draws()
+            held = null.backend_as(NullBackend).read_buffer(draw["buffer"], draw["offset"], rhi.DRAW.itemsize)
+            drawn.append(int(np.frombuffer(held, rhi.DRAW)["base_instance"][0]))
+            null.stream.clear()
+    assert drawn == [0, 0, 1, 0]
 
 
 # -- frames that overlap -----------------------------------------------------------------------------------
