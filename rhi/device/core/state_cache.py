@@ -156,6 +156,8 @@ class StateCache:
 
     def change_to(self, vector: StateVector) -> tuple[StateChange, ...]:
         """Return the changes from the hardware states to any vector, of this cache or another; see `flush`."""
+        if vector.values == self.hardware.values:  # compares pointers, where `_intern` hashes each value
+            return ()
         return self._change(self._intern(vector.values))
 
     def lose_hardware(self) -> None:
@@ -164,6 +166,8 @@ class StateCache:
 
     def adopt(self, values: tuple[object, ...]) -> None:
         """Record values that were sent to the backend without this cache."""
+        if values == self.hardware.values:
+            return
         self._reserve()
         self.hardware = self._intern(values)
 

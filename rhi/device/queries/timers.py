@@ -1,7 +1,9 @@
 """The timer tree: GPU and CPU time of labelled parts of a frame (thesis 4.4).
 
 Each `device.event` takes two timestamps when timing is on. The tree of a frame is read, without waiting, when all of
-its timestamps are available; `device.timers` is the tree of the latest such frame. A frame has at most `MAX_EVENTS`,
+its timestamps are available; `device.timers` is the tree of the latest such frame. Where the backend dates timestamps
+(`DatesTimestamps`), nodes also say when CPU and GPU worked on their event, on one clock: so the trees of consecutive
+frames show whether one is recorded while the GPU executes the other (3.7.2). A frame has at most `MAX_EVENTS`,
 also in a program that never presents: further events inside an open one are only labels, otherwise a new tree begins.
 """
 
@@ -12,10 +14,11 @@ from dataclasses import dataclass, field
 from threading import get_ident
 from time import perf_counter
 from types import TracebackType
-from typing import Final, TypeAlias
+from typing import Final, TypeAlias, cast
 
+from rhi.contract.backend import DatesTimestamps
 from rhi.contract.descriptors import Id, QueryKind
-from rhi.device.core.core import Core
+from rhi.device.core.core import Core, find_part
 from rhi.device.core.interrupts import HeldInterrupts
 from rhi.device.core.scopes import Scope
 from rhi.errors.arguments import Arguments
@@ -25,17 +28,27 @@ __rhi_internal__ = True
 
 @dataclass(slots=True)
 class TimerNode:
-    """An event of a frame: its label, its GPU and CPU time, and the events inside."""
+    """An event of a frame: its label, its GPU and CPU time, and the events inside.
+
+    `gpu_span` and `cpu_span` are when the GPU executed it and when the CPU issued it: (begin, end) in milliseconds on
+    the GPU's clock, since the device's first timed event. They are None on a backend that can't tell.
+    """
 
     name: str
     gpu_milliseconds: float = 0.0
     cpu_milliseconds: float = 0.0
     children: list[TimerNode] = field(default_factory=list)
+    gpu_span: tuple[float, float] | None = None
+    cpu_span: tuple[float, float] | None = None
 
     def format(self, indent: int = 0) -> str:
         """Return the tree as text, one line per event."""
         line = f"{'  ' * indent}{self.name:<{max(1, 32 - 2 * indent)}} gpu {self.gpu_milliseconds:8.3f} ms"
-        lines = [f"{line}  cpu {self.cpu_milliseconds:8.3f} ms"]
+        line = f"{line}  cpu {self.cpu_milliseconds:8.3f} ms"
+        if self.gpu_span is not None and self.cpu_span is not None:
+            (issue, issued), (start, end) = self.cpu_span, self.gpu_span
+            line = f"{line}  at cpu {issue:.3f} … {issued:.3f}, gpu {start:.3f} … {end:.3f} ms"
+        lines = [line]
         return "\n".join(lines + [child.format(indent + 1) for child in self.children])
 
 
@@ -50,10 +63,14 @@ MAX_EVENTS: Final = 4096
 class Timers:
     """The events of the current frame, and the event tree of the latest finished frame."""
 
-    __slots__ = ("_core", "_count", "_frames", "_free", "_open", "_pending", "_roots", "enabled", "latest")
+    __slots__ = (
+        "_core", "_count", "_dates", "_frames", "_free", "_open", "_origin", "_pending", "_roots", "enabled", "latest",
+    )  # fmt: skip
 
     def __init__(self, core: Core, enabled: bool) -> None:
         self._core = core
+        self._dates = cast("DatesTimestamps | None", find_part(core.backend, "read_issue_time"))
+        self._origin: int | None = None  # when the first event was issued, in nanoseconds on the GPU's clock
         self.enabled = enabled
         self.latest: list[TimerNode] = []
         self._open: list[TimerNode] = []
@@ -124,9 +141,24 @@ class Timers:
                 assert begin is not None
                 assert end is not None
                 node.gpu_milliseconds = (end - begin) / 1e6
+            if self._dates is not None:
+                self._date(pending, self._dates)
             self._frames.popleft()
             self._release(pending)
             self.latest = roots
+
+    def _date(self, events: list[PendingEvent], dates: DatesTimestamps) -> None:
+        """Note when GPU and CPU worked on the events of a frame whose timestamps are available."""
+        queries = [query for _, *pair in events for query in pair]
+        issued = [dates.read_issue_time(query) or 0 for query in queries]
+        done = [self._read(query) or 0 for query in queries]
+        if self._origin is None and issued:
+            self._origin = min(issued)
+        origin = self._origin or 0
+        for index, (node, _, _) in enumerate(events):
+            (begin, end), (started, finished) = issued[2 * index :][:2], done[2 * index :][:2]
+            node.cpu_span = (begin - origin) / 1e6, (end - origin) / 1e6
+            node.gpu_span = (started - origin) / 1e6, (finished - origin) / 1e6
 
     def _acquire_query(self) -> Id:
         """Return an unused timestamp query, creating one if there is none."""

@@ -134,6 +134,7 @@ class SimulatedBackend(NullBackend):
         self._submissions: deque[_Submission] = deque()
         # When the handler reads the counter; the query, the number of the event's command, and the counter then.
         self._interrupts: deque[tuple[int, Id, int, int | None]] = deque()
+        self._issue_times: dict[Id, int] = {}  # by timestamp, when the CPU has written it
         self._read_at: dict[Id, int] = {}  # by query, when the handler read the counter
         self._log = ActivityLog()
         self._hazards = HazardTracker(
@@ -369,6 +370,16 @@ class SimulatedBackend(NullBackend):
             self._stall(self._fence_time, f"wait({value})")
         self._hazards.learn_fence(value)
         return True
+
+    def write_query(self, query: Id) -> None:
+        if self._queries.kind(query) is QueryKind.TIMESTAMP:
+            self._follow_calls()
+            self._issue_times[query] = self._now
+        self._enqueue_call(Op.WRITE_QUERY, query)
+
+    def read_issue_time(self, query: Id) -> int | None:
+        """See `rhi.contract.backend.DatesTimestamps`."""
+        return self._issue_times[query] if self._queries.read(query) is not None else None
 
     def read_query(self, query: Id) -> int | None:
         self._spend_call()
