@@ -215,7 +215,7 @@ def _numbers(
         refuse(rules.BAD_LIGHT, f"{call}({name}=...)", f"shape {values.shape}", f"{wanted}, or shape {shape}")
     rows = np.broadcast_to(values, shape)
     fits = (np.abs(rows) <= _LARGEST) & (rows >= least)
-    allowed = fits if len(shape) == 1 else fits.all(1)
+    allowed = np.asarray(fits if len(shape) == 1 else fits.all(1))
     if not allowed.all():
         refuse(rules.BAD_LIGHT, f"{call}({name}=...)", _describe(allowed, lambda row: f"{rows[row]}"), wanted)
     return rows
@@ -224,7 +224,7 @@ def _numbers(
 def _units(call: str, direction: ArrayLike, count: int) -> Floats:
     """Return unit vectors (count, 3) along directions, which are given for each light or once for all."""
     given = _numbers(call, "direction", direction, (count, 3))
-    allowed = given.any(1)
+    allowed = np.asarray(given.any(1))
     if not allowed.all():
         shown = _describe(allowed, lambda row: f"{given[row]}")
         refuse(rules.BAD_LIGHT, f"{call}(direction=...)", shown, "three finite numbers, not all 0")

@@ -1,6 +1,5 @@
 """The city, the hall and the grid: sizes, measurable properties, paths, and that a seed repeats a scene."""
 
-
 import numpy as np
 import pytest
 
@@ -8,7 +7,14 @@ from renderer.content import IMAGE_SIZE, load_scene
 from renderer.content.buildings import KINDS, make_building
 from renderer.content.city import PITCH, STREET
 
-SCENES = ["city:blocks=12,detail=3", "hall", "grid:mesh=cone,count=50"]
+SCENES = [
+    "city:blocks=12,detail=3",
+    "hall",
+    "grid:mesh=cone,count=50",
+    "night:blocks=8,detail=2,lights=200",
+    "hall:flags=4,lights=40",
+    "grid:mesh=cone,count=50,lights=9",
+]
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import rhi
 from renderer.content import BUILT_IN
 from renderer.frame import MirroredArray, SceneResources
-from renderer.frame import resources as module
+from renderer.lights.lists import list_lights
 from renderer.scene import Camera, Scene, SceneBuilder, translation
 from rhi.shading import vec4
 
@@ -104,8 +104,9 @@ def test_lists_follow_objects_and_lights_that_move(null: rhi.Device) -> None:
         scene.lights.point["position"][:, 2] += 2.0
 
     found = []
-    for change in (lambda: None, move_objects, move_lights):
-        change()
+    for change in (None, move_objects, move_lights):
+        if change is not None:
+            change()
         resources.update(camera)
         fresh = SceneResources(null, scene)
         fresh.update(camera)
@@ -119,13 +120,12 @@ def test_objects_that_move_do_not_list_the_lights_of_others_again(
     null: rhi.Device, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scene, counts = lit_boxes(), []
-    listing = module.list_lights
 
     def list_counted(lower: np.ndarray, *others: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         counts.append(len(lower))
-        return listing(lower, *others)
+        return list_lights(lower, *others)
 
-    monkeypatch.setattr(module, "list_lights", list_counted)
+    monkeypatch.setattr("renderer.frame.resources.list_lights", list_counted)
     camera = Camera.look_at((0, 0, 10), (0, 0, 0))
     resources = SceneResources(null, scene)
     resources.update(camera)
