@@ -12,13 +12,14 @@ from typing import Final
 import numpy as np
 
 from renderer.content import furniture, shapes
+from renderer.content.buildings import find_windows
 from renderer.content.city import PITCH, STREET, CityPlan, add_city, add_daylight
 from renderer.content.furniture import CAR_LENGTH, HEADLAMP, LAMP_REACH, TAIL_LAMP
 from renderer.content.specs import SEED, Generator, Option
 from renderer.content.textures import NIGHT_WINDOWS
 from renderer.scene.arrays import Floats, Rows
 from renderer.scene.camera import Camera, Perspective
-from renderer.scene.meshes import MeshGeometry
+from renderer.scene.lights import Lights
 from renderer.scene.scene import Scene, SceneBuilder
 from renderer.scene.transforms import multiply, rotation, scaling, translation
 
@@ -40,7 +41,6 @@ _SIGNS: Final = np.array(
 )  # fmt: skip
 """Colours of shop windows; those of upper storeys have one of the first `_HOMES`."""
 _HOMES: Final = 2
-_RAYS: Final = 256  # that meet a mesh at a time: some 50 MB
 _PAINTS: Final = (
     (0.45, 0.05, 0.04),
     (0.06, 0.10, 0.28),
@@ -62,15 +62,15 @@ def make_night(lights: int, sun: int, blocks: int, detail: int, seed: int) -> Sc
     number = np.arange(lights)
     block, slot = nearest[number // per_block], number % per_block
     kind = kinds[slot]
-    turn = (
-        np.cumsum(np.eye(3, dtype=np.int64)[kinds], axis=0)[slot, kind] - 1
-    )  # which one of its kind in its block
+    turn = (kinds[:, None] == np.arange(3)).cumsum(0)[
+        slot, kind
+    ] - 1  # which one of its kind it is in its block
     chosen = [(block[kind == one], turn[kind == one]) for one in (_LAMP, _WINDOW, _CAR)]
     _add_lamps(builder, plan, *chosen[_LAMP], detail)
     _add_windows(builder, plan, *chosen[_WINDOW], rng, detail)
     _add_cars(builder, plan, *chosen[_CAR], rng, detail)
     if sun:
-        builder.lights = type(builder.lights)()
+        builder.lights = Lights()
         add_daylight(builder)
     else:
         builder.background = (0.004, 0.006, 0.014)
@@ -149,10 +149,12 @@ def _add_windows(
     out = np.round(np.stack([np.sin(angle), np.zeros(len(angle)), np.cos(angle)], axis=1))
     aside = np.where(is_shop, 0.3, 0.6) * (draws[:, 2] - 0.5)
     start = 2.0 * out + aside[:, None] * out[:, ::-1] + np.stack([0 * y, y / height, 0 * y], axis=1)
-    wall, across, upwards = np.empty_like(start), np.empty_like(start), np.empty_like(start)
+    wall, across, up = np.empty_like(start), np.empty_like(start), np.empty_like(start)
     for shape in np.unique(plan.shape[building]).tolist():
         mine = plan.shape[building] == shape
-        wall[mine], across[mine], upwards[mine] = _find_panes(plan.shapes[shape], start[mine], -out[mine])
+        wall[mine], across[mine], up[mine] = find_windows(
+            plan.shapes[shape], NIGHT_WINDOWS, start[mine], -out[mine]
+        )
     wall = _place(
         lots, np.where(is_shop[:, None], start + ((wall - start) * out).sum(1)[:, None] * out, wall)
     )
@@ -160,9 +162,14 @@ def _add_windows(
     facing = np.round(facing / np.linalg.norm(facing, axis=1, keepdims=True))
     color = np.floor(draws[:, 3] * np.where(is_shop, len(_SIGNS), _HOMES)).astype(np.int64)
     glows = np.array([builder.add_material(base_color=tuple(one), emission=1.6) for one in _SIGNS])
-    pane = [np.linalg.norm((lots[:, :3, :3] @ side[..., None])[..., 0], axis=1) for side in (across, upwards)]
-    size = np.stack([*np.where(is_shop, [[3.4], [0.7]], [0.48 * pane[0], 0.54 * pane[1]]),
-                     np.where(is_shop, 0.24, 0.1)], axis=1)  # fmt: skip
+    width, tall = (
+        np.linalg.norm((lots[:, :3, :3] @ side[..., None])[..., 0], axis=1) for side in (across, up)
+    )
+    sign, pane = (
+        np.array((3.4, 0.7, 0.24)),
+        np.stack([0.48 * width, 0.54 * tall, np.full(len(tall), 0.1)], axis=1),
+    )
+    size = np.where(is_shop[:, None], sign, pane)
     turned = multiply(rotation((0, 1, 0), np.arctan2(facing[:, 0], facing[:, 2])), scaling(size))
     nodes = builder.add_nodes(multiply(translation(wall + 0.05 * facing), turned))
     builder.add_objects(nodes, builder.add_mesh(shapes.box(), "lit window"), glows[color])
@@ -229,38 +236,6 @@ def _place(transforms: Floats, points: Floats) -> Floats:
     """Return points (k, 3) under transforms (k, 4, 4)."""
     moved: Floats = (transforms[:, :3, :3] @ points[..., None])[..., 0] + transforms[:, :3, 3]
     return moved
-
-
-def _find_panes(shape: MeshGeometry, start: Floats, along: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the middles (k, 3) of the windows that rays meet, and the vectors across and up a window and its frame.
-
-    Rays begin at `start` (k, 3) and run along unit vectors (k, 3); each must meet the front of a wall. Their
-    intersection with triangles is that of Möller and Trumbore (1997).
-    """
-    table = shape.vertices[shape.indices].reshape(-1, 3)
-    uv = table["uv"].astype(np.float64)
-    to_uv = np.stack([uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]], axis=-1)
-    is_wall = np.linalg.det(to_uv) != 0.0  # what has no windows has one point of the texture
-    corners, uv, to_uv = table["position"][is_wall].astype(np.float64), uv[is_wall], to_uv[is_wall]
-    edge, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    found: list[tuple[Rows, Floats]] = []
-    for at in range(0, len(start), _RAYS):
-        ray, begin = along[at : at + _RAYS, None], start[at : at + _RAYS, None] - corners[:, 0]
-        across, turned = np.cross(ray, other), np.cross(begin, edge)
-        area = (across * edge).sum(-1)
-        u, v = (begin * across).sum(-1), (ray * turned).sum(-1)
-        hit = (area > 0.0) & (u >= 0.0) & (v >= 0.0) & (u + v <= area)
-        distance = np.where(hit, (other * turned).sum(-1) / np.where(hit, area, 1.0), np.inf)
-        nearest = distance.argmin(1)
-        share = np.stack([u, v], -1)[np.arange(len(u)), nearest] / area[np.arange(len(u)), nearest, None]
-        found.append((nearest, share))
-    triangle, share = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    sides = np.stack([edge, other], axis=-1)[triangle]
-    met = uv[triangle, 0] + (to_uv[triangle] @ share[..., None])[..., 0]
-    per_pane = sides @ np.linalg.inv(to_uv[triangle]) / NIGHT_WINDOWS
-    middle = (np.floor(met * NIGHT_WINDOWS) + 0.5) / NIGHT_WINDOWS - met
-    point = corners[triangle, 0] + (sides @ share[..., None])[..., 0]
-    return point + NIGHT_WINDOWS * (per_pane @ middle[..., None])[..., 0], per_pane[..., 0], per_pane[..., 1]
 
 
 def _add_views(builder: SceneBuilder, blocks: int) -> None:
