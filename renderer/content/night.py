@@ -67,7 +67,7 @@ def make_night(lights: int, sun: int, blocks: int, detail: int, seed: int) -> Sc
     ] - 1  # which one of its kind it is in its block
     chosen = [(block[kind == one], turn[kind == one]) for one in (_LAMP, _WINDOW, _CAR)]
     _add_lamps(builder, plan, *chosen[_LAMP], detail)
-    _add_windows(builder, plan, *chosen[_WINDOW], rng, detail)
+    _add_windows(builder, plan, *chosen[_WINDOW], rng, detail, np.sqrt(_PER_BLOCK / per_block))
     _add_cars(builder, plan, *chosen[_CAR], rng, detail)
     if sun:
         builder.lights = Lights()
@@ -133,13 +133,19 @@ def _add_lamps(builder: SceneBuilder, plan: CityPlan, block: Rows, turn: Rows, d
 
 
 def _add_windows(
-    builder: SceneBuilder, plan: CityPlan, block: Rows, turn: Rows, rng: np.random.Generator, detail: int
+    builder: SceneBuilder,
+    plan: CityPlan,
+    block: Rows,
+    turn: Rows,
+    rng: np.random.Generator,
+    detail: int,
+    strength: float,
 ) -> None:
     """Add lit windows to the buildings of the blocks `block` (k,), every other one a shop's, and lanterns where there
-    is no building. `turn` (k,) numbers those of a block."""
+    is no building. `turn` (k,) numbers those of a block; `strength` is below 1 if they are many."""
     draws = rng.random((int(turn.max(initial=_WINDOWS - 1)) + 1, len(plan.centres), 4))[turn, block]
     building = plan.building[block]
-    _add_lanterns(builder, plan, block[building < 0], draws[building < 0], detail)
+    _add_lanterns(builder, plan, block[building < 0], draws[building < 0], detail, strength)
     draws, turn, building = draws[building >= 0], turn[building >= 0], building[building >= 0]
     lots = plan.places[building]
     height = lots[:, 1, 1]
@@ -173,11 +179,13 @@ def _add_windows(
     turned = multiply(rotation((0, 1, 0), np.arctan2(facing[:, 0], facing[:, 2])), scaling(size))
     nodes = builder.add_nodes(multiply(translation(wall + 0.05 * facing), turned))
     builder.add_objects(nodes, builder.add_mesh(shapes.box(), "lit window"), glows[color])
-    strength = np.where(is_shop, 15.0, 9.0)
-    builder.lights.add_points(wall + 0.9 * facing, np.where(is_shop, 12.0, 10.0), _SIGNS[color], strength)
+    intensity = strength * np.where(is_shop, 15.0, 9.0)
+    builder.lights.add_points(wall + 0.9 * facing, np.where(is_shop, 12.0, 10.0), _SIGNS[color], intensity)
 
 
-def _add_lanterns(builder: SceneBuilder, plan: CityPlan, block: Rows, draws: Floats, detail: int) -> None:
+def _add_lanterns(
+    builder: SceneBuilder, plan: CityPlan, block: Rows, draws: Floats, detail: int, strength: float
+) -> None:
     """Add lanterns in parks and open places, somewhere on the blocks `block` (k,)."""
     xz = plan.centres[block] + (draws[:, :2] - 0.5) * (PITCH - STREET - 4.0)
     feet = np.stack([xz[:, 0], np.zeros(len(xz)), xz[:, 1]], axis=1)
@@ -186,7 +194,7 @@ def _add_lanterns(builder: SceneBuilder, plan: CityPlan, block: Rows, draws: Flo
     nodes = builder.add_nodes(translation(feet))
     builder.add_objects(nodes, builder.add_mesh(furniture.make_lantern_post(detail), "lantern post"), iron)
     builder.add_objects(nodes, builder.add_mesh(furniture.make_lantern(detail), "lantern"), glow)
-    builder.lights.add_points(feet + np.array((0.0, 3.2, 0.0)), 12.0, (1.0, 0.82, 0.58), 26.0)
+    builder.lights.add_points(feet + np.array((0.0, 3.2, 0.0)), 12.0, (1.0, 0.82, 0.58), 26.0 * strength)
 
 
 def _add_cars(
@@ -242,7 +250,7 @@ def _add_views(builder: SceneBuilder, blocks: int) -> None:
     """Add a view of the middle of the city, as the first one: it is lit even by few lights."""
     lens = Perspective(fov=np.radians(60.0), near=0.2)
     to_street = 0.5 * PITCH * (blocks % 2)
-    eye, target = np.array((7.0, 8.0, 46.0)), np.array((-3.0, 3.0, -8.0))
+    eye, target = np.array((3.5, 7.0, 42.0)), np.array((-2.0, 3.0, -8.0))
     crossing = np.array((to_street, 0.0, to_street))
     views = {"crossing": Camera.look_at(crossing + eye, crossing + target, projection=lens)}
     builder.views = views | builder.views
