@@ -166,7 +166,8 @@ def draw_city_depth(device: Device, separate: int) -> Work:
     """Draw the depth of the city: one draw for each object, or one draw of a mesh that holds them all."""
     scene = load_scene("city")
     passes = BackendPasses(device, scene, find_path("sky", scene).camera(900), SIZE)
-    arrays, resources = passes.resources.arrays, passes.resources
+    resources = passes.resources
+    arrays = resources.list_arrays(passes.view.buffer)
     bindings = {"view": arrays.view, "objects": arrays.objects, "places": arrays.places}
     if separate:
         program, parts = device.program(DepthShader), []

@@ -1,7 +1,12 @@
-"""The renderer: draws a scene frame by frame with a technique and a visibility algorithm."""
+"""The renderer: draws a scene frame by frame with a technique and a visibility algorithm.
+
+A frame is planned from what it needs: the effects that its scene has and its view shows. The technique declares the
+passes of these effects, and their plan is kept for as long as the effects are the same.
+"""
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, Self
@@ -9,7 +14,18 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.frame import Drawn, Frame, Layer, SceneResources, Targets
+from renderer.frame import (
+    Drawn,
+    Frame,
+    Layer,
+    Needs,
+    Plan,
+    SceneResources,
+    Targets,
+    View,
+    find_needs,
+    make_plan,
+)
 from renderer.scene import Camera, Scene, Simulator
 from renderer.techniques import Forward, Technique
 from renderer.visibility import VisibilityAlgorithm, VisibilityStatistics, make_visibility
@@ -105,14 +121,25 @@ class Renderer:
         if visibility is None:
             visibility = make_visibility("auto", scene, device)
             self._own.append(visibility)
-        self.visibility: VisibilityAlgorithm = visibility
-        self._targets = Targets(device, size)
-        try:
+        self._plans: dict[tuple[object, ...], Plan[Frame]] = {}
+        self._planned: Technique | None = None
+        with ExitStack() as made:
+            self._targets = Targets(device, size)
+            made.callback(self._targets.destroy)
+            self._view = View(device, "eye", visibility)
+            made.callback(self._view.destroy)
             self._resources = SceneResources(device, scene)
             self._validation = self.simulator.validation = validation
-        except BaseException:
-            self._targets.destroy()
-            raise
+            made.pop_all()
+
+    @property
+    def visibility(self) -> VisibilityAlgorithm:
+        """The algorithm that finds the objects in the image."""
+        return self._view.visibility
+
+    @visibility.setter
+    def visibility(self, visibility: VisibilityAlgorithm) -> None:
+        self._view.visibility = visibility
 
     @property
     def size(self) -> tuple[int, int]:
@@ -121,10 +148,7 @@ class Renderer:
 
     @size.setter
     def size(self, size: tuple[int, int]) -> None:
-        if size != self.size:
-            targets = Targets(self.device, size)
-            self._targets.destroy()
-            self._targets = targets
+        self._targets.size = size
 
     @property
     def simulator(self) -> Simulator:
@@ -151,18 +175,40 @@ class Renderer:
         expected = self.simulator.drawn
         self.simulator.begin_frame(seconds)
         self.scene.refresh()
+        self._view.aim(camera)
         self._resources.update(camera)
         self._resources.expect(camera, expected)
-        frame = Frame(camera, self._resources, self._targets, self.visibility)
-        self.technique.render(device, frame)
+        needs = find_needs(self.scene, camera, reaches=self._resources.reaching)
+        plan = self._plan(needs)
+        self._targets.provide(plan.textures)
+        frame = Frame(device, self._view, self._resources, self._targets, needs)
+        for one in plan.passes:
+            with device.event(one.name):
+                one.run(frame)
         after = device.statistics
         for layer in self.layers:
             layer.render(device, frame)
-        device.present(self._targets.color)
+        device.present(self._targets.image)
         counters = {name: getattr(after, name) - getattr(before, name) for name in _COUNTERS}
         counters["simulation_steps"] = self.simulator.steps
         counters["skipped_simulations"] = len(self.simulator) - self.simulator.seen
-        return FrameResult(self._targets.color, self._targets.depth, frame.statistics, frame.drawn, counters)
+        return FrameResult(self._targets.image, self._targets.depth, frame.statistics, frame.drawn, counters)
+
+    def plan(self, camera: Camera) -> tuple[Needs, Plan[Frame]]:
+        """Return what a frame of `camera` needs, and its plan; nothing is drawn."""
+        width, height = self.size
+        needs = find_needs(self.scene, camera.with_aspect(width / height), reaches=self._resources.reaching)
+        return needs, self._plan(needs)
+
+    def _plan(self, needs: Needs) -> Plan[Frame]:
+        """Return the plan of a frame with these needs; it is made once."""
+        if self._planned is not self.technique:
+            self._plans.clear()
+            self._planned = self.technique
+        plan = self._plans.get(needs.key)
+        if plan is None:
+            plan = self._plans[needs.key] = make_plan(self.technique.declare(needs))
+        return plan
 
     def destroy(self) -> None:
         """Destroy all resources on the device, except those of layers and of a visibility algorithm that was passed
@@ -171,6 +217,7 @@ class Renderer:
             visibility.destroy()
         self._own.clear()
         self._targets.destroy()
+        self._view.destroy()
         self._resources.destroy()
 
     def __enter__(self) -> Self:

@@ -132,6 +132,22 @@ BAD_SETTINGS: Final = Rule(
     "python -m renderer tune writes one",
 )
 
+# A frame's plan
+TWO_WRITERS: Final = Rule(
+    "plan-two-writers",
+    "contents with one name are written by one pass of a frame",
+    "give what the second pass draws over them a name of its own: changes={old: new}",
+)
+DRAWN_OVER_TWICE: Final = Rule(
+    "plan-drawn-over-twice",
+    "contents of a frame are drawn over by one pass",
+    "let the second pass draw over the first one's result",
+)
+UNWRITTEN: Final = Rule(
+    "plan-unwritten", "contents that a pass or the frame needs are written by one of its passes"
+)
+PLAN_CIRCLE: Final = Rule("plan-circle", "the passes of a frame don't wait for each other in a circle")
+
 # The canvas
 FONT_FILE: Final = Rule("canvas-font-file", "the file can't be read as a font")
 FONT_SIZE: Final = Rule("canvas-font-size", "a font's size is out of its range")

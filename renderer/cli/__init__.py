@@ -1,4 +1,4 @@
-"""The command line: `python -m renderer render|demo|compare|tune|debug|scenes`.
+"""The command line: `python -m renderer render|demo|compare|plan|tune|debug|scenes`.
 
 Results go to stdout, everything else to stderr. Bad input ends in one line, `error: …`, and exit code 2.
 """
@@ -14,6 +14,7 @@ from renderer.cli import (
     compare_visibility,
     debug_visibility,
     demo,
+    plan,
     render,
     scenes,
     tune,
@@ -32,6 +33,7 @@ COMMANDS: Final[tuple[Subcommand | SubcommandGroup, ...]] = (
         "compare visibility algorithms or backends",
         (compare_visibility.COMMAND, compare_backends.COMMAND),
     ),
+    plan.COMMAND,
     tune.COMMAND,
     SubcommandGroup("debug", "picture what the renderer does", (debug_visibility.COMMAND,)),
     scenes.COMMAND,

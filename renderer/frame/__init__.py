@@ -1,8 +1,33 @@
-"""A frame: the scene on a device, the targets, and the pass in which a technique draws the scene."""
+"""A frame: the scene on a device, its views, the plan of its passes, and the textures that they draw to."""
 
-from renderer.frame.frame import Frame, Targets
+from renderer.frame.frame import Frame
 from renderer.frame.layer import Layer
+from renderer.frame.needs import Effect, Needs, find_needs
 from renderer.frame.passes import Drawn, TechniquePass
+from renderer.frame.plan import OUTPUTS, DroppedPass, Pass, Plan, SharedTexture, Target, make_plan
 from renderer.frame.resources import MirroredArray, SceneResources
+from renderer.frame.targets import DEPTH_FORMAT, IMAGE_FORMAT, Targets
+from renderer.frame.view import View
 
-__all__ = ["Drawn", "Frame", "Layer", "MirroredArray", "SceneResources", "Targets", "TechniquePass"]
+__all__ = [
+    "DEPTH_FORMAT",
+    "IMAGE_FORMAT",
+    "OUTPUTS",
+    "Drawn",
+    "DroppedPass",
+    "Effect",
+    "Frame",
+    "Layer",
+    "MirroredArray",
+    "Needs",
+    "Pass",
+    "Plan",
+    "SceneResources",
+    "SharedTexture",
+    "Target",
+    "Targets",
+    "TechniquePass",
+    "View",
+    "find_needs",
+    "make_plan",
+]

@@ -1,35 +1,27 @@
-"""The state of one frame that a technique is given, and the textures it draws to."""
+"""The state of one frame that its passes are given."""
 
 from __future__ import annotations
 
-from contextlib import ExitStack
 from dataclasses import dataclass, field
 
+from renderer.frame.needs import Needs
 from renderer.frame.passes import Drawn, TechniquePass
 from renderer.frame.resources import SceneResources
+from renderer.frame.targets import Targets
+from renderer.frame.view import View
 from renderer.scene import Camera
 from renderer.visibility import VisibilityAlgorithm, VisibilityStatistics
-from rhi import Device, Format, Texture
+from rhi import Device
+
+__rhi_internal__ = True
 
 
-class Targets:
-    """The targets of a frame, of one size: an image (sRGB) and a depth buffer (32-bit float)."""
+@dataclass(eq=False, slots=True)
+class ViewRecord:
+    """What a view saw in one frame: the objects drawn, and the cost of finding them."""
 
-    def __init__(self, device: Device, size: tuple[int, int]) -> None:
-        with ExitStack() as made:  # creates both or neither
-            self.color: Texture = made.enter_context(device.texture(size, Format.RGBA8_SRGB, label="image"))
-            self.depth: Texture = made.enter_context(device.texture(size, Format.D32F, label="depth"))
-            made.pop_all()
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """The size (width, height) of both targets in pixels."""
-        return self.color.size
-
-    def destroy(self) -> None:
-        """Destroy both textures."""
-        self.color.destroy()
-        self.depth.destroy()
+    drawn: Drawn
+    statistics: VisibilityStatistics
 
 
 @dataclass(eq=False, slots=True)
@@ -37,33 +29,55 @@ class Frame:
     """One frame, to be drawn once.
 
     Attributes:
-        camera: the camera; its projection gives the direction of depth.
-        resources: the scene on the device, up to date for this camera.
-        targets: the textures to draw to.
-        visibility: the algorithm that decides which objects are drawn.
-        drawn: the objects drawn, after `draw_visible`.
-        statistics: the cost of finding them, after `draw_visible`.
+        view: what the image is seen from. resources: the scene on the device, up to date for this view.
+        targets: the textures that the passes draw to. needs: the effects that are needed.
     """
 
-    camera: Camera
+    device: Device
+    view: View
     resources: SceneResources
     targets: Targets
-    visibility: VisibilityAlgorithm
-    drawn: Drawn = field(init=False)
-    statistics: VisibilityStatistics | None = None
+    needs: Needs
+    _seen: dict[View, ViewRecord] = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
-        self.drawn = Drawn(self.resources.scene)
+    @property
+    def camera(self) -> Camera:
+        """The camera of the image; its projection gives the direction of depth."""
+        return self.view.camera
 
-    def draw_visible(self, scene_pass: TechniquePass) -> None:
-        """Draw the visible objects in a pass, in as many batches as the visibility algorithm finds them.
+    @property
+    def visibility(self) -> VisibilityAlgorithm:
+        """The algorithm that decides which objects are in the image."""
+        return self.view.visibility
 
-        Call it once, where the frame's depth is first drawn; the visibility algorithm issues its own commands there.
+    @property
+    def drawn(self) -> Drawn:
+        """The objects in the image, once they have been drawn."""
+        seen = self._seen.get(self.view)
+        return Drawn(self.resources.scene) if seen is None else seen.drawn
+
+    @property
+    def statistics(self) -> VisibilityStatistics | None:
+        """The cost of finding the objects in the image; None before they were drawn."""
+        seen = self._seen.get(self.view)
+        return None if seen is None else seen.statistics
+
+    def draw_visible(self, scene_pass: TechniquePass, view: View | None = None) -> None:
+        """Draw what a view sees in a pass: the main view, unless another one is given.
+
+        The first pass of a view finds the visible objects, in as many batches as its algorithm likes, which issues its
+        own commands there. It must be the first to write the view's depth. Later passes draw the same objects again.
         """
-        self.drawn = scene_pass.drawn
+        view = view or self.view
+        seen = self._seen.get(view)
         with scene_pass:
-            if not self.visibility.opens_pass:
+            if seen is not None:
                 scene_pass.open()
-            self.statistics = self.visibility.render(self.camera, scene_pass)
+                seen.drawn.draw_again(scene_pass)
+                return
+            if not view.visibility.opens_pass:
+                scene_pass.open()
+            statistics = view.visibility.render(view.camera, scene_pass)
             if not scene_pass.was_opened:  # nothing was drawn: the targets are cleared all the same
                 scene_pass.open()
+        self._seen[view] = ViewRecord(scene_pass.drawn, statistics)

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from renderer import rules
 from renderer.frame.resources import SceneResources
-from renderer.scene import Camera, Depth, Scene
+from renderer.frame.view import View
+from renderer.scene import Depth, Scene
 from renderer.visibility import DeviceList, SceneArrays
 from rhi import (
     CullMode,
@@ -25,6 +26,7 @@ from rhi import (
     FrontFace,
     Program,
     QuerySet,
+    State,
     Texture,
     refuse,
 )
@@ -46,13 +48,22 @@ class Drawn:
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
-        self.batches: list[NDArray[np.int64]] = []
+        self._batches: list[NDArray[np.int64]] = []
+        self._conditional: list[tuple[NDArray[np.int64], QuerySet, NDArray[np.int64]]] = []
         self._lists: list[tuple[DeviceList, int]] = []
 
     @property
     def is_known(self) -> bool:
         """Whether the CPU knows all rows, without waiting for the device."""
         return not self._lists
+
+    def add_batch(self, rows: NDArray[np.int64]) -> None:
+        """Record that the objects `rows` (k,) were drawn."""
+        self._batches.append(rows)
+
+    def add_conditional(self, rows: NDArray[np.int64], queries: QuerySet, answers: NDArray[np.int64]) -> None:
+        """Record that the objects `rows` (k,) were drawn, each on a condition."""
+        self._conditional.append((rows, queries, answers))
 
     def add_list(self, draws: DeviceList) -> None:
         """Record that a list was drawn."""
@@ -69,7 +80,16 @@ class Drawn:
                     f"a list that was replaced {draws.generation - generation} times",
                 )
         lists = [draws.read_rows() for draws, _ in self._lists]
-        return np.concatenate([np.zeros(0, np.int64), *self.batches, *lists])
+        conditional = [rows for rows, _, _ in self._conditional]
+        return np.concatenate([np.zeros(0, np.int64), *self._batches, *conditional, *lists])
+
+    def draw_again(self, scene_pass: TechniquePass) -> None:
+        """Draw the same objects in another pass of the same frame. Rows are one batch, whatever they were before."""
+        if self._batches:
+            scene_pass.draw(np.concatenate(self._batches))
+        for rows, queries, answers in self._conditional:
+            scene_pass.draw_conditional(rows, queries, answers)
+        scene_pass.draw_lists([draws for draws, _ in self._lists])
 
     @cached_property
     def triangles(self) -> int:
@@ -93,23 +113,37 @@ class TechniquePass:
         self,
         device: Device,
         resources: SceneResources,
-        camera: Camera,
+        view: View,
         program: Program[Any],
         bindings: dict[str, Any],
         *,
         color: Texture | list[Texture] | None,
         depth: Texture,
-        clear: tuple[float, float, float, float],
+        clear: tuple[float, float, float, float] | None = None,
+        states: tuple[State, ...] = (),
+        clears: bool = True,
     ) -> None:
+        """Describe a pass; nothing is issued yet.
+
+        Args:
+            clear: the colour of pixels on which nothing is drawn; None keeps what the color targets hold.
+            states: states of the pass, besides back-face culling, and a depth test that passes and writes what is
+                nearer unless they say otherwise.
+            clears: whether the depth is cleared.
+        """
         self.depth = depth
         self.drawn = Drawn(resources.scene)
         self._device = device
         self._resources = resources
-        self._camera = camera
+        self._view = view
         self._program = program
         self._bindings = bindings
         self._color = color
         self._clear = clear
+        nearer = NEARER[view.camera.projection.depth]
+        defaults: tuple[State, ...] = (CullMode.BACK, DepthTest.ON, DepthWrite.ON, nearer)
+        self._states = tuple({type(state): state for state in (*defaults, *states)}.values())
+        self._clears = clears
         self.was_opened = False
         self._has_all_in_view = False
         self._scopes: ExitStack | None = None
@@ -120,7 +154,7 @@ class TechniquePass:
         """The scene's buffers, up to date for every object that may be in view: of what reads them, the CPU learns too
         late which objects it draws."""
         self._simulate_in_view()
-        return self._resources.arrays
+        return self._resources.list_arrays(self._view.buffer)
 
     @property
     def key(self) -> tuple[object, ...]:
@@ -132,7 +166,8 @@ class TechniquePass:
             *(color if isinstance(color, list) else (color,)),
             self.depth,
             self._clear,
-            self._camera.projection.depth,
+            self._clears,
+            *self._states,
             self.was_opened,
         )
 
@@ -144,18 +179,17 @@ class TechniquePass:
 
     def _begin(self, encoder: Encoder, *, clears: bool) -> ExitStack:
         """Begin the pass and its states on an encoder; return the scopes to leave."""
-        direction = self._camera.projection.depth
-        far, nearer = FARTHEST[direction], NEARER[direction]
+        far = FARTHEST[self._view.camera.projection.depth]
         with ExitStack() as scopes:
             scopes.enter_context(
                 encoder.render_pass(
                     self._color,
                     self.depth,
                     clear=self._clear if clears and self._color is not None else None,
-                    clear_depth=far if clears else None,
+                    clear_depth=far if clears and self._clears else None,
                 )
             )
-            scopes.enter_context(encoder.states(CullMode.BACK, DepthTest.ON, DepthWrite.ON, nearer))
+            scopes.enter_context(encoder.states(*self._states))
             return scopes.pop_all()
 
     def close(self) -> None:
@@ -165,6 +199,7 @@ class TechniquePass:
     def draw(self, rows: NDArray[np.int64]) -> None:
         """Draw the objects `rows` (k,)."""
         resources = self._begin_batch(rows)
+        self.drawn.add_batch(rows)
         if len(rows) > 1:
             rows = rows[np.argsort(self._find_farthest(rows), kind="stable")]
         for mirrored, winding in _WINDINGS:
@@ -181,6 +216,7 @@ class TechniquePass:
         """Draw the objects `rows` (k,), each on condition that row `answers[i]` (k,) of a query set counted a sample.
         Objects with the same condition are drawn together, front to back."""
         resources = self._begin_batch(rows)
+        self.drawn.add_conditional(rows, queries, answers)
         order = np.lexsort((self._find_farthest(rows), answers))
         rows, answers = rows[order], answers[order]
         for mirrored, winding in _WINDINGS:
@@ -198,15 +234,14 @@ class TechniquePass:
                     )
 
     def _begin_batch(self, rows: NDArray[np.int64]) -> SceneResources:
-        """Open the pass, and record and simulate the objects that are drawn next; return the scene's resources."""
+        """Open the pass and simulate the objects that are drawn next; return the scene's resources."""
         self.open()
-        self.drawn.batches.append(rows)
         self._resources.simulate(rows)
         return self._resources
 
     def _find_farthest(self, rows: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the depth of the farthest corner of each object's box."""
-        objects, forward = self._resources.scene.objects, self._camera.forward
+        objects, forward = self._resources.scene.objects, self._view.camera.forward
         far: NDArray[np.float64] = np.where(forward > 0.0, objects.upper[rows], objects.lower[rows]) @ forward
         return far
 
@@ -231,11 +266,20 @@ class TechniquePass:
                             **self._bindings,
                         )
 
+    def draw_lists(self, lists: list[DeviceList]) -> None:
+        """Draw the objects of lists that the device has made earlier in this frame."""
+        if lists:
+            self.close()
+            for draws in lists:
+                self.begin_list(draws)
+            for number, draws in enumerate(lists):
+                self.draw_list(self._device, draws, first=number == 0)
+
     def _simulate_in_view(self) -> None:
         if not self._has_all_in_view:
             self._has_all_in_view = True
             simulated = self._resources.simulator.objects
-            self._resources.simulate(self._resources.find_in_view(self._camera, simulated))
+            self._resources.simulate(self._resources.find_in_view(self._view.camera, simulated))
 
     def __enter__(self) -> Self:
         return self

@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import ExitStack
 from functools import cached_property
 from typing import Any, Final, Generic, Protocol, TypeVar
@@ -24,7 +25,7 @@ from renderer.scene import Camera, Deformed, Scene, Simulator, normal_matrices
 from renderer.visibility import SceneArrays
 from renderer.visibility.boxes.volumes import Containment, classify, fit_aligned
 from rhi import Device, Format, Mesh, StorageBuffer, Texture, TextureKind, UniformBuffer, refuse
-from rhi.shading import Struct
+from rhi.shading import Struct, UniformRange
 
 
 class _Destroyable(Protocol):
@@ -134,7 +135,7 @@ class SceneResources:
         images: the scene's images as layers; None if there are none.
         objects, places, materials, directional, point, spot, light_rows: the arrays that shaders read; point and spot
             lights are left out if none of them reaches an object.
-        view, ambient, haze: the constants of the frame.
+        ambient, haze: the constants of the frame.
         simulator: runs the simulations of what is drawn.
     """
 
@@ -152,6 +153,7 @@ class SceneResources:
 
     def _make(self, device: Device, scene: Scene) -> None:
         self.scene = scene
+        self._workspaces: dict[Callable[[Device], Any], Any] = {}
         self.simulator: Simulator = scene.make_simulator()
         self._held = np.zeros(len(scene.objects))  # by object, the state of the vertices on the device
         self._device = device
@@ -177,7 +179,6 @@ class SceneResources:
         self._lit: tuple[NDArray[Any], ...] = ()  # the state that the light lists were made from
         self._fixed_lists: tuple[NDArray[Any], ...] = ()  # those of the objects with fixed bounds
         self._reaching = (False, False)  # whether any point light is on a list, and any spot light
-        self.view = keep(MirroredValue(device, _view(np.eye(4), np.zeros(3))))
         self.ambient = keep(MirroredValue(device, _ambient(scene)))
         self.haze = keep(MirroredValue(device, _haze(scene)))
         self._rows: NDArray[Any] = np.zeros(len(objects), shaders.Object.dtype)
@@ -198,13 +199,21 @@ class SceneResources:
         parts["base_vertex"] = meshes.ranges["base_vertex"]
         return self._keep(self._device.storage(shaders.MeshPart, parts, label="mesh parts"))
 
-    @property
-    def arrays(self) -> SceneArrays:
-        """The buffers of objects and meshes, as visibility algorithms on the device read them."""
+    def workspace(self, kind: Callable[[Device], R]) -> R:
+        """Return what a technique keeps between frames beside the scene: `kind(device)`, which is made on first use and
+        destroyed with the resources."""
+        if kind not in self._workspaces:
+            self._workspaces[kind] = self._keep(kind(self._device))
+        kept: R = self._workspaces[kind]
+        return kept
+
+    def list_arrays(self, view: UniformRange[shaders.ViewConstants]) -> SceneArrays:
+        """Return the buffers of objects and meshes, as visibility algorithms on the device read them, and the constants
+        of a view."""
         objects, places = self.objects.buffer, self.places.buffer
         assert objects is not None, "a scene has at least one object"
         assert places is not None
-        return SceneArrays(self.view.buffer, objects, places, self.parts)
+        return SceneArrays(view, objects, places, self.parts)
 
     def simulate(self, rows: NDArray[np.int64], *, is_drawn: bool = True) -> None:
         """Bring the simulated ones of the objects `rows` to the frame's time. Call it before they are drawn."""
@@ -260,8 +269,13 @@ class SceneResources:
             return slice(0)
         return self.mirrored[rows] == mirrored if self.has_winding(mirrored=not mirrored) else slice(None)
 
+    @property
+    def reaching(self) -> tuple[bool, bool]:
+        """Whether any point light reaches an object, and whether any spot light does."""
+        return self._reaching
+
     def update(self, camera: Camera) -> None:
-        """Update the buffers to the scene as `camera` sees it."""
+        """Update the buffers to the scene, with lights relative to the eye of `camera`."""
         scene, eye = self.scene, camera.position
         following = scene.objects.following_rows  # others that move are simulated before they are drawn
         self._transform(following)
@@ -272,7 +286,6 @@ class SceneResources:
         self.directional.write(lights.directional)
         self.point.write(lights.point if self._reaching[0] else lights.point[:0])
         self.spot.write(lights.spot if self._reaching[1] else lights.spot[:0])
-        self.view.write(_view(camera.relative_view_projection, eye))
         self.ambient.write(_ambient(scene))
         self.haze.write(_haze(scene))
 
@@ -292,7 +305,7 @@ class SceneResources:
             self.mirrored[rows] = mirrored
             self._windings = (bool((~self.mirrored).any()), bool(self.mirrored.any()))
         place = self._places[rows]
-        place["high"], place["low"] = _split(world[:, :3, 3])
+        place["high"], place["low"] = split_doubles(world[:, :3, 3])
         place["mirrored"] = self.mirrored[rows]
         self._places[rows] = place
 
@@ -334,15 +347,10 @@ class SceneResources:
         self._made.close()
 
 
-def _split(positions: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def split_doubles(positions: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Split doubles into pairs of floats whose sums equal them to 48 bits."""
     high = positions.astype(np.float32)
     return high, (positions - high).astype(np.float32)
-
-
-def _view(matrix: NDArray[Any], eye: NDArray[np.float64]) -> shaders.View:
-    high, low = _split(eye)
-    return shaders.View(relative_view_projection=matrix, eye_high=high, eye_low=low)
 
 
 def _ambient(scene: Scene) -> shaders.Ambient:

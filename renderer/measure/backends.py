@@ -8,19 +8,19 @@ command until the device is finished.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from typing import Any, Final
+from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
 import rhi
-from renderer import rules
-from renderer.frame import SceneResources, Targets, TechniquePass
+from renderer import rules, shaders
+from renderer.frame import Effect, Frame, SceneResources, Targets, TechniquePass, View, find_needs, make_plan
 from renderer.measure.alternate import alternate
 from renderer.scene import Camera, Depth, Scene
-from renderer.shaders import Object, ObjectPosition, Vertex, View, relative_position
-from renderer.techniques.forward import bind_forward
-from renderer.techniques.forward_shader import PARTS, forward_variant
+from renderer.shaders import Object, ObjectPosition, Vertex, relative_position
+from renderer.techniques.forward import Forward, draw_lit
+from renderer.visibility import NoCulling
 from renderer.visibility.boxes.bounds import pad_boxes
 from rhi import (
     ColorWrite,
@@ -29,7 +29,6 @@ from rhi import (
     Device,
     Mesh,
     OcclusionQuery,
-    Program,
     QuerySet,
     StateScope,
     refuse,
@@ -64,7 +63,7 @@ class BackendRow:
 class DepthShader(Shader):
     """Draws the forward shader's positions with no output but depth."""
 
-    view: Uniform[View]
+    view: Uniform[shaders.ViewConstants]
     objects: Storage[Object]
     places: Storage[ObjectPosition]
 
@@ -87,7 +86,7 @@ class BoxVertex(Struct):
 class BoxDepthShader(Shader):
     """Draws boxes with no output but depth."""
 
-    view: Uniform[View]
+    view: Uniform[shaders.ViewConstants]
 
     def vertex(self, v: BoxVertex) -> vec4:
         return self.view.relative_view_projection @ vec4(v.position, 1.0)
@@ -100,7 +99,7 @@ class BackendPasses:
     """The passes of one scene on one device, seen by one camera.
 
     Attributes:
-        targets: the targets. resources: the scene. camera: the camera, with the targets' aspect.
+        targets: the targets. resources: the scene. camera: the camera, with the targets' aspect. view: its view.
     """
 
     def __init__(self, device: Device, scene: Scene, camera: Camera, size: tuple[int, int]) -> None:
@@ -109,11 +108,14 @@ class BackendPasses:
         self.targets = Targets(device, size)
         self.resources = SceneResources(device, scene)
         self.camera = camera.with_aspect(size[0] / size[1])
+        self.view = View(device, "eye", NoCulling(scene))
+        self.view.aim(self.camera)
         self._rows = np.arange(len(scene.objects))
         self.resources.update(self.camera)
         self.resources.simulate(self._rows)
+        self._needs = find_needs(scene, self.camera, reaches=self.resources.reaching)
+        self.targets.provide(make_plan(Forward().declare(self._needs)).textures)
         self._depth = device.program(DepthShader)
-        self._forward: dict[bool, tuple[Program[Any], dict[str, Any]]] = {}
         self._box = device.program(BoxDepthShader)
         self._boxes: Mesh | None = None
         self._parts: list[Mesh] = []
@@ -133,26 +135,18 @@ class BackendPasses:
 
     def draw_depth(self) -> None:
         """Draw the depth of all objects."""
-        arrays = self.resources.arrays
+        arrays = self.resources.list_arrays(self.view.buffer)
         bindings = {"view": arrays.view, "objects": arrays.objects, "places": arrays.places}
-        self._draw(self._depth, bindings, color=False)
+        with TechniquePass(
+            self.device, self.resources, self.view, self._depth, bindings, color=None, depth=self.targets.depth
+        ) as scene_pass:
+            scene_pass.draw(self._rows)
+        self.device.finish()
 
     def _draw_lit(self, images: bool) -> None:
-        if images not in self._forward:
-            program, bindings = bind_forward(self.device, self.resources)
-            if not images:
-                bindings.pop("images", None)
-                program = self.device.program(forward_variant(*(part for part in PARTS if part in bindings)))
-            self._forward[images] = program, bindings
-        self._draw(*self._forward[images], color=True)
-
-    def _draw(self, program: Program[Any], bindings: dict[str, Any], color: bool) -> None:
-        image = self.targets.color if color else None
-        with TechniquePass(
-            self.device, self.resources, self.camera, program, bindings,
-            color=image, depth=self.targets.depth, clear=(*self.resources.scene.background, 1.0),
-        ) as scene_pass:  # fmt: skip
-            scene_pass.draw(self._rows)
+        effects = self._needs.effects if images else self._needs.effects - {Effect.IMAGES}
+        needs = replace(self._needs, effects=effects)
+        draw_lit(Frame(self.device, self.view, self.resources, self.targets, needs))
         self.device.finish()
 
     def _prepare_boxes(self) -> None:
@@ -179,13 +173,13 @@ class BackendPasses:
         assert boxes is not None
         assert queries is not None
         with self.device.render_pass(depth=self.targets.depth), self._box_states():
-            self.device.draw_counted(self._box, boxes, self._draws, queries, view=self.resources.view.buffer)
+            self.device.draw_counted(self._box, boxes, self._draws, queries, view=self.view.buffer)
         samples: list[int] = queries.wait().tolist()
         return samples
 
     def wait_for_boxes(self) -> list[int]:
         """Return the same as `count_boxes`, waiting for each query before the next."""
-        device, view, program, query = self.device, self.resources.view.buffer, self._box, self._query
+        device, view, program, query = self.device, self.view.buffer, self._box, self._query
         assert query is not None
         samples = []
         with device.render_pass(depth=self.targets.depth), self._box_states():
@@ -208,6 +202,7 @@ class BackendPasses:
             if queries is not None:
                 queries.destroy()
         self.resources.destroy()
+        self.view.destroy()
         self.targets.destroy()
 
 

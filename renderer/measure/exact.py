@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from renderer.frame import SceneResources, TechniquePass
+from renderer.frame import SceneResources, TechniquePass, View
 from renderer.scene import Camera, Scene
-from renderer.shaders import Object, ObjectPosition, Vertex, View, relative_position
+from renderer.shaders import Object, ObjectPosition, Vertex, ViewConstants, relative_position
+from renderer.visibility import NoCulling
 from rhi import Device, Format
 from rhi.shading import Shader, Storage, Struct, Uniform, instance_index, uint, vec4
 
@@ -21,7 +22,7 @@ class RowVarying(Struct):
 class RowShader(Shader):
     """Draws an object's row + 1 as colour."""
 
-    view: Uniform[View]
+    view: Uniform[ViewConstants]
     objects: Storage[Object]
     places: Storage[ObjectPosition]
 
@@ -41,6 +42,7 @@ class ExactVisibility:
         """`size` is (width, height) in pixels."""
         self._device, self._scene = device, scene
         self._resources = SceneResources(device, scene)
+        self._view = View(device, "eye", NoCulling(scene))
         self._numbers = device.texture(size, Format.R32UI)
         self._depth = device.texture(size, Format.D32F)
 
@@ -50,12 +52,13 @@ class ExactVisibility:
         width, height = self._numbers.size
         camera = camera.with_aspect(width / height)
         resources.simulator.begin_frame(self._scene.seconds)
+        self._view.aim(camera)
         resources.update(camera)
-        arrays = resources.arrays
+        arrays = resources.list_arrays(self._view.buffer)
         bindings = {"view": arrays.view, "objects": arrays.objects, "places": arrays.places}
         program = self._device.program(RowShader)
         with TechniquePass(
-            self._device, resources, camera, program, bindings,
+            self._device, resources, self._view, program, bindings,
             color=self._numbers, depth=self._depth, clear=(0, 0, 0, 0),
         ) as scene_pass:  # fmt: skip
             scene_pass.draw(np.arange(len(self._scene.objects)))
@@ -63,5 +66,5 @@ class ExactVisibility:
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
-        for part in (self._resources, self._numbers, self._depth):
+        for part in (self._resources, self._view, self._numbers, self._depth):
             part.destroy()

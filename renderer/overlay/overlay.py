@@ -73,7 +73,7 @@ class Overlay:
             self._add_left(device, frame, counted)
             if frame.statistics is not None:
                 self._add_right(frame)
-            image = frame.targets.color
+            image = frame.targets.image
             with device.render_pass(image):
                 self.draws = self._canvas.draw(image.size)
         self._before = device.statistics

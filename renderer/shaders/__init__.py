@@ -24,7 +24,7 @@ from renderer.shaders.structs import (
     SurfacePoint,
     SurfaceVarying,
     Vertex,
-    View,
+    ViewConstants,
     relative_position,
 )
 
@@ -41,7 +41,7 @@ __all__ = [
     "SurfacePoint",
     "SurfaceVarying",
     "Vertex",
-    "View",
+    "ViewConstants",
     "ambient_light",
     "attenuation",
     "directional_light",

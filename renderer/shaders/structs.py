@@ -10,8 +10,8 @@ from __future__ import annotations
 from rhi.shading import Struct, function, ivec3, mat3, mat4, uint, vec2, vec3, vec4
 
 
-class View(Struct):
-    """A camera: the matrix from positions relative to the eye to clip space, and the eye's world position.
+class ViewConstants(Struct):
+    """The constants of a view: the matrix from positions relative to the eye to clip space, and the eye's position.
 
     The position is `eye_high` + `eye_low`: two floats for each double.
     """
@@ -74,7 +74,7 @@ class MeshPart(Struct):
 
 
 @function
-def relative_position(place: ObjectPosition, view: View) -> vec3:
+def relative_position(place: ObjectPosition, view: ViewConstants) -> vec3:
     """Return an object's position relative to the eye. Near the eye it is as exact as with doubles, even far from the
     world's origin."""
     return (place.high - view.eye_high) + (place.low - view.eye_low)

@@ -30,7 +30,7 @@ from renderer.shaders.structs import (
     SurfacePoint,
     SurfaceVarying,
     Vertex,
-    View,
+    ViewConstants,
     relative_position,
 )
 from rhi.shading import (
@@ -51,12 +51,12 @@ from rhi.shading import (
 
 
 class ForwardShader(Shader):
-    """The base of all variants: ambient light with the rim term, and emission."""
+    """The base of all variants: ambient light with the rim term."""
 
     # Highlights end up in 8 bits: a pow as exact as GL's (128 ulp) halves the time of a lit pass on OpenCL.
     precision = Precision.FAST
 
-    view: Uniform[View]
+    view: Uniform[ViewConstants]
     ambient: Uniform[Ambient]
     objects: Storage[Object]
     places: Storage[ObjectPosition]
@@ -85,8 +85,8 @@ class ForwardShader(Shader):
             specular_color=material.specular_color,
             shininess=material.shininess,
         )
-        color = surface.base_color * material.emission
-        color += ambient_light(surface, self.ambient, material.rim_strength, material.rim_power)
+        color = ambient_light(surface, self.ambient, material.rim_strength, material.rim_power)
+        color += self.emitted(surface, material)
         color += self.sunlight(surface)
         color += self.pointlight(surface, v.lights.x, v.lights.y)
         color += self.spotlight(surface, v.lights.y, v.lights.z)
@@ -94,6 +94,9 @@ class ForwardShader(Shader):
 
     def texel(self, image: int, uv: vec2) -> vec3:
         return vec3(1.0)
+
+    def emitted(self, surface: SurfacePoint, material: Material) -> vec3:
+        return vec3(0.0)
 
     def sunlight(self, surface: SurfacePoint) -> vec3:
         return vec3(0.0)
@@ -118,6 +121,13 @@ class Textured(ForwardShader):
         if image < 0:
             return vec3(1.0)
         return self.images.sample(vec3(uv, float(image))).rgb
+
+
+class WithEmission(ForwardShader):
+    """Adds light that materials emit."""
+
+    def emitted(self, surface: SurfacePoint, material: Material) -> vec3:
+        return surface.base_color * material.emission
 
 
 class WithDirectionalLights(ForwardShader):
@@ -187,8 +197,9 @@ PARTS: Final[dict[str, type[ForwardShader]]] = {
     "point_lights": WithPointLights,
     "spot_lights": WithSpotLights,
     "haze": WithHaze,
+    "emission": WithEmission,
 }
-"""The features that can be added to the forward shader, by the names of their bindings."""
+"""The features that can be added to the forward shader, by the names of their bindings where they have one."""
 
 
 @cache

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from renderer.frame import Frame
 from renderer.frame.passes import NEARER
 from renderer.scene.arrays import Floats, Rows
-from renderer.shaders import View
+from renderer.shaders import ViewConstants
 from rhi import BlendFunction, CullMode, DepthTest, DepthWrite, Device
 from rhi.shading import (
     Shader,
@@ -69,7 +69,7 @@ class ParticleVarying(Struct):
 class ParticleShader(Shader):
     """Draws particles as soft sprites that face the eye."""
 
-    view: Uniform[View]
+    view: Uniform[ViewConstants]
     particles: Storage[Particle]
     radius: Uniform[float]
 
@@ -124,13 +124,13 @@ class Particles:
         targets, nearer = frame.targets, NEARER[frame.camera.projection.depth]
         with (
             device.event("particles"),
-            device.render_pass(targets.color, targets.depth),
+            device.render_pass(targets.image, targets.depth),
             device.states(CullMode.NONE, DepthTest.ON, nearer, DepthWrite.OFF, BlendFunction.PREMULTIPLIED),
         ):
             device.draw(
                 self._program,
                 self._mesh.view(0, _CORNERS * len(array)),
-                view=frame.resources.view.buffer,
+                view=frame.view.buffer,
                 particles=device.transient.storage(Particle, array),
                 radius=self._radius,
             )

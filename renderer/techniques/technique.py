@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
-from renderer.frame import Frame
-from rhi import Device
+from renderer.frame import Frame, Needs, Pass
 
 
 class Technique(Protocol):
@@ -20,7 +20,10 @@ class Technique(Protocol):
         """The name on the command line."""
         ...
 
-    def render(self, device: Device, frame: Frame) -> None:
-        """Draw the frame to `frame.targets`, whose contents are undefined. Draw the scene with
-        `frame.draw_visible`."""
+    def declare(self, needs: Needs) -> Sequence[Pass[Frame]]:
+        """Return the passes of a frame with these needs.
+
+        They write the contents `image` and `depth`, and draw the scene with `Frame.draw_visible`. The result is kept
+        while `needs.key` stays the same, so it depends on nothing else; passes find all else in their `Frame`.
+        """
         ...

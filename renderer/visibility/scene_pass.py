@@ -15,7 +15,7 @@ from typing import NoReturn, Protocol
 
 from renderer import rules
 from renderer.scene.arrays import Rows
-from renderer.shaders import MeshPart, Object, ObjectPosition, View
+from renderer.shaders import MeshPart, Object, ObjectPosition, ViewConstants
 from rhi import Encoder, IndirectDraws, QuerySet, Texture, refuse
 from rhi.shading import StorageRange, UniformRange
 
@@ -30,7 +30,7 @@ class SceneArrays:
     `parts`.
     """
 
-    view: UniformRange[View]
+    view: UniformRange[ViewConstants]
     objects: StorageRange[Object]
     places: StorageRange[ObjectPosition]
     parts: StorageRange[MeshPart]

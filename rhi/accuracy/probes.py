@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 import rhi.shading
 from rhi.contract.layout import BOOL, FLOAT, INT, UINT, HostType, MatrixType, ScalarType, VectorType
 from rhi.shading.evaluation.compute import evaluate
-from rhi.shading.language.builtins import BUILTINS, OPERATORS, Builtin, Effect, ErrorBound, Precision
+from rhi.shading.language.builtins import BUILTINS, OPERATORS, Builtin, ErrorBound, Precision, SideEffect
 from rhi.shading.language.shader import Shader
 from rhi.shading.language.types import MATRICES, VECTORS
 
@@ -386,7 +386,7 @@ def builtin_probes(row: Builtin) -> Iterator[Probe]:
 
     Arguments are scalars, or where there is no such overload vectors or matrices of three.
     """
-    if row.effect is not Effect.NONE or len(row.stages) == 1 or row.name == "uniform":
+    if row.effect is not SideEffect.NONE or len(row.stages) == 1 or row.name == "uniform":
         return  # uniform returns its argument only where all lanes have the same
     chosen: dict[tuple[ScalarType, ...], tuple[tuple[HostType, ...], HostType]] = {}
     for overload in row.overloads:

@@ -12,7 +12,7 @@ import rhi
 from renderer.content import load_scene
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Depth, Perspective, Scene
-from renderer.shaders import View
+from renderer.shaders import ViewConstants
 from renderer.visibility import CallbackPass, FrustumCulling, NoCulling, ScenePass, make_visibility
 from rhi import Op
 from rhi.backends.null import Faults
@@ -62,7 +62,7 @@ def test_a_moved_eye_uploads_the_view_and_nothing_for_objects(null: rhi.Device, 
         camera = city.paths["ground"].camera(0)
         renderer.render(camera)
         lights = 32 * len(city.lights.point) + 64 * len(city.lights.spot)
-        view = View.uniform_dtype.itemsize
+        view = ViewConstants.uniform_dtype.itemsize
         elsewhere = replace(camera, position=camera.position + np.array([1.0, 2.0, 3.0]))
         moved = renderer.render(elsewhere).statistics
     assert moved.upload_bytes == view + lights + moved.draws * rhi.DRAW.itemsize

@@ -57,7 +57,7 @@ def draw(
         passes.resources.images.write(texels, level=level)
     try:
         passes.work(name)(0)
-        return passes.targets.color.read().astype(int), passes.targets.depth.read().astype(np.float64)
+        return passes.targets.image.read().astype(int), passes.targets.depth.read().astype(np.float64)
     finally:
         passes.destroy()
 
@@ -83,8 +83,8 @@ def draw_depth(
     lens, eye = passes.camera.relative_view_projection, passes.camera.position
     lens[:2] /= wider
     high = eye.astype(np.float32)
-    passes.resources.view.write(
-        shaders.View(relative_view_projection=lens, eye_high=high, eye_low=(eye - high).astype(np.float32))
+    passes.view.buffer.write(
+        shaders.ViewConstants(relative_view_projection=lens, eye_high=high, eye_low=(eye - high).astype(np.float32))
     )
     width, height = size
     view = Viewport((1 - wider) * width / 2, (1 - wider) * height / 2, wider * width, wider * height)
@@ -184,7 +184,7 @@ def test_cl_counts_the_samples_that_its_boxes_cover(
                 device.render_pass(image, passes.targets.depth, clear=(0, 0, 0, 0)),
                 device.states(DepthFunction.GREATER, DepthWrite.OFF, BlendFunction.ADDITIVE),
             ):
-                device.draw(program, box, view=passes.resources.view.buffer)
+                device.draw(program, box, view=passes.view.buffer)
             alone.append(int(image.read().sum(dtype=np.float64)))
     passes.destroy()
     assert together == one_by_one == alone

@@ -16,7 +16,7 @@ from __future__ import annotations
 from typing import Final
 
 from renderer.scene import Camera, Depth, Scene
-from renderer.shaders import View
+from renderer.shaders import ViewConstants
 from renderer.visibility.gpu.device_culling import DeviceCulling
 from renderer.visibility.gpu.farthest_depth import SCALE, FarthestDepth
 from renderer.visibility.gpu.occludees import DRAWN, GROUP, HIDDEN, VISIBLE, FindOccludees, Occludee
@@ -71,7 +71,7 @@ class BoxTest(Shader):
     """Tests whether boxes are visible in a depth image, with its pyramid."""
 
     work_group = (GROUP,)
-    view: Uniform[View]
+    view: Uniform[ViewConstants]
     pyramid: Uniform[Levels]
     depth: Texture2D
     farthest: Storage[float]

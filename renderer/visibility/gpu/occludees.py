@@ -14,7 +14,7 @@ from __future__ import annotations
 from typing import Any, Final
 
 from renderer.scene import Camera, Depth, FrustumPlane
-from renderer.shaders import MeshPart, Object, ObjectPosition, View, relative_position
+from renderer.shaders import MeshPart, Object, ObjectPosition, ViewConstants, relative_position
 from renderer.visibility.boxes.bounds import ROUNDING, TOO_FAR, is_parallel, margin_terms, near_radius
 from renderer.visibility.boxes.cubes import BoxCamera, CubeCorner, make_cube
 from renderer.visibility.scene_pass import SceneArrays
@@ -111,7 +111,7 @@ class FindOccludees(Shader):
     """Writes the box and the first mark of each object."""
 
     work_group = (GROUP,)
-    view: Uniform[View]
+    view: Uniform[ViewConstants]
     lens: Uniform[Lens]
     objects: Storage[Object]
     places: Storage[ObjectPosition]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from renderer.scene import Camera, Depth, Scene
 from renderer.scene.arrays import Floats, Rows
-from renderer.shaders import Vertex, View
+from renderer.shaders import Vertex, ViewConstants
 from renderer.visibility.gpu.depth_pyramid import BoxTest, Levels, make_levels
 from renderer.visibility.gpu.farthest_depth import FAR, FarthestDepth
 from renderer.visibility.gpu.occludees import GROUP, Occludee
@@ -63,7 +63,7 @@ class Occluder(Struct):
 class DrawOccluders(Shader):
     """Draws occluders with no output but depth."""
 
-    view: Uniform[View]
+    view: Uniform[ViewConstants]
     occluders: Storage[Occluder]
 
     def vertex(self, v: Vertex) -> vec4:
@@ -199,5 +199,5 @@ class OccluderDepth:
             self._image = None
 
 
-def _view(matrix: NDArray[np.float32]) -> View:
-    return View(relative_view_projection=matrix, eye_high=(0, 0, 0), eye_low=(0, 0, 0))
+def _view(matrix: NDArray[np.float32]) -> ViewConstants:
+    return ViewConstants(relative_view_projection=matrix, eye_high=(0, 0, 0), eye_low=(0, 0, 0))

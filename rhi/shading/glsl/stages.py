@@ -17,7 +17,7 @@ from rhi.shading.ir import tree
 from rhi.shading.ir.interface import Interface, Varying
 from rhi.shading.ir.text import Lines
 from rhi.shading.language.annotations import Role
-from rhi.shading.language.builtins import Builtin, Effect
+from rhi.shading.language.builtins import Builtin, SideEffect
 from rhi.shading.language.shader import Declaration, StorageClass
 from rhi.shading.language.types import VECTORS, VOID, ImageType, StorageType
 
@@ -162,7 +162,7 @@ class StageWriter:
                 assert isinstance(type, StorageType)
                 block = self.names.get(("block", name), f"{name}_block")
                 # Writes of other invocations are only visible through `coherent` memory.
-                barriers = any(row.effect is Effect.BARRIER for row in self.stage.builtins)
+                barriers = any(row.effect is SideEffect.BARRIER for row in self.stage.builtins)
                 access = ("coherent " if barriers else "") if type.writable else "readonly "
                 header = f"layout(std430, row_major, {slot}) {access}buffer {block}"
                 self.lines.add(f"{header} {{ {self.writer.type(type.element)} {name}[]; }};")

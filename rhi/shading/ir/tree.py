@@ -17,7 +17,7 @@ from typing import TypeAlias
 
 from rhi.contract.descriptors import Stage
 from rhi.contract.layout import StructType
-from rhi.shading.language.builtins import Builtin, Effect, Overload
+from rhi.shading.language.builtins import Builtin, Overload, SideEffect
 from rhi.shading.language.function import Native
 from rhi.shading.language.shader import Declaration
 from rhi.shading.language.source import SourceSpan
@@ -377,7 +377,7 @@ def left_chain(node: Binary) -> list[Binary]:
 def has_effect(node: Expression) -> bool:
     """Return whether an expression has side effects, so that evaluating it twice differs from evaluating it once."""
     for part in _expressions(node):
-        if isinstance(part, BuiltinCall) and part.builtin.effect is not Effect.NONE:
+        if isinstance(part, BuiltinCall) and part.builtin.effect is not SideEffect.NONE:
             return True
         if isinstance(part, Call) and part.function.has_effect:
             return True

@@ -43,7 +43,7 @@ class Precision(enum.Enum):
     __hash__ = object.__hash__
 
 
-class Effect(enum.Enum):
+class SideEffect(enum.Enum):
     """The side effect of a built-in."""
 
     NONE = "none"
@@ -104,7 +104,7 @@ class Builtin:
     name: str
     overloads: tuple[Overload, ...]
     doc: str
-    effect: Effect = Effect.NONE
+    effect: SideEffect = SideEffect.NONE
     stages: frozenset[Stage] = frozenset(Stage)
     extension: str = ""
     opencl: str = ""
@@ -215,7 +215,7 @@ def _composed(units: float, limit: float = 1e6, defined: str = "") -> ErrorBound
 
 
 _ATOMIC: Final = "int(int&,int);uint(uint&,uint)"
-_WRITE: Final = Effect.WRITE
+_WRITE: Final = SideEffect.WRITE
 
 _ROWS: Final = (
     # angles
@@ -655,7 +655,7 @@ _ROWS: Final = (
         "discard",
         "ends the fragment without output",
         stages=_FRAGMENT,
-        effect=Effect.DISCARD,
+        effect=SideEffect.DISCARD,
     ),
     # memory
     _row("atomic_add", _ATOMIC, "atomicAdd", "adds; returns the old value", effect=_WRITE),
@@ -678,14 +678,14 @@ _ROWS: Final = (
         "groupMemoryBarrier(); barrier()",
         "waits for all invocations of the work-group; each then sees what the others have written",
         stages=_COMPUTE,
-        effect=Effect.BARRIER,
+        effect=SideEffect.BARRIER,
     ),
     _row(
         "memory_barrier",
         "None()",
         "memoryBarrier()",
         "makes this invocation's writes visible to the others before its next memory accesses",
-        effect=Effect.BARRIER,
+        effect=SideEffect.BARRIER,
     ),
     # stage inputs
     _row(

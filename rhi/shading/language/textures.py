@@ -13,7 +13,7 @@ from typing import Any, Final
 from rhi.contract.descriptors import Stage, TextureKind
 from rhi.contract.formats import Format
 from rhi.contract.layout import FLOAT, INT, UINT
-from rhi.shading.language.builtins import Builtin, BuiltinParameter, Effect, Overload, expand
+from rhi.shading.language.builtins import Builtin, BuiltinParameter, Overload, SideEffect, expand
 from rhi.shading.language.types import LANGUAGE_NAMES, VECTORS, ImageType, TextureType, Type
 
 __rhi_internal__ = True
@@ -173,7 +173,7 @@ def methods_of(type: TextureType | ImageType) -> dict[str, Builtin]:
                 name,
                 overloads,
                 doc,
-                Effect.WRITE if name == "store" else Effect.NONE,
+                SideEffect.WRITE if name == "store" else SideEffect.NONE,
                 frozenset({Stage.FRAGMENT}) if name in _FRAGMENT_ONLY else frozenset(Stage),
             )
     return methods

@@ -6,7 +6,7 @@ from __future__ import annotations
 from rhi.shading.ir import lanes, tree
 from rhi.shading.ir.lanes import ScalarKind, Uniformity, Value, apply, get, number
 from rhi.shading.language import rules
-from rhi.shading.language.builtins import Effect
+from rhi.shading.language.builtins import SideEffect
 from rhi.shading.language.types import ImageType, TextureType
 from rhi.shading.lowering.components import all_kinds
 from rhi.shading.lowering.expansions import expansion_of
@@ -34,7 +34,7 @@ class BuiltinLowering(ExpressionLowering):
             return self.texture(node)
         if name.startswith("atomic_"):
             return self.atomic(node, needs_result)
-        if node.builtin.effect is Effect.BARRIER:
+        if node.builtin.effect is SideEffect.BARRIER:
             self.barrier(waits=name == "barrier")
             return []
         if name in ("global_id", "local_id", "group_id", "group_count", "local_index"):

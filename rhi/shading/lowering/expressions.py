@@ -22,7 +22,7 @@ from rhi.shading.ir.lanes import (
 )
 from rhi.shading.ir.tree import Expression, Operator
 from rhi.shading.language import rules
-from rhi.shading.language.builtins import Effect
+from rhi.shading.language.builtins import SideEffect
 from rhi.shading.language.shader import Declaration, StorageClass
 from rhi.shading.language.types import StorageType, scalar_of
 from rhi.shading.lowering.components import KINDS, all_kinds, word_offsets, words_of
@@ -463,7 +463,7 @@ def is_simple(node: Expression) -> bool:
                     return False
             case tree.Index() if isinstance(node.base.type, ArrayType | StorageType):
                 return False
-            case tree.BuiltinCall() if node.builtin.effect is not Effect.NONE:
+            case tree.BuiltinCall() if node.builtin.effect is not SideEffect.NONE:
                 return False
         stack.extend(tree.parts_of(node))
     return True

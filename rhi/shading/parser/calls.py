@@ -12,7 +12,7 @@ from rhi.shading.ir import tree
 from rhi.shading.ir.tree import Constant, Expression
 from rhi.shading.language import rules
 from rhi.shading.language.annotations import value_type
-from rhi.shading.language.builtins import BUILTINS, Builtin, Effect
+from rhi.shading.language.builtins import BUILTINS, Builtin, SideEffect
 from rhi.shading.language.function import ShadingFunction
 from rhi.shading.language.source import MISSING, source_of, span_of, suggest
 from rhi.shading.language.structs import Struct
@@ -190,7 +190,7 @@ class CallParser(ExpressionParser):
                 self.refuse(
                     rules.OUT_OF_RANGE, node.args[-1] if node.args else node, "component", "0 to 3, constant"
                 )
-        if row.effect is Effect.BARRIER or row.effect is Effect.WRITE:
+        if row.effect is SideEffect.BARRIER or row.effect is SideEffect.WRITE:
             self.mark_effect()
         return tree.BuiltinCall(overload.result, span_of(node), row, overload, tuple(converted))
 

@@ -18,7 +18,7 @@ from rhi.contract.layout import INT, ArrayType, StructType
 from rhi.errors import CallSite, ShaderError
 from rhi.shading.ir import tree
 from rhi.shading.language import rules
-from rhi.shading.language.builtins import Builtin, Effect
+from rhi.shading.language.builtins import Builtin, SideEffect
 from rhi.shading.language.shader import Shader, StorageClass
 from rhi.shading.language.source import Source, show, span_of
 from rhi.shading.language.types import StorageType, Type, count_scalars, has_array
@@ -141,7 +141,7 @@ def _collect(
                     queue.append(callee)
                 case tree.BuiltinCall(builtin=builtin, arguments=arguments):
                     builtins.add(builtin)
-                    if builtin.effect is Effect.WRITE:
+                    if builtin.effect is SideEffect.WRITE:
                         root = tree.root_of(arguments[0])
                         if isinstance(root, tree.BindingRead):
                             stored.add(root.declaration.name)

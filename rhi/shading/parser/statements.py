@@ -20,7 +20,7 @@ from rhi.shading.ir import tree
 from rhi.shading.ir.tree import Constant, Expression, Local
 from rhi.shading.language import rules
 from rhi.shading.language.annotations import value_type
-from rhi.shading.language.builtins import Effect
+from rhi.shading.language.builtins import SideEffect
 from rhi.shading.language.function import NATIVE
 from rhi.shading.language.shader import StorageClass
 from rhi.shading.language.source import SourceSpan, span_of
@@ -239,7 +239,7 @@ class FunctionParser(CallParser):
         if not isinstance(node.value, ast.Call):
             self.refuse(rules.SYNTAX, node, "an unused value", "a call, an assignment")
         value = self.expression(node.value)
-        if isinstance(value, tree.BuiltinCall) and value.builtin.effect is Effect.DISCARD:
+        if isinstance(value, tree.BuiltinCall) and value.builtin.effect is SideEffect.DISCARD:
             self._append(tree.Discard(span_of(node)))
             self.mark_effect()
             self.reachable = False

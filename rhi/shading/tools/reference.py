@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from rhi.shading.language.builtins import BUILTINS, OPERATORS, Builtin, Effect, ErrorBound
+from rhi.shading.language.builtins import BUILTINS, OPERATORS, Builtin, ErrorBound, SideEffect
 
 __rhi_internal__ = True
 
@@ -65,7 +65,7 @@ def _form(row: Builtin) -> str:
 
 
 def _errors(row: Builtin) -> list[str]:
-    no_error = not row.overloads[0].parameters or row.effect is not Effect.NONE or len(row.stages) == 1
+    no_error = not row.overloads[0].parameters or row.effect is not SideEffect.NONE or len(row.stages) == 1
     return ["", "", "", ""] if no_error else _numbers(row.error)
 
 

@@ -16,7 +16,7 @@ from rhi.contract.descriptors import TextureKind
 from rhi.contract.formats import Format
 from rhi.contract.layout import BOOL, FLOAT, INT, UINT, ScalarType
 from rhi.shading.language import textures
-from rhi.shading.language.builtins import BUILTINS, Builtin, Effect, Overload
+from rhi.shading.language.builtins import BUILTINS, Builtin, Overload, SideEffect
 from rhi.shading.language.types import VECTORS, ImageType
 from rhi.shading.language.vectors import __all__ as vector_names
 
@@ -239,7 +239,7 @@ def _functions() -> Iterator[str]:
         for overload in row.overloads:
             if len(row.overloads) > 1:
                 yield "@overload"
-            result = "NoReturn" if row.effect is Effect.DISCARD else str(overload.result)
+            result = "NoReturn" if row.effect is SideEffect.DISCARD else str(overload.result)
             yield f"def {row.name}({_parameters(overload, 0)}) -> {result}: ..."
         yield ""
 

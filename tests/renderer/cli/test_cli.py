@@ -350,3 +350,28 @@ def test_a_missing_pillow_is_one_line_that_says_what_to_install() -> None:
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert done.stderr == "error: PIL is missing; install it with: pip install 'rhi[renderer]'\n"
+
+
+def test_plan_says_why_each_pass_is_there_and_what_is_left_out(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plan", "grid:mesh=box,count=9", "--size", "64x36", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert [one["name"] for one in report["passes"]] == ["forward"]
+    assert report["passes"][0]["because"]
+    assert "spot lights" in [one["name"] for one in report["left_out"]]
+    assert main(["plan", "grid:mesh=box,count=9"]) == 0
+    assert "left out:\n  spot lights: the scene has no spot light" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("name", "code"), [("plan.svg", 0), ("plan.png", 0), ("plan.txt", 2)])
+def test_a_plan_is_plotted_to_a_file_that_is_a_chart(
+    capsys: pytest.CaptureFixture[str], here: Path, name: str, code: int
+) -> None:
+    arguments = ["plan", "grid:mesh=box,count=9", "--plot", name]
+    if code:
+        with pytest.raises(SystemExit) as stopped:
+            main(arguments)
+        assert stopped.value.code == code
+        assert "'plan.txt' is not the name of a chart" in capsys.readouterr().err
+    else:
+        assert main(arguments) == 0
+    assert (here / name).exists() == (not code)

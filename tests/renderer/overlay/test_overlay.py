@@ -82,7 +82,7 @@ def test_an_overlay_is_two_draws_and_1000_frames_create_and_grow_nothing(null: r
             null.stream.clear()
             overlay.render(null, catch.frame)
             assert sum(command.op is Op.DRAW for command in null.stream) == overlay.draws == 2
-            null.present(catch.frame.targets.color)
+            null.present(catch.frame.targets.image)
             after = null.statistics
             if number == 100:  # the graph is being filled until the 144th frame, by two more bars each
                 settled = after.creations, null.transient.capacity

@@ -9,7 +9,7 @@ from occlusion_scenes import draw_with, look, make_boxes
 import rhi
 from renderer.renderer import Renderer
 from renderer.scene import Depth
-from renderer.shaders import View
+from renderer.shaders import ViewConstants
 from renderer.visibility import DepthPyramidCulling
 from renderer.visibility.gpu.depth_pyramid import CompareBoxes, CompareBoxesStandard, make_levels
 from renderer.visibility.gpu.farthest_depth import FarthestDepth
@@ -118,7 +118,7 @@ def test_a_box_shows_if_it_shows_at_full_resolution(
     boxes["centre"] = np.column_stack([rng.uniform(-1.1, 1.1, (count, 2)), rng.random(count)])
     for axis, name in enumerate("xyz"):
         boxes[name][:, axis] = rng.choice([0.0, 0.001, 0.01, 0.3], count) * rng.random(count)
-    view = View(relative_view_projection=np.eye(4), eye_high=(0, 0, 0), eye_low=(0, 0, 0))
+    view = ViewConstants(relative_view_projection=np.eye(4), eye_high=(0, 0, 0), eye_low=(0, 0, 0))
     pyramid = FarthestDepth(device, size)
     texture = put(device, depths)
     pyramid.build(device, texture, direction)

@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 
 import rhi
 from renderer.content import load_scene
-from renderer.frame import SceneResources
-from renderer.scene import Camera
+from renderer.frame import SceneResources, View
+from renderer.scene import Camera, Scene
 from renderer.shaders import MeshPart, ObjectPosition
+from renderer.visibility import NoCulling
 from renderer.visibility.gpu.draw_lists import (
     AddCounts,
     CountKeys,
@@ -87,6 +88,15 @@ def test_lists_are_of_marked_rows_near_first(count: int, seed: int) -> None:
     check(marks, places, boxes, parts, counted | written)
 
 
+def aim(device: rhi.Device, scene: Scene, resources: SceneResources) -> View:
+    """Look at the scene's middle."""
+    camera = Camera.look_at((0.0, 0.0, 5.0), (0.0, 0.0, 0.0))
+    view = View(device, "eye", NoCulling(scene))
+    view.aim(camera)
+    resources.update(camera)
+    return view
+
+
 @settings(max_examples=5)
 @given(st.integers(1, 3000), st.integers(0, 999))
 @example(20_000, 2)
@@ -98,8 +108,8 @@ def test_a_device_makes_the_same_lists(device: rhi.Device, count: int, seed: int
     lists = IndirectDrawList(device, occludees)
     scene = load_scene("grid:mesh=box,count=1")
     resources = SceneResources(device, scene)
-    resources.update(Camera.look_at((0.0, 0.0, 5.0), (0.0, 0.0, 0.0)))
-    arrays = resources.arrays
+    view = aim(device, scene, resources)
+    arrays = resources.list_arrays(view.buffer)
     given_arrays = type(arrays)(
         arrays.view, arrays.objects, device.storage(ObjectPosition, places), device.storage(MeshPart, parts)
     )
@@ -113,7 +123,7 @@ def test_a_device_makes_the_same_lists(device: rhi.Device, count: int, seed: int
         rows = [expect(marks, places, boxes, mirrored) for mirrored in (False, True)]
         assert lists.read_rows().tolist() == np.concatenate(rows).tolist()
         marks = after["marks"]
-    for resource in (occludees, lists, resources, given_arrays.places.owner, given_arrays.parts.owner):
+    for resource in (occludees, lists, resources, view, given_arrays.places.owner, given_arrays.parts.owner):
         resource.destroy()
 
 
@@ -131,8 +141,8 @@ def test_arguments_lie_where_indirect_draws_look_for_them(null: rhi.Device) -> N
 def test_each_list_is_another_generation(null: rhi.Device, count: int) -> None:
     scene = load_scene(f"grid:mesh=box,count={count}")
     lists, resources = IndirectDrawList(null, Occludees(null, count)), SceneResources(null, scene)
-    resources.update(Camera.look_at((0.0, 0.0, 5.0), (0.0, 0.0, 0.0)))
+    view = aim(null, scene, resources)
     before = lists.generation
     lists.renew()
-    lists.list_draws(null, resources.arrays)
+    lists.list_draws(null, resources.list_arrays(view.buffer))
     assert lists.generation == before + 1

@@ -9,8 +9,9 @@ from occlusion_scenes import HARD_CASES, cameras, look, make_boxes, scenes
 from test_device_culling import mirrored_boxes
 
 import rhi
-from renderer.frame import SceneResources
+from renderer.frame import SceneResources, View
 from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene
+from renderer.visibility import NoCulling
 from renderer.visibility.boxes.bounds import is_parallel, margin_terms, near_radius
 from renderer.visibility.gpu.occludees import HIDDEN, OUTSIDE, VISIBLE, Occludees
 
@@ -20,12 +21,14 @@ CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)
 def find(device: rhi.Device, scene: Scene, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """Return boxes and marks."""
     resources, occludees = SceneResources(device, scene), Occludees(device, len(scene.objects))
+    view = View(device, "eye", NoCulling(scene))
+    view.aim(camera)
     resources.update(camera)
     occludees.aim(camera)
-    occludees.find(device, resources.arrays)
+    occludees.find(device, resources.list_arrays(view.buffer))
     found = occludees.boxes.read(), occludees.marks.read()
-    resources.destroy()
-    occludees.destroy()
+    for resource in (resources, view, occludees):
+        resource.destroy()
     return found
 
 

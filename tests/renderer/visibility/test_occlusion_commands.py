@@ -371,7 +371,7 @@ def test_a_frame_that_was_broken_off_does_not_disturb_the_next(renderer: Rendere
     def fail(rows: object) -> None:
         raise RuntimeError("no")
 
-    with renderer.device.render_pass(renderer._targets.color, renderer._targets.depth):
+    with renderer.device.render_pass(renderer._targets.image, renderer._targets.depth):
         with pytest.raises(RuntimeError):
             algorithm.render(EYE, CallbackPass(fail))
     assert visible(draw_with(renderer, algorithm, EYE)) >= oracle.seen

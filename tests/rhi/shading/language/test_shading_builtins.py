@@ -13,7 +13,7 @@ from rhi.contract.formats import Format
 from rhi.contract.layout import BOOL, FLOAT, INT, UINT, MatrixType, ScalarType, VectorType
 from rhi.shading import compile_shader
 from rhi.shading.language import textures
-from rhi.shading.language.builtins import BUILTINS, Effect
+from rhi.shading.language.builtins import BUILTINS, SideEffect
 from rhi.shading.language.textures import methods_of
 from rhi.shading.language.types import VOID, ImageType, TextureType
 
@@ -58,7 +58,7 @@ def calls(rows, on=""):
     lines = []
     for row in rows:
         for overload in row.overloads:
-            if row.effect is Effect.DISCARD:
+            if row.effect is SideEffect.DISCARD:
                 continue
             given = [argument(parameter) for parameter in overload.parameters][1 if on else 0 :]
             if row.name == "gather" and len(given) == 2:

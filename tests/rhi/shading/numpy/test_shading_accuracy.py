@@ -12,7 +12,7 @@ from opencl_runner import built_together, run_opencl
 
 from rhi.accuracy.probes import WORK_GROUP, all_probes, builtin_probes, count_units, worst_units
 from rhi.shading import Precision, compile_shader, opencl_kernel, run_compute
-from rhi.shading.language.builtins import BUILTINS, Effect
+from rhi.shading.language.builtins import BUILTINS, SideEffect
 
 PROBES = all_probes()
 
@@ -103,7 +103,7 @@ def batched_by_options(shaders):
 def test_every_function_of_its_arguments_is_probed():
     probed = {probe.name for probe in PROBES}
     inputs = {name for name, row in BUILTINS.items() if not row.overloads[0].parameters}
-    effects = {name for name, row in BUILTINS.items() if row.effect is not Effect.NONE}
+    effects = {name for name, row in BUILTINS.items() if row.effect is not SideEffect.NONE}
     assert probed >= set(BUILTINS) - inputs - effects - {"ddx", "ddy", "fwidth", "uniform"}
 
 

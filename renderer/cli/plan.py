@@ -1,0 +1,111 @@
+"""`plan`: show the passes of a frame, and why each of them is there."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Final
+
+from renderer.cli.arguments import CAMERA_HELP, add_scene, add_size, parse_frame
+from renderer.cli.output import OutputError, draw_chart, note
+from renderer.cli.subcommand import Parser, Subcommand
+from renderer.content import load_scene, parse_camera
+from renderer.measure.plans import PlanReport, describe_plan
+from renderer.measure.table import format_table
+from renderer.techniques import TECHNIQUES
+
+_NOTES: Final = """\
+  python -m renderer plan city
+  python -m renderer plan hall --technique forward --camera ground --frame 600 --json
+  python -m renderer plan city --plot plan.svg
+
+A pass is in the plan because an effect of the scene calls for it, or because another pass reads what it writes. The
+commands are counted on the null device, so no GPU is needed. In the plot a column is a pass and a row a texture, with
+the contents that it holds in turn: dark where they are written, light where they are read."""
+
+
+def _add_arguments(parser: Parser) -> None:
+    add_scene(parser)
+    parser.add_argument(
+        "--technique",
+        choices=TECHNIQUES,
+        default="forward",
+        help="how the scene is drawn (default: %(default)s)",
+    )
+    parser.add_argument("--camera", metavar="CAMERA", help=f"{CAMERA_HELP} (default: the scene's first view)")
+    parser.add_argument(
+        "--frame", type=parse_frame, default=0, metavar="N", help="frame of the path (default: 0)"
+    )
+    add_size(parser)
+    parser.add_argument("--plot", type=Path, metavar="F.svg", help="chart of passes and textures to write")
+    parser.add_argument("--json", action="store_true", help="print the plan as JSON")
+
+
+def _run(given: argparse.Namespace) -> None:
+    if given.plot is not None and given.plot.suffix.lower() not in (".svg", ".png", ".pdf"):
+        raise OutputError(f"--plot: {given.plot.name!r} is not the name of a chart; end it with .svg")
+    scene = load_scene(given.scene)
+    camera = parse_camera(given.camera or next(iter(scene.views)), scene, given.frame)
+    report = describe_plan(scene, TECHNIQUES[given.technique](), camera, given.size)
+    if given.plot is not None:
+        given.plot.parent.mkdir(parents=True, exist_ok=True)
+        plot_plan(report, given.plot, f"{given.technique}: {scene.name}")
+        note(f"wrote {given.plot}")
+    print(json.dumps(asdict(report)) if given.json else show_plan(report))
+
+
+def show_plan(report: PlanReport) -> str:
+    """Format the plan as text."""
+    header = ("pass", "reads", "writes", "bytes", "draws", "dispatches", "because")
+    rows = [
+        (
+            one.name, ", ".join(one.reads), ", ".join(one.writes), one.bytes, one.draws, one.dispatches,
+            one.because,
+        )
+        for one in report.passes
+    ]  # fmt: skip
+    needed = "\n".join(f"  {name}: {because}" for name, because in report.effects.items())
+    left = "\n".join(f"  {one.name}: {one.because}" for one in report.left_out)
+    shared = f"{len(report.textures)} textures, {report.texture_bytes:,} bytes"
+    return "\n\n".join(
+        part
+        for part in (
+            format_table(header, rows),
+            shared,
+            f"needed:\n{needed}" if needed else "",
+            f"left out:\n{left}" if left else "",
+        )
+        if part
+    )
+
+
+def plot_plan(report: PlanReport, path: Path, title: str) -> None:
+    """Draw passes as columns and textures as rows."""
+    with draw_chart(path, title) as figure:
+        axes = figure.add_subplot()
+        for row, contents in enumerate(report.textures):
+            for name in contents:
+                writes = [i for i, one in enumerate(report.passes) if name in one.writes]
+                reads = [i for i, one in enumerate(report.passes) if name in one.reads]
+                last = max([*reads, *writes])
+                axes.barh(row, last - writes[0] + 0.9, left=writes[0] - 0.45, height=0.3, color="#d0d7de")
+                axes.barh(
+                    [row] * len(reads), 0.9, left=[i - 0.45 for i in reads], height=0.7, color="#9ecae1"
+                )
+                axes.barh(
+                    [row] * len(writes), 0.9, left=[i - 0.45 for i in writes], height=0.7, color="#2b6ca3"
+                )
+                axes.text(writes[0], row, name, ha="center", va="center", color="white", fontsize=8)
+        axes.set_xticks(range(len(report.passes)), [one.name for one in report.passes])
+        axes.set_yticks(
+            range(len(report.textures)), [f"texture {i + 1}" for i in range(len(report.textures))]
+        )
+        axes.invert_yaxis()
+        axes.set_xlim(-0.5, max(len(report.passes), 4) - 0.5)
+
+
+COMMAND: Final = Subcommand(
+    "plan", "show the passes of a frame, and why each of them is there", _add_arguments, _run, _NOTES
+)

@@ -1,0 +1,113 @@
+"""The textures of a frame, as its plan asks for them, kept from frame to frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from typing import Final
+
+from renderer.frame.plan import SharedTexture, fit_size
+from rhi import Device, Format, Texture
+
+__rhi_internal__ = True
+
+_Kind = tuple[Format, tuple[int, int], int]
+
+IMAGE_FORMAT: Final = Format.RGBA8_SRGB
+"""The format of a frame's image."""
+DEPTH_FORMAT: Final = Format.D32F
+"""The format of a frame's depth, unless a technique needs a stencil buffer."""
+
+
+class Targets:
+    """The textures that the passes of a frame draw to, by the names of their contents.
+
+    A frame with another plan keeps the textures that it can use, and destroys the others. The texture of the image is
+    created at once, so that a size that the device can't have is refused when it is set.
+    """
+
+    def __init__(self, device: Device, size: tuple[int, int]) -> None:
+        self._device = device
+        self._textures: dict[_Kind, list[Texture]] = {}
+        self._plan: Sequence[SharedTexture] | None = None
+        self._held: dict[str, Texture] = {}
+        self._last: dict[str, Texture] = {}  # of the last frame
+        self._others: dict[str, Texture] = {}  # second textures of what is kept
+        self._size = (0, 0)
+        self.size = size
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """The size (width, height) of the frame in pixels; setting it creates new textures."""
+        return self._size
+
+    @size.setter
+    def size(self, size: tuple[int, int]) -> None:
+        if size != self._size:
+            image = self._device.texture(size, IMAGE_FORMAT, label="image")
+            self.destroy()
+            self._size = size
+            self._textures[IMAGE_FORMAT, size, 1] = [image]
+
+    @property
+    def image(self) -> Texture:
+        """The image."""
+        return self._held["image"]
+
+    @property
+    def depth(self) -> Texture:
+        """The depth of the image."""
+        return self._held["depth"]
+
+    def __getitem__(self, name: str) -> Texture:
+        """Return the texture with the contents `name`."""
+        return self._held[name]
+
+    def last(self, name: str) -> Texture | None:
+        """Return the texture with the contents `name` of the last frame, or None if its plan was another one."""
+        return self._last.get(name)
+
+    def provide(self, textures: Sequence[SharedTexture]) -> None:
+        """Provide the textures of a frame's plan, before each frame. If one can't be created, all stay as they were."""
+        if textures is not self._plan and textures != self._plan:
+            self._replace(textures)
+            return
+        for name, other in self._others.items():
+            self._last[name], self._held[name], self._others[name] = self._held[name], other, self._held[name]
+
+    def _replace(self, textures: Sequence[SharedTexture]) -> None:
+        free = {kind: list(some) for kind, some in self._textures.items()}
+        used: dict[_Kind, list[Texture]] = {}
+        held: dict[str, Texture] = {}
+        others: dict[str, Texture] = {}
+        with ExitStack() as made:
+
+            def take(shared: SharedTexture) -> Texture:
+                kind = (shared.format, fit_size(self._size, shared.scale), shared.samples)
+                if free.get(kind):
+                    texture = free[kind].pop(0)
+                else:
+                    format, size, samples = kind
+                    label = ", ".join(shared.names)
+                    texture = made.enter_context(
+                        self._device.texture(size, format, samples=samples, label=label)
+                    )
+                used.setdefault(kind, []).append(texture)
+                return texture
+
+            for shared in textures:
+                held.update(dict.fromkeys(shared.names, take(shared)))
+                if shared.kept:
+                    others.update(dict.fromkeys(shared.names, take(shared)))
+            made.pop_all()
+        for some in free.values():
+            for texture in some:
+                texture.destroy()
+        self._plan, self._textures, self._held, self._others, self._last = textures, used, held, others, {}
+
+    def destroy(self) -> None:
+        """Destroy all textures."""
+        for some in self._textures.values():
+            for texture in some:
+                texture.destroy()
+        self._textures, self._held, self._others, self._last, self._plan = {}, {}, {}, {}, None

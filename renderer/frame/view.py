@@ -1,0 +1,60 @@
+"""Views: what a frame is seen from, one for each eye or light that draws the scene."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer import shaders
+from renderer.frame.resources import MirroredValue, split_doubles
+from renderer.scene import Camera
+from renderer.visibility import VisibilityAlgorithm
+from rhi import Device, UniformBuffer
+
+__rhi_internal__ = True
+
+
+class View:
+    """A camera, and the algorithm that finds what it sees, with its memory of the last frames.
+
+    The first pass of a view in a frame finds the visible objects, by a visibility algorithm that may issue commands of
+    its own. Each further pass draws the same objects again (`Frame.draw_visible`). So the objects of a view are found
+    once a frame, however many passes draw them.
+
+    Attributes:
+        name: what the view is called in plans and events.
+        visibility: the algorithm; it may be exchanged between two frames.
+    """
+
+    def __init__(self, device: Device, name: str, visibility: VisibilityAlgorithm) -> None:
+        self.name = name
+        self.visibility = visibility
+        self._camera: Camera | None = None
+        self._constants = MirroredValue(device, _constants(np.eye(4), np.zeros(3)))
+
+    @property
+    def camera(self) -> Camera:
+        """The camera of this frame."""
+        assert self._camera is not None, "a view is aimed before it is used"
+        return self._camera
+
+    @property
+    def buffer(self) -> UniformBuffer[shaders.ViewConstants]:
+        """The camera's constants for shaders."""
+        return self._constants.buffer
+
+    def aim(self, camera: Camera) -> None:
+        """Look through `camera` from now on; its constants are uploaded if they have changed."""
+        self._camera = camera
+        self._constants.write(_constants(camera.relative_view_projection, camera.position))
+
+    def destroy(self) -> None:
+        """Destroy the buffer. The algorithm is not destroyed."""
+        self._constants.destroy()
+
+
+def _constants(matrix: NDArray[Any], eye: NDArray[np.float64]) -> shaders.ViewConstants:
+    high, low = split_doubles(eye)
+    return shaders.ViewConstants(relative_view_projection=matrix, eye_high=high, eye_low=low)

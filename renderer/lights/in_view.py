@@ -1,0 +1,26 @@
+"""Finds the lights whose light may reach something that a camera sees."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from renderer.scene.arrays import Floats, Rows
+
+_MARGIN: Final = 64.0 * float(np.finfo(np.float64).eps)  # of the terms' sum; they round by 16 eps at most
+
+
+def find_lights_in_view(planes: Floats, positions: Floats, ranges: Floats) -> Rows:
+    """Return the rows (k,), ascending, of the lights whose spheres aren't outside one of the planes.
+
+    A sphere near a corner of the view may be outside of it and still be found. None that touches the view is left out.
+
+    Args:
+        planes: (p, 4) with unit normals inward. positions, ranges: (l, 3) and (l,) of the lights.
+    """
+    if not len(positions):
+        return np.zeros(0, np.int64)
+    distance = positions @ planes[:, :3].T + planes[:, 3]
+    slack = _MARGIN * (np.abs(positions).sum(1)[:, None] + np.abs(planes[:, 3]) + ranges[:, None])
+    return np.flatnonzero((distance >= -(ranges[:, None] + slack)).all(1))

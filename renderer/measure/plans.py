@@ -1,0 +1,120 @@
+"""What a frame's plan costs, pass by pass: the textures that it uses, and the commands that it issues.
+
+Commands are counted on a null device, which records the same ones that another device executes.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import rhi
+from renderer.frame import Effect, Frame, Needs, Pass, Plan
+from renderer.renderer import Renderer
+from renderer.scene import Camera, Scene
+from renderer.techniques import Technique
+from renderer.visibility import make_visibility
+from rhi import Op
+
+
+@dataclass(frozen=True, slots=True)
+class PassRow:
+    """A pass of a plan.
+
+    Attributes:
+        because: why the frame has the pass.
+        reads, writes: names of contents; what is drawn over is in both lists.
+        bytes: size of the textures that are written. draws, dispatches: numbers of commands.
+    """
+
+    name: str
+    because: str
+    reads: list[str]
+    writes: list[str]
+    bytes: int
+    draws: int
+    dispatches: int
+
+
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """A pass or an effect that the frame doesn't have, and why."""
+
+    name: str
+    because: str
+
+
+@dataclass(frozen=True, slots=True)
+class PlanReport:
+    """The plan of one frame.
+
+    Attributes:
+        passes: in their order. effects: those that are needed, with the reasons.
+        left_out: effects that aren't needed and passes that were dropped. texture_bytes: the size of all textures.
+        textures: the contents that each texture holds in turn.
+    """
+
+    passes: list[PassRow]
+    effects: dict[str, str]
+    left_out: list[LeftOut]
+    textures: list[list[str]]
+    texture_bytes: int
+
+
+def describe_plan(
+    scene: Scene, technique: Technique, camera: Camera, size: tuple[int, int], visibility: str = "frustum"
+) -> PlanReport:
+    """Plan a frame, draw it on a null device and count what each pass does.
+
+    Args:
+        size: (width, height) of the image in pixels. visibility: the name of the algorithm that finds the objects.
+    """
+    with rhi.create_device("null") as device:
+        algorithm = make_visibility(visibility, scene, device)
+        with Renderer(device, scene, technique=technique, visibility=algorithm, size=size) as renderer:
+            renderer.render(camera)
+            needs, plan = renderer.plan(camera)
+            counts = _count_by_pass(device, plan)
+        algorithm.destroy()
+    return _report(needs, plan, size, counts)
+
+
+def _count_by_pass(device: rhi.Device, plan: Plan[Frame]) -> dict[str, Counter[str]]:
+    """Return the numbers of draws and dispatches by the name of the pass."""
+    counts: dict[str, Counter[str]] = {one.name: Counter() for one in plan.passes}
+    dispatches = device.stream.filter((Op.DISPATCH, Op.DISPATCH_INDIRECT))
+    for kind, commands in (("draws", device.stream.draws()), ("dispatches", dispatches)):
+        for command in commands:
+            if command.labels and command.labels[0] in counts:
+                counts[command.labels[0]][kind] += 1
+    return counts
+
+
+def _report(
+    needs: Needs, plan: Plan[Frame], size: tuple[int, int], counts: Mapping[str, Counter[str]]
+) -> PlanReport:
+    by_name = {name: texture for texture in plan.textures for name in texture.names}
+
+    def describe(one: Pass[Frame]) -> PassRow:
+        written = [*(target.name for target in one.writes), *one.changes.values()]
+        return PassRow(
+            name=one.name,
+            because=one.because,
+            reads=[*one.reads, *one.changes, *(f"{name} of the last frame" for name in one.reads_last)],
+            writes=written,
+            bytes=sum(by_name[name].count_bytes(size) for name in written),
+            draws=counts[one.name]["draws"],
+            dispatches=counts[one.name]["dispatches"],
+        )
+
+    return PlanReport(
+        passes=[describe(one) for one in plan.passes],
+        effects={effect.value: needs.explain(effect) for effect in Effect if effect in needs.effects},
+        left_out=[
+            *(LeftOut(e.value, needs.explain(e)) for e in Effect if e not in needs.effects),
+            *(LeftOut(one.name, one.because) for one in plan.dropped),
+        ],
+        textures=[list(texture.names) for texture in plan.textures],
+        texture_bytes=plan.count_bytes(size),
+    )

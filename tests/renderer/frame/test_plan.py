@@ -1,0 +1,241 @@
+"""Plans: the order of passes, which of them run, and the textures that they share."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import rhi
+from renderer.frame import Pass, Plan, Target, make_plan
+from rhi import Format
+
+IMAGE, DEPTH = Target("image", Format.RGBA8_SRGB), Target("depth", Format.D32F)
+LIT, NORMALS = Target("lit", Format.RGBA16F), Target("normals", Format.RG16)
+
+
+def nothing(_: object) -> None:
+    """Run nothing."""
+
+
+def step(
+    name: str,
+    reads: str = "",
+    writes: Sequence[Target] = (),
+    changes: dict[str, str] | None = None,
+    reads_last: str = "",
+    side: bool = False,
+) -> Pass[object]:
+    return Pass(
+        name, nothing, "the test needs it", reads=tuple(reads.split()), writes=tuple(writes),
+        changes=changes or {}, reads_last=tuple(reads_last.split()), has_side_effects=side,
+    )  # fmt: skip
+
+
+def names(plan: Plan[object]) -> list[str]:
+    return [one.name for one in plan.passes]
+
+
+GEOMETRY = step("geometry", writes=[DEPTH, NORMALS])
+LIGHTS = step("lights", "depth normals", [LIT])
+RESOLVE = step("resolve", "lit", [IMAGE])
+
+
+@pytest.mark.parametrize("passes", list(itertools.permutations([GEOMETRY, LIGHTS, RESOLVE])))
+def test_contents_are_written_before_they_are_read(passes: Sequence[Pass[object]]) -> None:
+    assert names(make_plan(passes)) == ["geometry", "lights", "resolve"]
+
+
+def test_independent_passes_keep_the_order_of_their_declaration() -> None:
+    shadow, mask = (step(name, writes=[Target(name, Format.R8)]) for name in ("shadow", "mask"))
+    final = step("final", "shadow mask", [IMAGE, DEPTH])
+    assert names(make_plan([shadow, mask, final])) == ["shadow", "mask", "final"]
+    assert names(make_plan([mask, shadow, final])) == ["mask", "shadow", "final"]
+
+
+def test_contents_are_read_before_they_are_drawn_over() -> None:
+    over = step("over", changes={"lit": "lit and hazy"})
+    glow = step("glow", "lit", [Target("glow", Format.R8)])
+    final = step("final", "glow", [IMAGE, DEPTH], {"lit and hazy": "final"})
+    first = step("first", writes=[LIT])
+    assert names(make_plan([over, final, glow, first])) == ["first", "glow", "over", "final"]
+
+
+def test_what_nobody_reads_is_dropped_with_all_that_only_it_reads() -> None:
+    blurred = step("blur", "normals", [Target("blurred", Format.R8)])
+    edges = step("edges", "blurred", [Target("edges", Format.R8)])
+    plan = make_plan([GEOMETRY, LIGHTS, blurred, edges, RESOLVE])
+    assert names(plan) == ["geometry", "lights", "resolve"]
+    assert [(one.name, one.because) for one in plan.dropped] == [
+        ("blur", "nothing reads blurred"),
+        ("edges", "nothing reads edges"),
+    ]
+
+
+def test_a_pass_with_side_effects_runs_and_keeps_its_inputs() -> None:
+    blurred = step("blur", "normals", [Target("blurred", Format.R8)])
+    count = step("count", "blurred", side=True)
+    assert names(make_plan([GEOMETRY, LIGHTS, blurred, count, RESOLVE])) == [
+        "geometry", "lights", "blur", "count", "resolve",
+    ]  # fmt: skip
+
+
+def test_what_is_read_in_the_next_frame_is_needed() -> None:
+    history = step("remember", "lit", [Target("history", Format.RGBA16F)])
+    without = make_plan([GEOMETRY, LIGHTS, history, RESOLVE])
+    resolve = step("resolve", "lit", [IMAGE], reads_last="history")
+    plan = make_plan([GEOMETRY, LIGHTS, history, resolve])
+    assert names(without) == ["geometry", "lights", "resolve"]
+    assert names(plan) == ["geometry", "lights", "remember", "resolve"]
+    (kept,) = (texture for texture in plan.textures if texture.kept)
+    assert kept.names == ("history",)
+    assert kept.count_bytes((10, 10)) == 2 * 100 * 8
+
+
+def refused(*passes: Pass[object]) -> tuple[str, str]:
+    with pytest.raises(rhi.ValidationError) as error:
+        make_plan(passes)
+    return error.value.rule.id, str(error.value.given)
+
+
+def test_a_circle_is_refused_by_the_names_of_its_passes() -> None:
+    egg = step("egg", "hen", [Target("egg", Format.R8)])
+    hen = step("hen", "egg", [Target("hen", Format.R8)])
+    final = step("final", "hen", [IMAGE, DEPTH])
+    rule, given = refused(egg, hen, final)
+    assert rule == "plan-circle"
+    assert given == "'egg' waits for 'hen' waits for 'egg'"
+    assert names(make_plan([step("egg", "", [Target("egg", Format.R8)]), hen, final])) == [
+        "egg",
+        "hen",
+        "final",
+    ]
+
+
+def test_a_pass_that_reads_its_own_result_waits_for_itself() -> None:
+    assert refused(step("final", "image", [IMAGE, DEPTH]))[0] == "plan-circle"
+    assert names(make_plan([step("final", "", [IMAGE, DEPTH], reads_last="image")])) == ["final"]
+
+
+def test_a_circle_of_dropped_passes_is_no_obstacle() -> None:
+    egg = step("egg", "hen", [Target("egg", Format.R8)])
+    hen = step("hen", "egg", [Target("hen", Format.R8)])
+    assert names(make_plan([egg, hen, step("final", "", [IMAGE, DEPTH])])) == ["final"]
+
+
+def test_contents_have_one_writer() -> None:
+    rule, given = refused(step("one", writes=[IMAGE, DEPTH]), step("two", writes=[IMAGE]))
+    assert (rule, given) == ("plan-two-writers", "'image', written by 'one' and 'two'")
+
+
+def test_contents_are_drawn_over_once() -> None:
+    first = step("first", writes=[LIT, DEPTH])
+    passes = [step(name, changes={"lit": name}) for name in ("haze", "glow")]
+    assert refused(first, *passes)[0] == "plan-drawn-over-twice"
+    chain = [step("haze", changes={"lit": "hazy"}), step("glow", "hazy", [IMAGE])]
+    assert names(make_plan([first, *chain])) == ["first", "haze", "glow"]
+
+
+@pytest.mark.parametrize("outputs", [("image",), ("image", "depth")])
+def test_what_is_needed_is_written(outputs: tuple[str, ...]) -> None:
+    with pytest.raises(rhi.ValidationError) as error:
+        make_plan([step("final", "shadows", [IMAGE, DEPTH])], outputs)
+    assert error.value.rule.id == "plan-unwritten"
+    assert "'shadows', read by the pass 'final'" in str(error.value.given)
+    with pytest.raises(rhi.ValidationError) as error:
+        make_plan([step("final", "", [IMAGE])], ("image", "depth"))
+    assert "read by the frame's outputs" in str(error.value.given)
+
+
+def held(plan: Plan[object]) -> list[set[str]]:
+    return [set(texture.names) for texture in plan.textures]
+
+
+def test_contents_that_are_not_needed_at_the_same_time_share_a_texture() -> None:
+    a, b, c = (Target(name, Format.RGBA16F) for name in "abc")
+    chain = [step("a", "", [a]), step("b", "a", [b]), step("c", "b", [c]), step("end", "c", [IMAGE, DEPTH])]
+    assert held(make_plan(chain)) == [{"a", "c"}, {"b"}, {"image"}, {"depth"}]
+
+
+@pytest.mark.parametrize(
+    "other",
+    [Target("c", Format.RGBA8), Target("c", Format.RGBA16F, 0.5), Target("c", Format.RGBA16F, samples=4)],
+)
+def test_contents_of_another_kind_share_nothing(other: Target) -> None:
+    a, b = (Target(name, Format.RGBA16F) for name in "ab")
+    chain = [
+        step("a", "", [a]), step("b", "a", [b]), step("c", "b", [other]), step("end", "c", [IMAGE, DEPTH]),
+    ]  # fmt: skip
+    assert held(make_plan(chain)) == [{"a"}, {"b"}, {"c"}, {"image"}, {"depth"}]
+
+
+def test_contents_that_are_drawn_over_stay_in_their_texture() -> None:
+    chain = [
+        step("first", writes=[LIT, DEPTH]),
+        step("haze", changes={"lit": "hazy"}),
+        step("glow", changes={"hazy": "glowing"}),
+        step("end", "glowing", [IMAGE]),
+    ]
+    assert held(make_plan(chain)) == [{"lit", "hazy", "glowing"}, {"depth"}, {"image"}]
+
+
+@pytest.mark.parametrize(
+    ("size", "scale", "expected"),
+    [((100, 50), 1.0, (100, 50)), ((101, 51), 0.5, (51, 26)), ((1, 1), 0.4, (1, 1)), ((10, 10), 0.4, (4, 4))],
+)
+def test_sizes_are_rounded_up(size: tuple[int, int], scale: float, expected: tuple[int, int]) -> None:
+    assert Target("light", Format.R8, scale).fit(size) == expected
+
+
+@st.composite
+def declarations(draw: st.DrawFn) -> list[Pass[object]]:
+    """Passes in any order, each of which reads contents of earlier ones, and may draw over some."""
+    count = draw(st.integers(1, 9))
+    passes: list[Pass[object]] = []
+    intact: list[str] = []
+    for number in range(count):
+        some = st.lists(st.sampled_from(intact), unique=True, max_size=3) if intact else st.just([])
+        reads = draw(some)
+        over = draw(some)[:1] if draw(st.booleans()) else []
+        kind = draw(st.sampled_from([Format.R8, Format.RGBA16F]))
+        new = f"c{number}"
+        passes.append(
+            step(
+                f"p{number}",
+                " ".join(reads),
+                [] if over else [Target(new, kind)],
+                {over[0]: new} if over else {},
+                side=draw(st.integers(0, 5)) == 0,
+            )
+        )
+        intact = [name for name in intact if name not in over] + [new]
+    passes.append(
+        step("last", " ".join(draw(st.lists(st.sampled_from(intact), unique=True))), [IMAGE, DEPTH])
+    )
+    return draw(st.permutations(passes))
+
+
+@settings(max_examples=200, deadline=None)
+@given(declarations())
+def test_contents_are_intact_when_they_are_read(passes: list[Pass[object]]) -> None:
+    """Run the plan on textures that hold the name of what was written last."""
+    plan = make_plan(passes)
+    where = {name: number for number, texture in enumerate(plan.textures) for name in texture.names}
+    holds: dict[int, str] = {}
+    for one in plan.passes:
+        for name in (*one.reads, *one.changes):
+            assert holds[where[name]] == name
+        for name in (*(target.name for target in one.writes), *one.changes.values()):
+            holds[where[name]] = name
+    assert [holds[where[name]] for name in ("image", "depth")] == ["image", "depth"]
+    assert len(plan.passes) + len(plan.dropped) == len(passes)
+    for target in (target for one in plan.passes for target in one.writes):
+        texture = plan.textures[where[target.name]]
+        assert (texture.format, texture.scale, texture.samples) == (
+            target.format,
+            target.scale,
+            target.samples,
+        )

@@ -1,0 +1,220 @@
+"""Views: several passes of one view, and several views in one frame."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+import pytest
+
+import rhi
+from renderer.content import load_scene
+from renderer.frame import (
+    DEPTH_FORMAT,
+    IMAGE_FORMAT,
+    Frame,
+    Needs,
+    Pass,
+    SceneResources,
+    Target,
+    TechniquePass,
+    View,
+)
+from renderer.renderer import Renderer
+from renderer.scene import Camera, Scene
+from renderer.shaders import Object, ObjectPosition, Vertex, ViewConstants, relative_position
+from renderer.techniques import Forward
+from renderer.techniques.forward import bind_forward
+from renderer.visibility import FrustumCulling, list_algorithms, make_visibility
+from rhi import DepthFunction, DepthWrite, Format
+from rhi.backends.null import NullBackend
+from rhi.shading import Shader, Storage, Struct, Uniform, instance_index, vec4
+
+SIZE: Final = (96, 54)
+FRAMES: Final = (600, 601, 602)
+
+
+class DepthVarying(Struct):
+    clip: vec4
+
+
+class PlainDepth(Shader):
+    """Draws depth alone, at the positions of the forward shader."""
+
+    view: Uniform[ViewConstants]
+    objects: Storage[Object]
+    places: Storage[ObjectPosition]
+
+    def vertex(self, v: Vertex) -> DepthVarying:
+        row = instance_index()
+        position = self.objects[row].linear @ v.position + relative_position(self.places[row], self.view)
+        return DepthVarying(clip=self.view.relative_view_projection @ vec4(position, 1.0))
+
+    def fragment(self) -> None:
+        pass
+
+
+def draw_depth(frame: Frame, view: View, depth: rhi.Texture) -> None:
+    arrays = frame.resources.list_arrays(view.buffer)
+    bindings: dict[str, Any] = {"view": arrays.view, "objects": arrays.objects, "places": arrays.places}
+    program: Any = frame.device.program(PlainDepth)
+    scene_pass = TechniquePass(
+        frame.device, frame.resources, view, program, bindings, color=None, depth=depth
+    )
+    frame.draw_visible(scene_pass, view)
+
+
+class DepthFirst:
+    """Draws depth, then what is at that depth."""
+
+    name = "depth first"
+
+    def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
+        return (
+            Pass("depth", self._draw_depth, "hides what isn't seen", writes=(Target("depth", DEPTH_FORMAT),)),
+            Pass("lit", self._draw_lit, "lights what is seen", ("depth",), (Target("image", IMAGE_FORMAT),)),
+        )
+
+    def _draw_depth(self, frame: Frame) -> None:
+        draw_depth(frame, frame.view, frame.targets.depth)
+
+    def _draw_lit(self, frame: Frame) -> None:
+        program, bindings = bind_forward(frame)
+        frame.draw_visible(
+            TechniquePass(
+                frame.device, frame.resources, frame.view, program, bindings,
+                color=frame.targets.image, depth=frame.targets.depth, clears=False,
+                clear=(*frame.resources.scene.background, 1.0),
+                states=(DepthFunction.EQUAL, DepthWrite.OFF),
+            )
+        )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def city() -> Scene:
+    return load_scene("city:blocks=6")
+
+
+@pytest.mark.parametrize(
+    "name", ["none", "frustum", "chc_plus_plus", "conditional", "depth_pyramid", "two_pass"]
+)
+def test_two_passes_of_a_view_draw_the_same_picture_as_one(
+    drawing_device: rhi.Device, city: Scene, name: str
+) -> None:
+    if name not in list_algorithms(drawing_device):
+        pytest.skip(f"this device can't run {name}")
+    images = []
+    for technique in (Forward(), DepthFirst()):
+        algorithm = make_visibility(name, city, drawing_device)
+        with Renderer(drawing_device, city, technique=technique, visibility=algorithm, size=SIZE) as renderer:
+            for frame in FRAMES:
+                result = renderer.render(city.paths["ground"].camera(frame), frame / 60)
+            images.append((result.image.read(), result.depth.read()))
+        algorithm.destroy()
+    (lit, depth), (later, first) = images
+    assert np.array_equal(depth, first)
+    assert np.abs(lit.astype(int) - later).max() <= 0
+    assert lit[:, :, :3].std() > 20
+
+
+@pytest.mark.parametrize("name", ["frustum", "chc", "chc_plus_plus"])
+def test_a_view_asks_once_however_many_passes_draw_it(null: rhi.Device, city: Scene, name: str) -> None:
+    null.backend_as(NullBackend).answer_queries(100)
+    counts = []
+    for technique in (Forward(), DepthFirst()):
+        with Renderer(
+            null, city, technique=technique, visibility=make_visibility(name, city, null), size=SIZE
+        ) as renderer:
+            statistics = [renderer.render(city.paths["ground"].camera(frame)).statistics for frame in FRAMES]
+        counts.append([(one.queries, one.draws, one.triangles) for one in statistics])
+    assert counts[0] == counts[1]
+    assert name == "frustum" or sum(queries for queries, _, _ in counts[0]) > 0
+
+
+def test_a_second_pass_of_a_view_is_one_draw_of_all_batches(null: rhi.Device, city: Scene) -> None:
+    null.backend_as(NullBackend).answer_queries(100)
+    visibility = make_visibility("chc", city, null)
+    with Renderer(null, city, technique=DepthFirst(), visibility=visibility, size=SIZE) as renderer:
+        null.stream.clear()
+        result = renderer.render(city.paths["ground"].camera(600))
+        lit = [draw for draw in null.stream.draws() if draw.labels[0] == "lit"]
+        batches = [draw for draw in null.stream.draws() if draw.labels[0] == "depth"]
+    assert len(lit) == 1
+    assert len(batches) > 1
+    assert lit[0]["draws"] == len(result.visible) > 1
+
+
+class FromAbove:
+    """Draws the image, and depth as it is seen from above."""
+
+    name = "from above"
+
+    def __init__(self) -> None:
+        self.above: View | None = None
+        self.rows: np.ndarray = np.zeros(0, np.int64)
+
+    def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
+        map_depth = Target("map", Format.D32F, 0.5)
+        above = Pass("above", self._draw_above, "shows a map", writes=(map_depth,), has_side_effects=True)
+        return (above, *Forward().declare(needs))
+
+    def _draw_above(self, frame: Frame) -> None:
+        assert self.above is not None
+        draw_depth(frame, self.above, frame.targets["map"])
+        self.rows = frame._seen[self.above].drawn.rows
+
+
+def test_each_view_culls_for_its_own_camera(null: rhi.Device, city: Scene) -> None:
+    technique = FromAbove()
+    street = city.paths["ground"].camera(600).with_aspect(SIZE[0] / SIZE[1])
+    down = Camera.look_at(street.position + np.array([0, 60, 0]), street.position).with_aspect(SIZE[0] / SIZE[1])
+    technique.above = View(null, "above", FrustumCulling(city))
+    technique.above.aim(down)
+    with Renderer(null, city, technique=technique, visibility=FrustumCulling(city), size=SIZE) as renderer:
+        result = renderer.render(street)
+    expected = [sees(null, city, camera) for camera in (street, down)]
+    assert result.visible.tolist() == expected[0]
+    assert technique.rows.tolist() == expected[1]
+    assert expected[0] != expected[1]
+    assert len(null.stream.draws()) == 2
+    technique.above.destroy()
+
+
+def sees(device: rhi.Device, scene: Scene, camera: Camera) -> list[int]:
+    with (
+        rhi.create_device("null") as other,
+        Renderer(other, scene, visibility=FrustumCulling(scene), size=SIZE) as renderer,
+    ):
+        rows: list[int] = renderer.render(camera).visible.tolist()
+        return rows
+
+
+def test_a_view_uploads_its_constants_when_its_camera_moves(null: rhi.Device, city: Scene) -> None:
+    view = View(null, "eye", FrustumCulling(city))
+    camera = city.views["overview"]
+    view.aim(camera)
+    before = null.statistics.upload_bytes
+    view.aim(camera)
+    assert null.statistics.upload_bytes == before
+    view.aim(city.views["street"])
+    assert null.statistics.upload_bytes == before + ViewConstants.uniform_dtype.itemsize
+    view.destroy()
+
+
+def test_resources_keep_what_a_technique_keeps_between_frames(null: rhi.Device, city: Scene) -> None:
+    resources = SceneResources(null, city)
+
+    class Kept:
+        def __init__(self, device: rhi.Device) -> None:
+            self.buffer = device.storage(int, 4)
+            self.destroyed = False
+
+        def destroy(self) -> None:
+            self.buffer.destroy()
+            self.destroyed = True
+
+    kept = resources.workspace(Kept)
+    assert resources.workspace(Kept) is kept
+    assert not kept.destroyed
+    resources.destroy()
+    assert kept.destroyed
