@@ -16,9 +16,7 @@ from renderer.scene.arrays import Floats, Rows
 
 _PAIRS = 1 << 20  # (object, light) pairs tested at a time: 70 MB at most
 _GROUP: Final = 16  # lights
-_SLACK: Final = (
-    1e-12  # by which a group's box is too large, relative to its coordinates: 4,000 times their rounding
-)
+_SLACK: Final = 1e-12  # by which a group's box is too large, relative to its coordinates
 _LEAST: Final = 1e-150  # the same in metres: where squares vanish
 _BITS: Final = 10  # of a coordinate in the order of lights
 
