@@ -486,7 +486,8 @@ class SimulatedBackend(NullBackend):
             if before is not None and after is not None and start < self._gpu:
                 share = max(0, min(time, self._gpu) - start)
                 value = before + (after - before) * share // (self._gpu - start)
-            self._queries.finish_write(query, value)
-            self._read_at[query] = time
+            if all(later != query for _, later, _, _ in self._interrupts):  # a later write has an answer of its own
+                self._queries.finish_write(query, value)
+                self._read_at[query] = time
             if value is not None and exact is not None and value > exact:
                 self._hazards.confirm_race(event)
