@@ -5,6 +5,10 @@
 - `device.draw_many`: as many draws of one shared mesh in one call, with the constants as instance attributes.
 - `scope of 3 states`: entering and leaving `device.states` with 3 states, without a draw.
 
+A second table has what a scope of each kind costs around nothing, its creation included, on a null device without a
+recorder, so that no driver hides it. Its reference is `empty block`: a Python `with` block that does nothing. `ratio`
+is the cost in such blocks. Timing is off, except in `timed event`.
+
 The target has 64×64 pixels. The variants take turns, round by round, in one process. A figure is the time of all draws
 of a round divided by their number, the median over the rounds; `ratio` is the median of the ratios to the bare loop of
 the same round. The device is finished between rounds, outside of the measured time, because llvmpipe runs the GPU's
@@ -18,6 +22,7 @@ from __future__ import annotations
 
 import argparse
 import gc
+import itertools
 import json
 import statistics
 import time
@@ -29,6 +34,7 @@ import numpy as np
 import rhi
 from rhi import ColorWrite, CullMode, DepthWrite
 from rhi.backends.gl.backend import GlBackend
+from rhi.backends.null import NullBackend
 from rhi.shading import Shader, Struct, Uniform, vec2, vec4
 
 RASTERIZER_DISCARD = 0x8C89
@@ -162,16 +168,110 @@ def measure(draws: int, triangles: int, rounds: int, rasterize: bool) -> dict[st
                 times[name].append((time.perf_counter() - start) / draws * 1e6)
             device.finish()
     gc.enable()
-    bare_times = times["bare moderngl"]
-    result = {
-        name: {
-            "microseconds": statistics.median(values),
-            "ratio": statistics.median(v / b for v, b in zip(values, bare_times, strict=True)),
-        }
-        for name, values in times.items()
-    }
     device.close()
-    return result
+    return {name: summarize(values, times["bare moderngl"]) for name, values in times.items()}
+
+
+class EmptyBlock:
+    """The least that a `with` block costs which is made anew each time."""
+
+    __slots__ = ()
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
+def measure_scopes(count: int, rounds: int) -> dict[str, dict[str, float]]:
+    """Return the microseconds of a scope of each kind, and its ratio to an empty block."""
+    device, timed = rhi.Device(NullBackend()), rhi.Device(NullBackend(), timing=True)
+    image = device.texture((4, 4), rhi.Format.R8)
+    query, answered = device.occlusion_query(), device.occlusion_query()
+    emulated = device.occlusion_query(emulated=True)
+    with device.render_pass(image), answered:
+        pass
+    states, event, conditional, timed_event = device.states, device.event, device.conditional, timed.event
+    render_pass = device.render_pass
+
+    def empty() -> None:
+        for _ in itertools.repeat(None, count):
+            with EmptyBlock():
+                pass
+
+    def scopes() -> None:
+        for _ in itertools.repeat(None, count):
+            with states(CullMode.NONE, DepthWrite.OFF, ColorWrite.OFF):
+                pass
+
+    def events() -> None:
+        for _ in itertools.repeat(None, count):
+            with event("label"):
+                pass
+
+    def timed_events() -> None:
+        for _ in itertools.repeat(None, count):
+            with timed_event("label"):
+                pass
+
+    def queries() -> None:
+        for _ in itertools.repeat(None, count):
+            query.begin()
+            query.end()
+
+    def blocks() -> None:
+        for _ in itertools.repeat(None, count):
+            with query:
+                pass
+
+    def emulated_queries() -> None:
+        for _ in itertools.repeat(None, count):
+            emulated.begin()
+            emulated.end()
+
+    def conditions() -> None:
+        for _ in itertools.repeat(None, count):
+            with conditional(answered):
+                pass
+
+    def passes() -> None:
+        for _ in itertools.repeat(None, count):
+            with render_pass(image):
+                pass
+
+    in_pass: dict[str, Callable[[], None]] = {
+        "empty block": empty,
+        "scope of 3 states": scopes,
+        "event": events,
+        "query.begin, query.end": queries,
+        "with query": blocks,
+        "emulated query": emulated_queries,
+        "condition": conditions,
+    }
+    outside: dict[str, Callable[[], None]] = {"timed event": timed_events, "render pass": passes}
+    times: dict[str, list[float]] = {name: [] for name in (in_pass | outside)}
+    gc.disable()
+    for _ in range(rounds):
+        for name, run in (in_pass | outside).items():
+            block = render_pass(image) if name in in_pass else EmptyBlock()
+            with block:
+                start = time.process_time()
+                run()
+                times[name].append((time.process_time() - start) / count * 1e6)
+            for each in (device, timed):
+                each.present()
+                each.finish()
+    gc.enable()
+    device.close()
+    timed.close()
+    return {name: summarize(values, times["empty block"]) for name, values in times.items()}
+
+
+def summarize(values: list[float], reference: list[float]) -> dict[str, float]:
+    """Return the median of the times, and of their ratios to the reference of the same round."""
+    ratio = statistics.median(v / r for v, r in zip(values, reference, strict=True))
+    return {"microseconds": statistics.median(values), "ratio": ratio}
 
 
 def main() -> None:
@@ -182,13 +282,21 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=41, help="rounds (default: %(default)s)")
     parser.add_argument("--rasterize", action="store_true", help="let the triangles reach the rasteriser")
     options = parser.parse_args()
-    result = measure(options.draws, options.triangles, options.rounds, options.rasterize)
+    draws = measure(options.draws, options.triangles, options.rounds, options.rasterize)
+    scopes = measure_scopes(1000, options.rounds)
     if options.json:
-        print(json.dumps(result, indent=2))
+        print(json.dumps({"draws": draws, "scopes": scopes}, indent=2))
         return
     print(f"{options.draws} draws of {options.triangles} triangles, {options.rounds} rounds")
-    for name, row in result.items():
-        print(f"{name:<20} {row['microseconds']:8.3f} µs   ×{row['ratio']:.2f}")
+    print_rows(draws)
+    print("scopes of each kind around nothing, on the null device")
+    print_rows(scopes)
+
+
+def print_rows(rows: dict[str, dict[str, float]]) -> None:
+    """Print the figures of each variant."""
+    for name, row in rows.items():
+        print(f"{name:<24} {row['microseconds']:8.3f} µs   ×{row['ratio']:.2f}")
 
 
 if __name__ == "__main__":

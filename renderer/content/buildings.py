@@ -12,13 +12,15 @@ import numpy as np
 
 from renderer.content import shapes
 from renderer.content.textures import ROOF_UV, WINDOWS
-from renderer.scene.arrays import Floats
+from renderer.scene.arrays import Floats, Rows
 from renderer.scene.meshes import MeshGeometry, join
 from renderer.scene.transforms import multiply, scaling, translation
 
 __rhi_internal__ = True
 
 LoftRing = tuple[float, float, float]
+
+_RAYS: Final = 256  # that meet a building at a time: some 50 MB
 
 KINDS: Final = ("tower", "setback", "corner", "round", "house", "slab")
 """The kinds of buildings."""
@@ -73,6 +75,40 @@ def make_building(kind: str, floors: int, detail: int) -> MeshGeometry:
     outline = _divided(_SQUARE * (0.92, 0.62), bays)
     body = _with_roof(outline, [_ring(0, 1), _ring(1, 1)], walls, 0.93)
     return join([body, *_balconies(bays), _block((0.15, 0.97, 0.0), (0.2, 0.1, 0.2))])
+
+
+def find_windows(
+    building: MeshGeometry, windows: int, start: Floats, along: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Return the middles (k, 3) of the windows that rays meet, and the vectors across and up a window and its frame.
+
+    Rays begin at `start` (k, 3) and run along unit vectors (k, 3); each must meet the front of a wall. Their
+    intersection with triangles is that of Möller and Trumbore (1997). The texture has `windows` x `windows` windows.
+    """
+    table = building.vertices[building.indices].reshape(-1, 3)
+    uv = table["uv"].astype(np.float64)
+    to_uv = np.stack([uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]], axis=-1)
+    is_wall = np.linalg.det(to_uv) != 0.0  # what has no windows has one point of the texture
+    corners, uv, to_uv = table["position"][is_wall].astype(np.float64), uv[is_wall], to_uv[is_wall]
+    edge, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    found: list[tuple[Rows, Floats]] = []
+    for at in range(0, len(start), _RAYS):
+        ray, begin = along[at : at + _RAYS, None], start[at : at + _RAYS, None] - corners[:, 0]
+        across, turned = np.cross(ray, other), np.cross(begin, edge)
+        area = (across * edge).sum(-1)
+        u, v = (begin * across).sum(-1), (ray * turned).sum(-1)
+        hit = (area > 0.0) & (u >= 0.0) & (v >= 0.0) & (u + v <= area)
+        distance = np.where(hit, (other * turned).sum(-1) / np.where(hit, area, 1.0), np.inf)
+        nearest = distance.argmin(1)
+        share = np.stack([u, v], -1)[np.arange(len(u)), nearest] / area[np.arange(len(u)), nearest, None]
+        found.append((nearest, share))
+    triangle, share = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    sides = np.stack([edge, other], axis=-1)[triangle]
+    met = uv[triangle, 0] + (to_uv[triangle] @ share[..., None])[..., 0]
+    per_pane = sides @ np.linalg.inv(to_uv[triangle]) / windows
+    middle = (np.floor(met * windows) + 0.5) / windows - met
+    point = corners[triangle, 0] + (sides @ share[..., None])[..., 0]
+    return point + windows * (per_pane @ middle[..., None])[..., 0], per_pane[..., 0], per_pane[..., 1]
 
 
 def make_trees(count: int, detail: int, seed: int) -> MeshGeometry:

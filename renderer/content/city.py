@@ -8,6 +8,7 @@ material. By default there are about 1,900 objects and 1.1 million triangles, as
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Final
 
@@ -17,9 +18,10 @@ from numpy.typing import NDArray
 from renderer.content.buildings import KINDS, make_building, make_lamp, make_trees
 from renderer.content.shapes import plane
 from renderer.content.specs import SEED, Generator, Option
-from renderer.content.textures import paint_facade, paint_street
-from renderer.scene.arrays import Floats
+from renderer.content.textures import NIGHT_WINDOWS, WINDOWS, paint_facade, paint_lit_facade, paint_street
+from renderer.scene.arrays import Floats, Rows
 from renderer.scene.camera import Camera, Perspective
+from renderer.scene.meshes import MeshGeometry
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
 from renderer.scene.transforms import multiply, rotation, scaling, translation
@@ -47,12 +49,41 @@ _WALLS: Final = np.array(
 _GLASS: Final = np.array([(0.42, 0.55, 0.62), (0.36, 0.46, 0.50), (0.52, 0.56, 0.60), (0.30, 0.40, 0.52)])
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class CityPlan:
+    """What stands where in a city.
+
+    Attributes:
+        centres: (n,) the middles of the blocks (x, z). half: half the width of the city.
+        building: (n,) the building on each block, or -1. shapes: the meshes of buildings on lots of 1 x 1 x 1.
+        shape: (k,) the mesh of each building. places: (k, 4, 4) the transforms of their lots.
+        route: (c, 3) the corners of the route through the streets.
+    """
+
+    centres: Floats
+    half: float
+    building: Rows
+    shapes: list[MeshGeometry]
+    shape: Rows
+    places: Floats
+    route: Floats
+
+
 def make_city(blocks: int, detail: int, seed: int) -> Scene:
     """Make a city of `blocks` x `blocks`; `detail` sets how finely facades are divided, `seed` varies everything."""
-    rng = np.random.default_rng([seed, 44])
     builder = SceneBuilder(f"city:blocks={blocks},detail={detail},seed={seed}")
-    builder.background = (0.42, 0.60, 0.82)
-    builder.haze = 1.0 / 3200.0
+    plan = add_city(builder, blocks, detail, seed)
+    add_daylight(builder)
+    _add_lamps(builder, plan.route, detail)
+    return builder.build()
+
+
+def add_city(builder: SceneBuilder, blocks: int, detail: int, seed: int, at_night: bool = False) -> CityPlan:
+    """Add ground, buildings, parks, paths and views, but no lights.
+
+    At night windows are lit, and the ground is cut into smaller tiles, so that few lamps reach each one.
+    """
+    rng = np.random.default_rng([seed, 44])
     index = np.stack(np.meshgrid(np.arange(blocks), np.arange(blocks), indexing="ij"), -1).reshape(-1, 2)
     centre = np.asarray((index - 0.5 * (blocks - 1)) * PITCH, np.float64)
     half = 0.5 * blocks * PITCH
@@ -65,14 +96,24 @@ def make_city(blocks: int, detail: int, seed: int) -> Scene:
     built[0] = True  # the smallest city has a building too
     park = ~built & (use < 0.04)
 
-    materials = _add_materials(builder, seed)
-    _add_ground(builder, blocks, seed)
-    _add_buildings(builder, rng, centre[built], height[built], near[built], detail, materials)
+    materials = _add_materials(builder, seed, at_night)
+    _add_ground(builder, blocks, seed, at_night)
+    shapes, shape, places = _add_buildings(
+        builder, rng, centre[built], height[built], near[built], detail, materials, at_night
+    )
     _add_parks(builder, rng, centre[park], detail, seed)
     route = _street_route(blocks)
-    _add_lights(builder, route, detail)
     _add_cameras(builder, route, half, float(height[built].max()))
-    return builder.build()
+    building = np.where(built, np.cumsum(built) - 1, -1)
+    return CityPlan(centre, half, building, shapes, shape, places, route)
+
+
+def add_daylight(builder: SceneBuilder) -> None:
+    """Add the sun and the sky."""
+    builder.background = (0.42, 0.60, 0.82)
+    builder.haze = 1.0 / 3200.0
+    builder.lights.sky, builder.lights.ground = (0.30, 0.38, 0.50), (0.16, 0.15, 0.13)
+    builder.lights.add_directional((-0.55, -0.62, -0.50), (1.0, 0.90, 0.74), 2.3)
 
 
 CITY: Final = Generator(
@@ -87,26 +128,31 @@ CITY: Final = Generator(
 )
 
 
-def _add_materials(builder: SceneBuilder, seed: int) -> dict[str, NDArray[np.int64]]:
+def _add_materials(builder: SceneBuilder, seed: int, at_night: bool) -> dict[str, NDArray[np.int64]]:
     """Add the materials; return their ids by facade style."""
-    images = {style: builder.add_image(paint_facade(style, seed)) for style in ("punched", "ribbon", "glass")}
+    paint = paint_lit_facade if at_night else paint_facade
+    images = {style: builder.add_image(paint(style, seed)) for style in ("punched", "ribbon", "glass")}
+    emission = 1.2 if at_night else 0.0
     stone: dict[str, Any] = {"specular_color": (0.03, 0.03, 0.03), "shininess": 16.0, "rim_strength": 0.05}
     pane: dict[str, Any] = {"specular_color": (0.5, 0.5, 0.5), "shininess": 90.0, "rim_strength": 0.35}
     styles = {"punched": (_WALLS, stone), "ribbon": (_WALLS, stone), "glass": (_GLASS, pane)}
     return {
         style: np.array(
-            [builder.add_material(base_color=tuple(c), texture=images[style], **look) for c in colors]
+            [
+                builder.add_material(base_color=tuple(c), texture=images[style], emission=emission, **look)
+                for c in colors
+            ]
         )
         for style, (colors, look) in styles.items()
     }
 
 
-def _add_ground(builder: SceneBuilder, blocks: int, seed: int) -> None:
+def _add_ground(builder: SceneBuilder, blocks: int, seed: int, at_night: bool) -> None:
     """Add tiles of streets, so that the ground can be culled too, and a plain around them."""
     image = builder.add_image(paint_street(STREET / PITCH, seed))
     streets = builder.add_material(texture=image, base_color=(1, 1, 1), shininess=24.0)
     plain = builder.add_material(base_color=(0.24, 0.27, 0.17), specular_color=(0, 0, 0))
-    tiles = min(blocks, 4)
+    tiles = (blocks + 1) // 2 if at_night else min(blocks, 4)
     edges = np.linspace(0, blocks, tiles + 1).astype(np.int64)
     meshes = {
         (w, d): builder.add_mesh(plane(1, (w, d)), f"ground {w}x{d}")
@@ -120,11 +166,18 @@ def _add_ground(builder: SceneBuilder, blocks: int, seed: int) -> None:
             node = builder.add_node(multiply(translation(middle), scaling(size)), name="ground")
             builder.add_objects(node, meshes[x1 - x0, z1 - z0], streets)
     wide = builder.add_mesh(plane(), "plain")
-    extent = 6.0 * blocks * PITCH + 2000.0
-    node = builder.add_node(
-        multiply(translation((0.0, -0.5, 0.0)), scaling((extent, 1.0, extent))), name="plain"
-    )
-    builder.add_objects(node, wide, plain)
+    extent, edge = 6.0 * blocks * PITCH + 2000.0, blocks * PITCH
+    # At night the plain is a frame around the city: one sheet below it would be in reach of all lamps.
+    far, side = 0.25 * (extent + edge), 0.5 * (extent - edge)
+    frame = [
+        (0.0, far, extent, side),
+        (0.0, -far, extent, side),
+        (far, 0.0, side, edge),
+        (-far, 0.0, side, edge),
+    ]
+    for x, z, width, depth in frame if at_night else [(0.0, 0.0, extent, extent)]:
+        place = multiply(translation((x, -0.5, z)), scaling((width, 1.0, depth)))
+        builder.add_objects(builder.add_node(place, name="plain"), wide, plain)
 
 
 def _steps(edges: NDArray[np.int64]) -> set[int]:
@@ -139,7 +192,9 @@ def _add_buildings(
     near: Floats,
     detail: int,
     materials: dict[str, NDArray[np.int64]],
-) -> None:
+    at_night: bool,
+) -> tuple[list[MeshGeometry], Rows, Floats]:
+    """Add a building on each block; return the meshes, which of them is each building's, and the lots' transforms."""
     count = len(centre)
     floors = height / _STOREY
     storeys = np.abs(np.log(floors[:, None] / np.array(_FLOORS))).argmin(1)
@@ -148,15 +203,18 @@ def _add_buildings(
                        (0.40, 0.30, 0.0, 0.22, 0.0, 0.08)]).cumsum(1)  # fmt: skip
     kind = (rng.random(count)[:, None] > shares[storeys]).sum(1).clip(0, len(KINDS) - 1)
     used, mesh = np.unique(kind * len(_FLOORS) + storeys, return_inverse=True)
-    meshes = []
+    shapes, meshes = [], []
     for pair in used.tolist():
         name, storey_count = KINDS[pair // len(_FLOORS)], _FLOORS[pair % len(_FLOORS)]
-        building = make_building(name, storey_count, detail)
-        meshes.append(builder.add_mesh(building, f"{name} {storey_count}"))
+        shapes.append(make_building(name, storey_count, detail))
+        if at_night:
+            shapes[-1].vertices["uv"] *= WINDOWS / NIGHT_WINDOWS
+        meshes.append(builder.add_mesh(shapes[-1], f"{name} {storey_count}"))
     size = np.stack([*(_LOT * rng.uniform(0.82, 1.0, (2, count))), height], axis=1)[:, [0, 2, 1]]
     turn = rotation((0, 1, 0), 0.5 * np.pi * rng.integers(0, 4, count))
     place = translation(np.stack([centre[:, 0], np.zeros(count), centre[:, 1]], axis=1))
-    nodes = builder.add_nodes(multiply(place, multiply(turn, scaling(size))))
+    places = multiply(place, multiply(turn, scaling(size)))
+    nodes = builder.add_nodes(places)
 
     glass = (np.isin(kind, [KINDS.index("setback"), KINDS.index("round")])) | (
         near * rng.random(count) > 0.45
@@ -168,6 +226,7 @@ def _add_buildings(
         ids = materials[style]
         material[chosen] = ids[(color[chosen] * len(ids)).astype(np.int64)]
     builder.add_objects(nodes, np.array(meshes)[mesh], material)
+    return shapes, mesh, places
 
 
 def _add_parks(
@@ -205,10 +264,9 @@ def _street_route(blocks: int) -> Floats:
     return np.stack([xz[:, 0], np.full(len(xz), EYE_HEIGHT), xz[:, 1]], axis=1)
 
 
-def _add_lights(builder: SceneBuilder, route: Floats, detail: int) -> None:
+def _add_lamps(builder: SceneBuilder, route: Floats, detail: int) -> None:
+    """Add street lamps along the route, a spot and a point light in turn."""
     lights = builder.lights
-    lights.sky, lights.ground = (0.30, 0.38, 0.50), (0.16, 0.15, 0.13)
-    lights.add_directional((-0.55, -0.62, -0.50), (1.0, 0.90, 0.74), 2.3)
     mesh = builder.add_mesh(make_lamp(detail), "lamp")
     metal = builder.add_material(
         base_color=(0.10, 0.11, 0.12), specular_color=(0.4, 0.4, 0.4), shininess=60.0

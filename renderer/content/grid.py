@@ -1,4 +1,8 @@
-"""The grid: many copies of one mesh, a built-in one or a model file, in a square on the ground."""
+"""The grid: many copies of one mesh, a built-in one or a model file, in a square on the ground.
+
+With lights it is the scene of Wilks's tests (2019): objects times lights, where nothing changes but their numbers. The
+view `field` sees all lights, and neither it nor any light moves when there are more lights or, up to 256, more copies.
+"""
 
 from __future__ import annotations
 
@@ -23,12 +27,20 @@ _COLORS: Final = (
 )  # fmt: skip
 
 
-def make_grid(mesh: str, count: int, spacing: float, seed: int) -> Scene:
-    """Make a scene of `count` copies of `mesh`, scaled to fit a metre, `spacing` metres apart on y = 0."""
+_FIELD: Final = 16
+"""Copies along each side of the area over which lights are spread."""
+
+_STRIDES: Final = np.array([0.7548776662466927, 0.5698402909980532])
+"""Those of the R2 sequence, which fills a square evenly, however many of its points are used (Roberts, 2018)."""
+
+
+def make_grid(mesh: str, count: int, spacing: float, lights: int, seed: int) -> Scene:
+    """Make a scene of `count` copies of `mesh`, scaled to fit a metre, `spacing` metres apart on y = 0. They are lit by
+    the sun, or by `lights` coloured lights above them."""
     rng = np.random.default_rng([seed, 3])
     geometry = _unit(BUILT_IN[mesh]() if mesh in BUILT_IN else read_geometry(mesh))
-    builder = SceneBuilder(f"grid:mesh={mesh},count={count},spacing={spacing:g},seed={seed}")
-    builder.background = (0.30, 0.36, 0.44)
+    options = f"mesh={mesh},count={count},spacing={spacing:g},seed={seed}"
+    builder = SceneBuilder(f"grid:lights={lights},{options}" if lights else f"grid:{options}")
     materials = np.array(
         [
             builder.add_material(
@@ -46,9 +58,19 @@ def make_grid(mesh: str, count: int, spacing: float, seed: int) -> Scene:
     )
 
     half = 0.5 * side * spacing
-    builder.lights.add_directional((-0.5, -0.8, -0.35), (1.0, 0.95, 0.88), 1.8)
-    builder.lights.add_point((0.0, 0.5 * half + 2.0, half), 2.0 * half + 4.0, (0.6, 0.75, 1.0), half * half)
     lens = Perspective(near=0.05)
+    if lights:
+        builder.background = (0.006, 0.007, 0.012)
+        _add_lights(builder, lights, max(_FIELD, side) * spacing, spacing, seed)
+        far = 0.5 * max(_FIELD, side) * spacing + 1.0
+        builder.views["field"] = Camera.look_at(
+            (0.0, 1.15 * far, 1.5 * far), (0.0, 0.0, 0.1 * far), projection=lens
+        )
+    else:
+        builder.background = (0.30, 0.36, 0.44)
+        builder.lights.add_directional((-0.5, -0.8, -0.35), (1.0, 0.95, 0.88), 1.8)
+        place = (0.0, 0.5 * half + 2.0, half)
+        builder.lights.add_point(place, 2.0 * half + 4.0, (0.6, 0.75, 1.0), half * half)
     builder.views["overview"] = Camera.look_at(
         (0.9 * half, 0.8 * half + 0.9, 1.5 * half + 0.6), (0, 0.3, 0), projection=lens
     )
@@ -67,10 +89,22 @@ GRID: Final = Generator(
         Option("mesh", "torus", f"{', '.join(BUILT_IN)}, or a model file without a comma in its name"),
         Option("count", 400, "how many copies", 1, 1_000_000),
         Option("spacing", 1.5, "metres between copies", 0.1, 1e4),
+        Option("lights", 0, "coloured lights above the copies; 0: the sun", 0, 65_536),
         SEED,
     ),
     make_grid,
 )
+
+
+def _add_lights(builder: SceneBuilder, count: int, width: float, spacing: float, seed: int) -> None:
+    """Add point lights over a square around the origin, the first one above its middle."""
+    draws = np.random.default_rng([seed, 7]).random((count, 2))
+    xz = ((0.5 + np.arange(count)[:, None] * _STRIDES) % 1.0 - 0.5) * width
+    places = np.stack([xz[:, 0], 1.0 + spacing * (0.4 + 0.6 * draws[:, 0]), xz[:, 1]], axis=1)
+    hue = 2.0 * np.pi * (draws[:, 1, None] + np.array([0.0, 1.0, 2.0]) / 3.0)
+    lights = builder.lights
+    lights.sky, lights.ground = (0.05, 0.055, 0.07), (0.03, 0.028, 0.025)
+    lights.add_points(places, 4.0 * spacing, 0.52 + 0.48 * np.cos(hue), 1.3 * spacing**2)
 
 
 def _unit(geometry: MeshGeometry) -> MeshGeometry:

@@ -39,21 +39,41 @@ _PARTS: Final = np.arange(SEGMENTS)
 _SWING: Final = 0.11 * (1.0 + 0.35 * _PARTS)  # greatest angle between a segment and the one before, radians
 _DELAY: Final = 0.9  # of a segment behind the one before, radians of the wave
 
+_OVERLAP: Final = 14.0
+"""About how many coloured lights reach a place, seen from above."""
 
-def make_hall(columns: int, rows: int, flags: int, fountains: int, detail: int, seed: int) -> Scene:
-    """Make a hall of `columns` x `rows` columns with `flags` flags and `fountains` fountains along its middle
-    aisle."""
+_REACH: Final = (2.0, 10.0)
+"""Least and greatest range of a coloured light in metres."""
+
+_CLEAR: Final = 1.0  # least distance of a coloured light from the axis of a column, metres
+
+_HUES: Final = np.array(
+    [
+        (1.0, 0.22, 0.16), (1.0, 0.52, 0.14), (1.0, 0.84, 0.30), (0.45, 1.0, 0.25), (0.15, 1.0, 0.55),
+        (0.16, 0.85, 1.0), (0.22, 0.45, 1.0), (0.52, 0.28, 1.0), (1.0, 0.25, 0.85), (1.0, 0.88, 0.74),
+    ]
+)  # fmt: skip
+"""Colours of coloured lights."""
+
+
+def make_hall(
+    columns: int, rows: int, flags: int, fountains: int, lights: int, detail: int, seed: int
+) -> Scene:
+    """Make a hall of `columns` x `rows` columns with `flags` flags and `fountains` fountains along its middle aisle,
+    lit by its lamps, or by `lights` coloured lights among the columns."""
     rng = np.random.default_rng([seed, 8])
     options = f"columns={columns},rows={rows},flags={flags},fountains={fountains},detail={detail},seed={seed}"
-    builder = SceneBuilder(f"hall:{options}")
+    builder = SceneBuilder(f"hall:lights={lights},{options}" if lights else f"hall:{options}")
     builder.background = (0.01, 0.012, 0.02)
     length, width = columns * BAY, (rows + 1) * BAY
     _add_shell(builder, length, width, columns)
-    _add_columns(builder, columns, rows, length, detail)
-    places = _flag_places(flags, length)
-    _add_flags(builder, rng, places, detail)
+    places = _add_columns(builder, columns, rows, length, detail)
+    _add_flags(builder, rng, _flag_places(flags, length), detail)
     _add_fountains(builder, fountains, length, detail, seed)
-    _add_lights(builder, rng, columns, length, width)
+    if lights:
+        _add_colored_lights(builder, lights, places, length, width, seed)
+    else:
+        _add_lamps(builder, rng, columns, length, width)
     _add_cameras(builder, length, width)
     return builder.build()
 
@@ -66,6 +86,7 @@ HALL: Final = Generator(
         Option("rows", 4, "rows of columns", 2, 64),
         Option("flags", 32, "flags on poles", 0, 4096),
         Option("fountains", 0, "fountains, simulated where they are drawn", 0, 4096),
+        Option("lights", 0, "coloured lights among the columns; 0: lamps along the aisle", 0, 65_536),
         Option("detail", 8, "how finely columns are divided", 3, 64),
         SEED,
     ),
@@ -104,7 +125,8 @@ def _add_shell(builder: SceneBuilder, length: float, width: float, columns: int)
     builder.add_objects(builder.add_nodes(np.array([*sides, *ends, *crossed])), cube, stone)
 
 
-def _add_columns(builder: SceneBuilder, columns: int, rows: int, length: float, detail: int) -> None:
+def _add_columns(builder: SceneBuilder, columns: int, rows: int, length: float, detail: int) -> Floats:
+    """Add the columns; return their feet (columns * rows, 3)."""
     marble = builder.add_material(
         base_color=(0.74, 0.70, 0.62), specular_color=(0.3, 0.3, 0.3), shininess=64.0, rim_strength=0.3
     )
@@ -116,6 +138,7 @@ def _add_columns(builder: SceneBuilder, columns: int, rows: int, length: float, 
     )
     places = np.stack([x.ravel(), np.zeros(x.size), z.ravel()], axis=1)
     builder.add_objects(builder.add_nodes(translation(places)), mesh, marble)
+    return places
 
 
 def _flag_places(flags: int, length: float) -> Floats:
@@ -249,7 +272,7 @@ def _add_fountains(builder: SceneBuilder, count: int, length: float, detail: int
     builder.simulate(builder.add_objects(nozzles, sprays, water), Fountains(count, seed))
 
 
-def _add_lights(
+def _add_lamps(
     builder: SceneBuilder, rng: np.random.Generator, columns: int, length: float, width: float
 ) -> None:
     lights = builder.lights
@@ -267,6 +290,41 @@ def _add_lights(
         builder.add_objects(node, bulb, glow)
         aim = (float(rng.uniform(-0.2, 0.2)), -1.0, -0.1 * side)
         lights.add_spot((x, _HEIGHT - 0.4, 0.0), aim, 14.0, 0.30, 0.55, (1.0, 0.95, 0.85), 55.0)
+
+
+def _add_colored_lights(
+    builder: SceneBuilder, count: int, columns: Floats, length: float, width: float, seed: int
+) -> None:
+    """Add `count` coloured lights outside of the `columns` (k, 3): of eight, five float between floor and ceiling, one
+    is near the floor, one near the ceiling, and one is a spot that hangs from it.
+
+    Ranges shrink as lights get denser, so that about as many reach a place, and it is about as bright.
+    """
+    draws = np.random.default_rng([seed, 64]).random((count, 5))
+    kind = np.arange(count) % 8
+    # A bay's width less that of a cross wall at its ends; what is in a column is moved out of it.
+    xs, zs = np.unique(columns[:, 0]), np.unique(columns[:, 2])
+    middle = xs[(draws[:, 0] * len(xs)).astype(np.int64)]
+    x, z = middle + (BAY - 1.0) * (draws[:, 1] - 0.5), (width - 1.6) * (draws[:, 2] - 0.5)
+    nearest = zs[np.abs(z[:, None] - zs).argmin(1)]
+    away = np.maximum(np.hypot(x - middle, z - nearest), 1e-6)
+    further = np.maximum(_CLEAR / away, 1.0)
+    places = np.stack([middle + (x - middle) * further, 0.0 * x, nearest + (z - nearest) * further], axis=1)
+    places[:, 1] = np.select([kind == 5, kind >= 6], [0.25, _HEIGHT - 0.35], 1.0 + 5.0 * draws[:, 3])
+    reach = float(np.clip(np.sqrt(_OVERLAP * length * width / (np.pi * count)), *_REACH))
+    number = (draws[:, 4] * len(_HUES)).astype(np.int64)
+    is_spot = kind == 7
+    lights = builder.lights
+    lights.sky, lights.ground = (0.026, 0.028, 0.040), (0.020, 0.017, 0.015)
+    lights.add_points(places[~is_spot], reach, _HUES[number[~is_spot]], 0.12 * reach**2)
+    aims = np.stack([draws[:, 3] - 0.5, 0.0 * x - 2.0, draws[:, 4] - 0.5], axis=1)
+    far = max(reach, _HEIGHT + 2.0)
+    lights.add_spots(places[is_spot], aims[is_spot], far, 0.14, 0.26, _HUES[number[is_spot]], 2.4 * far)
+    glow = np.array([builder.add_material(base_color=tuple(hue), emission=1.4) for hue in _HUES])
+    bulb = builder.add_mesh(shapes.sphere(8), "bulb")
+    size = 0.05 + 0.012 * reach
+    nodes = builder.add_nodes(multiply(translation(places), scaling((size, size, size))))
+    builder.add_objects(nodes, bulb, glow[number])
 
 
 def _add_cameras(builder: SceneBuilder, length: float, width: float) -> None:

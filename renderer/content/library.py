@@ -15,6 +15,7 @@ from renderer.content.city import CITY
 from renderer.content.grid import GRID
 from renderer.content.hall import HALL
 from renderer.content.models import FORMATS, load_model
+from renderer.content.night import NIGHT
 from renderer.content.specs import Generator
 from renderer.scene.camera import Camera
 from renderer.scene.paths import CameraPath
@@ -23,7 +24,9 @@ from rhi.errors import refuse
 
 __rhi_internal__ = True
 
-GENERATORS: Final[dict[str, Generator]] = {generator.name: generator for generator in (CITY, HALL, GRID)}
+GENERATORS: Final[dict[str, Generator]] = {
+    generator.name: generator for generator in (CITY, HALL, GRID, NIGHT)
+}
 """All scene generators by name."""
 
 

@@ -22,18 +22,24 @@ ROOF_UV: Final = (0.125, 0.125)
 
 _CELL = IMAGE_SIZE // WINDOWS
 
+NIGHT_WINDOWS: Final = 8
+"""The same in a facade's texture at night: lit windows that are repeated are seen from afar."""
+
+_PANES: Final = {
+    "punched": (0.26, 0.74, 0.20, 0.78),
+    "ribbon": (0.02, 0.98, 0.24, 0.76),
+    "glass": (0.05, 0.95, 0.07, 0.93),
+}
+"""Left, right, top and bottom edge of a window, as shares of its part of the facade."""
+
 
 def paint_facade(style: str, seed: int) -> ImagePixels:
     """Paint a facade of `WINDOWS` x `WINDOWS` windows, almost white, to be tinted by a material's base colour.
 
     Styles: "punched" windows in a wall, "ribbon" windows between bands, "glass" panes in thin frames.
     """
-    rng = np.random.default_rng([seed, ("punched", "ribbon", "glass").index(style)])
-    left, right, top, bottom = {
-        "punched": (0.26, 0.74, 0.20, 0.78),
-        "ribbon": (0.02, 0.98, 0.24, 0.76),
-        "glass": (0.05, 0.95, 0.07, 0.93),
-    }[style]
+    rng = np.random.default_rng([seed, list(_PANES).index(style)])
+    left, right, top, bottom = _PANES[style]
     wall = 0.86 + 0.05 * rng.standard_normal((IMAGE_SIZE // 4, IMAGE_SIZE // 4)).repeat(4, 0).repeat(4, 1)
     pixels = np.repeat(wall[..., None], 3, axis=2)
     ramp = np.linspace(1.15, 0.8, _CELL)[:, None, None]  # the sky is reflected in the upper part of a pane
@@ -51,6 +57,37 @@ def paint_facade(style: str, seed: int) -> ImagePixels:
     shutter = pixels[:_CELL, :_CELL]
     shutter[int(top * _CELL) : int(bottom * _CELL), int(left * _CELL) : int(right * _CELL)] = 0.52
     return _image(pixels)
+
+
+def paint_lit_facade(style: str, seed: int) -> ImagePixels:
+    """Paint a facade of `NIGHT_WINDOWS` x `NIGHT_WINDOWS` windows at night, for a material that emits light.
+
+    The walls are dark, so that they glow as faintly as under the sky of a city, and about a third of the windows are
+    bright. The first one is shuttered, as in `paint_facade`, and paints the roofs.
+    """
+    rng = np.random.default_rng([seed, 31, list(_PANES).index(style)])
+    cell = IMAGE_SIZE // NIGHT_WINDOWS
+    x0, x1, y0, y1 = (int(edge * cell) for edge in _PANES[style])
+    pixels = np.repeat(0.30 + 0.02 * rng.standard_normal((IMAGE_SIZE, IMAGE_SIZE, 1)), 3, axis=2)
+    lamps = np.array(_LAMPS[style == "glass"])
+    for row in range(NIGHT_WINDOWS):
+        busy = rng.random() < 0.3  # a storey where people work late
+        for column in range(NIGHT_WINDOWS):
+            window = pixels[row * cell + y0 : row * cell + y1, column * cell + x0 : column * cell + x1]
+            window[:] = np.array([0.09, 0.11, 0.15]) * rng.uniform(0.8, 1.2)
+            if rng.random() < (0.62 if busy else 0.26):
+                window[:] = lamps[rng.integers(len(lamps))] * rng.uniform(0.72, 1.0)
+                window[: int(rng.uniform(0.0, 0.5) * len(window))] *= 0.82  # a blind
+            window[:, (x1 - x0) // 2] *= 0.4
+    pixels[:cell, :cell] = 0.16
+    return _image(pixels)
+
+
+_LAMPS: Final = (
+    ((1.0, 0.80, 0.50), (1.0, 0.88, 0.66), (1.0, 0.72, 0.40), (0.92, 0.92, 0.86)),
+    ((0.94, 0.98, 1.0), (0.80, 0.92, 1.0), (1.0, 0.94, 0.80)),
+)
+"""Colours of lit windows, sRGB: of homes, and of offices."""
 
 
 def paint_street(street: float, seed: int) -> ImagePixels:

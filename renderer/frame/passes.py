@@ -24,6 +24,7 @@ from rhi import (
     Device,
     Encoder,
     FrontFace,
+    IndirectDraws,
     Program,
     QuerySet,
     State,
@@ -201,8 +202,7 @@ class TechniquePass:
         """Draw the objects `rows` (k,)."""
         resources = self._begin_batch(rows)
         self.drawn.add_batch(rows)
-        if len(rows) > 1:
-            rows = rows[np.argsort(self._find_farthest(rows), kind="stable")]
+        rows = self._sort(rows)
         for mirrored, winding in WINDINGS:
             part = rows[resources.find_winding(rows, mirrored=mirrored)]
             if part.size:
@@ -210,6 +210,26 @@ class TechniquePass:
                     self._device.draw_many(
                         self._program, resources.mesh, resources.draws[part], **self._bindings
                     )
+
+    def draw_alone(self, rows: NDArray[np.int64]) -> None:
+        """Draw the objects `rows` (k,) in a pass of their own. The commands are recorded when they come again, and then
+        only submitted; see `FrameBatch`."""
+        self.close()
+        resources = self._resources
+        resources.simulate(rows)
+        self.drawn.add_batch(rows)
+        rows = self._sort(rows)
+        parts = [rows[resources.find_winding(rows, mirrored=mirrored)] for mirrored, _ in WINDINGS]
+
+        def issue(encoder: Encoder, arguments: list[IndirectDraws | None]) -> None:
+            with self._begin(encoder, clears=not self.was_opened):
+                for (_, winding), draws in zip(WINDINGS, arguments, strict=True):
+                    if draws is not None:
+                        with encoder.states(winding):
+                            encoder.draw_indirect(self._program, resources.mesh, draws, **self._bindings)
+
+        self._view.batch.execute(self.key, resources.draws, parts, issue)
+        self.was_opened = True
 
     def draw_conditional(
         self, rows: NDArray[np.int64], queries: QuerySet, answers: NDArray[np.int64]
@@ -239,6 +259,12 @@ class TechniquePass:
         self.open()
         self._resources.simulate(rows)
         return self._resources
+
+    def _sort(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return objects front to back."""
+        if len(rows) > 1:
+            rows = rows[np.argsort(self._find_farthest(rows), kind="stable")]
+        return rows
 
     def _find_farthest(self, rows: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the depth of the farthest corner of each object's box."""

@@ -178,6 +178,7 @@ class SceneResources:
         self.light_rows = keep(MirroredArray(device, int, "light rows"))
         self._lit: tuple[NDArray[Any], ...] = ()  # the state that the light lists were made from
         self._listed: NDArray[np.int64] = np.zeros(0, np.int64)  # the light rows, as they are on the device
+        self._fixed_lists: tuple[NDArray[Any], ...] = ()  # those of the objects with fixed bounds
         self._reaching = (False, False)  # whether any point light is on a list, and any spot light
         self.ambient = keep(MirroredValue(device, _ambient(scene)))
         self.haze = keep(MirroredValue(device, _haze(scene)))
@@ -335,12 +336,17 @@ class SceneResources:
         positions = np.concatenate([lights.point["position"], lights.spot["position"]])
         ranges = np.concatenate([lights.point["range"], lights.spot["range"]]).astype(np.float64)
         rows, points = objects.following_rows, len(lights.point)
-        state = (np.array([points]), positions, ranges, objects.lower[rows], objects.upper[rows])
+        state = (positions, ranges, np.array([points]), objects.lower[rows], objects.upper[rows])
         if self._lit and all(map(np.array_equal, self._lit, state)):
             return False
+        fixed = objects.fixed_rows
+        if not self._lit or not all(map(np.array_equal, self._lit[:2], state)):
+            self._fixed_lists = list_lights(objects.lower[fixed], objects.upper[fixed], positions, ranges)
         self._lit = state
-        order = np.concatenate([objects.fixed_rows, rows])
-        ends, listed = list_lights(objects.lower[order], objects.upper[order], positions, ranges)
+        order = np.concatenate([fixed, rows])
+        ends, listed = self._fixed_lists
+        more, following = list_lights(objects.lower[rows], objects.upper[rows], positions, ranges)
+        ends, listed = np.concatenate([ends, ends[-1] + more[1:]]), np.concatenate([listed, following])
         is_spot = listed >= points
         spots = np.concatenate([[0], np.cumsum(is_spot)])[ends]
         self._rows["lights_begin"][order] = ends[:-1]

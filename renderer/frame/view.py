@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer import shaders
+from renderer.frame.batch import FrameBatch
 from renderer.frame.resources import MirroredValue, split_doubles
 from renderer.scene import Camera
 from renderer.visibility import VisibilityAlgorithm
@@ -26,11 +27,13 @@ class View:
     Attributes:
         name: what the view is called in plans and events.
         visibility: the algorithm; it may be exchanged between two frames.
+        batch: the draws of its first pass, if these are one batch.
     """
 
     def __init__(self, device: Device, name: str, visibility: VisibilityAlgorithm) -> None:
         self.name = name
         self.visibility = visibility
+        self.batch = FrameBatch(device)
         self._camera: Camera | None = None
         self._constants = MirroredValue(device, _constants(np.eye(4), np.zeros(3)))
 
@@ -51,7 +54,8 @@ class View:
         self._constants.write(_constants(camera.relative_view_projection, camera.position))
 
     def destroy(self) -> None:
-        """Destroy the buffer. The algorithm is not destroyed."""
+        """Destroy the buffers. The algorithm is not destroyed."""
+        self.batch.destroy()
         self._constants.destroy()
 
 

@@ -7,7 +7,7 @@ outer half angle. Ambient light is a hemisphere: sky colour from above, ground c
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from renderer import rules
+from renderer.scene.arrays import Floats, Rows
 from rhi.errors import refuse
 
 __rhi_internal__ = True
@@ -50,6 +51,8 @@ RELATIVE_SPOT: Final = np.dtype(
 )
 """64 bytes, std430; positions relative to the eye."""
 
+_LARGEST: Final = float(np.finfo(np.float32).max)
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class RelativeLights:
@@ -63,7 +66,7 @@ class RelativeLights:
 
 @dataclass(eq=False, slots=True)
 class Lights:
-    """All lights of a scene: added one by one, read as arrays.
+    """All lights of a scene: added one by one or as arrays, read as arrays.
 
     Attributes:
         directional, point, spot: (k,) of `DIRECTIONAL`, `POINT`, `SPOT`; may be written to.
@@ -85,8 +88,8 @@ class Lights:
         """Add light that travels along `direction`; returns its index."""
         call = "add_directional"
         light = np.zeros(1, DIRECTIONAL)
-        light["direction"] = _unit(call, direction)
-        light["color"], light["intensity"] = _color(call, color), _at_least_zero(call, "intensity", intensity)
+        light["direction"] = _units(call, direction, 1)
+        _fill(light, call, color=color, intensity=intensity)
         self.directional = np.concatenate([self.directional, light])
         return len(self.directional) - 1
 
@@ -98,10 +101,25 @@ class Lights:
         intensity: float = 1.0,
     ) -> int:
         """Add a point light, `position` and `range` in metres; returns its index."""
-        light = np.zeros(1, POINT)
-        _fill(light, "add_point", position, range, color, intensity)
-        self.point = np.concatenate([self.point, light])
-        return len(self.point) - 1
+        where = _numbers("add_point", "position", position, (1, 3))
+        return int(self._add_points("add_point", where, range, color, intensity)[0])
+
+    def add_points(
+        self, position: ArrayLike, range: ArrayLike, color: ArrayLike = (1, 1, 1), intensity: ArrayLike = 1.0
+    ) -> Rows:
+        """Add point lights at positions (k, 3); returns their indices (k,).
+
+        `range` and `intensity` are (k,) or one for all, `color` is (k, 3) or one for all.
+        """
+        return self._add_points("add_points", np.asarray(position, np.float64), range, color, intensity)
+
+    def _add_points(
+        self, call: str, position: Floats, range: ArrayLike, color: ArrayLike, intensity: ArrayLike
+    ) -> Rows:
+        lights = np.zeros(_count(call, position), POINT)
+        _fill(lights, call, position=position, range=range, color=color, intensity=intensity)
+        self.point = np.concatenate([self.point, lights])
+        return np.arange(len(self.point) - len(lights), len(self.point))
 
     def add_spot(
         self,
@@ -114,14 +132,50 @@ class Lights:
         intensity: float = 1.0,
     ) -> int:
         """Add a spot light with half angles 0 <= inner <= outer <= pi radians; returns its index."""
-        light = np.zeros(1, SPOT)
-        _fill(light, "add_spot", position, range, color, intensity)
-        light["direction"] = _unit("add_spot", direction)
-        if not 0.0 <= inner <= outer <= np.pi:
-            refuse(rules.BAD_LIGHT, "add_spot", f"inner={inner}, outer={outer}", "0 <= inner <= outer <= pi")
-        light["inner"], light["outer"] = inner, outer
-        self.spot = np.concatenate([self.spot, light])
-        return len(self.spot) - 1
+        where = _numbers("add_spot", "position", position, (1, 3))
+        added = self._add_spots("add_spot", where, direction, range, inner, outer, color, intensity)
+        return int(added[0])
+
+    def add_spots(
+        self,
+        position: ArrayLike,
+        direction: ArrayLike,
+        range: ArrayLike,
+        inner: ArrayLike,
+        outer: ArrayLike,
+        color: ArrayLike = (1, 1, 1),
+        intensity: ArrayLike = 1.0,
+    ) -> Rows:
+        """Add spot lights at positions (k, 3); returns their indices (k,).
+
+        `direction` and `color` are (k, 3) or one for all, all else is (k,) or one for all.
+        """
+        where = np.asarray(position, np.float64)
+        return self._add_spots("add_spots", where, direction, range, inner, outer, color, intensity)
+
+    def _add_spots(
+        self,
+        call: str,
+        position: Floats,
+        direction: ArrayLike,
+        range: ArrayLike,
+        inner: ArrayLike,
+        outer: ArrayLike,
+        color: ArrayLike,
+        intensity: ArrayLike,
+    ) -> Rows:
+        lights = np.zeros(_count(call, position), SPOT)
+        _fill(lights, call, position=position, range=range, color=color, intensity=intensity)
+        lights["direction"] = _units(call, direction, len(lights))
+        low = _numbers(call, "inner", inner, (len(lights),))
+        high = _numbers(call, "outer", outer, (len(lights),))
+        allowed = (low >= 0.0) & (low <= high) & (high <= np.pi)
+        if not allowed.all():
+            given = _describe(allowed, lambda row: f"inner={low[row]}, outer={high[row]}")
+            refuse(rules.BAD_LIGHT, call, given, "0 <= inner <= outer <= pi")
+        lights["inner"], lights["outer"] = low, high
+        self.spot = np.concatenate([self.spot, lights])
+        return np.arange(len(self.spot) - len(lights), len(self.spot))
 
     def relative_to(self, eye: ArrayLike) -> RelativeLights:
         """Return all lights in float32, with positions relative to `eye` (3,), subtracted in float64."""
@@ -136,38 +190,49 @@ class Lights:
         return RelativeLights(self.directional.copy(), point, spot)
 
 
-def _fill(
-    light: NDArray[Any],
-    call: str,
-    position: ArrayLike,
-    range: float,
-    color: Sequence[float],
-    intensity: float,
-) -> None:
-    where = np.asarray(position, np.float64)
-    if where.shape != (3,) or not np.isfinite(where).all():
-        refuse(rules.BAD_LIGHT, f"{call}(position=...)", position, "three finite numbers")
-    light["position"] = where
-    light["range"] = _at_least_zero(call, "range", range)
-    light["color"], light["intensity"] = _color(call, color), _at_least_zero(call, "intensity", intensity)
+def _count(call: str, position: Floats) -> int:
+    """Return the number of positions (k, 3)."""
+    if position.ndim != 2 or position.shape[1] != 3:
+        refuse(rules.BAD_LIGHT, f"{call}(position=...)", f"shape {position.shape}", "(k, 3)")
+    return len(position)
 
 
-def _at_least_zero(call: str, name: str, value: float) -> float:
-    if not 0.0 <= value < np.inf:
-        refuse(rules.BAD_LIGHT, f"{call}({name}=...)", value, "a finite number, 0 or more")
-    return value
+def _fill(lights: NDArray[Any], call: str, **values: ArrayLike) -> None:
+    """Set fields of `lights` (k,) to one value for each or one for all."""
+    for name, given in values.items():
+        least = -np.inf if name == "position" else 0.0
+        lights[name] = _numbers(call, name, given, lights[name].shape, least)
 
 
-def _color(call: str, color: Sequence[float]) -> NDArray[np.float64]:
-    given = np.asarray(color, np.float64)
-    if given.shape != (3,) or not (np.isfinite(given) & (given >= 0.0)).all():
-        refuse(rules.BAD_LIGHT, f"{call}(color=...)", color, "three finite numbers, 0 or more")
-    return given
+def _numbers(
+    call: str, name: str, given: ArrayLike, shape: tuple[int, ...], least: float = -np.inf
+) -> Floats:
+    """Return finite numbers of `shape`, (k,) or (k, 3), which are given for each light or once for all."""
+    values = np.asarray(given, np.float64)
+    kind = "a finite number" if len(shape) == 1 else "three finite numbers"
+    wanted = kind if least < 0.0 else f"{kind}, {least:g} or more"
+    if values.shape not in (shape, shape[1:]):
+        refuse(rules.BAD_LIGHT, f"{call}({name}=...)", f"shape {values.shape}", f"{wanted}, or shape {shape}")
+    rows = np.broadcast_to(values, shape)
+    fits = (np.abs(rows) <= _LARGEST) & (rows >= least)
+    allowed = np.asarray(fits if len(shape) == 1 else fits.all(1))
+    if not allowed.all():
+        refuse(rules.BAD_LIGHT, f"{call}({name}=...)", _describe(allowed, lambda row: f"{rows[row]}"), wanted)
+    return rows
 
 
-def _unit(call: str, direction: Sequence[float]) -> NDArray[np.float64]:
-    given = np.asarray(direction, np.float64)
-    if given.shape != (3,) or not np.isfinite(given).all() or not given.any():
-        refuse(rules.BAD_LIGHT, f"{call}(direction=...)", direction, "three finite numbers, not all 0")
-    scaled = given / np.abs(given).max()
-    return np.asarray(scaled / np.linalg.norm(scaled))
+def _units(call: str, direction: ArrayLike, count: int) -> Floats:
+    """Return unit vectors (count, 3) along directions, which are given for each light or once for all."""
+    given = _numbers(call, "direction", direction, (count, 3))
+    allowed = np.asarray(given.any(1))
+    if not allowed.all():
+        shown = _describe(allowed, lambda row: f"{given[row]}")
+        refuse(rules.BAD_LIGHT, f"{call}(direction=...)", shown, "three finite numbers, not all 0")
+    scaled = given / np.abs(given).max(axis=1, keepdims=True)  # no under- or overflow
+    return np.asarray(scaled / np.linalg.norm(scaled, axis=1, keepdims=True))
+
+
+def _describe(allowed: NDArray[np.bool_], show: Callable[[int], str]) -> str:
+    """Describe the first light whose value isn't `allowed` (k,)."""
+    row = int(allowed.argmin())
+    return show(row) if len(allowed) == 1 else f"{show(row)} in row {row}"

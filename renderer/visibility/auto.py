@@ -34,15 +34,13 @@ class AutoCulling:
     objects drawn has grown or shrunk by a factor of 1.5. After a trial there is none for a number of frames, which
     doubles each time that a trial has the same result.
 
-    The scene pass is opened for it, because most candidates need that.
-
     Attributes:
         latest: the algorithm of the latest frame, None before the first.
         names: the names of all candidates. candidates: those that were made, each when it is first tried.
         chosen: the name of the fastest, or during a trial of the one on trial.
     """
 
-    opens_pass: Final = False
+    opens_pass: Final = True
 
     def __init__(
         self,
@@ -90,7 +88,7 @@ class AutoCulling:
             self._begin_trial()
         if self._untried:
             return self._try_next(camera, scene_pass)
-        statistics = self._find(self.chosen).render(camera, scene_pass)
+        statistics = _render(self._find(self.chosen), camera, scene_pass)
         self._left -= 1
         self._drawn = self._drawn or statistics.visible
         if self._left < 0 and max(statistics.visible, self._drawn) > _CHANGED * min(
@@ -121,7 +119,7 @@ class AutoCulling:
         candidate = self._find(self.chosen)
         device.finish()
         began = perf_counter()
-        statistics = candidate.render(camera, scene_pass)
+        statistics = _render(candidate, camera, scene_pass)
         submitted = perf_counter()
         device.finish()
         done = perf_counter()
@@ -160,3 +158,10 @@ class AutoCulling:
             return False
         moved = float(np.linalg.norm(camera.position - then.position))
         return moved > self._reach or float(camera.forward @ then.forward) < _TURNED
+
+
+def _render(algorithm: VisibilityAlgorithm, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
+    """Draw what an algorithm draws, in an open pass if it doesn't open the pass itself."""
+    if not algorithm.opens_pass:
+        scene_pass.open()
+    return algorithm.render(camera, scene_pass)

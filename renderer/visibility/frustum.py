@@ -19,14 +19,14 @@ __rhi_internal__ = True
 class NoCulling:
     """Draws all objects: the reference that other algorithms are measured against."""
 
-    opens_pass: Final = False
+    opens_pass: Final = True
 
     def __init__(self, scene: Scene) -> None:
         self._rows: Rows = np.arange(len(scene.objects))
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw every object."""
-        scene_pass.draw(self._rows)
+        scene_pass.draw_alone(self._rows)
         return VisibilityStatistics(len(self._rows), len(self._rows))
 
     def destroy(self) -> None:
@@ -41,7 +41,7 @@ class FrustumCulling:
     gives for all objects.
     """
 
-    opens_pass: Final = False
+    opens_pass: Final = True
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
@@ -62,7 +62,7 @@ class FrustumCulling:
             visible = np.sort(np.concatenate([visible, moving[shown]]))
             counts = counts + CullingCounts(0, len(moving), len(moving) * len(planes))
         if len(visible):
-            scene_pass.draw(visible)
+            scene_pass.draw_alone(visible)
         return VisibilityStatistics(
             objects=len(objects),
             visible=len(visible),

@@ -1,6 +1,7 @@
 """The pass that a visibility algorithm draws the scene in, and the scene's arrays on the device.
 
-`ScenePass` is all that an algorithm gets of a renderer. An algorithm of the CPU is given an open pass and draws rows.
+`ScenePass` is all that an algorithm gets of a renderer. An algorithm of the CPU draws rows: all in a pass of their own,
+or in several batches in an open pass.
 One that runs on the device opens and closes the pass itself: it draws lists that the device has made, dispatches
 compute work between them, which has to happen outside of passes, and reads the pass's depth.
 
@@ -76,8 +77,17 @@ class ScenePass(Protocol):
         (`RepeatedCommands`)."""
         ...
 
+    def open(self) -> None:
+        """Begin the pass unless it is open."""
+        ...
+
     def close(self) -> None:
         """End the pass if it is open. The next draw opens it again."""
+        ...
+
+    def draw_alone(self, rows: Rows) -> None:
+        """Draw the objects `rows` (k,) in a pass of their own. Call it in each frame that draws nothing else: then the
+        commands are recorded once."""
         ...
 
     def draw(self, rows: Rows) -> None:
@@ -124,8 +134,15 @@ class CallbackPass:
         """Refused: there is no device."""
         self._refuse("key")
 
+    def open(self) -> None:
+        """Do nothing: there is no pass to begin."""
+
     def close(self) -> None:
         """Do nothing: there is no pass to end."""
+
+    def draw_alone(self, rows: Rows) -> None:
+        """Hand the rows (k,) to the function."""
+        self._draw(rows)
 
     def draw(self, rows: Rows) -> None:
         """Hand the rows (k,) to the function."""

@@ -47,7 +47,7 @@ def can_rasterise() -> bool:
 class SoftwareDepth:
     """Draws the objects that aren't behind the largest objects in view."""
 
-    opens_pass: Final = False
+    opens_pass: Final = True
 
     def __init__(self, scene: Scene, *, occluders: int = OCCLUDERS) -> None:
         """At most `occluders` objects are drawn as occluders. Raises `DeviceError` where there is no OpenCL
@@ -78,7 +78,7 @@ class SoftwareDepth:
         stalled = time.perf_counter() - begin
         visible = rows[visible_mask]
         if len(visible):
-            scene_pass.draw(visible)
+            scene_pass.draw_alone(visible)
         return VisibilityStatistics(
             objects=len(objects),
             visible=len(visible),

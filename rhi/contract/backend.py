@@ -187,6 +187,15 @@ class HoldsContext(Protocol):
         """Make the context current on no thread, so that another thread can call `make_current`."""
 
 
+class DatesTimestamps(Protocol):
+    """Optional part of the contract: when the CPU wrote timestamps, on the device's clock, so that the times of CPU and
+    GPU can be compared. This call isn't a command; no recorder keeps it."""
+
+    def read_issue_time(self, query: Id) -> int | None:
+        """Return when the latest `Backend.write_query` of a TIMESTAMP query was called, in nanoseconds on the clock of
+        its answer. Return None until it has an answer; never wait."""
+
+
 class PreparesKernels(Protocol):
     """Optional part of the contract: code for draws that is built before the first of them.
 

@@ -141,7 +141,8 @@ class SamplerDescriptor:
     """How a shader samples a texture.
 
     With `mip` None only level 0 is sampled; loads of single texels may still name any level. With `compare` it is a
-    depth comparison sampler, which returns 1 where `reference compare texel` is true.
+    depth comparison sampler, which returns 1 where `reference compare texel` is true. A `border` is clamped to the
+    range of the texture's format.
     """
 
     minify: Filter = Filter.LINEAR

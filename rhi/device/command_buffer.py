@@ -2,9 +2,11 @@
 
 - A `CommandBuffer` is an encoder with a core of its own: it has its own states, bindings and open pass, so several
   can be recorded at a time, each on one thread. Its backend is a `CommandWriter`; nothing reaches the device.
-- It starts from default states and ends balanced: no scope, pass, label or query is left open (`record-open`). Before
-  it is executed, the hardware is set to the default states; afterwards the device's cache adopts the states it ends
-  with. So state scopes have no effect across its border, in either direction.
+- It starts from default states and ends balanced: no scope, pass, label or query is left open (`record-open`). So state
+  scopes have no effect across its border, in either direction.
+- Nothing depends on states before its first draw. There the hardware is brought from whatever it has to that draw's
+  states, in place of the recorded change from the defaults, and at the end the device's cache adopts the states it
+  ends with. So a buffer that ends with the states of its first draw changes none when it is submitted again.
 - Commands refer to buffers and textures, whose contents are read at execution. Only data that is passed to the
   encoder itself (transient constants, vertices, arrays of draws) is copied, into an `Arena` that lives as long as the
   command buffer.
@@ -39,7 +41,7 @@ from rhi.device.core.interrupts import HeldInterrupts
 from rhi.device.core.state_cache import StateVector
 from rhi.device.core.timeline import Timeline
 from rhi.device.encoder import Encoder, check_drawable
-from rhi.device.queries.occlusion import Conditional, OcclusionQuery, OpenQuery
+from rhi.device.queries.occlusion import Conditional, OcclusionQuery, QueryScope
 from rhi.device.queries.sets import QuerySet
 from rhi.device.queries.timers import Timers
 from rhi.device.recording import RecordedProgram, RecordingCore
@@ -69,6 +71,7 @@ PreparedCall = tuple[Callable[..., object], tuple[Any, ...]]
 
 _EMPTY, _RECORDING, _READY, _INVALID = "not recorded", "being recorded", "recorded", "invalid after an error"
 _DEFAULTS: Final = StateVector(default_values())
+_NEED_STATES: Final = frozenset({Op.DRAW, Op.DRAW_INDIRECT})
 _CLOSES: Final = {
     Op.BEGIN_PASS: Op.END_PASS,
     Op.BEGIN_CONDITIONAL: Op.END_CONDITIONAL,
@@ -95,8 +98,9 @@ class CommandBuffer(Encoder):
         self._state = _EMPTY
         self._programs: dict[Program[Any], RecordedProgram] = {}
         self._calls: list[PreparedCall] | None = None
+        self._first_change: int | None = None  # the command that sets the states of the first draw
         self._destroyed_uses: dict[Id, str] = {}
-        self._draws = self._dispatches = self._queries = 0
+        self._draws = self._dispatches = self._queries = self._later_changes = 0
         self._owned: list[Id] = []
         weakref.finalize(self, _retire, device.timeline, self._owned).atexit = False
         device.timeline.watch(self)
@@ -148,7 +152,20 @@ class CommandBuffer(Encoder):
         statistics = core.statistics()
         self._draws, self._dispatches = statistics.draws, statistics.dispatches
         self._queries = statistics.queries
+        self._first_change = self._find_first_change()
         self._state = _READY
+
+    def _find_first_change(self) -> int | None:
+        """Return the number of the first command that sets states, -1 if a draw comes before any, None without
+        either."""
+        stream = self.stream
+        for number in range(len(stream)):
+            op = stream.entry(number)[0]
+            if op in _NEED_STATES:
+                return -1
+            if op is Op.SET_STATES:
+                return number
+        return None
 
     def _find_open(self) -> list[str]:
         """Return the texts of everything that is still open."""
@@ -280,16 +297,18 @@ class CommandBuffer(Encoder):
             self._calls = self._prepare_calls()
             device.counters.recorded_commands += len(self)
         device.program = None
-        device.send_states(_DEFAULTS)
+        if self._first_change == -1:
+            device.send_states(_DEFAULTS)
         calls = iter(self._calls)
         try:
             for call, arguments in calls:
                 call(*arguments)
-            device.adopt_states(core.states.hardware.values)
+            if self._first_change is not None:
+                device.adopt_states(core.states.hardware.values)
         except BaseException as error:
             self._clean_up(len(self._calls) - length_hint(calls) - 1, not isinstance(error, RhiError))
             raise
-        device.states.hardware_changes += core.states.hardware_changes
+        device.states.hardware_changes += self._later_changes
         device.states.software_changes += core.states.software_changes
         device.draws += self._draws
         device.dispatches += self._dispatches
@@ -326,7 +345,21 @@ class CommandBuffer(Encoder):
                 del core.vertex_arrays[key]
 
     def _prepare_calls(self) -> list[PreparedCall]:
-        """Return the commands as calls with their arguments."""
+        """Return the commands as calls with their arguments. The first change of states is made from what the hardware
+        has then, to the same states."""
+        device, stream = self._recorder.device, self.stream
+        calls = self._prepare_commands()
+        self._later_changes = self._recorder.states.hardware_changes
+        first = self._first_change
+        if first is not None and first >= 0:
+            (changes,) = stream[first].values
+            self._later_changes -= len(changes)
+            wanted = StateVector(tuple(stream.context(first + 1).states.values()))
+            calls[first] = device.send_states, (wanted,)
+        return calls
+
+    def _prepare_commands(self) -> list[PreparedCall]:
+        """Return the commands as calls of the backend."""
         device, data = self._recorder.device, self.stream.data
         backend = device.backend
         if isinstance(backend, Recorder):
@@ -382,15 +415,17 @@ class CommandBuffer(Encoder):
         for op, values in reversed(opened):
             with suppress(RhiError):  # fails again on a lost device
                 getattr(device.backend, op.method)(*(values if op is Op.END_QUERY else ()))
-        device.adopt_states(tuple(stream.context(done).states.values()))
+        if self._first_change is not None and done > self._first_change:
+            device.adopt_states(tuple(stream.context(done).states.values()))
         if interrupted:
             device.states.lose_hardware()
 
 
-class RecordedQuery:
+class RecordedQuery(QueryScope):
     """A `with commands.query(query):` block."""
 
-    __slots__ = ("_core", "_query", "_scope")
+    __slots__ = ("_core", "_query")
+    _core: RecordingCore
 
     def __init__(self, core: RecordingCore, query: OcclusionQuery) -> None:
         call = "commands.query"
@@ -400,7 +435,6 @@ class RecordedQuery:
         query.check_usable(core.device, call)
         self._core = core
         self._query = query
-        self._scope = OpenQuery(core)
 
     def __enter__(self) -> None:
         core, query, call = self._core, self._query, "commands.query"
@@ -413,15 +447,14 @@ class RecordedQuery:
             core.refuse(QUERY_STATE, call, "the same query twice in a command buffer", "each query once")
         for resource in query.ids:
             core.note_use(resource, query)
-        self._scope.owner = self
-        core.scopes.push(self._scope)
+        core.scopes.push(self)
         query.write_begin(core)
-        core.open_query = self._scope
+        core.open_query = self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._core.scopes.leave(self._scope, error)
+        self._core.scopes.leave(self, error)
 
     def complete(self) -> None:
         """End the query."""

@@ -619,7 +619,9 @@ class Device(Encoder):
         core.check_ready()
         if core.has_open_pass():
             core.refuse(PASS_OPEN, "device.present", "an open render pass")
-        core.scopes.refuse_open("device.present")
+        scopes = core.scopes
+        if scopes._index or scopes._cut:  # seldom
+            scopes.refuse_open("device.present")
         if image is not None:
             check = Arguments("device.present", core.refuse)
             check.instance("image", image, Texture, "a Texture, or None")

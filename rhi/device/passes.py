@@ -9,14 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from types import TracebackType
 from typing import Any, Final, TypeAlias, TypeVar, cast
-from weakref import ref
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rhi.contract.descriptors import Attachment, DepthAttachment, PassDescriptor, TextureKind, Vec4
 from rhi.device.core.core import NO_TARGETS, Core, describe_object, lost_pass
-from rhi.device.core.scopes import Bracket
+from rhi.device.core.scopes import Scope
 from rhi.device.resources.programs import shader_kind
 from rhi.device.resources.textures import Texture, TextureTarget
 from rhi.errors import DeviceError
@@ -42,40 +41,10 @@ Clear: TypeAlias = Color | Sequence[Color | None] | None
 _CLEAR: Final = "4 finite numbers: red, green, blue, alpha"
 
 
-class OpenPass(Bracket):
-    """The scope of a render pass.
-
-    Attributes:
-        lost: whether another context was current at the end of the pass.
-    """
-
-    __slots__ = ("_core", "_label", "lost")
-
-    def __init__(self, core: Core, block: RenderPass, label: str) -> None:
-        self.scopes = core.scopes
-        self.block = ref(block)
-        self._core = core
-        self._label = label
-        self.lost = False
-
-    def describe(self) -> str:
-        return f"render pass {self._label!r}" if self._label else "a render pass"
-
-    def finish(self, failed: bool) -> None:
-        core, scopes = self._core, self.scopes
-        index = scopes._index - 1  # from here on nothing may be interrupted before `end_pass`, so it calls nothing
-        scopes._data[index] = None
-        scopes._index = index
-        core.render_pass, core.targets, core.target_kinds, core.program = None, NO_TARGETS, (), None
-        core.backend.end_pass()
-        if self.lost and not failed:
-            core.refusals.fail(lost_pass())
-
-
-class RenderPass:
+class RenderPass(Scope):
     """A `with device.render_pass(...)` block."""
 
-    __slots__ = ("__weakref__", "_core", "_descriptor", "_kinds", "_open", "_resolves", "_textures")
+    __slots__ = ("_core", "_descriptor", "_kinds", "_lost", "_resolves", "_textures")
 
     def __init__(
         self,
@@ -89,7 +58,7 @@ class RenderPass:
         label: str,
     ) -> None:
         self._core = core
-        self._open = OpenPass(core, self, label)
+        self._lost = False  # whether another context was current at the end of the pass
         check = Arguments("device.render_pass", core.refuse)
         check.text("label", label)
         if clear_depth is not None:
@@ -137,11 +106,11 @@ class RenderPass:
         core.target_kinds = self._kinds
         core.render_pass = self._descriptor
         try:
-            core.scopes.push(self._open)
+            core.scopes.push(self)
             core.backend.begin_pass(self._descriptor)
         except BaseException:
             core.leave_pass()
-            core.scopes.withdraw(self._open)
+            core.scopes.withdraw(self)
             raise
 
     def __exit__(
@@ -153,20 +122,37 @@ class RenderPass:
             core.leave_pass()
             return
         try:
-            self._open.lost = core.resume()
+            self._lost = core.resume()
         except DeviceError:  # nothing can end it any more, and the device may be made current later
             core.leave_pass()
             core.open_query = None
-            core.scopes.withdraw(self._open)
+            core.scopes.withdraw(self)
             raise
         query = core.open_query
         abandoned = query is not None and core.scopes.top is query
         if query is not None and abandoned:
             query.cut_off()
-        core.scopes.leave(self._open, error)
+        core.scopes.leave(self, error)
         if abandoned and error is None:
             given, allowed = "an open occlusion query", "a query that ends in its pass"
             core.refuse(QUERY_STATE, "the end of a render pass", given, allowed)
+
+    def describe(self) -> str:
+        """Return the scope's text in messages."""
+        label = self._descriptor.label
+        return f"render pass {label!r}" if label else "a render pass"
+
+    def finish(self, failed: bool) -> None:
+        """Pop the scope, the innermost one, and end the pass."""
+        core = self._core
+        scopes = core.scopes
+        index = scopes._index - 1  # from here on nothing may be interrupted before `end_pass`, so it calls nothing
+        scopes._data[index] = None
+        scopes._index = index
+        core.render_pass, core.targets, core.target_kinds, core.program = None, NO_TARGETS, (), None
+        core.backend.end_pass()
+        if self._lost and not failed:
+            core.refusals.fail(lost_pass())
 
     def _check(
         self,

@@ -124,5 +124,5 @@ def _check_plan(core: Core, plan: DrawPlan) -> tuple[list[Format], Format | None
         core.refuse(DEVICE_ARGUMENT, _CALL, given, f"up to {most} color targets and 1 depth target")
     if len(counts) > 1:
         core.refuse(TEXTURE_SIZE, _CALL, f"targets of {sorted(counts)} samples", "the same for all of them")
-    vector = core.states.derive(tuple(plan.states))
+    vector, _ = core.states.derive(tuple(plan.states))
     return colors, depths[0] if depths else None, counts.pop() if counts else 1, vector

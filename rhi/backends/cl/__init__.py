@@ -26,15 +26,21 @@ def create_backend(*, validation: bool = False) -> ClBackend:
             `device-out-of-memory`.
     """
     try:
-        import pyopencl  # noqa: F401
+        import pyopencl
     except ImportError as error:
         raise DeviceError(
             DEVICE_DRIVER, "rhi.create_device('cl')", str(error), tip="pip install pyopencl"
         ) from error
+    from rhi.backends.cl.cache import choose_folder
+    from rhi.backends.cl.drivers import Loading
+
+    choose_folder()
+    loading = Loading(pyopencl._cl.__file__)
+    import rhi.shading.opencl.stages  # noqa: F401  # what the first shader needs
     from rhi.backends.cl.backend import ClBackend
     from rhi.backends.cl.context import open_context
     from rhi.backends.cl.errors import translate_errors
 
-    context = open_context()
+    context = open_context(loading)
     with translate_errors("rhi.create_device('cl')"):
         return ClBackend(context)

@@ -370,6 +370,10 @@ class ClBackend:
         queries = self._timestamps if self._kinds[query] is QueryKind.TIMESTAMP else self._sample_queries
         return queries.read(query)
 
+    def read_issue_time(self, query: Id) -> int | None:
+        """See `rhi.contract.backend.DatesTimestamps`."""
+        return self._timestamps.read_issue_time(query)
+
     @_reports_errors_as("device.conditional")
     def begin_conditional(self, query: Id, inverted: bool) -> None:
         self._rasteriser.begin_conditional(query, inverted)

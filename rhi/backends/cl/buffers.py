@@ -4,6 +4,8 @@
   is followed by padding, since vector loads may run past its end.
 - Data that the CPU writes is copied first, and the copy is kept until the device has read it (`Staging`). A write that
   is too large for that waits for the device.
+- What indirect draws read from a buffer that only the CPU writes is kept on the host from the first time on, so that
+  later ones don't wait for the device.
 - A STREAM buffer is host memory that kernels read in place, if the device can; writing it is then a plain copy. So is
   reading a READBACK buffer.
 """
@@ -26,6 +28,7 @@ from rhi.contract.descriptors import BufferDescriptor, BufferUsage, Id
 __rhi_internal__ = True
 
 _MAX_RANGES: Final = 4096
+_MAX_KNOWN: Final = 1 << 24  # size in bytes of a buffer whose contents are kept on the host
 
 
 class BufferMemory:
@@ -35,16 +38,18 @@ class BufferMemory:
         cl: OpenCL's buffer.
         host: the host memory that kernels read in place, or None.
         ranges: the sub-buffers that were bound, by offset and size.
-        device_wrote: whether a command or a shader may have written it; if not, `host` is what the CPU wrote last.
+        known: what the CPU wrote, if that is kept on the host, or None.
+        device_wrote: whether a command or a shader may have written it; if not, `host` or `known` is what it holds.
         read_in_place: whether reads take what `host` holds now, without waiting.
     """
 
-    __slots__ = ("cl", "device_wrote", "host", "ranges", "read_in_place", "size")
+    __slots__ = ("cl", "device_wrote", "host", "known", "ranges", "read_in_place", "size")
 
     def __init__(self, made: cl.Buffer, size: int, host: NDArray[np.uint8] | None = None) -> None:
         self.cl = made
         self.size = size
         self.host = host
+        self.known: NDArray[np.uint8] | None = None
         self.ranges: dict[tuple[int, int], cl.Buffer] = {}
         self.device_wrote = False
         self.read_in_place = False
@@ -106,6 +111,8 @@ class Buffers:
                 self._staging.add(event, len(source))
             else:
                 self._staging.clear()
+            if memory.known is not None:
+                memory.known[offset : offset + len(source)] = source
 
     def read(self, buffer: Id, offset: int, size: int) -> bytes:
         memory = self._buffers[buffer]
@@ -115,6 +122,18 @@ class Buffers:
         if size:
             cl.enqueue_copy(self._queue, data, memory.cl, src_offset=offset)
         return data.tobytes()
+
+    def find_known(self, buffer: Id) -> NDArray[np.uint8] | None:
+        """Return what a buffer holds, if the host knows it or may ask once and for all: if only the CPU writes it."""
+        memory = self._buffers[buffer]
+        if memory.device_wrote:
+            memory.known = None
+            return None
+        if memory.host is not None:
+            return memory.host
+        if memory.known is None and memory.size <= _MAX_KNOWN:
+            memory.known = np.frombuffer(bytearray(self.read(buffer, 0, memory.size)), np.uint8)
+        return memory.known
 
     def copy(self, source: Id, source_offset: int, target: Id, target_offset: int, size: int) -> None:
         if size:

@@ -5,8 +5,12 @@
 - PoCL trusts what it finds: a program that another process is just writing, or a damaged file, ends the process. So
   only one process at a time builds a program for the first time, and a record with the checksums of its files says that
   they are complete. Before a program is taken from the folder, its files are checked; damaged ones are removed.
-- PoCL's names of folders can't be computed. So each program contains a function whose name is its key, by which its
-  folder is found (`KernelCache.request`).
+- PoCL's names of folders can't be computed. So each program contains a function whose name contains its key, by which
+  its folder is found (`Request.write`).
+- To find a program by its source, PoCL runs its preprocessor: 6 to 20 ms. By LLVM code it finds it in 1 to 10. So a
+  source is compiled once to code that isn't linked yet, which is kept beside the record, and programs are made of it
+  (`context.build_cached`). PoCL has it under a key of its own. Where the driver doesn't take code, programs are built
+  from their sources.
 - When a device is closed that has written any, the programs used least recently are removed beyond `LIMIT` bytes.
 - Other drivers have no such folder. pyopencl caches their kernels.
 """
@@ -22,7 +26,7 @@ import time
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from functools import lru_cache
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Final, NamedTuple
 
@@ -42,8 +46,14 @@ _DRIVER_ENVIRONMENT: Final = "POCL_CACHE_DIR"
 _RECORDS: Final = "rhi"
 _COMMENT: Final = re.compile("//[^\n]*")
 _PROGRAM: Final = "program.bc"
+_CODE: Final = ".code"
+"""Suffix of the files of LLVM code, each of which begins with its checksum."""
+_CHECKSUM: Final = 4  # bytes
+_BUILT: Final = "built"
 _PLACES: Final = "[A-Z][A-Z]/*"
 """Where PoCL's folders of programs lie in the folder of compiled kernels."""
+_LEFT: Final = "tempfile_*"
+"""Empty files that PoCL leaves in the folder, one a process."""
 _TYPICAL: Final = 400_000  # bytes of a program whose record doesn't say
 _OLD: Final = 86400.0  # seconds after which locks and unfinished records are nobody's
 
@@ -73,24 +83,50 @@ def strip_comments(source: str) -> str:
     return _COMMENT.sub("", source)
 
 
-class Request(NamedTuple):
-    """A program as the driver is given it, and its key."""
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A program and its key, which tells it from others, and from itself on other drivers."""
 
     key: str
-    source: str
     options: tuple[str, ...]
+    source: str
+    declares: bool
+    marked: bool
+
+    def write(self, mark: str = _BUILT) -> tuple[str, tuple[str, ...]]:
+        """Return the source code and options that the driver is given, which counts lines as the caller does.
+
+        Args:
+            mark: what the program's folder is found by beside its key. One that is compiled without being linked has a
+                mark of its own (`make_mark`), so that nothing else is ever taken for it.
+        """
+        source, options = self.source, self.options
+        declarations = declare(strip_comments(source)) if self.declares else None
+        if declarations is not None:
+            source, options = f"{declarations}#line 1\n{source}", (*options, GUARD)
+        if self.marked:
+            name = f"rhi_{mark}_{self.key}"
+            source = f"{source}\nvoid {name}(void);\nvoid {name}(void) {{}}\n"
+        return source, options
 
 
-def _read(source: str, declares: bool) -> tuple[str, str | None]:
-    """Return a program without comments, and its declarations if it has some."""
-    text = strip_comments(source)
-    return text, declare(text) if declares else None
+class CachedProgram(NamedTuple):
+    """An undamaged program in the cache.
+
+    Attributes:
+        code: the LLVM code that it is made of; empty: it is built from its source.
+        kernels: those of which there is machine code.
+    """
+
+    code: bytes
+    kernels: frozenset[str]
 
 
 class KernelCache:
     """The compiled programs of one driver's version and device.
 
     Attributes:
+        takes_code: whether programs are made of LLVM code, as far as is known.
         declares: whether programs declare the functions that they use, instead of the driver's header
             (`rhi.backends.cl.declarations`).
     """
@@ -100,7 +136,7 @@ class KernelCache:
         self._folder = folder
         self._driver = driver
         self._written: set[str] = set()
-        self._read = lru_cache(maxsize=4)(_read)  # a program is looked up and then built, once or twice
+        self.takes_code = folder is not None
         self.declares = declares
 
     @property
@@ -109,39 +145,111 @@ class KernelCache:
         return self._folder is not None
 
     def request(self, source: str, options: Sequence[str]) -> Request:
-        """Return what the driver is given for a program: its key is in it, and the driver counts its lines as here."""
-        text, declarations = self._read(source, self.declares)
-        if declarations is not None:
-            options = (*options, GUARD)
-        whole = "\0".join((self._driver, *options, declarations or "", text))
+        """Return a program's request. Its key doesn't depend on comments, nor on how functions are declared."""
+        whole = "\0".join((self._driver, *options, strip_comments(source)))
         key = hashlib.sha256(whole.encode()).hexdigest()[:24]
-        if declarations is not None:
-            source = f"{declarations}#line 1\n{source}"
-        if self._folder is not None:
-            source = f"{source}\nvoid rhi_{key}(void);\nvoid rhi_{key}(void) {{}}\n"
-        return Request(key, source, tuple(options))
+        return Request(key, tuple(options), source, self.declares, self.works)
 
-    def knows(self, key: str, kernels: Sequence[str] = ()) -> bool:
-        """Return whether a program is there and undamaged, with machine code of these kernels."""
+    def find(self, key: str) -> CachedProgram | None:
+        """Return a program that is there and undamaged. What is damaged is removed."""
         if self._folder is None:
-            return False
+            return None
         record = self._folder / _RECORDS / key
-        place, files, _ = _read_record(self._folder, record)
+        if not record.exists():  # another process may be about to write it, and has kept the code
+            return None
+        place, files, checksum, _ = _read_record(self._folder, record)
         try:
             complete = place is not None and all(
-                zlib.crc32((place / name).read_bytes()) == checksum for name, checksum in files.items()
+                zlib.crc32((place / name).read_bytes()) == expected for name, expected in files.items()
             )
         except OSError:
             complete, place = False, None
-        if not complete:
-            with suppress(OSError):
-                record.unlink()
-            if place is not None:
-                shutil.rmtree(place, ignore_errors=True)
-            return False
+        code = self.read_code(key) if complete and checksum is not None else None
+        if not complete or (checksum is not None and (code is None or zlib.crc32(code) != checksum)):
+            self._remove(key, place)
+            return None
         with suppress(OSError):
             os.utime(record)
-        return {name.split("/")[0] for name in files}.issuperset(kernels)
+        return CachedProgram(code or b"", frozenset(name.split("/")[0] for name in files if "/" in name))
+
+    def knows(self, key: str, kernels: Sequence[str] = ()) -> bool:
+        """Return whether a program is there and undamaged, with machine code of these kernels."""
+        stored = self.find(key)
+        return stored is not None and stored.kernels.issuperset(kernels)
+
+    def choose(self, request: Request) -> tuple[str | bytes, tuple[str, ...]]:
+        """Return what a program is built from, and the options: its LLVM code if that is there, else its source."""
+        code = self.read_code(request.key)
+        return (code, request.options) if code is not None else request.write()
+
+    def read_code(self, key: str) -> bytes | None:
+        """Return a program's LLVM code, or None if there is none. It is removed if it is damaged."""
+        if self._folder is None:
+            return None
+        path = self._code_path(key)
+        try:
+            content = path.read_bytes()
+        except OSError:
+            return None
+        code = content[_CHECKSUM:]
+        if code and content == _seal(code):
+            return code
+        with suppress(OSError):
+            path.unlink()
+        return None
+
+    def keep_code(self, key: str, mark: str) -> bytes | None:
+        """Keep the LLVM code of a program that was compiled with this mark, and return it; None if there is none."""
+        if self._folder is None:
+            return None
+        place = self._search(f"rhi_{mark}_{key}".encode())
+        if place is None:
+            self.takes_code = False  # a version of the driver that keeps it elsewhere
+            return None
+        try:
+            code = (place / _PROGRAM).read_bytes()
+            if self.read_code(key) is None:  # no other process was first
+                self._write(self._code_path(key), _seal(code))
+            shutil.rmtree(place)
+        except OSError:
+            return None
+        return self.read_code(key)
+
+    def drop_code(self, key: str) -> None:
+        """Remove LLVM code that the driver doesn't take."""
+        self.takes_code = False
+        if self._folder is not None:
+            with suppress(OSError):
+                self._code_path(key).unlink()
+
+    def forget(self, key: str) -> None:
+        """Remove a program that the driver doesn't take."""
+        if self._folder is not None:
+            place, *_ = _read_record(self._folder, self._folder / _RECORDS / key)
+            self._remove(key, place)
+
+    def _code_path(self, key: str) -> Path:
+        assert self._folder is not None
+        return self._folder / _RECORDS / f"{key}{_CODE}"
+
+    def _write(self, path: Path, content: bytes) -> None:
+        """Write a file that others never see in part.
+
+        Raises:
+            OSError: it can't be written.
+        """
+        fresh = path.with_suffix(f".{os.getpid()}.{time.monotonic_ns()}")
+        fresh.write_bytes(content)
+        fresh.replace(path)
+
+    def _remove(self, key: str, place: Path | None) -> None:
+        """Remove a program's record and files."""
+        assert self._folder is not None
+        for path in (self._folder / _RECORDS / key, self._code_path(key)):
+            with suppress(OSError):
+                path.unlink()
+        if place is not None:
+            shutil.rmtree(place, ignore_errors=True)
 
     def find_lock(self, key: str) -> str:
         """Return the path of the file that is locked while a program is built for the first time; empty for none."""
@@ -167,7 +275,10 @@ class KernelCache:
         """Record that a program's files are complete."""
         if self._folder is None:
             return
-        place = self._find(key)
+        code = self.read_code(key)
+        place, *_ = _read_record(self._folder, self._folder / _RECORDS / key)
+        if place is None or not (place / _PROGRAM).is_file():
+            place = self._search(_find_name(key, code), code)
         if place is None:
             return
         files = {
@@ -175,21 +286,17 @@ class KernelCache:
             for path in (place / _PROGRAM, *place.glob("*/*/*.so"))
         }
         record = self._folder / _RECORDS / key
-        size = sum(path.stat().st_size for path in place.rglob("*") if path.is_file())
-        text = json.dumps({"folder": str(place.relative_to(self._folder)), "files": files, "bytes": size})
-        fresh = record.with_suffix(f".{os.getpid()}.{time.monotonic_ns()}")
+        size = sum(path.stat().st_size for path in place.rglob("*") if path.is_file()) + len(code or b"")
+        described: dict[str, object] = {"folder": str(place.relative_to(self._folder)), "files": files, "bytes": size}
+        if code is not None:
+            described["code"] = zlib.crc32(code)
         with suppress(OSError):
-            fresh.write_text(text)
-            fresh.replace(record)
+            self._write(record, json.dumps(described).encode())
         self._written.add(key)
 
-    def _find(self, key: str) -> Path | None:
-        """Return the folder of a program."""
+    def _search(self, name: bytes, code: bytes | None = None) -> Path | None:
+        """Return the driver's folder of the program that has a function of this name and isn't `code` itself."""
         assert self._folder is not None
-        known, *_ = _read_record(self._folder, self._folder / _RECORDS / key)
-        if known is not None and (known / _PROGRAM).is_file():
-            return known
-        name = f"rhi_{key}".encode()
         places: list[tuple[float, Path]] = []
         for place in self._folder.glob(_PLACES):
             with suppress(OSError):
@@ -197,7 +304,8 @@ class KernelCache:
         # Nearly always it was written just now. Older ones were left by a process that ended before it recorded them.
         for _, place in sorted(places, reverse=True):
             with suppress(OSError):
-                if name in (place / _PROGRAM).read_bytes():
+                content = (place / _PROGRAM).read_bytes()
+                if name in content and content != code:
                     return place
         return None
 
@@ -217,23 +325,45 @@ class KernelCache:
         for record in (folder / _RECORDS).iterdir():
             with suppress(OSError):
                 used = record.stat().st_mtime
-                place, _, size = _read_record(folder, record)
+                place, _, _, size = _read_record(folder, record)
                 if place is not None:
                     found.append((used, size, record, place))
-                elif used < time.time() - _OLD:
+                elif used < time.time() - _OLD and not (
+                    record.suffix == _CODE and record.with_suffix("").exists()
+                ):
                     record.unlink()
         total = sum(size for _, size, _, _ in found)
         for _, size, record, place in sorted(found):
             if total <= LIMIT:
                 break
-            with suppress(OSError):
-                record.unlink()
-            shutil.rmtree(place, ignore_errors=True)
+            self._remove(record.name, place)
             total -= size
+        for path in folder.glob(_LEFT):
+            with suppress(OSError):
+                status = path.stat()
+                if status.st_size == 0 and status.st_mtime < time.time() - _OLD:
+                    path.unlink()
 
 
-def _read_record(folder: Path, record: Path) -> tuple[Path | None, dict[str, int], int]:
-    """Return the folder of a record's program, the checksums of its files by their names, and the bytes of the folder.
+def make_mark() -> str:
+    """Return a mark that no other program has, in no process."""
+    return os.urandom(8).hex()
+
+
+def _find_name(key: str, code: bytes | None) -> bytes:
+    """Return the name of the function that a program's folder is found by; `code`: what it is made of, if anything."""
+    found = None if code is None else re.search(rf"rhi_[0-9a-f]+_{key}".encode(), code)
+    return f"rhi_{_BUILT}_{key}".encode() if found is None else found[0]
+
+
+def _seal(code: bytes) -> bytes:
+    """Return LLVM code behind its checksum."""
+    return zlib.crc32(code).to_bytes(_CHECKSUM, "little") + code
+
+
+def _read_record(folder: Path, record: Path) -> tuple[Path | None, dict[str, int], int | None, int]:
+    """Return the folder of a record's program, the checksums of its files by their names, that of the LLVM code that it
+    is made of if it is, and its bytes.
 
     The folder is None for a record that is damaged or unfinished, or that names another place than PoCL's folders: what
     it names may be removed, and records can come from elsewhere.
@@ -242,9 +372,10 @@ def _read_record(folder: Path, record: Path) -> tuple[Path | None, dict[str, int
         known = json.loads(record.read_bytes())
         name = PurePosixPath(known["folder"])
         files = {str(path): int(checksum) for path, checksum in known["files"].items()}
-        size = int(known.get("bytes", _TYPICAL))
+        code, size = known.get("code"), int(known.get("bytes", _TYPICAL))
+        checksum = None if code is None else int(code)
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return None, {}, 0
+        return None, {}, None, 0
     if record.suffix or name.is_absolute() or ".." in name.parts or not name.match(_PLACES) or len(name.parts) != 2:
-        return None, {}, 0
-    return folder / name, files, size
+        return None, {}, None, 0
+    return folder / name, files, checksum, size

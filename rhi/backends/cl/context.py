@@ -13,6 +13,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, NoReturn
@@ -21,7 +22,8 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from rhi.backends.cl.cache import KernelCache, Request, choose_folder
+from rhi.backends.cl.cache import CachedProgram, KernelCache, Request, choose_folder, make_mark
+from rhi.backends.cl.drivers import Loading
 from rhi.backends.cl.errors import shorten
 from rhi.backends.cl.workers import list_threads, spread_threads
 from rhi.errors import DeviceError
@@ -81,16 +83,20 @@ class ClContext:
 
     def compile(self, source: str, options: Sequence[str] = ()) -> cl.Program:
         """Build a program (`build`), which is looked for and kept in the cache."""
-        return build_cached(self.context, self.cache, self.cache.request(source, options))
+        request = self.cache.request(source, options)
+        return build_cached(self.context, self.cache, request, self.cache.find(request.key))
 
 
-def open_context() -> ClContext:
+def open_context(loading: Loading | None = None) -> ClContext:
     """Open the first device that works.
+
+    Args:
+        loading: the drivers, if they are being loaded.
 
     Raises:
         DeviceError: `device-driver`, with the reason why each device was passed over, and what to install.
     """
-    threads = list_threads()
+    threads = list_threads() if loading is None else loading.finish()
     folder = choose_folder()
     devices = find_devices()
     wanted = os.environ.get(ENVIRONMENT, "")
@@ -189,13 +195,15 @@ def probe(context: cl.Context, queue: cl.CommandQueue, cache: KernelCache) -> tu
         pyopencl.Error: the kernel can't be built or run.
         RuntimeError: the kernel computes wrong numbers.
     """
+    request = cache.request(_PROBE, QUICK)
+    stored = cache.find(request.key)
     try:
-        program = build_cached(context, cache, cache.request(_PROBE, QUICK))
+        program = build_cached(context, cache, request, stored)
     except cl.Error:
         if not cache.declares:
             raise
         cache.declares = False  # a version of the driver that can't do without its header
-        program = build_cached(context, cache, cache.request(_PROBE, QUICK))
+        program = build_cached(context, cache, cache.request(_PROBE, QUICK), stored)
     kernel = cl.Kernel(program, "probe")
     words = allocate_pages(_COUNT * 4 + 4).view(np.uint32)
     flags = cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR
@@ -217,14 +225,40 @@ def probe(context: cl.Context, queue: cl.CommandQueue, cache: KernelCache) -> tu
     return program, shows and np.array_equal(seen[:_COUNT], 21 + ramp) and np.array_equal(words, seen)
 
 
-def build_cached(context: cl.Context, cache: KernelCache, request: Request) -> cl.Program:
-    """Build a program, which is looked for and kept in the cache."""
-    if cache.knows(request.key):
-        return build(context, request.source, request.options)
+def build_cached(
+    context: cl.Context, cache: KernelCache, request: Request, stored: CachedProgram | None
+) -> cl.Program:
+    """Build a program, or make it of the driver's LLVM code; `stored`: what the cache has of it. If that is nothing, it
+    is kept there."""
+    if stored is not None and not stored.code:
+        return build(context, *request.write())
+    if stored is not None:
+        with suppress(cl.Error):
+            return build_again(context, stored.code, request.options)
+        cache.forget(request.key)
     with cache.writing(request.key):
-        program = build(context, request.source, request.options)
+        code = cache.read_code(request.key)
+        if code is None and cache.takes_code:
+            with suppress(cl.Error):  # the build tells of it
+                mark = make_mark()
+                compile_only(context, *request.write(mark))
+                code = cache.keep_code(request.key, mark)
+        try:
+            program = build_again(context, code, request.options) if code else None
+        except cl.Error:
+            cache.drop_code(request.key)
+            program = None
+        if program is None:
+            program = build(context, *request.write())
         cache.record(request.key)
     return program
+
+
+def compile_only(context: cl.Context, source: str, options: Sequence[str]) -> None:
+    """Compile a program, which isn't linked. Warnings are suppressed."""
+    with warnings.catch_warnings():  # pyopencl's own, too, which has no cache for that
+        warnings.simplefilter("ignore")
+        cl.Program(context, source).compile([SILENT, *options])
 
 
 def build(context: cl.Context, source: str, options: Sequence[str]) -> cl.Program:
@@ -234,9 +268,11 @@ def build(context: cl.Context, source: str, options: Sequence[str]) -> cl.Progra
         return build_again(context, source, options)
 
 
-def build_again(context: cl.Context, source: str, options: Sequence[str]) -> cl.Program:
-    """Build a program that built before. Unlike `build` safe in any thread, since warning filters are process-wide."""
-    built: cl.Program = cl.Program(context, source).build([SILENT, *options])
+def build_again(context: cl.Context, text: str | bytes, options: Sequence[str]) -> cl.Program:
+    """Build a program that built before, from its source or from the driver's LLVM code. Unlike `build` safe in any
+    thread, since warning filters are process-wide."""
+    program = cl.Program(context, text) if isinstance(text, str) else cl.Program(context, context.devices, [text])
+    built: cl.Program = program.build([SILENT, *options])
     return built
 
 

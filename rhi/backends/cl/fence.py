@@ -3,7 +3,8 @@
 - A marker is complete when all commands before it are. PoCL completes it without a flush, other drivers need one.
 - When the device reaches a fence value, the staged copies and retired memory before it are released; when the CPU has
   waited for the whole queue, all of them.
-- A timestamp is the completion time of its marker on the device's clock, in nanoseconds.
+- A timestamp is the completion time of its marker on the device's clock, in nanoseconds. On the same clock OpenCL says
+  when the CPU has enqueued the marker.
 """
 
 from __future__ import annotations
@@ -109,6 +110,11 @@ class Timestamps:
 
     def write(self, query: Id) -> None:
         self._markers[query] = cl.enqueue_marker(self._queue)
+
+    def read_issue_time(self, query: Id) -> int | None:
+        """Return when the CPU wrote a timestamp, on the device's clock; None until it has an answer."""
+        marker = self._markers[query]
+        return None if marker is None or self.read(query) is None else int(marker.profile.queued)
 
     def read(self, query: Id) -> int | None:
         marker = self._markers[query]

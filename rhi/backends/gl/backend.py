@@ -586,6 +586,10 @@ class GlBackend:
             self._activate()
         return self._queries.read(query)
 
+    def read_issue_time(self, query: Id) -> int | None:
+        """See `rhi.contract.backend.DatesTimestamps`."""
+        return None if self.read_query(query) is None else self._queries[query].issued
+
     def begin_conditional(self, query: Id, inverted: bool) -> None:
         if not self._is_current:
             self._activate()

@@ -123,6 +123,8 @@ class GlQuery:
     end: CounterValue | None = None
     is_pending: bool = False
     """Whether GL's query began and isn't known to be finished."""
+    issued: int = 0
+    """GL's time when a timestamp was written."""
 
 
 class Queries:
@@ -234,6 +236,7 @@ class Queries:
     def write(self, query: Id) -> None:
         gl_query = self._queries[query]
         if gl_query.kind is QueryKind.TIMESTAMP:
+            gl_query.issued = self._gl.get_integer(enums.TIMESTAMP)
             self._gl.QueryCounter(gl_query.name, enums.TIMESTAMP)
         else:
             gl_query.end = self._counter.take()

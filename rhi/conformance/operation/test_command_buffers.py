@@ -20,6 +20,7 @@ from rhi import (
     ColorWrite,
     CommandBuffer,
     CullMode,
+    DepthWrite,
     Device,
     Encoder,
     Format,
@@ -234,6 +235,12 @@ def scene(encoder: Encoder, device: Device, image: Texture, program: Any, mesh: 
                 encoder.draw(program, mesh.view(6 * i, 6), tint=tints[i])
 
 
+def draw_plainly(encoder: Encoder, image: Texture, program: Any, mesh: Any, tints: Any) -> None:
+    """Draw with the default states."""
+    with encoder.render_pass(image):
+        encoder.draw(program, mesh, tint=tints[0])
+
+
 def make_scene(device: Device) -> tuple[Any, ...]:
     """Return a program, a mesh of eight columns, and a tint for each column."""
     tints = device.uniform_array(Tint, 8)
@@ -261,13 +268,13 @@ def test_the_same_commands_are_issued_as_directly(recording: Device) -> None:
     program, mesh, tints = make_scene(recording)
     with recording.texture(SIZE, Format.RGBA8) as image:
         scene(recording, recording, image, program, mesh, tints)  # creates resources on first use
-        empty = record(recording, lambda c: None)
-        recording.submit(empty)  # resets the states to the defaults
+        plain = record(recording, lambda c: draw_plainly(c, image, program, mesh, tints))
+        recording.submit(plain)  # leaves the default states
         since = len(recording.stream)
         commands = record(recording, lambda c: scene(c, recording, image, program, mesh, tints))
         recording.submit(commands)
         later = [(command.op, command.values) for command in recording.stream[since:]]
-        recording.submit(empty)
+        recording.submit(plain)
         since = len(recording.stream)
         scene(recording, recording, image, program, mesh, tints)
         assert later == [(command.op, command.values) for command in recording.stream[since:]]
@@ -507,7 +514,43 @@ def test_draws_are_counted_at_each_submission(device: Device) -> None:
         statistics = device.statistics
         assert statistics.draws == 4
         assert statistics.software_state_changes == 2
-        assert statistics.hardware_state_changes >= 2
+
+
+@draws
+def test_a_submission_changes_only_the_states_that_its_draws_need(device: Device) -> None:
+    """A frame that ends with the states that it begins with changes none when it comes again."""
+    opaque = (CullMode.NONE, DepthWrite.OFF)
+    with device.texture(SIZE, Format.R8) as image, device.mesh(rectangle()) as mesh:
+        program = device.program(Colored)
+
+        def draw(*lists: tuple[Any, ...]) -> CommandBuffer:
+            with device.record() as commands, commands.render_pass(image, clear=(0, 0, 0, 0)):
+                for states in lists:
+                    with commands.states(*states):
+                        commands.draw(program, mesh)
+            return commands
+
+        def count(*buffers: CommandBuffer) -> list[int]:
+            counts = []
+            for buffer in buffers:
+                before = device.statistics.hardware_state_changes
+                device.submit(buffer)
+                counts.append(device.statistics.hardware_state_changes - before)
+            return counts
+
+        plain, steady, nothing = draw(()), draw(opaque, opaque), draw()
+        mixed, front = draw((), opaque), draw((CullMode.FRONT, DepthWrite.OFF))
+        device.submit(plain)
+        assert count(steady, steady, steady) == [2, 0, 0]
+        assert count(nothing, steady) == [0, 0], "without draws, states don't matter"
+        assert count(plain, plain, steady) == [2, 0, 2]
+        assert count(front, front, steady) == [1, 0, 1]
+        assert count(mixed, mixed, plain) == [4, 4, 2], "its first draw needs others than its last"
+        device.submit(steady)
+        with device.render_pass(image), device.states(*opaque):
+            before = device.statistics.hardware_state_changes
+            device.draw(program, mesh)
+        assert device.statistics.hardware_state_changes == before, "the device knows what the buffer left"
 
 
 # -- queries -----------------------------------------------------------------------------------------------

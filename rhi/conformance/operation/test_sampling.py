@@ -323,6 +323,29 @@ def test_a_border_mixes_in_under_a_linear_filter(device: Device) -> None:
     assert_near(back[:, 0], (0.5, 0, 1), 1 / 256, FILTERED)
 
 
+@pytest.mark.needs("border_colors")
+@pytest.mark.parametrize(
+    ("format", "expected"),
+    [
+        (Format.RGBA32F, (-0.5, 2.0, -3.0)),
+        (Format.R11G11B10F, (0.0, 2.0, 0.0)),
+        (Format.RGBA8, (0.0, 1.0, 0.0)),
+        (Format.RGBA8_SNORM, (-0.5, 1.0, -1.0)),
+    ],
+    ids=identity,
+)
+def test_a_border_is_clamped_to_what_its_format_can_hold(
+    device: Device, format: Format, expected: tuple[float, ...]
+) -> None:
+    descriptor = SamplerDescriptor(
+        Filter.NEAREST, Filter.NEAREST, None, Wrap.BORDER, Wrap.BORDER, border=(-0.5, 2.0, -3.0, 1.0)
+    )
+    with device.texture((1, 1), format) as texture:
+        back = sampled(device, Sample2D, texture.sampled(descriptor), [(-1.0, 0.5), (0.5, 0.5)])
+    assert_near(back[0, :3], expected, 1 / 127, "8 bits")
+    assert_near(back[1, :3], (0.0, 0.0, 0.0), 0.0, "zeroed")
+
+
 def test_w_wraps_too(device: Device) -> None:
     data = np.arange(4, dtype=np.uint8).reshape(4, 1, 1, 1) * 60
     descriptor = SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, None, wrap_w=Wrap.MIRROR)

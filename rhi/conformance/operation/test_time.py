@@ -266,6 +266,37 @@ def test_work_takes_time(device: Device) -> None:
 
 
 @pytest.mark.needs("timestamps")
+def test_nodes_say_when_cpu_and_gpu_worked_on_one_clock(device: Device) -> None:
+    """A frame is executed after it is issued, and what is issued after a wait comes after all of that."""
+    trees = []
+    for _ in range(3):
+        device.present()
+        frame(device)
+        device.present()
+        device.finish()
+        trees += device.timers
+    if trees[0].cpu_span is None:
+        assert {(root.cpu_span, root.gpu_span) for root in trees} == {(None, None)}
+        pytest.skip("the backend doesn't date timestamps")
+    slack = 1e-3
+    latest = 0.0
+    for root in trees:
+        for node in (root, *root.children, *root.children[1].children):
+            assert node.cpu_span is not None
+            assert node.gpu_span is not None
+            assert latest <= node.cpu_span[0] + slack
+            assert node.cpu_span[0] <= node.cpu_span[1]
+            assert node.gpu_span[0] <= node.gpu_span[1]
+            for issued, executed in zip(node.cpu_span, node.gpu_span, strict=True):
+                assert issued <= executed + slack
+            took = node.gpu_span[1] - node.gpu_span[0]
+            assert abs(took - node.gpu_milliseconds) < slack
+            assert f"gpu {node.gpu_span[0]:.3f} … {node.gpu_span[1]:.3f} ms" in node.format()
+        assert root.gpu_span is not None
+        latest = root.gpu_span[1]
+
+
+@pytest.mark.needs("timestamps")
 def test_each_frame_has_a_tree_of_its_own(device: Device) -> None:
     for name in ("one", "two", "three"):
         with device.event(name):

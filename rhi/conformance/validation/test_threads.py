@@ -204,7 +204,8 @@ when it is used. (A member that isn't documented for users, such as `bind_unifor
 INNER = {
     "Program": "bind bind_current check check_can_dispatch check_can_draw check_instances check_names "
     "draw_unprepared draw_with explain find_vertex_array make_current note_retired prepare_draw",
-    "OcclusionQuery": "abandon check_ended check_usable complete discard_answer mark_submitted write_begin write_end",
+    "OcclusionQuery": "abandon check_ended check_usable complete cut_off describe discard_answer find_block finish "
+    "mark_submitted write_begin write_end",
     "QuerySet": "check_conditions check_ended check_rows counted discard_answer draw draw_conditional mark_rows_drawn "
     "mark_rows_submitted mark_submitted",
     "TransientMemory": "mark note_retired place_mesh",

@@ -22,7 +22,7 @@ from rhi.contract.states import AlphaTest
 from rhi.device.core.interrupts import HeldInterrupts
 from rhi.device.core.readback_pool import ReadbackPool
 from rhi.device.core.refusals import RefusalLog
-from rhi.device.core.scopes import Bracket
+from rhi.device.core.scopes import Scope
 from rhi.device.core.state_cache import StateCache, StateVector
 from rhi.device.core.timeline import Timeline
 from rhi.errors import DeviceError, Rule
@@ -205,10 +205,10 @@ class Core:
         self.closed = False
         self.created: list[Id] | None = None
         self.thread = get_ident()
-        self._context = _find_context(backend)
+        self._context = cast("HoldsContext | None", find_part(backend, "release_current"))
         self.program: object | None = None
         self.render_pass: PassDescriptor | None = None
-        self.open_query: Bracket | None = None
+        self.open_query: Scope | None = None
         self.condition_open = False
         self.condition_count = 0
         self.targets = NO_TARGETS
@@ -509,12 +509,12 @@ class ValidatingCore(Core):
     check_command = Core.check_ready
 
 
-def _find_context(backend: Backend) -> HoldsContext | None:
-    """Return the backend that holds a context, behind any recorder, or None."""
+def find_part(backend: Backend, method: str) -> object | None:
+    """Return the backend that has a method of an optional part of the contract, behind any recorder, or None."""
     inner: object = backend
-    while inner is not None and not hasattr(inner, "release_current"):
+    while inner is not None and not hasattr(inner, method):
         inner = getattr(inner, "backend", None)
-    return cast("HoldsContext | None", inner)
+    return inner
 
 
 def lost_pass() -> DeviceError:

@@ -1,7 +1,8 @@
 """The open scopes of a device or command buffer, in one stack: states, passes, events, conditions and queries.
 
-Scopes nest, whatever their kinds. Most are left as the innermost one, and then only pop themselves. Two things can go
-wrong, and `OpenScopes` mends both in one place:
+Scopes nest, whatever their kinds. The entries of the stack are the `with` blocks themselves, so that a scope makes no
+object more than it would alone. Most are left as the innermost one, and then only pop themselves, without a call. Two
+things can go wrong, and `OpenScopes` mends both in one place:
 
 - **A scope is left while scopes inside it are open**: one that a generator holds, for example, which is closed inside
   another scope. This is refused (`scope-order`), unless an exception is on its way that the refusal would hide. The
@@ -17,32 +18,30 @@ A scope that ended before its block leaves quietly.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from sys import getrefcount
-from typing import Final
-from weakref import WeakSet
+from typing import Final, NoReturn
 
 from rhi.device.core.containers import FixedStack
 from rhi.device.core.interrupts import HeldInterrupts
 from rhi.device.core.refusals import NO_LOG, RefusalLog
 from rhi.errors import CallSite, find_call_site
-from rhi.errors.rules import SCOPE_OPEN, SCOPE_ORDER
+from rhi.errors.rules import CONTAINER_FULL, SCOPE_OPEN, SCOPE_ORDER
 
 __rhi_internal__ = True
 
 STACK_DEPTH: Final = 256
-_UNHELD: Final = 2
-"""Number of references to a scope of states that nobody but the stack holds: the stack's, and an argument's."""
+_OWN: Final = 2
+"""Number of references to a block that asking for their number makes: a variable's and an argument's."""
 
 
 class Scope:
-    """An entry of the stack: what one entering of a `with` block has begun."""
+    """An entry of the stack: a `with` block that was entered."""
 
-    __slots__ = ("__weakref__",)
+    __slots__ = ()
 
-    def find_block(self) -> object | None:
-        """Return the `with` block, None if nobody holds it any more. A scope of states is its own block."""
-        raise NotImplementedError
+    def find_block(self) -> Scope:
+        """Return the block whose end ends this scope: itself, unless the block was entered inside itself."""
+        return self
 
     def describe(self) -> str:
         """Return the scope's text in messages."""
@@ -57,22 +56,6 @@ class Scope:
         self.finish(True)
 
 
-class Bracket(Scope):
-    """A scope whose begin and end are commands.
-
-    Attributes:
-        scopes: the stack.
-        block: a weak reference to the `with` block.
-    """
-
-    __slots__ = ("block", "scopes")
-    scopes: OpenScopes
-    block: Callable[[], object | None]
-
-    def find_block(self) -> object | None:
-        return self.block()
-
-
 class _LastInside(Scope):
     """A scope in the stack whose end also ends the one below it, which was left before."""
 
@@ -81,7 +64,7 @@ class _LastInside(Scope):
     def __init__(self, scope: Scope) -> None:
         self.scope = scope
 
-    def find_block(self) -> object | None:
+    def find_block(self) -> Scope:
         return self.scope.find_block()
 
     def describe(self) -> str:
@@ -103,23 +86,24 @@ class OpenScopes(FixedStack[Scope]):
         self.refusals = refusals
         self.keeps_lines = False
         self._closed = False
-        self._cut: WeakSet[Scope] = WeakSet()  # ended before their blocks
+        self._cut: set[Scope] = set()  # blocks whose scopes ended before them
         self._lines: dict[int, CallSite | None] = {}  # by place in the stack
 
     def push(self, value: Scope) -> None:
-        """Enter a scope; `container-full` for one of states too many."""
+        """Enter a scope."""
         index = self._index
         try:
             self._data[index] = value
         except IndexError:
-            if isinstance(value, Bracket):
-                self._data.append(value)
-            else:
-                with self.refusals:
-                    super().push(value)
+            self._data.append(value)
         self._index = index + 1
         if self.keeps_lines:
             self.keep_line()
+
+    def refuse_full(self) -> NoReturn:
+        """Refuse one scope of states too many."""
+        given, allowed = f"{self._index} elements", f"at most {self.capacity}"
+        self.refusals.refuse(CONTAINER_FULL, "FixedStack.push", given, allowed)
 
     def keep_line(self) -> None:
         """Keep the user's line as the one that entered the innermost scope, if lines are kept."""
@@ -153,7 +137,7 @@ class OpenScopes(FixedStack[Scope]):
             return
         if _comes_of_interrupt(error):
             while self._index > place + 1:
-                self._cut.add(unwrap(self.top))
+                self._cut.add(self.top.find_block())
                 self._end_innermost(cut_off=True)
         else:
             self.end_unheld()
@@ -181,7 +165,7 @@ class OpenScopes(FixedStack[Scope]):
             scope.cut_off() if cut_off else scope.finish(failed)
         finally:
             if isinstance(entry, _LastInside) and self._index:
-                self._cut.add(unwrap(self.top))
+                self._cut.add(self.top.find_block())
                 self._end_innermost()
 
     def _find(self, scope: Scope) -> int:
@@ -196,26 +180,22 @@ class OpenScopes(FixedStack[Scope]):
         """Take a scope out, with all that is inside it, which can't be ended; their blocks are left quietly."""
         place = self._find(scope)
         if place >= 0:
-            self._cut.update(map(unwrap, self._data[place : self._index]))  # type: ignore[arg-type]
+            self._cut.update(entry.find_block() for entry in self._data[place : self._index] if entry)
             self._data[place : self._index] = [None] * (self._index - place)
             self._index = place
 
     def end_unheld(self) -> None:
-        """End the innermost scopes whose blocks nobody holds any more."""
+        """End the innermost scopes whose blocks nobody holds any more, and forget such blocks."""
+        if self._cut:
+            self._cut = {block for block in self._cut if getrefcount(block) > 1 + _OWN}
         while self._index and not self._is_held():
             self._end_innermost(cut_off=True)
 
     def _is_held(self) -> bool:
-        """Return whether anybody holds the block of the innermost scope."""
-        holder = self.top
-        if isinstance(holder, _LastInside):
-            if holder.scope.find_block() is holder.scope:
-                return getrefcount(holder.scope) > _UNHELD
-            return holder.find_block() is not None
-        if holder.find_block() is not holder:
-            return holder.find_block() is not None
-        del holder
-        return getrefcount(self._data[self._index - 1]) > _UNHELD
+        """Return whether anybody but this stack holds the block of the innermost scope."""
+        block = self.top.find_block()
+        ours = sum(entry.find_block() is block for entry in self) + (block in self._cut)
+        return getrefcount(block) > ours + _OWN
 
     def refuse_unopened(self, scope: str, error: BaseException | None) -> None:
         """Refuse the end of a scope that isn't open, unless that would hide an exception that is on its way."""
@@ -237,6 +217,7 @@ class OpenScopes(FixedStack[Scope]):
     def close(self) -> None:
         """Forget all scopes: their blocks are left quietly from now on."""
         self.clear()
+        self._cut.clear()
         self._closed = True
 
 

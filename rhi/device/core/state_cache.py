@@ -15,11 +15,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from types import TracebackType
 from typing import Final, Protocol
-from weakref import ref
 
 from rhi.contract.states import (
     DEFAULTS,
@@ -57,7 +55,7 @@ class StateVector:
 
     def __init__(self, values: tuple[object, ...]) -> None:
         self.values = values
-        self.after: dict[tuple[State, ...], StateVector] = {}
+        self.after: dict[tuple[State, ...], tuple[StateVector, int]] = {}  # and the number of these states
         self.changes: dict[StateVector, tuple[StateChange, ...]] = {}
 
     def __getitem__(self, state_type: type) -> object:
@@ -144,8 +142,8 @@ class StateCache:
         scope.cache, scope.states, scope.before = self, states, None
         return scope
 
-    def derive(self, states: tuple[State, ...]) -> StateVector:
-        """Return the vector that a scope of these states would set, after the same checks."""
+    def derive(self, states: tuple[State, ...]) -> tuple[StateVector, int]:
+        """Return the vector that a scope of these states would set, after the same checks, and their number."""
         try:
             return self.wanted.after.get(states) or self._derive(states)
         except TypeError:  # an unhashable object, which can't be a state
@@ -158,6 +156,8 @@ class StateCache:
 
     def change_to(self, vector: StateVector) -> tuple[StateChange, ...]:
         """Return the changes from the hardware states to any vector, of this cache or another; see `flush`."""
+        if vector.values == self.hardware.values:  # compares pointers, where `_intern` hashes each value
+            return ()
         return self._change(self._intern(vector.values))
 
     def lose_hardware(self) -> None:
@@ -166,6 +166,8 @@ class StateCache:
 
     def adopt(self, values: tuple[object, ...]) -> None:
         """Record values that were sent to the backend without this cache."""
+        if values == self.hardware.values:
+            return
         self._reserve()
         self.hardware = self._intern(values)
 
@@ -190,7 +192,7 @@ class StateCache:
         """Set both counters to zero."""
         self.software_changes = self.hardware_changes = 0
 
-    def _derive(self, states: tuple[State, ...]) -> StateVector:
+    def _derive(self, states: tuple[State, ...]) -> tuple[StateVector, int]:
         """Check states, and return and memoise the vector that they make of the wanted one."""
         self._validate(states)
         values = list(self.wanted.values)
@@ -209,8 +211,8 @@ class StateCache:
                 values[index] = tuple(per_target)
         self._reserve()
         vector = self._intern(tuple(values))
-        self.wanted.after[states] = vector
-        return vector
+        step = self.wanted.after[states] = vector, len(states)
+        return step
 
     def _validate(self, states: tuple[State, ...]) -> None:
         call = "device.states(" + ", ".join(map(repr, states)) + ")"
@@ -309,16 +311,16 @@ class StateScope(Scope):
         cache, states = self.cache, self.states
         before = cache.wanted
         try:
-            target = before.after.get(states) or cache._derive(states)
-        except TypeError:
-            target = cache.derive(states)
-        count = len(states)
+            step = before.after[states]
+        except (KeyError, TypeError):
+            step = None
+        target, count = step or cache.derive(states)
         scopes = cache.scopes
         index = scopes._index  # from here on nothing may be interrupted, so it calls nothing
         try:
             scopes._data[index] = self
         except IndexError:
-            scopes.push(self)  # is refused
+            scopes.refuse_full()
         scopes._index = index + 1
         self.before = before
         cache.wanted = target
@@ -341,12 +343,8 @@ class StateScope(Scope):
     def _enter_again(self) -> None:
         """Enter an open scope inside itself: a second one takes its place in the stack."""
         again = _EnteredAgain()
-        again.cache, again.states, again.before, again.block = self.cache, self.states, None, ref(self)
+        again.cache, again.states, again.before, again.block = self.cache, self.states, None, self
         again.__enter__()
-
-    def find_block(self) -> object | None:
-        """Return the scope itself, which is its own block."""
-        return self
 
     def describe(self) -> str:
         """Return the scope's text in messages."""
@@ -380,7 +378,7 @@ class _EnteredAgain(StateScope):
     """A scope in the stack that was entered through one that was already open."""
 
     __slots__ = ("block",)
-    block: Callable[[], object | None]
+    block: StateScope
 
-    def find_block(self) -> object | None:
-        return self.block()
+    def find_block(self) -> Scope:
+        return self.block

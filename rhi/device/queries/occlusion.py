@@ -10,14 +10,14 @@
 from __future__ import annotations
 
 import time
+from threading import get_ident
 from types import TracebackType
-from typing import Final, Generic, Protocol, Self, TypeVar
-from weakref import ref
+from typing import Final, Generic, Self, TypeVar
 
 from rhi.contract.descriptors import Id, QueryKind
 from rhi.device.core.core import Core, describe_object
 from rhi.device.core.interrupts import HeldInterrupts
-from rhi.device.core.scopes import Bracket
+from rhi.device.core.scopes import Scope
 from rhi.errors import DeviceError
 from rhi.errors.arguments import Arguments
 from rhi.errors.rules import (
@@ -159,70 +159,61 @@ class PendingQuery(Generic[T]):
             core.refuse(QUERY_STATE, call, f"a query that is {state}", "a query that was ended")
 
 
-class QueryOwner(Protocol):
-    """What has begun a query."""
+class QueryScope(Scope):
+    """A query between its begin and its end. Meanwhile it is its core's open query."""
 
-    def complete(self) -> None:
-        """End the query."""
-
-    def abandon(self) -> None:
-        """End the query without an answer."""
-
-
-class OpenQuery(Bracket):
-    """The scope of a query between its begin and its end.
-
-    Attributes:
-        owner: what has begun the query, while it is open.
-    """
-
-    __slots__ = ("_core", "owner")
-
-    def __init__(self, core: Core) -> None:
-        self.scopes = core.scopes
-        self.owner: QueryOwner | None = None
-        self._core = core
-
-    def find_block(self) -> object | None:
-        return self.owner
+    __slots__ = ()
+    _core: Core
 
     def describe(self) -> str:
+        """Return the scope's text in messages."""
         return "an occlusion query"
 
     def finish(self, failed: bool) -> None:
-        scopes, owner = self.scopes, self.owner
-        assert owner is not None
+        """Pop the scope, the innermost one, and end the query."""
+        core = self._core
+        scopes = core.scopes
         index = scopes._index - 1  # from here on nothing may be interrupted before the `try`, so it calls nothing
         scopes._data[index] = None
         scopes._index = index
-        self._core.open_query = self.owner = None
+        core.open_query = None
         try:
-            owner.complete()
+            self.complete()
         except BaseException:  # whether it has ended or not
-            owner.abandon()
+            self.abandon()
             raise
 
     def cut_off(self) -> None:
-        scopes, owner = self.scopes, self.owner
-        assert owner is not None
+        """Pop the scope, the innermost one, and end the query without an answer."""
+        core = self._core
+        scopes = core.scopes
         index = scopes._index - 1  # as above
         scopes._data[index] = None
         scopes._index = index
-        self._core.open_query = self.owner = None
-        owner.abandon()
+        core.open_query = None
+        self.abandon()
+
+    def complete(self) -> None:
+        """End the query, as its scope ends."""
+        raise NotImplementedError
+
+    def abandon(self) -> None:
+        """End the query without an answer, as its pass ends."""
+        raise NotImplementedError
 
 
-class OcclusionQuery(PendingQuery[int]):
+class OcclusionQuery(PendingQuery[int], QueryScope):
     """A counter of the samples of draws between its begin and end that pass all tests.
 
     A query may be used any number of times; `begin` discards the earlier answer. `with query:` begins and ends it.
     """
 
-    __slots__ = ("_scope",)
+    __slots__ = ("_checks")
 
     def __init__(self, core: Core, emulated: bool) -> None:
         super().__init__(core, 1, emulated, "device.occlusion_query")
-        self._scope = OpenQuery(core)
+        # Whether each call checks everything: an emulated one signals the fence, which must not go to another context.
+        self._checks = self.emulated or core.validates
 
     @property
     def id(self) -> Id:
@@ -231,68 +222,75 @@ class OcclusionQuery(PendingQuery[int]):
 
     def begin(self) -> None:
         """Begin counting; inside a render pass, one query at a time."""
-        core = self._core
-        self._check_call(core)
+        core, checks = self._core, self._checks
+        if checks or core.closed:
+            core.check_ready()
         if self.destroyed:
             core.refuse(RESOURCE_DESTROYED, "OcclusionQuery.begin", "a destroyed query")
         if core.open_query is not None:
             core.refuse(QUERY_NESTED, "OcclusionQuery.begin", "a second open query")
         if core.render_pass is None:
             core.refuse(DRAW_OUTSIDE_PASS, "OcclusionQuery.begin", "no open pass")
-        scope = self._scope
-        scope.owner = self
-        core.scopes.push(scope)
+        scopes = core.scopes
+        index = scopes._index  # from here on nothing may be interrupted before the `try`, so it calls nothing
+        try:
+            scopes._data[index] = self
+        except IndexError:
+            scopes._data.append(self)
+        scopes._index = index + 1
+        core.open_query = self
         self._answer = None
         self._state = _OPEN
-        core.open_query = scope
         try:
+            if checks and scopes.keeps_lines:
+                scopes.keep_line()
             self.write_begin(core)
-            if self.emulated:
+            if checks and self.emulated:
                 core.signal()
         except BaseException:  # whether it has begun or not
-            scope.cut_off()
+            self.cut_off()
             raise
         core.counters.queries += 1
 
     def end(self) -> None:
         """End counting and flush submitted work to the GPU, so that the answer becomes available."""
+        core = self._core
+        scopes = core.scopes
+        if scopes._data[scopes._index - 1] is self:  # so it and its device are open
+            if self._checks:
+                core.check_ready()
+            self.finish(False)
+            return
         if self._state is not _OPEN:
-            self._core.refuse(
-                QUERY_STATE, "OcclusionQuery.end", f"a query that is {self._state}", "an open query"
-            )
-        self._end(None, again=True)
+            core.refuse(QUERY_STATE, "OcclusionQuery.end", f"a query that is {self._state}", "an open query")
+        self._leave(None, again=True)
 
-    def _end(self, error: BaseException | None, *, again: bool = False) -> None:
+    def _leave(self, error: BaseException | None, *, again: bool) -> None:
+        """End the query, which isn't the innermost scope."""
         core = self._core
         if core.closed:
             self._state = _ENDED
             return
-        self._check_call(core)
-        core.scopes.leave(self._scope, error, again=again)
+        if self._checks:
+            core.check_ready()
+        core.scopes.leave(self, error, again=again)
 
     def complete(self) -> None:
         """End counting, as the query's scope ends."""
-        self._finish()
-        self._state = _ENDED
-
-    def _check_call(self, core: Core) -> None:
-        if self.emulated:  # it signals the fence, which must not go to another context
-            core.check_ready()
-        else:
-            core.check_command()
-
-    def _finish(self) -> None:
         core = self._core
-        if core.closed:
-            return
-        self.write_end(core)
         if self.emulated:
+            self.write_end(core)
             self._fence = core.signal()
+        else:
+            core.backend.end_query(self._ids[0])  # as `write_end`, without its call
+        self._state = _ENDED
 
     def abandon(self) -> None:
         """End the query without an answer, as its pass ends."""
         self._state = _IDLE
-        self._finish()
+        self.write_end(self._core)
+        if self.emulated:
+            self._fence = self._core.signal()
 
     def __enter__(self) -> Self:
         self.begin()
@@ -301,8 +299,14 @@ class OcclusionQuery(PendingQuery[int]):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._state is _OPEN:
-            self._end(error)
+        core = self._core
+        scopes = core.scopes
+        if scopes._data[scopes._index - 1] is self:
+            if self._checks:
+                core.check_ready()
+            self.finish(error is not None)
+        elif self._state is _OPEN:
+            self._leave(error, again=False)
 
     def _read(self) -> int | None:
         backend = self._core.backend
@@ -335,21 +339,72 @@ class OcclusionQuery(PendingQuery[int]):
             core.backend.end_query(self._ids[0])
 
 
-class OpenCondition(Bracket):
-    """The scope of a condition."""
+class Conditional(Scope):
+    """A `with device.conditional(query):` block, whose draws are executed only if the query counted samples."""
 
-    __slots__ = ("_core",)
+    __slots__ = ("_core", "_inverted", "_query")
 
-    def __init__(self, core: Core, block: Conditional) -> None:
-        self.scopes = core.scopes
-        self.block = ref(block)
+    def __init__(self, core: Core, query: OcclusionQuery, inverted: bool) -> None:
+        call = "device.conditional"
+        if not core.capabilities.conditional_rendering:
+            core.refuse(
+                DEVICE_CAPABILITY, call, "conditional rendering", "needs capabilities.conditional_rendering"
+            )
+        if query.__class__ is not OcclusionQuery or inverted.__class__ is not bool:
+            check = Arguments(call, core.refuse)
+            check.instance("query", query, OcclusionQuery, "an OcclusionQuery from device.occlusion_query()")
+            inverted = check.flag("inverted", inverted)
+        if query.emulated:
+            core.refuse(
+                DEVICE_CAPABILITY, call, "an emulated query", "a native one: device.occlusion_query()"
+            )
         self._core = core
+        self._query = query
+        self._inverted = inverted
+
+    def _check(self) -> None:
+        core, query = self._core, self._query
+        if query._state is not _ENDED or query.destroyed or query._core is not core:
+            query.check_usable(core, "device.conditional")
+            query.check_ended(core, "device.conditional")
+
+    def __enter__(self) -> None:
+        core = self._core
+        core.check_scope()
+        if core.condition_open:
+            core.refuse(CONDITION_NESTED, "device.conditional", "a condition inside another")
+        self._check()
+        core.scopes.push(self)
+        core.condition_open = True
+        try:
+            core.backend.begin_conditional(self._query.id, self._inverted)
+        except BaseException:  # whether it has begun or not
+            self.cut_off()
+            raise
+        core.condition_count += 1
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        core = self._core
+        if core.closed:
+            return
+        if core.thread != get_ident():
+            core.check_thread("the end of a condition")
+        scopes = core.scopes
+        if scopes._data[scopes._index - 1] is self:
+            self.finish(error is not None)
+        else:
+            scopes.leave(self, error)
 
     def describe(self) -> str:
+        """Return the scope's text in messages."""
         return "a condition"
 
     def finish(self, failed: bool) -> None:
-        core, scopes = self._core, self.scopes
+        """Pop the scope, the innermost one, and end the condition."""
+        core = self._core
+        scopes = core.scopes
         index = scopes._index - 1  # from here on nothing may be interrupted before the `try`, so it calls nothing
         scopes._data[index] = None
         scopes._index = index
@@ -360,53 +415,3 @@ class OpenCondition(Bracket):
         except BaseException:  # whether it has ended or not
             core.backend.end_conditional()
             raise
-
-
-class Conditional:
-    """A `with device.conditional(query):` block, whose draws are executed only if the query counted samples."""
-
-    __slots__ = ("__weakref__", "_core", "_inverted", "_query", "_scope")
-
-    def __init__(self, core: Core, query: OcclusionQuery, inverted: bool) -> None:
-        call = "device.conditional"
-        if not core.capabilities.conditional_rendering:
-            core.refuse(
-                DEVICE_CAPABILITY, call, "conditional rendering", "needs capabilities.conditional_rendering"
-            )
-        check = Arguments(call, core.refuse)
-        check.instance("query", query, OcclusionQuery, "an OcclusionQuery from device.occlusion_query()")
-        inverted = check.flag("inverted", inverted)
-        if query.emulated:
-            core.refuse(
-                DEVICE_CAPABILITY, call, "an emulated query", "a native one: device.occlusion_query()"
-            )
-        self._core = core
-        self._query = query
-        self._inverted = inverted
-        self._scope = OpenCondition(core, self)
-
-    def _check(self) -> None:
-        self._query.check_usable(self._core, "device.conditional")
-        self._query.check_ended(self._core, "device.conditional")
-
-    def __enter__(self) -> None:
-        core = self._core
-        core.check_scope()
-        if core.condition_open:
-            core.refuse(CONDITION_NESTED, "device.conditional", "a condition inside another")
-        self._check()
-        core.scopes.push(self._scope)
-        core.condition_open = True
-        try:
-            core.backend.begin_conditional(self._query.id, self._inverted)
-        except BaseException:  # whether it has begun or not
-            self._scope.cut_off()
-            raise
-        core.condition_count += 1
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._core.check_thread("the end of a condition")
-        if not self._core.closed:
-            self._core.scopes.leave(self._scope, error)

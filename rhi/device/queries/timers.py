@@ -1,24 +1,26 @@
 """The timer tree: GPU and CPU time of labelled parts of a frame (thesis 4.4).
 
 Each `device.event` takes two timestamps when timing is on. The tree of a frame is read, without waiting, when all of
-its timestamps are available; `device.timers` is the tree of the latest such frame. A frame has at most `MAX_EVENTS`,
+its timestamps are available; `device.timers` is the tree of the latest such frame. Where the backend dates timestamps
+(`DatesTimestamps`), nodes also say when CPU and GPU worked on their event, on one clock: so the trees of consecutive
+frames show whether one is recorded while the GPU executes the other (3.7.2). A frame has at most `MAX_EVENTS`,
 also in a program that never presents: further events inside an open one are only labels, otherwise a new tree begins.
 """
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from dataclasses import dataclass, field
 from threading import get_ident
+from time import perf_counter
 from types import TracebackType
-from typing import Final
-from weakref import ref
+from typing import Final, TypeAlias, cast
 
+from rhi.contract.backend import DatesTimestamps
 from rhi.contract.descriptors import Id, QueryKind
-from rhi.device.core.core import Core
+from rhi.device.core.core import Core, find_part
 from rhi.device.core.interrupts import HeldInterrupts
-from rhi.device.core.scopes import Bracket, OpenScopes
+from rhi.device.core.scopes import Scope
 from rhi.errors.arguments import Arguments
 
 __rhi_internal__ = True
@@ -26,59 +28,32 @@ __rhi_internal__ = True
 
 @dataclass(slots=True)
 class TimerNode:
-    """An event of a frame: its label, its GPU and CPU time, and the events inside."""
+    """An event of a frame: its label, its GPU and CPU time, and the events inside.
+
+    `gpu_span` and `cpu_span` are when the GPU executed it and when the CPU issued it: (begin, end) in milliseconds on
+    the GPU's clock, since the device's first timed event. They are None on a backend that can't tell.
+    """
 
     name: str
     gpu_milliseconds: float = 0.0
     cpu_milliseconds: float = 0.0
     children: list[TimerNode] = field(default_factory=list)
+    gpu_span: tuple[float, float] | None = None
+    cpu_span: tuple[float, float] | None = None
 
     def format(self, indent: int = 0) -> str:
         """Return the tree as text, one line per event."""
         line = f"{'  ' * indent}{self.name:<{max(1, 32 - 2 * indent)}} gpu {self.gpu_milliseconds:8.3f} ms"
-        lines = [f"{line}  cpu {self.cpu_milliseconds:8.3f} ms"]
+        line = f"{line}  cpu {self.cpu_milliseconds:8.3f} ms"
+        if self.gpu_span is not None and self.cpu_span is not None:
+            (issue, issued), (start, end) = self.cpu_span, self.gpu_span
+            line = f"{line}  at cpu {issue:.3f} … {issued:.3f}, gpu {start:.3f} … {end:.3f} ms"
+        lines = [line]
         return "\n".join(lines + [child.format(indent + 1) for child in self.children])
 
 
-class _Event(Bracket):
-    """An event: open, or one whose timestamps are not available yet.
-
-    Attributes:
-        node: its place in the tree.
-        began: when it began, in seconds.
-        first, last: its timestamps, 0 if it takes none.
-        counted: whether it is in the tree.
-    """
-
-    __slots__ = ("_timers", "began", "counted", "first", "last", "node")
-
-    def __init__(self, timers: Timers, block: object, label: str, scopes: OpenScopes) -> None:
-        self.scopes = scopes
-        self.block = ref(block)
-        self._timers = timers
-        self.node = TimerNode(label)
-        self.began = time.perf_counter()
-        self.first = self.last = 0
-        self.counted = True
-
-    def describe(self) -> str:
-        return f"event {self.node.name!r}"
-
-    def finish(self, failed: bool) -> None:
-        scopes, timers, events = self.scopes, self._timers, self._timers._open
-        index = scopes._index - 1  # from here on nothing may be interrupted before the `try`, so it calls nothing
-        scopes._data[index] = None
-        scopes._index = index
-        try:
-            events.pop()
-            if self.last:
-                timers._core.backend.write_query(self.last)
-                timers._pending.append(self)
-            self.node.cpu_milliseconds = (time.perf_counter() - self.began) * 1e3
-        finally:
-            timers._core.backend.pop_label()
-
-
+PendingEvent: TypeAlias = tuple[TimerNode, Id, Id]
+"""An event whose timestamps are not available yet: its place in the tree, and the queries of its begin and end."""
 MAX_FRAMES: Final = 8
 """Largest number of frames that wait for their timestamps; beyond it the oldest is dropped."""
 MAX_EVENTS: Final = 4096
@@ -88,17 +63,21 @@ MAX_EVENTS: Final = 4096
 class Timers:
     """The events of the current frame, and the event tree of the latest finished frame."""
 
-    __slots__ = ("_core", "_count", "_frames", "_free", "_open", "_pending", "_roots", "enabled", "latest")
+    __slots__ = (
+        "_core", "_count", "_dates", "_frames", "_free", "_open", "_origin", "_pending", "_roots", "enabled", "latest",
+    )  # fmt: skip
 
     def __init__(self, core: Core, enabled: bool) -> None:
         self._core = core
+        self._dates = cast("DatesTimestamps | None", find_part(core.backend, "read_issue_time"))
+        self._origin: int | None = None  # when the first event was issued, in nanoseconds on the GPU's clock
         self.enabled = enabled
         self.latest: list[TimerNode] = []
-        self._open: list[_Event] = []
+        self._open: list[TimerNode] = []
         self._roots: list[TimerNode] = []
         self._count = 0  # of events in the tree
-        self._pending: list[_Event] = []
-        self._frames: deque[tuple[list[TimerNode], list[_Event]]] = deque()
+        self._pending: list[PendingEvent] = []
+        self._frames: deque[tuple[list[TimerNode], list[PendingEvent]]] = deque()
         self._free: list[Id] = []
 
     @property
@@ -106,40 +85,41 @@ class Timers:
         """Number of open events."""
         return len(self._open)
 
-    def begin(self, label: str, block: object) -> _Event:
-        """Open an event inside the innermost open one, for a `with` block."""
-        scopes = self._core.scopes
-        event = _Event(self, block, label, scopes)
-        if self._count >= MAX_EVENTS:
-            if self._open:
-                event.counted = False
-            else:
-                self.end_frame()
-        depth, siblings = len(self._open), self._open[-1].node.children if self._open else self._roots
+    def begin(self, event: EventScope) -> None:
+        """Open an event inside the innermost open one."""
+        core, opened, label = self._core, self._open, event.label
+        node = TimerNode(label)
+        counted = self._count < MAX_EVENTS
+        if not counted and not opened:
+            self.end_frame()
+            counted = True
+        depth, siblings = len(opened), opened[-1].children if opened else self._roots
+        event.began, event.first, event.last = perf_counter(), 0, 0
         labelled = False
         try:
-            if self.enabled and event.counted:
+            if self.enabled and counted:
                 event.first = self._acquire_query()
                 event.last = self._acquire_query()
-            self._core.backend.push_label(label)
+            core.backend.push_label(label)
             labelled = True
             if event.first:
-                self._core.backend.write_query(event.first)
-            if event.counted:
-                siblings.append(event.node)
+                core.backend.write_query(event.first)
+            if counted:
+                siblings.append(node)
                 self._count += 1
-            self._open.append(event)
-            scopes.push(event)
+            opened.append(node)
+            event.node = node
+            core.scopes.push(event)
         except BaseException:
-            scopes.withdraw(event)
-            del self._open[depth:]
-            if siblings and siblings[-1] is event.node:
+            core.scopes.withdraw(event)
+            event.node = None
+            del opened[depth:]
+            if siblings and siblings[-1] is node:
                 siblings.pop()
             self._free += [query for query in (event.first, event.last) if query]
             if labelled:
-                self._core.backend.pop_label()
+                core.backend.pop_label()
             raise
-        return event
 
     def end_frame(self) -> None:
         """Close the frame's tree, and read the frames whose timestamps are available."""
@@ -154,16 +134,31 @@ class Timers:
         """Read finished frames, oldest first; never blocks."""
         while self._frames:
             roots, pending = self._frames[0]
-            times = [(self._read(e.first), self._read(e.last)) for e in reversed(pending)]
+            times = [(self._read(first), self._read(last)) for _, first, last in reversed(pending)]
             if any(begin is None or end is None for begin, end in times):
                 return
-            for event, (begin, end) in zip(reversed(pending), times, strict=True):
+            for (node, _, _), (begin, end) in zip(reversed(pending), times, strict=True):
                 assert begin is not None
                 assert end is not None
-                event.node.gpu_milliseconds = (end - begin) / 1e6
+                node.gpu_milliseconds = (end - begin) / 1e6
+            if self._dates is not None:
+                self._date(pending, self._dates)
             self._frames.popleft()
             self._release(pending)
             self.latest = roots
+
+    def _date(self, events: list[PendingEvent], dates: DatesTimestamps) -> None:
+        """Note when GPU and CPU worked on the events of a frame whose timestamps are available."""
+        queries = [query for _, *pair in events for query in pair]
+        issued = [dates.read_issue_time(query) or 0 for query in queries]
+        done = [self._read(query) or 0 for query in queries]
+        if self._origin is None and issued:
+            self._origin = min(issued)
+        origin = self._origin or 0
+        for index, (node, _, _) in enumerate(events):
+            (begin, end), (started, finished) = issued[2 * index :][:2], done[2 * index :][:2]
+            node.cpu_span = (begin - origin) / 1e6, (end - origin) / 1e6
+            node.gpu_span = (started - origin) / 1e6, (finished - origin) / 1e6
 
     def _acquire_query(self) -> Id:
         """Return an unused timestamp query, creating one if there is none."""
@@ -180,42 +175,88 @@ class Timers:
     def _read(self, query: Id) -> int | None:
         return self._core.backend.read_query(query) if query else 0
 
-    def _release(self, pending: list[_Event]) -> None:
-        self._free.extend(query for event in pending for query in (event.first, event.last) if query)
+    def _release(self, pending: list[PendingEvent]) -> None:
+        self._free.extend(query for _, *queries in pending for query in queries)
 
 
-class EventScope:
-    """A `with device.event(label):` block, which labels the commands inside and, with timing on, times them."""
+class EventScope(Scope):
+    """A `with device.event(label):` block, which labels the commands inside and, with timing on, times them.
 
-    __slots__ = ("__weakref__", "_core", "_events", "_label", "_timers")
+    One object may be kept and entered again, also inside itself.
+
+    Attributes:
+        label: its label.
+        node: its place in the tree while it is open, None otherwise.
+        began: when it began, in seconds.
+        first, last: its timestamps, 0 if it takes none.
+    """
+
+    __slots__ = ("_core", "_timers", "began", "first", "label", "last", "node")
+    began: float
+    first: Id
+    last: Id
 
     def __init__(self, core: Core, timers: Timers, label: str) -> None:
         if label.__class__ is not str:
             Arguments("device.event", core.refuse).text("label", label)
         self._core = core
         self._timers = timers
-        self._label = label
-        self._events: list[_Event] = []
+        self.label = label
+        self.node: TimerNode | None = None
 
     def __enter__(self) -> None:
         self._core.check_scope()
-        self._events.append(self._timers.begin(self._label, self))
+        if self.node is None:
+            self._timers.begin(self)
+        else:
+            self._timers.begin(_EventAgain(self, self._core, self._timers, self.label))
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        core, events = self._core, self._events
+        core = self._core
         if core.closed:
             return
         if core.thread != get_ident():
             core.check_thread("the end of an event")
         core.resume_scope()
-        if not events:
-            core.scopes.refuse_unopened(f"event {self._label!r}", error)
-            return
-        scopes, event = core.scopes, events[-1]
-        if scopes._data[scopes._index - 1] is event:
-            event.finish(error is not None)
+        scopes = core.scopes
+        if scopes._data[scopes._index - 1] is self:
+            self.finish(error is not None)
         else:
-            scopes.leave(event, error)
-        events.pop()
+            scopes.leave(self, error)
+
+    def describe(self) -> str:
+        """Return the scope's text in messages."""
+        return f"event {self.label!r}"
+
+    def finish(self, failed: bool) -> None:
+        """Pop the scope, the innermost one, and end the event."""
+        core, timers, node = self._core, self._timers, self.node
+        assert node is not None
+        scopes = core.scopes
+        index = scopes._index - 1  # from here on nothing may be interrupted before the `try`, so it calls nothing
+        scopes._data[index] = None
+        scopes._index = index
+        del timers._open[-1]
+        self.node = None
+        try:
+            if self.last:
+                core.backend.write_query(self.last)
+                timers._pending.append((node, self.first, self.last))
+            node.cpu_milliseconds = (perf_counter() - self.began) * 1e3
+        finally:
+            core.backend.pop_label()
+
+
+class _EventAgain(EventScope):
+    """An event in the stack that was entered through one that was already open."""
+
+    __slots__ = ("block",)
+
+    def __init__(self, block: EventScope, core: Core, timers: Timers, label: str) -> None:
+        super().__init__(core, timers, label)
+        self.block = block
+
+    def find_block(self) -> Scope:
+        return self.block

@@ -216,6 +216,8 @@ def border_color(format: Format, sampler: SamplerDescriptor) -> NDArray[np.float
         given = np.clip(given, 0.0, 1.0)
     elif format.kind is FormatKind.SNORM:
         given = np.clip(given, -1.0, 1.0)
+    elif format is Format.R11G11B10F:  # which has no sign
+        given = np.maximum(given, 0.0)
     border[: format.channels] = given
     return border
 

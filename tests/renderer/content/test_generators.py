@@ -1,14 +1,21 @@
 """The city, the hall and the grid: sizes, measurable properties, paths, and that a seed repeats a scene."""
 
-
 import numpy as np
 import pytest
 
 from renderer.content import IMAGE_SIZE, load_scene
-from renderer.content.buildings import KINDS, make_building
+from renderer.content.buildings import KINDS, find_windows, make_building
 from renderer.content.city import PITCH, STREET
+from renderer.content.textures import WINDOWS
 
-SCENES = ["city:blocks=12,detail=3", "hall", "grid:mesh=cone,count=50"]
+SCENES = [
+    "city:blocks=12,detail=3",
+    "hall",
+    "grid:mesh=cone,count=50",
+    "night:blocks=8,detail=2,lights=200",
+    "hall:flags=4,lights=40",
+    "grid:mesh=cone,count=50,lights=9",
+]
 
 
 @pytest.fixture(scope="module")
@@ -89,6 +96,23 @@ def test_building_meshes_are_sound(kind, detail):
     assert 1.0 <= upper[1] < 1.05
     assert max(upper[0] - lower[0], upper[2] - lower[2]) < 1.06
     assert np.allclose(np.linalg.norm(mesh.vertices["normal"], axis=1), 1.0, atol=1e-5)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("detail", [2, 7, 32])
+def test_rays_from_all_sides_find_the_middles_of_windows(kind, detail):
+    mesh = make_building(kind, 10, detail)
+    aside, height = (grid.ravel() for grid in np.meshgrid(np.linspace(-0.29, 0.29, 9), [0.06, 0.3, 0.52]))
+    for out in ((1.0, 0, 0), (-1.0, 0, 0), (0, 0, 1.0), (0, 0, -1.0)):
+        start = 2.0 * np.array(out) + np.outer(aside, out[::-1]) + np.outer(height, (0.0, 1.0, 0.0))
+        middle, across, up = find_windows(mesh, WINDOWS, start, np.tile(np.negative(out), (27, 1)))
+        moved = middle - start
+        assert (moved @ out < -1.3).all()  # a wall on this side of the lot
+        assert (np.abs(moved[:, 1]) <= 0.5 * np.abs(up[:, 1]) + 1e-6).all()  # less than half a window away
+        assert np.allclose(up[:, [0, 2]], 0.0, atol=1e-6)
+        assert np.allclose(np.abs(up[:, 1]), 0.1 * (0.62 if kind == "house" else 1.0))  # ten storeys
+        across = np.linalg.norm(across, axis=1)
+        assert (np.linalg.norm(moved - np.outer(moved @ out, out), axis=1) < np.hypot(across, 0.1)).all()
 
 
 def test_more_detail_is_more_triangles():

@@ -214,12 +214,46 @@ def test_lights_are_packed_relative_to_the_eye():
         lambda lights: lights.add_point((0, 0, 0), 1.0, intensity=-1.0),
         lambda lights: lights.add_spot((0, 0, 0), (0, 1, 0), 1.0, 0.5, 0.4),
         lambda lights: lights.add_spot((0, 0, 0), (0, 1, 0), 1.0, 0.5, 3.2),
+        lambda lights: lights.add_point((0, 0), 1.0),
+        lambda lights: lights.add_point((0, 0, 0), 1e39),  # infinite as a float32
+        lambda lights: lights.add_points((0, 0, 0), 1.0),
+        lambda lights: lights.add_points(np.zeros((3, 3)), [1.0, 2.0]),
+        lambda lights: lights.add_points(np.zeros((3, 3)), [1.0, 2.0, -1.0]),
+        lambda lights: lights.add_points([(0, 0, 0), (0, np.nan, 0)], 1.0),
+        lambda lights: lights.add_points(np.zeros((2, 3)), 1.0, [(1, 1, 1), (1, -1, 1)]),
+        lambda lights: lights.add_spots(np.zeros((2, 3)), [(0, 1, 0), (0, 0, 0)], 1.0, 0.1, 0.2),
+        lambda lights: lights.add_spots(np.zeros((2, 3)), (0, 1, 0), 1.0, [0.1, 0.3], 0.2),
     ],
 )
 def test_bad_lights_are_refused_and_nothing_is_added(add):
     lights = Lights()
     assert rule_of(lambda: add(lights)) == "scene-bad-light"
     assert len(lights) == 0
+
+
+def test_the_refusal_of_many_lights_names_the_first_bad_row():
+    with pytest.raises(ValidationError, match=r"-2\.0 in row 1"):
+        Lights().add_points(np.zeros((3, 3)), [1.0, -2.0, -3.0])
+
+
+def test_lights_added_as_arrays_are_those_added_one_by_one():
+    rng = np.random.default_rng(0)
+    places, aims, colors = rng.normal(size=(3, 5, 3))
+    ranges, colors = rng.random(5), np.abs(colors)
+    single, bulk = Lights(), Lights()
+    for lights in (single, bulk):
+        lights.add_point((1, 2, 3), 4.0)
+    points = [single.add_point(*row, 2.0) for row in zip(places, ranges, colors, strict=True)]
+    spots = [
+        single.add_spot(at, aim, reach, 0.1, reach + 0.1, color, reach)
+        for at, aim, reach, color in zip(places, aims, ranges, colors, strict=True)
+    ]
+    assert bulk.add_points(places, ranges, colors, 2.0).tolist() == points == [1, 2, 3, 4, 5]
+    added = bulk.add_spots(places, aims, ranges, 0.1, ranges + 0.1, colors, ranges)
+    assert added.tolist() == spots == [0, 1, 2, 3, 4]
+    assert np.array_equal(single.point, bulk.point)
+    assert np.array_equal(single.spot, bulk.spot)
+    assert bulk.add_points(np.zeros((0, 3)), 1.0).tolist() == []
 
 
 def test_lights_at_the_edge_of_their_range_are_taken():

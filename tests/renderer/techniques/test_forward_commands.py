@@ -26,11 +26,12 @@ def boxes(*places: tuple[float, float, float], mirrored: int = 0) -> SceneBuilde
     return builder
 
 
-def record(device: rhi.Device, scene: Scene, camera: Camera | None = None) -> rhi.CommandStream:
-    """Return the commands of the second of two frames."""
+def record(device: rhi.Device, scene: Scene, camera: Camera | None = None, frame: int = 1) -> rhi.CommandStream:
+    """Return the commands of a frame: the second, or the one with the number `frame`."""
     renderer = Renderer(device, scene, size=(32, 16))
     view = camera or next(iter(scene.views.values()))
-    renderer.render(view)
+    for _ in range(frame):
+        renderer.render(view)
     device.stream.clear()
     renderer.render(view)
     return device.stream
@@ -63,7 +64,7 @@ def test_nothing_in_view_is_a_pass_without_a_draw(null: rhi.Device) -> None:
 
 def test_objects_are_drawn_front_to_back(null: rhi.Device) -> None:
     scene = boxes((0, 0, -4), (0, 0, 4), (0, 0, 0)).build()
-    (draw,) = record(null, scene).draws()
+    (draw,) = record(null, scene, frame=0).draws()
     written = [c for c in null.stream.filter(Op.WRITE_BUFFER) if c["buffer"] == draw["buffer"]]
     draws = np.frombuffer(written[-1]["data"], rhi.DRAW)
     assert [scene.nodes.world[scene.objects.node[row], 2, 3] for row in draws["base_instance"]] == [4, 0, -4]
@@ -75,7 +76,7 @@ def test_what_stands_on_a_wide_ground_is_drawn_before_it(null: rhi.Device) -> No
     ground = builder.add_node(translation((0, -2, 0)) @ scaling((20, 1, 20)))
     builder.add_objects(ground, 0, 0)
     scene = builder.build()
-    (draw,) = record(null, scene).draws()
+    (draw,) = record(null, scene, frame=0).draws()
     written = [c for c in null.stream.filter(Op.WRITE_BUFFER) if c["buffer"] == draw["buffer"]]
     assert np.frombuffer(written[-1]["data"], rhi.DRAW)["base_instance"].tolist() == [0, 1]
 

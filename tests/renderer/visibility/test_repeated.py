@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from renderer.scene import Camera, Depth, Perspective, Scene
 from renderer.visibility import NoCulling, make_visibility
 from renderer.visibility.repeated import RepeatedCommands, clear
 from rhi import Op
-from rhi.backends.null import Activity, CostModel, Lane, SimulatedBackend, Simulation
+from rhi.backends.null import Activity, CostModel, Lane, NullBackend, SimulatedBackend, Simulation
 
 CAMERA = look((0.0, 0.0, 30.0), ORIGIN, near=0.1)
 
@@ -160,6 +161,84 @@ def test_a_new_size_with_questions_in_flight_changes_no_pixel(device: rhi.Device
     algorithm.destroy()
 
 
+# -- frames of one batch -----------------------------------------------------------------------------------
+
+
+def count_recorded(device: rhi.Device, scene: Scene, name: str, cameras: list[Camera]) -> list[int]:
+    """Return the number of commands recorded in each frame, at a time that passes."""
+    algorithm, counts = make_visibility(name, scene, device), []
+    with Renderer(device, scene, visibility=algorithm, size=(64, 36)) as renderer:
+        for frame, camera in enumerate(cameras):
+            before = device.statistics.recorded_commands
+            renderer.render(camera, frame / 60)
+            counts.append(device.statistics.recorded_commands - before)
+    return counts
+
+
+def test_drawing_everything_is_recorded_once_however_camera_and_objects_move(null: rhi.Device) -> None:
+    scene = load_scene("hall:columns=12,rows=4,flags=1")
+    assert len(scene.objects.dynamic_rows)
+    cameras = [scene.paths["ground"].camera(20 * frame) for frame in range(8)]
+    counts = count_recorded(null, scene, "none", cameras)
+    assert counts[1] > 4
+    assert counts[:1] + counts[2:] == [0] * 7
+
+
+def test_what_the_frustum_leaves_is_recorded_when_its_number_comes_again(null: rhi.Device) -> None:
+    scene = make_cloud()
+    near = [look((0.0, 0.0, 4.0 + distance), ORIGIN, near=0.1) for distance in range(5)]
+    with Renderer(null, scene, visibility=make_visibility("frustum", scene, null)) as renderer:
+        assert len({len(renderer.render(camera).visible) for camera in near}) == 5
+    counts = count_recorded(null, scene, "frustum", [*near, near[-1], near[-1], near[0], near[0]])
+    assert [count > 0 for count in counts] == [False] * 5 + [True, False, False, True]
+
+
+@pytest.mark.parametrize("depth", Depth)
+@pytest.mark.parametrize("name", ["none", "frustum"])
+def test_a_steady_frame_that_is_submitted_changes_no_states(null: rhi.Device, name: str, depth: Depth) -> None:
+    scene = make_cloud()
+    camera = CAMERA.with_projection(Perspective(near=0.1, far=90.0, depth=depth))
+    changes = []
+    with Renderer(null, scene, visibility=make_visibility(name, scene, null)) as renderer:
+        for _ in range(4):
+            changes.append(renderer.render(camera).statistics.hardware_state_changes)
+    assert changes == [int(depth is Depth.STANDARD), 0, 0, 0]
+
+
+@pytest.mark.parametrize("name", ["none", "frustum"])
+def test_a_frame_that_is_submitted_looks_as_one_that_is_drawn_at_once(device: rhi.Device, name: str) -> None:
+    """The objects move, and the camera."""
+    scene = load_scene("hall:columns=6,flags=2")
+    path, shown = scene.paths["ground"], set()
+    with Renderer(device, scene, visibility=make_visibility(name, scene, device), size=(97, 55)) as renderer:
+        for frame in range(0, 60, 10):
+            before = device.statistics.recorded_commands
+            image = renderer.render(path.camera(frame), frame / 60).image.read()
+            recorded = device.statistics.recorded_commands > before
+            fresh = make_visibility(name, scene, device)
+            with Renderer(device, scene, visibility=fresh, size=(97, 55)) as other:
+                assert (image == other.render(path.camera(frame), frame / 60).image.read()).all(), frame
+            shown.add((image.tobytes(), recorded))
+    assert len(shown) == 6, "a frame that doesn't change proves nothing"
+    assert name == "frustum" or any(recorded for _, recorded in shown)
+
+
+def test_a_frame_that_is_submitted_draws_the_objects_of_its_own_view(null: rhi.Device) -> None:
+    """Two views see one object each, so the commands are the same."""
+    scene = make_boxes(np.array([[-50.0, 0.0, 0.0], [50.0, 0.0, 0.0]]), np.ones((2, 3)))
+    views = [look((x, 0.0, 9.0), (x, 0.0, 0.0), near=0.1) for x in (-50.0, 50.0)]
+    drawn = []
+    with Renderer(null, scene, visibility=make_visibility("frustum", scene, null)) as renderer:
+        for view in (0, 0, 1, 0):
+            assert renderer.render(views[view]).visible.tolist() == [view]
+            null.finish()
+            (draw,) = null.stream.draws()
+            held = null.backend_as(NullBackend).read_buffer(draw["buffer"], draw["offset"], rhi.DRAW.itemsize)
+            drawn.append(int(np.frombuffer(held, rhi.DRAW)["base_instance"][0]))
+            null.stream.clear()
+    assert drawn == [0, 0, 1, 0]
+
+
 # -- frames that overlap -----------------------------------------------------------------------------------
 
 
@@ -192,6 +271,44 @@ def find_overlap(name: str, *, waits: bool = False) -> float:
 @pytest.mark.parametrize("name", ["none", "frustum", "conditional", *DEVICE])
 def test_a_frame_is_recorded_while_the_gpu_draws_the_one_before(name: str) -> None:
     assert find_overlap(name) > 0.8
+
+
+def find_turns(device: rhi.Device, *, waits: bool) -> tuple[int, int]:
+    """Return of how many frames the tree of timers says that the CPU began them before the GPU had ended the one
+    before, and how many were looked at."""
+    scene, trees = load_scene("city:blocks=4,detail=2"), []
+    device.timing = True
+    with Renderer(device, scene, visibility=NoCulling(scene), size=(320, 180)) as renderer:
+        for frame in range(12):
+            renderer.render(scene.paths["ground"].camera(20 * frame))
+            if waits:
+                device.finish()
+            if device.timers and (not trees or device.timers is not trees[-1]):
+                trees.append(device.timers)
+        device.finish()
+    early = 0
+    for (before,), (node,) in pairwise(trees):
+        assert before.gpu_span is not None
+        assert node.cpu_span is not None
+        early += node.cpu_span[0] < before.gpu_span[1]
+    return early, len(trees) - 1
+
+
+def test_the_timer_tree_shows_that_a_frame_is_recorded_while_the_gpu_draws_the_one_before() -> None:
+    cost = CostModel(command=2000.0, vertex=0.0, pixel=0.0, byte=0.0, state_change=0.0, invocation=0.0)
+    simulation = Simulation(cost, call=1000, submission_latency=10, wake_latency=10, batch=10**6)
+    for waits in (False, True):
+        with rhi.create_device("null", simulation=simulation) as device:
+            early, frames = find_turns(device, waits=waits)
+        assert frames > 6
+        assert early == (0 if waits else frames)
+
+
+def test_the_timer_tree_of_a_real_device_shows_it_too(device: rhi.Device) -> None:
+    early, frames = find_turns(device, waits=True)
+    assert (early, frames) == (0, 11)
+    early, frames = find_turns(device, waits=False)
+    assert early > 0
 
 
 def test_frames_that_are_waited_for_take_turns_with_the_gpu() -> None:

@@ -185,6 +185,35 @@ def test_a_frame_ends_scopes_whose_ends_were_cut_off(null_device: Device, kind: 
     assert null_device._core.states.wanted[CullMode] is CullMode.BACK
 
 
+@pytest.mark.parametrize("kind", ["states", "event"])
+def test_a_frame_ends_scopes_that_were_entered_inside_themselves(null_device: Device, kind: str) -> None:
+    """A block that only the stack of scopes holds, for each of its places, isn't held."""
+    block: Any = null_device.states(CullMode.NONE) if kind == "states" else null_device.event("cut")
+    cut_off(block, type(block))
+    cut_off(block, type(block))
+    assert len(null_device._core.scopes) == 2
+    with pytest.raises(rhi.ValidationError):
+        null_device.present()
+    assert len(null_device._core.scopes) == 2
+    del block
+    null_device.present()
+    assert len(null_device._core.scopes) == 0
+    assert null_device._core.states.wanted[CullMode] is CullMode.BACK
+
+
+@pytest.mark.parametrize("kind", ["states", "event"])
+def test_a_scope_that_was_withdrawn_can_be_entered_again(null_device: Device, kind: str) -> None:
+    """It isn't in the stack any more, so the only reference to it is that of the `with` statement."""
+    blocks: list[Any] = [null_device.states(CullMode.NONE) if kind == "states" else null_device.event("again")]
+    scopes = null_device._core.scopes
+    blocks[0].__enter__()
+    scopes.withdraw(blocks[0])  # as the pass around it does when it can't be ended
+    with blocks.pop():
+        scopes.end_unheld()
+        assert len(scopes) == 1
+    assert len(scopes) == 0
+
+
 def test_a_pass_begins_with_the_states_of_scopes_that_are_open(null_device: Device) -> None:
     image, states = null_device.texture((4, 4), Format.RGBA8), null_device._core.states
     with null_device.states(CullMode.FRONT):
@@ -203,6 +232,22 @@ def test_an_interrupt_ends_a_scope_that_was_left_too_early(null_device: Device) 
             raise KeyboardInterrupt
     assert states.wanted[CullMode] is CullMode.BACK
     assert states.depth == 0
+
+
+def test_blocks_whose_scopes_ended_early_are_forgotten_with_their_last_reference(null_device: Device) -> None:
+    scopes, early = null_device._core.scopes, null_device.states(CullMode.NONE)
+    early.__enter__()
+    with null_device.states(CullMode.FRONT), pytest.raises(rhi.ValidationError):
+        early.__exit__(None, None, None)
+    null_device.present()
+    assert scopes._cut == {early}  # it may be left once more, quietly
+    cut_off(early, type(early))
+    assert len(scopes) == 1
+    del early
+    null_device.present()
+    assert len(scopes) == 0
+    null_device.present()
+    assert not scopes._cut
 
 
 def test_scopes_inside_each_other_end_one_by_one_without_errors(null_device: Device) -> None:

@@ -68,11 +68,11 @@ def test_a_submitted_frame_sends_the_commands_of_an_immediate_one(passes: list[A
     with rhi.create_device("null") as device:
         house = House(device)
         give(device, house, passes)
-        with device.record() as empty:
-            pass
+        with device.record() as plain, plain.render_pass(depth=house.map):
+            plain.draw(house.shadow, house.walls, light=house.light)
         streams = []
         for later in (False, True):
-            device.submit(empty)  # default states
+            device.submit(plain)  # default states
             since = len(device.stream)
             if later:
                 with device.record() as commands:

@@ -94,6 +94,21 @@ def test_timers_form_a_tree_of_the_events_inside_each_other() -> None:
     assert root.gpu_milliseconds >= sum(child.gpu_milliseconds for child in root.children) > 0
 
 
+def test_an_event_entered_again_is_timed_each_time() -> None:
+    with rhi.create_device("null", timing=True) as device:
+        event = device.event("step")
+        with event:
+            pass
+        with event, device.event("between"), event:
+            device.signal()
+        device.present()
+        first, second = device.timers
+        (between,) = second.children
+        (inner,) = between.children
+    assert [node.name for node in (first, second, between, inner)] == ["step", "step", "between", "step"]
+    assert 0 < first.gpu_milliseconds < inner.gpu_milliseconds < between.gpu_milliseconds < second.gpu_milliseconds
+
+
 def test_without_timing_events_take_no_timestamps(kit: Kit) -> None:
     with kit.device.event("frame"):
         pass

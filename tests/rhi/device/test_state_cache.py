@@ -67,6 +67,17 @@ def wanted(cache):
     return dict(zip(STATE_TYPES, cache.wanted.values, strict=True))
 
 
+class Fancy(PlatformState):
+    """A state that only some platform has."""
+
+    OFF = 0
+    ON = 1
+
+    @classmethod
+    def platform(cls):
+        return "somewhere"
+
+
 DEFAULT_MODEL = {state_type: expand(value) for state_type, value in DEFAULTS.items()} | {PlatformState: ()}
 
 
@@ -194,6 +205,17 @@ def test_a_bad_scope_is_refused_and_changes_nothing(states, rule):
     assert caught.value.rule.id == rule
     assert wanted(cache) == DEFAULT_MODEL
     assert (cache.depth, cache.software_changes) == (0, 0)
+
+
+def test_a_state_of_the_devices_own_platform_is_taken_and_one_of_another_refused():
+    own, none = StateCache(platform_states=frozenset({Fancy})), StateCache()
+    with own.scope((Fancy.ON,)):
+        assert own.wanted[PlatformState] == (Fancy.ON,)
+    assert own.wanted[PlatformState] == ()
+    with pytest.raises(ValidationError) as refused:
+        none.scope((Fancy.ON,)).__enter__()
+    assert refused.value.rule.id == "platform-state"
+    assert none.depth == 0
 
 
 def test_a_scope_of_no_states_changes_nothing():

@@ -55,7 +55,7 @@ def build_text(text: str, options: Sequence[str] = ()) -> cl.Program:
     """Build a program, without the driver's header where the OpenCL backend leaves it out too."""
     device = queue().device
     cache = KernelCache(None, "", declares=caches_kernels(device) and declares_kernels(device))
-    _, source, options = cache.request(text, ["-w", *options])
+    source, options = cache.request(text, ["-w", *options]).write()
     return cl.Program(queue().context, source).build(list(options))
 
 

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 import pyopencl as cl
 
+from rhi.backends.cl.cache import make_mark
 from rhi.backends.cl.context import FLUSHES_DENORMALS, PAGE, QUICK, ClContext, build_again, build_cached
 from rhi.backends.cl.raster.tables import BATCH_STRUCT
 
@@ -173,14 +174,14 @@ class Builds:
         options = (*text.options, *QUICK) if quick else text.options
         count = len(text.names)
         request = self._cache.request(text.source, options)
-        known = self._cache.knows(request.key)
-        if not known:
+        stored = self._cache.find(request.key)
+        if stored is None:
             self.built += 1
             self._count(count, 0)
         try:
-            return build_cached(self._context.context, self._cache, request)
+            return build_cached(self._context.context, self._cache, request, stored)
         finally:
-            if not known:
+            if stored is None:
                 self._count(0, count)
 
     def close(self) -> None:
@@ -255,12 +256,21 @@ class Builds:
         from rhi.backends.cl.raster.compiler import Job
 
         text, cache = optimisation.text, self._cache
-        key, source, options = cache.request(text.source, text.options)
-        if not cache.knows(key, text.names):
-            compiler.compile(Job(source, options, text.names, *_EMPTY_TABLE, cache.find_lock(key)))
-            cache.record(key)
-        if cache.knows(key, text.names):
-            optimisation.program = build_again(self._context.context, source, options)
+        request = cache.request(text.source, text.options)
+        lock = cache.find_lock(request.key)
+
+        def compile_kernels(given: str | bytes, options: tuple[str, ...], names: tuple[str, ...]) -> None:
+            compiler.compile(Job(given, options, names, *_EMPTY_TABLE, lock))
+
+        if not cache.knows(request.key, text.names):
+            if cache.takes_code and cache.read_code(request.key) is None:
+                mark = make_mark()
+                compile_kernels(*request.write(mark), ())
+                cache.keep_code(request.key, mark)
+            compile_kernels(*cache.choose(request), text.names)
+            cache.record(request.key)
+        if cache.knows(request.key, text.names):
+            optimisation.program = build_again(self._context.context, *cache.choose(request))
 
     def _count(self, begun: int, done: int) -> None:
         with self._lock:

@@ -30,12 +30,14 @@ class Job(NamedTuple):
     """Kernels to compile.
 
     Attributes:
+        source: OpenCL C, or the driver's LLVM code of a program.
+        names: those of which machine code is generated. If there are none, the program is compiled and not linked.
         table: the table that each of them is launched with.
         addresses: the offsets of addresses in the table; they are set to memory of `zeros` bytes, all 0.
         lock: a file to lock meanwhile; empty for none.
     """
 
-    source: str
+    source: str | bytes
     options: tuple[str, ...]
     names: tuple[str, ...]
     table: bytes
@@ -110,7 +112,8 @@ def _serve(platform_name: str, version: str, index: int, jobs: IO[bytes], answer
         source, options, names, table, addresses, zeros, path = pickle.load(jobs)
         lock = _lock(path)
         try:
-            program = cl.Program(context, source).build(["-w", *options])
+            program = cl.Program(context, *((source,) if isinstance(source, str) else (context.devices, [source])))
+            program = program.build(["-w", *options]) if names else program.compile(["-w", *options])
             for name in names:
                 memory = np.zeros((zeros + 2 * len(table)) // 8, np.uint64)
                 memory[: len(table) // 8] = np.frombuffer(table, np.uint64)

@@ -191,11 +191,11 @@ class Draws:
         self._end(pipeline)
 
     def _read_arguments(self, buffer: Id, offset: int, size: int) -> bytes:
-        memory = self._buffers[buffer]
-        if memory.host is not None and not memory.device_wrote:
-            return memory.host[offset : offset + size].tobytes()
-        self._flush()
         with translate_errors("device.draw_indirect", "arguments"):
+            known = self._buffers.find_known(buffer)
+            if known is not None:
+                return known[offset : offset + size].tobytes()
+            self._flush()
             return self._buffers.read(buffer, offset, size)
 
     def _begin(self, array: VertexArray) -> Pipeline:

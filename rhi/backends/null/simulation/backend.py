@@ -134,6 +134,7 @@ class SimulatedBackend(NullBackend):
         self._submissions: deque[_Submission] = deque()
         # When the handler reads the counter; the query, the number of the event's command, and the counter then.
         self._interrupts: deque[tuple[int, Id, int, int | None]] = deque()
+        self._issue_times: dict[Id, int] = {}  # by timestamp, when the CPU has written it
         self._read_at: dict[Id, int] = {}  # by query, when the handler read the counter
         self._log = ActivityLog()
         self._hazards = HazardTracker(
@@ -370,6 +371,16 @@ class SimulatedBackend(NullBackend):
         self._hazards.learn_fence(value)
         return True
 
+    def write_query(self, query: Id) -> None:
+        if self._queries.kind(query) is QueryKind.TIMESTAMP:
+            self._follow_calls()
+            self._issue_times[query] = self._now
+        self._enqueue_call(Op.WRITE_QUERY, query)
+
+    def read_issue_time(self, query: Id) -> int | None:
+        """See `rhi.contract.backend.DatesTimestamps`."""
+        return self._issue_times[query] if self._queries.read(query) is not None else None
+
     def read_query(self, query: Id) -> int | None:
         self._spend_call()
         self._submit()
@@ -475,7 +486,8 @@ class SimulatedBackend(NullBackend):
             if before is not None and after is not None and start < self._gpu:
                 share = max(0, min(time, self._gpu) - start)
                 value = before + (after - before) * share // (self._gpu - start)
-            self._queries.finish_write(query, value)
-            self._read_at[query] = time
+            if all(later != query for _, later, _, _ in self._interrupts):  # a later write has an answer of its own
+                self._queries.finish_write(query, value)
+                self._read_at[query] = time
             if value is not None and exact is not None and value > exact:
                 self._hazards.confirm_race(event)

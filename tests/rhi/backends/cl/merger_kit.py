@@ -49,7 +49,8 @@ from rhi.contract.texels import encode, pack, unpack
 _KERNEL = """
 kernel void merge(global const uint *state, global const uint16 *fragments, int front, int columns,
                   global const Merger *merger, global const ulong *surfaces) {
-    Targets opened = open_targets(merger, surfaces, (global const ulong *)(merger + 1)), *targets = &opened;
+    Targets opened, *targets = &opened;
+    open_targets(merger, surfaces, (global const ulong *)(merger + 1), targets);
     int block = get_global_id(0), x = block % columns * 4, y = block / columns * 4;
     for (int sample = 0; sample < SAMPLES; ++sample) {
         global const uint16 *fragment = fragments + (block * SAMPLES + sample) * (OUTPUT_WORDS + 2);

@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,13 +19,24 @@ from rhi.backends.cl.cache import KernelCache
 DRAW = """
 import hashlib, sys, threading, warnings
 import numpy as np
+import pyopencl as cl
 import rhi
+from rhi.backends.cl import context
 from rhi.backends.cl.raster import builds
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
 
 warnings.simplefilter("always")
 builds.HOT = int(sys.argv[1])
+build, given = context.build_again, []
+
+def note(opened, text, options):
+    given.append(type(text))
+    if isinstance(text, bytes) and "refuse" in sys.argv:
+        raise cl.LogicError("clBuildProgram failed: INVALID_BINARY")
+    return build(opened, text, options)
+
+context.build_again = note
 with rhi.create_device("cl") as device:
     image = device.texture((64, 48), rhi.Format.RGBA8)
     program, mesh = device.program(Colored), device.mesh(rectangle(color=(0.2, 0.4, 0.6, 0.8)))
@@ -34,15 +46,16 @@ with rhi.create_device("cl") as device:
         if builds.HOT == 0:
             device.prepare(program, mesh, targets=(image,)).result(120)
     made = device.backend_as(object)._rasteriser._builds.built
-    print(hashlib.sha256(image.read().tobytes()).hexdigest(), made)
+    print(hashlib.sha256(image.read().tobytes()).hexdigest(), made, given.count(str))
 """
-"""Draws, and prints a picture's checksum and the number of programs that were compiled. The argument: `HOT`."""
+"""Draws, and prints a picture's checksum, the number of programs that were compiled, and how many the driver was given
+as source code. The arguments: `HOT`, and `refuse` for a driver that takes nothing else."""
 
 
-def start(folder: Path, hot: int = 1 << 30, **variables: str) -> subprocess.Popen[str]:
+def start(folder: Path, hot: int = 1 << 30, *arguments: str, **variables: str) -> subprocess.Popen[str]:
     environment = {name: value for name, value in os.environ.items() if name != "POCL_CACHE_DIR"}
     return subprocess.Popen(
-        [sys.executable, "-c", DRAW, str(hot)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        [sys.executable, "-c", DRAW, str(hot), *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         env=environment | {"RHI_CACHE": str(folder)} | variables,
     )  # fmt: skip
 
@@ -53,15 +66,25 @@ def draw(folder: Path, hot: int = 1 << 30) -> tuple[str, int]:
 
 
 def finish(process: subprocess.Popen[str]) -> tuple[str, int]:
+    picture, made, _ = finish_counting(process)
+    return picture, made
+
+
+def finish_counting(process: subprocess.Popen[str]) -> tuple[str, int, int]:
     output, errors = process.communicate(timeout=300)
     assert process.returncode == 0, errors
     assert errors == ""
-    picture, made = output.split()
-    return picture, int(made)
+    picture, made, sources = output.split()
+    return picture, int(made), int(sources)
 
 
 def records(folder: Path) -> list[Path]:
     return [path for path in (folder / "pocl" / "rhi").iterdir() if not path.suffix]
+
+
+def codes(folder: Path) -> list[Path]:
+    """Return the files of LLVM code, the smallest first, which is the probe's."""
+    return sorted((folder / "pocl" / "rhi").glob("*.code"), key=lambda path: path.stat().st_size)
 
 
 def test_a_first_run_and_its_optimisation_print_nothing(tmp_path: Path) -> None:
@@ -112,6 +135,57 @@ def test_a_damaged_file_is_built_again(
     assert draw(folder) == (picture, 0)
 
 
+@pytest.mark.parametrize(
+    "damage", [bytes.upper, lambda content: content[:100], lambda content: b"", lambda content: cache._seal(b"other")]
+)
+def test_damaged_or_foreign_code_is_made_again(
+    filled: tuple[Path, str], damage: Callable[[bytes], bytes]
+) -> None:
+    """Its checksum may be right and the record's another, as that of a file from elsewhere."""
+    folder, picture = filled
+    _, vertices, *_ = codes(folder)
+    vertices.write_bytes(damage(vertices.read_bytes()))
+    assert draw(folder) == (picture, 1)
+    assert len(codes(folder)) == 4
+    assert draw(folder) == (picture, 0)
+
+
+def test_code_that_the_driver_refuses_is_made_again(filled: tuple[Path, str]) -> None:
+    """Code and record agree, but it is no code."""
+    folder, picture = filled
+    _, vertices, *_ = codes(folder)
+    vertices.write_bytes(cache._seal(b"other"))
+    record = vertices.with_suffix("")
+    record.write_text(json.dumps(json.loads(record.read_text()) | {"code": zlib.crc32(b"other")}))
+    assert draw(folder)[0] == picture
+    assert len(vertices.read_bytes()) > 1000
+    assert draw(folder) == (picture, 0)
+
+
+def test_known_programs_are_not_given_to_the_driver_as_source(drawn: tuple[Path, str]) -> None:
+    folder, picture = drawn
+    assert finish_counting(start(folder)) == (picture, 0, 0)
+
+
+def test_a_driver_that_takes_no_code_is_given_source(filled: tuple[Path, str]) -> None:
+    folder, picture = filled
+    for _ in range(2):
+        assert finish_counting(start(folder, 1 << 30, "refuse"))[::2] == (picture, 4)
+    assert not codes(folder)
+    assert draw(folder) == (picture, 0)  # which another driver goes on with
+
+
+def test_code_without_a_record_is_used(filled: tuple[Path, str]) -> None:
+    """As a process left it that ended before it had recorded a program."""
+    folder, picture = filled
+    for record in records(folder):
+        record.unlink()
+    whole = [path.read_bytes() for path in codes(folder)]
+    assert finish_counting(start(folder)) == (picture, 3, 0)
+    assert [path.read_bytes() for path in codes(folder)] == whole
+    assert draw(folder) == (picture, 0)
+
+
 def test_a_damaged_record_is_made_again(filled: tuple[Path, str]) -> None:
     folder, picture = filled
     for path, content in zip(records(folder), [b"", b"{}", b"[1]", b'{"folder": 1, "files": 2}'], strict=False):
@@ -140,7 +214,7 @@ def make(folder: Path, key: str, size: int, since: float) -> None:
     kernels = KernelCache(folder, "driver")
     place = folder / "AB" / key
     place.mkdir(parents=True)
-    (place / "program.bc").write_bytes(f"rhi_{key}".encode() + bytes(size))
+    (place / "program.bc").write_bytes(f"rhi_built_{key}".encode() + bytes(size))
     kernels.record(key)
     record = folder / "rhi" / key
     used = record.stat().st_mtime - since
@@ -161,6 +235,39 @@ def test_the_programs_used_least_recently_are_removed_beyond_the_limit(
         kernels.finish()
         for part in ("AB", "rhi"):
             assert sorted(path.name for path in (tmp_path / part).iterdir()) == left
+
+
+def test_what_nobody_needs_any_more_is_removed_after_a_day(tmp_path: Path) -> None:
+    """Code and locks without records, and the empty files that PoCL leaves."""
+    (tmp_path / "rhi").mkdir()
+    make(tmp_path, "key", 10, 0.0)
+    old, new = ("rhi/key.code", "rhi/gone.code", "rhi/gone.lock", "tempfile_a", "tempfile_full"), ("tempfile_b",)
+    for name in (*old, *new):
+        (tmp_path / name).write_bytes(b"full" if name == "tempfile_full" else b"")
+    for name in old:
+        os.utime(tmp_path / name, (1e9, 1e9))
+    kernels = KernelCache(tmp_path, "driver")
+    (tmp_path / "rhi" / "key.code").write_bytes(cache._seal(b"code"))
+    os.utime(tmp_path / "rhi" / "key.code", (1e9, 1e9))
+    kernels.record("key")
+    kernels.finish()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["AB", "rhi", "tempfile_b", "tempfile_full"]
+    assert sorted(path.name for path in (tmp_path / "rhi").iterdir()) == ["key", "key.code"]
+    assert kernels.find("key") == (b"code", frozenset())
+
+
+def test_code_counts_to_the_size_of_a_program_and_goes_with_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "rhi").mkdir()
+    (tmp_path / "rhi" / "key.code").write_bytes(cache._seal(bytes([1]) * 1000))
+    make(tmp_path, "key", 1000, 0.0)
+    kernels = KernelCache(tmp_path, "driver")
+    for limit, left in ((2100, ["key", "key.code"]), (2000, [])):
+        monkeypatch.setattr(cache, "LIMIT", limit)
+        kernels.record("key")
+        kernels.finish()
+        assert sorted(path.name for path in (tmp_path / "rhi").iterdir()) == left
 
 
 def test_another_driver_source_or_option_is_another_program(tmp_path: Path) -> None:

@@ -220,6 +220,23 @@ def test_the_race_names_the_event_and_the_first_draw_after_it():
     assert (hazard.first.line, hazard.second.line) == (line + 1, line + 3)
 
 
+@pytest.mark.parametrize("latency", [0, 30_000])
+def test_a_counter_that_is_written_twice_has_the_answer_of_the_second_write(latency):
+    backend = make_backend(halts_at_events=False, interrupt_latency=latency)
+    backend.create_query(BEFORE, QueryKind.COUNTER)
+    backend.write_query(BEFORE)
+    draw(backend)
+    backend.write_query(BEFORE)
+    while (samples := backend.read_query(BEFORE)) is None:
+        backend.spend(1000)
+    draw(backend)  # known to be after the second write: no race with it
+    backend.signal(1)
+    backend.spend(10**6)
+    backend.completed()
+    assert samples == backend.read_query(BEFORE) == 1000
+    assert len(backend.hazards) == 1  # of the first write
+
+
 def test_indirect_draws_race_with_the_counter_too():
     backend = make_backend(**RUNS_ON)
     backend.create_query(BEFORE, QueryKind.COUNTER)

@@ -4,6 +4,8 @@
 //   `Batch`, and access everything else by addresses in memory: no argument is set per draw, whatever a draw binds.
 // - Work is divided into groups of 16 vertices or primitives. A group belongs to one instance of one draw, so everything
 //   that differs from draw to draw is uniform over its 16 lanes. tables.py mirrors the structs.
+// - Functions are given structs by address, and give them so. For each program that is loaded, PoCL keeps the attributes of
+//   functions that take or return structs by value, as long as the process lives.
 // - Window positions are integers in subtexels (1/256 texel) from the centre of texel 0, 0; y counts from the top.
 
 #define INLINE static inline __attribute__((always_inline))
@@ -218,17 +220,17 @@ INLINE bool is_hidden(
 
 // Return whether an instance whose vertices lie within `whole` is invisible: outside of the view, or behind all stored
 // depths.
-INLINE bool is_unseen(global const Batch *batch, global const Draw *draw, global const View *view, Extent whole) {
-    if (whole.behind) return true;
-    if (!whole.fit || draw->primitive != TRIANGLES || batch->edges) return false;
+INLINE bool is_unseen(global const Batch *batch, global const Draw *draw, global const View *view, const Extent *whole) {
+    if (whole->behind) return true;
+    if (!whole->fit || draw->primitive != TRIANGLES || batch->edges) return false;
     int reach = batch->samples > 1 ? SAMPLE_REACH : 0;
-    int left = max((whole.low_x - reach + 255) >> 8, view->box[0]), right = min((whole.high_x + reach) >> 8, view->box[2]);
-    int top = max((whole.low_y - reach + 255) >> 8, view->box[1]), bottom = min((whole.high_y + reach) >> 8, view->box[3]);
+    int left = max((whole->low_x - reach + 255) >> 8, view->box[0]), right = min((whole->high_x + reach) >> 8, view->box[2]);
+    int top = max((whole->low_y - reach + 255) >> 8, view->box[1]), bottom = min((whole->high_y + reach) >> 8, view->box[3]);
     if (left > right || top > bottom) return true;
     if (!batch->bounded || view->bias_units != 0.0f || view->bias_slope != 0.0f) return false;
     const float slack = batch->depth_step;
     return is_hidden(AT(const float, batch->bounds), batch->tiles_x, batch->near_is_less, left, top, right, bottom,
-                     batch->near_is_less ? whole.low - slack : whole.high + slack);
+                     batch->near_is_less ? whole->low - slack : whole->high + slack);
 }
 
 // Return whether a draw is skipped by its condition, the counter of a query (two words).

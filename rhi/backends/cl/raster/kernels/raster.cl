@@ -27,21 +27,19 @@ typedef struct {
     uint next, end, chunk, chunks, chunk_records, column, row;
 } Records;
 
-INLINE Records find_records(global const Batch *batch, int tile) {
-    Records records;
+INLINE void find_records(global const Batch *batch, int tile, Records *records) {
     global const uint *starts = AT(const uint, batch->starts);
     bool listed = batch->listed && starts[batch->tiles] <= batch->list_size;
-    records.list = listed ? AT(const uint, batch->list) : 0;
-    records.boxes = AT(const uint, batch->boxes);
-    records.survivors = AT(const uint, batch->survivors);
-    records.next = listed ? starts[tile] : 0;
-    records.end = listed ? starts[tile + 1] : 0;
-    records.chunk = 0;
-    records.chunks = listed ? 0 : batch->chunks;
-    records.chunk_records = batch->chunk_records;
-    records.column = tile % batch->tiles_x;
-    records.row = tile / batch->tiles_x;
-    return records;
+    records->list = listed ? AT(const uint, batch->list) : 0;
+    records->boxes = AT(const uint, batch->boxes);
+    records->survivors = AT(const uint, batch->survivors);
+    records->next = listed ? starts[tile] : 0;
+    records->end = listed ? starts[tile + 1] : 0;
+    records->chunk = 0;
+    records->chunks = listed ? 0 : batch->chunks;
+    records->chunk_records = batch->chunk_records;
+    records->column = tile % batch->tiles_x;
+    records->row = tile / batch->tiles_x;
 }
 
 // Return the number of the next record, or -1.
@@ -187,10 +185,11 @@ SEPARATE bool find_rare(
     }
     uint corners[3];
     for (int i = 0; i < 3; ++i) corners[i] = record[(kind == CLIPPED ? CLIPPED_SLOTS : THIN_SLOTS) + i];
-    rare->outline = load_outline(batch, view, corners);
-    rare->precise = find_barycentrics(&rare->outline);
+    load_outline(batch, view, corners, &rare->outline);
+    find_barycentrics(&rare->outline, &rare->precise);
     if (kind != CLIPPED) return true;
-    const Contour contour = find_contour(&rare->outline, &rare->precise);
+    Contour contour;
+    find_contour(&rare->outline, &rare->precise, &contour);
     rare->has_range = is_cut(&contour);
     return find_clipped_edges(targets, &contour, x, y, &rare->edges, &rare->range);
 }
@@ -220,32 +219,28 @@ INLINE void clamp_weights(float16 *weight1, float16 *weight2, int16 inside) {
     *weight2 = inside ? second : *weight2;
 }
 
-INLINE Weights find_weights(global const float *planes, float16 x, float16 y) {
-    Weights weights;
-    weights.near_w = planes[0] * x + planes[1] * y + planes[2];
-    float16 w = 1.0f / weights.near_w;
+INLINE void find_weights(global const float *planes, float16 x, float16 y, Weights *weights) {
+    weights->near_w = planes[0] * x + planes[1] * y + planes[2];
+    float16 w = 1.0f / weights->near_w;
     float16 part1 = planes[3] * x + planes[4] * y + planes[5], part2 = planes[6] * x + planes[7] * y + planes[8];
-    weights.weight1 = part1 * w;
-    weights.weight2 = part2 * w;
-    weights.straight1 = part1 * planes[CORNER_W];
-    weights.straight2 = part2 * planes[CORNER_W + 1];
-    return weights;
+    weights->weight1 = part1 * w;
+    weights->weight2 = part2 * w;
+    weights->straight1 = part1 * planes[CORNER_W];
+    weights->straight2 = part2 * planes[CORNER_W + 1];
 }
 
 // The same for a thin triangle, in the block at texel x, y.
-SEPARATE Weights find_thin_weights(const Rare *rare, int x, int y, int16 inside) {
+SEPARATE void find_thin_weights(const Rare *rare, int x, int y, int16 inside, Weights *weights) {
     const Outline *outline = &rare->outline;
     double16 parts[3];
     find_parts(&rare->precise, (x + LANE_X) * SUBTEXELS, (y + LANE_Y) * SUBTEXELS, inside, parts);
     double16 whole = parts[0] + parts[1] + parts[2], straight = (double16)(0.0);
     for (int i = 0; i < 3; ++i) straight += parts[i] * outline->exact[i].z;
-    Weights weights;
-    weights.near_w = convert_float16(whole);
-    weights.weight1 = convert_float16(parts[1] / whole);
-    weights.weight2 = convert_float16(parts[2] / whole);
-    weights.straight1 = convert_float16(parts[1] * outline->exact[1].z / straight);
-    weights.straight2 = convert_float16(parts[2] * outline->exact[2].z / straight);
-    return weights;
+    weights->near_w = convert_float16(whole);
+    weights->weight1 = convert_float16(parts[1] / whole);
+    weights->weight2 = convert_float16(parts[2] / whole);
+    weights->straight1 = convert_float16(parts[1] * outline->exact[1].z / straight);
+    weights->straight2 = convert_float16(parts[2] * outline->exact[2].z / straight);
 }
 #define CORNER(k, word) as_float(corner##k[word])
 #define INTERPOLATE(word, weight1, weight2) \
@@ -346,7 +341,8 @@ INLINE void count_samples(global const Batch *batch, ulong samples, int16 passed
 SINGLE raster(ulong address) {
     global const Batch *batch = AT(const Batch, address);
     const int tile = spread_work(get_global_id(0), batch->tiles);
-    Records records = find_records(batch, tile);
+    Records records;
+    find_records(batch, tile, &records);
     int place = next_record(&records);
     const int tile_x = tile % batch->tiles_x * TILE, tile_y = tile / batch->tiles_x * TILE;
 #if BOUNDS_DEPTH
@@ -360,7 +356,8 @@ SINGLE raster(ulong address) {
     if (place < 0 && !cleared) return;
     global const Merger *merger = AT(const Merger, batch->places);
     global const ulong *target_places = (global const ulong *)(merger + 1);
-    const Targets opened = open_targets(merger, batch->surfaces, target_places);
+    Targets opened;
+    open_targets(merger, batch->surfaces, target_places, &opened);
     const Targets *targets = &opened;
     const int width = min(TILE, ((batch->width + 3) & ~3) - tile_x);  // of the part inside the target, in whole blocks
     const int height = min(TILE, ((batch->height + 3) & ~3) - tile_y);
@@ -596,7 +593,9 @@ SINGLE raster(ulong address) {
 #if FRAGMENT
                 if (!SHADES) continue;
                 float16 away_x = (float)(x - box_x) + LANE_FX, away_y = (float)(y - box_y) + LANE_FY;
-                Weights weights = SELDOM(thin) ? find_thin_weights(&rare, x, y, inside) : find_weights(planes, away_x, away_y);
+                Weights weights;
+                if (SELDOM(thin)) find_thin_weights(&rare, x, y, inside, &weights);
+                else find_weights(planes, away_x, away_y, &weights);
                 const int shares = as_int(planes[SHARES]);
                 clamp_weights(&weights.weight1, &weights.weight2, inside & -(shares & 1));
                 clamp_weights(&weights.straight1, &weights.straight2, inside & -(shares >> 1));

@@ -106,33 +106,31 @@ typedef struct {
 } CornerPlanes;
 
 // Compute planes of a triangle, clipped or not: they are linear in the window over the whole one.
-INLINE CornerPlanes find_triangle_planes(const Barycentrics *weights, int left, int top) {
-    CornerPlanes planes;
+INLINE void find_triangle_planes(const Barycentrics *weights, int left, int top, CornerPlanes *planes) {
     for (int i = 0; i < 3; ++i) {
-        planes.x[i] = weights->rows[i].x * weights->shares[i] * SUBTEXELS;
-        planes.y[i] = weights->rows[i].y * weights->shares[i] * SUBTEXELS;
-        planes.start[i] = dot(weights->rows[i], (double3)(left * SUBTEXELS, top * SUBTEXELS, 1.0)) * weights->shares[i];
+        planes->x[i] = weights->rows[i].x * weights->shares[i] * SUBTEXELS;
+        planes->y[i] = weights->rows[i].y * weights->shares[i] * SUBTEXELS;
+        planes->start[i] = dot(weights->rows[i], (double3)(left * SUBTEXELS, top * SUBTEXELS, 1.0)) * weights->shares[i];
     }
-    return planes;
 }
 
 // The same for a line between two corners, along its longer side, or a point. An end's weight / w is (s - s0) w0 / (s1 w0 - s0 w1), s being x or y
 // times w.
-INLINE CornerPlanes find_line_planes(const Outline *outline, bool is_line, int from, int to, int left, int top) {
+INLINE void find_line_planes(
+    const Outline *outline, bool is_line, int from, int to, int left, int top, CornerPlanes *planes
+) {
     double3 a = outline->exact[from], b = outline->exact[to];
     bool steep = is_line && fabs(b.y * a.z - a.y * b.z) > fabs(b.x * a.z - a.x * b.z);
     double s0 = (steep ? a.y : a.x) / SUBTEXELS, s1 = (steep ? b.y : b.x) / SUBTEXELS, at = steep ? top : left;
     double whole = is_line ? s1 * a.z - s0 * b.z : 1.0;
     double slope0 = is_line ? -b.z / whole : 0.0, slope1 = is_line ? a.z / whole : 0.0;
-    CornerPlanes planes;
-    for (int i = 0; i < 3; ++i) planes.x[i] = planes.y[i] = planes.start[i] = 0.0;
-    planes.x[from] = steep ? 0.0 : slope0;
-    planes.x[to] = steep ? 0.0 : slope1;
-    planes.y[from] = steep ? slope0 : 0.0;
-    planes.y[to] = steep ? slope1 : 0.0;
-    planes.start[from] = is_line ? s1 / whole + slope0 * at : 1.0 / a.z;
-    planes.start[to] = is_line ? slope1 * at - s0 / whole : 0.0;
-    return planes;
+    for (int i = 0; i < 3; ++i) planes->x[i] = planes->y[i] = planes->start[i] = 0.0;
+    planes->x[from] = steep ? 0.0 : slope0;
+    planes->x[to] = steep ? 0.0 : slope1;
+    planes->y[from] = steep ? slope0 : 0.0;
+    planes->y[to] = steep ? slope1 : 0.0;
+    planes->start[from] = is_line ? s1 / whole + slope0 * at : 1.0 / a.z;
+    planes->start[to] = is_line ? slope1 * at - s0 / whole : 0.0;
 }
 
 // Find the range of the corners' depths: the whole range of the view if one of them is cut.
@@ -156,7 +154,8 @@ INLINE void find_depth_range(
 
 // Return the depth bias of a triangle that is drawn as lines. One without an area has no slope.
 INLINE float offset_edges(global const View *view, const Outline *outline, const Barycentrics *weights, float largest) {
-    const CornerPlanes corner = find_triangle_planes(weights, 0, 0);
+    CornerPlanes corner;
+    find_triangle_planes(weights, 0, 0, &corner);
     double slope_x = 0.0, slope_y = 0.0;
     for (int i = 0; i < 3; ++i) {
         slope_x += corner.x[i] * outline->z[i] * view->scale[2];
@@ -174,8 +173,9 @@ void set_planes(
 ) {
     const int left = record[BOX_FIRST] & 0xFFFF, top = record[BOX_FIRST] >> 16;
     const int width = (record[BOX_LAST] & 0xFFFF) - left + BLOCK_REACH, height = (record[BOX_LAST] >> 16) - top + BLOCK_REACH;
-    const CornerPlanes corner = primitive == TRIANGLES ? find_triangle_planes(weights, left, top)
-                                                       : find_line_planes(outline, primitive != POINTS, edge, (edge + 1) % 3, left, top);
+    CornerPlanes corner;
+    if (primitive == TRIANGLES) find_triangle_planes(weights, left, top, &corner);
+    else find_line_planes(outline, primitive != POINTS, edge, (edge + 1) % 3, left, top, &corner);
     double depth_x = 0.0, depth_y = 0.0, depth = view->shift[2], near_x = 0.0, near_y = 0.0, near = 0.0, swing = 0.0;
     float largest = 0.0f;
     int in_front = 1;
@@ -323,8 +323,9 @@ bool set_up_clipped(
     global const Batch *batch, global const View *view, uint *slots, int primitive, int edge, int number, int draw_number,
     int *record, float *planes
 ) {
-    Outline outline = load_outline(batch, view, slots);
+    Outline outline;
     Barycentrics weights;
+    load_outline(batch, view, slots, &outline);
     const bool is_triangle = primitive == TRIANGLES, is_edge = primitive == EDGES;
     bool flipped = false;
     if (is_triangle || is_edge) {
@@ -335,9 +336,9 @@ bool set_up_clipped(
             uint slot = slots[1];
             slots[1] = slots[2];
             slots[2] = slot;
-            outline = load_outline(batch, view, slots);
+            load_outline(batch, view, slots, &outline);
         }
-        weights = find_barycentrics(&outline);
+        find_barycentrics(&outline, &weights);
     }
     int box[4];
     const uint ends[3] = {slots[edge], slots[(edge + 1) % 3], slots[(edge + 2) % 3]};
@@ -440,22 +441,21 @@ SEPARATE int set_up_points(
     return place;
 }
 
-// Return the extent of an instance's vertices, which begin at `group`.
-INLINE Extent find_extent(global const Batch *batch, global const Draw *draw, int group) {
+// Find the extent of an instance's vertices, which begin at `group`.
+INLINE void find_extent(global const Batch *batch, global const Draw *draw, int group, Extent *whole) {
     global const Extent *extents = AT(const Extent, batch->extents);
     int end = group + draw->vertex_groups;
-    Extent whole = extents[group];
+    *whole = extents[group];
     while ((group = (group / batch->vertex_chunk + 1) * batch->vertex_chunk) < end) {
-        whole.low_x = min(whole.low_x, extents[group].low_x);
-        whole.low_y = min(whole.low_y, extents[group].low_y);
-        whole.high_x = max(whole.high_x, extents[group].high_x);
-        whole.high_y = max(whole.high_y, extents[group].high_y);
-        whole.low = fmin(whole.low, extents[group].low);
-        whole.high = fmax(whole.high, extents[group].high);
-        whole.fit &= extents[group].fit;
-        whole.behind &= extents[group].behind;
+        whole->low_x = min(whole->low_x, extents[group].low_x);
+        whole->low_y = min(whole->low_y, extents[group].low_y);
+        whole->high_x = max(whole->high_x, extents[group].high_x);
+        whole->high_y = max(whole->high_y, extents[group].high_y);
+        whole->low = fmin(whole->low, extents[group].low);
+        whole->high = fmax(whole->high, extents[group].high);
+        whole->fit &= extents[group].fit;
+        whole->behind &= extents[group].behind;
     }
-    return whole;
 }
 
 SINGLE set_up(ulong address) {
@@ -493,7 +493,9 @@ SINGLE set_up(ulong address) {
         int part = (group - draw->primitive_group) - instance * draw->primitive_groups;
         int parts = min(draw->primitive_groups, part + end - group);
         const int vertex_group = draw->vertex_group + instance * draw->vertex_groups;
-        if (is_unseen(batch, draw, view, find_extent(batch, draw, vertex_group))) {
+        Extent whole;
+        find_extent(batch, draw, vertex_group, &whole);
+        if (is_unseen(batch, draw, view, &whole)) {
             group += parts - part;
             continue;
         }
@@ -682,8 +684,10 @@ SINGLE set_up(ulong address) {
                         uint slots[3];
                         bool turned = bits_of(flipped) >> lane & 1;
                         for (int k = 0; k < 3; ++k) slots[k] = corners[3 * lane + (turned ? (3 - k) % 3 : k)] + to_slot;
-                        const Outline outline = load_outline(batch, view, slots);
-                        const Barycentrics weights = find_barycentrics(&outline);
+                        Outline outline;
+                        Barycentrics weights;
+                        load_outline(batch, view, slots, &outline);
+                        find_barycentrics(&outline, &weights);
                         vstore16(as_int16(records[lane]), 0, made);
                         set_planes(batch, view, &outline, &weights, slots, TRIANGLES, 0, part * GROUP + lane, thin >> lane & 1,
                                    made, plane);

@@ -31,9 +31,10 @@ typedef struct {
     Surface depth, stencil;
 } Targets;
 
-MERGER Surface open_surface(global uchar *memory, global const ulong *place) {
-    Surface surface = {memory + place[0], place[1], place[2]};
-    return surface;
+MERGER void open_surface(global uchar *memory, global const ulong *place, Surface *surface) {
+    surface->first = memory + place[0];
+    surface->pitch = place[1];
+    surface->layer = place[2];
 }
 
 MERGER global uchar *locate(const Surface *surface, int x, int y, int sample, const int bytes) {
@@ -454,17 +455,15 @@ MERGER void clear_targets(
 }
 
 // `surfaces`: the addresses of their memory; `target_places`: where they lie in it.
-MERGER Targets open_targets(
-    global const Merger *merger, global const ulong *surfaces, global const ulong *target_places
+MERGER void open_targets(
+    global const Merger *merger, global const ulong *surfaces, global const ulong *target_places, Targets *targets
 ) {
-    Targets opened, *targets = &opened;
-    opened.merger = merger;
-#define OPEN_ONE(place) open_surface(AT(uchar, surfaces[place]), target_places + 3 * (place))
-#define OPEN(place, ...) opened.color[place] = OPEN_ONE(place);
+    targets->merger = merger;
+#define OPEN_ONE(place, surface) open_surface(AT(uchar, surfaces[place]), target_places + 3 * (place), surface);
+#define OPEN(place, ...) OPEN_ONE(place, &targets->color[place])
     COLOR_TARGETS(OPEN)
 #undef OPEN
-    if (HAS_DEPTH) opened.depth = OPEN_ONE(COLOR_COUNT);
-    if (HAS_STENCIL) opened.stencil = OPEN_ONE(COLOR_COUNT + HAS_DEPTH);
+    if (HAS_DEPTH) OPEN_ONE(COLOR_COUNT, &targets->depth)
+    if (HAS_STENCIL) OPEN_ONE(COLOR_COUNT + HAS_DEPTH, &targets->stencil)
 #undef OPEN_ONE
-    return opened;
 }

@@ -41,9 +41,8 @@ SEPARATE double3 join(double3 p, double3 q) {
     return swaps ? -line : line;
 }
 
-SEPARATE Outline load_outline(global const Batch *batch, global const View *view, const uint *slots) {
-    Outline outline;
-    outline.placed = 0;
+SEPARATE void load_outline(global const Batch *batch, global const View *view, const uint *slots, Outline *outline) {
+    outline->placed = 0;
     for (int i = 0; i < 3; ++i) {
         const float4 p = load_clip(batch, slots[i]);
         const uint4 position = AT(const uint4, batch->positions)[slots[i]];
@@ -53,29 +52,26 @@ SEPARATE Outline load_outline(global const Batch *batch, global const View *view
                                   (p.y * (double)view->scale[1] + w * view->shift[1]) - 0.5 * w, w);
         exact.xy *= SUBTEXELS;
         const bool placed = as_float(position.w) >= 0.0f;
-        outline.exact[i] = exact;
-        outline.corners[i] = placed ? (double3)(as_int(position.x), as_int(position.y), 1.0) : exact;
-        outline.z[i] = p.z;
-        outline.placed |= placed << i;
+        outline->exact[i] = exact;
+        outline->corners[i] = placed ? (double3)(as_int(position.x), as_int(position.y), 1.0) : exact;
+        outline->z[i] = p.z;
+        outline->placed |= placed << i;
     }
-    return outline;
 }
 
 INLINE double find_area(const double3 *corners) { return dot(corners[0], join(corners[1], corners[2])); }
 
-SEPARATE Barycentrics find_barycentrics(const Outline *outline) {
+SEPARATE void find_barycentrics(const Outline *outline, Barycentrics *found) {
     const double area = find_area(outline->exact), rounded = find_area(outline->corners);
     const bool flat = area == 0.0;
     double scale = 1.0;
     for (int i = 0; i < 3; ++i) scale *= outline->placed >> i & 1 ? outline->exact[i].z : 1.0;
-    Barycentrics found;
-    found.blurred = !(fabs(area - rounded * scale) < 0.5 * fabs(area));
+    found->blurred = !(fabs(area - rounded * scale) < 0.5 * fabs(area));
     for (int i = 0; i < 3; ++i) {
         const int j = (i + 1) % 3, k = (i + 2) % 3;
-        found.rows[i] = flat ? join(outline->corners[j], outline->corners[k]) : join(outline->exact[j], outline->exact[k]);
-        found.shares[i] = !flat ? 1.0 / area : outline->placed >> i & 1 ? 1.0 / (rounded * outline->exact[i].z) : 1.0 / rounded;
+        found->rows[i] = flat ? join(outline->corners[j], outline->corners[k]) : join(outline->exact[j], outline->exact[k]);
+        found->shares[i] = !flat ? 1.0 / area : outline->placed >> i & 1 ? 1.0 / (rounded * outline->exact[i].z) : 1.0 / rounded;
     }
-    return found;
 }
 
 // The lines that bound what is visible of a triangle.
@@ -85,21 +81,19 @@ typedef struct {
     int fixed;         // as bits: edges between two window positions, those from one (<< 3), near and far if they cut (<< 6)
 } Contour;
 
-SEPARATE Contour find_contour(const Outline *outline, const Barycentrics *weights) {
-    Contour contour;
-    contour.fixed = 0;
-    contour.lines[3] = contour.lines[4] = (double3)(0.0);
+SEPARATE void find_contour(const Outline *outline, const Barycentrics *weights, Contour *contour) {
+    contour->fixed = 0;
+    contour->lines[3] = contour->lines[4] = (double3)(0.0);
     for (int i = 0; i < 3; ++i) {
         const int k = i < 2 ? i + 1 : 0, first = outline->placed >> i & 1, second = outline->placed >> k & 1;
         const double3 *corners = first & second ? outline->corners : outline->exact;
-        contour.lines[i] = join(corners[i], corners[k]);
-        contour.meets[i] = convert_int2(clamp(outline->corners[first ? i : k].xy, -0x1p30, 0x1p30));
+        contour->lines[i] = join(corners[i], corners[k]);
+        contour->meets[i] = convert_int2(clamp(outline->corners[first ? i : k].xy, -0x1p30, 0x1p30));
         const double near = outline->z[i], far = outline->exact[i].z - outline->z[i];
-        contour.lines[3] += weights->rows[i] * (weights->shares[i] * near);
-        contour.lines[4] += weights->rows[i] * (weights->shares[i] * far);
-        contour.fixed |= (first & second) << i | (first | second) << (i + 3) | (near < 0.0) << 6 | (far < 0.0) << 7;
+        contour->lines[3] += weights->rows[i] * (weights->shares[i] * near);
+        contour->lines[4] += weights->rows[i] * (weights->shares[i] * far);
+        contour->fixed |= (first & second) << i | (first | second) << (i + 3) | (near < 0.0) << 6 | (far < 0.0) << 7;
     }
-    return contour;
 }
 
 // Compute a line of the contour at texel x, y of a tile: integers A, B per texel of up to 23 bits, and its value there. It is

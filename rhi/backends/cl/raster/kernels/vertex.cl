@@ -116,18 +116,17 @@ INLINE float16 find_slack(float16 ratio, float slack, float slack_w, float least
            WINDOW_ROUNDING * (fabs(ratio * scale) + fabs(shift));
 }
 
-// Return an upper bound of the extent of an instance's vertices.
-Extent bound_extent(global const View *view, const uint16 *outputs) {
+// Find an upper bound of the extent of an instance's vertices.
+void bound_extent(global const View *view, const uint16 *outputs, Extent *extent) {
     float16 x = as_float16(outputs[0]), y = as_float16(outputs[1]), z = as_float16(outputs[2]), w = as_float16(outputs[3]);
     float slack_x = as_float(outputs[4].s0), slack_y = as_float(outputs[5].s0), slack_z = as_float(outputs[6].s0);
     float slack_w = as_float(outputs[7].s0);
-    Extent extent;
-    extent.behind = find_common(
+    extent->behind = find_common(
         ((z < -slack_z) & 1) | ((w - z < -(slack_z + slack_w)) & 2) | ((w + x < -(slack_x + slack_w)) & 4) |
         ((w - x < -(slack_x + slack_w)) & 8) | ((w + y < -(slack_y + slack_w)) & 16) | ((w - y < -(slack_y + slack_w)) & 32));
     float least_w = find_least(w) - 2.0f * slack_w;
-    extent.fit = least_w > 2.0f * slack_w && find_least(z) > slack_z && find_least(w - z) > slack_z + slack_w;
-    if (!extent.fit) return extent;
+    extent->fit = least_w > 2.0f * slack_w && find_least(z) > slack_z && find_least(w - z) > slack_z + slack_w;
+    if (!extent->fit) return;
     float16 ratio_x = x / w, ratio_y = y / w, ratio_z = z / w;
     float16 window_x = ratio_x * view->scale[0] + view->shift[0], window_y = ratio_y * view->scale[1] + view->shift[1];
     float16 depth = ratio_z * view->scale[2] + view->shift[2];
@@ -138,15 +137,14 @@ Extent bound_extent(global const View *view, const uint16 *outputs) {
     float low_y = (find_least(window_y - aside_y) - 0.5f) * SUBTEXELS - 2.0f;
     float high_x = (find_greatest(window_x + aside_x) - 0.5f) * SUBTEXELS + 2.0f;
     float high_y = (find_greatest(window_y + aside_y) - 0.5f) * SUBTEXELS + 2.0f;
-    extent.fit = low_x > -POSITION_LIMIT && low_y > -POSITION_LIMIT && high_x < POSITION_LIMIT && high_y < POSITION_LIMIT;
-    if (!extent.fit) return extent;
-    extent.low_x = (int)low_x;
-    extent.low_y = (int)low_y;
-    extent.high_x = (int)high_x;
-    extent.high_y = (int)high_y;
-    extent.low = find_least(depth - aside);
-    extent.high = find_greatest(depth + aside);
-    return extent;
+    extent->fit = low_x > -POSITION_LIMIT && low_y > -POSITION_LIMIT && high_x < POSITION_LIMIT && high_y < POSITION_LIMIT;
+    if (!extent->fit) return;
+    extent->low_x = (int)low_x;
+    extent->low_y = (int)low_y;
+    extent->high_x = (int)high_x;
+    extent->high_y = (int)high_y;
+    extent->low = find_least(depth - aside);
+    extent->high = find_greatest(depth + aside);
 }
 
 // Return whether an instance needn't be transformed because set-up would cull it.
@@ -169,7 +167,9 @@ bool is_box_unseen(
     }
     RHI_BOXED(PUT_CORNERS)
     rhi_bounds(BINDINGS inputs, reaches, (int16)(0), numbered, draw->number, (int16)(-1), outputs);
-    return is_unseen(batch, draw, view, bound_extent(view, outputs));
+    Extent extent;
+    bound_extent(view, outputs, &extent);
+    return is_unseen(batch, draw, view, &extent);
 }
 
 // Measure the box of a draw's attributes, word by word; NaN if one of them isn't finite.
