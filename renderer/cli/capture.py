@@ -121,7 +121,14 @@ def plot_frames(frames: list[CapturedFrame], path: Path, title: str) -> None:
             for name in list_passes(frames)
         ]
         axes.stackplot(numbers, *stacked, labels=list_passes(frames), alpha=0.8, step="mid")
-        axes.plot(numbers, [one.milliseconds for one in frames], color="black", linewidth=0.8, label="frame")
+        axes.plot(
+            numbers,
+            [one.milliseconds for one in frames],
+            drawstyle="steps-mid",
+            color="black",
+            linewidth=0.8,
+            label="frame",
+        )
         axes.set_xlabel("frame")
         axes.set_ylabel("ms")
         axes.set_ylim(bottom=0.0)
