@@ -127,7 +127,8 @@ class Distances(FullScreen):
         if nearness == 0.0:
             return vec4(0.0, 0.0, 0.0, 1.0)
         away = length(position_at(place, nearness, self.pixels))
-        return vec4(vec3(saturate(1.0 - log2(max(away, 0.1) * 10.0) / _DECADES)), 1.0)
+        shade = saturate(1.0 - log2(max(away, 0.1) * 10.0) / _DECADES)
+        return vec4(vec3(shade * shade), 1.0)  # about even to the eye
 
 
 class Inspection:
