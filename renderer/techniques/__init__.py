@@ -7,13 +7,14 @@ from renderer.techniques.deferred import Deferred
 from renderer.techniques.forward import Forward
 from renderer.techniques.forward_multipass import ForwardMultipass
 from renderer.techniques.fxaa import Smoothed
+from renderer.techniques.inferred import Inferred
 from renderer.techniques.light_indexed import LightIndexed
 from renderer.techniques.light_pre_pass import LightPrePass
 from renderer.techniques.particles import Particles
 from renderer.techniques.technique import Technique
 
 TECHNIQUES: Final[dict[str, Callable[[], Technique]]] = {
-    one.name: one for one in (Forward, ForwardMultipass, Deferred, LightPrePass, LightIndexed)
+    one.name: one for one in (Forward, ForwardMultipass, Deferred, LightPrePass, LightIndexed, Inferred)
 }
 """Constructors of all techniques, by name."""
 
@@ -22,6 +23,7 @@ __all__ = [
     "Deferred",
     "Forward",
     "ForwardMultipass",
+    "Inferred",
     "LightIndexed",
     "LightPrePass",
     "Particles",

@@ -40,19 +40,20 @@ from renderer.techniques.scene_shader import SHADING_PARTS, ShadingShader, WithS
 from rhi import Format
 from rhi.shading import Precision, Shader, Texture2D, fragment_coordinate, ivec2, min, vec3, vec4
 
+
 class PointLighting(PointVolumes, GeometryReader):
     """Lights the geometry buffer by point lights."""
 
     precision = Precision.FAST
 
     def fragment(self, v: VolumeVarying) -> vec4:
-        pixel = fragment_coordinate().xy
-        texel = self.surface.load(ivec2(pixel))
-        position = self.find_place(texel, pixel)
+        place = ivec2(fragment_coordinate().xy)
+        texel = self.surface.load(place)
+        position = self.find_place(texel, place)
         light = self.point_lights[v.light]
         if not is_near(position, light.position, light.range):
             return vec4(0.0)
-        surface = self.read_surface(self.material.load(ivec2(pixel)), texel, position)
+        surface = self.read_surface(self.material.load(place), texel, position)
         return vec4(point_light(surface, light), 0.0)
 
 
@@ -62,13 +63,13 @@ class SpotLighting(SpotVolumes, GeometryReader):
     precision = Precision.FAST
 
     def fragment(self, v: VolumeVarying) -> vec4:
-        pixel = fragment_coordinate().xy
-        texel = self.surface.load(ivec2(pixel))
-        position = self.find_place(texel, pixel)
+        place = ivec2(fragment_coordinate().xy)
+        texel = self.surface.load(place)
+        position = self.find_place(texel, place)
         light = self.spot_lights[v.light]
         if not is_near(position, light.position, light.range):
             return vec4(0.0)
-        surface = self.read_surface(self.material.load(ivec2(pixel)), texel, position)
+        surface = self.read_surface(self.material.load(place), texel, position)
         return vec4(spot_light(surface, light), 0.0)
 
 
@@ -76,12 +77,12 @@ class ResolveShader(CoverShader, GeometryReader, ShadingShader):
     """Makes the image from the geometry buffer."""
 
     def fragment(self) -> vec4:
-        pixel = fragment_coordinate().xy
-        texel = self.surface.load(ivec2(pixel))
-        row = self.material.load(ivec2(pixel))
-        position = self.find_place(texel, pixel)
+        place = ivec2(fragment_coordinate().xy)
+        texel = self.surface.load(place)
+        row = self.material.load(place)
+        position = self.find_place(texel, place)
         surface = self.read_surface(row, texel, position)
-        color = self.shade(surface, self.materials[int(row.x)]) + self.local_light(ivec2(pixel))
+        color = self.shade(surface, self.materials[int(row.x)]) + self.local_light(place)
         return self.finish(color, position)
 
     def local_light(self, place: ivec2) -> vec3:
@@ -164,7 +165,8 @@ def resolve(frame: Frame, *, lights: Sequence[str]) -> None:
         *features, has_sun=needs.has_sun, has_images=Effect.IMAGES in needs.effects, has_lights=bool(lights)
     )
     bindings |= bind_geometry(frame)
-    bindings |= {"light": targets[name] for name in lights}
+    if lights:
+        (bindings["light"],) = (targets[name] for name in lights)
     with (
         device.render_pass(
             targets.image, targets["depth"], clear=(*frame.resources.scene.background, 1.0)

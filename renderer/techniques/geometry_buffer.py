@@ -35,12 +35,14 @@ from rhi.shading import (
     Shader,
     Storage,
     Struct,
-    Uniform,
     UintTexture2D,
+    Uniform,
     abs,
     dot,
     float_bits_to_uint,
+    floor,
     function,
+    ivec2,
     mat3,
     max,
     normalize,
@@ -67,14 +69,16 @@ BEHIND: Final = {Depth.REVERSED: DepthFunction.LESS, Depth.STANDARD: DepthFuncti
 
 
 class PixelRays(Struct):
-    """Where the pixels of a view are. What is `distance` along the view in the pixel at (x, y) is at `direction @ (x, y,
-    1) * distance + origin @ (x, y, 1)`, relative to the eye. The origins of a perspective lens are 0.
+    """Where the pixels of a view are: what is `distance` along the view in the pixel at (x, y) is at
+    `direction @ (x, y, 1) * distance + origin @ (x, y, 1)`, relative to the eye. With a perspective lens `origin` is 0.
 
-    `forward` is the direction of the view, `far` the distance of its far plane, and `farthest` its depth.
+    `size` is that of the image in pixels, `forward` the direction of the view, `far` the distance of its far plane, and
+    `farthest` its depth.
     """
 
     direction: mat3
     origin: mat3
+    size: vec2
     forward: vec3
     far: float
     farthest: float
@@ -85,6 +89,12 @@ def place_pixel(rays: PixelRays, pixel: vec2, distance: float) -> vec3:
     """Return the position, relative to the eye, of what is `distance` along the view in a pixel."""
     at = vec3(pixel, 1.0)
     return rays.direction @ at * distance + rays.origin @ at
+
+
+@function
+def find_shrunk(texel: vec2, size: vec2, shrunk: ivec2) -> vec2:
+    """Return the center of the pixel of an image of `size` that is stored at the center of a texel of a shrunk one."""
+    return floor(texel * size / vec2(shrunk)) + 0.5
 
 
 @function
@@ -171,13 +181,17 @@ class TexturedGeometry(Textured, SurfaceShader):
 
 
 class SurfaceReader(Shader):
-    """The base of shaders that light what is in `surface`."""
+    """The base of shaders that light what is in `surface`. If that `is_shrunk`, it has every so many pixels only."""
 
     rays: Uniform[PixelRays]
     surface: UintTexture2D
+    is_shrunk = False
 
-    def find_place(self, texel: uvec4, pixel: vec2) -> vec3:
-        """Return the position of the surface in a pixel, whose texel of `surface` was loaded."""
+    def find_place(self, texel: uvec4, place: ivec2) -> vec3:
+        """Return the position of the surface whose texel, at `place`, was loaded."""
+        pixel = vec2(place) + 0.5
+        if self.is_shrunk:
+            pixel = find_shrunk(pixel, self.rays.size, self.surface.size())
         return place_pixel(self.rays, pixel, uint_bits_to_float(texel.y))
 
 
@@ -225,7 +239,8 @@ class Screen:
         self.triangle = device.mesh(3, label="screen")
         zeros = np.zeros((3, 3))
         self._rays = MirroredValue(
-            device, PixelRays(direction=zeros, origin=zeros, forward=(0, 0, 0), far=0.0, farthest=0.0)
+            device,
+            PixelRays(direction=zeros, origin=zeros, size=(0, 0), forward=(0, 0, 0), far=0.0, farthest=0.0),
         )
 
     def find_rays(self, frame: Frame) -> UniformBuffer[PixelRays]:
@@ -264,6 +279,7 @@ def find_rays(camera: Camera, size: tuple[int, int]) -> PixelRays:
     return PixelRays(
         direction=camera.rotation.T @ direction,
         origin=camera.rotation.T @ origin,
+        size=size,
         forward=camera.forward,
         far=find_far(camera),
         farthest=FARTHEST[depth],
@@ -324,10 +340,10 @@ def bind_scene(frame: Frame) -> dict[str, Any]:
     }
 
 
-def bind_surface(frame: Frame) -> dict[str, Any]:
-    """Return the bindings of a `SurfaceReader`."""
+def bind_surface(frame: Frame, surface: str = "surface") -> dict[str, Any]:
+    """Return the bindings of a `SurfaceReader`; `surface` is the name of its contents."""
     rays = frame.resources.workspace(Screen).find_rays(frame)
-    return {"rays": rays, "surface": frame.targets["surface"]}
+    return {"rays": rays, "surface": frame.targets[surface]}
 
 
 def bind_geometry(frame: Frame) -> dict[str, Any]:

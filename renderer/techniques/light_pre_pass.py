@@ -6,8 +6,8 @@
 3. `materials` draws the geometry again, where its depth equals, with the shader of forward shading. Each material
    completes the equation itself, and adds what no light buffer has: ambient and directional light, rim, emission.
 
-So a geometry buffer need not hold what materials are made of: 10 bytes a pixel instead of 16, for geometry that is drawn
-twice. A scene without point and spot lights is drawn once, by forward shading.
+So a geometry buffer need not hold what materials are made of: 10 bytes a pixel instead of 16, for geometry that is
+drawn twice. A scene without point and spot lights is drawn once, by forward shading.
 
 The terms take six channels. With `specular_channels=1` they take four: what is mirrored is stored as its luminance, in
 the alpha of the diffuse term, and gets that term's hue. That is right where one light prevails.
@@ -40,7 +40,7 @@ from renderer.techniques.light_volumes import (
     declare_lights,
     draw_volumes,
 )
-from rhi import DepthFunction, DepthWrite, Format
+from rhi import DepthFunction, DepthWrite, Format, Program, Texture
 from rhi.shading import (
     Precision,
     Shader,
@@ -55,7 +55,6 @@ from rhi.shading import (
     min,
     uvec2,
     uvec4,
-    vec2,
     vec3,
     vec4,
 )
@@ -102,15 +101,15 @@ class TermReader(SurfaceReader):
 
     shininess: Texture2D
 
-    def collect(self, texel: uvec4, pixel: vec2, position: vec3, incidence: Incidence) -> LightTerms:
-        """Return the terms of light that arrives at the surface of a pixel."""
+    def collect(self, texel: uvec4, place: ivec2, position: vec3, incidence: Incidence) -> LightTerms:
+        """Return the terms of light that arrives at the surface at a place of the buffers."""
         surface = SurfacePoint(
             position=position,
             normal=decode_normal(texel.x),
             to_eye=safe_normalize(-position),
             base_color=vec3(1.0),
             specular_color=vec3(1.0),
-            shininess=self.shininess.load(ivec2(pixel)).x / _SHININESS_SCALE,
+            shininess=self.shininess.load(place).x / _SHININESS_SCALE,
         )
         facing = dot(surface.normal, incidence.direction)
         if facing <= 0.0:
@@ -124,44 +123,44 @@ class PointTerms(PointVolumes, TermReader):
     """Collects the terms of point lights."""
 
     def fragment(self, v: VolumeVarying) -> LightTerms:
-        return self.collect_at(v.light, fragment_coordinate().xy)
+        return self.collect_at(v.light, ivec2(fragment_coordinate().xy))
 
-    def collect_at(self, row: int, pixel: vec2) -> LightTerms:
-        texel = self.surface.load(ivec2(pixel))
-        position = self.find_place(texel, pixel)
+    def collect_at(self, row: int, place: ivec2) -> LightTerms:
+        texel = self.surface.load(place)
+        position = self.find_place(texel, place)
         light = self.point_lights[row]
         if not is_near(position, light.position, light.range):
             return LightTerms(diffuse=vec4(0.0), specular=vec4(0.0))
-        return self.collect(texel, pixel, position, point_incidence(position, light))
+        return self.collect(texel, place, position, point_incidence(position, light))
 
 
 class SpotTerms(SpotVolumes, TermReader):
     """Collects the terms of spot lights."""
 
     def fragment(self, v: VolumeVarying) -> LightTerms:
-        return self.collect_at(v.light, fragment_coordinate().xy)
+        return self.collect_at(v.light, ivec2(fragment_coordinate().xy))
 
-    def collect_at(self, row: int, pixel: vec2) -> LightTerms:
-        texel = self.surface.load(ivec2(pixel))
-        position = self.find_place(texel, pixel)
+    def collect_at(self, row: int, place: ivec2) -> LightTerms:
+        texel = self.surface.load(place)
+        position = self.find_place(texel, place)
         light = self.spot_lights[row]
         if not is_near(position, light.position, light.range):
             return LightTerms(diffuse=vec4(0.0), specular=vec4(0.0))
-        return self.collect(texel, pixel, position, spot_incidence(position, light))
+        return self.collect(texel, place, position, spot_incidence(position, light))
 
 
 class PackedPointTerms(PointTerms):
     """Collects the terms of point lights, the specular one as a luminance."""
 
     def fragment(self, v: VolumeVarying) -> vec4:  # type: ignore[override]
-        return self.collect_at(v.light, fragment_coordinate().xy).diffuse
+        return self.collect_at(v.light, ivec2(fragment_coordinate().xy)).diffuse
 
 
 class PackedSpotTerms(SpotTerms):
     """Collects the terms of spot lights, the specular one as a luminance."""
 
     def fragment(self, v: VolumeVarying) -> vec4:  # type: ignore[override]
-        return self.collect_at(v.light, fragment_coordinate().xy).diffuse
+        return self.collect_at(v.light, ivec2(fragment_coordinate().xy)).diffuse
 
 
 class WithTerms(ForwardShader):
@@ -207,16 +206,7 @@ class LightPrePass:
         if not lights:
             return Forward().declare(needs)
         return (
-            Pass(
-                "normals",
-                draw_normals,
-                "stores what lights must know of the nearest surface of each pixel",
-                writes=(
-                    Target("surface", SURFACE_FORMAT),
-                    Target("shininess", SHININESS_FORMAT),
-                    Target("depth", Format.D32FS8 if self.stencil else DEPTH_FORMAT),
-                ),
-            ),
+            normals_pass(Format.D32FS8 if self.stencil else DEPTH_FORMAT),
             *lights,
             Pass(
                 "materials",
@@ -226,6 +216,20 @@ class LightPrePass:
                 writes=(Target("image", IMAGE_FORMAT),),
             ),
         )
+
+
+def normals_pass(depth_format: Format) -> Pass[Frame]:
+    """Return the pass that draws `surface`, `shininess` and `depth`."""
+    return Pass(
+        "normals",
+        draw_normals,
+        "stores what lights must know of the nearest surface of each pixel",
+        writes=(
+            Target("surface", SURFACE_FORMAT),
+            Target("shininess", SHININESS_FORMAT),
+            Target("depth", depth_format),
+        ),
+    )
 
 
 def draw_normals(frame: Frame) -> None:
@@ -245,25 +249,40 @@ def draw_normals(frame: Frame) -> None:
 
 
 def collect_terms(
-    frame: Frame, effect: Effect, targets: Sequence[str], clears: bool, *, stencil: bool
+    frame: Frame,
+    effect: Effect,
+    targets: Sequence[str],
+    clears: bool,
+    *,
+    stencil: bool = False,
+    prefix: str = "",
 ) -> None:
-    """Add the terms of the point or spot lights in view to the light buffers."""
-    device, is_point = frame.device, effect is Effect.POINT_LIGHTS
-    shader: type[Shader]
-    if len(targets) == 1:
-        shader = PackedPointTerms if is_point else PackedSpotTerms
-    else:
-        shader = PointTerms if is_point else SpotTerms
-    mask = PointVolumes if is_point else SpotVolumes
+    """Add the terms of the point or spot lights in view to the light buffers.
+
+    Args:
+        prefix: that of the names of the contents that are lit, if they are shrunk.
+    """
+    device = frame.device
+    shader = terms_variant(effect, packed=len(targets) == 1, is_shrunk=bool(prefix))
+    mask = PointVolumes if effect is Effect.POINT_LIGHTS else SpotVolumes
     draw_volumes(
         frame,
         effect,
         device.program(shader),
-        bind_surface(frame) | {"shininess": frame.targets["shininess"]},
+        bind_surface(frame, f"{prefix}surface") | {"shininess": frame.targets[f"{prefix}shininess"]},
         targets,
+        depth=f"{prefix}depth",
         clears=clears,
         mask=device.program(mask) if stencil else None,
     )
+
+
+@cache
+def terms_variant(effect: Effect, *, packed: bool, is_shrunk: bool) -> type[Shader]:
+    """Return the shader that collects the terms of point or spot lights."""
+    of_points, of_spots = (PackedPointTerms, PackedSpotTerms) if packed else (PointTerms, SpotTerms)
+    base: type[Shader] = of_points if effect is Effect.POINT_LIGHTS else of_spots
+    return type(base.__name__, (base,), {"__module__": __name__, "is_shrunk": True}) if is_shrunk else base
 
 
 @cache
@@ -275,17 +294,26 @@ def materials_variant(parts: tuple[str, ...], *, has_sun: bool, packed: bool) ->
 
 def draw_materials(frame: Frame, *, terms: Sequence[str]) -> None:
     """Draw the visible objects again, lit by the terms."""
-    targets, resources = frame.targets, frame.resources
     features, bindings = bind_materials(frame)
     shader = materials_variant(tuple(features), has_sun=frame.needs.has_sun, packed=len(terms) == 1)
-    names = ("diffuse", "specular")
+    draw_again(frame, frame.device.program(shader), bindings | bind_terms(frame, terms))
+
+
+def bind_terms(frame: Frame, terms: Sequence[str]) -> dict[str, Texture]:
+    """Return the bindings of the terms, whose contents have these names."""
+    return {name: frame.targets[term] for name, term in zip(("diffuse", "specular"), terms, strict=False)}
+
+
+def draw_again(frame: Frame, program: Program[Any], bindings: dict[str, Any]) -> None:
+    """Draw the image: the visible objects, whose depth was drawn before."""
+    targets, resources = frame.targets, frame.resources
     frame.draw_visible(
         TechniquePass(
             frame.device,
             resources,
             frame.view,
-            frame.device.program(shader),
-            bindings | {name: targets[term] for name, term in zip(names, terms, strict=False)},
+            program,
+            bindings,
             color=targets.image,
             depth=targets["depth"],
             clear=(*resources.scene.background, 1.0),

@@ -1,14 +1,14 @@
 """Light volumes: the point and spot lights in view, drawn as the spaces that they reach, each pixel of them once.
 
-A sphere encloses a light's range, and a cone that of a spot light whose outer angle is at most 60°; what is left beyond
-the volume is cut off by the shader, as everywhere. Of a volume only the **back faces** are drawn, with a depth test that
-passes where they are behind the geometry. So a pixel is lit once, whether the eye is outside or inside, a volume cut by
-the near plane needs nothing, and neither the background nor what is behind the volume is lit. One instanced draw lights
-all lights of a kind (two if there are narrow and wide spot lights).
+A sphere encloses a light's range, and a cone that of a spot light whose outer angle is at most 60°; the shader cuts off
+what lies between the light's reach and the volume. Of a volume only the **back faces** are drawn, with a depth test
+that passes where they are behind the geometry. So a pixel is lit once, whether the eye is outside or inside, a volume
+cut by the near plane needs nothing, and neither the background nor what is behind the volume is lit. One instanced draw
+lights all lights of a kind (two if there are narrow and wide spot lights).
 
-What lies in front of a volume passes this test. **Stencil masking** leaves that out, too, as in Wilks (2019): each light
-is drawn twice, first both faces into the stencil buffer (plus 1 where a back face is behind the geometry, minus 1 where
-a front face is: what remains is inside), then the back faces where the buffer isn't 0, which also sets it back.
+What lies in front of a volume passes this test. **Stencil masking** leaves that out, too, as in Wilks (2019): each
+light is drawn twice, first both faces into the stencil buffer (plus 1 where a back face is behind the geometry, minus 1
+where a front face is: what remains is inside), then the back faces where the buffer isn't 0, which also sets it back.
 It evaluates fewer lights and takes two draws for each; docs/lighting.md has the measurements.
 
 Back faces beyond a far plane would be clipped. A volume that reaches it is moved to the depth of the background
@@ -28,7 +28,7 @@ from renderer.frame import Effect, Frame, Needs, Pass, Target
 from renderer.frame.passes import NEARER
 from renderer.lights.hulls import make_cone, make_sphere
 from renderer.shaders.structs import PointLight, SpotLight, ViewConstants
-from renderer.techniques.geometry_buffer import BEHIND, PixelRays
+from renderer.techniques.geometry_buffer import BEHIND, PixelRays, find_far
 from rhi import (
     BlendFunction,
     ColorWrite,
@@ -171,12 +171,17 @@ def _make_mesh(
 
 
 def declare_lights(
-    needs: Needs, buffers: Sequence[str], reads: tuple[str, ...], run: Callable[[Frame, Effect, list[str], bool], None]
+    needs: Needs,
+    buffers: Sequence[str],
+    reads: tuple[str, ...],
+    run: Callable[[Frame, Effect, list[str], bool], None],
+    scale: float = 1.0,
 ) -> tuple[list[Pass[Frame]], list[str]]:
     """Return the passes that add the light of each kind of lights in view to light buffers, and their contents' names
     after the last pass: none if there are no such lights.
 
     Args:
+        scale: the size of the buffers in that of the frame.
         run: issues the commands; is given the frame, the kind, the names of the targets, and whether to clear them.
     """
     passes: list[Pass[Frame]] = []
@@ -191,7 +196,7 @@ def declare_lights(
                 partial(_run, run, effect, names, not last),
                 needs.explain(effect),
                 reads=reads,
-                writes=() if last else tuple(Target(name, LIGHT_FORMAT) for name in names),
+                writes=() if last else tuple(Target(name, LIGHT_FORMAT, scale) for name in names),
                 changes=dict(zip(last, names, strict=True)) if last else {},
             )
         )
@@ -222,6 +227,7 @@ def draw_volumes(
     bindings: dict[str, Any],
     targets: Sequence[str],
     *,
+    depth: str = "depth",
     clears: bool,
     mask: Program[Any] | None = None,
 ) -> None:
@@ -229,18 +235,18 @@ def draw_volumes(
 
     Args:
         program: a subclass of `PointVolumes` or `SpotVolumes`, with its `bindings` but those of the base.
-        targets: the names of the contents. clears: whether they are cleared to 0 first.
+        targets, depth: the names of the contents. clears: whether they are cleared to 0 first.
         mask: the base itself, to mask each light in the stencil buffer; None draws all lights in one draw.
     """
     device, resources = frame.device, frame.resources
     lights = resources.point if effect is Effect.POINT_LIGHTS else resources.spot
     name = "point_lights" if effect is Effect.POINT_LIGHTS else "spot_lights"
-    own = {"view": frame.view.buffer, name: lights.buffer}
+    own: dict[str, Any] = {"view": frame.view.buffer, name: lights.buffer}
     behind, nearer = (table[frame.camera.projection.depth] for table in (BEHIND, NEARER))
     with (
         device.render_pass(
             [frame.targets[target] for target in targets],
-            frame.targets["depth"],
+            frame.targets[depth],
             clear=(0.0, 0.0, 0.0, 0.0) if clears else None,
             clear_stencil=None if mask is None else 0,
         ),
@@ -251,11 +257,25 @@ def draw_volumes(
             if mask is None:
                 device.draw(program, mesh, len(rows), **bindings, **own)
                 continue
-            for draw in mesh.draws(base_instance=np.arange(len(rows)))[:, None]:
+            draws = mesh.draws(base_instance=np.arange(len(rows)))
+            cut = find_cut(frame, effect, rows)
+            device.draw_many(program, mesh, draws[cut], **bindings, **own)
+            for draw in draws[~cut, None]:
                 with device.states(CullMode.NONE, nearer, ColorWrite.OFF, *_MARKING):
                     device.draw_many(mask, mesh, draw, rays=bindings["rays"], **own)
                 with device.states(DepthTest.OFF, *_MARKED):
                     device.draw_many(program, mesh, draw, **bindings, **own)
+
+
+def find_cut(frame: Frame, effect: Effect, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return (k,) which lights of `rows` may have volumes that a far plane cuts. Those can't be masked: moved to the
+    depth of the background, their front faces would undo what their back faces have marked."""
+    camera, lights = frame.camera, frame.resources.scene.lights
+    some = (lights.point if effect is Effect.POINT_LIGHTS else lights.spot)[rows]
+    distances = (some["position"] - camera.position) @ camera.forward
+    # The base of a cone is at most √3 ranges wide.
+    cut: NDArray[np.bool_] = distances + 2.0 * FARTHEST_CORNER * some["range"] > 0.999 * find_far(camera)
+    return cut
 
 
 _MARKING: Final = (

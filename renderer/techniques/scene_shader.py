@@ -1,4 +1,4 @@
-"""What the shaders of all techniques share: the vertex stage of the scene, and the light of a surface that needs no list.
+"""What the shaders of all techniques share: the vertex stage of the scene, and the light that reaches all surfaces.
 
 Techniques combine these classes with their own. A feature that a scene lacks costs nothing: the bases have no images
 and no lights, and each of the other classes adds one feature with its binding. Every pass over the scene's geometry has

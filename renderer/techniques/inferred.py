@@ -1,0 +1,217 @@
+"""Inferred lighting: a light pre-pass with light buffers that are smaller than the image (Kircher and Lawrance, 2009).
+
+1. `normals` draws the geometry, as in a light pre-pass.
+2. `shrink` keeps the surfaces of every so many pixels, with their depth.
+3. `point lights` and `spot lights` collect terms at these pixels, whose number falls with the square of the scale.
+4. `materials` draws the geometry again. Each fragment takes its terms from the four nearest texels by a filter that is
+   **sensitive to discontinuities**: texels whose surface lies in another plane or is turned away hardly count. So light
+   doesn't leak over edges. Where none of the four belongs to its surface, a fragment takes their mean.
+
+The original compares the numbers of objects and faces; here the stored normals and distances say the same, without
+another buffer. What is lit is an exact position of the image, also where the scale isn't 1 / n.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache, partial
+from typing import Final
+
+from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target
+from renderer.shaders.structs import SurfacePoint
+from renderer.techniques.forward import Forward, bind_materials
+from renderer.techniques.forward_shader import ForwardShader, forward_variant
+from renderer.techniques.geometry_buffer import (
+    SURFACE_FORMAT,
+    CoverShader,
+    Screen,
+    SurfaceReader,
+    bind_surface,
+    decode_normal,
+    find_shrunk,
+)
+from renderer.techniques.light_pre_pass import (
+    SHININESS_FORMAT,
+    bind_terms,
+    collect_terms,
+    draw_again,
+    normals_pass,
+)
+from renderer.techniques.light_volumes import BRIGHTEST, declare_lights
+from rhi import CullMode, DepthFunction
+from rhi.shading import (
+    FragmentDepth,
+    Struct,
+    Texture2D,
+    UintTexture2D,
+    Uniform,
+    abs,
+    clamp,
+    dot,
+    float_bits_to_uint,
+    floor,
+    fragment_coordinate,
+    ivec2,
+    length,
+    min,
+    step,
+    uvec2,
+    vec2,
+    vec3,
+    vec4,
+)
+
+_NEAR_PLANE: Final = 0.01
+"""How far from a fragment's plane a texel's surface may be, in distances from the eye."""
+_ALIKE: Final = 0.9
+"""The least cosine between normals of one surface."""
+_STRANGER: Final = 1e-4
+"""The weight of a texel with another surface, where all four have one."""
+_LEAST: Final = 1e-3
+"""Where texels of the fragment's surface have less of the bilinear weights, all of them count the same."""
+
+
+class Shrunk(Struct):
+    """The size of shrunk buffers in texels."""
+
+    size: ivec2
+
+
+class ShrunkTexels(Struct):
+    """What `ShrinkShader` writes."""
+
+    surface: uvec2
+    shininess: float
+    depth: FragmentDepth
+
+
+class ShrinkShader(CoverShader):
+    """Copies every so many pixels. The background is put out of reach of the filter."""
+
+    surface: UintTexture2D
+    shininess: Texture2D
+    depth: Texture2D
+    shrunk: Uniform[Shrunk]
+
+    def fragment(self) -> ShrunkTexels:
+        place = ivec2(find_shrunk(fragment_coordinate().xy, self.rays.size, self.shrunk.size))
+        surface = self.surface.load(place).xy
+        depth = self.depth.load(place).x
+        if depth == self.rays.farthest:
+            surface.y = float_bits_to_uint(-1e30)
+        return ShrunkTexels(surface=surface, shininess=self.shininess.load(place).x, depth=depth)
+
+
+class Inference(ForwardShader, SurfaceReader):
+    """Adds the light of terms in buffers that are smaller than the image."""
+
+    diffuse: Texture2D
+    specular: Texture2D
+    is_shrunk = True
+
+    def pointlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
+        size = self.surface.size()
+        at = fragment_coordinate().xy * vec2(size) / self.rays.size - 0.5
+        share = at - floor(at)
+        first = clamp(ivec2(floor(at)), ivec2(0), size - 1)
+        last = clamp(ivec2(floor(at)) + 1, ivec2(0), size - 1)
+        right = ivec2(last.x, first.y)
+        below = ivec2(first.x, last.y)
+        alike = vec4(
+            self.compare(surface, first),
+            self.compare(surface, right),
+            self.compare(surface, below),
+            self.compare(surface, last),
+        )
+        across = vec2(1.0 - share.x, share.x)
+        weights = vec4(across * (1.0 - share.y), across * share.y) * step(vec4(0.5), alike)
+        if dot(weights, vec4(1.0)) < _LEAST:
+            weights = alike
+        weights = weights / dot(weights, vec4(1.0))
+        diffuse = min(self.diffuse.load(first).rgb, BRIGHTEST) * weights.x
+        diffuse += min(self.diffuse.load(right).rgb, BRIGHTEST) * weights.y
+        diffuse += min(self.diffuse.load(below).rgb, BRIGHTEST) * weights.z
+        diffuse += min(self.diffuse.load(last).rgb, BRIGHTEST) * weights.w
+        specular = min(self.specular.load(first).rgb, BRIGHTEST) * weights.x
+        specular += min(self.specular.load(right).rgb, BRIGHTEST) * weights.y
+        specular += min(self.specular.load(below).rgb, BRIGHTEST) * weights.z
+        specular += min(self.specular.load(last).rgb, BRIGHTEST) * weights.w
+        return surface.base_color * diffuse + surface.specular_color * specular
+
+    def compare(self, surface: SurfacePoint, place: ivec2) -> float:
+        """Return the weight of a texel: 1 if it is of the same surface, or else that of a stranger."""
+        texel = self.surface.load(place)
+        away = abs(dot(surface.normal, self.find_place(texel, place) - surface.position))
+        if away > _NEAR_PLANE * length(surface.position) or dot(surface.normal, decode_normal(texel.x)) < _ALIKE:
+            return _STRANGER
+        return 1.0
+
+
+class Inferred:
+    """Collects the terms of light at a part of the pixels, and takes them for the others from their surface."""
+
+    name: Final = "inferred"
+
+    def __init__(self, *, scale: float = 0.6) -> None:
+        """`scale` is the width and height of light buffers in those of the image, 0.4 to 1."""
+        self.scale = scale
+
+    def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
+        """Return the passes `normals`, `shrink`, those of lights in view, and `materials`; without such lights, that of
+        forward shading."""
+        scale, small = self.scale, ("small surface", "small shininess", "small depth")
+        terms = partial(collect_terms, prefix="small ")
+        lights, last = declare_lights(needs, ["diffuse", "specular"], small, terms, scale)
+        if not lights:
+            return Forward().declare(needs)
+        formats = (SURFACE_FORMAT, SHININESS_FORMAT, DEPTH_FORMAT)
+        return (
+            normals_pass(DEPTH_FORMAT),
+            Pass(
+                "shrink",
+                shrink,
+                f"lights {scale * scale:.0%} of the pixels",
+                reads=("surface", "shininess", "depth"),
+                writes=tuple(Target(name, format, scale) for name, format in zip(small, formats, strict=True)),
+            ),
+            *lights,
+            Pass(
+                "materials",
+                partial(draw_inferred, terms=last),
+                "draws the visible objects, lit by what was collected",
+                reads=("depth", "small surface", *last),
+                writes=(Target("image", IMAGE_FORMAT),),
+            ),
+        )
+
+
+def shrink(frame: Frame) -> None:
+    """Keep the surfaces of every so many pixels."""
+    device, targets = frame.device, frame.targets
+    small = targets["small surface"]
+    with (
+        device.render_pass([small, targets["small shininess"]], targets["small depth"]),
+        device.states(CullMode.NONE, DepthFunction.ALWAYS),
+    ):
+        device.draw(
+            device.program(ShrinkShader),
+            frame.resources.workspace(Screen).triangle,
+            **bind_surface(frame),
+            shininess=targets["shininess"],
+            depth=targets["depth"],
+            shrunk=device.transient.uniform(Shrunk(size=small.size)),
+        )
+
+
+@cache
+def inferred_variant(parts: tuple[str, ...], *, has_sun: bool) -> type[ForwardShader]:
+    """Return the forward shader with these of `PARTS` that infers the light of point and spot lights."""
+    return type("Inferred", (Inference, forward_variant(*parts, has_sun=has_sun)), {"__module__": __name__})
+
+
+def draw_inferred(frame: Frame, *, terms: Sequence[str]) -> None:
+    """Draw the visible objects again, lit by the terms."""
+    features, bindings = bind_materials(frame)
+    shader = inferred_variant(tuple(features), has_sun=frame.needs.has_sun)
+    bindings |= bind_surface(frame, "small surface") | bind_terms(frame, terms)
+    draw_again(frame, frame.device.program(shader), bindings)
