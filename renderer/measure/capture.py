@@ -26,8 +26,8 @@ class PassTime:
 
 @dataclass(frozen=True, slots=True)
 class CapturedFrame:
-    """The times of one frame: milliseconds from the scene's update until the GPU is finished, and those of its passes by
-    name."""
+    """The times of one frame: milliseconds from the scene's update until the GPU is finished, and those of its passes
+    by name."""
 
     frame: int
     milliseconds: float

@@ -40,7 +40,6 @@ from rhi import (
     DepthWrite,
     Device,
     Format,
-    Texture,
 )
 from rhi.shading import (
     Shader,
