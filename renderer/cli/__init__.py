@@ -1,4 +1,4 @@
-"""The command line: `python -m renderer render|demo|compare|plan|tune|debug|scenes`.
+"""The command line: `python -m renderer render|demo|compare|plan|capture|tune|debug|scenes`.
 
 Results go to stdout, everything else to stderr. Bad input ends in one line, `error: …`, and exit code 2.
 """
@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import Final, NoReturn
 
 from renderer.cli import (
+    capture,
     compare_backends,
     compare_light_culling,
     compare_visibility,
@@ -35,6 +36,7 @@ COMMANDS: Final[tuple[Subcommand | SubcommandGroup, ...]] = (
         (compare_visibility.COMMAND, compare_light_culling.COMMAND, compare_backends.COMMAND),
     ),
     plan.COMMAND,
+    capture.COMMAND,
     tune.COMMAND,
     SubcommandGroup("debug", "picture what the renderer does", (debug_visibility.COMMAND,)),
     scenes.COMMAND,

@@ -33,6 +33,7 @@ from renderer.overlay import Overlay
 from renderer.renderer import Renderer
 from renderer.scene import FRAMES_PER_SECOND, Camera, CameraPath, Depth, Orthographic, Perspective, Scene
 from renderer.techniques import Particles
+from renderer.techniques.inspection import INSPECTIONS, Inspection
 from renderer.techniques.light_indexed import count_overflowing
 from renderer.visibility import (
     ALGORITHMS,
@@ -52,6 +53,7 @@ _NOTES: Final = """\
   python -m renderer render city --visibility chc_plus_plus --queries emulated --json
   python -m renderer render city --backend null --json
   python -m renderer render city --camera ground --frame 600 --frames 120 --overlay
+  python -m renderer render hall --show lights
   python -m renderer render city --backend null --frames 10 --trace city.zip
   python -m renderer render city --camera ground --frame 600 --frames 120 --record walk.json
 
@@ -94,6 +96,11 @@ def _add_arguments(parser: Parser) -> None:
         default=Depth.REVERSED.value,
         help="direction of depth: reversed has near at 1, standard has near at 0 (default: %(default)s)",
     )
+    parser.add_argument(
+        "--show",
+        choices=INSPECTIONS,
+        help="picture what the frame is made of instead of its light (docs/lighting.md)",
+    )
     parser.add_argument("--output", type=Path, metavar="F.png", help="image to write (default: SCENE.png)")
     parser.add_argument(
         "--trace", type=Path, metavar="F.zip", help="write a trace of all commands (see python -m rhi trace)"
@@ -135,7 +142,7 @@ def _run(given: argparse.Namespace) -> None:
         Renderer(
             device,
             scene,
-            technique=make_technique(given),
+            technique=make_technique(given) if given.show is None else Inspection(given.show),
             visibility=_make_visibility(given.visibility, scene, device, settings),
             size=given.size,
         ) as renderer,

@@ -1,0 +1,140 @@
+"""`capture`: write the times of frames and of their passes to a file."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from statistics import median
+from typing import Final
+
+import rhi
+from renderer.cli.arguments import (
+    CAMERA_HELP,
+    DECIDES,
+    add_backend,
+    add_scene,
+    add_size,
+    add_technique,
+    make_technique,
+    parse_count,
+    parse_frame,
+)
+from renderer.cli.output import OutputError, draw_chart, note, show_progress
+from renderer.cli.subcommand import Parser, Subcommand
+from renderer.content import load_scene, parse_camera
+from renderer.measure.capture import CapturedFrame, capture_frames, list_passes, write_frames
+from renderer.measure.table import format_table
+from renderer.renderer import Renderer
+from renderer.scene import FRAMES_PER_SECOND
+from renderer.visibility import ALGORITHMS, check_algorithm, make_visibility
+
+_NOTES: Final = """\
+  python -m renderer capture city --camera ground --frames 1000 --output city.csv
+  python -m renderer capture hall --technique forward_multipass --visibility frustum --output hall.csv --plot hall.svg
+
+Each row is a frame: its milliseconds from the scene's update until the GPU is finished, and for each pass of its plan
+those between its timestamps on the GPU, and those that the CPU took to issue its commands. The first frame isn't
+counted. A device that works in batches has the work of a pass between its timestamps only in part: the sum of a frame
+is exact, its division among passes is not."""
+
+
+def _add_arguments(parser: Parser) -> None:
+    add_scene(parser)
+    add_backend(parser)
+    add_technique(parser)
+    parser.add_argument("--visibility", choices=ALGORITHMS, default="frustum", help=DECIDES)
+    parser.add_argument("--camera", metavar="CAMERA", help=f"{CAMERA_HELP} (default: the scene's first path)")
+    parser.add_argument(
+        "--frame", type=parse_frame, default=0, metavar="N", help="first frame of the path (default: 0)"
+    )
+    parser.add_argument(
+        "--frames", type=parse_count, default=1000, metavar="N", help="number of frames (default: 1000)"
+    )
+    add_size(parser)
+    parser.add_argument(
+        "--output", type=Path, required=True, metavar="F.csv", help="table of all frames to write"
+    )
+    parser.add_argument("--plot", type=Path, metavar="F.svg", help="chart of the frames' times to write")
+    parser.add_argument("--json", action="store_true", help="print the medians as JSON")
+
+
+def _run(given: argparse.Namespace) -> None:
+    if given.plot is not None and given.plot.suffix.lower() not in (".svg", ".png", ".pdf"):
+        raise OutputError(f"--plot: {given.plot.name!r} is not the name of a chart; end it with .svg")
+    scene = load_scene(given.scene)
+    camera = given.camera or next(iter(scene.paths or scene.views))
+    shots = [
+        (frame, parse_camera(camera, scene, frame), frame / FRAMES_PER_SECOND)
+        for frame in range(given.frame, given.frame + given.frames)
+    ]
+    given.output.parent.mkdir(parents=True, exist_ok=True)
+    with rhi.create_device(given.backend) as device:
+        check_algorithm(given.visibility, device, "capture")
+        with Renderer(
+            device,
+            scene,
+            technique=make_technique(given),
+            visibility=make_visibility(given.visibility, scene, device),
+            size=given.size,
+        ) as renderer:
+            list(capture_frames(renderer, shots[:1]))
+            frames = list(show_progress(capture_frames(renderer, shots), len(shots), "capture"))
+    write_frames(given.output, frames)
+    note(f"wrote {given.output}: {len(frames)} frames")
+    if given.plot is not None:
+        given.plot.parent.mkdir(parents=True, exist_ok=True)
+        plot_frames(frames, given.plot, f"{given.technique}: {scene.name}")
+        note(f"wrote {given.plot}")
+    medians = find_medians(frames)
+    rows = [[name, *times.values()] for name, times in medians.items()]
+    print(json.dumps(medians) if given.json else format_table(("", "median", "least", "most"), rows))
+
+
+def find_medians(frames: list[CapturedFrame]) -> dict[str, dict[str, float]]:
+    """Return the median, the least and the most milliseconds of the frame and of each pass, on the GPU where it has
+    timestamps and otherwise on the CPU."""
+    columns = {"frame": [one.milliseconds for one in frames]} | {
+        name: [
+            time.cpu if time.gpu is None else time.gpu
+            for time in (one.passes.get(name) for one in frames)
+            if time is not None
+        ]
+        for name in list_passes(frames)
+    }
+    return {
+        name: {"median": median(times), "least": min(times), "most": max(times)}
+        for name, times in columns.items()
+    }
+
+
+def plot_frames(frames: list[CapturedFrame], path: Path, title: str) -> None:
+    """Draw the frames' times, and under them those of their passes, one on top of the other."""
+    numbers = [one.frame for one in frames]
+    with draw_chart(path, title) as figure:
+        axes = figure.add_subplot()
+        stacked = [
+            [
+                (time.cpu if time.gpu is None else time.gpu) if time else 0.0
+                for time in (one.passes.get(name) for one in frames)
+            ]
+            for name in list_passes(frames)
+        ]
+        axes.stackplot(numbers, *stacked, labels=list_passes(frames), alpha=0.8, step="mid")
+        axes.plot(
+            numbers,
+            [one.milliseconds for one in frames],
+            drawstyle="steps-mid",
+            color="black",
+            linewidth=0.8,
+            label="frame",
+        )
+        axes.set_xlabel("frame")
+        axes.set_ylabel("ms")
+        axes.set_ylim(bottom=0.0)
+        axes.legend(loc="upper right", fontsize=8)
+
+
+COMMAND: Final = Subcommand(
+    "capture", "write the times of frames and of their passes to a file", _add_arguments, _run, _NOTES
+)

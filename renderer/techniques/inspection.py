@@ -1,0 +1,220 @@
+"""Pictures of what a frame is made of, instead of its light: techniques for looking.
+
+- `normals`: the direction of each surface, from -1…1 to 0…1 along the axes of the world.
+- `depth`: the distance from the eye, from 0.1 m (white) to 1 km (black), equal steps for equal ratios.
+- `lights`: the number of point and spot lights whose range holds each surface, in Thatcher's seven colours (table 4):
+  black 0, blue 1 to 7, cyan to 15, green to 31, yellow to 63, red to 127, white 128 and more.
+- `overdraw`: the number of fragments that were drawn to each pixel, one on top of the other, in the same colours: black
+  0, blue 1, cyan 2 and 3, green to 7, yellow to 15, red to 31, white 32 and more.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, Final
+
+from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target, TechniquePass
+from renderer.shaders.lighting import in_range, safe_normalize
+from renderer.shaders.pixels import FullScreen, PixelConstants, nearness_of, position_at
+from renderer.shaders.structs import SurfacePoint, SurfaceVarying
+from renderer.techniques.depth import draw_depth
+from renderer.techniques.forward import bind_lamps
+from renderer.techniques.forward_shader import LampShader, WithPointLights, WithSpotLights
+from renderer.techniques.full_screen import bind_pixels, draw_full_screen
+from renderer.techniques.scene_shader import SceneShader
+from rhi import BlendFunction, Format, State, Texture
+from rhi.shading import (
+    Shader,
+    Texture2D,
+    Uniform,
+    fragment_coordinate,
+    function,
+    ivec2,
+    length,
+    log2,
+    max,
+    saturate,
+    vec3,
+    vec4,
+)
+
+_DECADES: Final = 13.28771  # log2 of 10,000: from 0.1 m to 1 km
+
+
+@function
+def heat_color(count: float, first: float) -> vec3:
+    """Return the colour of a count: 0 black, below `first` blue, then another one each time it doubles."""
+    if count < 0.5:
+        return vec3(0.0)
+    if count < first - 0.5:
+        return vec3(0.0, 0.0, 1.0)
+    if count < 2.0 * first - 0.5:
+        return vec3(0.0, 1.0, 1.0)
+    if count < 4.0 * first - 0.5:
+        return vec3(0.0, 1.0, 0.0)
+    if count < 8.0 * first - 0.5:
+        return vec3(1.0, 1.0, 0.0)
+    if count < 16.0 * first - 0.5:
+        return vec3(1.0, 0.0, 0.0)
+    return vec3(1.0)
+
+
+class NormalColors(SceneShader):
+    """Shows normals."""
+
+    def fragment(self, v: SurfaceVarying) -> vec4:
+        return vec4(safe_normalize(v.normal) * 0.5 + 0.5, 1.0)
+
+
+class LightCounts(LampShader):
+    """Shows the number of lights in range."""
+
+    def fragment(self, v: SurfaceVarying) -> vec4:
+        surface = self.find_surface(v, self.materials[v.material])
+        return vec4(heat_color(self.lamplight(surface, v.lights).x, 8.0), 1.0)
+
+
+class CountedPoints(WithPointLights):
+    """Counts point lights instead of adding up their light."""
+
+    def pointlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
+        count = 0.0
+        for i in range(begin, end):
+            row = self.light_rows[i]
+            if in_range(surface, self.point_lights[row].position, self.point_lights[row].range):
+                count += 1.0
+        return vec3(count)
+
+
+class CountedSpots(WithSpotLights):
+    """Counts spot lights instead of adding up their light."""
+
+    def spotlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
+        count = 0.0
+        for i in range(begin, end):
+            row = self.light_rows[i]
+            if in_range(surface, self.spot_lights[row].position, self.spot_lights[row].range):
+                count += 1.0
+        return vec3(count)
+
+
+class OneFragment(SceneShader):
+    """Adds 1 for each fragment."""
+
+    def fragment(self, v: SurfaceVarying) -> vec4:
+        return vec4(1.0)
+
+
+class FragmentCounts(FullScreen):
+    """Shows the number of fragments."""
+
+    fragments: Texture2D
+
+    def fragment(self) -> vec4:
+        count = self.fragments.load(ivec2(fragment_coordinate().xy)).x
+        return vec4(heat_color(count, 2.0), 1.0)
+
+
+class Distances(FullScreen):
+    """Shows the distance from the eye."""
+
+    depth: Texture2D
+    pixels: Uniform[PixelConstants]
+
+    def fragment(self) -> vec4:
+        place = fragment_coordinate().xy
+        nearness = nearness_of(self.depth.load(ivec2(place)).x, self.pixels)
+        if nearness == 0.0:
+            return vec4(0.0, 0.0, 0.0, 1.0)
+        away = length(position_at(place, nearness, self.pixels))
+        shade = saturate(1.0 - log2(max(away, 0.1) * 10.0) / _DECADES)
+        return vec4(vec3(shade * shade), 1.0)  # about even to the eye
+
+
+class Inspection:
+    """Draws one of `INSPECTIONS` instead of the lit scene."""
+
+    def __init__(self, shown: str) -> None:
+        """Choose one of `INSPECTIONS`."""
+        self.name = shown
+
+    def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
+        """Return the passes of the picture."""
+        return INSPECTIONS[self.name]
+
+
+@cache
+def _count_lights(parts: tuple[str, ...]) -> type[Shader]:
+    counted = {"point_lights": CountedPoints, "spot_lights": CountedSpots}
+    return type("Counts", (*(counted[part] for part in parts), LightCounts), {"__module__": __name__})
+
+
+def _draw(frame: Frame, shader: type[Shader], color: Texture, *states: State, **bindings: Any) -> None:
+    """Draw the visible objects before black."""
+    resources, targets = frame.resources, frame.targets
+    bindings |= {
+        "view": frame.view.buffer,
+        "objects": resources.objects.buffer,
+        "places": resources.places.buffer,
+    }
+    frame.draw_visible(
+        TechniquePass(
+            frame.device,
+            resources,
+            frame.view,
+            frame.device.program(shader),
+            bindings,
+            color=color,
+            depth=targets["depth"],
+            clear=(0.0, 0.0, 0.0, 1.0),
+            states=states,
+        )
+    )
+
+
+def _draw_normals(frame: Frame) -> None:
+    _draw(frame, NormalColors, frame.targets["image"])
+
+
+def _draw_lights(frame: Frame) -> None:
+    parts, lamps = bind_lamps(frame)
+    materials = frame.resources.materials.buffer
+    _draw(frame, _count_lights(tuple(parts)), frame.targets["image"], materials=materials, **lamps)
+
+
+def _draw_fragments(frame: Frame) -> None:
+    _draw(frame, OneFragment, frame.targets["fragments"], BlendFunction.ADDITIVE)
+
+
+def _show_fragments(frame: Frame) -> None:
+    targets = frame.targets
+    draw_full_screen(frame, FragmentCounts, targets["image"], fragments=targets["fragments"])
+
+
+def _show_depth(frame: Frame) -> None:
+    targets = frame.targets
+    draw_full_screen(frame, Distances, targets["image"], depth=targets["depth"], pixels=bind_pixels(frame))
+
+
+_IMAGE: Final = Target("image", IMAGE_FORMAT)
+_DEPTH: Final = Target("depth", DEPTH_FORMAT)
+_BECAUSE: Final = "was asked for"
+
+INSPECTIONS: Final[dict[str, tuple[Pass[Frame], ...]]] = {
+    "normals": (Pass("normals", _draw_normals, _BECAUSE, writes=(_IMAGE, _DEPTH)),),
+    "depth": (
+        Pass("depth", draw_depth, "finds the nearest surfaces", writes=(_DEPTH,)),
+        Pass("distances", _show_depth, _BECAUSE, reads=("depth",), writes=(_IMAGE,)),
+    ),
+    "lights": (Pass("lights", _draw_lights, _BECAUSE, writes=(_IMAGE, _DEPTH)),),
+    "overdraw": (
+        Pass(
+            "fragments",
+            _draw_fragments,
+            "counts fragments",
+            writes=(Target("fragments", Format.R16F), _DEPTH),
+        ),
+        Pass("overdraw", _show_fragments, _BECAUSE, reads=("fragments",), writes=(_IMAGE,)),
+    ),
+}
+"""The passes of each picture."""

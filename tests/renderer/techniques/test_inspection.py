@@ -1,0 +1,91 @@
+"""Pictures of what a frame is made of."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import rhi
+from renderer.cli import main
+from renderer.content import BUILT_IN as MESHES
+from renderer.renderer import FrameResult, Renderer
+from renderer.scene import Camera, Scene, SceneBuilder, scaling, translation
+from renderer.techniques.inspection import INSPECTIONS, Inspection, heat_color
+from renderer.visibility import NoCulling
+from rhi.shading import evaluate
+
+SIZE = (32, 24)
+BLUE, CYAN = (0, 0, 255), (0, 255, 255)
+
+
+def tower(points: int = 0, spots: int = 0) -> Scene:
+    """Make a floor seen from straight above, with lamps above its middle, and one that reaches nothing in view."""
+    builder = SceneBuilder("tower")
+    floor = builder.add_node(translation((0, -0.5, 0)) @ scaling((8, 1, 8)))
+    builder.add_objects(floor, builder.add_mesh(MESHES["box"]()), builder.add_material())
+    for _ in range(points):
+        builder.lights.add_point((0, 1, 0), 1.5)
+    for _ in range(spots):
+        builder.lights.add_spot((0, 1, 0), (0, -1, 0), 1.5, 0.2, 0.3)
+    builder.views["above"] = Camera.look_at((0, 6, 0), (0, 0, 0), up=(0, 0, -1))
+    return builder.build()
+
+
+def show(device: rhi.Device, scene: Scene, shown: str) -> tuple[NDArray[Any], FrameResult]:
+    """Return the picture (height, width, 3)."""
+    renderer = Renderer(device, scene, technique=Inspection(shown), visibility=NoCulling(scene), size=SIZE)
+    result = renderer.render(scene.views["above"])
+    return result.image.read()[..., :3], result
+
+
+def test_normals_are_colours_along_the_worlds_axes(drawing_device: rhi.Device) -> None:
+    middle = show(drawing_device, tower(), "normals")[0][SIZE[1] // 2, SIZE[0] // 2]
+    assert np.abs(middle.astype(int) - (188, 255, 188)).max() <= 1  # (0, 1, 0): halves in sRGB are 188
+
+
+def test_depth_gets_darker_with_distance(drawing_device: rhi.Device) -> None:
+    scene = tower()
+    picture, _ = show(drawing_device, scene, "depth")
+    shade = (1 - np.log10(6.0 / 0.1) / 4) ** 2
+    wanted = 255 * (1.055 * shade ** (1 / 2.4) - 0.055)
+    assert np.abs(picture[SIZE[1] // 2, SIZE[0] // 2] - wanted).max() <= 2.0
+
+
+@pytest.mark.parametrize(
+    ("points", "spots", "color"), [(0, 0, (0, 0, 0)), (1, 0, BLUE), (0, 7, BLUE), (5, 3, CYAN)]
+)
+def test_lights_are_counted_where_they_reach(
+    drawing_device: rhi.Device, points: int, spots: int, color: tuple[int, int, int]
+) -> None:
+    picture, _ = show(drawing_device, tower(points, spots), "lights")
+    assert picture[SIZE[1] // 2, SIZE[0] // 2].tolist() == list(color)
+    assert not picture[1, 1].any()  # out of their range
+
+
+def test_overdraw_counts_each_fragment(drawing_device: rhi.Device) -> None:
+    picture, result = show(drawing_device, tower(), "overdraw")
+    fragments = result.targets["fragments"].read()
+    assert (fragments == (result.depth.read() > 0.0)).all()
+    assert picture[SIZE[1] // 2, SIZE[0] // 2].tolist() == list(BLUE)
+
+
+def test_colours_of_counts_change_where_they_double() -> None:
+    counts = np.array([0, 1, 7, 8, 15, 16, 31, 32, 63, 64, 127, 128, 4096], np.float32)
+    colors = evaluate(heat_color, counts, np.full(len(counts), 8.0, np.float32))
+    black, blue, cyan, green = [0, 0, 0], [0, 0, 1], [0, 1, 1], [0, 1, 0]
+    yellow, red, white = [1, 1, 0], [1, 0, 0], [1, 1, 1]
+    assert colors.tolist() == [
+        black, blue, blue, cyan, cyan, green, green, yellow, yellow, red, red, white, white,
+    ]  # fmt: skip
+
+
+@pytest.mark.usefixtures("gl")
+@pytest.mark.parametrize("shown", INSPECTIONS)
+def test_render_shows_each_of_them(shown: str, tmp_path: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    output = str(tmp_path / "shown.png")
+    common = ["--size", "40x30", "--backend", "gl", "--visibility", "frustum", "--output", output]
+    assert main(["render", "hall:columns=4,flags=2", "--show", shown, *common]) == 0
+    assert "shown.png" in capsys.readouterr().out
