@@ -177,7 +177,8 @@ def test_a_second_frame_uploads_its_draws_and_the_rows_of_its_lamps(
         renderer.render(scene.views["eye"])
         again = renderer.render(scene.views["eye"]).statistics
     passes = 1 if isinstance(technique, Deferred) else 2
-    assert again.upload_bytes == passes * 2 * rhi.DRAW.itemsize + 50 * np.dtype(np.int32).itemsize
+    # The first pass is recorded with its draws; further ones upload theirs.
+    assert again.upload_bytes == (passes - 1) * 2 * rhi.DRAW.itemsize + 50 * np.dtype(np.int32).itemsize
 
 
 @pytest.mark.parametrize("technique", ALL)
