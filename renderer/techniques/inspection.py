@@ -19,7 +19,7 @@ from renderer.shaders.pixels import FullScreen, PixelConstants, nearness_of, pos
 from renderer.shaders.structs import SurfacePoint, SurfaceVarying
 from renderer.techniques.depth import draw_depth
 from renderer.techniques.forward import bind_lamps
-from renderer.techniques.forward_shader import LampShader, WithPointLights, WithSpotLights
+from renderer.techniques.forward_shader import LampShader, MaterialShader, WithPointLights, WithSpotLights
 from renderer.techniques.full_screen import bind_pixels, draw_full_screen
 from renderer.techniques.scene_shader import SceneShader
 from rhi import BlendFunction, Format, State, Texture
@@ -66,7 +66,7 @@ class NormalColors(SceneShader):
         return vec4(safe_normalize(v.normal) * 0.5 + 0.5, 1.0)
 
 
-class LightCounts(LampShader):
+class CountedLamps(MaterialShader, LampShader):
     """Shows the number of lights in range."""
 
     def fragment(self, v: SurfaceVarying) -> vec4:
@@ -146,7 +146,7 @@ class Inspection:
 @cache
 def _count_lights(parts: tuple[str, ...]) -> type[Shader]:
     counted = {"point_lights": CountedPoints, "spot_lights": CountedSpots}
-    return type("Counts", (*(counted[part] for part in parts), LightCounts), {"__module__": __name__})
+    return type("Counts", (*(counted[part] for part in parts), CountedLamps), {"__module__": __name__})
 
 
 def _draw(frame: Frame, shader: type[Shader], color: Texture, *states: State, **bindings: Any) -> None:
