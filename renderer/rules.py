@@ -148,6 +148,10 @@ UNWRITTEN: Final = Rule(
 )
 PLAN_CIRCLE: Final = Rule("plan-circle", "the passes of a frame don't wait for each other in a circle")
 
+# Techniques
+
+BAD_TECHNIQUE: Final = Rule("technique-parameter", "a parameter of a technique is out of its range")
+
 # The canvas
 FONT_FILE: Final = Rule("canvas-font-file", "the file can't be read as a font")
 FONT_SIZE: Final = Rule("canvas-font-size", "a font's size is out of its range")
