@@ -158,6 +158,7 @@ ONE_SAMPLE: Final = Rule(
     "this technique draws one sample per pixel",
     "smooth its image with --fxaa, or use --technique forward",
 )
+BAD_TECHNIQUE: Final = Rule("technique-parameter", "a parameter of a technique is out of its range")
 
 # The canvas
 FONT_FILE: Final = Rule("canvas-font-file", "the file can't be read as a font")

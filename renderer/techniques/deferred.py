@@ -145,7 +145,7 @@ def lighting_variant(effect: Effect, *, has_images: bool) -> type[VolumeShader]:
 
 
 def light_geometry(
-    frame: Frame, effect: Effect, targets: Sequence[str], clears: bool, *, stencil: bool
+    frame: Frame, *, effect: Effect, targets: Sequence[str], clears: bool, stencil: bool
 ) -> None:
     """Add the light of the point or spot lights in view to the light buffer."""
     device = frame.device

@@ -27,7 +27,7 @@ from renderer.techniques.deferred import Deferred, ResolveShader, draw_resolve, 
 from renderer.techniques.forward import LAMPS, bind_lamps, bind_shading
 from renderer.techniques.forward_shader import LampShader
 from renderer.techniques.geometry_buffer import GeometryReader, bind_geometry, geometry_pass
-from renderer.techniques.light_volumes import LIGHT_FORMAT
+from renderer.techniques.resolve import LIGHT_FORMAT
 from rhi import Device
 from rhi.shading import (
     Image2D,

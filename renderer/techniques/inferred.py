@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from functools import cache, partial
 from typing import Final
 
+from renderer import rules
 from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target
 from renderer.shaders.structs import SurfacePoint
 from renderer.techniques.forward import Forward, bind_materials
@@ -38,7 +39,7 @@ from renderer.techniques.light_pre_pass import (
     normals_pass,
 )
 from renderer.techniques.light_volumes import BRIGHTEST, declare_lights
-from rhi import CullMode, DepthFunction
+from rhi import CullMode, DepthFunction, refuse
 from rhi.shading import (
     FragmentDepth,
     Struct,
@@ -153,7 +154,9 @@ class Inferred:
     name: Final = "inferred"
 
     def __init__(self, *, scale: float = 0.6) -> None:
-        """`scale` is the width and height of light buffers in those of the image, 0.4 to 1."""
+        """`scale` is the width and height of light buffers in those of the image, more than 0 and at most 1."""
+        if not 0.0 < scale <= 1.0:
+            refuse(rules.BAD_TECHNIQUE, "Inferred(scale=...)", scale, "more than 0, at most 1; 0.4 and more look well")
         self.scale = scale
 
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:

@@ -19,6 +19,7 @@ from collections.abc import Sequence
 from functools import cache, partial
 from typing import Any, Final
 
+from renderer import rules
 from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Effect, Frame, Needs, Pass, Target, TechniquePass
 from renderer.shaders.lighting import highlight, is_near, point_incidence, safe_normalize, spot_incidence
 from renderer.shaders.structs import Incidence, Material, SurfacePoint, SurfaceVarying
@@ -40,7 +41,7 @@ from renderer.techniques.light_volumes import (
     declare_lights,
     draw_volumes,
 )
-from rhi import DepthFunction, DepthWrite, Format, Program, Texture
+from rhi import DepthFunction, DepthWrite, Format, Program, Texture, refuse
 from rhi.shading import (
     Precision,
     Shader,
@@ -194,6 +195,8 @@ class LightPrePass:
 
     def __init__(self, *, specular_channels: int = 3, stencil: bool = False) -> None:
         """`specular_channels` is 3 or 1. With `stencil`, each light is masked in a stencil buffer."""
+        if specular_channels not in (1, 3):
+            refuse(rules.BAD_TECHNIQUE, "LightPrePass(specular_channels=...)", specular_channels, "1 or 3")
         self.specular_channels = specular_channels
         self.stencil = stencil
 
@@ -250,10 +253,10 @@ def draw_normals(frame: Frame) -> None:
 
 def collect_terms(
     frame: Frame,
+    *,
     effect: Effect,
     targets: Sequence[str],
     clears: bool,
-    *,
     stencil: bool = False,
     prefix: str = "",
 ) -> None:

@@ -29,6 +29,7 @@ from renderer.frame.passes import NEARER
 from renderer.lights.hulls import make_cone, make_sphere
 from renderer.shaders.structs import PointLight, SpotLight, ViewConstants
 from renderer.techniques.geometry_buffer import BEHIND, PixelRays, find_far
+from renderer.techniques.resolve import LIGHT_FORMAT
 from rhi import (
     BlendFunction,
     ColorWrite,
@@ -37,7 +38,6 @@ from rhi import (
     DepthTest,
     DepthWrite,
     Device,
-    Format,
     Mesh,
     Program,
     StencilBack,
@@ -62,8 +62,6 @@ from rhi.shading import (
     vec4,
 )
 
-LIGHT_FORMAT: Final = Format.RGBA16F
-"""The format of buffers that light is added up in."""
 BRIGHTEST: Final = 65504.0
 """The largest number in a light buffer; beyond it is infinity. It is white in each image."""
 WIDEST_CONE: Final = np.pi / 3
@@ -174,7 +172,7 @@ def declare_lights(
     needs: Needs,
     buffers: Sequence[str],
     reads: tuple[str, ...],
-    run: Callable[[Frame, Effect, list[str], bool], None],
+    run: Callable[..., None],
     scale: float = 1.0,
 ) -> tuple[list[Pass[Frame]], list[str]]:
     """Return the passes that add the light of each kind of lights in view to light buffers, and their contents' names
@@ -182,7 +180,8 @@ def declare_lights(
 
     Args:
         scale: the size of the buffers in that of the frame.
-        run: issues the commands; is given the frame, the kind, the names of the targets, and whether to clear them.
+        run: issues the commands; is given the frame and, by name, `effect`, the names of the `targets`, and whether it
+            `clears` them.
     """
     passes: list[Pass[Frame]] = []
     last: list[str] = []
@@ -193,7 +192,7 @@ def declare_lights(
         passes.append(
             Pass(
                 effect.value,
-                partial(_run, run, effect, names, not last),
+                partial(run, effect=effect, targets=names, clears=not last),
                 needs.explain(effect),
                 reads=reads,
                 writes=() if last else tuple(Target(name, LIGHT_FORMAT, scale) for name in names),
@@ -202,12 +201,6 @@ def declare_lights(
         )
         last = names
     return passes, last
-
-
-def _run(
-    run: Callable[[Frame, Effect, list[str], bool], None], effect: Effect, names: list[str], clears: bool, frame: Frame
-) -> None:
-    run(frame, effect, names, clears)
 
 
 def list_volumes(frame: Frame, effect: Effect) -> list[tuple[Mesh, NDArray[np.int64]]]:

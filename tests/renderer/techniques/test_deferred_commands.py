@@ -181,6 +181,19 @@ def test_a_second_frame_uploads_its_draws_and_the_rows_of_its_lamps(
     assert again.upload_bytes == (passes - 1) * 2 * rhi.DRAW.itemsize + 50 * np.dtype(np.int32).itemsize
 
 
+@pytest.mark.parametrize("scale", [0.0, -0.5, 1.001, float("nan")])
+def test_a_scale_out_of_range_is_refused(scale: float) -> None:
+    with pytest.raises(rhi.ValidationError, match="technique-parameter"):
+        Inferred(scale=scale)
+    assert Inferred(scale=1e-3).scale == 1e-3
+
+
+@pytest.mark.parametrize("channels", [0, 2, 4])
+def test_a_number_of_specular_channels_other_than_1_and_3_is_refused(channels: int) -> None:
+    with pytest.raises(rhi.ValidationError, match="technique-parameter"):
+        LightPrePass(specular_channels=channels)
+
+
 @pytest.mark.parametrize("technique", ALL)
 def test_everything_is_given_back(null: rhi.Device, technique: Technique) -> None:
     scene = boxes(3, narrow=2, wide=1)

@@ -24,7 +24,7 @@ from renderer.scene import (
     translation,
 )
 from renderer.techniques import Deferred, Forward, Inferred, LightPrePass, Technique, inferred
-from renderer.visibility import NoCulling
+from renderer.visibility import ALGORITHMS, NoCulling, make_visibility
 
 SIZE = (96, 64)
 TECHNIQUES: dict[str, Callable[[], Technique]] = {
@@ -227,6 +227,21 @@ def test_the_scenes_of_the_library_look_as_with_forward_shading(
 ) -> None:
     scene = load_scene(text)
     check_all(drawing_device, scene, scene.paths["ground"].camera(300), (160, 90))
+
+
+@pytest.mark.parametrize("name", sorted({*ALGORITHMS} - {"auto"}))
+def test_every_visibility_algorithm_draws_to_geometry_buffers(gl: rhi.Device, name: str) -> None:
+    scene = load_scene("city:blocks=6")
+    visibility = make_visibility(name, scene, gl)
+    for technique in (Deferred(stencil=True), LightPrePass()):
+        images = []
+        for algorithm, drawn in ((NoCulling(scene), Forward()), (visibility, technique)):
+            with Renderer(gl, scene, visibility=algorithm, technique=drawn, size=(160, 90)) as renderer:
+                for frame in (300, 304, 308):
+                    image = renderer.render(scene.paths["ground"].camera(frame)).image.read()
+            images.append(image.astype(np.int64))
+        assert np.abs(images[0] - images[1]).max() <= 2, technique
+    visibility.destroy()
 
 
 def test_a_missing_light_is_seen_by_the_comparison(drawing_device: rhi.Device) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -86,10 +87,27 @@ def test_a_texel_is_stored_finer_than_images_have_it() -> None:
     assert evaluate(decode_texel, evaluate(encode_texel, np.array([1.0, 0.0, 1.0], np.float32))).tolist() == [1, 0, 1]
 
 
+@dataclass(frozen=True)
+class OffAxis:
+    """A perspective lens whose middle isn't the middle of the image, as that of one eye of two."""
+
+    depth: Depth = Depth.REVERSED
+
+    @property
+    def matrix(self) -> Floats:
+        matrix = Perspective(aspect=1.5).matrix.copy()
+        matrix[0, 2], matrix[1, 2] = 0.3, -0.2
+        return matrix
+
+    def with_aspect(self, aspect: float) -> OffAxis:
+        return self
+
+
 LENSES: dict[str, Projection] = {
     "perspective": Perspective(aspect=1.5),
     "far plane": Perspective(near=0.5, far=900.0, aspect=1.5),
     "standard depth": Perspective(aspect=1.5, depth=Depth.STANDARD),
+    "off-axis": OffAxis(),
     "parallel": Orthographic(30.0, aspect=1.5, near=-5.0, far=400.0),
     "parallel, standard depth": Orthographic(30.0, aspect=1.5, depth=Depth.STANDARD),
 }
