@@ -31,7 +31,7 @@ from rhi.shading import uint
 
 __rhi_internal__ = True
 
-_START: Final = 8
+_START: Final = 64
 """Number of lights for each cell that lists have room for at first."""
 
 
@@ -100,7 +100,7 @@ class LightGrid:
             block_test: the name of the test of blocks of cells; with "none" all cells are tested against all lights.
             depth_mask: whether, with a depth texture, 32 slices of a tile's depths are told apart.
             counted: whether to count tests, for `read`.
-            capacity: number of lights for which lists have room at first; by default 8 for each cell.
+            capacity: number of lights for which lists have room at first; by default 64 for each cell.
 
         Raises:
             ValidationError `lights-unknown-test`: a test has another name.

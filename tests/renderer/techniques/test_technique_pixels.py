@@ -1,9 +1,9 @@
-"""The pixels of the techniques that light a geometry buffer, compared with those of forward shading."""
+"""The pixels of all techniques, compared with those of forward shading."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 import rhi
 from renderer.content import BUILT_IN, load_scene
-from renderer.frame import Effect, Frame, Needs, Pass
 from renderer.renderer import Renderer
 from renderer.scene import (
     Camera,
@@ -23,7 +22,18 @@ from renderer.scene import (
     scaling,
     translation,
 )
-from renderer.techniques import Deferred, Forward, Inferred, LightPrePass, Technique, inferred
+from renderer.techniques import (
+    Clustered,
+    ClusteredDeferred,
+    Deferred,
+    Forward,
+    ForwardPlus,
+    Inferred,
+    LightPrePass,
+    Technique,
+    TiledDeferred,
+    inferred,
+)
 from renderer.visibility import ALGORITHMS, NoCulling, make_visibility
 
 SIZE = (96, 64)
@@ -33,6 +43,10 @@ TECHNIQUES: dict[str, Callable[[], Technique]] = {
     "light pre-pass": LightPrePass,
     "light pre-pass, stencil": lambda: LightPrePass(stencil=True),
     "inferred at full size": lambda: Inferred(scale=1.0),
+    "forward plus": ForwardPlus,
+    "clustered": Clustered,
+    "tiled deferred": TiledDeferred,
+    "clustered deferred": ClusteredDeferred,
 }
 EYE = Camera.look_at((0, 3, 9), (0, 0.5, 0))
 
@@ -246,20 +260,12 @@ def test_every_visibility_algorithm_draws_to_geometry_buffers(gl: rhi.Device, na
 
 def test_a_missing_light_is_seen_by_the_comparison(drawing_device: rhi.Device) -> None:
     # The control of all comparisons above.
-    builder = stage()
-    builder.lights.add_point((0, 1.5, 3), 2.0, intensity=2.0)
+    builder, without = stage(), stage()
+    for one in (builder, without):
+        one.lights.add_point((0, 1.5, 3), 2.0, intensity=2.0)
     builder.lights.add_spot((0, 3.5, 3), (0, -1, 0), 5.0, 0.4, 0.8, intensity=6.0)
-
-    @dataclass
-    class Without:
-        technique: Technique
-        name: str = "without spot lights"
-
-        def declare(self, needs: Needs) -> Sequence[Pass[Frame]]:
-            return self.technique.declare(replace(needs, effects=needs.effects - {Effect.SPOT_LIGHTS}))
-
-    techniques: list[Technique] = [Forward(), *(Without(make()) for make in TECHNIQUES.values())]
-    expected, *images = render_all(drawing_device, builder.build(), EYE, techniques)
+    (expected,) = render_all(drawing_device, builder.build(), EYE, [Forward()])
+    images = render_all(drawing_device, without.build(), EYE, [make() for make in TECHNIQUES.values()])
     assert min(np.abs(image - expected).max() for image in images) > 2
 
 
