@@ -53,7 +53,8 @@ class PointLighting(PointVolumes, GeometryReader):
         light = self.point_lights[v.light]
         if not is_near(position, light.position, light.range):
             return vec4(0.0)
-        surface = self.read_surface(self.material.load(place), texel, position)
+        row = self.material.load(place)
+        surface = self.read_surface(self.materials[int(row.x)], row, texel, position)
         return vec4(point_light(surface, light), 0.0)
 
 
@@ -69,7 +70,8 @@ class SpotLighting(SpotVolumes, GeometryReader):
         light = self.spot_lights[v.light]
         if not is_near(position, light.position, light.range):
             return vec4(0.0)
-        surface = self.read_surface(self.material.load(place), texel, position)
+        row = self.material.load(place)
+        surface = self.read_surface(self.materials[int(row.x)], row, texel, position)
         return vec4(spot_light(surface, light), 0.0)
 
 
@@ -81,8 +83,9 @@ class ResolveShader(CoverShader, GeometryReader, ShadingShader):
         texel = self.surface.load(place)
         row = self.material.load(place)
         position = self.find_place(texel, place)
-        surface = self.read_surface(row, texel, position)
-        color = self.shade(surface, self.materials[int(row.x)]) + self.local_light(place)
+        material = self.materials[int(row.x)]
+        surface = self.read_surface(material, row, texel, position)
+        color = self.shade(surface, material) + self.local_light(place)
         return self.finish(color, position)
 
     def local_light(self, place: ivec2) -> vec3:
