@@ -65,7 +65,8 @@ class PointLighting(PointVolumes, GeometryReader):
         light = self.point_lights[v.light]
         if not is_near(position, light.position, light.range):
             return vec4(0.0)
-        surface = self.read_surface(self.material.load(place), texel, position)
+        row = self.material.load(place)
+        surface = self.read_surface(self.materials[int(row.x)], row, texel, position)
         return vec4(point_light(surface, light), 0.0)
 
 
@@ -81,7 +82,8 @@ class SpotLighting(SpotVolumes, GeometryReader):
         light = self.spot_lights[v.light]
         if not is_near(position, light.position, light.range):
             return vec4(0.0)
-        surface = self.read_surface(self.material.load(place), texel, position)
+        row = self.material.load(place)
+        surface = self.read_surface(self.materials[int(row.x)], row, texel, position)
         return vec4(spot_light(surface, light), 0.0)
 
 
@@ -93,8 +95,9 @@ class ResolveShader(CoverShader, GeometryReader, ShadingShader):
         texel = self.surface.load(place)
         row = self.material.load(place)
         position = self.find_place(texel, place)
-        surface = self.read_surface(row, texel, position)
-        color = self.shade(surface, self.materials[int(row.x)])
+        material = self.materials[int(row.x)]
+        surface = self.read_surface(material, row, texel, position)
+        color = self.shade(surface, material)
         color += self.local_light(surface, place, uint_bits_to_float(texel.y))
         return self.finish(color, position)
 

@@ -108,7 +108,7 @@ class TiledLighting(GeometryReader):
             texel = self.surface.load(pixel)
             row = self.material.load(pixel)
         position = self.find_place(texel, pixel)
-        surface = self.read_surface(row, texel, position)
+        surface = self.read_surface(self.materials[int(row.x)], row, texel, position)
         color = vec3(0.0)
         words = self.lights.words
         for base in range(0, words, _CHUNK):

@@ -202,9 +202,8 @@ class GeometryReader(SurfaceReader):
     materials: Storage[Material]
     has_images = False
 
-    def read_surface(self, row: uvec4, texel: uvec4, position: vec3) -> SurfacePoint:
-        """Return the surface whose texels of `material` and `surface` were loaded."""
-        material = self.materials[int(row.x)]
+    def read_surface(self, material: Material, row: uvec4, texel: uvec4, position: vec3) -> SurfacePoint:
+        """Return the surface whose texels of `material` and `surface` were loaded, and its material."""
         base = material.base_color.rgb
         if self.has_images:
             base *= decode_texel(row.y)
