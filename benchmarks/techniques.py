@@ -1,10 +1,10 @@
-"""The techniques that light a geometry buffer, compared with forward shading: processor time and light evaluations.
+"""The techniques, compared with forward shading: processor time and light evaluations.
 
-Scenes: the hall and the city as they are; a grid of 64 objects, each with its own list of lights, and a floor that is
+Scenes: those of the library as they are, such as `hall`, `city` or `night:lights=1024`; a grid of 64 objects, each with its own list of lights, and a floor that is
 one object, whose list has all of them, with 16 to 512 point lights. All techniques render the same frame in each round.
 A time is that of the processor, over all threads, from the frame's update until the device is finished; figures are
-medians, "x forward" those of the rounds' ratios. "lit" is how often a light is evaluated, for each pixel with geometry:
-the samples that pass the tests of a light pass.
+medians, "x forward" those of the rounds' ratios. "lit", of techniques that draw light volumes, is how often a light is
+evaluated for each pixel with geometry: the samples that pass the tests of a light pass.
 
     python benchmarks/techniques.py [--backend gl] [--rounds 5] [--size 480x270] [--scenes hall,floor:512,…]
 """
@@ -31,7 +31,19 @@ import rhi
 from renderer.content import BUILT_IN, load_scene
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene, SceneBuilder, scaling
-from renderer.techniques import Deferred, Forward, Inferred, LightPrePass, Technique
+from renderer.techniques import (
+    Clustered,
+    ClusteredDeferred,
+    Deferred,
+    Forward,
+    ForwardMultipass,
+    ForwardPlus,
+    Inferred,
+    LightIndexed,
+    LightPrePass,
+    Technique,
+    TiledDeferred,
+)
 from renderer.visibility import FrustumCulling
 from rhi import BlendFunction, DepthTest, Device
 
@@ -43,6 +55,12 @@ TECHNIQUES: Final[dict[str, Technique]] = {
     "light_pre_pass": LightPrePass(),
     "light_pre_pass, 1 channel": LightPrePass(specular_channels=1),
     "inferred": Inferred(),
+    "forward_multipass": ForwardMultipass(),
+    "light_indexed": LightIndexed(),
+    "forward_plus": ForwardPlus(),
+    "clustered": Clustered(),
+    "tiled_deferred": TiledDeferred(),
+    "clustered_deferred": ClusteredDeferred(),
 }
 
 
@@ -56,9 +74,9 @@ def load(text: str) -> tuple[Scene, Camera]:
         builder.add_objects(node, builder.add_mesh(BUILT_IN["box"]()), builder.add_material())
         scene, camera, half = builder.build(), Camera.look_at((0, 14, 26), (0, 0, 0)), 25.0
     else:
-        scene = load_scene("grid:count=64" if name == "grid" else name)
+        scene = load_scene("grid:count=64" if name == "grid" else text)
         camera, half = scene.paths["ground"].camera(100 if name == "grid" else 300), 6.0
-    for _ in range(int(lights or 0)):
+    for _ in range(int(lights) if lights.isdigit() else 0):
         x, z = random.uniform(-half, half, 2)
         scene.lights.add_point((x, 1.0, z), 2.5, random.uniform(0.2, 1.0, 3), 1.5)
     return scene, camera
@@ -109,7 +127,8 @@ def measure(device: Device, text: str, size: tuple[int, int], rounds: int) -> No
         print(f"{text}: {len(needs.point_rows)} point and {len(needs.spot_rows)} spot lights in view")
         for name, renderer.technique in TECHNIQUES.items():
             _, plan = renderer.plan(camera)
-            lit = "" if name == "forward" else f"{count_lit(renderer, camera):8.2f} lit"
+            has_volumes = isinstance(renderer.technique, Deferred | LightPrePass | Inferred)
+            lit = f"{count_lit(renderer, camera):8.2f} lit" if has_volumes else ""
             ratio = median(a / b for a, b in zip(times[name], times["forward"], strict=True))
             print(
                 f"  {name:26}{1e3 * median(times[name]):8.2f} ms{ratio:8.2f} x forward"
