@@ -1,10 +1,11 @@
 """The techniques, compared with forward shading: processor time and light evaluations.
 
-Scenes: those of the library as they are, such as `hall`, `city` or `night:lights=1024`; a grid of 64 objects, each with its own list of lights, and a floor that is
-one object, whose list has all of them, with 16 to 512 point lights. All techniques render the same frame in each round.
-A time is that of the processor, over all threads, from the frame's update until the device is finished; figures are
-medians, "x forward" those of the rounds' ratios. "lit", of techniques that draw light volumes, is how often a light is
-evaluated for each pixel with geometry: the samples that pass the tests of a light pass.
+Scenes: those of the library as they are, such as `hall`, `city` or `night:lights=1024`; a grid of 64 objects, each with
+its own list of lights, and a floor that is one object, whose list has all of them, with 16 to 512 point lights. All
+techniques render the same frame in each round. A time is that of the processor, over all threads, from the frame's
+update until the device is finished; figures are medians, "x forward" those of the rounds' ratios. "lit", of techniques
+that draw light volumes, is how often a light is evaluated for each pixel with geometry: the samples that pass the tests
+of a light pass.
 
     python benchmarks/techniques.py [--backend gl] [--rounds 5] [--size 480x270] [--scenes hall,floor:512,…]
 """
