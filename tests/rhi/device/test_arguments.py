@@ -39,7 +39,7 @@ INTERNAL = {
         "check", "check_can_dispatch", "check_can_draw", "check_instances", "check_names", "draw_unprepared", "explain",
         "find_vertex_array", "prepare_draw",
     },
-    "OcclusionQuery": {"check_ended", "check_usable", "mark_submitted", "write_begin", "write_end"},
+    "OcclusionQuery": {"check_ended", "check_usable", "finish", "mark_submitted", "write_begin", "write_end"},
     "QuerySet": {
         "check_conditions", "check_ended", "check_rows", "draw", "draw_conditional", "mark_rows_drawn",
         "mark_rows_submitted", "mark_submitted",
