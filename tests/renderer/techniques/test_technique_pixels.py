@@ -168,6 +168,7 @@ def test_any_lens_gives_the_picture_of_forward_shading(
     assert np.ptp(image[:, :, :3]) > 20, "the scene can be seen"
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("size", [(1, 1), (7, 3), (85, 48)])
 def test_any_size_of_the_image_gives_the_picture_of_forward_shading(
     drawing_device: rhi.Device, size: tuple[int, int]
@@ -205,6 +206,7 @@ LIGHTS: dict[str, Callable[[SceneBuilder], object]] = {
 }
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("where", LIGHTS)
 def test_a_light_reaches_what_it_reaches_in_forward_shading(
     drawing_device: rhi.Device, where: str
