@@ -8,8 +8,16 @@ every finite input: directions of length 0, lights at the surface, ranges and co
 
 from __future__ import annotations
 
-from renderer.shaders.structs import Ambient, DirectionalLight, Incidence, PointLight, SpotLight, SurfacePoint
-from rhi.shading import dot, function, inversesqrt, max, min, mix, pow, reflect, saturate, vec3
+from renderer.shaders.structs import (
+    Ambient,
+    DirectionalLight,
+    Haze,
+    Incidence,
+    PointLight,
+    SpotLight,
+    SurfacePoint,
+)
+from rhi.shading import dot, exp, function, inversesqrt, length, max, min, mix, pow, reflect, saturate, vec3
 
 
 @function
@@ -126,6 +134,12 @@ def ambient_light(surface: SurfacePoint, ambient: Ambient, rim_strength: float, 
         mirrored = mirrored + vec3(rim_strength * pow(grazing, rim_power))
     beyond = reflect(-surface.to_eye, surface.normal)
     return surface.base_color * hemisphere(ambient, surface.normal) + mirrored * hemisphere(ambient, beyond)
+
+
+@function
+def through_haze(color: vec3, position: vec3, haze: Haze) -> vec3:
+    """Return a final colour at `position`, relative to the eye, as haze between them fades it to its own."""
+    return mix(haze.color, color, exp(-haze.density * length(position)))
 
 
 @function

@@ -12,7 +12,7 @@ from typing import Any
 from renderer.frame import Frame, Needs, Pass
 from renderer.lights.culling.cells import CellGrid, cell_index
 from renderer.lights.culling.grid import LightGrid
-from renderer.techniques.forward import LAMPS
+from renderer.techniques.forward import explain_lamps
 from rhi import Device
 from rhi.shading import Shader, Storage, Uniform, fragment_coordinate, ivec2, ivec3
 
@@ -46,11 +46,6 @@ class CellReader(Shader):
         return ivec3(self.light_rows[2 * cell], self.light_rows[2 * cell + 1], self.light_rows[2 * cell + 2])
 
 
-def has_lamps(needs: Needs) -> bool:
-    """Return whether there are lights to list."""
-    return not needs.effects.isdisjoint(LAMPS)
-
-
 def list_pass(needs: Needs, kind: type[LightGrid], *, depth: str | None = None) -> Pass[Frame]:
     """Return the pass that lists the lights of cells, as the contents `light lists`.
 
@@ -63,9 +58,8 @@ def list_pass(needs: Needs, kind: type[LightGrid], *, depth: str | None = None) 
         grid = frame.resources.workspace(kind)
         grid.collect(frame.device, frame.camera, frame.targets.size, frame.resources.scene.lights, texture)
 
-    because = "; ".join(needs.explain(effect) for effect in LAMPS if effect in needs.effects)
     reads = () if depth is None else (depth,)
-    return Pass("light lists", collect, because, reads=reads, writes=("light lists",))
+    return Pass("light lists", collect, explain_lamps(needs), reads=reads, writes=("light lists",))
 
 
 def bind_lists(frame: Frame, kind: type[LightGrid]) -> dict[str, Any]:

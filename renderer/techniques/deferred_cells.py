@@ -22,9 +22,9 @@ from renderer.lights.culling.uploads import LightUploads
 from renderer.lights.culling.volumes import WORD
 from renderer.shaders.lighting import is_near, point_light, spot_light
 from renderer.shaders.structs import PointLight, SpotLight, SurfacePoint
-from renderer.techniques.cell_lists import CellReader, ClusterLists, bind_lists, has_lamps, list_pass
+from renderer.techniques.cell_lists import CellReader, ClusterLists, bind_lists, list_pass
 from renderer.techniques.deferred import Deferred, ResolveShader, draw_resolve, resolve
-from renderer.techniques.forward import LAMPS, bind_lamps, bind_shading
+from renderer.techniques.forward import bind_lamps, bind_shading, explain_lamps, list_lamps
 from renderer.techniques.forward_shader import LampShader
 from renderer.techniques.geometry_buffer import GeometryReader, bind_geometry, geometry_pass
 from renderer.techniques.resolve import LIGHT_FORMAT
@@ -220,12 +220,11 @@ class TiledDeferred:
 
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the passes `geometry`, `tiles` and `resolve`; those of `Deferred` without lights to test."""
-        if not has_lamps(needs):
+        if not list_lamps(needs):
             return Deferred().declare(needs)
-        because = "; ".join(needs.explain(effect) for effect in LAMPS if effect in needs.effects)
         return (
             geometry_pass(needs),
-            Pass("tiles", light_tiles, because, reads=_READS, writes=(Target("light", LIGHT_FORMAT),)),
+            Pass("tiles", light_tiles, explain_lamps(needs), reads=_READS, writes=(Target("light", LIGHT_FORMAT),)),
             Pass(
                 "resolve",
                 partial(resolve, lights=("light",)),
@@ -243,7 +242,7 @@ class ClusteredDeferred:
 
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the passes `geometry`, `light lists` and `resolve`; those of `Deferred` without lights to list."""
-        if not has_lamps(needs):
+        if not list_lamps(needs):
             return Deferred().declare(needs)
         return (
             geometry_pass(needs),

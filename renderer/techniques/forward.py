@@ -17,6 +17,16 @@ LAMPS: Final = {Effect.POINT_LIGHTS: "point lights", Effect.SPOT_LIGHTS: "spot l
 """The lights that have a range, and the names of their passes."""
 
 
+def list_lamps(needs: Needs) -> list[Effect]:
+    """Return the kinds of lights with a range that a frame needs."""
+    return [effect for effect in LAMPS if effect in needs.effects]
+
+
+def explain_lamps(needs: Needs) -> str:
+    """Return why a frame needs a pass about lamps."""
+    return "; ".join(map(needs.explain, list_lamps(needs)))
+
+
 class Forward:
     """Draws the scene lit in one pass; the shader handles only the effects that the frame needs.
 

@@ -20,7 +20,14 @@ from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target, Tec
 from renderer.frame.passes import WINDINGS
 from renderer.scene.arrays import Rows
 from renderer.shaders.structs import SurfaceVarying, Vertex
-from renderer.techniques.forward import LAMPS, Forward, bind_lamps, bind_materials, bind_surfaces
+from renderer.techniques.forward import (
+    LAMPS,
+    Forward,
+    bind_lamps,
+    bind_materials,
+    bind_surfaces,
+    list_lamps,
+)
 from renderer.techniques.forward_shader import (
     ForwardShader,
     LampShader,
@@ -89,7 +96,7 @@ class ForwardMultipass:
 
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return a base pass, one for each kind of lamp in view, and one that maps their sum to colours."""
-        lamps = [effect for effect in LAMPS if effect in needs.effects]
+        lamps = list_lamps(needs)
         if not lamps:
             return Forward().declare(needs)
         base = Pass(

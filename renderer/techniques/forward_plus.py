@@ -20,11 +20,10 @@ from renderer.techniques.cell_lists import (
     ClusterLists,
     TileLists,
     bind_lists,
-    has_lamps,
     list_pass,
 )
 from renderer.techniques.depth import draw_depth
-from renderer.techniques.forward import Forward, bind_lamps, bind_materials
+from renderer.techniques.forward import Forward, bind_lamps, bind_materials, list_lamps
 from renderer.techniques.forward_shader import ForwardShader, forward_variant
 from renderer.techniques.geometry_buffer import PixelRays, Screen
 from rhi import DepthFunction, DepthWrite
@@ -53,7 +52,7 @@ class ForwardPlus:
 
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the passes `depth`, `light lists` and `forward`; only the last one without lights to list."""
-        if not has_lamps(needs):
+        if not list_lamps(needs):
             return Forward().declare(needs)
         return (
             Pass(
@@ -80,7 +79,7 @@ class Clustered:
 
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the passes `light lists` and `forward`; only the last one without lights to list."""
-        if not has_lamps(needs):
+        if not list_lamps(needs):
             return Forward().declare(needs)
         return (
             list_pass(needs, ClusterLists),

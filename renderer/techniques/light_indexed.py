@@ -27,7 +27,7 @@ from renderer.shaders.lighting import point_light, safe_normalize, spot_light
 from renderer.shaders.pixels import PixelConstants, nearness_of, position_at
 from renderer.shaders.structs import SurfacePoint
 from renderer.techniques.depth import draw_depth
-from renderer.techniques.forward import LAMPS, Forward, bind_lamps, bind_materials
+from renderer.techniques.forward import Forward, bind_lamps, bind_materials, explain_lamps, list_lamps
 from renderer.techniques.forward_shader import WithPointLights, WithSpotLights, forward_variant
 from renderer.techniques.full_screen import bind_pixels
 from rhi import (
@@ -203,10 +203,9 @@ class LightIndexed:
 
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the three passes."""
-        lamps = [effect for effect in LAMPS if effect in needs.effects]
-        if not lamps:
+        if not list_lamps(needs):
             return Forward().declare(needs)
-        because = "; ".join(needs.explain(effect) for effect in lamps)
+        because = explain_lamps(needs)
         return (
             Pass(
                 "depth",

@@ -9,12 +9,12 @@ from __future__ import annotations
 from typing import Any, Final
 
 from renderer.frame import IMAGE_FORMAT, Effect, Frame, Needs, Pass, Target
-from renderer.shaders.lighting import tone_map
+from renderer.shaders.lighting import through_haze, tone_map
 from renderer.shaders.pixels import FullScreen, PixelConstants, nearness_of, position_at
 from renderer.shaders.structs import Haze
 from renderer.techniques.full_screen import bind_pixels, draw_full_screen
 from rhi import Format
-from rhi.shading import Texture2D, Uniform, discard, exp, fragment_coordinate, ivec2, length, mix, vec3, vec4
+from rhi.shading import Texture2D, Uniform, discard, fragment_coordinate, ivec2, vec3, vec4
 
 LIGHT_FORMAT: Final = Format.RGBA16F
 """The format of light that is added up."""
@@ -45,7 +45,7 @@ class ResolveHaze(Resolve):
     haze: Uniform[Haze]
 
     def through_air(self, color: vec3, position: vec3) -> vec3:
-        return mix(self.haze.color, color, exp(-self.haze.density * length(position)))
+        return through_haze(color, position, self.haze)
 
 
 def declare_resolve(needs: Needs, light: str = "light", depth: str = "depth") -> Pass[Frame]:

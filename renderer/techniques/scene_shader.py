@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from renderer.shaders.lighting import ambient_light, directional_light, tone_map
+from renderer.shaders.lighting import ambient_light, directional_light, through_haze, tone_map
 from renderer.shaders.structs import (
     Ambient,
     DirectionalLight,
@@ -29,11 +29,8 @@ from rhi.shading import (
     Storage,
     Texture2DArray,
     Uniform,
-    exp,
     instance_index,
     ivec3,
-    length,
-    mix,
     vec2,
     vec3,
     vec4,
@@ -144,7 +141,7 @@ class WithHaze(ShadingShader):
     haze: Uniform[Haze]
 
     def through_air(self, color: vec3, position: vec3) -> vec3:
-        return mix(self.haze.color, color, exp(-self.haze.density * length(position)))
+        return through_haze(color, position, self.haze)
 
 
 SHADING_PARTS: Final[dict[str, type[Shader]]] = {
