@@ -13,6 +13,7 @@ from renderer.cli import (
     capture,
     compare_backends,
     compare_light_culling,
+    compare_techniques,
     compare_visibility,
     debug_visibility,
     demo,
@@ -32,8 +33,13 @@ COMMANDS: Final[tuple[Subcommand | SubcommandGroup, ...]] = (
     demo.COMMAND,
     SubcommandGroup(
         "compare",
-        "compare visibility algorithms, tests of light culling, or backends",
-        (compare_visibility.COMMAND, compare_light_culling.COMMAND, compare_backends.COMMAND),
+        "compare techniques, visibility algorithms, tests of light culling, or backends",
+        (
+            compare_techniques.COMMAND,
+            compare_visibility.COMMAND,
+            compare_light_culling.COMMAND,
+            compare_backends.COMMAND,
+        ),
     ),
     plan.COMMAND,
     capture.COMMAND,
