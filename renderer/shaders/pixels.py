@@ -16,15 +16,18 @@ from rhi.shading import Shader, Struct, Uniform, abs, function, mat3, vec2, vec3
 
 
 class PixelRays(Struct):
-    """Where the pixels of a view are: what is `distance` along the view in the pixel at (x, y) is at
-    `direction @ (x, y, 1) * distance + origin @ (x, y, 1)`, relative to the eye. With a perspective lens `origin` is 0.
+    """Where the pixels of a view are: what is d along the view in the pixel at (x, y) is at
+    `across @ (x, y, 1) * w + along * d + start`, relative to the eye. The width w of the view is d with a perspective
+    lens and 1 with a parallel one: `lens.y - lens.w * d`. A nearness n is a distance of
+    `(lens.x - lens.y * n) / (lens.z - lens.w * n)`.
 
     `size` is that of the image in pixels, `forward` the direction of the view, `far` the distance of its far plane, and
-    `farthest` its depth. A nearness n is a distance of `(lens.x - lens.y * n) / (lens.z - lens.w * n)`.
+    `farthest` its depth.
     """
 
-    direction: mat3
-    origin: mat3
+    across: mat3
+    along: vec3
+    start: vec3
     size: vec2
     forward: vec3
     far: float
@@ -48,8 +51,8 @@ def distance_at(rays: PixelRays, nearness: float) -> float:
 def place_pixel(rays: PixelRays, pixel: vec2, distance: float) -> vec3:
     """Return the position relative to the eye, along the world's axes, of what is `distance` along the view at `pixel`:
     a `fragment_coordinate()`, or a texel plus a half."""
-    at = vec3(pixel, 1.0)
-    return rays.direction @ at * distance + rays.origin @ at
+    width = rays.lens.y - rays.lens.w * distance
+    return rays.across @ vec3(pixel, 1.0) * width + (rays.along * distance + rays.start)
 
 
 class FullScreen(Shader):

@@ -41,12 +41,12 @@ class Screen:
     def __init__(self, device: Device) -> None:
         self.triangle = device.mesh(3, label="whole target")
         self._aimed: tuple[Camera, tuple[int, int]] | None = None
-        zeros = np.zeros((3, 3))
         self._rays = MirroredValue(
             device,
             PixelRays(
-                direction=zeros,
-                origin=zeros,
+                across=np.zeros((3, 3)),
+                along=(0, 0, 0),
+                start=(0, 0, 0),
                 size=(0, 0),
                 forward=(0, 0, 0),
                 far=0.0,
@@ -71,30 +71,20 @@ class Screen:
 def find_rays(camera: Camera, size: tuple[int, int]) -> PixelRays:
     """Return the rays through the pixels of an image of `size`, computed in float64."""
     (width, height), matrix = size, camera.projection.matrix
-    # A lens maps (x, y, -distance) to clip coordinates. Its rows are solved for x and y, as functions of the pixel.
-    by_distance, constant = -matrix[3, 2], matrix[3, 3]  # w = by_distance * distance + constant
-    pixel_x, pixel_y = np.array([2.0 / width, 0.0, -1.0]), np.array([0.0, -2.0 / height, 1.0])
-    last = np.array([0.0, 0.0, 1.0])
-    direction = np.stack(
-        [
-            (pixel_x * by_distance + matrix[0, 2] * last) / matrix[0, 0],
-            (pixel_y * by_distance + matrix[1, 2] * last) / matrix[1, 1],
-            -last,
-        ]
-    )
-    origin = np.stack(
-        [
-            (pixel_x * constant - matrix[0, 3] * last) / matrix[0, 0],
-            (pixel_y * constant - matrix[1, 3] * last) / matrix[1, 1],
-            0.0 * last,
-        ]
-    )
+    # A lens maps (x, y, -d) to clip coordinates. Its rows are solved for x and y, as functions of the pixel and of d:
+    # matrix[0, 0] * x = pixel_x * w + matrix[0, 2] * d - matrix[0, 3], where w = by_distance * d + constant.
+    by_distance, constant = -matrix[3, 2], matrix[3, 3]
+    scale = np.array([matrix[0, 0], matrix[1, 1], 1.0])
+    across = np.array([[2.0 / width, 0.0, -1.0], [0.0, -2.0 / height, 1.0], [0.0, 0.0, 0.0]]) / scale[:, None]
+    along = np.array([matrix[0, 2], matrix[1, 2], -1.0]) / scale
+    start = np.array([-matrix[0, 3], -matrix[1, 3], 0.0]) / scale
     depth = camera.projection.depth
     # Nearness is z / w, or 1 - z / w for standard depth; that is solved for the distance.
     near = matrix[2] if depth is Depth.REVERSED else matrix[3] - matrix[2]
     return PixelRays(
-        direction=camera.rotation.T @ direction,
-        origin=camera.rotation.T @ origin,
+        across=camera.rotation.T @ across,
+        along=camera.rotation.T @ along,
+        start=camera.rotation.T @ start,
         size=size,
         forward=camera.forward,
         far=find_far(camera),

@@ -83,9 +83,8 @@ def test_a_position_follows_from_the_pixel_and_the_distance(lens: str, direction
     camera = Camera.look_at((1e6, 50, -2e6), (1e6 + 3, 48, -2e6 + 5), projection=projection)
     rays = find_rays(camera, size)
     random = np.random.default_rng(2)
-    pixels = np.concatenate([random.uniform(0, size, (500, 2)), np.ones((500, 1))], 1)
-    distances = random.uniform(1.0, 300.0, 500)
-    places = (pixels @ np.array(rays.direction).T) * distances[:, None] + pixels @ np.array(rays.origin).T
+    pixels, distances = random.uniform(0, size, (500, 2)), random.uniform(1.0, 300.0, 500)
+    places = evaluate(place_pixel, rays, pixels, distances, dtype=np.float64)
     assert places @ np.array(rays.forward) == pytest.approx(distances, rel=1e-6)
     matrix = camera.projection.matrix @ np.block([[camera.rotation, np.zeros((3, 1))], [np.zeros((1, 3)), 1.0]])
     clip = np.concatenate([places, np.ones((500, 1))], 1) @ matrix.T
