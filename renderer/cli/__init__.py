@@ -12,6 +12,7 @@ from typing import Final, NoReturn
 from renderer.cli import (
     capture,
     compare_backends,
+    compare_encodings,
     compare_light_culling,
     compare_visibility,
     debug_visibility,
@@ -32,8 +33,13 @@ COMMANDS: Final[tuple[Subcommand | SubcommandGroup, ...]] = (
     demo.COMMAND,
     SubcommandGroup(
         "compare",
-        "compare visibility algorithms, tests of light culling, or backends",
-        (compare_visibility.COMMAND, compare_light_culling.COMMAND, compare_backends.COMMAND),
+        "compare visibility algorithms, tests of light culling, encodings, or backends",
+        (
+            compare_visibility.COMMAND,
+            compare_light_culling.COMMAND,
+            compare_encodings.COMMAND,
+            compare_backends.COMMAND,
+        ),
     ),
     plan.COMMAND,
     capture.COMMAND,

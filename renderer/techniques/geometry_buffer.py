@@ -21,6 +21,7 @@ from __future__ import annotations
 from typing import Any, Final
 
 from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target, TechniquePass
+from renderer.shaders.encodings import decode_normal, encode_normal
 from renderer.shaders.lighting import safe_normalize
 from renderer.shaders.pixels import PixelRays, place_pixel
 from renderer.shaders.structs import Material, SurfacePoint, SurfaceVarying
@@ -33,21 +34,16 @@ from rhi.shading import (
     Struct,
     UintTexture2D,
     Uniform,
-    abs,
     dot,
     float_bits_to_uint,
     floor,
     function,
     ivec2,
-    max,
-    normalize,
-    pack_snorm_2x16,
     round,
     saturate,
     sqrt,
     uint,
     uint_bits_to_float,
-    unpack_snorm_2x16,
     uvec2,
     uvec4,
     vec2,
@@ -62,34 +58,6 @@ SURFACE_FORMAT: Final = Format.RG32UI
 def find_shrunk(texel: vec2, size: vec2, shrunk: ivec2) -> vec2:
     """Return the center of the pixel of an image of `size` that is stored at the center of a texel of a shrunk one."""
     return floor(texel * size / vec2(shrunk)) + 0.5
-
-
-@function
-def away_from_zero(x: float) -> float:
-    """Return -1 for negative numbers, otherwise 1."""
-    return -1.0 if x < 0.0 else 1.0
-
-
-@function
-def encode_normal(normal: vec3) -> uint:
-    """Return a unit vector in 2 × 16 bits: its octahedral projection, the lower half folded over the corners."""
-    place = normal.xy / max(abs(normal.x) + abs(normal.y) + abs(normal.z), 1e-30)
-    if normal.z < 0.0:
-        x = (1.0 - abs(place.y)) * away_from_zero(place.x)
-        y = (1.0 - abs(place.x)) * away_from_zero(place.y)
-        place = vec2(x, y)
-    return pack_snorm_2x16(place)
-
-
-@function
-def decode_normal(bits: uint) -> vec3:
-    """Return the unit vector that `encode_normal` has stored, at most 0.0037° beside it."""
-    place = unpack_snorm_2x16(bits)
-    z = 1.0 - abs(place.x) - abs(place.y)
-    fold = max(-z, 0.0)
-    return normalize(
-        vec3(place.x - away_from_zero(place.x) * fold, place.y - away_from_zero(place.y) * fold, z)
-    )
 
 
 @function

@@ -19,6 +19,7 @@ from typing import Final
 
 from renderer import rules
 from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target
+from renderer.shaders.encodings import decode_normal
 from renderer.shaders.pixels import FullScreen
 from renderer.shaders.structs import SurfacePoint
 from renderer.techniques.forward import Forward, bind_materials
@@ -28,7 +29,6 @@ from renderer.techniques.geometry_buffer import (
     SURFACE_FORMAT,
     SurfaceReader,
     bind_surface,
-    decode_normal,
     find_shrunk,
 )
 from renderer.techniques.light_pre_pass import (

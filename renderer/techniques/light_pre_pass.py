@@ -21,6 +21,7 @@ from typing import Any, Final
 
 from renderer import rules
 from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Effect, Frame, Needs, Pass, Target, TechniquePass
+from renderer.shaders.encodings import decode_normal
 from renderer.shaders.lighting import highlight, safe_normalize
 from renderer.shaders.structs import Material, SurfacePoint, SurfaceVarying
 from renderer.techniques.forward import Forward, bind_materials
@@ -31,7 +32,6 @@ from renderer.techniques.geometry_buffer import (
     SurfaceShader,
     bind_scene,
     bind_surface,
-    decode_normal,
 )
 from renderer.techniques.light_volumes import (
     BRIGHTEST,
