@@ -12,6 +12,7 @@ from typing import Final, NoReturn
 from renderer.cli import (
     capture,
     compare_backends,
+    compare_encodings,
     compare_light_culling,
     compare_techniques,
     compare_visibility,
@@ -33,11 +34,12 @@ COMMANDS: Final[tuple[Subcommand | SubcommandGroup, ...]] = (
     demo.COMMAND,
     SubcommandGroup(
         "compare",
-        "compare techniques, visibility algorithms, tests of light culling, or backends",
+        "compare techniques, visibility algorithms, tests of light culling, encodings, or backends",
         (
             compare_techniques.COMMAND,
             compare_visibility.COMMAND,
             compare_light_culling.COMMAND,
+            compare_encodings.COMMAND,
             compare_backends.COMMAND,
         ),
     ),

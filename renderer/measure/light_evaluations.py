@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cache, partial
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target, Tec
 from renderer.lights.culling.grid import LightGrid
 from renderer.renderer import Renderer
 from renderer.scene import Camera
+from renderer.shaders.pixels import FullScreen, PixelRays
 from renderer.shaders.structs import SurfacePoint, SurfaceVarying
 from renderer.techniques import (
     Clustered,
@@ -39,21 +40,10 @@ from renderer.techniques.cell_lists import CellReader, ClusterLists, TileLists, 
 from renderer.techniques.deferred_cells import TiledLighting, dispatch_tiles
 from renderer.techniques.forward import bind_surfaces, list_lamps
 from renderer.techniques.forward_multipass import PointPairs, SpotPairs, draw_pairs
-from renderer.techniques.geometry_buffer import (
-    CoverShader,
-    PixelRays,
-    Screen,
-    SurfaceReader,
-    bind_surface,
-    cover_geometry,
-)
+from renderer.techniques.full_screen import bind_rays, draw_full_screen
+from renderer.techniques.geometry_buffer import SurfaceReader, bind_surface
 from renderer.techniques.light_indexed import INDICES, LIGHT_BITS, LIGHTS_FULL, next_light
-from renderer.techniques.light_volumes import (
-    PointVolumes,
-    SpotVolumes,
-    VolumeVarying,
-    draw_volumes,
-)
+from renderer.techniques.light_volumes import VolumeShader, VolumeVarying, draw_volumes, lit_variant
 from renderer.techniques.resolve import LIGHT_FORMAT
 from renderer.techniques.scene_shader import SceneShader
 from rhi import BlendFunction, DepthFunction, DepthWrite, Format, State
@@ -128,7 +118,7 @@ class IndexedLights(ListLengths, SceneShader):
         return vec4(number)
 
 
-class PixelLights(ListLengths, CellReader, CoverShader, SurfaceReader):
+class PixelLights(ListLengths, CellReader, FullScreen, SurfaceReader):
     """Counts the lights of the list of a pixel's cell."""
 
     def fragment(self) -> vec4:
@@ -147,15 +137,8 @@ class TileLights(TiledLighting):
         return vec4(color.x - thousands * _THOUSAND, thousands, 0.0, 0.0)
 
 
-class PointFragments(PointVolumes):
-    """Counts the fragments of point lights' volumes."""
-
-    def fragment(self, v: VolumeVarying) -> vec4:
-        return vec4(1.0)
-
-
-class SpotFragments(SpotVolumes):
-    """Counts the fragments of spot lights' volumes."""
+class VolumeFragments(VolumeShader):
+    """Counts the fragments of lights' volumes."""
 
     def fragment(self, v: VolumeVarying) -> vec4:
         return vec4(1.0)
@@ -290,8 +273,8 @@ def _count_objects(frame: Frame) -> None:
 
 
 def _count_cells(frame: Frame, *, kind: type[LightGrid], after_depth: bool) -> None:
-    rays = frame.resources.workspace(Screen).find_rays(frame)
-    _count_fragments(frame, CellLights, after_depth=after_depth, rays=rays, **bind_lists(frame, kind))
+    bindings = bind_rays(frame) | bind_lists(frame, kind)
+    _count_fragments(frame, CellLights, after_depth=after_depth, **bindings)
 
 
 def _count_indices(frame: Frame) -> None:
@@ -299,14 +282,11 @@ def _count_indices(frame: Frame) -> None:
 
 
 def _count_pixels(frame: Frame) -> None:
-    device, targets = frame.device, frame.targets
-    with (
-        device.render_pass(targets[EVALUATIONS], targets["depth"], clear=(0.0, 0.0, 0.0, 0.0)),
-        device.states(*cover_geometry(frame)),
-    ):
-        program: Any = device.program(_count_kinds(frame, PixelLights))
-        triangle = frame.resources.workspace(Screen).triangle
-        device.draw(program, triangle, **bind_surface(frame), **bind_lists(frame, ClusterLists))
+    targets, shader = frame.targets, cast("type[FullScreen]", _count_kinds(frame, PixelLights))
+    bindings = bind_surface(frame) | bind_lists(frame, ClusterLists)
+    draw_full_screen(
+        frame, shader, targets[EVALUATIONS], bindings, depth=targets["depth"], clear=(0.0, 0.0, 0.0, 0.0)
+    )
 
 
 def _count_tiles(frame: Frame) -> None:
@@ -314,19 +294,11 @@ def _count_tiles(frame: Frame) -> None:
 
 
 def _count_volumes(frame: Frame, *, stencil: bool, depth: str) -> None:
-    rays = frame.resources.workspace(Screen).find_rays(frame)
     for number, effect in enumerate(list_lamps(frame.needs)):
-        is_point = effect is Effect.POINT_LIGHTS
-        mask = PointVolumes if is_point else SpotVolumes
+        shader = lit_variant(VolumeFragments, effect)
+        targets = [EVALUATIONS]
         draw_volumes(
-            frame,
-            effect,
-            frame.device.program(PointFragments if is_point else SpotFragments),
-            {"rays": rays},
-            [EVALUATIONS],
-            depth=depth,
-            clears=number == 0,
-            mask=frame.device.program(mask) if stencil else None,
+            frame, effect, shader, bind_rays(frame), targets, depth=depth, clears=not number, is_masked=stencil
         )
 
 

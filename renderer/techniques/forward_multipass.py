@@ -36,7 +36,7 @@ from renderer.techniques.forward_shader import (
     WithSpotLights,
     forward_variant,
 )
-from renderer.techniques.resolve import LIGHT_FORMAT, declare_resolve
+from renderer.techniques.resolve import LIGHT_FORMAT, sum_pass
 from renderer.techniques.scene_shader import Textured
 from rhi import BlendFunction, CullMode, DepthFunction, DepthTest, DepthWrite, Program, State, Texture
 from rhi.shading import Shader, Storage, Struct, instance_index, ivec3, vec3, vec4
@@ -118,7 +118,7 @@ class ForwardMultipass:
                 )
             )
             light = result
-        return *passes, declare_resolve(needs, light)
+        return *passes, sum_pass(needs, light)
 
 
 @cache
