@@ -28,14 +28,34 @@ class Effect(Enum):
     IMAGES = "images"
     EMISSION = "emission"
     HAZE = "haze"
+    METALS = "metals"
+    EMISSIVE_COLORS = "emissive colors"
+    NORMAL_MAPS = "normal maps"
+    ROUGHNESS_MAPS = "roughness maps"
+    OCCLUSION_MAPS = "occlusion maps"
+    EMISSIVE_MAPS = "emissive maps"
+    MASKS = "masks"
+    TWO_SIDES = "two sides"
+    VERTEX_COLORS = "vertex colors"
+    SECOND_UVS = "second uvs"
 
 
 _NOUNS: Final = {
-    Effect.DIRECTIONAL_LIGHTS: "directional light",
-    Effect.POINT_LIGHTS: "point light",
-    Effect.SPOT_LIGHTS: "spot light",
-    Effect.IMAGES: "image",
-    Effect.EMISSION: "material that emits light",
+    Effect.DIRECTIONAL_LIGHTS: ("directional light", "directional lights"),
+    Effect.POINT_LIGHTS: ("point light", "point lights"),
+    Effect.SPOT_LIGHTS: ("spot light", "spot lights"),
+    Effect.IMAGES: ("image", "images"),
+    Effect.EMISSION: ("material that emits light", "materials that emit light"),
+    Effect.METALS: ("metallic-roughness material", "metallic-roughness materials"),
+    Effect.EMISSIVE_COLORS: ("material with an emissive color", "materials with an emissive color"),
+    Effect.NORMAL_MAPS: ("material with a normal map", "materials with a normal map"),
+    Effect.ROUGHNESS_MAPS: ("material with a metallic-roughness map", "materials with a metallic-roughness map"),
+    Effect.OCCLUSION_MAPS: ("material with an occlusion map", "materials with an occlusion map"),
+    Effect.EMISSIVE_MAPS: ("material with an emissive map", "materials with an emissive map"),
+    Effect.MASKS: ("material with a mask", "materials with a mask"),
+    Effect.TWO_SIDES: ("material with two sides", "materials with two sides"),
+    Effect.VERTEX_COLORS: ("mesh with colors", "meshes with colors"),
+    Effect.SECOND_UVS: ("texture with a second uv", "textures with a second uv"),
 }
 
 
@@ -45,11 +65,13 @@ class Needs:
 
     Attributes:
         effects: those that are needed. counts: of each effect, how many of its causes the scene has.
+        material_count: the number of materials.
         point_rows, spot_rows: the rows of the lights whose light may reach something in view.
     """
 
     effects: frozenset[Effect]
     counts: dict[Effect, int]
+    material_count: int
     point_rows: Rows
     spot_rows: Rows
 
@@ -59,21 +81,23 @@ class Needs:
         return self.counts[Effect.DIRECTIONAL_LIGHTS] == 1
 
     @property
+    def has_both_models(self) -> bool:
+        """Whether some materials are of the metallic-roughness model, and others of the specular one."""
+        return 0 < self.counts[Effect.METALS] < self.material_count
+
+    @property
     def key(self) -> tuple[object, ...]:
         """What a technique's declaration depends on."""
-        return self.effects, self.has_sun
+        return self.effects, self.has_sun, self.has_both_models
 
     def explain(self, effect: Effect) -> str:
         """Return why the effect is needed or not, such as `3 of 13 point lights reach what is in view`."""
         count = self.counts[effect]
         if effect is Effect.HAZE:
             return "the scene has haze" if count else "the scene has no haze"
-        noun = _NOUNS[effect]
+        noun, plural = _NOUNS[effect]
         if not count:
             return f"the scene has no {noun}"
-        plural = (
-            noun.replace("material that emits", "materials that emit") if "material" in noun else f"{noun}s"
-        )
         if effect in (Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS):
             rows = self.point_rows if effect is Effect.POINT_LIGHTS else self.spot_rows
             reach = "reaches" if len(rows) == 1 else "reach"
@@ -98,12 +122,11 @@ def find_needs(scene: Scene, camera: Camera, *, reaches: tuple[bool, bool] = (Tr
         Effect.DIRECTIONAL_LIGHTS: len(lights.directional),
         Effect.POINT_LIGHTS: len(lights.point),
         Effect.SPOT_LIGHTS: len(lights.spot),
-        Effect.IMAGES: len(scene.images),
-        Effect.EMISSION: int(np.count_nonzero(scene.materials["emission"])),
         Effect.HAZE: int(scene.haze > 0.0),
+        **{Effect(name): count for name, count in scene.count_features().items()},
     }
     hidden = {
         effect for effect, rows in ((Effect.POINT_LIGHTS, point), (Effect.SPOT_LIGHTS, spot)) if not len(rows)
     }
     effects = frozenset(effect for effect, count in counts.items() if count and effect not in hidden)
-    return Needs(effects, counts, point, spot)
+    return Needs(effects, counts, len(scene.materials), point, spot)

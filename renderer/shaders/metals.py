@@ -32,13 +32,19 @@ SMOOTHEST: Final = 0.067
 
 
 @function
+def shininess_of_metal(roughness: float) -> float:
+    """Return what a `SurfacePoint` of this model has as its shininess."""
+    return -max(roughness, SMOOTHEST)
+
+
+@function
 def metal_surface(surface: SurfacePoint, metallic: float, roughness: float) -> SurfacePoint:
     """Return a surface of this model, given one whose `base_color` is that of its material."""
     base = surface.base_color
     f0 = mix(vec3(0.04), base, metallic)
     surface.specular_color = f0
     surface.base_color = base * (1.0 - metallic) * (1.0 - f0)
-    surface.shininess = -max(roughness, SMOOTHEST)
+    surface.shininess = shininess_of_metal(roughness)
     return surface
 
 

@@ -13,20 +13,26 @@ from __future__ import annotations
 from functools import cache, partial
 from typing import Final
 
-from renderer.frame import Effect, Frame, Needs, Pass, Target
+from renderer.frame import Frame, Needs, Pass, Target
 from renderer.lights.culling.cells import Cell, CellGrid, block_cell, padded_radius, range_of
 from renderer.lights.culling.cone_tests import Cone, cone_overlaps_tightly
 from renderer.lights.culling.kernels import LightCounts
 from renderer.lights.culling.sphere_tests import overlaps_hybrid
 from renderer.lights.culling.uploads import LightUploads
 from renderer.lights.culling.volumes import WORD
-from renderer.shaders.lighting import is_near, point_light, spot_light
+from renderer.shaders.lighting import is_near, point_incidence, spot_incidence
 from renderer.shaders.structs import PointLight, SpotLight, SurfacePoint
 from renderer.techniques.cell_lists import CellReader, ClusterLists, bind_lists, list_pass
 from renderer.techniques.deferred import Deferred, GeometryResolve, resolve, resolve_geometry
 from renderer.techniques.forward import bind_lamps, bind_shading, explain_lamps, list_lamps
 from renderer.techniques.forward_shader import LampShader
-from renderer.techniques.geometry_buffer import GeometryReader, bind_geometry, geometry_pass
+from renderer.techniques.geometry_buffer import (
+    GeometryReader,
+    bind_geometry,
+    geometry_pass,
+    list_contents,
+    list_readers,
+)
 from renderer.techniques.resolve import LIGHT_FORMAT, resolve_pass
 from rhi import Device, Texture
 from rhi.shading import (
@@ -63,7 +69,6 @@ TILE: Final = 16
 _GROUP: Final = TILE * TILE
 _CHUNK: Final = 64
 """Number of words of lights that a tile holds at a time."""
-_READS: Final = ("surface", "material", "depth")
 
 
 class LitByLists(CellReader, LampShader, GeometryResolve):
@@ -107,7 +112,7 @@ class TiledLighting(GeometryReader):
             texel = self.surface.load(pixel)
             row = self.material.load(pixel)
         position = self.find_place(texel, pixel)
-        surface = self.read_surface(self.materials[int(row.x)], row, texel, position)
+        surface = self.read_surface(row, texel, pixel, position)
         color = vec3(0.0)
         words = self.lights.words
         for base in range(0, words, _CHUNK):
@@ -181,7 +186,7 @@ class TiledPointLights(TiledLighting):
         light = self.point_lights[row]
         if not is_near(surface.position, light.position, light.range):
             return vec3(0.0)
-        return point_light(surface, light)
+        return self.reflect_light(surface, point_incidence(surface.position, light))
 
 
 class TiledSpotLights(TiledLighting):
@@ -199,7 +204,7 @@ class TiledSpotLights(TiledLighting):
         light = self.spot_lights[row]
         if not is_near(surface.position, light.position, light.range):
             return vec3(0.0)
-        return spot_light(surface, light)
+        return self.reflect_light(surface, spot_incidence(surface.position, light))
 
 
 class TileUploads(LightUploads):
@@ -218,13 +223,14 @@ class TiledDeferred:
         """Return the passes `geometry`, `tiles` and `resolve`; those of `Deferred` without lights to test."""
         if not list_lamps(needs):
             return Deferred().declare(needs)
+        reads = list_contents(needs)
         return (
             geometry_pass(needs),
-            Pass("tiles", light_tiles, explain_lamps(needs), reads=_READS, writes=(Target("light", LIGHT_FORMAT),)),
+            Pass("tiles", light_tiles, explain_lamps(needs), reads=reads, writes=(Target("light", LIGHT_FORMAT),)),
             resolve_pass(
                 partial(resolve, lights=("light",)),
                 "lights surfaces by what reaches all of them",
-                (*_READS, "light"),
+                (*reads, "light"),
             ),
         )
 
@@ -238,25 +244,27 @@ class ClusteredDeferred:
         """Return the passes `geometry`, `light lists` and `resolve`; those of `Deferred` without lights to list."""
         if not list_lamps(needs):
             return Deferred().declare(needs)
+        reads = list_contents(needs)
         return (
             geometry_pass(needs),
             list_pass(needs, ClusterLists),
             resolve_pass(
                 light_clusters,
                 "lights surfaces by what reaches all of them and by their clusters' lights",
-                (*_READS, "light lists"),
+                (*reads, "light lists"),
             ),
         )
 
 
 @cache
 def tiled_variant(
-    parts: tuple[str, ...], added: tuple[type[TiledLighting], ...] = (), *, has_images: bool
+    parts: tuple[str, ...], readers: tuple[type[Shader], ...], added: tuple[type[TiledLighting], ...] = ()
 ) -> type[Shader]:
-    """Return the compute shader for point lights, spot lights or both; bases that are `added` come first."""
+    """Return the compute shader for point lights, spot lights or both, which reads the geometry buffer by `readers`;
+    bases that are `added` come first."""
     known = {"point_lights": TiledPointLights, "spot_lights": TiledSpotLights}
-    bases = (*added, *(known[part] for part in parts))
-    return type("TiledLights", bases, {"__module__": __name__, "has_images": has_images})
+    bases = (*added, *readers, *(known[part] for part in parts))
+    return type("TiledLights", bases, {"__module__": __name__})
 
 
 def light_tiles(frame: Frame) -> None:
@@ -273,7 +281,7 @@ def dispatch_tiles(frame: Frame, lit: Texture, added: tuple[type[TiledLighting],
     lamps.pop("light_rows")
     count = uploads.layout.count
     frame.device.dispatch(
-        frame.device.program(tiled_variant(tuple(parts), added, has_images=Effect.IMAGES in frame.needs.effects)),
+        frame.device.program(tiled_variant(tuple(parts), list_readers(frame.needs), added)),
         (count.x, count.y),
         depth=frame.targets["depth"],
         lit=lit.image(0),

@@ -11,6 +11,7 @@ from typing import Any, Final
 from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Effect, Frame, Needs, Pass, Target, TechniquePass
 from renderer.techniques.depth import draw_depth
 from renderer.techniques.forward_shader import forward_variant
+from renderer.techniques.surfaces import bind_surfaces, list_models
 from rhi import Program, Texture
 
 LAMPS: Final = {Effect.POINT_LIGHTS: "point lights", Effect.SPOT_LIGHTS: "spot lights"}
@@ -128,18 +129,6 @@ def bind_materials(frame: Frame) -> tuple[list[str], dict[str, Any]]:
     return [*features, *more], bindings | surfaces
 
 
-def bind_surfaces(frame: Frame) -> tuple[list[str], dict[str, Any]]:
-    """Return the names of the parts that a `MaterialShader` needs for the frame's images, and its bindings."""
-    resources = frame.resources
-    images = {"images": resources.images} if Effect.IMAGES in frame.needs.effects else {}
-    return list(images), images | {
-        "view": frame.view.buffer,
-        "objects": resources.objects.buffer,
-        "places": resources.places.buffer,
-        "materials": resources.materials.buffer,
-    }
-
-
 def bind_shading(frame: Frame) -> tuple[list[str], dict[str, Any]]:
     """Return the names of the parts that a `ShadingShader` needs for the frame's effects, and its bindings."""
     resources, effects = frame.resources, frame.needs.effects
@@ -148,5 +137,6 @@ def bind_shading(frame: Frame) -> tuple[list[str], dict[str, Any]]:
         Effect.HAZE: ("haze", resources.haze.buffer),
     }
     present: dict[str, Any] = dict(binding for effect, binding in optional.items() if effect in effects)
-    features = [*present, *(["emission"] if Effect.EMISSION in effects else [])]
-    return features, present | {"ambient": resources.ambient.buffer}
+    emitting = {Effect.EMISSION: "emission", Effect.EMISSIVE_COLORS: "emissive_colors"}
+    features = [*present, *(name for effect, name in emitting.items() if effect in effects)]
+    return [*features, *list_models(frame.needs)], present | {"ambient": resources.ambient.buffer}

@@ -13,7 +13,7 @@ another buffer. What is lit is an exact position of the image, also where the sc
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from functools import cache, partial
 from typing import Final
 
@@ -36,6 +36,7 @@ from renderer.techniques.light_pre_pass import (
     bind_terms,
     collect_terms,
     draw_again,
+    list_terms,
     normals_pass,
 )
 from renderer.techniques.light_volumes import BRIGHTEST, declare_lights
@@ -52,6 +53,7 @@ from rhi.shading import (
     float_bits_to_uint,
     floor,
     fragment_coordinate,
+    function,
     ivec2,
     length,
     min,
@@ -103,6 +105,24 @@ class ShrinkShader(FullScreen):
         return ShrunkTexels(surface=surface, shininess=self.shininess.load(place).x, depth=depth)
 
 
+class Taps(Struct):
+    """The four texels that a pixel takes its light from, at the corners `first` and `last`, and their weights: of the
+    first, of the one to its right, of the one below, and of the last."""
+
+    first: ivec2
+    last: ivec2
+    weights: vec4
+
+
+@function
+def filter_light(light: Texture2D, taps: Taps) -> vec3:
+    """Return the mean of four texels of light."""
+    sum = min(light.load(taps.first).rgb, BRIGHTEST) * taps.weights.x
+    sum += min(light.load(ivec2(taps.last.x, taps.first.y)).rgb, BRIGHTEST) * taps.weights.y
+    sum += min(light.load(ivec2(taps.first.x, taps.last.y)).rgb, BRIGHTEST) * taps.weights.z
+    return sum + min(light.load(taps.last).rgb, BRIGHTEST) * taps.weights.w
+
+
 class Inference(ForwardShader, SurfaceReader):
     """Adds the light of terms in buffers that are smaller than the image."""
 
@@ -111,33 +131,28 @@ class Inference(ForwardShader, SurfaceReader):
     is_shrunk = True
 
     def pointlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
+        taps = self.find_taps(surface)
+        diffuse = filter_light(self.diffuse, taps)
+        return surface.base_color * diffuse + surface.specular_color * filter_light(self.specular, taps)
+
+    def find_taps(self, surface: SurfacePoint) -> Taps:
+        """Return the texels that the surface's pixel takes its light from."""
         size = self.surface.size()
         at = fragment_coordinate().xy * vec2(size) / self.rays.size - 0.5
         share = at - floor(at)
         first = clamp(ivec2(floor(at)), ivec2(0), size - 1)
         last = clamp(ivec2(floor(at)) + 1, ivec2(0), size - 1)
-        right = ivec2(last.x, first.y)
-        below = ivec2(first.x, last.y)
         alike = vec4(
             self.compare(surface, first),
-            self.compare(surface, right),
-            self.compare(surface, below),
+            self.compare(surface, ivec2(last.x, first.y)),
+            self.compare(surface, ivec2(first.x, last.y)),
             self.compare(surface, last),
         )
         across = vec2(1.0 - share.x, share.x)
         weights = vec4(across * (1.0 - share.y), across * share.y) * step(vec4(0.5), alike)
         if dot(weights, vec4(1.0)) < _LEAST:
             weights = alike
-        weights = weights / dot(weights, vec4(1.0))
-        diffuse = min(self.diffuse.load(first).rgb, BRIGHTEST) * weights.x
-        diffuse += min(self.diffuse.load(right).rgb, BRIGHTEST) * weights.y
-        diffuse += min(self.diffuse.load(below).rgb, BRIGHTEST) * weights.z
-        diffuse += min(self.diffuse.load(last).rgb, BRIGHTEST) * weights.w
-        specular = min(self.specular.load(first).rgb, BRIGHTEST) * weights.x
-        specular += min(self.specular.load(right).rgb, BRIGHTEST) * weights.y
-        specular += min(self.specular.load(below).rgb, BRIGHTEST) * weights.z
-        specular += min(self.specular.load(last).rgb, BRIGHTEST) * weights.w
-        return surface.base_color * diffuse + surface.specular_color * specular
+        return Taps(first=first, last=last, weights=weights / dot(weights, vec4(1.0)))
 
     def compare(self, surface: SurfacePoint, place: ivec2) -> float:
         """Return the weight of a texel: 1 if it is of the same surface, or else that of a stranger."""
@@ -146,6 +161,18 @@ class Inference(ForwardShader, SurfaceReader):
         if away > _NEAR_PLANE * length(surface.position) or dot(surface.normal, decode_normal(texel.x)) < _ALIKE:
             return _STRANGER
         return 1.0
+
+
+class MetalInference(Inference):
+    """Adds the light of the term of white."""
+
+    grazing: Texture2D
+
+    def pointlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
+        taps = self.find_taps(surface)
+        light = surface.base_color * filter_light(self.diffuse, taps)
+        light += surface.specular_color * filter_light(self.specular, taps)
+        return light + filter_light(self.grazing, taps)
 
 
 class Inferred:
@@ -164,7 +191,7 @@ class Inferred:
         forward shading."""
         scale, small = self.scale, ("small surface", "small shininess", "small depth")
         terms = partial(collect_terms, prefix="small ")
-        lights, last = declare_lights(needs, ["diffuse", "specular"], small, terms, scale)
+        lights, last = declare_lights(needs, list_terms(needs), small, terms, scale)
         if not lights:
             return Forward().declare(needs)
         formats = (SURFACE_FORMAT, SHININESS_FORMAT, DEPTH_FORMAT)
@@ -180,7 +207,7 @@ class Inferred:
             *lights,
             Pass(
                 "materials",
-                partial(draw_inferred, terms=last),
+                partial(draw_inferred, terms=dict(zip(list_terms(needs), last, strict=True))),
                 "draws the visible objects, lit by what was collected",
                 reads=("depth", "small surface", *last),
                 writes=(Target("image", IMAGE_FORMAT),),
@@ -208,14 +235,15 @@ def shrink(frame: Frame) -> None:
 
 
 @cache
-def inferred_variant(parts: tuple[str, ...], *, has_sun: bool) -> type[ForwardShader]:
+def inferred_variant(parts: tuple[str, ...], *, has_sun: bool, has_metals: bool) -> type[ForwardShader]:
     """Return the forward shader with these of `PARTS` that infers the light of point and spot lights."""
-    return type("Inferred", (Inference, forward_variant(*parts, has_sun=has_sun)), {"__module__": __name__})
+    base = MetalInference if has_metals else Inference
+    return type("Inferred", (base, forward_variant(*parts, has_sun=has_sun)), {"__module__": __name__})
 
 
-def draw_inferred(frame: Frame, *, terms: Sequence[str]) -> None:
-    """Draw the visible objects again, lit by the terms."""
+def draw_inferred(frame: Frame, *, terms: Mapping[str, str]) -> None:
+    """Draw the visible objects again, lit by the terms: the contents of each."""
     features, bindings = bind_materials(frame)
-    shader = inferred_variant(tuple(features), has_sun=frame.needs.has_sun)
+    shader = inferred_variant(tuple(features), has_sun=frame.needs.has_sun, has_metals="grazing" in terms)
     bindings |= bind_surface(frame, "small surface") | bind_terms(frame, terms)
     draw_again(frame, frame.device.program(shader), bindings)
