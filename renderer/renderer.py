@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.frame import (
+    Blending,
     Drawn,
     Frame,
     Layer,
@@ -91,8 +92,8 @@ class FrameResult:
 class Renderer:
     """Draws one scene on one device.
 
-    The attributes `technique` and `visibility` may be exchanged between any two frames, and `layers`, which are drawn
-    over each frame in their order, changed.
+    The attributes `technique`, `visibility` and `blending` may be exchanged between any two frames, and `layers`, which
+    are drawn over each frame in their order, changed.
     """
 
     def __init__(
@@ -103,6 +104,7 @@ class Renderer:
         technique: Technique | None = None,
         visibility: VisibilityAlgorithm | None = None,
         size: tuple[int, int] = (960, 540),
+        blending: Blending = Blending.SORTED,
         validation: bool = False,
     ) -> None:
         """Create the targets and upload the scene.
@@ -111,12 +113,14 @@ class Renderer:
             technique: how the scene is drawn; forward shading by default.
             visibility: an algorithm made for `scene`; by default `auto`, which measures which one is the fastest.
             size: (width, height) of the image in pixels.
+            blending: how transparent surfaces that cover each other are put together.
             validation: whether to check samples of what is simulated: each batch has one object whose vertices must be
                 inside its bounds (`scene-left-bounds`).
         """
         self.device = device
         self.scene = scene
         self.technique: Technique = technique or Forward()
+        self.blending = blending
         self.layers: list[Layer] = []
         self._own: list[VisibilityAlgorithm] = []
         if visibility is None:
@@ -179,7 +183,7 @@ class Renderer:
         self._view.aim(camera)
         self._resources.update(camera)
         self._resources.expect(camera, expected)
-        needs = find_needs(self.scene, camera, reaches=self._resources.reaching)
+        needs = self._find_needs(camera)
         plan = self._plan(needs)
         self._targets.provide(plan.textures)
         frame = Frame(device, self._view, self._resources, self._targets, needs)
@@ -199,8 +203,11 @@ class Renderer:
     def plan(self, camera: Camera) -> tuple[Needs, Plan[Frame]]:
         """Return what a frame of `camera` needs, and its plan; nothing is drawn."""
         width, height = self.size
-        needs = find_needs(self.scene, camera.with_aspect(width / height), reaches=self._resources.reaching)
+        needs = self._find_needs(camera.with_aspect(width / height))
         return needs, self._plan(needs)
+
+    def _find_needs(self, camera: Camera) -> Needs:
+        return find_needs(self.scene, camera, reaches=self._resources.reaching, blending=self.blending)
 
     def _plan(self, needs: Needs) -> Plan[Frame]:
         """Return the plan of a frame with these needs; it is made once."""
