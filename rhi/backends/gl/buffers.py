@@ -73,24 +73,16 @@ class Buffers:
         self.bind_storage[buffer] = created.mglo.bind_to_storage_buffer
 
     def _create_static(self, size: int) -> tuple[moderngl.Buffer, None]:
-        created = self._context.buffer(reserve=size)
-        self._clear(created.glo, size)
-        return created, None
-
-    def _clear(self, name: int, size: int) -> None:
-        self._gl.ClearNamedBufferSubData(
-            name, enums.R8UI, 0, size, enums.RED_INTEGER, enums.UNSIGNED_BYTE, None
-        )
+        return self._context.buffer(np.zeros(size, np.uint8)), None
 
     def _create_mapped(self, size: int, flags: int) -> tuple[moderngl.Buffer, memoryview | None]:
         gl = self._gl
         name = gl.create(gl.CreateBuffers)
-        gl.NamedBufferStorage(name, size, None, flags)
+        gl.NamedBufferStorage(name, size, np.zeros(size, np.uint8).ctypes.data_as(ctypes.c_void_p), flags)
         address = gl.MapNamedBufferRange(name, 0, size, flags)
         created = self._context.external_buffer(name, min(size, _MODERNGL_MAX_SIZE))
         if not address:
             return created, None
-        self._clear(name, size)
         return created, memoryview((ctypes.c_char * size).from_address(address)).cast("B")
 
     def destroy(self, buffer: Id) -> None:
