@@ -36,6 +36,8 @@ R = TypeVar("R", bound=_Destroyable)
 S = TypeVar("S", bound=Struct)
 T = TypeVar("T")
 
+EYES: Final = 2
+"""The largest number of eyes of a frame."""
 LARGEST_IMAGE = 2048
 """The largest width and height of images in texels; larger ones are scaled down."""
 
@@ -173,8 +175,14 @@ class SceneResources:
         self.places = keep(MirroredArray(device, shaders.ObjectPosition, "places"))
         self.materials = keep(MirroredArray(device, shaders.Material, "materials"))
         self.directional = keep(MirroredArray(device, shaders.DirectionalLight, "directional lights"))
-        self.point = keep(MirroredArray(device, shaders.PointLight, "point lights"))
-        self.spot = keep(MirroredArray(device, shaders.SpotLight, "spot lights"))
+        self._lamps = tuple(
+            (
+                keep(MirroredArray(device, shaders.PointLight, "point lights")),
+                keep(MirroredArray(device, shaders.SpotLight, "spot lights")),
+            )
+            for _ in range(EYES)
+        )
+        self.point, self.spot = self._lamps[0]
         self.light_rows = keep(MirroredArray(device, int, "light rows"))
         self._lit: tuple[NDArray[Any], ...] = ()  # the state that the light lists were made from
         self._listed: NDArray[np.int64] = np.zeros(0, np.int64)  # the light rows, as they are on the device
@@ -294,18 +302,24 @@ class SceneResources:
 
     def update(self, camera: Camera) -> None:
         """Update the buffers to the scene, with lights relative to the eye of `camera`."""
-        scene, eye = self.scene, camera.position
+        scene = self.scene
         following = scene.objects.following_rows  # others that move are simulated before they are drawn
         self._transform(following)
         self.objects.write(self._rows, None if self._list_lights() else following)
         self.places.write(self._places, following)
         self.materials.write(scene.materials)
-        lights = scene.lights.relative_to(eye)
+        self.look_from(camera)
+        self.ambient.write(_ambient(scene))
+        self.haze.write(_haze(scene))
+
+    def look_from(self, camera: Camera, eye: int = 0) -> None:
+        """Let lights be relative to the eye of `camera`, one of the `EYES` of a frame. Each eye has point and spot
+        lights of its own, which are written only where they have changed."""
+        lights = self.scene.lights.relative_to(camera.position)
+        self.point, self.spot = self._lamps[eye]
         self.directional.write(lights.directional)
         self.point.write(lights.point if self._reaching[0] else lights.point[:0])
         self.spot.write(lights.spot if self._reaching[1] else lights.spot[:0])
-        self.ambient.write(_ambient(scene))
-        self.haze.write(_haze(scene))
 
     def _transform(self, rows: NDArray[np.int64]) -> None:
         """Update the rows of the arrays that hold the transforms of the objects `rows`."""
