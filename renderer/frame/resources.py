@@ -128,6 +128,27 @@ class MirroredValue(Generic[S]):
         self.buffer.destroy()
 
 
+class Workspaces:
+    """What techniques keep between frames, by kinds: each is made when it is first asked for."""
+
+    def __init__(self, device: Device) -> None:
+        self._device = device
+        self._made: dict[Callable[[Device], Any], Any] = {}
+
+    def find(self, kind: Callable[[Device], R]) -> R:
+        """Return `kind(device)`, the same one each time."""
+        if kind not in self._made:
+            self._made[kind] = kind(self._device)
+        kept: R = self._made[kind]
+        return kept
+
+    def destroy(self) -> None:
+        """Destroy all."""
+        for kept in self._made.values():
+            kept.destroy()
+        self._made.clear()
+
+
 class SceneResources:
     """One scene on one device, shared by techniques.
 
@@ -155,7 +176,7 @@ class SceneResources:
 
     def _make(self, device: Device, scene: Scene) -> None:
         self.scene = scene
-        self._workspaces: dict[Callable[[Device], Any], Any] = {}
+        self._workspaces: Workspaces = self._keep(Workspaces(device))
         self.simulator: Simulator = scene.make_simulator()
         self._held = np.zeros(len(scene.objects))  # by object, the state of the vertices on the device
         self._device = device
@@ -210,11 +231,8 @@ class SceneResources:
 
     def workspace(self, kind: Callable[[Device], R]) -> R:
         """Return what a technique keeps between frames beside the scene: `kind(device)`, which is made on first use and
-        destroyed with the resources."""
-        if kind not in self._workspaces:
-            self._workspaces[kind] = self._keep(kind(self._device))
-        kept: R = self._workspaces[kind]
-        return kept
+        destroyed with the resources. What depends on the camera is kept by its view (`View.workspace`)."""
+        return self._workspaces.find(kind)
 
     def list_arrays(self, view: UniformRange[shaders.ViewConstants]) -> SceneArrays:
         """Return the buffers of objects and meshes, as visibility algorithms on the device read them, and the constants
@@ -251,7 +269,14 @@ class SceneResources:
         buffer, at = self.mesh.vertices, 0
         assert buffer is not None
         for first, end in join_runs(begins, sizes):
-            buffer.write(vertices[at : at + end - first], first)
+            part = self.scene.meshes.vertices[first:end]
+            if part.dtype != vertices.dtype:  # a second uv, tangents and colours stay as they are
+                part = part.copy()
+                for name in vertices.dtype.names or ():
+                    part[name] = vertices[name][at : at + end - first]
+            else:
+                part = vertices[at : at + end - first]
+            buffer.write(part, first)
             at += end - first
         self._held[deformed.rows] = deformed.states
 
@@ -394,13 +419,14 @@ def _haze(scene: Scene) -> shaders.Haze:
 
 
 def _make_images(device: Device, scene: Scene) -> Texture | None:
-    """Create a texture with the scene's images as layers, of the largest one's size. Smaller images are stretched, so
-    that texture coordinates hold."""
+    """Create a texture with the images of the scene's textures as layers, of the largest one's size. Smaller images are
+    stretched, so that texture coordinates hold."""
     if not scene.images:
         return None
+    used = [scene.images[image] for image in scene.textures["image"].tolist()] or scene.images
     limit = min(LARGEST_IMAGE, device.capabilities.max_texture_size)
-    height, width = np.minimum(np.max([image.shape[:2] for image in scene.images], axis=0), limit).tolist()
-    layers = np.stack([_resize(image, width, height) for image in scene.images])
+    height, width = np.minimum(np.max([image.shape[:2] for image in used], axis=0), limit).tolist()
+    layers = np.stack([_resize(image, width, height) for image in used])
     return device.texture(layers, Format.RGBA8_SRGB, kind=TextureKind.D2_ARRAY, levels=None, label="images")
 
 

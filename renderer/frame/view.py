@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from renderer import shaders
 from renderer.frame.batch import BatchCommands, FrameBatch
-from renderer.frame.resources import MirroredValue, split_doubles
+from renderer.frame.resources import MirroredValue, R, Workspaces, split_doubles
 from renderer.scene import Camera
 from renderer.visibility import VisibilityAlgorithm
 from rhi import Device, UniformBuffer
@@ -41,6 +42,7 @@ class View:
         self.batch = batch or FrameBatch(device)
         self.commands = BatchCommands(device)
         self._owns_batch = batch is None
+        self._workspaces = Workspaces(device)
         self._camera: Camera | None = None
         self._constants = MirroredValue(device, _constants(np.eye(4), np.zeros(3)))
 
@@ -55,6 +57,11 @@ class View:
         """The camera's constants for shaders."""
         return self._constants.buffer
 
+    def workspace(self, kind: Callable[[Device], R]) -> R:
+        """Return what a technique keeps between frames of this view: `kind(device)`, which is made on first use and
+        destroyed with the view."""
+        return self._workspaces.find(kind)
+
     def aim(self, camera: Camera, around: Camera | None = None) -> None:
         """Look through `camera` in the next frame; its constants are uploaded if they have changed.
 
@@ -67,9 +74,10 @@ class View:
         self._constants.write(_constants(camera.relative_view_projection, camera.position))
 
     def destroy(self) -> None:
-        """Destroy the buffers. The algorithm is not destroyed."""
+        """Destroy the buffers and workspaces. The algorithm is not destroyed."""
         if self._owns_batch:
             self.batch.destroy()
+        self._workspaces.destroy()
         self._constants.destroy()
 
 

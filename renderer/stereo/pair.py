@@ -101,12 +101,13 @@ class EyePair:
         if self.stereo.is_swapped:
             first, second = second, first
         width, height = image.size
+        pictures = {"left": first, "right": second}
         if output in ANAGLYPHS:
             of_left, of_right = ANAGLYPHS[output]
             self._weights.write(AnaglyphWeights(left=of_left, right=of_right))
-            draw_full_screen(left, Anaglyph, image, left=first, right=second, weights=self._weights.buffer)
+            draw_full_screen(left, Anaglyph, image, pictures | {"weights": self._weights.buffer})
         elif output == "interlaced":
-            draw_full_screen(left, Interlaced, image, left=first, right=second)
+            draw_full_screen(left, Interlaced, image, pictures)
         else:
             x, y = (first.size[0], 0) if output == "side_by_side" else (0, first.size[1])
             first.copy_to(image)
