@@ -16,8 +16,24 @@ from renderer.scene.lights import (
     Lights,
     RelativeLights,
 )
-from renderer.scene.materials import MATERIAL, ImagePixels, make_material
-from renderer.scene.meshes import RANGE, VERTEX, Meshes, MeshGeometry, make_geometry
+from renderer.scene.materials import (
+    MATERIAL,
+    TEXTURE,
+    AlphaMode,
+    ImagePixels,
+    ShadingModel,
+    TextureMap,
+    make_material,
+)
+from renderer.scene.meshes import (
+    RANGE,
+    VERTEX,
+    Meshes,
+    MeshGeometry,
+    list_attributes,
+    make_geometry,
+    vertex_format,
+)
 from renderer.scene.nodes import Nodes
 from renderer.scene.objects import Boxes, Objects
 from renderer.scene.paths import FRAME_COUNT, FRAMES_PER_SECOND, CameraPath, make_path
@@ -46,8 +62,10 @@ __all__ = [
     "RELATIVE_POINT",
     "RELATIVE_SPOT",
     "SPOT",
+    "TEXTURE",
     "VERTEX",
     "Advanced",
+    "AlphaMode",
     "Boxes",
     "Camera",
     "CameraPath",
@@ -75,11 +93,14 @@ __all__ = [
     "RelativeLights",
     "Scene",
     "SceneBuilder",
+    "ShadingModel",
     "Simulated",
     "Simulator",
     "Stepped",
     "Stepwise",
+    "TextureMap",
     "Timed",
+    "list_attributes",
     "make_geometry",
     "make_material",
     "make_path",
@@ -88,4 +109,5 @@ __all__ = [
     "rotation",
     "scaling",
     "translation",
+    "vertex_format",
 ]

@@ -17,7 +17,16 @@ from renderer import rules
 from renderer.scene.arrays import Floats, Rows
 from renderer.scene.camera import Camera
 from renderer.scene.lights import Lights
-from renderer.scene.materials import MATERIAL, ImagePixels, check_image, make_material
+from renderer.scene.materials import (
+    MATERIAL,
+    TEXTURE,
+    TEXTURES,
+    ImagePixels,
+    TextureMap,
+    TextureRows,
+    check_image,
+    make_material,
+)
 from renderer.scene.meshes import MeshBounds, Meshes, MeshGeometry
 from renderer.scene.nodes import Nodes
 from renderer.scene.objects import Objects, make_objects
@@ -29,7 +38,9 @@ from renderer.scene.simulation import (
     Simulator,
     check_simulation,
 )
+from renderer.scene.tangents import add_tangents
 from renderer.scene.transforms import is_affine, relative_to
+from rhi import SamplerDescriptor
 from rhi.errors import refuse
 
 __rhi_internal__ = True
@@ -41,7 +52,8 @@ class Scene:
     Attributes:
         name: the text that it was made from.
         nodes, objects, meshes, lights: see their classes.
-        materials: (k,) of `MATERIAL`. images: the textures that they refer to by index.
+        materials: (k,) of `MATERIAL`. textures: (t,) of `TEXTURE`, which materials refer to by index.
+        images, samplers: what textures refer to by index.
         background: linear colour of pixels that show nothing.
         haze: density of the air per metre: after a metre, e^-haze of the light is left; the rest is the background.
         simulated: the simulations in their initial state, and what they change; a renderer's `Simulator` runs copies.
@@ -63,6 +75,8 @@ class Scene:
         background: tuple[float, float, float] = (0.02, 0.02, 0.03),
         haze: float = 0.0,
         simulated: tuple[Simulated, ...] = (),
+        textures: NDArray[Any] | None = None,
+        samplers: tuple[SamplerDescriptor, ...] = (),
     ) -> None:
         self.name = name
         self.simulated = simulated
@@ -73,6 +87,8 @@ class Scene:
         self.meshes = meshes
         self.materials = materials
         self.images = images
+        self.textures: NDArray[Any] = np.zeros(0, TEXTURE) if textures is None else textures
+        self.samplers = samplers
         self.lights = lights
         self.views = dict(views)
         self.paths = dict(paths)
@@ -163,6 +179,7 @@ class SceneBuilder:
         self._mesh_names: list[str] = []
         self._materials: list[NDArray[Any]] = []
         self._images: list[ImagePixels] = []
+        self._textures = TextureRows()
         self._parents: list[NDArray[np.int64]] = []
         self._locals: list[Floats] = []
         self._dynamic: list[NDArray[np.bool_]] = []
@@ -190,10 +207,21 @@ class SceneBuilder:
         return len(self._images) - 1
 
     def add_material(self, **values: Any) -> int:
-        """Add a material from the arguments of `make_material` and return its id."""
-        material = make_material(**values)
-        if material["texture"] >= len(self._images):
-            refuse(rules.BAD_INDEX, "add_material(texture=...)", int(material["texture"]), "an image's id")
+        """Add a material from the arguments of `make_material` and return its id.
+
+        A texture is the id of an image, which is then filtered linearly and repeated, or a `TextureMap`.
+        """
+        maps: dict[str, TextureMap] = {}
+        for name in TEXTURES:
+            given = values.get(name, -1)
+            if given == -1:
+                continue
+            maps[name] = texture = given if isinstance(given, TextureMap) else TextureMap(given)
+            if not -1 <= texture.image < len(self._images):
+                refuse(rules.BAD_INDEX, f"add_material({name}=...)", texture.image, "an image's id")
+        material = make_material(**{**values, **dict.fromkeys(maps, 0)})
+        for name, texture in maps.items():
+            material[name] = self._textures.add(texture, is_color=TEXTURES[name])
         self._materials.append(material)
         return len(self._materials) - 1
 
@@ -304,7 +332,7 @@ class SceneBuilder:
         )
         table = np.concatenate(self._objects)
         self._check_simulated(table[:, 1])
-        meshes = Meshes(self._geometries, self._mesh_names, self._bounds)
+        meshes = Meshes(self._complete_vertices(table), self._mesh_names, self._bounds)
         animated = nodes.rows[np.concatenate([np.zeros(0, np.int64), *(ids for ids, _, _ in self._animated)])]
         if len(np.unique(animated)) < len(animated):
             refuse(rules.SHARED_NODE, "animate(nodes=...)", "a node twice")
@@ -343,7 +371,30 @@ class SceneBuilder:
             self.background,
             self.haze,
             simulated,
+            self._textures.make(),
+            tuple(self._textures.samplers),
         )
+
+    def _complete_vertices(self, table: NDArray[np.int64]) -> list[MeshGeometry]:
+        """Return the meshes with the attributes that the scene's materials read, and no others; `table` (n, 3) has the
+        node, mesh and material of each object."""
+        materials, textures = np.array(self._materials, MATERIAL), self._textures.make()
+        read = np.unique(np.concatenate([materials[name] for name in TEXTURES]))
+        kept = {"color"}
+        if textures["uv_set"][read[read >= 0]].any():
+            kept.add("uv2")
+        normals = materials["normal_texture"]
+        mapped = table[normals[table[:, 2]] >= 0]
+        if len(mapped):
+            kept.add("tangent")
+        geometries = list(self._geometries)
+        simulated = {int(table[row, 1]) for one in self._simulated for row in one.objects}
+        meshes, first = np.unique(mapped[:, 1], return_index=True)
+        for mesh, material in zip(meshes.tolist(), mapped[first, 2].tolist(), strict=True):
+            if "tangent" not in geometries[mesh].attributes:
+                uv = "uv2" if textures["uv_set"][normals[material]] else "uv"
+                geometries[mesh] = add_tangents(geometries[mesh], uv, splits=mesh not in simulated)
+        return [one.with_attributes(one.attributes & kept) for one in geometries]
 
 
 def _check_boxes(bounds: tuple[ArrayLike, ArrayLike], count: int) -> tuple[Floats, Floats]:

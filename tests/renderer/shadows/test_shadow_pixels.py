@@ -15,8 +15,8 @@ import rhi
 from renderer.content import BUILT_IN
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Orthographic, Scene, SceneBuilder, scaling, translation
-from renderer.shaders.pixels import FullScreen
 from renderer.shadows import ShadowFilter, ShadowSettings
+from renderer.shadows.maps import FarDepth
 from renderer.shadows.receiver import FILTERS, ShadowReader
 from renderer.techniques import TECHNIQUES
 from renderer.visibility import NoCulling
@@ -51,7 +51,7 @@ class StoredDepth(Struct):
     depth: FragmentDepth
 
 
-class StoreDepth(FullScreen):
+class StoreDepth(FarDepth):
     """Copies numbers to depth."""
 
     numbers: Texture2D
@@ -60,7 +60,7 @@ class StoreDepth(FullScreen):
         return StoredDepth(depth=self.numbers.load(ivec2(fragment_coordinate().xy)).x)
 
 
-class FilterCheck(FullScreen, ShadowReader):
+class FilterCheck(FarDepth, ShadowReader):
     """Shows the lit share of points, one in each pixel."""
 
     points: Storage[Compared]
