@@ -27,6 +27,7 @@ from renderer.frame import (
     make_plan,
 )
 from renderer.scene import Camera, Scene, Simulator
+from renderer.shadows import ShadowMaps, shadow_passes
 from renderer.stereo import EyePair, Stereo, fit_picture
 from renderer.techniques import Forward, Technique
 from renderer.visibility import VisibilityAlgorithm, VisibilityStatistics, make_visibility
@@ -188,6 +189,11 @@ class Renderer:
         self._size, self._pair = size, pair
 
     @property
+    def shadows(self) -> ShadowMaps:
+        """The shadow maps, of lights that cast shadows."""
+        return self._resources.workspace(ShadowMaps)
+
+    @property
     def simulator(self) -> Simulator:
         """Runs the simulations of what is drawn.
 
@@ -285,7 +291,7 @@ class Renderer:
             self._planned = self.technique
         plan = self._plans.get(needs.key)
         if plan is None:
-            plan = self._plans[needs.key] = make_plan(self.technique.declare(needs))
+            plan = self._plans[needs.key] = make_plan([*shadow_passes(needs), *self.technique.declare(needs)])
         return plan
 
     def destroy(self) -> None:

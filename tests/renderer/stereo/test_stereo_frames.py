@@ -279,3 +279,19 @@ def test_layers_are_drawn_for_both_eyes(null: rhi.Device, hall: Scene) -> None:
         renderer.render(camera)
         layer.destroy()
     assert np.array_equal(eyes, [eye.position for eye in RIG.place_eyes(camera)])
+
+
+def test_shadow_maps_are_drawn_once_for_both_eyes(null: rhi.Device) -> None:
+    scene = load_scene("city:blocks=6,shadows=1")
+    camera, passes, maps, casters = scene.paths["ground"].camera(600), [], [], []
+    for stereo in (None, Stereo(StereoRig(0.065, 6.0), "color")):
+        with Renderer(null, scene, size=SIZE, visibility=FrustumCulling(scene)) as renderer:
+            renderer.stereo = stereo
+            before = len(null.stream)
+            renderer.render(camera, 10.0)
+            passes.append(len(null.stream[before:].filter(Op.BEGIN_PASS)))
+            maps.append(renderer.shadows.count("drawn"))
+            casters.append(renderer.shadows.casters_drawn)
+    assert passes == [2, 4], "one for the maps; then one for each eye, and the image of both"
+    assert maps[0] == maps[1] > 0, "the second eye doesn't ask for maps"
+    assert casters[0] <= casters[1] <= 1.1 * casters[0]
