@@ -168,6 +168,11 @@ FONT_SIZE: Final = Rule("canvas-font-size", "a font's size is out of its range")
 
 NO_IMAGES: Final = Rule("measure-no-images", "the textured pass needs a scene with images")
 FEW_LIGHTS: Final = Rule("measure-few-lights", "the scene has fewer point and spot lights than are compared")
+FIXED_SCENE: Final = Rule(
+    "measure-fixed-scene",
+    "a scene without an option for it can't be compared with another number of objects or lights",
+    "leave out --objects or --lights: the scene is compared as it is",
+)
 NO_PICTURES: Final = Rule("measure-no-pictures", "a backend that draws no pictures has no passes to time")
 
 

@@ -211,7 +211,7 @@ def describe_run(
         **summary,
         **({} if overflowing is None else {"overflowing_pixels": overflowing}),
         "image": None if image is None else str(image),
-        "left_out": [asdict(omission) for omission in renderer.scene.omissions],
+        **({"left_out": [asdict(one) for one in renderer.scene.omissions]} if renderer.scene.omissions else {}),
     }
 
 
@@ -223,7 +223,7 @@ def show_report(report: dict[str, Any]) -> str:
         "milliseconds": f"{times['median']:.2f} (least {times['min']:.2f}, most {times['max']:.2f})",
         "image": report["image"] or "none: this device draws nothing",
     }
-    del shown["left_out"]  # stderr has it
+    shown.pop("left_out", None)  # stderr has it
     texts = {key: f"{value:,}" if isinstance(value, int) else value for key, value in shown.items()}
     names = {"uploads_bytes": "bytes uploaded"}
     return "\n".join(

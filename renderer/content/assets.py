@@ -27,7 +27,7 @@ _meshes: Final[WeakValueDictionary[bytes, MeshGeometry]] = WeakValueDictionary()
 
 
 def decode_images(encoded: Iterable[NDArray[np.uint8]]) -> list[ImagePixels | str]:
-    """Return the pixels of images (PNG, JPEG, and whatever else pillow reads), or for one that can't be read the reason.
+    """Return the pixels of images (PNG, JPEG, and what else pillow reads), or for one that can't be read the reason.
 
     Each content is decoded once, in as many threads as there are processors.
     """

@@ -243,7 +243,14 @@ class SceneResources:
         buffer, at = self.mesh.vertices, 0
         assert buffer is not None
         for first, end in join_runs(begins, sizes):
-            buffer.write(vertices[at : at + end - first], first)
+            part = self.scene.meshes.vertices[first:end]
+            if part.dtype != vertices.dtype:  # a second uv, tangents and colours stay as they are
+                part = part.copy()
+                for name in vertices.dtype.names or ():
+                    part[name] = vertices[name][at : at + end - first]
+            else:
+                part = vertices[at : at + end - first]
+            buffer.write(part, first)
             at += end - first
         self._held[deformed.rows] = deformed.states
 
@@ -380,13 +387,14 @@ def _haze(scene: Scene) -> shaders.Haze:
 
 
 def _make_images(device: Device, scene: Scene) -> Texture | None:
-    """Create a texture with the scene's images as layers, of the largest one's size. Smaller images are stretched, so
-    that texture coordinates hold."""
+    """Create a texture with the images of the scene's textures as layers, of the largest one's size. Smaller images are
+    stretched, so that texture coordinates hold."""
     if not scene.images:
         return None
+    used = [scene.images[image] for image in scene.textures["image"].tolist()] or scene.images
     limit = min(LARGEST_IMAGE, device.capabilities.max_texture_size)
-    height, width = np.minimum(np.max([image.shape[:2] for image in scene.images], axis=0), limit).tolist()
-    layers = np.stack([_resize(image, width, height) for image in scene.images])
+    height, width = np.minimum(np.max([image.shape[:2] for image in used], axis=0), limit).tolist()
+    layers = np.stack([_resize(image, width, height) for image in used])
     return device.texture(layers, Format.RGBA8_SRGB, kind=TextureKind.D2_ARRAY, levels=None, label="images")
 
 

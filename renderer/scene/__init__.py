@@ -16,10 +16,27 @@ from renderer.scene.lights import (
     Lights,
     RelativeLights,
 )
-from renderer.scene.materials import MATERIAL, ImagePixels, make_material
-from renderer.scene.meshes import RANGE, VERTEX, Meshes, MeshGeometry, make_geometry
+from renderer.scene.materials import (
+    MATERIAL,
+    TEXTURE,
+    AlphaMode,
+    ImagePixels,
+    ShadingModel,
+    TextureMap,
+    make_material,
+)
+from renderer.scene.meshes import (
+    RANGE,
+    VERTEX,
+    Meshes,
+    MeshGeometry,
+    list_attributes,
+    make_geometry,
+    vertex_format,
+)
 from renderer.scene.nodes import Nodes
 from renderer.scene.objects import Boxes, Objects
+from renderer.scene.omissions import Omission, Omissions
 from renderer.scene.paths import FRAME_COUNT, FRAMES_PER_SECOND, CameraPath, make_path
 from renderer.scene.scene import Scene, SceneBuilder
 from renderer.scene.simulation import (
@@ -46,8 +63,10 @@ __all__ = [
     "RELATIVE_POINT",
     "RELATIVE_SPOT",
     "SPOT",
+    "TEXTURE",
     "VERTEX",
     "Advanced",
+    "AlphaMode",
     "Boxes",
     "Camera",
     "CameraPath",
@@ -68,6 +87,8 @@ __all__ = [
     "Nodes",
     "ObjectSimulation",
     "Objects",
+    "Omission",
+    "Omissions",
     "Orthographic",
     "Perspective",
     "Projection",
@@ -75,11 +96,14 @@ __all__ = [
     "RelativeLights",
     "Scene",
     "SceneBuilder",
+    "ShadingModel",
     "Simulated",
     "Simulator",
     "Stepped",
     "Stepwise",
+    "TextureMap",
     "Timed",
+    "list_attributes",
     "make_geometry",
     "make_material",
     "make_path",
@@ -88,4 +112,5 @@ __all__ = [
     "rotation",
     "scaling",
     "translation",
+    "vertex_format",
 ]

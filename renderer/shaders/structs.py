@@ -90,6 +90,20 @@ class Material(Struct):
     rim_power: float
     texture: int
     emission: float
+    emissive: vec3
+    emissive_texture: int
+    metallic: float
+    roughness: float
+    metallic_roughness_texture: int
+    model: int
+    normal_texture: int
+    normal_scale: float
+    occlusion_texture: int
+    occlusion_strength: float
+    alpha_mode: int
+    alpha_cutoff: float
+    double_sided: int
+    pad: int
 
 
 class DirectionalLight(Struct):

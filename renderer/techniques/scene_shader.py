@@ -79,10 +79,21 @@ class Textured(SceneShader):
         return self.images.sample(vec3(uv, float(image))).rgb
 
 
-class ShadingShader(Shader):
-    """Shades a surface, wherever it comes from: ambient light with the rim term."""
+class FinishShader(Shader):
+    """Makes pixels of light."""
 
     precision = Precision.FAST
+
+    def finish(self, color: vec3, position: vec3) -> vec4:
+        """Return the pixel of a surface that sends this light to the eye."""
+        return vec4(self.through_air(tone_map(color), position), 1.0)
+
+    def through_air(self, color: vec3, position: vec3) -> vec3:
+        return color
+
+
+class ShadingShader(FinishShader):
+    """Shades a surface, wherever it comes from: ambient light with the rim term."""
 
     ambient: Uniform[Ambient]
 
@@ -92,18 +103,11 @@ class ShadingShader(Shader):
         color += self.emitted(surface, material)
         return color + self.sunlight(surface)
 
-    def finish(self, color: vec3, position: vec3) -> vec4:
-        """Return the pixel of a surface that sends this light to the eye."""
-        return vec4(self.through_air(tone_map(color), position), 1.0)
-
     def emitted(self, surface: SurfacePoint, material: Material) -> vec3:
         return vec3(0.0)
 
     def sunlight(self, surface: SurfacePoint) -> vec3:
         return vec3(0.0)
-
-    def through_air(self, color: vec3, position: vec3) -> vec3:
-        return color
 
 
 class WithEmission(ShadingShader):
@@ -135,7 +139,7 @@ class WithSun(ShadingShader):
         return directional_light(surface, self.directional_lights[0])
 
 
-class WithHaze(ShadingShader):
+class WithHaze(FinishShader):
     """Adds haze, which fades to the background. That is a final colour, so it is mixed in after tone mapping."""
 
     haze: Uniform[Haze]

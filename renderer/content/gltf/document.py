@@ -1,7 +1,7 @@
 """Values of a JSON document, read with their place in the file, so that every refusal names it.
 
-`JsonObject` is one object of the document. Its methods return a value of the wanted kind, or refuse the file with one line:
-what stands where, and what is allowed there. So no reader checks a type or a range by itself.
+`JsonObject` is one object of the document. Its methods return a value of the wanted kind, or refuse the file with one
+line: what stands where, and what is allowed there. So no reader checks a type or a range by itself.
 """
 
 from __future__ import annotations

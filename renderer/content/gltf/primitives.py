@@ -73,7 +73,9 @@ class Primitives:
         mode = primitive.whole("mode", TRIANGLES, 0, 6)
         if mode >= TRIANGLES and "POSITION" in primitive.child("attributes"):
             return True
-        self.omissions.add(_MODES[mode] if mode < TRIANGLES else "primitives without positions", primitive.where)
+        self.omissions.add(
+            _MODES[mode] if mode < TRIANGLES else "primitives without positions", primitive.where
+        )
         return False
 
     def key(self, primitive: JsonObject) -> object:

@@ -128,7 +128,10 @@ def test_interleaved_vertices_are_read(tmp_path):
 @pytest.mark.parametrize("has_base", [True, False])
 def test_sparse_elements_replace_those_of_their_accessor(tmp_path, has_base):
     document = GltfDocument(nodes=[{"mesh": 0}])
-    indices, values = document.view(np.array([1, 2], np.uint8).tobytes()), document.view(TRIANGLE[1:].tobytes())
+    indices, values = (
+        document.view(np.array([1, 2], np.uint8).tobytes()),
+        document.view(TRIANGLE[1:].tobytes()),
+    )
     sparse = {
         "count": 2,
         "indices": {"bufferView": indices, "componentType": 5121},
@@ -186,7 +189,9 @@ def test_second_uvs_tangents_and_colours_are_read(tmp_path):
 
 def test_primitives_that_share_a_large_array_get_the_part_that_they_use(tmp_path):
     many = np.arange(300, dtype=np.float32).reshape(100, 3)
-    document = one_mesh(positions=many, indices=np.array([90, 95, 99], np.uint8), NORMAL=np.tile(UP[:1], (100, 1)))
+    document = one_mesh(
+        positions=many, indices=np.array([90, 95, 99], np.uint8), NORMAL=np.tile(UP[:1], (100, 1))
+    )
     meshes = load(document, tmp_path).meshes
     assert meshes.vertices["position"].tolist() == many[[90, 95, 99]].tolist()
     assert meshes.indices.tolist() == [0, 1, 2]
@@ -256,7 +261,13 @@ def test_a_material_is_read_with_its_factors_and_textures(tmp_path):
     assert found["emissive"].tolist() == [8, 4, 0]
     assert (found["alpha_mode"], found["alpha_cutoff"]) == (AlphaMode.MASK, 0.25)
     assert found["double_sided"] == 1
-    names = ("texture", "metallic_roughness_texture", "normal_texture", "occlusion_texture", "emissive_texture")
+    names = (
+        "texture",
+        "metallic_roughness_texture",
+        "normal_texture",
+        "occlusion_texture",
+        "emissive_texture",
+    )
     rows = [int(found[name]) for name in names]
     assert scene.textures["is_color"][rows].tolist() == [1, 0, 0, 0, 1]
     assert scene.textures["image"][rows].tolist() == [0] * 5
@@ -301,7 +312,9 @@ def test_a_texture_keeps_its_sampler_and_its_transform(tmp_path):
     assert texture["transform"] == pytest.approx(np.array(wanted), abs=1e-6)
 
 
-@pytest.mark.parametrize("broken", [{"uri": "not-there.png"}, {"uri": "https://example.org/a.png"}, "rubbish"])
+@pytest.mark.parametrize(
+    "broken", [{"uri": "not-there.png"}, {"uri": "https://example.org/a.png"}, "rubbish"]
+)
 def test_an_image_that_cannot_be_read_is_listed_and_the_material_goes_without(tmp_path, broken):
     document = with_image(pbrMetallicRoughness={"baseColorTexture": {"index": 0}})
     if broken == "rubbish":
@@ -356,7 +369,9 @@ def test_nodes_have_the_transforms_of_their_parts_or_their_matrix(tmp_path):
 
 def test_only_the_default_scene_is_read_and_others_are_listed(tmp_path):
     document = GltfDocument(
-        scene=1, scenes=[{"nodes": [0]}, {"nodes": [1]}], nodes=[{"mesh": 0, "name": "a"}, {"mesh": 0, "name": "b"}]
+        scene=1,
+        scenes=[{"nodes": [0]}, {"nodes": [1]}],
+        nodes=[{"mesh": 0, "name": "a"}, {"mesh": 0, "name": "b"}],
     )
     document.mesh()
     scene = load(document, tmp_path)
@@ -372,7 +387,10 @@ def test_cameras_become_views(tmp_path):
             {"name": "flat", "rotation": [0, 1, 0, 0], "camera": 1},
         ],
         cameras=[
-            {"type": "perspective", "perspective": {"yfov": 0.7, "znear": 0.5, "zfar": 20, "aspectRatio": 1.5}},
+            {
+                "type": "perspective",
+                "perspective": {"yfov": 0.7, "znear": 0.5, "zfar": 20, "aspectRatio": 1.5},
+            },
             {"type": "orthographic", "orthographic": {"xmag": 4, "ymag": 2, "znear": 1, "zfar": 9}},
         ],
     )
@@ -382,9 +400,7 @@ def test_cameras_become_views(tmp_path):
     assert list(scene.views) == ["near", "flat"]
     assert near.position.tolist() == [0, 0, 5]
     assert near.forward.tolist() == pytest.approx([0, 0, -1])
-    assert near.projection.matrix == pytest.approx(
-        near.projection.__class__(0.7, 1.5, 0.5, 20).matrix
-    )
+    assert near.projection.matrix == pytest.approx(near.projection.__class__(0.7, 1.5, 0.5, 20).matrix)
     assert flat.forward.tolist() == pytest.approx([0, 0, 1])
     assert flat.projection == Orthographic(4.0, 2.0, 1.0, 9.0)
 

@@ -26,14 +26,22 @@ def make_document():
         ],
         cameras=[{"type": "perspective", "perspective": {"yfov": 1, "znear": 0.1}}],
         extensions={"KHR_lights_punctual": {"lights": [{"type": "spot", "spot": {"outerConeAngle": 0.5}}]}},
-        materials=[{"pbrMetallicRoughness": {"baseColorFactor": [1, 1, 1, 1], "baseColorTexture": {"index": 0}}}],
+        materials=[
+            {"pbrMetallicRoughness": {"baseColorFactor": [1, 1, 1, 1], "baseColorTexture": {"index": 0}}}
+        ],
         textures=[{"source": 0, "sampler": 0}],
         samplers=[{"wrapS": 10497}],
         images=[{"uri": "data:image/png;base64,AAAA"}],
     )
-    document.mesh(indices=np.array([0, 1, 2], np.uint16), NORMAL=np.tile(np.float32([[0, 0, 1]]), (3, 1)), material=0)
+    document.mesh(
+        indices=np.array([0, 1, 2], np.uint16), NORMAL=np.tile(np.float32([[0, 0, 1]]), (3, 1)), material=0
+    )
     rows, values = document.view(np.array([1], np.uint8).tobytes()), document.view(TRIANGLE[1:2].tobytes())
-    sparse = {"count": 1, "indices": {"bufferView": rows, "componentType": 5121}, "values": {"bufferView": values}}
+    sparse = {
+        "count": 1,
+        "indices": {"bufferView": rows, "componentType": 5121},
+        "values": {"bufferView": values},
+    }
     document.values["accessors"][0]["sparse"] = sparse
     document.animate(1, "translation", [0, 1], [[0, 0, 0], [1, 0, 0]])
     return document
@@ -74,7 +82,8 @@ def test_the_whole_document_is_read(tmp_path):
         (("nodes", 2, "extensions", "KHR_lights_punctual"), {}, "nodes[2].extensions.KHR_lights_punctual.light"),
         (("cameras", 0, "perspective", "yfov"), 4, "cameras[0].perspective.yfov"),
         (("cameras", 0, "type"), "fisheye", "cameras[0].type"),
-        (("extensions", "KHR_lights_punctual", "lights", 0, "type"), 3, "extensions.KHR_lights_punctual.lights[0].type"),
+        (("extensions", "KHR_lights_punctual", "lights", 0, "type"), 3,
+         "extensions.KHR_lights_punctual.lights[0].type"),
         (("meshes", 0, "primitives", 0, "mode"), 7, "meshes[0].primitives[0].mode"),
         (("meshes", 0, "primitives", 0, "material"), 5, "meshes[0].primitives[0].material"),
         (("meshes", 0, "primitives", 0, "attributes", "NORMAL"), 2, "accessors[2].type"),
@@ -128,7 +137,9 @@ def test_nodes_that_contain_each_other_are_refused(tmp_path):
     assert refusal(document, tmp_path)[1] == "scenes[0].nodes[0]: 0 is a child of nodes[1]"
 
 
-@pytest.mark.parametrize("uri", ["not-there.bin", "https://example.org/a.bin", "data:,abc", "data:x;base64,!!"])
+@pytest.mark.parametrize(
+    "uri", ["not-there.bin", "https://example.org/a.bin", "data:,abc", "data:x;base64,!!"]
+)
 def test_a_buffer_that_cannot_be_read_is_refused(tmp_path, uri):
     document = make_document()
     values = {**document.values, "buffers": [{"uri": uri, "byteLength": len(document.data)}]}
@@ -148,7 +159,9 @@ def test_a_glb_that_was_cut_off_anywhere_is_refused(tmp_path):
         assert error.value.rule.id == "scene-unreadable-model"
 
 
-@pytest.mark.parametrize("text", [b"[]", b"{", b"\xff\xfe", b"[" * 100_000, b'{"asset": {"version": 1' + b"0" * 5000])
+@pytest.mark.parametrize(
+    "text", [b"[]", b"{", b"\xff\xfe", b"[" * 100_000, b'{"asset": {"version": 1' + b"0" * 5000]
+)
 def test_json_that_is_no_document_is_refused(tmp_path, text):
     (tmp_path / "bad.gltf").write_bytes(text)
     with pytest.raises(ValidationError) as error:
@@ -178,6 +191,7 @@ def list_places(value, above=()):
         yield from list_places(held, (*above, key))
 
 
+QUICK = settings(deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 DOCUMENT = make_document()
 PLACES = [place for place in list_places(DOCUMENT.values) if place]
 
@@ -207,29 +221,33 @@ def load_damaged(folder, damages, content=None):
     try:
         scene = load_model(str(path))
     except RhiError as error:
-        assert error.given.startswith(str(path)), error  # a refusal names the file
+        refused = error
     else:
         assert len(scene.objects) > 0
+        return
+    assert refused.given.startswith(str(path)), refused  # a refusal names the file
 
 
-@settings(max_examples=150, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(QUICK, max_examples=150)
 @given(damages=st.lists(st.tuples(st.sampled_from(PLACES), JUNK), min_size=1, max_size=3))
 def test_a_damaged_document_is_read_or_refused(tmp_path, damages):
     load_damaged(tmp_path, damages)
 
 
 @pytest.mark.nightly
-@settings(max_examples=20_000, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(QUICK, max_examples=20_000, derandomize=False)
 @given(damages=st.lists(st.tuples(st.sampled_from(PLACES), JUNK), min_size=1, max_size=4))
 def test_thousands_of_damaged_documents_are_read_or_refused(tmp_path, damages):
     load_damaged(tmp_path, damages)
 
 
-@settings(max_examples=100, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(QUICK, max_examples=100)
 @given(data=st.data())
 def test_a_file_with_damaged_bytes_is_read_or_refused(tmp_path, data):
     values = {**DOCUMENT.values, "buffers": [{"byteLength": len(DOCUMENT.data)}]}
     content = bytearray(pack_glb(values, bytes(DOCUMENT.data)))
-    for at, byte in data.draw(st.lists(st.tuples(st.integers(0, len(content) - 1), st.integers(0, 255)), max_size=8)):
+    for at, byte in data.draw(
+        st.lists(st.tuples(st.integers(0, len(content) - 1), st.integers(0, 255)), max_size=8)
+    ):
         content[at] = byte
     load_damaged(tmp_path, (), bytes(content))
