@@ -27,6 +27,7 @@ from renderer.frame import (
     make_plan,
 )
 from renderer.scene import Camera, Scene, Simulator
+from renderer.shadows import ShadowMaps, shadow_passes
 from renderer.techniques import Forward, Technique
 from renderer.visibility import VisibilityAlgorithm, VisibilityStatistics, make_visibility
 from rhi import Device, Texture
@@ -152,6 +153,11 @@ class Renderer:
         self._targets.size = size
 
     @property
+    def shadows(self) -> ShadowMaps:
+        """The shadow maps, of lights that cast shadows."""
+        return self._resources.workspace(ShadowMaps)
+
+    @property
     def simulator(self) -> Simulator:
         """Runs the simulations of what is drawn.
 
@@ -209,7 +215,7 @@ class Renderer:
             self._planned = self.technique
         plan = self._plans.get(needs.key)
         if plan is None:
-            plan = self._plans[needs.key] = make_plan(self.technique.declare(needs))
+            plan = self._plans[needs.key] = make_plan([*shadow_passes(needs), *self.technique.declare(needs)])
         return plan
 
     def destroy(self) -> None:

@@ -160,6 +160,9 @@ ONE_SAMPLE: Final = Rule(
 )
 BAD_TECHNIQUE: Final = Rule("technique-parameter", "a parameter of a technique is out of its range")
 
+# Shadows
+BAD_SHADOWS: Final = Rule("shadow-settings", "a setting of shadow maps is out of its range")
+
 # The canvas
 FONT_FILE: Final = Rule("canvas-font-file", "the file can't be read as a font")
 FONT_SIZE: Final = Rule("canvas-font-size", "a font's size is out of its range")

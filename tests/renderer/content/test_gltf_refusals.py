@@ -206,7 +206,7 @@ def damage(values, place, junk):
     if isinstance(held, dict) and junk is None:
         held.pop(place[-1], None)
     elif isinstance(held, dict) or (isinstance(held, list) and place[-1] in range(len(held))):
-        held[place[-1]] = junk
+        held[place[-1]] = deepcopy(junk)
 
 
 def load_damaged(folder, damages, content=None):
