@@ -93,6 +93,9 @@ BAD_WALK: Final = Rule(
 )
 FRAME_RANGE: Final = Rule("camera-frame-range", "the camera path has no such frame")
 
+BAD_STEREO: Final = Rule("stereo-bad-value", "a value of a pair of eyes is out of its range")
+UNKNOWN_STEREO: Final = Rule("stereo-unknown-output", "there is no way of this name to show two pictures in one")
+
 # Visibility
 BAD_BOUNDS: Final = Rule(
     "visibility-bad-bounds", "bounds are finite arrays of shape (n, 3), with lower at most upper"

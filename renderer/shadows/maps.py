@@ -197,7 +197,7 @@ class ShadowMaps:
         for one in wanted:
             self._decide(scene, one, work)
         self._draw(resources, work)
-        self.aim(cameras[0])
+        self.aim(frame.camera)
 
     def aim(self, camera: Camera) -> None:
         """Give shaders the places of all maps relative to the eye of `camera`."""
@@ -408,7 +408,11 @@ def shadow_passes(needs: Needs) -> list[Pass[Frame]]:
 
 
 def _update_maps(frame: Frame) -> None:
-    frame.resources.workspace(ShadowMaps).update(frame, [frame.camera])
+    maps = frame.resources.workspace(ShadowMaps)
+    if frame.first is None:
+        maps.update(frame, [frame.view.around])
+    else:  # the left eye's frame has drawn them for both
+        maps.aim(frame.camera)
 
 
 def describe_state(scene: Scene, rows: Rows) -> bytes:
