@@ -12,7 +12,7 @@ import numpy as np
 
 from renderer.content.gltf.accessors import Accessors
 from renderer.content.gltf.document import JsonObject
-from renderer.content.gltf.nodes import FileNode
+from renderer.content.gltf.nodes import GltfNode
 from renderer.content.gltf.tracks import (
     CUBIC,
     LINEAR,
@@ -70,7 +70,7 @@ def read_tracks(root: JsonObject, accessors: Accessors, omissions: Omissions) ->
 
 
 def make_motion(
-    nodes: list[FileNode], tracks: dict[tuple[int, int], Track], omissions: Omissions
+    nodes: list[GltfNode], tracks: dict[tuple[int, int], Track], omissions: Omissions
 ) -> tuple[Rows, NodeMotion] | None:
     """Return the rows of the animated nodes and their motion, or None if none is animated."""
     row_of = {node.number: row for row, node in enumerate(nodes)}
@@ -94,7 +94,7 @@ def make_motion(
 
 
 def find_bounds(
-    nodes: list[FileNode], rows: Rows, motion: NodeMotion, contents: list[tuple[int, _Box]]
+    nodes: list[GltfNode], rows: Rows, motion: NodeMotion, contents: list[tuple[int, _Box]]
 ) -> _Box:
     """Return the boxes (k, 3) that hold at all times what is at the animated nodes `rows` (k,), down to the next.
 
@@ -122,7 +122,7 @@ def find_bounds(
     return lower, upper
 
 
-def _raise(nodes: list[FileNode], member: Rows, row: int, box: _Box) -> tuple[int, _Box]:
+def _raise(nodes: list[GltfNode], member: Rows, row: int, box: _Box) -> tuple[int, _Box]:
     """Return the nearest animated node at or above `row`, and the box in its space."""
     while member[row] < 0:
         low, high = transform_bounds(nodes[row].local[None], box[0][None], box[1][None])

@@ -35,7 +35,7 @@ _ORTHONORMAL: Final = 1e-6  # of products of axes, up to which axes are kept as 
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class FileNode:
+class GltfNode:
     """A node of a file.
 
     Attributes:
@@ -53,7 +53,7 @@ class FileNode:
     parts: tuple[Floats, Floats, Floats] | None
 
 
-def list_nodes(root: JsonObject, omissions: Omissions) -> list[FileNode]:
+def list_nodes(root: JsonObject, omissions: Omissions) -> list[GltfNode]:
     """Return the nodes of the file's default scene, or all nodes if it has no scene."""
     nodes = root.children("nodes")
     children = [fields.indices("children", len(nodes)) for fields in nodes]
@@ -81,7 +81,7 @@ def list_nodes(root: JsonObject, omissions: Omissions) -> list[FileNode]:
         level = np.flatnonzero(above < 0).tolist()
         if nodes and not level:
             root.refuse("nodes", "each is a child of another")
-    listed: list[FileNode] = []
+    listed: list[GltfNode] = []
     row_of: dict[int, int] = {}
     while level:
         for number in sorted(level):
@@ -91,7 +91,7 @@ def list_nodes(root: JsonObject, omissions: Omissions) -> list[FileNode]:
     return listed
 
 
-def find_worlds(nodes: list[FileNode]) -> Floats:
+def find_worlds(nodes: list[GltfNode]) -> Floats:
     """Return the world transforms (n, 4, 4) of nodes, at the beginning."""
     worlds = np.zeros((len(nodes), 4, 4))
     for row, node in enumerate(nodes):
@@ -99,7 +99,7 @@ def find_worlds(nodes: list[FileNode]) -> Floats:
     return worlds
 
 
-def is_room(node: FileNode) -> bool:
+def is_room(node: GltfNode) -> bool:
     """Return whether a node only holds a light or a camera that `save_scene` has placed; it is none of the scene's."""
     return node.fields.child("extras").values.get(ROOM) == "placed"
 
@@ -151,12 +151,12 @@ def add_light(lights: Lights, fields: JsonObject, world: Floats, omissions: Omis
     lights.add_spot(world[:3, 3], forward, reach, inner, outer, color, intensity)
 
 
-def _read_node(fields: JsonObject, number: int, parent: int) -> FileNode:
+def _read_node(fields: JsonObject, number: int, parent: int) -> GltfNode:
     if "matrix" in fields:
         local = fields.reals("matrix", 16).reshape(4, 4).T
         if not (local[3] == (0.0, 0.0, 0.0, 1.0)).all():
             fields.refuse("matrix", f"last row {local[3].tolist()}", "0 0 0 1")
-        return FileNode(number, fields, parent, local, None)
+        return GltfNode(number, fields, parent, local, None)
     rotation = fields.reals("rotation", 4, (0.0, 0.0, 0.0, 1.0))
     squared = float(rotation @ rotation)
     if not 1e-12 < squared < 1e12:
@@ -168,7 +168,7 @@ def _read_node(fields: JsonObject, number: int, parent: int) -> FileNode:
         rotation,
         fields.reals("scale", 3, (1.0, 1.0, 1.0)),
     )
-    return FileNode(number, fields, parent, compose(*parts), parts)
+    return GltfNode(number, fields, parent, compose(*parts), parts)
 
 
 def _axes(world: Floats) -> Floats | None:

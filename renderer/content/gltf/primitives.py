@@ -49,7 +49,7 @@ _UNIT: Final = 1e-4  # deviation of a squared length from 1 beyond which a norma
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Shape:
+class PrimitiveMesh:
     """A primitive's triangles, and the `rows` (v,) of its accessors that its vertices were read from."""
 
     geometry: MeshGeometry
@@ -66,7 +66,7 @@ class Primitives:
 
     def __init__(self, accessors: Accessors, omissions: Omissions) -> None:
         self.accessors, self.omissions = accessors, omissions
-        self._shapes: dict[object, Shape | None] = {}
+        self._shapes: dict[object, PrimitiveMesh | None] = {}
 
     def has_triangles(self, primitive: JsonObject) -> bool:
         """Return whether a primitive consists of triangles; one that doesn't is noted as left out."""
@@ -85,14 +85,14 @@ class Primitives:
         used = [(name, attributes.index(name, count, needed=True)) for name in sorted(attributes.values)]
         return (tuple(used), primitive.index("indices", count), primitive.whole("mode", TRIANGLES, 0, 6))
 
-    def read(self, primitive: JsonObject) -> Shape | None:
+    def read(self, primitive: JsonObject) -> PrimitiveMesh | None:
         """Return the triangles of a primitive, or None if it has none."""
         key = self.key(primitive)
         if key not in self._shapes:
             self._shapes[key] = self._read(primitive)
         return self._shapes[key]
 
-    def _read(self, primitive: JsonObject) -> Shape | None:
+    def _read(self, primitive: JsonObject) -> PrimitiveMesh | None:
         mode = primitive.whole("mode", TRIANGLES, 0, 6)
         attributes = primitive.child("attributes")
         for name in sorted(attributes.values.keys() - ATTRIBUTES.keys()):
@@ -117,7 +117,7 @@ class Primitives:
             corners = np.arange(len(rows), dtype=np.uint32)
         else:
             rows, corners = _used_rows(corners.reshape(-1), count)
-        return Shape(self._assemble(attributes, columns, rows, corners), rows)
+        return PrimitiveMesh(self._assemble(attributes, columns, rows, corners), rows)
 
     def _column(self, attributes: JsonObject, name: str, types: tuple[str, ...]) -> NDArray[np.float32]:
         number = attributes.index(name, len(self.accessors), needed=True)

@@ -20,7 +20,7 @@ from renderer.content.gltf.container import EXTENSIONS, GltfFile
 from renderer.content.gltf.document import JsonObject
 from renderer.content.gltf.materials import Materials
 from renderer.content.gltf.nodes import (
-    FileNode,
+    GltfNode,
     add_light,
     find_worlds,
     is_room,
@@ -109,7 +109,7 @@ class _GltfReader:
                     found.append((mesh_id, ids[material] if material >= 0 else materials.default()))
             self._meshes.append(found)
 
-    def _add_nodes(self, nodes: list[FileNode], animated: tuple[Rows, NodeMotion] | None) -> None:
+    def _add_nodes(self, nodes: list[GltfNode], animated: tuple[Rows, NodeMotion] | None) -> None:
         """Add nodes, objects and their animations."""
         moving = set() if animated is None else set(animated[0].tolist())
         ids: list[int] = []
@@ -129,7 +129,7 @@ class _GltfReader:
             rows, motion = animated
             self._builder.animate(np.array(ids)[rows], motion, find_bounds(nodes, rows, motion, contents))
 
-    def _add_cameras(self, nodes: list[FileNode], worlds: Floats, moving: NDArray[np.bool_]) -> None:
+    def _add_cameras(self, nodes: list[GltfNode], worlds: Floats, moving: NDArray[np.bool_]) -> None:
         cameras = self._root.children("cameras")
         for node, world, moves in zip(nodes, worlds, moving, strict=True):
             number = node.fields.index("camera", len(cameras))
@@ -146,7 +146,7 @@ class _GltfReader:
                 name += "'"
             self._builder.views[name] = camera
 
-    def _add_lights(self, nodes: list[FileNode], worlds: Floats, moving: NDArray[np.bool_]) -> None:
+    def _add_lights(self, nodes: list[GltfNode], worlds: Floats, moving: NDArray[np.bool_]) -> None:
         held = self._root.extension("KHR_lights_punctual")
         lights = [] if held is None else held.children("lights")
         for node, world, moves in zip(nodes, worlds, moving, strict=True):
