@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from renderer.lights.in_view import find_lights_in_view
 from renderer.scene import Camera, Scene
@@ -29,6 +30,7 @@ class Effect(Enum):
     IMAGES = "images"
     EMISSION = "emission"
     HAZE = "haze"
+    SUN_SHADOWS = "shadows of directional lights"
     TRANSPARENCY = "transparency"
 
 
@@ -48,6 +50,7 @@ _NOUNS: Final = {
     Effect.IMAGES: "image",
     Effect.EMISSION: "material that emits light",
     Effect.TRANSPARENCY: "transparent object",
+    Effect.SUN_SHADOWS: "directional light that casts shadows",
 }
 
 
@@ -86,9 +89,9 @@ class Needs:
         noun = _NOUNS[effect]
         if not count:
             return f"the scene has no {noun}"
-        plural = (
-            noun.replace("material that emits", "materials that emit") if "material" in noun else f"{noun}s"
-        )
+        plural = noun.replace("material that emits", "materials that emit") if "material" in noun else f"{noun}s"
+        if effect is Effect.SUN_SHADOWS:
+            plural = "directional lights that cast shadows"
         if effect in (Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS):
             rows = self.point_rows if effect is Effect.POINT_LIGHTS else self.spot_rows
             reach = "reaches" if len(rows) == 1 else "reach"
@@ -130,8 +133,15 @@ def find_needs(
         Effect.EMISSION: int(np.count_nonzero(scene.materials["emission"])),
         Effect.HAZE: int(scene.haze > 0.0),
         Effect.TRANSPARENCY: len(transparent),
+        Effect.SUN_SHADOWS: _count_casting(scene, lights.directional),
     }
     in_view = {Effect.POINT_LIGHTS: point, Effect.SPOT_LIGHTS: spot, Effect.TRANSPARENCY: seen}
     hidden = {effect for effect, rows in in_view.items() if not len(rows)}
     effects = frozenset(effect for effect, count in counts.items() if count and effect not in hidden)
     return Needs(effects, counts, point, spot, seen, blending)
+
+
+def _count_casting(scene: Scene, lights: NDArray[Any]) -> int:
+    """Return the number of lights that cast shadows: none if no object does."""
+    count = int(np.count_nonzero(lights["casts_shadow"]))
+    return count if count and scene.objects.casts_shadow.any() else 0

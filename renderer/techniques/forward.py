@@ -20,6 +20,7 @@ from renderer.frame import (
     TechniquePass,
     find_last,
 )
+from renderer.shadows import ShadowMaps
 from renderer.techniques.depth import draw_depth
 from renderer.techniques.forward_shader import ForwardShader, forward_variant
 from renderer.techniques.transparency import declare_transparency, sorted_pass
@@ -175,4 +176,7 @@ def bind_shading(frame: Frame) -> tuple[list[str], dict[str, Any]]:
     }
     present: dict[str, Any] = dict(binding for effect, binding in optional.items() if effect in effects)
     features = [*present, *(["emission"] if Effect.EMISSION in effects else [])]
+    if Effect.SUN_SHADOWS in effects:
+        parts, maps = resources.workspace(ShadowMaps).bind_sun()
+        features, present = [*features, *parts], present | maps
     return features, present | {"ambient": resources.ambient.buffer}

@@ -327,6 +327,19 @@ def test_objects_are_sorted_by_the_distance_of_their_boxes_centres(lens: Callabl
     assert (np.diff(far[order]) < 1e-6).all()
 
 
+@pytest.mark.parametrize("name", ["light_pre_pass", "forward_plus"])
+def test_nothing_of_the_last_frame_is_left_where_all_objects_are_transparent(gl: rhi.Device, name: str) -> None:
+    builder = panes()
+    add_pane(builder, 1.0, (0.9, 0.9, 0.9, 0.8), size=1.0)
+    scene = builder.build()
+    aside = Camera.look_at((2, 0, 8), (2, 0, 0), projection=FRONT.projection)
+    wanted = render(gl, scene, camera=aside)
+    with Renderer(gl, scene, technique=TECHNIQUES[name](), visibility=NoCulling(scene), size=SIZE) as renderer:
+        renderer.render(FRONT)
+        image = renderer.render(aside).image.read()[..., :3].astype(int)
+    assert np.abs(image - wanted).max() <= 2
+
+
 def test_a_frame_says_why_it_has_a_pass_of_transparent_surfaces() -> None:
     builder = panes(WALL, (1.0, (1.0, 1.0, 1.0, 0.5)))
     add_pane(builder, 20.0, (1.0, 1.0, 1.0, 0.5))
