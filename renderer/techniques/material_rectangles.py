@@ -224,8 +224,7 @@ class MaterialRectangles:
     def read(self) -> NDArray[Any]:
         """Return the rectangles (k, 5): the material, and the first x and y, the width and the height in pixels. Waits for
         the device."""
-        rows = self.rectangles.read(0, max(int(self.draw.read()[0]["instances"]), 1))
-        rows = rows[: int(self.draw.read()[0]["instances"])]
+        rows = self.rectangles.read()[: int(self.draw.read()[0]["instances"])]
         first, size = rows["first"], rows["size"]
         parts = (rows["material"], first & 0xFFFF, first >> 16, size & 0xFFFF, size >> 16)
         found: NDArray[Any] = np.stack(parts, axis=1).astype(np.int64)
