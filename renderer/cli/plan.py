@@ -69,12 +69,14 @@ def show_plan(report: PlanReport) -> str:
     ]  # fmt: skip
     needed = "\n".join(f"  {name}: {because}" for name, because in report.effects.items())
     left = "\n".join(f"  {one.name}: {one.because}" for one in report.left_out)
+    maps = [(one.name, one.size, one.casters, one.state, one.because) for one in report.shadow_maps]
     shared = f"{len(report.textures)} textures, {report.texture_bytes:,} bytes"
     return "\n\n".join(
         part
         for part in (
             format_table(header, rows),
             shared,
+            format_table(("shadow map", "texels", "casters", "is", "because"), maps) if maps else "",
             f"needed:\n{needed}" if needed else "",
             f"left out:\n{left}" if left else "",
         )

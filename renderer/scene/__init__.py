@@ -48,15 +48,18 @@ from renderer.scene.simulation import (
     Simulated,
     Simulator,
 )
+from renderer.scene.stereo import COMFORTABLE_SHARE, NATURAL_DISTANCE, Skewed, StereoRig, measure_parallax
 from renderer.scene.transforms import normal_matrices, relative_to, rotation, scaling, translation
 
 __rhi_internal__ = True
 
 __all__ = [
+    "COMFORTABLE_SHARE",
     "DIRECTIONAL",
     "FRAMES_PER_SECOND",
     "FRAME_COUNT",
     "MATERIAL",
+    "NATURAL_DISTANCE",
     "POINT",
     "RANGE",
     "RELATIVE_POINT",
@@ -96,14 +99,17 @@ __all__ = [
     "ShadingModel",
     "Simulated",
     "Simulator",
+    "Skewed",
     "Stepped",
     "Stepwise",
+    "StereoRig",
     "TextureMap",
     "Timed",
     "list_attributes",
     "make_geometry",
     "make_material",
     "make_path",
+    "measure_parallax",
     "normal_matrices",
     "relative_to",
     "rotation",

@@ -251,8 +251,14 @@ class SceneBuilder:
         self._node_names.extend([""] * count)
         return np.arange(first, first + count)
 
-    def add_objects(self, nodes: ArrayLike, meshes: ArrayLike, materials: ArrayLike) -> NDArray[np.int64]:
-        """Add objects, given ids of nodes, meshes and materials, (k,) or one for all; return their rows (k,)."""
+    def add_objects(
+        self, nodes: ArrayLike, meshes: ArrayLike, materials: ArrayLike, casts_shadow: bool = True
+    ) -> NDArray[np.int64]:
+        """Add objects, given ids of nodes, meshes and materials, (k,) or one for all; return their rows (k,).
+
+        They cast shadows of the lights that do, unless `casts_shadow` is False: a ground, below which nothing is seen,
+        costs shadow maps time.
+        """
         columns = np.broadcast_arrays(
             *(np.atleast_1d(np.asarray(v, np.int64)) for v in (nodes, meshes, materials))
         )
@@ -260,7 +266,7 @@ class SceneBuilder:
         for name, column, limit in zip(("nodes", "meshes", "materials"), columns, limits, strict=True):
             if column.size and (column.min() < 0 or column.max() >= limit):
                 refuse(rules.BAD_INDEX, f"add_objects({name}=...)", column, f"0 to {limit - 1}")
-        self._objects.append(np.stack(columns, axis=1))
+        self._objects.append(np.stack([*columns, np.full_like(columns[0], casts_shadow)], axis=1))
         first = self._object_count
         self._object_count += len(columns[0])
         return np.arange(first, self._object_count)
@@ -340,7 +346,7 @@ class SceneBuilder:
         objects = make_objects(
             nodes,
             meshes,
-            (nodes.rows[table[:, 0]], table[:, 1], table[:, 2]),
+            (nodes.rows[table[:, 0]], table[:, 1], table[:, 2], table[:, 3]),
             np.concatenate([np.zeros(0, np.int64), *(one.objects for one in self._simulated)]),
             animated,
             (lower, upper),

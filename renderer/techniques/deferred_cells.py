@@ -28,7 +28,7 @@ from renderer.techniques.forward import bind_lamps, bind_shading, explain_lamps,
 from renderer.techniques.forward_shader import LampShader
 from renderer.techniques.geometry_buffer import GeometryReader, bind_geometry, geometry_pass
 from renderer.techniques.resolve import LIGHT_FORMAT, resolve_pass
-from rhi import Device
+from rhi import Device, Texture
 from rhi.shading import (
     Image2D,
     Precision,
@@ -128,7 +128,10 @@ class TiledLighting(GeometryReader):
                         color += self.light_of(surface, light)
             barrier()
         if inside:
-            self.lit.store(pixel, vec4(color, 0.0))
+            self.lit.store(pixel, self.encode_light(color))
+
+    def encode_light(self, color: vec3) -> vec4:
+        return vec4(color, 0.0)
 
     def find_cell(self, lane: int, tile: ivec2, depth: float, has_surface: bool) -> Cell:
         """Return the tile's cell between its nearest and its farthest surface; it is empty without any."""
@@ -247,26 +250,33 @@ class ClusteredDeferred:
 
 
 @cache
-def tiled_variant(parts: tuple[str, ...], *, has_images: bool) -> type[Shader]:
-    """Return the compute shader for point lights, spot lights or both."""
+def tiled_variant(
+    parts: tuple[str, ...], added: tuple[type[TiledLighting], ...] = (), *, has_images: bool
+) -> type[Shader]:
+    """Return the compute shader for point lights, spot lights or both; bases that are `added` come first."""
     known = {"point_lights": TiledPointLights, "spot_lights": TiledSpotLights}
-    bases = tuple(known[part] for part in parts)
+    bases = (*added, *(known[part] for part in parts))
     return type("TiledLights", bases, {"__module__": __name__, "has_images": has_images})
 
 
 def light_tiles(frame: Frame) -> None:
     """Add up the light of point and spot lights in `light`."""
+    dispatch_tiles(frame, frame.targets["light"])
+
+
+def dispatch_tiles(frame: Frame, lit: Texture, added: tuple[type[TiledLighting], ...] = ()) -> None:
+    """Run the compute shader for all tiles. With bases that are `added`, it adds up something else than light."""
     resources = frame.resources
-    uploads = resources.workspace(TileUploads)
+    uploads = frame.view.workspace(TileUploads)
     uploads.write(frame.camera, frame.targets.size, resources.scene.lights)
     parts, lamps = bind_lamps(frame)
     lamps.pop("light_rows")
     count = uploads.layout.count
     frame.device.dispatch(
-        frame.device.program(tiled_variant(tuple(parts), has_images=Effect.IMAGES in frame.needs.effects)),
+        frame.device.program(tiled_variant(tuple(parts), added, has_images=Effect.IMAGES in frame.needs.effects)),
         (count.x, count.y),
         depth=frame.targets["depth"],
-        lit=frame.targets["light"].image(0),
+        lit=lit.image(0),
         **uploads.bindings,
         **bind_geometry(frame),
         **lamps,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 
 import pytest
 
@@ -22,6 +23,15 @@ def test_warm_ups_are_not_timed() -> None:
     times = alternate({"a": calls.append}, range(4), warm_ups=2)
     assert calls == [0, 0, 0, 1, 2, 3]
     assert len(times["a"].seconds) == 4
+
+
+def test_processor_time_is_measured_beside_the_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = iter([0.0, 1.0, 10.0, 13.0, 20.0, 22.0])
+    monkeypatch.setattr(sys.modules["renderer.measure.alternate"], "process_time", lambda: next(now))
+    one = alternate({"a": lambda number: None}, range(3), warm_ups=0)["a"]
+    assert one.processor_seconds == (1.0, 3.0, 2.0)
+    assert one.processor_median == 2.0
+    assert len(one.seconds) == 3
 
 
 def test_each_run_is_got_ready_for() -> None:
