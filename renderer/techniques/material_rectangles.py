@@ -169,8 +169,8 @@ class FindRectangles(Shader):
 
 
 class RectangleShader(FullScreen):
-    """The base of shaders that are run for the pixels of materials: two triangles for each rectangle, at the depth of its
-    material."""
+    """The base of shaders that are run for the pixels of materials: two triangles for each rectangle, at the depth of
+    its material."""
 
     rectangles: Storage[MaterialRectangle]
 
@@ -222,8 +222,8 @@ class MaterialRectangles:
         )
 
     def read(self) -> NDArray[Any]:
-        """Return the rectangles (k, 5): the material, and the first x and y, the width and the height in pixels. Waits for
-        the device."""
+        """Return the rectangles (k, 5): the material, the first x and y, the width and the height in pixels. Waits for the
+        device."""
         rows = self.rectangles.read()[: int(self.draw.read()[0]["instances"])]
         first, size = rows["first"], rows["size"]
         parts = (rows["material"], first & 0xFFFF, first >> 16, size & 0xFFFF, size >> 16)
@@ -254,14 +254,14 @@ def draw_ids(frame: Frame) -> None:
     states = CullMode.NONE, DepthTest.ON, DepthWrite.ON, DepthFunction.ALWAYS
     program: Program[Any] = device.program(MaterialIds)
     with device.render_pass(None, targets["material ids"], clear_depth=1.0), device.states(*states):
-        device.draw(program, frame.resources.workspace(Screen).triangle, **bindings)
+        device.draw(program, frame.view.workspace(Screen).triangle, **bindings)
 
 
 def rectangles_pass() -> Pass[Frame]:
     """Return the pass that lists the rectangles, as the contents `rectangles`."""
 
     def find(frame: Frame) -> None:
-        found = frame.resources.workspace(MaterialRectangles)
+        found = frame.view.workspace(MaterialRectangles)
         found.find(frame.targets["material ids"], len(frame.resources.scene.materials))
 
     return Pass(
@@ -276,7 +276,7 @@ def rectangles_pass() -> Pass[Frame]:
 def draw_rectangles(frame: Frame, shader: type[RectangleShader], bindings: dict[str, Any]) -> None:
     """Make the image: run a shader for the pixels of each material, before the background."""
     device, targets = frame.device, frame.targets
-    found = frame.resources.workspace(MaterialRectangles)
+    found = frame.view.workspace(MaterialRectangles)
     program: Program[Any] = device.program(shader)
     states = CullMode.NONE, DepthTest.ON, DepthWrite.OFF, DepthFunction.EQUAL
     clear = (*frame.resources.scene.background, 1.0)
