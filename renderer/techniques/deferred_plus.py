@@ -1,4 +1,4 @@
-"""Deferred+ (Doghramachi and Bucci, GPU Zen 2017): the geometry is drawn once, without materials; each pixel's material is
+"""Deferred+ (Doghramachi and Bucci, GPU Zen 2017): geometry is drawn once, without materials; each pixel's material is
 evaluated afterwards, and lit by its cluster's lights in the same step.
 
 1. `geometry` draws the packed geometry buffer (`packed_geometry`), as the visibility algorithm decides: with
@@ -7,8 +7,8 @@ evaluated afterwards, and lit by its cluster's lights in the same step.
 3. `shading` reads each pixel's surface and material, filters the textures and adds up the light, in one pass over the
    screen.
 
-With `multi_pass`, materials are drawn one by one as in a scene whose materials have shaders of their own: `material ids` writes them
-as depth, `rectangles` finds where each is seen, and `shading` draws the rectangles with a depth test (`material_rectangles`).
+With `multi_pass`, each material is shaded by draws of its own: `material ids` writes materials as depth, `rectangles`
+finds where each is seen, and `shading` draws the rectangles with a depth test (`material_rectangles`).
 
 So a hidden fragment costs its geometry alone, and textures are read once a pixel.
 """
@@ -78,8 +78,8 @@ class DeferredPlus:
         self.multi_pass = multi_pass
 
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
-        """Return the passes `geometry`, `light lists` if there are lights to list, and `shading`; with `multi_pass` also
-        `material ids` and `rectangles`."""
+        """Return the passes `geometry`, `light lists` if there are lights to list, and `shading`; with `multi_pass`
+        also `material ids` and `rectangles`."""
         lists = (list_pass(needs, ClusterLists),) if list_lamps(needs) else ()
         found = (ids_pass(), rectangles_pass()) if self.multi_pass else ()
         reads = ["packed", "depth"]

@@ -111,7 +111,8 @@ class RectangleDraw(Struct):
 
 
 class MaterialRectangle(Struct):
-    """The pixels of a material in a tile: the first pixel, x in the lower half, the size, likewise, and the material."""
+    """Where a tile shows a material: the first pixel, x in the lower half, the width and the height, likewise, and the
+    material."""
 
     first: uint
     size: uint
@@ -222,8 +223,8 @@ class MaterialRectangles:
         )
 
     def read(self) -> NDArray[Any]:
-        """Return the rectangles (k, 5): the material, the first x and y, the width and the height in pixels. Waits for the
-        device."""
+        """Return the rectangles (k, 5): the material, the first x and y, the width and the height in pixels. Waits for
+        the device."""
         rows = self.rectangles.read()[: int(self.draw.read()[0]["instances"])]
         first, size = rows["first"], rows["size"]
         parts = (rows["material"], first & 0xFFFF, first >> 16, size & 0xFFFF, size >> 16)
