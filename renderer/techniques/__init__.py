@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Final
 
+from renderer.techniques.auto import AutoTechnique
 from renderer.techniques.deferred import Deferred
 from renderer.techniques.deferred_cells import ClusteredDeferred, TiledDeferred
 from renderer.techniques.forward import Forward
@@ -34,6 +35,7 @@ TECHNIQUES: Final[dict[str, Callable[[], Technique]]] = {
 
 __all__ = [
     "TECHNIQUES",
+    "AutoTechnique",
     "Clustered",
     "ClusteredDeferred",
     "Deferred",
