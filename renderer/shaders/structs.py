@@ -107,11 +107,13 @@ class Material(Struct):
 
 
 class DirectionalLight(Struct):
-    """A directional light, laid out as `renderer.scene.DIRECTIONAL`; it travels along the unit vector `direction`."""
+    """A directional light, laid out as `renderer.scene.DIRECTIONAL`; it travels along the unit vector `direction`.
+    `casts_shadow` is 0 or 1."""
 
     direction: vec3
     intensity: float
     color: vec3
+    casts_shadow: uint
 
 
 class PointLight(Struct):

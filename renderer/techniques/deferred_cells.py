@@ -267,7 +267,7 @@ def light_tiles(frame: Frame) -> None:
 def dispatch_tiles(frame: Frame, lit: Texture, added: tuple[type[TiledLighting], ...] = ()) -> None:
     """Run the compute shader for all tiles. With bases that are `added`, it adds up something else than light."""
     resources = frame.resources
-    uploads = resources.workspace(TileUploads)
+    uploads = frame.view.workspace(TileUploads)
     uploads.write(frame.camera, frame.targets.size, resources.scene.lights)
     parts, lamps = bind_lamps(frame)
     lamps.pop("light_rows")

@@ -23,6 +23,7 @@ from renderer.shaders.structs import (
     ViewConstants,
     relative_position,
 )
+from renderer.shadows import SHADOW_PARTS, ShadowReceiver
 from rhi.shading import (
     Precision,
     Shader,
@@ -92,7 +93,7 @@ class FinishShader(Shader):
         return color
 
 
-class ShadingShader(FinishShader):
+class ShadingShader(FinishShader, ShadowReceiver):
     """Shades a surface, wherever it comes from: ambient light with the rim term."""
 
     ambient: Uniform[Ambient]
@@ -125,7 +126,8 @@ class WithDirectionalLights(ShadingShader):
     def sunlight(self, surface: SurfacePoint) -> vec3:
         color = vec3(0.0)
         for i in range(len(self.directional_lights)):
-            color += directional_light(surface, self.directional_lights[i])
+            light = directional_light(surface, self.directional_lights[i])
+            color += self.unblocked_sun(light, surface.position, surface.normal, i)
         return color
 
 
@@ -136,7 +138,8 @@ class WithSun(ShadingShader):
     directional_lights: Storage[DirectionalLight]
 
     def sunlight(self, surface: SurfacePoint) -> vec3:
-        return directional_light(surface, self.directional_lights[0])
+        light = directional_light(surface, self.directional_lights[0])
+        return self.unblocked_sun(light, surface.position, surface.normal, 0)
 
 
 class WithHaze(FinishShader):
@@ -152,5 +155,6 @@ SHADING_PARTS: Final[dict[str, type[Shader]]] = {
     "directional_lights": WithDirectionalLights,
     "haze": WithHaze,
     "emission": WithEmission,
+    **SHADOW_PARTS,
 }
 """The features that can be added to a `ShadingShader`, by the names of their bindings where they have one."""
