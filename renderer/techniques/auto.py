@@ -16,7 +16,7 @@ from renderer.scene import Camera, Scene
 from renderer.techniques.deferred_cells import ClusteredDeferred, TiledDeferred
 from renderer.techniques.forward import Forward
 from renderer.techniques.technique import Technique
-from renderer.visibility.trial import Trial
+from renderer.visibility.trial import SpeedTrial
 from rhi import Device
 
 CANDIDATES: Final[dict[str, Callable[[], Technique]]] = {
@@ -35,7 +35,7 @@ _SOME: Final = 16
 
 
 class AutoTechnique:
-    """Tries each candidate for some frames, then stays with the fastest until the view has changed (`Trial`).
+    """Tries each candidate for some frames, then stays with the fastest until the view has changed (`SpeedTrial`).
 
     The candidates' pictures differ by at most 2 of 255 levels, so a trial isn't seen. A trial frame waits for the
     device. While the visibility algorithm is on trial itself, techniques aren't exchanged. Other than other techniques,
@@ -58,13 +58,13 @@ class AutoTechnique:
         rest: int = 120,
     ) -> None:
         """`makers` make the techniques to be tried, named as in `CANDIDATES`; `frames` and `rest` are those of a
-        `Trial`."""
+        `SpeedTrial`."""
         self._techniques = {name: make() for name, make in makers.items()}
         self._scene = scene
         self._device = device
         self._timing = frames, rest
         self._size = (0, 0)
-        self._trial = Trial(scene, list(self._techniques)[:1])
+        self._trial = SpeedTrial(scene, list(self._techniques)[:1])
         self.because = "nothing is measured before the first frame"
 
     @property
@@ -103,7 +103,7 @@ class AutoTechnique:
         names, because = list_candidates(self._device, needs, self._techniques)
         if not set(names) <= set(self._trial.names):
             frames, rest = self._timing
-            self._trial = Trial(self._scene, names, frames=frames, rest=rest)
+            self._trial = SpeedTrial(self._scene, names, frames=frames, rest=rest)
         elif seconds is not None:
             self._trial.add_time(seconds, camera)
         elif not self._trial.is_trying:

@@ -10,7 +10,7 @@ from typing import Final
 from renderer.scene import Camera, Scene
 from renderer.visibility.algorithm import VisibilityAlgorithm, VisibilityStatistics
 from renderer.visibility.scene_pass import ScenePass
-from renderer.visibility.trial import Trial
+from renderer.visibility.trial import SpeedTrial
 from renderer.visibility.walk import CullingWalk, WalksNodes
 from rhi import Device
 
@@ -18,7 +18,7 @@ __rhi_internal__ = True
 
 
 class AutoCulling:
-    """Tries each candidate for some frames, then stays with the fastest until the view has changed (`Trial`).
+    """Tries each candidate for some frames, then stays with the fastest until the view has changed (`SpeedTrial`).
 
     In a trial frame the CPU waits for the GPU, so that the frame's cost is known; the wait counts as stalled.
 
@@ -38,12 +38,12 @@ class AutoCulling:
         frames: int = 5,
         rest: int = 120,
     ) -> None:
-        """`makers` make the candidates; `frames` and `rest` are those of a `Trial`."""
+        """`makers` make the candidates; `frames` and `rest` are those of a `SpeedTrial`."""
         self.candidates: dict[str, VisibilityAlgorithm] = {}
         self.latest: VisibilityAlgorithm | None = None
         self._makers = dict(makers)
         self._device = device
-        self._trial = Trial(scene, list(makers), frames=frames, rest=rest)
+        self._trial = SpeedTrial(scene, list(makers), frames=frames, rest=rest)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -24,7 +24,7 @@ _CLOSE: Final = 1.25  # ratio of the second best time to the best, below which b
 _LONGEST_REST: Final = 8  # ratio to the shortest rest
 
 
-class Trial:
+class SpeedTrial:
     """Tries each candidate for some frames, then stays with the fastest until the view has changed.
 
     The view has changed when the eye has moved by 0.15 of the scene's diagonal or turned by 45°, or when the amount
