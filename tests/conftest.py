@@ -47,7 +47,7 @@ def pytest_itemcollected(item: pytest.Item) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Let the garbage collector pass over what collecting has made: 400,000 objects that live as long as the process."""
+    """Let the garbage collector pass over what collecting made: 400,000 objects that live as long as the process."""
     gc.collect()
     gc.freeze()
 
