@@ -11,7 +11,6 @@ queries in the objects in the frustum, each of which stop-and-wait asks about.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import rhi
 from renderer.content import load_scene
-from renderer.measure import alternate, format_table
+from renderer.measure import alternate, format_records
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import Scene
 from renderer.visibility import FrustumCulling, Settings, find_visible_objects, make_visibility
@@ -94,10 +93,7 @@ def main() -> int:
             for path in ("ground", "sky")
             for row in measure(device, scene, path, given.sizes, given.frames)
         ]
-    if given.json:
-        print(json.dumps(rows, indent=2))
-    else:
-        print(format_table(list(rows[0]), [list(row.values()) for row in rows]))
+    print(format_records(rows, as_json=given.json))
     return 0
 
 

@@ -10,7 +10,6 @@ are medians of processor time, memory is the peak of what NumPy allocates.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 import tracemalloc
@@ -24,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from renderer.content import load_scene
 from renderer.lights.lists import list_lights
-from renderer.measure import format_table
+from renderer.measure import format_records
 
 Floats = NDArray[np.float64]
 Lists = tuple[NDArray[np.int64], NDArray[np.int64]]
@@ -94,9 +93,7 @@ def main() -> None:
     given = parser.parse_args()
     load_scene("night:blocks=2,lights=64")  # imports and caches
     rows = [measure(spec, given.rounds) for spec in SPECS]
-    print(
-        json.dumps(rows) if given.json else format_table(list(rows[0]), [list(row.values()) for row in rows])
-    )
+    print(format_records(rows, as_json=given.json))
 
 
 if __name__ == "__main__":

@@ -18,7 +18,6 @@ counts are the same in each run. `--splits` compares ways to split, at the facto
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -33,7 +32,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import rhi
 from renderer.content import BUILT_IN
-from renderer.measure import format_table
+from renderer.measure import format_records
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene, SceneBuilder, scaling, translation
 from renderer.scene.arrays import Floats
@@ -168,10 +167,7 @@ def main() -> int:
                 rows.append({"motion": name, "factor": worn, "split": split, **row})
                 if not given.json:
                     print(".", end="", file=sys.stderr, flush=True)
-    if given.json:
-        print(json.dumps(rows, indent=2))
-    else:
-        print(format_table(list(rows[0]), [list(row.values()) for row in rows]))
+    print(format_records(rows, as_json=given.json))
     return 0
 
 

@@ -93,6 +93,9 @@ BAD_WALK: Final = Rule(
 )
 FRAME_RANGE: Final = Rule("camera-frame-range", "the camera path has no such frame")
 
+BAD_STEREO: Final = Rule("stereo-bad-value", "a value of a pair of eyes is out of its range")
+UNKNOWN_STEREO: Final = Rule("stereo-unknown-output", "there is no way of this name to show two pictures in one")
+
 # Visibility
 BAD_BOUNDS: Final = Rule(
     "visibility-bad-bounds", "bounds are finite arrays of shape (n, 3), with lower at most upper"
@@ -160,6 +163,9 @@ ONE_SAMPLE: Final = Rule(
 )
 BAD_TECHNIQUE: Final = Rule("technique-parameter", "a parameter of a technique is out of its range")
 
+# Shadows
+BAD_SHADOWS: Final = Rule("shadow-settings", "a setting of shadow maps is out of its range")
+
 # The canvas
 FONT_FILE: Final = Rule("canvas-font-file", "the file can't be read as a font")
 FONT_SIZE: Final = Rule("canvas-font-size", "a font's size is out of its range")
@@ -168,6 +174,11 @@ FONT_SIZE: Final = Rule("canvas-font-size", "a font's size is out of its range")
 
 NO_IMAGES: Final = Rule("measure-no-images", "the textured pass needs a scene with images")
 FEW_LIGHTS: Final = Rule("measure-few-lights", "the scene has fewer point and spot lights than are compared")
+FIXED_SCENE: Final = Rule(
+    "measure-fixed-scene",
+    "a scene without an option for it can't be compared with another number of objects or lights",
+    "leave out --objects or --lights: the scene is compared as it is",
+)
 NO_PICTURES: Final = Rule("measure-no-pictures", "a backend that draws no pictures has no passes to time")
 
 

@@ -12,7 +12,9 @@ from typing import Final, NoReturn
 from renderer.cli import (
     capture,
     compare_backends,
+    compare_encodings,
     compare_light_culling,
+    compare_techniques,
     compare_visibility,
     debug_visibility,
     demo,
@@ -32,8 +34,14 @@ COMMANDS: Final[tuple[Subcommand | SubcommandGroup, ...]] = (
     demo.COMMAND,
     SubcommandGroup(
         "compare",
-        "compare visibility algorithms, tests of light culling, or backends",
-        (compare_visibility.COMMAND, compare_light_culling.COMMAND, compare_backends.COMMAND),
+        "compare techniques, visibility algorithms, tests of light culling, encodings, or backends",
+        (
+            compare_techniques.COMMAND,
+            compare_visibility.COMMAND,
+            compare_light_culling.COMMAND,
+            compare_encodings.COMMAND,
+            compare_backends.COMMAND,
+        ),
     ),
     plan.COMMAND,
     capture.COMMAND,

@@ -8,7 +8,10 @@ from typing import Final
 
 import rhi
 from renderer import rules
+from renderer.cli.output import note
 from renderer.cli.subcommand import Parser
+from renderer.content import load_scene
+from renderer.scene import Scene
 from renderer.techniques import TECHNIQUES, Forward, Smoothed, Technique
 from renderer.visibility import Settings
 from rhi import refuse
@@ -31,6 +34,14 @@ DECIDES: Final = "what decides which objects are drawn (default: %(default)s)"
 def add_scene(parser: Parser) -> None:
     """Add `SCENE`."""
     parser.add_argument("scene", metavar="SCENE", help="a scene generator (see `scenes`) or a model file")
+
+
+def open_scene(text: str) -> Scene:
+    """Load the scene that `SCENE` names; what its file has and the scene hasn't is listed on stderr."""
+    scene = load_scene(text)
+    for omission in scene.omissions:
+        note(f"left out: {omission}")
+    return scene
 
 
 def add_backend(parser: Parser) -> None:
@@ -65,7 +76,9 @@ def add_technique(parser: Parser) -> None:
         metavar="N",
         help="samples per pixel, which smooth edges; more than one needs the technique forward (default: 1)",
     )
-    parser.add_argument("--fxaa", action="store_true", help="smooth the edges of the image, with any technique")
+    parser.add_argument(
+        "--fxaa", action="store_true", help="smooth the edges of the image, with any technique"
+    )
 
 
 def make_technique(given: argparse.Namespace) -> Technique:

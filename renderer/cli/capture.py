@@ -17,12 +17,13 @@ from renderer.cli.arguments import (
     add_size,
     add_technique,
     make_technique,
+    open_scene,
     parse_count,
     parse_frame,
 )
 from renderer.cli.output import OutputError, draw_chart, note, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
-from renderer.content import load_scene, parse_camera
+from renderer.content import parse_camera
 from renderer.measure.capture import CapturedFrame, capture_frames, list_passes, write_frames
 from renderer.measure.table import format_table
 from renderer.renderer import Renderer
@@ -62,7 +63,7 @@ def _add_arguments(parser: Parser) -> None:
 def _run(given: argparse.Namespace) -> None:
     if given.plot is not None and given.plot.suffix.lower() not in (".svg", ".png", ".pdf"):
         raise OutputError(f"--plot: {given.plot.name!r} is not the name of a chart; end it with .svg")
-    scene = load_scene(given.scene)
+    scene = open_scene(given.scene)
     camera = given.camera or next(iter(scene.paths or scene.views))
     shots = [
         (frame, parse_camera(camera, scene, frame), frame / FRAMES_PER_SECOND)

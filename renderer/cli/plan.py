@@ -14,11 +14,12 @@ from renderer.cli.arguments import (
     add_size,
     add_technique,
     make_technique,
+    open_scene,
     parse_frame,
 )
 from renderer.cli.output import OutputError, draw_chart, note
 from renderer.cli.subcommand import Parser, Subcommand
-from renderer.content import load_scene, parse_camera
+from renderer.content import parse_camera
 from renderer.measure.plans import PlanReport, describe_plan
 from renderer.measure.table import format_table
 
@@ -47,7 +48,7 @@ def _add_arguments(parser: Parser) -> None:
 def _run(given: argparse.Namespace) -> None:
     if given.plot is not None and given.plot.suffix.lower() not in (".svg", ".png", ".pdf"):
         raise OutputError(f"--plot: {given.plot.name!r} is not the name of a chart; end it with .svg")
-    scene = load_scene(given.scene)
+    scene = open_scene(given.scene)
     camera = parse_camera(given.camera or next(iter(scene.views)), scene, given.frame)
     report = describe_plan(scene, make_technique(given), camera, given.size)
     if given.plot is not None:
@@ -69,12 +70,14 @@ def show_plan(report: PlanReport) -> str:
     ]  # fmt: skip
     needed = "\n".join(f"  {name}: {because}" for name, because in report.effects.items())
     left = "\n".join(f"  {one.name}: {one.because}" for one in report.left_out)
+    maps = [(one.name, one.size, one.casters, one.state, one.because) for one in report.shadow_maps]
     shared = f"{len(report.textures)} textures, {report.texture_bytes:,} bytes"
     return "\n\n".join(
         part
         for part in (
             format_table(header, rows),
             shared,
+            format_table(("shadow map", "texels", "casters", "is", "because"), maps) if maps else "",
             f"needed:\n{needed}" if needed else "",
             f"left out:\n{left}" if left else "",
         )

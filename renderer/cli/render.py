@@ -6,7 +6,7 @@ import argparse
 import json
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,12 +22,13 @@ from renderer.cli.arguments import (
     add_technique,
     load_settings,
     make_technique,
+    open_scene,
     parse_count,
     parse_frame,
 )
 from renderer.cli.output import name_of, note, prepare_image, show_progress, write_image
 from renderer.cli.subcommand import Parser, Subcommand
-from renderer.content import load_scene, parse_camera
+from renderer.content import parse_camera
 from renderer.measure import FrameCost, measure_frame
 from renderer.overlay import Overlay
 from renderer.renderer import Renderer
@@ -128,7 +129,7 @@ def _run(given: argparse.Namespace) -> None:
     settings = load_settings(given)
     if given.queries is not None:
         settings = replace(settings, emulated=given.queries == "emulated")
-    scene = load_scene(given.scene)
+    scene = open_scene(given.scene)
     cameras = [
         with_depth(parse_camera(given.camera or next(iter(scene.views)), scene, frame), Depth(given.depth))
         for frame in range(given.frame, given.frame + given.frames)
@@ -210,6 +211,7 @@ def describe_run(
         **summary,
         **({} if overflowing is None else {"overflowing_pixels": overflowing}),
         "image": None if image is None else str(image),
+        **({"left_out": [asdict(one) for one in renderer.scene.omissions]} if renderer.scene.omissions else {}),
     }
 
 
@@ -221,6 +223,7 @@ def show_report(report: dict[str, Any]) -> str:
         "milliseconds": f"{times['median']:.2f} (least {times['min']:.2f}, most {times['max']:.2f})",
         "image": report["image"] or "none: this device draws nothing",
     }
+    shown.pop("left_out", None)  # stderr has it
     texts = {key: f"{value:,}" if isinstance(value, int) else value for key, value in shown.items()}
     names = {"uploads_bytes": "bytes uploaded"}
     return "\n".join(

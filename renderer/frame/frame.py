@@ -31,6 +31,7 @@ class Frame:
     Attributes:
         view: what the image is seen from. resources: the scene on the device, up to date for this view.
         targets: the textures that the passes draw to. needs: the effects that are needed.
+        first: the frame of the left eye, drawn before, if this is the right eye's.
     """
 
     device: Device
@@ -38,6 +39,7 @@ class Frame:
     resources: SceneResources
     targets: Targets
     needs: Needs
+    first: Frame | None = None
     _seen: dict[View, ViewRecord] = field(default_factory=dict)
 
     @property
@@ -66,13 +68,13 @@ class Frame:
         """Draw what a view sees in a pass: the main view, unless another one is given.
 
         The first pass of a view finds the visible objects, in as many batches as its algorithm likes, which issues its
-        own commands there. It must be the first to write the view's depth. Later passes draw the same objects again.
+        own commands there. It must be the first to write the view's depth. Later passes draw the same objects again,
+        and so does the right eye if the left one's were found by the frustum around both.
         """
         view = view or self.view
-        seen = self._seen.get(view)
+        seen = self._seen.get(view) or self._find_shared(view)
         with scene_pass:
             if seen is not None:
-                scene_pass.open()
                 seen.drawn.draw_again(scene_pass)
                 return
             if not view.visibility.opens_pass:
@@ -81,3 +83,13 @@ class Frame:
             if not scene_pass.was_opened:  # nothing was drawn: the targets are cleared all the same
                 scene_pass.open()
         self._seen[view] = ViewRecord(scene_pass.drawn, statistics)
+
+    def _find_shared(self, view: View) -> ViewRecord | None:
+        """Return what the left eye has found for both, if it has: objects in the frustum around them."""
+        if self.first is None or view is not self.view:
+            return None
+        seen = self.first._seen.get(self.first.view)
+        if seen is None or not seen.statistics.by_frustum:
+            return None
+        self._seen[view] = seen
+        return seen

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from renderer.lights.in_view import find_lights_in_view
 from renderer.scene import Camera, Scene
@@ -28,6 +29,7 @@ class Effect(Enum):
     IMAGES = "images"
     EMISSION = "emission"
     HAZE = "haze"
+    SUN_SHADOWS = "shadows of directional lights"
 
 
 _NOUNS: Final = {
@@ -36,6 +38,7 @@ _NOUNS: Final = {
     Effect.SPOT_LIGHTS: "spot light",
     Effect.IMAGES: "image",
     Effect.EMISSION: "material that emits light",
+    Effect.SUN_SHADOWS: "directional light that casts shadows",
 }
 
 
@@ -71,9 +74,9 @@ class Needs:
         noun = _NOUNS[effect]
         if not count:
             return f"the scene has no {noun}"
-        plural = (
-            noun.replace("material that emits", "materials that emit") if "material" in noun else f"{noun}s"
-        )
+        plural = noun.replace("material that emits", "materials that emit") if "material" in noun else f"{noun}s"
+        if effect is Effect.SUN_SHADOWS:
+            plural = "directional lights that cast shadows"
         if effect in (Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS):
             rows = self.point_rows if effect is Effect.POINT_LIGHTS else self.spot_rows
             reach = "reaches" if len(rows) == 1 else "reach"
@@ -101,9 +104,16 @@ def find_needs(scene: Scene, camera: Camera, *, reaches: tuple[bool, bool] = (Tr
         Effect.IMAGES: len(scene.images),
         Effect.EMISSION: int(np.count_nonzero(scene.materials["emission"])),
         Effect.HAZE: int(scene.haze > 0.0),
+        Effect.SUN_SHADOWS: _count_casting(scene, lights.directional),
     }
     hidden = {
         effect for effect, rows in ((Effect.POINT_LIGHTS, point), (Effect.SPOT_LIGHTS, spot)) if not len(rows)
     }
     effects = frozenset(effect for effect, count in counts.items() if count and effect not in hidden)
     return Needs(effects, counts, point, spot)
+
+
+def _count_casting(scene: Scene, lights: NDArray[Any]) -> int:
+    """Return the number of lights that cast shadows: none if no object does."""
+    count = int(np.count_nonzero(lights["casts_shadow"]))
+    return count if count and scene.objects.casts_shadow.any() else 0

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from renderer import rules
 from renderer.frame.resources import SceneResources
 from renderer.frame.view import View
-from renderer.scene import Depth, Scene
+from renderer.scene import Camera, Depth, Scene
 from renderer.visibility import DeviceList, SceneArrays
 from rhi import (
     CullMode,
@@ -87,6 +87,10 @@ class Drawn:
 
     def draw_again(self, scene_pass: TechniquePass) -> None:
         """Draw the same objects in another pass of the same frame. Rows are one batch, whatever they were before."""
+        if len(self._batches) == 1 and not self._conditional and not self._lists:
+            scene_pass.draw_alone(self._batches[0])
+            return
+        scene_pass.open()
         if self._batches:
             scene_pass.draw(np.concatenate(self._batches))
         for rows, queries, answers in self._conditional:
@@ -173,6 +177,10 @@ class TechniquePass:
             self.was_opened,
         )
 
+    def widen(self, camera: Camera) -> Camera:
+        """Return a camera that sees all that the frame's eyes see."""
+        return self._view.around
+
     def open(self) -> None:
         """Begin the pass unless it is open."""
         if self._scopes is None:
@@ -228,7 +236,8 @@ class TechniquePass:
                         with encoder.states(winding):
                             encoder.draw_indirect(self._program, resources.mesh, draws, **self._bindings)
 
-        self._view.batch.execute(self.key, resources.draws, parts, issue)
+        view = self._view
+        view.batch.execute(view.commands.next(), self.key, resources.draws, parts, issue)
         self.was_opened = True
 
     def draw_conditional(
@@ -306,7 +315,7 @@ class TechniquePass:
         if not self._has_all_in_view:
             self._has_all_in_view = True
             simulated = self._resources.simulator.objects
-            self._resources.simulate(self._resources.find_in_view(self._view.camera, simulated))
+            self._resources.simulate(self._resources.find_in_view(self._view.around, simulated))
 
     def __enter__(self) -> Self:
         return self

@@ -36,6 +36,8 @@ R = TypeVar("R", bound=_Destroyable)
 S = TypeVar("S", bound=Struct)
 T = TypeVar("T")
 
+EYES: Final = 2
+"""The largest number of eyes of a frame."""
 LARGEST_IMAGE = 2048
 """The largest width and height of images in texels; larger ones are scaled down."""
 
@@ -126,6 +128,27 @@ class MirroredValue(Generic[S]):
         self.buffer.destroy()
 
 
+class Workspaces:
+    """What techniques keep between frames, by kinds: each is made when it is first asked for."""
+
+    def __init__(self, device: Device) -> None:
+        self._device = device
+        self._made: dict[Callable[[Device], Any], Any] = {}
+
+    def find(self, kind: Callable[[Device], R]) -> R:
+        """Return `kind(device)`, the same one each time."""
+        if kind not in self._made:
+            self._made[kind] = kind(self._device)
+        kept: R = self._made[kind]
+        return kept
+
+    def destroy(self) -> None:
+        """Destroy all."""
+        for kept in self._made.values():
+            kept.destroy()
+        self._made.clear()
+
+
 class SceneResources:
     """One scene on one device, shared by techniques.
 
@@ -153,7 +176,7 @@ class SceneResources:
 
     def _make(self, device: Device, scene: Scene) -> None:
         self.scene = scene
-        self._workspaces: dict[Callable[[Device], Any], Any] = {}
+        self._workspaces: Workspaces = self._keep(Workspaces(device))
         self.simulator: Simulator = scene.make_simulator()
         self._held = np.zeros(len(scene.objects))  # by object, the state of the vertices on the device
         self._device = device
@@ -173,8 +196,14 @@ class SceneResources:
         self.places = keep(MirroredArray(device, shaders.ObjectPosition, "places"))
         self.materials = keep(MirroredArray(device, shaders.Material, "materials"))
         self.directional = keep(MirroredArray(device, shaders.DirectionalLight, "directional lights"))
-        self.point = keep(MirroredArray(device, shaders.PointLight, "point lights"))
-        self.spot = keep(MirroredArray(device, shaders.SpotLight, "spot lights"))
+        self._lamps = tuple(
+            (
+                keep(MirroredArray(device, shaders.PointLight, "point lights")),
+                keep(MirroredArray(device, shaders.SpotLight, "spot lights")),
+            )
+            for _ in range(EYES)
+        )
+        self.point, self.spot = self._lamps[0]
         self.light_rows = keep(MirroredArray(device, int, "light rows"))
         self._lit: tuple[NDArray[Any], ...] = ()  # the state that the light lists were made from
         self._listed: NDArray[np.int64] = np.zeros(0, np.int64)  # the light rows, as they are on the device
@@ -202,11 +231,8 @@ class SceneResources:
 
     def workspace(self, kind: Callable[[Device], R]) -> R:
         """Return what a technique keeps between frames beside the scene: `kind(device)`, which is made on first use and
-        destroyed with the resources."""
-        if kind not in self._workspaces:
-            self._workspaces[kind] = self._keep(kind(self._device))
-        kept: R = self._workspaces[kind]
-        return kept
+        destroyed with the resources. What depends on the camera is kept by its view (`View.workspace`)."""
+        return self._workspaces.find(kind)
 
     def list_arrays(self, view: UniformRange[shaders.ViewConstants]) -> SceneArrays:
         """Return the buffers of objects and meshes, as visibility algorithms on the device read them, and the constants
@@ -243,7 +269,14 @@ class SceneResources:
         buffer, at = self.mesh.vertices, 0
         assert buffer is not None
         for first, end in join_runs(begins, sizes):
-            buffer.write(vertices[at : at + end - first], first)
+            part = self.scene.meshes.vertices[first:end]
+            if part.dtype != vertices.dtype:  # a second uv, tangents and colours stay as they are
+                part = part.copy()
+                for name in vertices.dtype.names or ():
+                    part[name] = vertices[name][at : at + end - first]
+            else:
+                part = vertices[at : at + end - first]
+            buffer.write(part, first)
             at += end - first
         self._held[deformed.rows] = deformed.states
 
@@ -294,18 +327,24 @@ class SceneResources:
 
     def update(self, camera: Camera) -> None:
         """Update the buffers to the scene, with lights relative to the eye of `camera`."""
-        scene, eye = self.scene, camera.position
+        scene = self.scene
         following = scene.objects.following_rows  # others that move are simulated before they are drawn
         self._transform(following)
         self.objects.write(self._rows, None if self._list_lights() else following)
         self.places.write(self._places, following)
         self.materials.write(scene.materials)
-        lights = scene.lights.relative_to(eye)
+        self.look_from(camera)
+        self.ambient.write(_ambient(scene))
+        self.haze.write(_haze(scene))
+
+    def look_from(self, camera: Camera, eye: int = 0) -> None:
+        """Let lights be relative to the eye of `camera`, one of the `EYES` of a frame. Each eye has point and spot
+        lights of its own, which are written only where they have changed."""
+        lights = self.scene.lights.relative_to(camera.position)
+        self.point, self.spot = self._lamps[eye]
         self.directional.write(lights.directional)
         self.point.write(lights.point if self._reaching[0] else lights.point[:0])
         self.spot.write(lights.spot if self._reaching[1] else lights.spot[:0])
-        self.ambient.write(_ambient(scene))
-        self.haze.write(_haze(scene))
 
     def _transform(self, rows: NDArray[np.int64]) -> None:
         """Update the rows of the arrays that hold the transforms of the objects `rows`."""
@@ -380,13 +419,14 @@ def _haze(scene: Scene) -> shaders.Haze:
 
 
 def _make_images(device: Device, scene: Scene) -> Texture | None:
-    """Create a texture with the scene's images as layers, of the largest one's size. Smaller images are stretched, so
-    that texture coordinates hold."""
+    """Create a texture with the images of the scene's textures as layers, of the largest one's size. Smaller images are
+    stretched, so that texture coordinates hold."""
     if not scene.images:
         return None
+    used = [scene.images[image] for image in scene.textures["image"].tolist()] or scene.images
     limit = min(LARGEST_IMAGE, device.capabilities.max_texture_size)
-    height, width = np.minimum(np.max([image.shape[:2] for image in scene.images], axis=0), limit).tolist()
-    layers = np.stack([_resize(image, width, height) for image in scene.images])
+    height, width = np.minimum(np.max([image.shape[:2] for image in used], axis=0), limit).tolist()
+    layers = np.stack([_resize(image, width, height) for image in used])
     return device.texture(layers, Format.RGBA8_SRGB, kind=TextureKind.D2_ARRAY, levels=None, label="images")
 
 

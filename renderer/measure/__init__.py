@@ -2,6 +2,6 @@
 
 from renderer.measure.alternate import Measurement, alternate
 from renderer.measure.frames import FrameCost, measure_frame
-from renderer.measure.table import format_table
+from renderer.measure.table import format_records, format_table
 
-__all__ = ["FrameCost", "Measurement", "alternate", "format_table", "measure_frame"]
+__all__ = ["FrameCost", "Measurement", "alternate", "format_records", "format_table", "measure_frame"]

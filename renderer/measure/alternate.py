@@ -5,20 +5,27 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from statistics import median
-from time import perf_counter
+from time import perf_counter, process_time
 
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """The times of one candidate in seconds, round by round."""
+    """The times of one candidate in seconds, round by round: by the clock, and those of the processor in all threads,
+    which other programs disturb less."""
 
     name: str
     seconds: tuple[float, ...]
+    processor_seconds: tuple[float, ...] = ()
 
     @property
     def median(self) -> float:
         """The median time in seconds."""
         return median(self.seconds)
+
+    @property
+    def processor_median(self) -> float:
+        """The median processor time in seconds."""
+        return median(self.processor_seconds)
 
     def ratio_to(self, other: Measurement) -> float:
         """Return the median over the rounds of the ratio of this time to the other's in the same round."""
@@ -42,12 +49,12 @@ def alternate(
         for name in names:
             before(name)
             work[name](0)
-    times: dict[str, list[float]] = {name: [] for name in names}
+    times: dict[str, list[tuple[float, float]]] = {name: [] for name in names}
     for turn, number in enumerate(rounds):
         start = turn % len(names)
         for name in names[start:] + names[:start]:
             before(name)
-            began = perf_counter()
+            processor, began = process_time(), perf_counter()
             work[name](number)
-            times[name].append(perf_counter() - began)
-    return {name: Measurement(name, tuple(seconds)) for name, seconds in times.items()}
+            times[name].append((perf_counter() - began, process_time() - processor))
+    return {name: Measurement(name, *zip(*some, strict=True)) for name, some in times.items()}

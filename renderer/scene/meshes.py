@@ -2,11 +2,14 @@
 
 A `MeshGeometry` is one mesh with arrays of its own. `Meshes` holds all meshes of a scene: index ranges with base
 vertices into the shared arrays, so that one vertex buffer, one index buffer and one multi-draw serve every object.
+
+All vertices have a position, a normal and texture coordinates. A second set of them, a tangent and a colour are there
+only where they are needed (`vertex_format`); all meshes of a scene have the same ones.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -23,6 +26,14 @@ __rhi_internal__ = True
 VERTEX: Final = np.dtype([("position", "<f4", 3), ("normal", "<f4", 3), ("uv", "<f4", 2)])
 """The vertex format of all meshes of the renderer: 32 bytes, tightly packed."""
 
+_OPTIONAL: Final = {"uv2": ("<f4", 2), "tangent": ("<f4", 4), "color": ("<f4", 4)}
+_ABSENT: Final[dict[str, tuple[float, ...]]] = {
+    "uv2": (0.0, 0.0),
+    "tangent": (1.0, 0.0, 0.0, 1.0),
+    "color": (1.0, 1.0, 1.0, 1.0),
+}
+"""What vertices have that lack an attribute which others of their scene have."""
+
 RANGE: Final = np.dtype([("first_index", "<u4"), ("index_count", "<u4"), ("base_vertex", "<i4")])
 """The part of the shared arrays that a mesh uses; the fields are those of an indexed draw."""
 
@@ -30,17 +41,36 @@ MeshBounds = tuple[Floats, Floats]
 """The lower and the upper corner (3,) of a mesh's bounding box."""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+def vertex_format(attributes: Collection[str] = ()) -> np.dtype[Any]:
+    """Return the format of vertices with these attributes besides those of `VERTEX`.
+
+    They are `uv2`, a second set of texture coordinates; `tangent`, a unit vector along which u grows, and the sign of
+    the bitangent `sign * cross(normal, tangent)`, which leads up in the image, where v decreases; and `color`, linear
+    with alpha, which multiplies a material's base colour.
+    """
+    unknown = set(attributes) - set(_OPTIONAL)
+    if unknown:
+        refuse(rules.BAD_MESH, "vertex_format", sorted(unknown), sorted(_OPTIONAL))
+    return np.dtype([*VERTEX.descr, *((name, *_OPTIONAL[name]) for name in _OPTIONAL if name in attributes)])
+
+
+def list_attributes(format: np.dtype[Any]) -> frozenset[str]:
+    """Return the names of a vertex format's attributes besides those of `VERTEX`."""
+    return frozenset(format.names or ()) & frozenset(_OPTIONAL)
+
+
+@dataclass(frozen=True, eq=False, slots=True, weakref_slot=True)
 class MeshGeometry:
-    """One mesh: `vertices` (v,) of `VERTEX` and `indices` (3 * triangles,) uint32, counter-clockwise from outside."""
+    """One mesh: `vertices` (v,) of a `vertex_format` and `indices` (3 * triangles,) uint32, counter-clockwise from
+    outside."""
 
     vertices: NDArray[Any]
     indices: NDArray[np.uint32]
 
     def __post_init__(self) -> None:
         call = "MeshGeometry"
-        if self.vertices.dtype != VERTEX:
-            refuse(rules.BAD_MESH, call, f"vertices of {self.vertices.dtype}", "meshes.VERTEX")
+        if self.vertices.dtype != vertex_format(list_attributes(self.vertices.dtype)):
+            refuse(rules.BAD_MESH, call, f"vertices of {self.vertices.dtype}", "meshes.VERTEX, or a vertex_format")
         if self.indices.dtype != np.uint32 or self.indices.ndim != 1 or len(self.indices) % 3:
             given = f"indices of {self.indices.dtype}, shape {self.indices.shape}"
             refuse(rules.BAD_MESH, call, given, "uint32, shape (3 * triangles,)")
@@ -48,9 +78,9 @@ class MeshGeometry:
             refuse(rules.BAD_MESH, call, "no triangle", "at least one")
         if int(self.indices.max()) >= len(self.vertices):
             refuse(rules.BAD_MESH, call, f"index {self.indices.max()}", f"0 to {len(self.vertices) - 1}")
-        floats = self.vertices.view(np.float32)
+        floats = np.ascontiguousarray(self.vertices).view(np.float32).reshape(len(self.vertices), -1)
         if not np.isfinite(floats).all():
-            worst = int(np.flatnonzero(~np.isfinite(floats.reshape(-1, 8)).all(1))[0])
+            worst = int(np.flatnonzero(~np.isfinite(floats).all(1))[0])
             refuse(rules.BAD_VERTICES, call, f"vertex {worst}: {self.vertices[worst]}", "finite numbers")
 
     @property
@@ -71,6 +101,22 @@ class MeshGeometry:
         away = self.vertices["position"] - 0.5 * (lower + upper)
         return float(np.sqrt(np.einsum("ij,ij->i", away, away).max()))
 
+    @property
+    def attributes(self) -> frozenset[str]:
+        """The names of the vertices' attributes besides those of `VERTEX`."""
+        return list_attributes(self.vertices.dtype)
+
+    def with_attributes(self, attributes: Collection[str]) -> MeshGeometry:
+        """Return the mesh with these attributes besides those of `VERTEX`: others are left out, and missing ones are
+        uv 0, a tangent along x, and white."""
+        if self.attributes == frozenset(attributes):
+            return self
+        vertices = np.zeros(len(self.vertices), vertex_format(attributes))
+        for name in vertices.dtype.names or ():
+            known = name in (self.vertices.dtype.names or ())
+            vertices[name] = self.vertices[name] if known else _ABSENT[name]
+        return MeshGeometry(vertices, self.indices)
+
     def transformed(self, matrix: ArrayLike) -> MeshGeometry:
         """Return the mesh transformed by an affine matrix (4, 4); a mirroring one reverses the triangles' winding."""
         m = np.asarray(matrix, np.float64)
@@ -79,6 +125,10 @@ class MeshGeometry:
         normals = self.vertices["normal"] @ normal_matrices(m).T
         vertices["normal"] = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
         mirrored = np.linalg.det(m[:3, :3]) < 0.0
+        if "tangent" in self.attributes:
+            along = self.vertices["tangent"][:, :3] @ m[:3, :3].T
+            vertices["tangent"][:, :3] = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-30)
+            vertices["tangent"][:, 3] *= -1.0 if mirrored else 1.0
         corners = self.indices.reshape(-1, 3)
         return MeshGeometry(
             vertices, np.ascontiguousarray(corners[:, ::-1] if mirrored else corners).reshape(-1)
@@ -86,28 +136,42 @@ class MeshGeometry:
 
 
 def join(parts: Sequence[MeshGeometry]) -> MeshGeometry:
-    """Join several meshes to one."""
+    """Join several meshes to one, which has the attributes of all of them."""
+    attributes: frozenset[str] = frozenset().union(*(part.attributes for part in parts))
+    parts = [part.with_attributes(attributes) for part in parts]
     offsets = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
     indices = [part.indices + np.uint32(offset) for part, offset in zip(parts, offsets, strict=True)]
     return MeshGeometry(np.concatenate([part.vertices for part in parts]), np.concatenate(indices))
 
 
 def make_geometry(
-    positions: ArrayLike, indices: ArrayLike, normals: ArrayLike | None = None, uv: ArrayLike | None = None
+    positions: ArrayLike,
+    indices: ArrayLike,
+    normals: ArrayLike | None = None,
+    uv: ArrayLike | None = None,
+    *,
+    uv2: ArrayLike | None = None,
+    tangent: ArrayLike | None = None,
+    color: ArrayLike | None = None,
 ) -> MeshGeometry:
     """Create a mesh from plain arrays: positions (v, 3), indices (3t,) or (t, 3), normals (v, 3), uv (v, 2).
 
-    Missing normals are computed, weighted by area; missing texture coordinates are 0.
+    Missing normals are computed, weighted by area; missing texture coordinates are 0. Vertices have `uv2` (v, 2),
+    `tangent` (v, 4) and `color` (v, 4) only if these are given; see `vertex_format`.
     """
+    given: Mapping[str, ArrayLike | None] = {"uv2": uv2, "tangent": tangent, "color": color}
+    more = {name: values for name, values in given.items() if values is not None}
     points = np.asarray(positions, np.float64)
     corners = np.asarray(indices).reshape(-1)
     if corners.size and (int(corners.min()) < 0 or int(corners.max()) >= len(points)):
         refuse(rules.BAD_MESH, "make_geometry", f"an index outside 0 to {len(points) - 1}")
-    vertices = np.zeros(len(points), VERTEX)
+    vertices = np.zeros(len(points), vertex_format(more))
     vertices["position"] = points
     vertices["normal"] = compute_normals(points, corners) if normals is None else normals
     if uv is not None:
         vertices["uv"] = uv
+    for name, values in more.items():
+        vertices[name] = values
     return MeshGeometry(vertices, corners.astype(np.uint32))
 
 
@@ -133,7 +197,8 @@ class Meshes:
     """All meshes of a scene, in shared arrays.
 
     Attributes:
-        vertices: (v,) of `VERTEX`. indices: (i,) uint32, relative to each mesh's base vertex.
+        vertices: (v,) of a `vertex_format`, with the attributes that any mesh has.
+        indices: (i,) uint32, relative to each mesh's base vertex.
         ranges: (m,) of `RANGE`.
         lower, upper: (m, 3) float64, local bounds. radius: (m,) of the spheres around their centres.
         names: the names of the meshes, m of them.
@@ -147,6 +212,8 @@ class Meshes:
     ) -> None:
         """`bounds` that aren't None replace those of the geometries, for meshes that change."""
         count = len(geometries)
+        attributes: frozenset[str] = frozenset().union(*(g.attributes for g in geometries))
+        geometries = [g.with_attributes(attributes) for g in geometries]
         fixed = bounds or [None] * count
         self.vertices: NDArray[Any] = np.concatenate(
             [g.vertices for g in geometries] or [np.empty(0, VERTEX)]
@@ -172,6 +239,12 @@ class Meshes:
 
     def __len__(self) -> int:
         return len(self.ranges)
+
+    def geometry(self, mesh: int) -> MeshGeometry:
+        """Return one mesh with arrays of its own."""
+        first, count, base = (int(value) for value in self.ranges[mesh])
+        end = base + int(self.vertex_counts[mesh])
+        return MeshGeometry(self.vertices[base:end].copy(), self.indices[first : first + count].copy())
 
     @property
     def vertex_counts(self) -> NDArray[np.int64]:

@@ -17,10 +17,20 @@ from renderer import rules
 from renderer.scene.arrays import Floats, Rows
 from renderer.scene.camera import Camera
 from renderer.scene.lights import Lights
-from renderer.scene.materials import MATERIAL, ImagePixels, check_image, make_material
+from renderer.scene.materials import (
+    MATERIAL,
+    TEXTURE,
+    TEXTURES,
+    ImagePixels,
+    TextureMap,
+    TextureRows,
+    check_image,
+    make_material,
+)
 from renderer.scene.meshes import MeshBounds, Meshes, MeshGeometry
 from renderer.scene.nodes import Nodes
 from renderer.scene.objects import Objects, make_objects
+from renderer.scene.omissions import Omission, Omissions
 from renderer.scene.paths import CameraPath
 from renderer.scene.simulation import (
     FunctionOfTime,
@@ -29,7 +39,9 @@ from renderer.scene.simulation import (
     Simulator,
     check_simulation,
 )
+from renderer.scene.tangents import add_tangents
 from renderer.scene.transforms import is_affine, relative_to
+from rhi import SamplerDescriptor
 from rhi.errors import refuse
 
 __rhi_internal__ = True
@@ -41,12 +53,14 @@ class Scene:
     Attributes:
         name: the text that it was made from.
         nodes, objects, meshes, lights: see their classes.
-        materials: (k,) of `MATERIAL`. images: the textures that they refer to by index.
+        materials: (k,) of `MATERIAL`. textures: (t,) of `TEXTURE`, which materials refer to by index.
+        images, samplers: what textures refer to by index.
         background: linear colour of pixels that show nothing.
         haze: density of the air per metre: after a metre, e^-haze of the light is left; the rest is the background.
         simulated: the simulations in their initial state, and what they change; a renderer's `Simulator` runs copies.
         seconds: the time of the last update or frame.
         views: named cameras, the first of which is the default. paths: named camera paths.
+        omissions: what the file that it was loaded from has and the scene hasn't.
     """
 
     def __init__(
@@ -63,6 +77,9 @@ class Scene:
         background: tuple[float, float, float] = (0.02, 0.02, 0.03),
         haze: float = 0.0,
         simulated: tuple[Simulated, ...] = (),
+        textures: NDArray[Any] | None = None,
+        samplers: tuple[SamplerDescriptor, ...] = (),
+        omissions: tuple[Omission, ...] = (),
     ) -> None:
         self.name = name
         self.simulated = simulated
@@ -73,9 +90,12 @@ class Scene:
         self.meshes = meshes
         self.materials = materials
         self.images = images
+        self.textures: NDArray[Any] = np.zeros(0, TEXTURE) if textures is None else textures
+        self.samplers = samplers
         self.lights = lights
         self.views = dict(views)
         self.paths = dict(paths)
+        self.omissions = omissions
         self.seconds = 0.0
         self._simulator = self.make_simulator()
         self.update()
@@ -158,11 +178,16 @@ class SceneBuilder:
         self.haze = 0.0
         self.views: dict[str, Camera] = {}
         self.paths: dict[str, CameraPath] = {}
+        self.omissions = Omissions()
         self._geometries: list[MeshGeometry] = []
         self._bounds: list[MeshBounds | None] = []
         self._mesh_names: list[str] = []
         self._materials: list[NDArray[Any]] = []
+        self._mesh_ids: dict[int, int] = {}
         self._images: list[ImagePixels] = []
+        self._image_ids: dict[int, int] = {}
+        self._kept: list[object] = []
+        self._textures = TextureRows()
         self._parents: list[NDArray[np.int64]] = []
         self._locals: list[Floats] = []
         self._dynamic: list[NDArray[np.bool_]] = []
@@ -173,27 +198,57 @@ class SceneBuilder:
         self._animated: list[tuple[NDArray[np.int64], ObjectSimulation, tuple[Floats, Floats] | None]] = []
 
     def add_mesh(self, geometry: MeshGeometry, name: str = "", bounds: MeshBounds | None = None) -> int:
-        """Add a mesh and return its id. The vertices of a simulated mesh must never leave `bounds`."""
+        """Add a mesh and return its id: the same as before for a mesh without `bounds` that was added before.
+
+        The vertices of a simulated mesh must never leave its `bounds`.
+        """
+        if bounds is None and (known := self._mesh_ids.get(id(geometry))) is not None:
+            return known
         if bounds is not None:
             lower, upper = geometry.bounds
             if not ((bounds[0] <= lower) & (upper <= bounds[1])).all():
                 given = f"{bounds[0]} to {bounds[1]}"
                 refuse(rules.BAD_MESH, "add_mesh(bounds=...)", given, f"at least {lower} to {upper}")
+        elif id(geometry) not in self._mesh_ids:
+            self._mesh_ids[id(geometry)] = len(self._geometries)
         self._bounds.append(bounds)
         self._geometries.append(geometry)
         self._mesh_names.append(name)
         return len(self._geometries) - 1
 
+    @property
+    def object_count(self) -> int:
+        """The number of objects that have been added."""
+        return self._object_count
+
+    def mesh_bounds(self, mesh: int) -> MeshBounds:
+        """Return the bounds that a mesh was added with, or those of its vertices."""
+        return self._bounds[mesh] or self._geometries[mesh].bounds
+
     def add_image(self, image: NDArray[Any]) -> int:
-        """Add a texture's pixels (height, width, 4) uint8 and return its id."""
-        self._images.append(check_image(image))
-        return len(self._images) - 1
+        """Add a texture's pixels (height, width, 4) uint8 and return its id; the same array is added once."""
+        if id(image) not in self._image_ids:
+            self._images.append(check_image(image))
+            self._image_ids[id(image)] = len(self._images) - 1
+            self._kept.append(image)  # as long as the builder lives, so that its id isn't given to another
+        return self._image_ids[id(image)]
 
     def add_material(self, **values: Any) -> int:
-        """Add a material from the arguments of `make_material` and return its id."""
-        material = make_material(**values)
-        if material["texture"] >= len(self._images):
-            refuse(rules.BAD_INDEX, "add_material(texture=...)", int(material["texture"]), "an image's id")
+        """Add a material from the arguments of `make_material` and return its id.
+
+        A texture is the id of an image, which is then filtered linearly and repeated, or a `TextureMap`.
+        """
+        maps: dict[str, TextureMap] = {}
+        for name in TEXTURES:
+            given = values.get(name, -1)
+            if given == -1:
+                continue
+            maps[name] = texture = given if isinstance(given, TextureMap) else TextureMap(given)
+            if not -1 <= texture.image < len(self._images):
+                refuse(rules.BAD_INDEX, f"add_material({name}=...)", texture.image, "an image's id")
+        material = make_material(**{**values, **dict.fromkeys(maps, 0)})
+        for name, texture in maps.items():
+            material[name] = self._textures.add(texture, is_color=TEXTURES[name])
         self._materials.append(material)
         return len(self._materials) - 1
 
@@ -223,8 +278,14 @@ class SceneBuilder:
         self._node_names.extend([""] * count)
         return np.arange(first, first + count)
 
-    def add_objects(self, nodes: ArrayLike, meshes: ArrayLike, materials: ArrayLike) -> NDArray[np.int64]:
-        """Add objects, given ids of nodes, meshes and materials, (k,) or one for all; return their rows (k,)."""
+    def add_objects(
+        self, nodes: ArrayLike, meshes: ArrayLike, materials: ArrayLike, casts_shadow: bool = True
+    ) -> NDArray[np.int64]:
+        """Add objects, given ids of nodes, meshes and materials, (k,) or one for all; return their rows (k,).
+
+        They cast shadows of the lights that do, unless `casts_shadow` is False: a ground, below which nothing is seen,
+        costs shadow maps time.
+        """
         columns = np.broadcast_arrays(
             *(np.atleast_1d(np.asarray(v, np.int64)) for v in (nodes, meshes, materials))
         )
@@ -232,7 +293,7 @@ class SceneBuilder:
         for name, column, limit in zip(("nodes", "meshes", "materials"), columns, limits, strict=True):
             if column.size and (column.min() < 0 or column.max() >= limit):
                 refuse(rules.BAD_INDEX, f"add_objects({name}=...)", column, f"0 to {limit - 1}")
-        self._objects.append(np.stack(columns, axis=1))
+        self._objects.append(np.stack([*columns, np.full_like(columns[0], casts_shadow)], axis=1))
         first = self._object_count
         self._object_count += len(columns[0])
         return np.arange(first, self._object_count)
@@ -298,7 +359,7 @@ class SceneBuilder:
         )
         table = np.concatenate(self._objects)
         self._check_simulated(table[:, 1])
-        meshes = Meshes(self._geometries, self._mesh_names, self._bounds)
+        meshes = Meshes(self._complete_vertices(table), self._mesh_names, self._bounds)
         animated = nodes.rows[np.concatenate([np.zeros(0, np.int64), *(ids for ids, _, _ in self._animated)])]
         if len(np.unique(animated)) < len(animated):
             refuse(rules.SHARED_NODE, "animate(nodes=...)", "a node twice")
@@ -312,7 +373,7 @@ class SceneBuilder:
         objects = make_objects(
             nodes,
             meshes,
-            (nodes.rows[table[:, 0]], table[:, 1], table[:, 2]),
+            (nodes.rows[table[:, 0]], table[:, 1], table[:, 2], table[:, 3]),
             np.concatenate([np.zeros(0, np.int64), *(one.objects for one in self._simulated)]),
             animated,
             (lower, upper),
@@ -337,7 +398,31 @@ class SceneBuilder:
             self.background,
             self.haze,
             simulated,
+            self._textures.make(),
+            tuple(self._textures.samplers),
+            omissions=tuple(self.omissions),
         )
+
+    def _complete_vertices(self, table: NDArray[np.int64]) -> list[MeshGeometry]:
+        """Return the meshes with the attributes that the scene's materials read, and no others; `table` (n, 3) has the
+        node, mesh and material of each object."""
+        materials, textures = np.array(self._materials, MATERIAL), self._textures.make()
+        read = np.unique(np.concatenate([materials[name] for name in TEXTURES]))
+        kept = {"color"}
+        if textures["uv_set"][read[read >= 0]].any():
+            kept.add("uv2")
+        normals = materials["normal_texture"]
+        mapped = table[normals[table[:, 2]] >= 0]
+        if len(mapped):
+            kept.add("tangent")
+        geometries = list(self._geometries)
+        simulated = {int(table[row, 1]) for one in self._simulated for row in one.objects}
+        meshes, first = np.unique(mapped[:, 1], return_index=True)
+        for mesh, material in zip(meshes.tolist(), mapped[first, 2].tolist(), strict=True):
+            if "tangent" not in geometries[mesh].attributes:
+                uv = "uv2" if textures["uv_set"][normals[material]] else "uv"
+                geometries[mesh] = add_tangents(geometries[mesh], uv, splits=mesh not in simulated)
+        return [one.with_attributes(one.attributes & kept) for one in geometries]
 
 
 def _check_boxes(bounds: tuple[ArrayLike, ArrayLike], count: int) -> tuple[Floats, Floats]:

@@ -1,41 +1,68 @@
-"""Shaders of whole targets, and the way back from a pixel and its depth to a position.
+"""Shaders of whole targets, and the way from a pixel to the position of its surface.
 
-A clip matrix and a viewport are one linear map of homogeneous coordinates. Its inverse leads from (x, y, nearness, 1)
-to a position relative to the eye, for every lens: perspective with or without a far plane, orthographic, off-axis.
-*Nearness* is the distance of a depth from the farthest one: 0 is farthest, in both directions of depth. For standard
-depth it is exact in floats where depth is coarse (1 - d for d above 1/2), so nothing is lost in the inverse.
+A position is a *distance*, along the view, times the *ray* of the pixel, relative to the eye and along the axes of the
+world. A geometry buffer stores the distance; elsewhere it follows from the depth (`distance_at`). The numbers of all
+rays are computed in float64 (`renderer.techniques.full_screen`), and nothing is inverted in float32. So a position is
+as exact 3,000 km from the world's origin as near it, with every lens: perspective with or without a far plane,
+parallel, off-axis.
+
+*Nearness* is how far a depth is from the farthest one: 0 is farthest, in both directions of depth. For standard depth
+it is exact in floats where depth is coarse (1 - d for d above 1/2), so that nothing is lost on the way back from it.
 """
 
 from __future__ import annotations
 
-from rhi.shading import Shader, Struct, abs, function, mat4, vec2, vec3, vec4, vertex_index
+from rhi.shading import Shader, Struct, Uniform, abs, function, mat3, vec2, vec3, vec4, vertex_index
 
 
-class PixelConstants(Struct):
-    """Leads from pixels to positions: `from_pixel` @ (x, y in pixels, nearness, 1) is a position relative to the eye,
-    in homogeneous coordinates. `farthest` is the depth that targets are cleared to."""
+class PixelRays(Struct):
+    """Where the pixels of a view are: what is d along the view in the pixel at (x, y) is at
+    `across @ (x, y, 1) * w + along * d + start`, relative to the eye. The width w of the view is d with a perspective
+    lens and 1 with a parallel one: `lens.y - lens.w * d`. A nearness n is a distance of
+    `(lens.x - lens.y * n) / (lens.z - lens.w * n)`.
 
-    from_pixel: mat4
+    `size` is that of the image in pixels, `forward` the direction of the view, `far` the distance of its far plane, and
+    `farthest` its depth.
+    """
+
+    across: mat3
+    along: vec3
+    start: vec3
+    size: vec2
+    forward: vec3
+    far: float
     farthest: float
+    lens: vec4
 
 
 @function
-def nearness_of(depth: float, pixels: PixelConstants) -> float:
+def nearness_of(rays: PixelRays, depth: float) -> float:
     """Return the distance of a depth from the farthest one, which is that of pixels without a surface: 0."""
-    return abs(depth - pixels.farthest)
+    return abs(depth - rays.farthest)
 
 
 @function
-def position_at(place: vec2, nearness: float, pixels: PixelConstants) -> vec3:
-    """Return the position relative to the eye, along the world's axes, of what is drawn at `place`, in pixels: those of
-    `fragment_coordinate()`, or a texel plus a half."""
-    position = pixels.from_pixel @ vec4(place, nearness, 1.0)
-    return position.xyz / position.w
+def distance_at(rays: PixelRays, nearness: float) -> float:
+    """Return how far along the view something of this nearness is."""
+    return (rays.lens.x - rays.lens.y * nearness) / (rays.lens.z - rays.lens.w * nearness)
+
+
+@function
+def place_pixel(rays: PixelRays, pixel: vec2, distance: float) -> vec3:
+    """Return the position relative to the eye, along the world's axes, of what is `distance` along the view at `pixel`:
+    a `fragment_coordinate()`, or a texel plus a half."""
+    width = rays.lens.y - rays.lens.w * distance
+    return rays.across @ vec3(pixel, 1.0) * width + (rays.along * distance + rays.start)
 
 
 class FullScreen(Shader):
-    """The base of shaders whose fragments are all pixels of a target: one triangle around it, at half the depth."""
+    """The base of shaders whose fragments are all pixels of a target: one triangle around it, at the depth of the
+    background. So a depth test tells the pixels that have a surface."""
+
+    rays: Uniform[PixelRays]
 
     def vertex(self) -> vec4:
         corner = vertex_index()
-        return vec4(float(corner % 2) * 4.0 - 1.0, float(corner // 2) * 4.0 - 1.0, 0.5, 1.0)
+        x = float(corner % 2) * 4.0 - 1.0
+        y = float(corner // 2) * 4.0 - 1.0
+        return vec4(x, y, self.rays.farthest, 1.0)

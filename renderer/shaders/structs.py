@@ -90,14 +90,30 @@ class Material(Struct):
     rim_power: float
     texture: int
     emission: float
+    emissive: vec3
+    emissive_texture: int
+    metallic: float
+    roughness: float
+    metallic_roughness_texture: int
+    model: int
+    normal_texture: int
+    normal_scale: float
+    occlusion_texture: int
+    occlusion_strength: float
+    alpha_mode: int
+    alpha_cutoff: float
+    double_sided: int
+    pad: int
 
 
 class DirectionalLight(Struct):
-    """A directional light, laid out as `renderer.scene.DIRECTIONAL`; it travels along the unit vector `direction`."""
+    """A directional light, laid out as `renderer.scene.DIRECTIONAL`; it travels along the unit vector `direction`.
+    `casts_shadow` is 0 or 1."""
 
     direction: vec3
     intensity: float
     color: vec3
+    casts_shadow: uint
 
 
 class PointLight(Struct):

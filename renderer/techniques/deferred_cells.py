@@ -13,8 +13,8 @@ from __future__ import annotations
 from functools import cache, partial
 from typing import Final
 
-from renderer.frame import IMAGE_FORMAT, Effect, Frame, Needs, Pass, Target
-from renderer.lights.culling.cells import Cell, CellGrid, block_cell, distances_of, padded_radius
+from renderer.frame import Effect, Frame, Needs, Pass, Target
+from renderer.lights.culling.cells import Cell, CellGrid, block_cell, padded_radius, range_of
 from renderer.lights.culling.cone_tests import Cone, cone_overlaps_tightly
 from renderer.lights.culling.kernels import LightCounts
 from renderer.lights.culling.sphere_tests import overlaps_hybrid
@@ -23,12 +23,12 @@ from renderer.lights.culling.volumes import WORD
 from renderer.shaders.lighting import is_near, point_light, spot_light
 from renderer.shaders.structs import PointLight, SpotLight, SurfacePoint
 from renderer.techniques.cell_lists import CellReader, ClusterLists, bind_lists, list_pass
-from renderer.techniques.deferred import Deferred, ResolveShader, draw_resolve, resolve
+from renderer.techniques.deferred import Deferred, GeometryResolve, resolve, resolve_geometry
 from renderer.techniques.forward import bind_lamps, bind_shading, explain_lamps, list_lamps
 from renderer.techniques.forward_shader import LampShader
 from renderer.techniques.geometry_buffer import GeometryReader, bind_geometry, geometry_pass
-from renderer.techniques.resolve import LIGHT_FORMAT
-from rhi import Device
+from renderer.techniques.resolve import LIGHT_FORMAT, resolve_pass
+from rhi import Device, Texture
 from rhi.shading import (
     Image2D,
     Precision,
@@ -47,7 +47,6 @@ from rhi.shading import (
     image,
     ivec2,
     local_index,
-    max,
     min,
     shared,
     uint,
@@ -67,7 +66,7 @@ _CHUNK: Final = 64
 _READS: Final = ("surface", "material", "depth")
 
 
-class LitByLists(CellReader, LampShader, ResolveShader):
+class LitByLists(CellReader, LampShader, GeometryResolve):
     """Makes the image from the geometry buffer, lit by the lights of clusters."""
 
     def local_light(self, surface: SurfacePoint, pixel: ivec2, distance: float) -> vec3:
@@ -129,12 +128,15 @@ class TiledLighting(GeometryReader):
                         color += self.light_of(surface, light)
             barrier()
         if inside:
-            self.lit.store(pixel, vec4(color, 0.0))
+            self.lit.store(pixel, self.encode_light(color))
+
+    def encode_light(self, color: vec3) -> vec4:
+        return vec4(color, 0.0)
 
     def find_cell(self, lane: int, tile: ivec2, depth: float, has_surface: bool) -> Cell:
         """Return the tile's cell between its nearest and its farthest surface; it is empty without any."""
         if lane == 0:
-            self.least = uint(0xFFFFFFFF)
+            self.least = uint(0x7F7FFFFF)  # the largest float: as long as no depth is below it, there is none
             self.greatest = uint(0)
         barrier()
         if has_surface:
@@ -142,14 +144,8 @@ class TiledLighting(GeometryReader):
             atomic_min(self.least, bits)
             atomic_max(self.greatest, bits)
         barrier()
-        near = 1.0
-        far = 0.0
-        if self.least <= self.greatest:
-            one = distances_of(self.grid, uint_bits_to_float(self.least))
-            other = distances_of(self.grid, uint_bits_to_float(self.greatest))
-            near = min(one.x, other.x)
-            far = max(one.y, other.y)
-        return block_cell(self.grid, tile, 1, near, far)
+        ends = range_of(self.grid, uint_bits_to_float(self.least), uint_bits_to_float(self.greatest))
+        return block_cell(self.grid, tile, 1, ends.x, ends.y)
 
     def reaches(self, light: int, cell: Cell) -> bool:
         """Return whether a light may reach a cell that isn't empty."""
@@ -225,12 +221,10 @@ class TiledDeferred:
         return (
             geometry_pass(needs),
             Pass("tiles", light_tiles, explain_lamps(needs), reads=_READS, writes=(Target("light", LIGHT_FORMAT),)),
-            Pass(
-                "resolve",
+            resolve_pass(
                 partial(resolve, lights=("light",)),
                 "lights surfaces by what reaches all of them",
-                reads=(*_READS, "light"),
-                writes=(Target("image", IMAGE_FORMAT),),
+                (*_READS, "light"),
             ),
         )
 
@@ -247,37 +241,42 @@ class ClusteredDeferred:
         return (
             geometry_pass(needs),
             list_pass(needs, ClusterLists),
-            Pass(
-                "resolve",
+            resolve_pass(
                 light_clusters,
                 "lights surfaces by what reaches all of them and by their clusters' lights",
-                reads=(*_READS, "light lists"),
-                writes=(Target("image", IMAGE_FORMAT),),
+                (*_READS, "light lists"),
             ),
         )
 
 
 @cache
-def tiled_variant(parts: tuple[str, ...], *, has_images: bool) -> type[Shader]:
-    """Return the compute shader for point lights, spot lights or both."""
+def tiled_variant(
+    parts: tuple[str, ...], added: tuple[type[TiledLighting], ...] = (), *, has_images: bool
+) -> type[Shader]:
+    """Return the compute shader for point lights, spot lights or both; bases that are `added` come first."""
     known = {"point_lights": TiledPointLights, "spot_lights": TiledSpotLights}
-    bases = tuple(known[part] for part in parts)
+    bases = (*added, *(known[part] for part in parts))
     return type("TiledLights", bases, {"__module__": __name__, "has_images": has_images})
 
 
 def light_tiles(frame: Frame) -> None:
     """Add up the light of point and spot lights in `light`."""
+    dispatch_tiles(frame, frame.targets["light"])
+
+
+def dispatch_tiles(frame: Frame, lit: Texture, added: tuple[type[TiledLighting], ...] = ()) -> None:
+    """Run the compute shader for all tiles. With bases that are `added`, it adds up something else than light."""
     resources = frame.resources
-    uploads = resources.workspace(TileUploads)
+    uploads = frame.view.workspace(TileUploads)
     uploads.write(frame.camera, frame.targets.size, resources.scene.lights)
     parts, lamps = bind_lamps(frame)
     lamps.pop("light_rows")
     count = uploads.layout.count
     frame.device.dispatch(
-        frame.device.program(tiled_variant(tuple(parts), has_images=Effect.IMAGES in frame.needs.effects)),
+        frame.device.program(tiled_variant(tuple(parts), added, has_images=Effect.IMAGES in frame.needs.effects)),
         (count.x, count.y),
         depth=frame.targets["depth"],
-        lit=frame.targets["light"].image(0),
+        lit=lit.image(0),
         **uploads.bindings,
         **bind_geometry(frame),
         **lamps,
@@ -287,4 +286,4 @@ def light_tiles(frame: Frame) -> None:
 def light_clusters(frame: Frame) -> None:
     """Make the image: shade each pixel of the geometry buffer by the light of everything and of its cluster."""
     (features, bindings), (parts, lamps) = bind_shading(frame), bind_lamps(frame)
-    draw_resolve(frame, LitByLists, [*features, *parts], bindings | lamps | bind_lists(frame, ClusterLists))
+    resolve_geometry(frame, LitByLists, [*features, *parts], bindings | lamps | bind_lists(frame, ClusterLists))

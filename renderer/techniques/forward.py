@@ -9,6 +9,7 @@ from collections.abc import Iterable
 from typing import Any, Final
 
 from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Effect, Frame, Needs, Pass, Target, TechniquePass
+from renderer.shadows import ShadowMaps
 from renderer.techniques.depth import draw_depth
 from renderer.techniques.forward_shader import forward_variant
 from rhi import Program, Texture
@@ -149,4 +150,7 @@ def bind_shading(frame: Frame) -> tuple[list[str], dict[str, Any]]:
     }
     present: dict[str, Any] = dict(binding for effect, binding in optional.items() if effect in effects)
     features = [*present, *(["emission"] if Effect.EMISSION in effects else [])]
+    if Effect.SUN_SHADOWS in effects:
+        parts, maps = resources.workspace(ShadowMaps).bind_sun()
+        features, present = [*features, *parts], present | maps
     return features, present | {"ambient": resources.ambient.buffer}

@@ -36,9 +36,9 @@ from renderer.techniques.forward_shader import (
     WithSpotLights,
     forward_variant,
 )
-from renderer.techniques.resolve import LIGHT_FORMAT, declare_resolve
+from renderer.techniques.resolve import LIGHT_FORMAT, sum_pass
 from renderer.techniques.scene_shader import Textured
-from rhi import BlendFunction, CullMode, DepthFunction, DepthTest, DepthWrite, Program, State
+from rhi import BlendFunction, CullMode, DepthFunction, DepthTest, DepthWrite, Program, State, Texture
 from rhi.shading import Shader, Storage, Struct, instance_index, ivec3, vec3, vec4
 
 _ADDED: Final[tuple[State, ...]] = (
@@ -118,7 +118,7 @@ class ForwardMultipass:
                 )
             )
             light = result
-        return *passes, declare_resolve(needs, light)
+        return *passes, sum_pass(needs, light)
 
 
 @cache
@@ -155,8 +155,18 @@ def _draw_base(frame: Frame) -> None:
 
 
 def _add_lamps(frame: Frame, effect: Effect) -> None:
-    """Draw every pair of a visible object and a light that reaches it, adding up the light."""
-    device, resources, targets = frame.device, frame.resources, frame.targets
+    shader = pair_variant(effect, has_images=Effect.IMAGES in frame.needs.effects)
+    bindings = bind_surfaces(frame)[1] | bind_lamps(frame, [effect])[1]
+    draw_pairs(frame, effect, shader, frame.targets["light"], **bindings)
+
+
+def draw_pairs(frame: Frame, effect: Effect, shader: type[Shader], color: Texture, **bindings: Any) -> None:
+    """Draw every pair of a visible object and a light that reaches it, adding up what the shader returns.
+
+    Args:
+        shader: a subclass of `PointPairs` or `SpotPairs`, with its `bindings` but `pairs`.
+    """
+    device, resources = frame.device, frame.resources
     is_point = effect is Effect.POINT_LIGHTS
     lights = frame.needs.point_rows if is_point else frame.needs.spot_rows
     objects, entries = resources.pair_lights(_list_visible(frame), lights, spots=not is_point)
@@ -166,10 +176,9 @@ def _add_lamps(frame: Frame, effect: Effect) -> None:
     pairs["object"], pairs["entry"] = objects, entries
     draws = resources.draws[objects]
     draws["base_instance"] = np.arange(len(objects))
-    (images, bindings), (_, lamps) = bind_surfaces(frame), bind_lamps(frame, [effect])
-    program: Program[Any] = device.program(pair_variant(effect, has_images=bool(images)))
-    bindings |= lamps | {"pairs": device.transient.storage(Pair, pairs)}
-    with device.render_pass(targets["light"], targets["depth"]), device.states(*_ADDED):
+    program: Program[Any] = device.program(shader)
+    bindings["pairs"] = device.transient.storage(Pair, pairs)
+    with device.render_pass(color, frame.targets["depth"]), device.states(*_ADDED):
         for mirrored, winding in WINDINGS:
             chosen = draws[resources.find_winding(objects, mirrored=mirrored)]
             if chosen.size:

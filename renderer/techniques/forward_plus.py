@@ -14,6 +14,7 @@ from typing import Final
 
 from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target, TechniquePass
 from renderer.lights.culling.grid import LightGrid
+from renderer.shaders.pixels import PixelRays
 from renderer.shaders.structs import SurfaceVarying
 from renderer.techniques.cell_lists import (
     CellReader,
@@ -25,7 +26,7 @@ from renderer.techniques.cell_lists import (
 from renderer.techniques.depth import draw_depth
 from renderer.techniques.forward import Forward, bind_lamps, bind_materials, list_lamps
 from renderer.techniques.forward_shader import ForwardShader, forward_variant
-from renderer.techniques.geometry_buffer import PixelRays, Screen
+from renderer.techniques.full_screen import bind_rays
 from rhi import DepthFunction, DepthWrite
 from rhi.shading import Shader, Uniform, dot, vec4
 
@@ -105,14 +106,13 @@ def draw_listed(frame: Frame, kind: type[LightGrid], *, after_depth: bool) -> No
     """Draw the visible objects, lit by the lights of their cells; where depth was drawn before, only what is seen."""
     (features, bindings), (more, lamps) = bind_materials(frame), bind_lamps(frame)
     shader = cells_variant((*features, *more), has_sun=frame.needs.has_sun)
-    rays = {"rays": frame.resources.workspace(Screen).find_rays(frame)}
     frame.draw_visible(
         TechniquePass(
             frame.device,
             frame.resources,
             frame.view,
             frame.device.program(shader),
-            bindings | lamps | bind_lists(frame, kind) | rays,
+            bindings | lamps | bind_lists(frame, kind) | bind_rays(frame),
             color=frame.targets["image"],
             depth=frame.targets["depth"],
             clear=(*frame.resources.scene.background, 1.0),

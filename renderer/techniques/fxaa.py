@@ -145,4 +145,4 @@ class Smoothed:
 def _smooth(frame: Frame) -> None:
     image, source = frame.targets["smooth image"], frame.targets["image with edges"]
     image.copy_to(source)
-    draw_full_screen(frame, Fxaa, image, source=source)
+    draw_full_screen(frame, Fxaa, image, {"source": source})

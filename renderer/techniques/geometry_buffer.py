@@ -9,120 +9,55 @@
 
 Materials stay in the scene's array, so a surface is lit by its own, unrounded numbers. The distance is a float of its
 own, because a texture can't be read while it is the target of a depth test. So it doesn't depend on the direction of
-depth either: where standard depth is 0.3 m wrong, a position is still exact. A position is the distance times the ray
-of its pixel, relative to the eye (`PixelRays`); nothing is inverted in float32, wherever the eye is in the world.
+depth either: where standard depth is 0.3 m wrong, a position is still exact.
 
 A texel's colour is stored as its square root. Its 10 bits are then 4 times as fine as an image's own 8, which a bright
 light on a dark texel needs. What isn't covered keeps what the buffer held: passes over the whole image leave out the
-background by a depth test (`cover_geometry`).
+background by a depth test (`draw_full_screen`).
 """
 
 from __future__ import annotations
 
 from typing import Any, Final
 
-import numpy as np
-
 from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target, TechniquePass
-from renderer.frame.passes import FARTHEST
-from renderer.frame.resources import MirroredValue
-from renderer.scene import Camera, Depth
+from renderer.shaders.encodings import decode_normal, encode_normal
 from renderer.shaders.lighting import safe_normalize
+from renderer.shaders.pixels import PixelRays, place_pixel
 from renderer.shaders.structs import Material, SurfacePoint, SurfaceVarying
+from renderer.techniques.full_screen import bind_rays
 from renderer.techniques.scene_shader import SceneShader, Textured
-from rhi import CullMode, DepthFunction, DepthWrite, Device, Format, State, UniformBuffer
+from rhi import Format
 from rhi.shading import (
     Shader,
     Storage,
     Struct,
     UintTexture2D,
     Uniform,
-    abs,
     dot,
     float_bits_to_uint,
     floor,
     function,
     ivec2,
-    mat3,
-    max,
-    normalize,
-    pack_snorm_2x16,
     round,
     saturate,
     sqrt,
     uint,
     uint_bits_to_float,
-    unpack_snorm_2x16,
     uvec2,
     uvec4,
     vec2,
     vec3,
-    vec4,
-    vertex_index,
 )
 
 SURFACE_FORMAT: Final = Format.RG32UI
 """The format of normals and distances."""
-
-BEHIND: Final = {Depth.REVERSED: DepthFunction.LESS, Depth.STANDARD: DepthFunction.GREATER}
-"""The depth function that is passed behind the geometry, and never in front of the background."""
-
-
-class PixelRays(Struct):
-    """Where the pixels of a view are: what is `distance` along the view in the pixel at (x, y) is at
-    `direction @ (x, y, 1) * distance + origin @ (x, y, 1)`, relative to the eye. With a perspective lens `origin` is 0.
-
-    `size` is that of the image in pixels, `forward` the direction of the view, `far` the distance of its far plane, and
-    `farthest` its depth.
-    """
-
-    direction: mat3
-    origin: mat3
-    size: vec2
-    forward: vec3
-    far: float
-    farthest: float
-
-
-@function
-def place_pixel(rays: PixelRays, pixel: vec2, distance: float) -> vec3:
-    """Return the position, relative to the eye, of what is `distance` along the view in a pixel."""
-    at = vec3(pixel, 1.0)
-    return rays.direction @ at * distance + rays.origin @ at
 
 
 @function
 def find_shrunk(texel: vec2, size: vec2, shrunk: ivec2) -> vec2:
     """Return the center of the pixel of an image of `size` that is stored at the center of a texel of a shrunk one."""
     return floor(texel * size / vec2(shrunk)) + 0.5
-
-
-@function
-def away_from_zero(x: float) -> float:
-    """Return -1 for negative numbers, otherwise 1."""
-    return -1.0 if x < 0.0 else 1.0
-
-
-@function
-def encode_normal(normal: vec3) -> uint:
-    """Return a unit vector in 2 × 16 bits: its octahedral projection, the lower half folded over the corners."""
-    place = normal.xy / max(abs(normal.x) + abs(normal.y) + abs(normal.z), 1e-30)
-    if normal.z < 0.0:
-        x = (1.0 - abs(place.y)) * away_from_zero(place.x)
-        y = (1.0 - abs(place.x)) * away_from_zero(place.y)
-        place = vec2(x, y)
-    return pack_snorm_2x16(place)
-
-
-@function
-def decode_normal(bits: uint) -> vec3:
-    """Return the unit vector that `encode_normal` has stored, at most 0.0037° beside it."""
-    place = unpack_snorm_2x16(bits)
-    z = 1.0 - abs(place.x) - abs(place.y)
-    fold = max(-z, 0.0)
-    return normalize(
-        vec3(place.x - away_from_zero(place.x) * fold, place.y - away_from_zero(place.y) * fold, z)
-    )
 
 
 @function
@@ -217,82 +152,6 @@ class GeometryReader(SurfaceReader):
         )
 
 
-class CoverShader(Shader):
-    """The base of shaders that are run for each pixel of the image, by a triangle at the depth of the background."""
-
-    rays: Uniform[PixelRays]
-
-    def vertex(self) -> vec4:
-        corner = vec2(float(vertex_index() & 1), float(vertex_index() >> 1))
-        return vec4(corner * 4.0 - 1.0, self.rays.farthest, 1.0)
-
-
-class Screen:
-    """What a technique keeps to run shaders for each pixel: a triangle that covers the image, and the rays of the view.
-
-    Attributes:
-        triangle: the mesh for a `CoverShader`.
-    """
-
-    def __init__(self, device: Device) -> None:
-        self.triangle = device.mesh(3, label="screen")
-        zeros = np.zeros((3, 3))
-        self._rays = MirroredValue(
-            device,
-            PixelRays(direction=zeros, origin=zeros, size=(0, 0), forward=(0, 0, 0), far=0.0, farthest=0.0),
-        )
-
-    def find_rays(self, frame: Frame) -> UniformBuffer[PixelRays]:
-        """Return the rays of the frame's view; they are uploaded if they have changed."""
-        self._rays.write(find_rays(frame.camera, frame.targets.size))
-        return self._rays.buffer
-
-    def destroy(self) -> None:
-        """Destroy the resources on the device."""
-        self.triangle.destroy()
-        self._rays.destroy()
-
-
-def find_rays(camera: Camera, size: tuple[int, int]) -> PixelRays:
-    """Return the rays through the pixels of an image of `size`, computed in float64."""
-    (width, height), matrix = size, camera.projection.matrix
-    # A lens maps (x, y, -distance) to clip coordinates. Its rows are solved for x and y, as functions of the pixel.
-    by_distance, constant = -matrix[3, 2], matrix[3, 3]  # w = by_distance * distance + constant
-    pixel_x, pixel_y = np.array([2.0 / width, 0.0, -1.0]), np.array([0.0, -2.0 / height, 1.0])
-    last = np.array([0.0, 0.0, 1.0])
-    direction = np.stack(
-        [
-            (pixel_x * by_distance + matrix[0, 2] * last) / matrix[0, 0],
-            (pixel_y * by_distance + matrix[1, 2] * last) / matrix[1, 1],
-            -last,
-        ]
-    )
-    origin = np.stack(
-        [
-            (pixel_x * constant - matrix[0, 3] * last) / matrix[0, 0],
-            (pixel_y * constant - matrix[1, 3] * last) / matrix[1, 1],
-            0.0 * last,
-        ]
-    )
-    depth = camera.projection.depth
-    return PixelRays(
-        direction=camera.rotation.T @ direction,
-        origin=camera.rotation.T @ origin,
-        size=size,
-        forward=camera.forward,
-        far=find_far(camera),
-        farthest=FARTHEST[depth],
-    )
-
-
-def find_far(camera: Camera) -> float:
-    """Return the distance of the far plane, or the largest float if there is none."""
-    planes = camera.frustum.planes
-    if len(planes) < 6:
-        return float(np.finfo(np.float32).max)
-    return float(planes[5] @ np.array([*camera.position, 1.0]))
-
-
 def geometry_pass(needs: Needs, depth_format: Format = DEPTH_FORMAT) -> Pass[Frame]:
     """Return the pass that draws the geometry buffer: `surface`, `material` and `depth`."""
     return Pass(
@@ -332,7 +191,7 @@ def bind_scene(frame: Frame) -> dict[str, Any]:
     """Return the bindings of a `SurfaceShader`."""
     resources = frame.resources
     return {
-        "rays": resources.workspace(Screen).find_rays(frame),
+        **bind_rays(frame),
         "view": frame.view.buffer,
         "objects": resources.objects.buffer,
         "places": resources.places.buffer,
@@ -341,8 +200,7 @@ def bind_scene(frame: Frame) -> dict[str, Any]:
 
 def bind_surface(frame: Frame, surface: str = "surface") -> dict[str, Any]:
     """Return the bindings of a `SurfaceReader`; `surface` is the name of its contents."""
-    rays = frame.resources.workspace(Screen).find_rays(frame)
-    return {"rays": rays, "surface": frame.targets[surface]}
+    return bind_rays(frame) | {"surface": frame.targets[surface]}
 
 
 def bind_geometry(frame: Frame) -> dict[str, Any]:
@@ -351,8 +209,3 @@ def bind_geometry(frame: Frame) -> dict[str, Any]:
         "material": frame.targets["material"],
         "materials": frame.resources.materials.buffer,
     }
-
-
-def cover_geometry(frame: Frame) -> tuple[State, ...]:
-    """Return the states in which a `CoverShader` is run where geometry was drawn, and not for the background."""
-    return CullMode.NONE, DepthWrite.OFF, BEHIND[frame.camera.projection.depth]

@@ -19,16 +19,16 @@ from typing import Final
 
 from renderer import rules
 from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target
+from renderer.shaders.encodings import decode_normal
+from renderer.shaders.pixels import FullScreen
 from renderer.shaders.structs import SurfacePoint
 from renderer.techniques.forward import Forward, bind_materials
 from renderer.techniques.forward_shader import ForwardShader, forward_variant
+from renderer.techniques.full_screen import draw_full_screen
 from renderer.techniques.geometry_buffer import (
     SURFACE_FORMAT,
-    CoverShader,
-    Screen,
     SurfaceReader,
     bind_surface,
-    decode_normal,
     find_shrunk,
 )
 from renderer.techniques.light_pre_pass import (
@@ -39,7 +39,7 @@ from renderer.techniques.light_pre_pass import (
     normals_pass,
 )
 from renderer.techniques.light_volumes import BRIGHTEST, declare_lights
-from rhi import CullMode, DepthFunction, refuse
+from rhi import DepthFunction, DepthWrite, refuse
 from rhi.shading import (
     FragmentDepth,
     Struct,
@@ -86,7 +86,7 @@ class ShrunkTexels(Struct):
     depth: FragmentDepth
 
 
-class ShrinkShader(CoverShader):
+class ShrinkShader(FullScreen):
     """Copies every so many pixels. The background is put out of reach of the filter."""
 
     surface: UintTexture2D
@@ -192,18 +192,19 @@ def shrink(frame: Frame) -> None:
     """Keep the surfaces of every so many pixels."""
     device, targets = frame.device, frame.targets
     small = targets["small surface"]
-    with (
-        device.render_pass([small, targets["small shininess"]], targets["small depth"]),
-        device.states(CullMode.NONE, DepthFunction.ALWAYS),
-    ):
-        device.draw(
-            device.program(ShrinkShader),
-            frame.resources.workspace(Screen).triangle,
-            **bind_surface(frame),
-            shininess=targets["shininess"],
-            depth=targets["depth"],
-            shrunk=device.transient.uniform(Shrunk(size=small.size)),
-        )
+    draw_full_screen(
+        frame,
+        ShrinkShader,
+        [small, targets["small shininess"]],
+        {
+            "surface": targets["surface"],
+            "shininess": targets["shininess"],
+            "depth": targets["depth"],
+            "shrunk": device.transient.uniform(Shrunk(size=small.size)),
+        },
+        depth=targets["small depth"],
+        states=(DepthFunction.ALWAYS, DepthWrite.ON),
+    )
 
 
 @cache

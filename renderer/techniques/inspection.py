@@ -15,18 +15,17 @@ from typing import Any, Final
 
 from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target, TechniquePass
 from renderer.shaders.lighting import in_range, safe_normalize
-from renderer.shaders.pixels import FullScreen, PixelConstants, nearness_of, position_at
+from renderer.shaders.pixels import FullScreen, distance_at, nearness_of, place_pixel
 from renderer.shaders.structs import SurfacePoint, SurfaceVarying
 from renderer.techniques.depth import draw_depth
 from renderer.techniques.forward import bind_lamps
 from renderer.techniques.forward_shader import LampShader, MaterialShader, WithPointLights, WithSpotLights
-from renderer.techniques.full_screen import bind_pixels, draw_full_screen
+from renderer.techniques.full_screen import draw_full_screen
 from renderer.techniques.scene_shader import SceneShader
 from rhi import BlendFunction, Format, State, Texture
 from rhi.shading import (
     Shader,
     Texture2D,
-    Uniform,
     fragment_coordinate,
     function,
     ivec2,
@@ -119,14 +118,13 @@ class Distances(FullScreen):
     """Shows the distance from the eye."""
 
     depth: Texture2D
-    pixels: Uniform[PixelConstants]
 
     def fragment(self) -> vec4:
         place = fragment_coordinate().xy
-        nearness = nearness_of(self.depth.load(ivec2(place)).x, self.pixels)
+        nearness = nearness_of(self.rays, self.depth.load(ivec2(place)).x)
         if nearness == 0.0:
             return vec4(0.0, 0.0, 0.0, 1.0)
-        away = length(position_at(place, nearness, self.pixels))
+        away = length(place_pixel(self.rays, place, distance_at(self.rays, nearness)))
         shade = saturate(1.0 - log2(max(away, 0.1) * 10.0) / _DECADES)
         return vec4(vec3(shade * shade), 1.0)  # about even to the eye
 
@@ -188,12 +186,12 @@ def _draw_fragments(frame: Frame) -> None:
 
 def _show_fragments(frame: Frame) -> None:
     targets = frame.targets
-    draw_full_screen(frame, FragmentCounts, targets["image"], fragments=targets["fragments"])
+    draw_full_screen(frame, FragmentCounts, targets["image"], {"fragments": targets["fragments"]})
 
 
 def _show_depth(frame: Frame) -> None:
     targets = frame.targets
-    draw_full_screen(frame, Distances, targets["image"], depth=targets["depth"], pixels=bind_pixels(frame))
+    draw_full_screen(frame, Distances, targets["image"], {"depth": targets["depth"]})
 
 
 _IMAGE: Final = Target("image", IMAGE_FORMAT)

@@ -24,12 +24,12 @@ from numpy.typing import NDArray
 from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target, Targets, TechniquePass
 from renderer.lights.rectangles import bound_cones, bound_spheres
 from renderer.shaders.lighting import point_light, safe_normalize, spot_light
-from renderer.shaders.pixels import PixelConstants, nearness_of, position_at
+from renderer.shaders.pixels import PixelRays, distance_at, nearness_of, place_pixel
 from renderer.shaders.structs import SurfacePoint
 from renderer.techniques.depth import draw_depth
 from renderer.techniques.forward import Forward, bind_lamps, bind_materials, explain_lamps, list_lamps
 from renderer.techniques.forward_shader import WithPointLights, WithSpotLights, forward_variant
-from renderer.techniques.full_screen import bind_pixels
+from renderer.techniques.full_screen import bind_rays
 from rhi import (
     BlendColor,
     BlendFactor,
@@ -108,7 +108,7 @@ class PackIndices(Shader):
 
     volumes: Storage[IndexedVolume]
     depth: Texture2D
-    pixels: Uniform[PixelConstants]
+    rays: Uniform[PixelRays]
 
     def vertex(self) -> IndexVarying:
         corner = vertex_index()
@@ -120,11 +120,11 @@ class PackIndices(Shader):
 
     def fragment(self, v: IndexVarying) -> vec4:
         place = fragment_coordinate().xy
-        nearness = nearness_of(self.depth.load(ivec2(place)).x, self.pixels)
+        nearness = nearness_of(self.rays, self.depth.load(ivec2(place)).x)
         if nearness == 0.0:
             discard()
         light = self.volumes[v.volume]
-        away = position_at(place, nearness, self.pixels) - light.position
+        away = place_pixel(self.rays, place, distance_at(self.rays, nearness)) - light.position
         if dot(away, away) >= light.range * light.range:
             discard()
         if dot(safe_normalize(away), light.direction) <= light.cos_outer:
@@ -250,7 +250,7 @@ def _pack_indices(frame: Frame) -> None:
             len(volumes),
             volumes=device.transient.storage(IndexedVolume, volumes),
             depth=frame.targets["depth"],
-            pixels=bind_pixels(frame),
+            **bind_rays(frame),
         )
 
 

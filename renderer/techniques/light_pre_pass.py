@@ -21,8 +21,9 @@ from typing import Any, Final
 
 from renderer import rules
 from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Effect, Frame, Needs, Pass, Target, TechniquePass
-from renderer.shaders.lighting import highlight, is_near, point_incidence, safe_normalize, spot_incidence
-from renderer.shaders.structs import Incidence, Material, SurfacePoint, SurfaceVarying
+from renderer.shaders.encodings import decode_normal
+from renderer.shaders.lighting import highlight, safe_normalize
+from renderer.shaders.structs import Material, SurfacePoint, SurfaceVarying
 from renderer.techniques.forward import Forward, bind_materials
 from renderer.techniques.forward_shader import ForwardShader, forward_variant
 from renderer.techniques.geometry_buffer import (
@@ -31,20 +32,18 @@ from renderer.techniques.geometry_buffer import (
     SurfaceShader,
     bind_scene,
     bind_surface,
-    decode_normal,
 )
 from renderer.techniques.light_volumes import (
     BRIGHTEST,
-    PointVolumes,
-    SpotVolumes,
+    VolumeShader,
     VolumeVarying,
     declare_lights,
     draw_volumes,
+    lit_variant,
 )
 from rhi import DepthFunction, DepthWrite, Format, Program, Texture, refuse
 from rhi.shading import (
     Precision,
-    Shader,
     Storage,
     Struct,
     Texture2D,
@@ -55,7 +54,6 @@ from rhi.shading import (
     max,
     min,
     uvec2,
-    uvec4,
     vec3,
     vec4,
 )
@@ -95,15 +93,23 @@ def luminance(color: vec3) -> float:
     return dot(color, vec3(0.2126, 0.7152, 0.0722))
 
 
-class TermReader(SurfaceReader):
-    """The base of shaders that collect terms."""
+class TermShader(VolumeShader, SurfaceReader):
+    """Collects the terms of lights by their volumes."""
 
     precision = Precision.FAST
 
     shininess: Texture2D
 
-    def collect(self, texel: uvec4, place: ivec2, position: vec3, incidence: Incidence) -> LightTerms:
-        """Return the terms of light that arrives at the surface at a place of the buffers."""
+    def fragment(self, v: VolumeVarying) -> LightTerms:
+        return self.collect(v.light, ivec2(fragment_coordinate().xy))
+
+    def collect(self, light: int, place: ivec2) -> LightTerms:
+        """Return the terms of a light at the surface at a place of the buffers."""
+        texel = self.surface.load(place)
+        position = self.find_place(texel, place)
+        if not self.is_reached(position, light):
+            return LightTerms(diffuse=vec4(0.0), specular=vec4(0.0))
+        incidence = self.find_incidence(position, light)
         surface = SurfacePoint(
             position=position,
             normal=decode_normal(texel.x),
@@ -120,48 +126,11 @@ class TermReader(SurfaceReader):
         return LightTerms(diffuse=vec4(diffuse, luminance(specular)), specular=vec4(specular, 0.0))
 
 
-class PointTerms(PointVolumes, TermReader):
-    """Collects the terms of point lights."""
-
-    def fragment(self, v: VolumeVarying) -> LightTerms:
-        return self.collect_at(v.light, ivec2(fragment_coordinate().xy))
-
-    def collect_at(self, row: int, place: ivec2) -> LightTerms:
-        texel = self.surface.load(place)
-        position = self.find_place(texel, place)
-        light = self.point_lights[row]
-        if not is_near(position, light.position, light.range):
-            return LightTerms(diffuse=vec4(0.0), specular=vec4(0.0))
-        return self.collect(texel, place, position, point_incidence(position, light))
-
-
-class SpotTerms(SpotVolumes, TermReader):
-    """Collects the terms of spot lights."""
-
-    def fragment(self, v: VolumeVarying) -> LightTerms:
-        return self.collect_at(v.light, ivec2(fragment_coordinate().xy))
-
-    def collect_at(self, row: int, place: ivec2) -> LightTerms:
-        texel = self.surface.load(place)
-        position = self.find_place(texel, place)
-        light = self.spot_lights[row]
-        if not is_near(position, light.position, light.range):
-            return LightTerms(diffuse=vec4(0.0), specular=vec4(0.0))
-        return self.collect(texel, place, position, spot_incidence(position, light))
-
-
-class PackedPointTerms(PointTerms):
-    """Collects the terms of point lights, the specular one as a luminance."""
+class PackedTerms(TermShader):
+    """Collects the terms of lights, the specular one as a luminance."""
 
     def fragment(self, v: VolumeVarying) -> vec4:  # type: ignore[override]
-        return self.collect_at(v.light, ivec2(fragment_coordinate().xy)).diffuse
-
-
-class PackedSpotTerms(SpotTerms):
-    """Collects the terms of spot lights, the specular one as a luminance."""
-
-    def fragment(self, v: VolumeVarying) -> vec4:  # type: ignore[override]
-        return self.collect_at(v.light, ivec2(fragment_coordinate().xy)).diffuse
+        return self.collect(v.light, ivec2(fragment_coordinate().xy)).diffuse
 
 
 class WithTerms(ForwardShader):
@@ -265,27 +234,17 @@ def collect_terms(
     Args:
         prefix: that of the names of the contents that are lit, if they are shrunk.
     """
-    device = frame.device
-    shader = terms_variant(effect, packed=len(targets) == 1, is_shrunk=bool(prefix))
-    mask = PointVolumes if effect is Effect.POINT_LIGHTS else SpotVolumes
+    shader = PackedTerms if len(targets) == 1 else TermShader
     draw_volumes(
         frame,
         effect,
-        device.program(shader),
+        lit_variant(shader, effect, is_shrunk=bool(prefix)),
         bind_surface(frame, f"{prefix}surface") | {"shininess": frame.targets[f"{prefix}shininess"]},
         targets,
         depth=f"{prefix}depth",
         clears=clears,
-        mask=device.program(mask) if stencil else None,
+        is_masked=stencil,
     )
-
-
-@cache
-def terms_variant(effect: Effect, *, packed: bool, is_shrunk: bool) -> type[Shader]:
-    """Return the shader that collects the terms of point or spot lights."""
-    of_points, of_spots = (PackedPointTerms, PackedSpotTerms) if packed else (PointTerms, SpotTerms)
-    base: type[Shader] = of_points if effect is Effect.POINT_LIGHTS else of_spots
-    return type(base.__name__, (base,), {"__module__": __name__, "is_shrunk": True}) if is_shrunk else base
 
 
 @cache

@@ -18,7 +18,7 @@ as a whole, which never hides a lit pixel.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import cache, partial
 from typing import Any, Final
 
 import numpy as np
@@ -27,8 +27,10 @@ from numpy.typing import NDArray
 from renderer.frame import Effect, Frame, Needs, Pass, Target
 from renderer.frame.passes import NEARER
 from renderer.lights.hulls import make_cone, make_sphere
-from renderer.shaders.structs import PointLight, SpotLight, ViewConstants
-from renderer.techniques.geometry_buffer import BEHIND, PixelRays, find_far
+from renderer.shaders.lighting import is_near, point_incidence, spot_incidence
+from renderer.shaders.pixels import PixelRays
+from renderer.shaders.structs import Incidence, PointLight, SpotLight, ViewConstants
+from renderer.techniques.full_screen import BEHIND, find_far
 from renderer.techniques.resolve import LIGHT_FORMAT
 from rhi import (
     BlendFunction,
@@ -98,11 +100,20 @@ def project_volume(center: vec3, offset: vec3, reach: float, view: ViewConstants
 
 
 class VolumeShader(Shader):
-    """The base of shaders that draw light volumes; `rows` are the rows of the lights to be drawn."""
+    """The base of shaders that draw light volumes; `rows` are the rows of the lights to be drawn. A technique's
+    fragment stage is combined with the volumes of one kind of lights (`lit_variant`)."""
 
     view: Uniform[ViewConstants]
     rays: Uniform[PixelRays]
     rows: Storage[int]
+
+    def is_reached(self, position: vec3, light: int) -> bool:
+        """Return whether a position is within the range of the light of this row."""
+        return False
+
+    def find_incidence(self, position: vec3, light: int) -> Incidence:
+        """Return what arrives at a position of the light of this row."""
+        return Incidence(direction=vec3(0.0), irradiance=vec3(0.0))
 
 
 class PointVolumes(VolumeShader):
@@ -118,6 +129,12 @@ class PointVolumes(VolumeShader):
         return VolumeVarying(
             clip=project_volume(light.position, offset, reach, self.view, self.rays), light=row
         )
+
+    def is_reached(self, position: vec3, light: int) -> bool:
+        return is_near(position, self.point_lights[light].position, self.point_lights[light].range)
+
+    def find_incidence(self, position: vec3, light: int) -> Incidence:
+        return point_incidence(position, self.point_lights[light])
 
 
 class SpotVolumes(VolumeShader):
@@ -141,6 +158,26 @@ class SpotVolumes(VolumeShader):
         return VolumeVarying(
             clip=project_volume(light.position, offset, reach, self.view, self.rays), light=row
         )
+
+    def is_reached(self, position: vec3, light: int) -> bool:
+        return is_near(position, self.spot_lights[light].position, self.spot_lights[light].range)
+
+    def find_incidence(self, position: vec3, light: int) -> Incidence:
+        return spot_incidence(position, self.spot_lights[light])
+
+
+VOLUMES: Final[dict[Effect, type[VolumeShader]]] = {
+    Effect.POINT_LIGHTS: PointVolumes,
+    Effect.SPOT_LIGHTS: SpotVolumes,
+}
+"""The volumes of each kind of lights."""
+
+
+@cache
+def lit_variant(base: type[VolumeShader], effect: Effect, **constants: bool) -> type[VolumeShader]:
+    """Return the shader whose fragments are those of `base`, in the volumes of point or spot lights, with these
+    attributes."""
+    return type(base.__name__, (base, VOLUMES[effect]), {"__module__": __name__, **constants})
 
 
 class VolumeMeshes:
@@ -216,22 +253,24 @@ def list_volumes(frame: Frame, effect: Effect) -> list[tuple[Mesh, NDArray[np.in
 def draw_volumes(
     frame: Frame,
     effect: Effect,
-    program: Program[Any],
+    shader: type[VolumeShader],
     bindings: dict[str, Any],
     targets: Sequence[str],
     *,
     depth: str = "depth",
     clears: bool,
-    mask: Program[Any] | None = None,
+    is_masked: bool = False,
 ) -> None:
-    """Draw the volumes of the point or spot lights in view, and add what the program returns to contents.
+    """Draw the volumes of the point or spot lights in view, and add what the shader returns to contents.
 
     Args:
-        program: a subclass of `PointVolumes` or `SpotVolumes`, with its `bindings` but those of the base.
+        shader: a `lit_variant`, with its `bindings` but those of the volumes.
         targets, depth: the names of the contents. clears: whether they are cleared to 0 first.
-        mask: the base itself, to mask each light in the stencil buffer; None draws all lights in one draw.
+        is_masked: whether each light is masked in the stencil buffer; otherwise all are one draw.
     """
     device, resources = frame.device, frame.resources
+    program: Program[Any] = device.program(shader)
+    mask: Program[Any] | None = device.program(VOLUMES[effect]) if is_masked else None
     lights = resources.point if effect is Effect.POINT_LIGHTS else resources.spot
     name = "point_lights" if effect is Effect.POINT_LIGHTS else "spot_lights"
     own: dict[str, Any] = {"view": frame.view.buffer, name: lights.buffer}

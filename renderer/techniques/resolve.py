@@ -1,72 +1,95 @@
-"""The last pass of techniques that add up light: maps the sum to colours, and mixes in haze.
+"""The last pass of techniques that collect light: makes the image of what earlier passes have left of each pixel.
 
-The sum is linear light of any strength in `light` (RGBA16F). Each pixel is tone-mapped, then fades to the background by
-the distance of its surface, which its depth tells. A pixel without a surface is the background, whatever `light` holds.
+A shader of this pass finds the light that each surface sends to the eye, and finishes it as forward shading does: maps
+tones, and adds haze by the distance of the surface. A pixel without a surface is the background.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Any, Final
 
 from renderer.frame import IMAGE_FORMAT, Effect, Frame, Needs, Pass, Target
-from renderer.shaders.lighting import through_haze, tone_map
-from renderer.shaders.pixels import FullScreen, PixelConstants, nearness_of, position_at
-from renderer.shaders.structs import Haze
-from renderer.techniques.full_screen import bind_pixels, draw_full_screen
-from rhi import Format
-from rhi.shading import Texture2D, Uniform, discard, fragment_coordinate, ivec2, vec3, vec4
+from renderer.shaders.pixels import FullScreen, distance_at, nearness_of, place_pixel
+from renderer.techniques.forward_shader import PARTS
+from renderer.techniques.full_screen import draw_full_screen
+from renderer.techniques.scene_shader import FinishShader, WithSun
+from rhi import Format, Texture
+from rhi.shading import Texture2D, discard, fragment_coordinate, ivec2, vec4
 
 LIGHT_FORMAT: Final = Format.RGBA16F
 """The format of light that is added up."""
 
 
-class Resolve(FullScreen):
-    """Maps light to colours."""
+class ResolveShader(FullScreen, FinishShader):
+    """The base of shaders that make the image."""
+
+
+class LightSum(ResolveShader):
+    """Makes the image of all light, added up in `light`."""
 
     light: Texture2D
     depth: Texture2D
-    pixels: Uniform[PixelConstants]
 
     def fragment(self) -> vec4:
         place = fragment_coordinate().xy
-        nearness = nearness_of(self.depth.load(ivec2(place)).x, self.pixels)
+        nearness = nearness_of(self.rays, self.depth.load(ivec2(place)).x)
         if nearness == 0.0:
             discard()
-        position = position_at(place, nearness, self.pixels)
-        return vec4(self.through_air(tone_map(self.light.load(ivec2(place)).rgb), position), 1.0)
-
-    def through_air(self, color: vec3, position: vec3) -> vec3:
-        return color
+        position = place_pixel(self.rays, place, distance_at(self.rays, nearness))
+        return self.finish(self.light.load(ivec2(place)).rgb, position)
 
 
-class ResolveHaze(Resolve):
-    """Adds haze."""
-
-    haze: Uniform[Haze]
-
-    def through_air(self, color: vec3, position: vec3) -> vec3:
-        return through_haze(color, position, self.haze)
+def resolve_pass(run: Callable[[Frame], None], because: str, reads: tuple[str, ...]) -> Pass[Frame]:
+    """Return the pass that writes `image`."""
+    return Pass("resolve", run, because, reads=reads, writes=(Target("image", IMAGE_FORMAT),))
 
 
-def declare_resolve(needs: Needs, light: str = "light", depth: str = "depth") -> Pass[Frame]:
+def sum_pass(needs: Needs, light: str) -> Pass[Frame]:
     """Return the pass that writes `image` from the contents `light` and `depth`."""
 
     def resolve(frame: Frame) -> None:
-        resources, targets = frame.resources, frame.targets
+        targets = frame.targets
+        bindings: dict[str, Any] = {"light": targets[light], "depth": targets["depth"]}
         has_haze = Effect.HAZE in frame.needs.effects
-        haze: dict[str, Any] = {"haze": resources.haze.buffer} if has_haze else {}
-        draw_full_screen(
-            frame,
-            ResolveHaze if has_haze else Resolve,
-            targets["image"],
-            clear=(*resources.scene.background, 1.0),
-            light=targets[light],
-            depth=targets[depth],
-            pixels=bind_pixels(frame),
-            **haze,
-        )
+        if has_haze:
+            bindings["haze"] = frame.resources.haze.buffer
+        draw_resolve(frame, LightSum, ["haze"] if has_haze else [], bindings)
 
     because = "maps the light that was added up to colours"
     if Effect.HAZE in needs.effects:
         because += f"; {needs.explain(Effect.HAZE)}"
-    return Pass("resolve", resolve, because, reads=(light, depth), writes=(Target("image", IMAGE_FORMAT),))
+    return resolve_pass(resolve, because, (light, "depth"))
+
+
+@cache
+def resolve_variant(
+    bases: tuple[type[ResolveShader], ...], parts: tuple[str, ...], *, has_sun: bool, has_images: bool
+) -> type[ResolveShader]:
+    """Return a shader of the pass with these bases and these of `PARTS`, and only their bindings."""
+    known = PARTS | {"directional_lights": WithSun} if has_sun else PARTS
+    added = tuple(known[part] for part in parts)
+    return type("Resolve", (*added, *bases), {"__module__": __name__, "has_images": has_images})
+
+
+def draw_resolve(
+    frame: Frame,
+    base: type[ResolveShader],
+    parts: Sequence[str],
+    bindings: dict[str, Any],
+    *,
+    depth: Texture | None = None,
+) -> None:
+    """Make the image with a shader and parts of it.
+
+    Args:
+        bindings: all but the rays of the frame's view.
+        depth: the depth that tells the background; None if the shader discards it.
+    """
+    needs = frame.needs
+    shader = resolve_variant(
+        (base,), tuple(parts), has_sun=needs.has_sun, has_images=Effect.IMAGES in needs.effects
+    )
+    background = (*frame.resources.scene.background, 1.0)
+    draw_full_screen(frame, shader, frame.targets["image"], bindings, depth=depth, clear=background)

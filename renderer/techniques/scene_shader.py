@@ -23,6 +23,7 @@ from renderer.shaders.structs import (
     ViewConstants,
     relative_position,
 )
+from renderer.shadows import SHADOW_PARTS, ShadowReceiver
 from rhi.shading import (
     Precision,
     Shader,
@@ -79,10 +80,21 @@ class Textured(SceneShader):
         return self.images.sample(vec3(uv, float(image))).rgb
 
 
-class ShadingShader(Shader):
-    """Shades a surface, wherever it comes from: ambient light with the rim term."""
+class FinishShader(Shader):
+    """Makes pixels of light."""
 
     precision = Precision.FAST
+
+    def finish(self, color: vec3, position: vec3) -> vec4:
+        """Return the pixel of a surface that sends this light to the eye."""
+        return vec4(self.through_air(tone_map(color), position), 1.0)
+
+    def through_air(self, color: vec3, position: vec3) -> vec3:
+        return color
+
+
+class ShadingShader(FinishShader, ShadowReceiver):
+    """Shades a surface, wherever it comes from: ambient light with the rim term."""
 
     ambient: Uniform[Ambient]
 
@@ -92,18 +104,11 @@ class ShadingShader(Shader):
         color += self.emitted(surface, material)
         return color + self.sunlight(surface)
 
-    def finish(self, color: vec3, position: vec3) -> vec4:
-        """Return the pixel of a surface that sends this light to the eye."""
-        return vec4(self.through_air(tone_map(color), position), 1.0)
-
     def emitted(self, surface: SurfacePoint, material: Material) -> vec3:
         return vec3(0.0)
 
     def sunlight(self, surface: SurfacePoint) -> vec3:
         return vec3(0.0)
-
-    def through_air(self, color: vec3, position: vec3) -> vec3:
-        return color
 
 
 class WithEmission(ShadingShader):
@@ -121,7 +126,8 @@ class WithDirectionalLights(ShadingShader):
     def sunlight(self, surface: SurfacePoint) -> vec3:
         color = vec3(0.0)
         for i in range(len(self.directional_lights)):
-            color += directional_light(surface, self.directional_lights[i])
+            light = directional_light(surface, self.directional_lights[i])
+            color += self.unblocked_sun(light, surface.position, surface.normal, i)
         return color
 
 
@@ -132,10 +138,11 @@ class WithSun(ShadingShader):
     directional_lights: Storage[DirectionalLight]
 
     def sunlight(self, surface: SurfacePoint) -> vec3:
-        return directional_light(surface, self.directional_lights[0])
+        light = directional_light(surface, self.directional_lights[0])
+        return self.unblocked_sun(light, surface.position, surface.normal, 0)
 
 
-class WithHaze(ShadingShader):
+class WithHaze(FinishShader):
     """Adds haze, which fades to the background. That is a final colour, so it is mixed in after tone mapping."""
 
     haze: Uniform[Haze]
@@ -148,5 +155,6 @@ SHADING_PARTS: Final[dict[str, type[Shader]]] = {
     "directional_lights": WithDirectionalLights,
     "haze": WithHaze,
     "emission": WithEmission,
+    **SHADOW_PARTS,
 }
 """The features that can be added to a `ShadingShader`, by the names of their bindings where they have one."""

@@ -163,6 +163,17 @@ def distances_of(grid: CellGrid, depth: float) -> vec2:
 
 
 @function
+def range_of(grid: CellGrid, least: float, greatest: float) -> vec2:
+    """Return the least and the greatest distance of surfaces whose depths lie between two depths of a texture; if
+    `least` is above `greatest` there are none, and the range is empty, as that of an empty cell."""
+    if least > greatest:
+        return vec2(1.0, 0.0)
+    one = distances_of(grid, least)
+    other = distances_of(grid, greatest)
+    return vec2(min(one.x, other.x), max(one.y, other.y))
+
+
+@function
 def depth_bits(near: float, far: float, low: float, high: float) -> uint:
     """Return the slices between the depths `low` and `high`, a bit for each of the 32 slices of a range.
 

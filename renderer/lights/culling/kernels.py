@@ -24,6 +24,7 @@ from renderer.lights.culling.cells import (
     depth_bits,
     distances_of,
     padded_radius,
+    range_of,
     slice_start,
 )
 from renderer.lights.culling.cone_tests import Cone
@@ -103,15 +104,9 @@ class FindTileDepths(Shader):
                 if depth != self.grid.background:
                     least = min(least, depth)
                     greatest = max(greatest, depth)
-        near = 1.0
-        far = 0.0
-        if least <= greatest:
-            one = distances_of(self.grid, least)
-            other = distances_of(self.grid, greatest)
-            near = min(one.x, other.x)
-            far = max(one.y, other.y)
-        mask = self.find_mask(first, end, near, far)
-        self.depths[tile.y * self.grid.count.x + tile.x] = TileDepths(near=near, far=far, mask=mask)
+        ends = range_of(self.grid, least, greatest)
+        mask = self.find_mask(first, end, ends.x, ends.y)
+        self.depths[tile.y * self.grid.count.x + tile.x] = TileDepths(near=ends.x, far=ends.y, mask=mask)
 
     def find_mask(self, first: ivec2, end: ivec2, near: float, far: float) -> uint:
         return uint(0xFFFFFFFF)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import json
 import logging
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -213,6 +215,24 @@ def test_an_empty_model_is_refused(capsys: pytest.CaptureFixture[str], here: Pat
         main(["render", "empty.ply", "--backend", "null"])
     assert exit.value.code == 2
     assert "scene-empty-model" in capsys.readouterr().err
+
+
+def test_what_a_file_has_and_the_scene_has_not_is_listed(capsys: pytest.CaptureFixture[str], here: Path) -> None:
+    triangle = base64.b64encode(struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0)).decode()
+    document = {
+        "asset": {"version": "2.0"},
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}, {"attributes": {"POSITION": 0}, "mode": 1}]}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
+        "bufferViews": [{"buffer": 0, "byteLength": 36}],
+        "buffers": [{"byteLength": 36, "uri": f"data:application/octet-stream;base64,{triangle}"}],
+    }
+    (here / "lines.gltf").write_text(json.dumps(document))
+    main(["render", "lines.gltf", "--backend", "null", "--json"])
+    output = capsys.readouterr()
+    assert "left out: lines (meshes[0].primitives[1])" in output.err.splitlines()
+    listed = {"what": "lines", "count": 1, "where": "meshes[0].primitives[1]"}
+    assert json.loads(output.out)["left_out"] == [listed]
 
 
 def test_a_camera_may_begin_with_a_minus(capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
+import sys
+
 import pytest
 
-from renderer.measure import FrameCost, Measurement, alternate, format_table
+from renderer.measure import FrameCost, Measurement, alternate, format_records, format_table
 from renderer.renderer import FrameStatistics
 
 
@@ -20,6 +23,15 @@ def test_warm_ups_are_not_timed() -> None:
     times = alternate({"a": calls.append}, range(4), warm_ups=2)
     assert calls == [0, 0, 0, 1, 2, 3]
     assert len(times["a"].seconds) == 4
+
+
+def test_processor_time_is_measured_beside_the_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = iter([0.0, 1.0, 10.0, 13.0, 20.0, 22.0])
+    monkeypatch.setattr(sys.modules["renderer.measure.alternate"], "process_time", lambda: next(now))
+    one = alternate({"a": lambda number: None}, range(3), warm_ups=0)["a"]
+    assert one.processor_seconds == (1.0, 3.0, 2.0)
+    assert one.processor_median == 2.0
+    assert len(one.seconds) == 3
 
 
 def test_each_run_is_got_ready_for() -> None:
@@ -55,3 +67,9 @@ def test_a_table_aligns_text_left_and_numbers_right() -> None:
         "a          5   1.50",
         "long  12,345  10.25",
     ]
+
+
+def test_records_are_a_table_with_a_column_for_each_name_or_json() -> None:
+    records = [{"name": "a", "count": 5}, {"name": "b", "count": 6}]
+    assert format_records(records, as_json=False) == format_table(["name", "count"], [["a", 5], ["b", 6]])
+    assert json.loads(format_records(records, as_json=True)) == records

@@ -97,5 +97,5 @@ def test_clusters_have_room_for_64_lights_each_at_first(null: rhi.Device) -> Non
     scene = box(1)
     with Renderer(null, scene, technique=Clustered(), visibility=NoCulling(scene), size=SIZE) as renderer:
         renderer.render(scene.views["eye"])
-        grid = renderer._resources.workspace(ClusterLists)
+        grid = renderer._view.workspace(ClusterLists)
         assert grid.capacity == 64 * grid.cells

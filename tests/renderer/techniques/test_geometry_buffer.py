@@ -1,78 +1,19 @@
-"""What a geometry buffer stores: normals, texels and positions."""
+"""What a geometry buffer stores: texels and positions."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 
-from renderer.scene import Camera, Depth, Orthographic, Perspective, Projection
 from renderer.techniques.geometry_buffer import (
-    decode_normal,
     decode_texel,
-    encode_normal,
     encode_texel,
-    find_rays,
 )
 from rhi.shading import evaluate
 
 Floats = NDArray[Any]
-
-
-def unit(vectors: Floats) -> Floats:
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-
-
-def stored(normals: Floats) -> Floats:
-    """Return normals (k, 3) as they are read from the buffer."""
-    bits = evaluate(encode_normal, normals.astype(np.float32))
-    return np.asarray(evaluate(decode_normal, bits), np.float64)
-
-
-def degrees_off(normals: Floats) -> Floats:
-    """Return the angles between normals and what is stored of them; exact for small ones."""
-    read, given = unit(stored(normals)), unit(normals.astype(np.float64))
-    return np.degrees(2.0 * np.arcsin(0.5 * np.linalg.norm(read - given, axis=-1)))
-
-
-def test_a_normal_is_stored_to_the_error_of_rounding() -> None:
-    off = degrees_off(unit(np.random.default_rng(0).normal(size=(100_000, 3))))
-    assert off.mean() == pytest.approx(0.0013, rel=0.1)
-    assert 0.0030 < off.max() < 0.0040
-
-
-def test_axes_are_exact() -> None:
-    axes = np.concatenate([np.eye(3), -np.eye(3)])
-    assert degrees_off(axes).max() < 1e-5
-
-
-@pytest.mark.parametrize("zero", [0.0, -0.0])
-def test_zeros_of_both_signs_mean_the_same(zero: float) -> None:
-    for z in (1.0, -1.0):
-        assert degrees_off(np.array([[zero, zero, z], [zero, 0.6, 0.8 * z], [0.6, zero, 0.8 * z]])).max() < 0.004
-
-
-def test_seams_between_octants_are_no_worse_than_the_rest() -> None:
-    turn = np.linspace(0, 2 * np.pi, 10_000)
-    circle, still = np.stack([np.cos(turn), np.sin(turn)], 1), np.zeros(len(turn))
-    for axis in range(3):
-        for tilt in (0.0, 1e-7, -1e-7, 1e-4, -1e-4):
-            near = unit(np.insert(circle, axis, still + tilt, axis=1))
-            assert degrees_off(near).max() < 0.0040
-    edges = unit(np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float))
-    assert degrees_off(edges).max() < 0.0040
-
-
-def test_the_downward_pole_is_stored_from_all_sides() -> None:
-    around = np.random.default_rng(1).normal(size=(1000, 3)) * (1e-6, 1e-6, 0) - (0, 0, 1)
-    assert degrees_off(unit(around)).max() < 0.0040
-
-
-def test_a_vector_of_length_0_gives_a_unit_vector() -> None:
-    assert np.linalg.norm(stored(np.zeros((1, 3)))) == pytest.approx(1.0)
 
 
 def test_a_texel_is_stored_finer_than_images_have_it() -> None:
@@ -85,52 +26,3 @@ def test_a_texel_is_stored_finer_than_images_have_it() -> None:
     assert off.max() < 0.25
     assert np.abs(back[:, 1] - levels[::-1]).max() * 255 < 0.25
     assert evaluate(decode_texel, evaluate(encode_texel, np.array([1.0, 0.0, 1.0], np.float32))).tolist() == [1, 0, 1]
-
-
-@dataclass(frozen=True)
-class OffAxis:
-    """A perspective lens whose middle isn't the middle of the image, as that of one eye of two."""
-
-    depth: Depth = Depth.REVERSED
-
-    @property
-    def matrix(self) -> Floats:
-        matrix = Perspective(aspect=1.5).matrix.copy()
-        matrix[0, 2], matrix[1, 2] = 0.3, -0.2
-        return matrix
-
-    def with_aspect(self, aspect: float) -> OffAxis:
-        return self
-
-
-LENSES: dict[str, Projection] = {
-    "perspective": Perspective(aspect=1.5),
-    "far plane": Perspective(near=0.5, far=900.0, aspect=1.5),
-    "standard depth": Perspective(aspect=1.5, depth=Depth.STANDARD),
-    "off-axis": OffAxis(),
-    "parallel": Orthographic(30.0, aspect=1.5, near=-5.0, far=400.0),
-    "parallel, standard depth": Orthographic(30.0, aspect=1.5, depth=Depth.STANDARD),
-}
-
-
-@pytest.mark.parametrize("lens", LENSES)
-def test_a_position_follows_from_the_pixel_and_the_distance(lens: str) -> None:
-    size = (60, 40)
-    camera = Camera.look_at((1e6, 50, -2e6), (1e6 + 3, 48, -2e6 + 5), projection=LENSES[lens])
-    rays = find_rays(camera, size)
-    random = np.random.default_rng(2)
-    pixels = np.concatenate([random.uniform(0, size, (500, 2)), np.ones((500, 1))], 1)
-    distances = random.uniform(1.0, 300.0, 500)
-    places = (pixels @ np.array(rays.direction).T) * distances[:, None] + pixels @ np.array(rays.origin).T
-    assert places @ np.array(rays.forward) == pytest.approx(distances, rel=1e-6)
-    matrix = camera.projection.matrix @ np.block([[camera.rotation, np.zeros((3, 1))], [np.zeros((1, 3)), 1.0]])
-    clip = np.concatenate([places, np.ones((500, 1))], 1) @ matrix.T
-    x, y = clip[:, 0] / clip[:, 3], clip[:, 1] / clip[:, 3]
-    assert (0.5 + 0.5 * x) * size[0] == pytest.approx(pixels[:, 0], abs=2e-4)
-    assert (0.5 - 0.5 * y) * size[1] == pytest.approx(pixels[:, 1], abs=2e-4)
-
-
-@pytest.mark.parametrize(("lens", "far"), [("perspective", 3.4e38), ("far plane", 900.0), ("parallel", 400.0)])
-def test_the_far_plane_is_as_far_as_the_lens_says(lens: str, far: float) -> None:
-    camera = Camera.look_at((1e6, 50, -2e6), (1e6 + 3, 48, -2e6 + 5), projection=LENSES[lens])
-    assert find_rays(camera, (60, 40)).far == pytest.approx(far, rel=1e-3)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from depth_textures import put_depths
 from occlusion_scenes import draw_with, look, make_boxes
 
 import rhi
@@ -14,51 +15,7 @@ from renderer.visibility import DepthPyramidCulling
 from renderer.visibility.gpu.depth_pyramid import CompareBoxes, CompareBoxesStandard, make_levels
 from renderer.visibility.gpu.farthest_depth import FarthestDepth
 from renderer.visibility.gpu.occludees import Occludee
-from rhi import CullMode, DepthFunction, Format
-from rhi.shading import (
-    FragmentDepth,
-    Shader,
-    Storage,
-    Struct,
-    fragment_coordinate,
-    ivec2,
-    uint,
-    vec4,
-    vertex_index,
-)
-
-
-class Given(Struct):
-    depth: FragmentDepth
-
-
-class Put(Shader):
-    """Writes depths from memory; the width is the first of them."""
-
-    depths: Storage[float]
-
-    def vertex(self) -> vec4:
-        corner = vertex_index()
-        return vec4(float(corner % 2) * 4.0 - 1.0, float(corner // 2) * 4.0 - 1.0, 0.5, 1.0)
-
-    def fragment(self) -> Given:
-        at = ivec2(fragment_coordinate().xy)
-        return Given(depth=self.depths[1 + at.y * int(self.depths[0]) + at.x])
-
-
-def put(device: rhi.Device, depths: np.ndarray) -> rhi.Texture:
-    """Create a depth texture with these depths (h, w)."""
-    height, width = depths.shape
-    texture = device.texture((width, height), Format.D32F)
-    with (
-        device.storage(float, np.append(np.float32(width), depths).astype(np.float32)) as memory,
-        device.mesh(3) as triangle,
-        device.render_pass(depth=texture, clear_depth=0.5),
-        device.states(CullMode.NONE, DepthFunction.ALWAYS),
-    ):
-        device.draw(device.program(Put), triangle, depths=memory)
-    assert (texture.read() == depths).all()
-    return texture
+from rhi.shading import uint
 
 
 def reduce_once(depths: np.ndarray, direction: Depth) -> np.ndarray:
@@ -77,7 +34,7 @@ def test_each_level_holds_the_farthest_of_its_pixels(
 ) -> None:
     depths = np.random.default_rng(sum(size)).random(size[::-1], np.float32)
     pyramid = FarthestDepth(device, size)
-    pyramid.build(device, put(device, depths), direction)
+    pyramid.build(device, put_depths(device, depths), direction)
     held, expected = pyramid.farthest.read(), depths
     for (width, height), begin in zip(pyramid.sizes[1:], pyramid.begins[1:], strict=True):
         expected = reduce_once(expected, direction)
@@ -91,7 +48,7 @@ def test_a_pixel_of_sky_is_sky_on_every_level(device: rhi.Device) -> None:
     depths = np.full((23, 41), 0.7, np.float32)
     depths[22, 40] = 0.0
     pyramid = FarthestDepth(device, (41, 23))
-    pyramid.build(device, put(device, depths), Depth.REVERSED)
+    pyramid.build(device, put_depths(device, depths), Depth.REVERSED)
     held = pyramid.farthest.read()
     ends = [*pyramid.begins[2:], len(held)]
     assert [held[end - 1] for end in ends] == [0.0] * len(ends)
@@ -120,7 +77,7 @@ def test_a_box_shows_if_it_shows_at_full_resolution(
         boxes[name][:, axis] = rng.choice([0.0, 0.001, 0.01, 0.3], count) * rng.random(count)
     view = ViewConstants(relative_view_projection=np.eye(4), eye_high=(0, 0, 0), eye_low=(0, 0, 0))
     pyramid = FarthestDepth(device, size)
-    texture = put(device, depths)
+    texture = put_depths(device, depths)
     pyramid.build(device, texture, direction)
     hidden, seen = device.storage(uint, np.zeros(count, np.uint32)), device.storage(uint, count)
     device.dispatch(

@@ -7,24 +7,15 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 from culling_cases import OffAxis, distances, find_corners
+from depth_textures import put_depths
 
 import rhi
 from renderer.lights.culling.cells import CellGrid, slice_start
 from renderer.lights.culling.cone_tests import bounding_sphere
 from renderer.lights.culling.grid import CellLists, LightGrid
 from renderer.scene import POINT, SPOT, Camera, Depth, Lights, Orthographic, Perspective, Projection
-from rhi import CullMode, DepthFunction, Format, ValidationError
-from rhi.shading import (
-    FragmentDepth,
-    Shader,
-    Storage,
-    Struct,
-    evaluate,
-    fragment_coordinate,
-    ivec2,
-    vec4,
-    vertex_index,
-)
+from rhi import Format, ValidationError
+from rhi.shading import evaluate
 
 SIZE = (333, 187)
 ASPECT = SIZE[0] / SIZE[1]
@@ -233,38 +224,6 @@ def test_a_grid_follows_the_images_size_and_the_number_of_lights(
         for name in ("begins", "points_ends", "ends", "lights"):
             assert (getattr(found, name) == getattr(expected, name)).all()
     assert grid.overflows == 0
-
-
-class GivenDepth(Struct):
-    depth: FragmentDepth
-
-
-class PutDepth(Shader):
-    """Writes depths from memory; the width is the first of them."""
-
-    depths: Storage[float]
-
-    def vertex(self) -> vec4:
-        corner = vertex_index()
-        return vec4(float(corner % 2) * 4.0 - 1.0, float(corner // 2) * 4.0 - 1.0, 0.5, 1.0)
-
-    def fragment(self) -> GivenDepth:
-        at = ivec2(fragment_coordinate().xy)
-        return GivenDepth(depth=self.depths[1 + at.y * int(self.depths[0]) + at.x])
-
-
-def put_depths(device: rhi.Device, depths: np.ndarray) -> rhi.Texture:
-    """Create a depth texture with these depths (h, w)."""
-    height, width = depths.shape
-    texture = device.texture((width, height), Format.D32F)
-    with (
-        device.storage(float, np.append(np.float32(width), depths).astype(np.float32)) as memory,
-        device.mesh(3) as triangle,
-        device.render_pass(depth=texture, clear_depth=0.5),
-        device.states(CullMode.NONE, DepthFunction.ALWAYS),
-    ):
-        device.draw(device.program(PutDepth), triangle, depths=memory)
-    return texture
 
 
 def project_depths(lens: Projection, z: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The way back from pixels and depths to positions, and the resolve pass."""
+"""The way from pixels to positions."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import pytest
 
 from renderer.scene import Camera, Depth, Orthographic, Perspective, Projection
 from renderer.scene.arrays import Floats
-from renderer.shaders.pixels import PixelConstants, nearness_of, position_at
-from renderer.techniques.full_screen import find_pixel_constants
+from renderer.shaders.pixels import distance_at, nearness_of, place_pixel
+from renderer.techniques.full_screen import find_rays
 from rhi.shading import evaluate
 
 SIZE = (97, 55)
@@ -56,10 +56,11 @@ def test_a_pixel_and_its_depth_lead_back_to_the_position(lens: str, direction: D
     rng = np.random.default_rng(5)
     places = rng.uniform((-8, -8, -200), (8, 8, -1), (200, 3))
     camera, relative, pixels = project(LENSES[lens](direction), places)
-    constants = find_pixel_constants(camera, SIZE)
+    rays = find_rays(camera, SIZE)
     depth = pixels[:, 2].astype(np.float32)  # as a target holds it
-    nearness = evaluate(nearness_of, depth, constants, dtype=np.float32)
-    found = evaluate(position_at, pixels[:, :2], nearness, constants, dtype=np.float32)
+    nearness = evaluate(nearness_of, rays, depth, dtype=np.float32)
+    distance = evaluate(distance_at, rays, nearness, dtype=np.float32)
+    found = evaluate(place_pixel, rays, pixels[:, :2], distance, dtype=np.float32)
     # A step of standard depth near 1 is 6e-8, which at 200 m and a near plane of 0.1 m is 24 mm.
     exact = direction is Depth.REVERSED
     assert np.abs(found - relative).max() < (1e-3 if exact else 0.05)
@@ -68,8 +69,34 @@ def test_a_pixel_and_its_depth_lead_back_to_the_position(lens: str, direction: D
 @pytest.mark.parametrize(("direction", "far"), [(Depth.REVERSED, 0.0), (Depth.STANDARD, 1.0)])
 def test_only_the_farthest_depth_has_no_nearness(direction: Depth, far: float) -> None:
     camera = Camera.look_at((0, 0, 0), (0, 0, -1), projection=Perspective(depth=direction))
-    constants = find_pixel_constants(camera, SIZE)
-    assert isinstance(constants, PixelConstants)
+    rays = find_rays(camera, SIZE)
     before = np.nextafter(np.float32(far), np.float32(0.5))
-    assert evaluate(nearness_of, np.float32(far), constants, dtype=np.float32) == 0.0
-    assert evaluate(nearness_of, before, constants, dtype=np.float32) > 0.0
+    assert evaluate(nearness_of, rays, np.float32(far), dtype=np.float32) == 0.0
+    assert evaluate(nearness_of, rays, before, dtype=np.float32) > 0.0
+
+
+@pytest.mark.parametrize("direction", list(Depth))
+@pytest.mark.parametrize("lens", LENSES)
+def test_a_position_follows_from_the_pixel_and_the_distance(lens: str, direction: Depth) -> None:
+    size = (60, 40)
+    projection = LENSES[lens](direction)
+    camera = Camera.look_at((1e6, 50, -2e6), (1e6 + 3, 48, -2e6 + 5), projection=projection)
+    rays = find_rays(camera, size)
+    random = np.random.default_rng(2)
+    pixels, distances = random.uniform(0, size, (500, 2)), random.uniform(1.0, 300.0, 500)
+    places = evaluate(place_pixel, rays, pixels, distances, dtype=np.float64)
+    assert places @ np.array(rays.forward) == pytest.approx(distances, rel=1e-6)
+    matrix = camera.projection.matrix @ np.block([[camera.rotation, np.zeros((3, 1))], [np.zeros((1, 3)), 1.0]])
+    clip = np.concatenate([places, np.ones((500, 1))], 1) @ matrix.T
+    x, y = clip[:, 0] / clip[:, 3], clip[:, 1] / clip[:, 3]
+    assert (0.5 + 0.5 * x) * size[0] == pytest.approx(pixels[:, 0], abs=2e-4)
+    assert (0.5 - 0.5 * y) * size[1] == pytest.approx(pixels[:, 1], abs=2e-4)
+
+
+@pytest.mark.parametrize(
+    ("lens", "far"), [("perspective", 3.4e38), ("with a far plane", 2000.0), ("orthographic", 500.0)]
+)
+def test_the_far_plane_is_as_far_as_the_lens_says(lens: str, far: float) -> None:
+    projection = LENSES[lens](Depth.REVERSED)
+    camera = Camera.look_at((1e6, 50, -2e6), (1e6 + 3, 48, -2e6 + 5), projection=projection)
+    assert find_rays(camera, (60, 40)).far == pytest.approx(far, rel=1e-3)

@@ -1,0 +1,152 @@
+"""`compare techniques`: what a frame costs with each technique, for several numbers of objects and lights."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterable
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Final
+
+import rhi
+from renderer.cli.arguments import CAMERA_HELP, add_backend, add_scene, add_size, parse_count, parse_frame
+from renderer.cli.output import draw_chart, note, prepare_image, show_progress
+from renderer.cli.subcommand import Parser, Subcommand
+from renderer.measure import format_table
+from renderer.measure.techniques import TechniqueRow, compare_techniques
+from renderer.techniques import TECHNIQUES
+
+_NOTES: Final = """\
+  python -m renderer compare techniques grid --objects 1,4,16,64,256 --lights 1,8,32,128 --backend gl
+  python -m renderer compare techniques night --lights 64,1024,4096 --techniques forward,clustered --json
+  python -m renderer compare techniques city --camera ground --frame 600
+  python -m renderer compare techniques grid --objects 1,256 --lights 1,2,4,8,16,32,64,128 --plot wilks.png
+
+--objects and --lights set the options of the scene's generator that say how many there are: `count` and `lights`
+(`grid` has both, `hall` and `night` have lights). Without them the scene is compared as it is; a scene without such an
+option, as the city or a model file, can only be compared so.
+
+All techniques draw the same frame in turn in one process, without occlusion culling. Times are medians, from the
+scene's update until the GPU is finished; `processor ms` is the time of the processor in all threads. `light
+evaluations` counts how often a light is looked at for a surface: the entries of the lists that fragments walk, or the
+fragments of lights' volumes; on the null device nothing is counted. `bytes per pixel` are those of all textures of the
+plan. `draws` are draw commands; one may draw many objects or lights. Under OpenCL set RHI_KERNELS=optimised, or the
+first frames are drawn by kernels that were built in a hurry."""
+
+
+def _add_arguments(parser: Parser) -> None:
+    add_scene(parser)
+    for what in ("objects", "lights"):
+        parser.add_argument(
+            f"--{what}",
+            type=lambda text: [parse_count(part) for part in text.split(",")],
+            default=[None],
+            metavar="N,N,…",
+            help=f"numbers of {what} (default: those of the scene as it is)",
+        )
+    parser.add_argument(
+        "--techniques",
+        type=_parse_techniques,
+        default=list(TECHNIQUES),
+        metavar="A,B,…",
+        help=f"some of {', '.join(TECHNIQUES)} (default: all)",
+    )
+    parser.add_argument("--camera", metavar="CAMERA", help=f"{CAMERA_HELP} (default: the scene's first view)")
+    parser.add_argument(
+        "--frame", type=parse_frame, default=0, metavar="N", help="frame of a path (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--rounds",
+        type=parse_count,
+        default=5,
+        metavar="N",
+        help="times each technique is timed (default: %(default)s)",
+    )
+    add_size(parser)
+    add_backend(parser)
+    parser.add_argument("--plot", type=Path, metavar="F.png", help="write a chart of the times")
+    form = parser.add_mutually_exclusive_group()
+    form.add_argument("--json", action="store_true", help="print the result as JSON")
+    form.add_argument("--markdown", action="store_true", help="print the table as Markdown")
+
+
+def _run(given: argparse.Namespace) -> None:
+    if given.plot is not None:
+        prepare_image(given.plot)
+
+    def rounds(numbers: range) -> Iterable[int]:
+        return show_progress(numbers, len(numbers), "compare")
+
+    with rhi.create_device(given.backend) as device:
+        rows = compare_techniques(
+            device,
+            given.scene,
+            {name: TECHNIQUES[name]() for name in given.techniques},
+            given.size,
+            objects=given.objects,
+            lights=given.lights,
+            camera=given.camera,
+            frame=given.frame,
+            rounds=given.rounds,
+            progress=rounds,
+        )
+        report = {
+            "backend": device.backend_name,
+            "device": device.capabilities.device,
+            "scene": given.scene,
+            "camera": given.camera,
+            "frame": given.frame,
+            "size": list(given.size),
+            "rounds": given.rounds,
+            "rows": [asdict(row) for row in rows],
+        }
+    if given.plot is not None:
+        plot_techniques(rows, f"{given.scene}, {report['device']}", given.plot)
+        note(f"wrote {given.plot}")
+    print(json.dumps(report) if given.json else show_rows(rows, markdown=given.markdown))
+
+
+def show_rows(rows: list[TechniqueRow], *, markdown: bool = False) -> str:
+    """Format the rows as a table: aligned text, or Markdown."""
+    names = [field.name for field in fields(TechniqueRow)]
+    header = [name.replace("_", " ").replace("milliseconds", "ms") for name in names]
+    values = [[getattr(row, name) for name in names] for row in rows]
+    cells = [["-" if value is None else value for value in row] for row in values]
+    return format_table(header, cells, markdown=markdown)
+
+
+def plot_techniques(rows: list[TechniqueRow], title: str, path: Path) -> None:
+    """Write a chart of the times over the number of lights, one for each number of objects, a line for each
+    technique."""
+    with draw_chart(path, title) as figure:
+        counts = list(dict.fromkeys(row.objects for row in rows))
+        charts = figure.subplots(1, len(counts), sharey=True, squeeze=False)[0]
+        for axes, objects in zip(charts, counts, strict=True):
+            for number, name in enumerate(dict.fromkeys(row.technique for row in rows)):
+                mine = [row for row in rows if (row.technique, row.objects) == (name, objects)]
+                axes.plot(
+                    [row.lights for row in mine],
+                    [row.milliseconds for row in mine],
+                    label=name,
+                    marker=".",
+                    linestyle="-" if number < 10 else "--",
+                )
+            axes.set_title(f"{objects:,} objects" if objects > 1 else "1 object", fontsize="medium")
+            axes.set_xlabel("lights")
+            axes.set_ylim(bottom=0.0)
+        charts[0].set_ylabel("milliseconds")
+        charts[-1].legend(fontsize="x-small")
+
+
+def _parse_techniques(text: str) -> list[str]:
+    names = text.split(",")
+    for name in names:
+        if name not in TECHNIQUES:
+            raise argparse.ArgumentTypeError(f"{name!r} is not a technique; give some of {', '.join(TECHNIQUES)}")
+    return list(dict.fromkeys(names))
+
+
+COMMAND: Final = Subcommand(
+    "techniques", "compare what a frame costs with each technique", _add_arguments, _run, _NOTES
+)

@@ -1,0 +1,164 @@
+"""Tangents of vertices, by which normal maps are read: the algorithm of MikkTSpace (Mikkelsen 2008), for whole arrays.
+
+Tools that make normal maps and tools that show them must agree on the tangents, so this is what glTF 2.0 asks for:
+
+1. Corners with equal position, normal and texture coordinates are one vertex.
+2. A triangle's tangent is the direction in which u grows, and its orientation the sign of its area in texture
+   coordinates. Triangles without such an area have no tangent and take the orientation of a neighbour.
+3. Around a vertex, triangles of one orientation that are connected by edges are a group. Its tangent is the sum of the
+   triangles' tangents, projected to the plane of the vertex normal and weighted by the angle at the vertex.
+4. A vertex in several groups, as along the seam of a mirrored texture, becomes several.
+
+Where three and more triangles meet in an edge, all of them are connected; the reference pairs them by their order. A
+vertex that only triangles without tangent meet gets the tangent of another group there, or any one that is
+perpendicular to its normal.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.scene.arrays import Floats, Rows
+from renderer.scene.meshes import MeshGeometry
+
+__rhi_internal__ = True
+
+
+def add_tangents(geometry: MeshGeometry, uv: str = "uv", *, splits: bool = True) -> MeshGeometry:
+    """Return the mesh with tangents along one set of texture coordinates, `uv` or `uv2`.
+
+    A vertex becomes several where its triangles' tangents are of different groups. If it must not, because something
+    relies on the number of vertices, `splits` is False, and it gets their sum.
+    """
+    corners = geometry.indices.astype(np.int64)
+    vertices = geometry.vertices
+    points = vertices["position"].astype(np.float64)[corners].reshape(-1, 3, 3)
+    places = (vertices[uv] if uv in (vertices.dtype.names or ()) else np.zeros((len(vertices), 2)))[corners]
+    along, sign = _triangle_tangents(points, places.astype(np.float64).reshape(-1, 3, 2))
+    vertex = _weld(geometry, uv)[corners]
+    sign = _orient_flat(vertex, sign)
+    group = _find_groups(vertex, sign) if splits else corners
+    normals = vertices["normal"].astype(np.float64)[corners]
+    tangents = _sum_tangents(points, along, normals, group)
+    tangents = _fill_missing(tangents, normals, vertex if splits else corners)
+
+    signed = np.concatenate([tangents, np.repeat(sign, 3)[:, None]], axis=1)
+    made = geometry.with_attributes(geometry.attributes | {"tangent"}).vertices
+    if not splits:
+        made = made.copy()
+        made["tangent"][corners] = signed
+        return MeshGeometry(made, geometry.indices)
+    _, first, index = np.unique(corners * len(group) + group, return_index=True, return_inverse=True)
+    made = made[corners[first]]
+    made["tangent"] = signed[first]
+    return MeshGeometry(made, index.reshape(-1).astype(np.uint32))
+
+
+def _triangle_tangents(points: Floats, places: Floats) -> tuple[Floats, NDArray[np.int64]]:
+    """Return the unit tangents (t, 3) of triangles, or 0, and the signs (t,) of their bitangents: 0 without a tangent.
+
+    An image's rows count down, so a triangle whose texture isn't mirrored has a negative area in (u, v).
+    """
+    a, b = (points[:, 1:] - points[:, :1]).transpose(1, 0, 2)
+    u, v = (places[:, 1:] - places[:, :1]).transpose(2, 0, 1)
+    area = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+    along = (a * v[:, 1, None] - b * v[:, 0, None]) * np.sign(area)[:, None]
+    across = (b * u[:, 0, None] - a * u[:, 1, None]) * np.sign(area)[:, None]
+    length = np.linalg.norm(along, axis=1)
+    is_flat = (area == 0.0) | (length == 0.0) | (np.linalg.norm(across, axis=1) == 0.0)
+    unit = along / np.where(length > 0.0, length, 1.0)[:, None]
+    return np.where(is_flat[:, None], 0.0, unit), np.where(is_flat, 0, -np.sign(area)).astype(np.int64)
+
+
+def _weld(geometry: MeshGeometry, uv: str) -> Rows:
+    """Return the same number (v,) for vertices of equal position, normal and texture coordinates."""
+    names = ["position", "normal", *([uv] if uv in (geometry.vertices.dtype.names or ()) else [])]
+    rows = np.concatenate([geometry.vertices[name] for name in names], axis=1) + 0.0  # -0 is 0
+    as_bytes = np.ascontiguousarray(rows).view(np.dtype((np.void, rows.shape[1] * 4))).reshape(-1)
+    welded: Rows = np.unique(as_bytes, return_inverse=True)[1].reshape(-1)
+    return welded
+
+
+def _find_links(vertex: Rows) -> tuple[Rows, Rows]:
+    """Return pairs of corners (l,), (l,) that begin an edge in one triangle and end it in another."""
+    corner = np.arange(len(vertex))
+    following = corner - corner % 3 + (corner + 1) % 3
+    begin, end = vertex[corner], vertex[following]
+    low, high = np.minimum(begin, end), np.maximum(begin, end)
+    order = np.lexsort((begin, high, low))
+    one, other = order[:-1], order[1:]
+    same = (low[one] == low[other]) & (high[one] == high[other]) & (low[one] != high[one])
+    one, other = one[same], other[same]
+    turned = begin[one] != begin[other]  # the edge runs the other way
+    one, other = one[turned], other[turned]
+    return np.concatenate([one, following[one]]), np.concatenate([following[other], other])
+
+
+def _orient_flat(vertex: Rows, sign: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Give triangles without a tangent the sign of a neighbour, or 1."""
+    one, other = (side // 3 for side in _find_links(vertex))
+    sign = sign.copy()
+    while True:
+        before = sign.copy()
+        for here, there in ((one, other), (other, one)):
+            learns = (sign[here] == 0) & (before[there] != 0)
+            sign[here[learns]] = before[there[learns]]
+        if np.array_equal(sign, before):
+            return np.where(sign == 0, 1, sign)
+
+
+def _find_groups(vertex: Rows, sign: NDArray[np.int64]) -> Rows:
+    """Return the group of each corner: the lowest corner that edges between triangles of its orientation lead to."""
+    one, other = _find_links(vertex)
+    alike = sign[one // 3] == sign[other // 3]
+    one, other = one[alike], other[alike]
+    group = np.arange(len(vertex))
+    while True:
+        lowest = np.minimum(group[one], group[other])
+        before = group.copy()
+        for side in (one, other):
+            np.minimum.at(group, before[side], lowest)  # the lowest corner so far learns of a lower one
+        group = group[group]
+        if np.array_equal(group, before):
+            return group
+
+
+def _sum_tangents(points: Floats, along: Floats, normals: Floats, group: Rows) -> Floats:
+    """Return the unit tangent (c, 3) of each corner's group, perpendicular to the normal; 0 where there is none."""
+    triangle = np.arange(len(group)) // 3
+    before, after = (points[:, order].reshape(-1, 3) for order in ([2, 0, 1], [1, 2, 0]))
+    here = points.reshape(-1, 3)
+    sides = [_normalize(_project(end - here, normals)) for end in (before, after)]
+    angle = np.arccos(np.clip(np.einsum("ij,ij->i", *sides), -1.0, 1.0))
+    weighted = _normalize(_project(along[triangle], normals)) * angle[:, None]
+    total = np.stack([np.bincount(group, weighted[:, axis], len(group)) for axis in range(3)], axis=1)
+    return _normalize(total)[group]
+
+
+def _fill_missing(tangents: Floats, normals: Floats, vertex: Rows) -> Floats:
+    """Give corners without a tangent that of another corner of their vertex, or one perpendicular to the normal."""
+    has = np.flatnonzero(tangents.any(1))
+    source = np.full(int(vertex.max()) + 1, -1)
+    source[vertex[has][::-1]] = has[::-1]
+    missing = ~tangents.any(1)
+    known = missing & (source[vertex] >= 0)
+    tangents = tangents.copy()
+    tangents[known] = tangents[source[vertex[known]]]
+    lost = missing & ~known
+    axis = np.eye(3)[np.abs(normals[lost]).argmin(1)]
+    tangents[lost] = _normalize(_project(axis, normals[lost]))
+    return tangents
+
+
+def _project(vectors: Floats, normals: Floats) -> Floats:
+    projected: Floats = vectors - normals * np.einsum("ij,ij->i", vectors, normals)[:, None]
+    return projected
+
+
+def _normalize(vectors: NDArray[Any]) -> Floats:
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    unit: Floats = np.where(length > 0.0, vectors / np.where(length > 0.0, length, 1.0), 0.0)
+    return unit
