@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Final
 
+from renderer.techniques.auto import AutoTechnique
 from renderer.techniques.deferred import Deferred
 from renderer.techniques.deferred_cells import ClusteredDeferred, TiledDeferred
 from renderer.techniques.deferred_plus import DeferredPlus
@@ -36,6 +37,7 @@ TECHNIQUES: Final[dict[str, Callable[[], Technique]]] = {
 
 __all__ = [
     "TECHNIQUES",
+    "AutoTechnique",
     "Clustered",
     "ClusteredDeferred",
     "Deferred",
