@@ -18,6 +18,7 @@ from rhi.errors import refuse
 
 __rhi_internal__ = True
 
+_LARGEST: Final = 1e30  # of a number: products of a few don't overflow
 _SHOWN: Final = 60  # characters of a value that a refusal shows
 
 
@@ -149,7 +150,7 @@ class JsonObject:
 
 
 def _is_number(given: Any) -> TypeGuard[float]:
-    return isinstance(given, int | float) and not isinstance(given, bool) and abs(given) <= 1e300
+    return isinstance(given, int | float) and not isinstance(given, bool) and abs(given) <= _LARGEST
 
 
 def _shown(given: object) -> object:

@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 
 from renderer.content.gltf.document import JsonObject
+from renderer.content.gltf.extras import private
 from renderer.content.gltf.tracks import compose
 from renderer.scene.arrays import Floats
 from renderer.scene.camera import Camera, Orthographic, Perspective
@@ -21,15 +22,13 @@ from renderer.scene.transforms import multiply
 
 __rhi_internal__ = True
 
-ROOM: Final = "rhi"
-"""The key of what `save_scene` keeps in `extras`."""
-
 CANDELA: Final = 1.0 / np.pi
 """Intensity of a light for each candela: a white surface that faces it reflects 1 / π of what it receives in glTF, and
 all of it here."""
 
 _FAINT: Final = 1.0 / 512.0  # what a light without a range gives at the range that it gets
 _FARTHEST: Final = 1e6  # metres: the greatest of these ranges
+_LARGEST_WORLD: Final = 1e60  # in a world transform: float32 vertices times it can be squared
 _EXACT: Final = 1e-9  # deviation of a squared length from 1, up to which a quaternion is kept as it is
 _ORTHONORMAL: Final = 1e-6  # of products of axes, up to which axes are kept as they are: they may be float32
 
@@ -96,12 +95,11 @@ def find_worlds(nodes: list[GltfNode]) -> Floats:
     worlds = np.zeros((len(nodes), 4, 4))
     for row, node in enumerate(nodes):
         worlds[row] = node.local if node.parent < 0 else multiply(worlds[node.parent], node.local)
+        if np.abs(worlds[row]).max() > _LARGEST_WORLD:
+            node.fields.refuse(
+                "", f"a world transform up to {np.abs(worlds[row]).max():g}", f"{_LARGEST_WORLD:g}"
+            )
     return worlds
-
-
-def is_room(node: GltfNode) -> bool:
-    """Return whether a node only holds a light or a camera that `save_scene` has placed; it is none of the scene's."""
-    return node.fields.child("extras").values.get(ROOM) == "placed"
 
 
 def read_camera(fields: JsonObject, world: Floats) -> Camera | None:
@@ -132,23 +130,25 @@ def add_light(lights: Lights, fields: JsonObject, world: Floats, omissions: Omis
     intensity = fields.real("intensity", 1.0, 0.0, 1e30) * CANDELA
     if min(color) < 0.0:
         fields.refuse("color", color, "0 or more")
+    held = private(fields)
+    casts_shadow = held is not None and held.flag("casts_shadow")
     axes = _axes(world)
     if axes is None and kind != "point":
         omissions.add("lights without a direction", fields.where)
         return
     forward = (0.0, 0.0, 0.0) if axes is None else tuple((-axes[2]).tolist())
     if kind == "directional":
-        lights.add_directional(forward, color, intensity)
+        lights.add_directional(forward, color, intensity, casts_shadow)
         return
     faint = min(max(float(np.sqrt(intensity * max(color) / _FAINT)), 1e-3), _FARTHEST)
     reach = fields.real("range", faint, 1e-30, 1e30)
     if kind == "point":
-        lights.add_point(world[:3, 3], reach, color, intensity)
+        lights.add_point(world[:3, 3], reach, color, intensity, casts_shadow)
         return
     spot = fields.child("spot")
     outer = spot.real("outerConeAngle", np.pi / 4.0, 0.0, np.pi)
     inner = spot.real("innerConeAngle", 0.0, 0.0, outer)
-    lights.add_spot(world[:3, 3], forward, reach, inner, outer, color, intensity)
+    lights.add_spot(world[:3, 3], forward, reach, inner, outer, color, intensity, casts_shadow)
 
 
 def _read_node(fields: JsonObject, number: int, parent: int) -> GltfNode:
