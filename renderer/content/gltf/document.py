@@ -121,6 +121,10 @@ class JsonObject:
             self.refuse(name, given, ", ".join(names))
         return given
 
+    def length(self, name: str) -> int:
+        """Return the length of the list `name`; 0 if it is missing."""
+        return len(self._list(name))
+
     def child(self, name: str) -> JsonObject:
         """Return the object in the field `name`; one without fields if it is missing."""
         given = self.values.get(name, {})

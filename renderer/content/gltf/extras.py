@@ -103,11 +103,11 @@ def _read_path(fields: JsonObject) -> CameraPath:
         lens = Orthographic(fields.real("orthographic", low=1e-12), aspect, near, far, depth)
     else:
         lens = Perspective(fields.real("perspective", low=1e-9, high=3.14159), aspect, near, far, depth)
-    size = len(fields.values.get("positions", ()))
+    size = fields.length("positions")
     count = size - size % 3
     if not count:
         fields.refuse("positions", "no camera", "three numbers for each camera")
     positions, targets = (fields.reals(name, count).reshape(-1, 3) for name in ("positions", "targets"))
-    one = len(fields.values.get("ups", ())) == 3
+    one = fields.length("ups") == 3
     ups = fields.reals("ups", 3) if one else fields.reals("ups", count).reshape(-1, 3)
     return CameraPath(positions, targets, lens, ups)

@@ -185,7 +185,9 @@ def _restore(
     return restored
 
 
-def _colors(fields: JsonObject, name: str, size: int, default: float = 1.0, high: float = 1e4) -> NDArray[np.float64]:
+def _colors(
+    fields: JsonObject, name: str, size: int, default: float = 1.0, high: float = 1e4
+) -> NDArray[np.float64]:
     found = fields.reals(name, size, (default,) * size)
     if not ((found >= 0.0) & (found <= high)).all():
         fields.refuse(name, found.tolist(), "0 to 1")

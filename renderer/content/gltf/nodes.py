@@ -7,7 +7,7 @@ has one parent at most and none is above itself: a file in which that isn't so i
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -123,32 +123,50 @@ def read_camera(fields: JsonObject, world: Floats) -> Camera | None:
     return None if axes is None else Camera(world[:3, 3].copy(), axes, projection)
 
 
-def add_light(lights: Lights, fields: JsonObject, world: Floats, omissions: Omissions) -> None:
-    """Add a light of KHR_lights_punctual at a node; it shines along -Z of its node."""
-    kind = fields.choice("type", ("directional", "point", "spot"))
-    color = fields.reals("color", 3, (1.0, 1.0, 1.0)).tolist()
-    intensity = fields.real("intensity", 1.0, 0.0, 1e30) * CANDELA
-    if min(color) < 0.0:
-        fields.refuse("color", color, "0 or more")
-    held = private(fields)
-    casts_shadow = held is not None and held.flag("casts_shadow")
-    axes = _axes(world)
-    if axes is None and kind != "point":
-        omissions.add("lights without a direction", fields.where)
-        return
-    forward = (0.0, 0.0, 0.0) if axes is None else tuple((-axes[2]).tolist())
-    if kind == "directional":
-        lights.add_directional(forward, color, intensity, casts_shadow)
-        return
-    faint = min(max(float(np.sqrt(intensity * max(color) / _FAINT)), 1e-3), _FARTHEST)
-    reach = fields.real("range", faint, 1e-30, 1e30)
-    if kind == "point":
-        lights.add_point(world[:3, 3], reach, color, intensity, casts_shadow)
-        return
-    spot = fields.child("spot")
-    outer = spot.real("outerConeAngle", np.pi / 4.0, 0.0, np.pi)
-    inner = spot.real("innerConeAngle", 0.0, 0.0, outer)
-    lights.add_spot(world[:3, 3], forward, reach, inner, outer, color, intensity, casts_shadow)
+class LightRows:
+    """Lights of KHR_lights_punctual at nodes, collected so that they are added as arrays."""
+
+    def __init__(self) -> None:
+        self._rows: dict[str, list[dict[str, Any]]] = {"directional": [], "point": [], "spot": []}
+
+    def add(self, fields: JsonObject, world: Floats, omissions: Omissions) -> None:
+        """Add a light at a node, along whose -Z it shines."""
+        kind = fields.choice("type", self._rows)
+        color = fields.reals("color", 3, (1.0, 1.0, 1.0))
+        if color.min() < 0.0:
+            fields.refuse("color", color.tolist(), "0 or more")
+        held = private(fields)
+        row: dict[str, Any] = {
+            "color": color,
+            "intensity": fields.real("intensity", 1.0, 0.0) * CANDELA,
+            "casts_shadow": held is not None and held.flag("casts_shadow"),
+        }
+        if kind != "point":
+            axes = _axes(world)
+            if axes is None:
+                omissions.add("lights without a direction", fields.where)
+                return
+            row["direction"] = -axes[2]
+        if kind != "directional":
+            faint = float(np.sqrt(row["intensity"] * color.max() / _FAINT))
+            row["position"] = world[:3, 3]
+            row["range"] = fields.real("range", min(max(faint, 1e-3), _FARTHEST), 1e-30)
+        if kind == "spot":
+            spot = fields.child("spot")
+            row["outer"] = spot.real("outerConeAngle", np.pi / 4.0, 0.0, np.pi)
+            row["inner"] = spot.real("innerConeAngle", 0.0, 0.0, row["outer"])
+        self._rows[kind].append(row)
+
+    def add_to(self, lights: Lights) -> None:
+        """Add all lights, each kind in the order in which they were collected."""
+        for row in self._rows["directional"]:
+            lights.add_directional(**row)
+        for kind, add in (("point", lights.add_points), ("spot", lights.add_spots)):
+            if rows := self._rows[kind]:
+                columns: dict[str, Any] = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+                shadows = columns.pop("casts_shadow")
+                added = add(**columns)
+                getattr(lights, kind)["casts_shadow"][added] = shadows
 
 
 def _read_node(fields: JsonObject, number: int, parent: int) -> GltfNode:

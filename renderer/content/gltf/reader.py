@@ -22,7 +22,7 @@ from renderer.content.gltf.extras import Surroundings, is_placed, private, read_
 from renderer.content.gltf.materials import Materials
 from renderer.content.gltf.nodes import (
     GltfNode,
-    add_light,
+    LightRows,
     find_worlds,
     list_nodes,
     read_camera,
@@ -128,6 +128,7 @@ class _GltfReader:
         dynamic = frozenset(self._private.indices("dynamic", len(self._root.children("nodes"))))
         ids: list[int] = []
         objects: list[tuple[int, int, int]] = []
+        bounds: dict[int, tuple[Floats, Floats]] = {}
         contents: list[tuple[int, tuple[Floats, Floats]]] = []
         for row, node in enumerate(nodes):
             if row not in moving and is_placed(node.fields):
@@ -141,7 +142,10 @@ class _GltfReader:
             for geometry, material in self._meshes[mesh] if mesh >= 0 else ():
                 material = material if material >= 0 else self._materials.default()
                 objects.append((ids[-1], geometry, material))
-                contents.append((row, self._builder.mesh_bounds(geometry)))
+                if animated is not None and geometry not in bounds:
+                    bounds[geometry] = self._builder.mesh_bounds(geometry)
+                if animated is not None:
+                    contents.append((row, bounds[geometry]))
         self._add_objects(objects)
         if animated is not None:
             rows, motion = animated
@@ -153,7 +157,7 @@ class _GltfReader:
             return
         count = len(objects)
         table = np.array(objects, np.int64)
-        if len(self._private.values.get("objects", ())) == count:  # else another program has changed them
+        if self._private.length("objects") == count:  # else another program has changed them
             order = self._private.indices("objects", count)
             if len(set(order)) < count:
                 self._private.refuse("objects", "a row twice", "each row once")
@@ -185,10 +189,12 @@ class _GltfReader:
     def _add_lights(self, nodes: list[GltfNode], worlds: Floats, moving: NDArray[np.bool_]) -> None:
         held = self._root.extension("KHR_lights_punctual")
         lights = [] if held is None else held.children("lights")
+        found = LightRows()
         for node, world, moves in zip(nodes, worlds, moving, strict=True):
             used = node.fields.extension("KHR_lights_punctual")
             if used is not None:
                 number = used.index("light", len(lights), needed=True)
                 if moves:
                     self._omissions.add("motion of a light", node.fields.where)
-                add_light(self._builder.lights, lights[number], world, self._omissions)
+                found.add(lights[number], world, self._omissions)
+        found.add_to(self._builder.lights)
