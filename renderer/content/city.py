@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from renderer.content.buildings import KINDS, make_building, make_lamp, make_trees
 from renderer.content.shapes import plane
-from renderer.content.specs import SEED, Generator, Option
+from renderer.content.specs import SEED, SHADOWS, Generator, Option, cast_shadows
 from renderer.content.textures import NIGHT_WINDOWS, WINDOWS, paint_facade, paint_lit_facade, paint_street
 from renderer.scene.arrays import Floats, Rows
 from renderer.scene.camera import Camera, Perspective
@@ -69,12 +69,14 @@ class CityPlan:
     route: Floats
 
 
-def make_city(blocks: int, detail: int, seed: int) -> Scene:
+def make_city(blocks: int, detail: int, seed: int, shadows: int) -> Scene:
     """Make a city of `blocks` x `blocks`; `detail` sets how finely facades are divided, `seed` varies everything."""
     builder = SceneBuilder(f"city:blocks={blocks},detail={detail},seed={seed}")
     plan = add_city(builder, blocks, detail, seed)
     add_daylight(builder)
     _add_lamps(builder, plan.route, detail)
+    if shadows:
+        cast_shadows(builder)
     return builder.build()
 
 
@@ -123,6 +125,7 @@ CITY: Final = Generator(
         Option("blocks", 44, "blocks along each side", 1, 256),
         Option("detail", 7, "how finely facades are divided", 2, 32),
         SEED,
+        SHADOWS,
     ),
     make_city,
 )
@@ -164,7 +167,7 @@ def _add_ground(builder: SceneBuilder, blocks: int, seed: int, at_night: bool) -
             size = np.array([x1 - x0, 1.0, z1 - z0]) * (PITCH, 1.0, PITCH)
             middle = (np.array([x0 + x1, 0.0, z0 + z1]) - (blocks, 0.0, blocks)) * 0.5 * PITCH
             node = builder.add_node(multiply(translation(middle), scaling(size)), name="ground")
-            builder.add_objects(node, meshes[x1 - x0, z1 - z0], streets)
+            builder.add_objects(node, meshes[x1 - x0, z1 - z0], streets, casts_shadow=False)
     wide = builder.add_mesh(plane(), "plain")
     extent, edge = 6.0 * blocks * PITCH + 2000.0, blocks * PITCH
     # At night the plain is a frame around the city: one sheet below it would be in reach of all lamps.
@@ -177,7 +180,7 @@ def _add_ground(builder: SceneBuilder, blocks: int, seed: int, at_night: bool) -
     ]
     for x, z, width, depth in frame if at_night else [(0.0, 0.0, extent, extent)]:
         place = multiply(translation((x, -0.5, z)), scaling((width, 1.0, depth)))
-        builder.add_objects(builder.add_node(place, name="plain"), wide, plain)
+        builder.add_objects(builder.add_node(place, name="plain"), wide, plain, casts_shadow=False)
 
 
 def _steps(edges: NDArray[np.int64]) -> set[int]:
@@ -243,7 +246,7 @@ def _add_parks(
     place = translation(np.stack([centre[:, 0], np.full(len(centre), 0.05), centre[:, 1]], axis=1))
     nodes = builder.add_nodes(multiply(place, scaling((side, 1.0, side))))
     pick = rng.integers(0, 3, (2, len(centre)))
-    builder.add_objects(nodes, lawn, grass)
+    builder.add_objects(nodes, lawn, grass, casts_shadow=False)
     builder.add_objects(nodes, np.array(trees)[pick[0]], np.array(leaves)[pick[1]])
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from renderer.content import shapes
 from renderer.content.fountains import BOUNDS, Fountains, make_drops
-from renderer.content.specs import SEED, Generator, Option
+from renderer.content.specs import SEED, SHADOWS, Generator, Option, cast_shadows
 from renderer.content.textures import paint_stripes
 from renderer.scene.arrays import Floats, Rows
 from renderer.scene.camera import Camera, Perspective
@@ -57,7 +57,7 @@ _HUES: Final = np.array(
 
 
 def make_hall(
-    columns: int, rows: int, flags: int, fountains: int, lights: int, detail: int, seed: int
+    columns: int, rows: int, flags: int, fountains: int, lights: int, detail: int, seed: int, shadows: int
 ) -> Scene:
     """Make a hall of `columns` x `rows` columns with `flags` flags and `fountains` fountains along its middle aisle,
     lit by its lamps, or by `lights` coloured lights among the columns."""
@@ -75,6 +75,8 @@ def make_hall(
     else:
         _add_lamps(builder, rng, columns, length, width)
     _add_cameras(builder, length, width)
+    if shadows:
+        cast_shadows(builder)
     return builder.build()
 
 
@@ -89,6 +91,7 @@ HALL: Final = Generator(
         Option("lights", 0, "coloured lights among the columns; 0: lamps along the aisle", 0, 65_536),
         Option("detail", 8, "how finely columns are divided", 3, 64),
         SEED,
+        SHADOWS,
     ),
     make_hall,
 )
@@ -106,7 +109,7 @@ def _add_shell(builder: SceneBuilder, length: float, width: float, columns: int)
     bays = (np.arange(columns) + 0.5) * BAY - 0.5 * length
     zero = np.zeros(columns)
     tiles = multiply(translation(np.stack([bays, zero, zero], 1)), scaling((BAY, 1.0, width)))
-    builder.add_objects(builder.add_nodes(tiles), tile, floor)
+    builder.add_objects(builder.add_nodes(tiles), tile, floor, casts_shadow=False)
     lids = multiply(translation(np.stack([bays, zero + _HEIGHT + 0.2, zero], 1)), scaling((BAY, 0.4, width)))
     builder.add_objects(builder.add_nodes(lids), cube, ceiling)
     sides = [multiply(translation((0.0, 0.5 * _HEIGHT, z)), scaling((length, _HEIGHT, 0.4)))

@@ -15,7 +15,7 @@ from renderer.content import furniture, shapes
 from renderer.content.buildings import find_windows
 from renderer.content.city import PITCH, STREET, CityPlan, add_city, add_daylight
 from renderer.content.furniture import CAR_LENGTH, HEADLAMP, LAMP_REACH, TAIL_LAMP
-from renderer.content.specs import SEED, Generator, Option
+from renderer.content.specs import SEED, SHADOWS, Generator, Option, cast_shadows
 from renderer.content.textures import NIGHT_WINDOWS
 from renderer.scene.arrays import Floats, Rows
 from renderer.scene.camera import Camera, Perspective
@@ -50,7 +50,7 @@ _PAINTS: Final = (
 )
 
 
-def make_night(lights: int, sun: int, blocks: int, detail: int, seed: int) -> Scene:
+def make_night(lights: int, sun: int, blocks: int, detail: int, seed: int, shadows: int) -> Scene:
     """Make the city of `make_city` at night, with `lights` lights; with `sun` these are off, and the sun shines."""
     options = f"lights={lights},sun={sun},blocks={blocks},detail={detail},seed={seed}"
     builder = SceneBuilder(f"night:{options}")
@@ -78,6 +78,8 @@ def make_night(lights: int, sun: int, blocks: int, detail: int, seed: int) -> Sc
         builder.lights.sky, builder.lights.ground = (0.016, 0.022, 0.040), (0.014, 0.012, 0.010)
         builder.lights.add_directional((0.45, -0.70, -0.55), (0.62, 0.76, 1.0), 0.11)
     _add_views(builder, blocks)
+    if shadows:
+        cast_shadows(builder)
     return builder.build()
 
 
@@ -90,6 +92,7 @@ NIGHT: Final = Generator(
         Option("blocks", 44, "blocks along each side", 1, 256),
         Option("detail", 7, "how finely facades are divided", 2, 32),
         SEED,
+        SHADOWS,
     ),
     make_night,
 )

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from renderer import rules
-from renderer.scene.scene import Scene
+from renderer.scene.scene import Scene, SceneBuilder
 from rhi.errors import refuse
 
 __rhi_internal__ = True
@@ -82,3 +82,11 @@ class Generator:
 
 
 SEED: Final = Option("seed", 0, "another seed gives another scene of the same kind", 0, 2**31 - 1)
+
+SHADOWS: Final = Option("shadows", 0, "1: all lights cast shadows", 0, 1)
+
+
+def cast_shadows(builder: SceneBuilder) -> None:
+    """Let all lights of a scene cast shadows, which its name then says."""
+    builder.lights.cast_shadows()
+    builder.name += ",shadows=1"

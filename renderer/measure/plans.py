@@ -14,6 +14,7 @@ from renderer.frame import Effect, Frame, Needs, Pass, Plan
 from renderer.frame.plan import list_names
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene
+from renderer.shadows import MapReport
 from renderer.techniques import Technique
 from renderer.visibility import make_visibility
 from rhi import Op
@@ -53,7 +54,7 @@ class PlanReport:
     Attributes:
         passes: in their order. effects: those that are needed, with the reasons.
         left_out: effects that aren't needed and passes that were dropped. texture_bytes: the size of all textures.
-        textures: the contents that each texture holds in turn.
+        textures: the contents that each texture holds in turn. shadow_maps: what became of each shadow map.
     """
 
     passes: list[PassRow]
@@ -61,6 +62,7 @@ class PlanReport:
     left_out: list[LeftOut]
     textures: list[list[str]]
     texture_bytes: int
+    shadow_maps: list[MapReport]
 
 
 def describe_plan(
@@ -77,8 +79,9 @@ def describe_plan(
             renderer.render(camera)
             needs, plan = renderer.plan(camera)
             counts = _count_by_pass(device, plan)
+            maps = renderer.shadows.reports
         algorithm.destroy()
-    return _report(needs, plan, size, counts)
+    return _report(needs, plan, size, counts, maps)
 
 
 def _count_by_pass(device: rhi.Device, plan: Plan[Frame]) -> dict[str, Counter[str]]:
@@ -93,7 +96,11 @@ def _count_by_pass(device: rhi.Device, plan: Plan[Frame]) -> dict[str, Counter[s
 
 
 def _report(
-    needs: Needs, plan: Plan[Frame], size: tuple[int, int], counts: Mapping[str, Counter[str]]
+    needs: Needs,
+    plan: Plan[Frame],
+    size: tuple[int, int],
+    counts: Mapping[str, Counter[str]],
+    shadow_maps: list[MapReport],
 ) -> PlanReport:
     by_name = {name: texture for texture in plan.textures for name in texture.names}
 
@@ -118,4 +125,5 @@ def _report(
         ],
         textures=[list(texture.names) for texture in plan.textures],
         texture_bytes=plan.count_bytes(size),
+        shadow_maps=shadow_maps,
     )

@@ -3,6 +3,8 @@
 A point or spot light of intensity i gives i / d² at d metres, windowed to reach exactly 0 at its range,
 so that a light has a volume outside which it can be ignored. A spot fades from its inner to its
 outer half angle. Ambient light is a hemisphere: sky colour from above, ground colour from below.
+
+No light casts shadows unless it says so (`casts_shadow`, or `Lights.cast_shadows` for all of them).
 """
 
 from __future__ import annotations
@@ -21,14 +23,16 @@ from rhi.errors import refuse
 __rhi_internal__ = True
 
 DIRECTIONAL: Final = np.dtype(
-    [("direction", "<f4", 3), ("intensity", "<f4"), ("color", "<f4", 3), ("pad", "<f4")]
+    [("direction", "<f4", 3), ("intensity", "<f4"), ("color", "<f4", 3), ("casts_shadow", "<u4")]
 )
-"""32 bytes. `direction` is the unit vector along which the light travels."""
+"""32 bytes. `direction` is the unit vector along which the light travels; `casts_shadow` is 0 or 1."""
 
-POINT: Final = np.dtype([("position", "<f8", 3), ("range", "<f4"), ("color", "<f4", 3), ("intensity", "<f4")])
+POINT: Final = np.dtype(
+    [("position", "<f8", 3), ("range", "<f4"), ("color", "<f4", 3), ("intensity", "<f4"), ("casts_shadow", "?")]
+)
 SPOT: Final = np.dtype(
     [
-        *((name, POINT[name]) for name in ("position", "range", "color", "intensity")),
+        *((name, POINT[name]) for name in ("position", "range", "color", "intensity", "casts_shadow")),
         ("direction", "<f4", 3),
         ("inner", "<f4"),  # half angles in radians, inner <= outer
         ("outer", "<f4"),
@@ -51,6 +55,7 @@ RELATIVE_SPOT: Final = np.dtype(
 )
 """64 bytes, std430; positions relative to the eye."""
 
+_ROUNDED: Final = 2.0**-23  # of a unit vector's components in float32
 _LARGEST: Final = float(np.finfo(np.float32).max)
 
 
@@ -82,14 +87,24 @@ class Lights:
     def __len__(self) -> int:
         return len(self.directional) + len(self.point) + len(self.spot)
 
+    def cast_shadows(self) -> None:
+        """Let all lights that were added so far cast shadows."""
+        for lights in (self.directional, self.point, self.spot):
+            lights["casts_shadow"] = True
+
     def add_directional(
-        self, direction: Sequence[float], color: Sequence[float] = (1, 1, 1), intensity: float = 1.0
+        self,
+        direction: Sequence[float],
+        color: Sequence[float] = (1, 1, 1),
+        intensity: float = 1.0,
+        casts_shadow: bool = False,
     ) -> int:
         """Add light that travels along `direction`; returns its index."""
         call = "add_directional"
         light = np.zeros(1, DIRECTIONAL)
         light["direction"] = _units(call, direction, 1)
         _fill(light, call, color=color, intensity=intensity)
+        light["casts_shadow"] = casts_shadow
         self.directional = np.concatenate([self.directional, light])
         return len(self.directional) - 1
 
@@ -99,25 +114,39 @@ class Lights:
         range: float,
         color: Sequence[float] = (1, 1, 1),
         intensity: float = 1.0,
+        casts_shadow: bool = False,
     ) -> int:
         """Add a point light, `position` and `range` in metres; returns its index."""
         where = _numbers("add_point", "position", position, (1, 3))
-        return int(self._add_points("add_point", where, range, color, intensity)[0])
+        return int(self._add_points("add_point", where, range, color, intensity, casts_shadow)[0])
 
     def add_points(
-        self, position: ArrayLike, range: ArrayLike, color: ArrayLike = (1, 1, 1), intensity: ArrayLike = 1.0
+        self,
+        position: ArrayLike,
+        range: ArrayLike,
+        color: ArrayLike = (1, 1, 1),
+        intensity: ArrayLike = 1.0,
+        casts_shadow: bool = False,
     ) -> Rows:
         """Add point lights at positions (k, 3); returns their indices (k,).
 
         `range` and `intensity` are (k,) or one for all, `color` is (k, 3) or one for all.
         """
-        return self._add_points("add_points", np.asarray(position, np.float64), range, color, intensity)
+        where = np.asarray(position, np.float64)
+        return self._add_points("add_points", where, range, color, intensity, casts_shadow)
 
     def _add_points(
-        self, call: str, position: Floats, range: ArrayLike, color: ArrayLike, intensity: ArrayLike
+        self,
+        call: str,
+        position: Floats,
+        range: ArrayLike,
+        color: ArrayLike,
+        intensity: ArrayLike,
+        casts_shadow: bool,
     ) -> Rows:
         lights = np.zeros(_count(call, position), POINT)
         _fill(lights, call, position=position, range=range, color=color, intensity=intensity)
+        lights["casts_shadow"] = casts_shadow
         self.point = np.concatenate([self.point, lights])
         return np.arange(len(self.point) - len(lights), len(self.point))
 
@@ -130,10 +159,13 @@ class Lights:
         outer: float,
         color: Sequence[float] = (1, 1, 1),
         intensity: float = 1.0,
+        casts_shadow: bool = False,
     ) -> int:
         """Add a spot light with half angles 0 <= inner <= outer <= pi radians; returns its index."""
         where = _numbers("add_spot", "position", position, (1, 3))
-        added = self._add_spots("add_spot", where, direction, range, inner, outer, color, intensity)
+        added = self._add_spots(
+            "add_spot", where, direction, range, inner, outer, color, intensity, casts_shadow
+        )
         return int(added[0])
 
     def add_spots(
@@ -145,13 +177,16 @@ class Lights:
         outer: ArrayLike,
         color: ArrayLike = (1, 1, 1),
         intensity: ArrayLike = 1.0,
+        casts_shadow: bool = False,
     ) -> Rows:
         """Add spot lights at positions (k, 3); returns their indices (k,).
 
         `direction` and `color` are (k, 3) or one for all, all else is (k,) or one for all.
         """
         where = np.asarray(position, np.float64)
-        return self._add_spots("add_spots", where, direction, range, inner, outer, color, intensity)
+        return self._add_spots(
+            "add_spots", where, direction, range, inner, outer, color, intensity, casts_shadow
+        )
 
     def _add_spots(
         self,
@@ -163,9 +198,11 @@ class Lights:
         outer: ArrayLike,
         color: ArrayLike,
         intensity: ArrayLike,
+        casts_shadow: bool,
     ) -> Rows:
         lights = np.zeros(_count(call, position), SPOT)
         _fill(lights, call, position=position, range=range, color=color, intensity=intensity)
+        lights["casts_shadow"] = casts_shadow
         lights["direction"] = _units(call, direction, len(lights))
         low = _numbers(call, "inner", inner, (len(lights),))
         high = _numbers(call, "outer", outer, (len(lights),))
@@ -229,7 +266,9 @@ def _units(call: str, direction: ArrayLike, count: int) -> Floats:
         shown = _describe(allowed, lambda row: f"{given[row]}")
         refuse(rules.BAD_LIGHT, f"{call}(direction=...)", shown, "three finite numbers, not all 0")
     scaled = given / np.abs(given).max(axis=1, keepdims=True)  # no under- or overflow
-    return np.asarray(scaled / np.linalg.norm(scaled, axis=1, keepdims=True))
+    units = np.asarray(scaled / np.linalg.norm(scaled, axis=1, keepdims=True))
+    is_unit = np.abs(units - given).max(axis=1, keepdims=True) <= _ROUNDED
+    return np.where(is_unit, given, units)  # what has been rounded to float32 isn't rounded again
 
 
 def _describe(allowed: NDArray[np.bool_], show: Callable[[int], str]) -> str:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer import rules
-from rhi import SamplerDescriptor
+from rhi import SamplerDescriptor, Wrap
 from rhi.errors import refuse
 
 __rhi_internal__ = True
@@ -267,12 +267,18 @@ class TextureRows:
         return made
 
 
-def count_features(materials: NDArray[Any], textures: NDArray[Any]) -> dict[str, int]:
+def count_features(
+    materials: NDArray[Any], textures: NDArray[Any], samplers: Sequence[SamplerDescriptor]
+) -> dict[str, int]:
     """Return how many materials (k,) have each feature that a scene may lack; of images and second uvs, how many images
-    base colours have, and how many textures are read by a second uv."""
+    base colours have, and how many textures are read by a second uv; and how many textures aren't read and repeated as
+    they are."""
     is_metal = materials["model"] == ShadingModel.METALLIC_ROUGHNESS
     emits = materials["emissive"].any(axis=1)
     used = {name: np.unique(materials[name][materials[name] >= 0]) for name in TEXTURES}
+    read = np.unique(np.concatenate(list(used.values())))
+    repeats = np.array([(one.wrap_u, one.wrap_v) == (Wrap.REPEAT, Wrap.REPEAT) for one in samplers], bool)
+    is_plain = (textures["transform"] == np.eye(2, 3)).all(axis=(1, 2)) & repeats[textures["sampler"]]
     return {
         "images": len(np.unique(textures["image"][used["texture"]])),
         "emission": int(np.count_nonzero(materials["emission"])),
@@ -284,7 +290,8 @@ def count_features(materials: NDArray[Any], textures: NDArray[Any]) -> dict[str,
         "emissive maps": int((emits & (materials["emissive_texture"] >= 0)).sum()),
         "masks": int((materials["alpha_mode"] == AlphaMode.MASK).sum()),
         "two sides": int((materials["double_sided"] != 0).sum()),
-        "second uvs": int(textures["uv_set"][np.unique(np.concatenate(list(used.values())))].sum()),
+        "second uvs": int(textures["uv_set"][read].sum()),
+        "texture transforms": int((~is_plain[read]).sum()),
     }
 
 

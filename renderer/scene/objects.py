@@ -46,6 +46,7 @@ class Objects:
         node, mesh, material: (n,) int32, rows of nodes, meshes and materials.
         lower, upper: (n, 3) float64, world bounds, kept up to date by `Scene.update`.
         dynamic: (n,) bool, whether the object's node can move.
+        casts_shadow: (n,) bool, whether the object casts shadows.
         simulated: (n,) bool, whether the object is simulated where it is drawn, and only there. Its vertices and its
             transform may be those of an earlier time; its bounds hold at all times.
         boxes: what `lower` and `upper` are computed from.
@@ -60,6 +61,7 @@ class Objects:
     lower: Floats
     upper: Floats
     dynamic: NDArray[np.bool_]
+    casts_shadow: NDArray[np.bool_]
     simulated: NDArray[np.bool_]
     boxes: Boxes
     static_rows: Rows
@@ -81,7 +83,7 @@ class Objects:
 def make_objects(
     nodes: Nodes,
     meshes: Meshes,
-    columns: tuple[Rows, Rows, Rows],
+    columns: tuple[Rows, Rows, Rows, Rows],
     deformed: Rows,
     animated: Rows,
     bounds: tuple[Floats, Floats],
@@ -89,12 +91,12 @@ def make_objects(
     """Make the objects of a scene, with bounds as of now.
 
     Args:
-        columns: for each object the rows (n,) of its node, its mesh and its material.
+        columns: for each object the rows (n,) of its node, its mesh and its material, and whether it casts shadows.
         deformed: the rows of the objects whose vertices are simulated.
         animated: the rows (k,) of the animated nodes.
         bounds: the lower and upper corners (k, 3) of their boxes; NaN where there is none.
     """
-    node, mesh, material = columns
+    node, mesh, material, casts_shadow = columns
     lower, upper = bounds
     number = np.full(len(nodes), -1, np.int64)
     number[animated] = np.arange(len(animated))
@@ -126,6 +128,7 @@ def make_objects(
         lower=np.zeros((len(node), 3)),
         upper=np.zeros((len(node), 3)),
         dynamic=dynamic,
+        casts_shadow=casts_shadow != 0,
         simulated=simulated,
         boxes=boxes,
         static_rows=np.flatnonzero(~dynamic),

@@ -21,6 +21,7 @@ from renderer.scene.materials import (
     MATERIAL,
     TEXTURE,
     TEXTURES,
+    AlphaMode,
     ImagePixels,
     TextureMap,
     TextureRows,
@@ -31,6 +32,7 @@ from renderer.scene.materials import (
 from renderer.scene.meshes import MeshBounds, Meshes, MeshGeometry
 from renderer.scene.nodes import Nodes
 from renderer.scene.objects import Objects, make_objects
+from renderer.scene.omissions import Omission, Omissions
 from renderer.scene.paths import CameraPath
 from renderer.scene.simulation import (
     FunctionOfTime,
@@ -60,6 +62,7 @@ class Scene:
         simulated: the simulations in their initial state, and what they change; a renderer's `Simulator` runs copies.
         seconds: the time of the last update or frame.
         views: named cameras, the first of which is the default. paths: named camera paths.
+        omissions: what the file that it was loaded from has and the scene hasn't.
     """
 
     def __init__(
@@ -78,6 +81,7 @@ class Scene:
         simulated: tuple[Simulated, ...] = (),
         textures: NDArray[Any] | None = None,
         samplers: tuple[SamplerDescriptor, ...] = (),
+        omissions: tuple[Omission, ...] = (),
     ) -> None:
         self.name = name
         self.simulated = simulated
@@ -93,6 +97,7 @@ class Scene:
         self.lights = lights
         self.views = dict(views)
         self.paths = dict(paths)
+        self.omissions = omissions
         self.seconds = 0.0
         self._features: tuple[bytes, dict[str, int]] = (b"", {})
         self._simulator = self.make_simulator()
@@ -126,7 +131,7 @@ class Scene:
         when the materials have changed."""
         contents = self.materials.tobytes()
         if self._features[0] != contents:
-            counts = count_features(self.materials, self.textures)
+            counts = count_features(self.materials, self.textures, self.samplers)
             counts["vertex colors"] = len(self.meshes) if "color" in (self.meshes.vertices.dtype.names or ()) else 0
             self._features = (contents, counts)
         return self._features[1]
@@ -159,6 +164,13 @@ class Scene:
         """Return the number of triangles of the objects with these rows."""
         return int(self.meshes.triangle_counts[self.objects.mesh[objects]].sum())
 
+    def find_transparent(self) -> Rows:
+        """Return the rows of the objects whose materials are blended with what is behind them."""
+        blended = self.materials["alpha_mode"] == AlphaMode.BLEND
+        if not blended.any():
+            return np.zeros(0, np.int64)
+        return np.flatnonzero(blended[self.objects.material])
+
     def relative_transforms(
         self, eye: ArrayLike, objects: NDArray[np.int64] | None = None
     ) -> NDArray[np.float32]:
@@ -186,11 +198,15 @@ class SceneBuilder:
         self.haze = 0.0
         self.views: dict[str, Camera] = {}
         self.paths: dict[str, CameraPath] = {}
+        self.omissions = Omissions()
         self._geometries: list[MeshGeometry] = []
         self._bounds: list[MeshBounds | None] = []
         self._mesh_names: list[str] = []
         self._materials: list[NDArray[Any]] = []
+        self._mesh_ids: dict[int, int] = {}
         self._images: list[ImagePixels] = []
+        self._image_ids: dict[int, int] = {}
+        self._kept: list[object] = []
         self._textures = TextureRows()
         self._parents: list[NDArray[np.int64]] = []
         self._locals: list[Floats] = []
@@ -202,21 +218,40 @@ class SceneBuilder:
         self._animated: list[tuple[NDArray[np.int64], ObjectSimulation, tuple[Floats, Floats] | None]] = []
 
     def add_mesh(self, geometry: MeshGeometry, name: str = "", bounds: MeshBounds | None = None) -> int:
-        """Add a mesh and return its id. The vertices of a simulated mesh must never leave `bounds`."""
+        """Add a mesh and return its id: the same as before for a mesh without `bounds` that was added before.
+
+        The vertices of a simulated mesh must never leave its `bounds`.
+        """
+        if bounds is None and (known := self._mesh_ids.get(id(geometry))) is not None:
+            return known
         if bounds is not None:
             lower, upper = geometry.bounds
             if not ((bounds[0] <= lower) & (upper <= bounds[1])).all():
                 given = f"{bounds[0]} to {bounds[1]}"
                 refuse(rules.BAD_MESH, "add_mesh(bounds=...)", given, f"at least {lower} to {upper}")
+        elif id(geometry) not in self._mesh_ids:
+            self._mesh_ids[id(geometry)] = len(self._geometries)
         self._bounds.append(bounds)
         self._geometries.append(geometry)
         self._mesh_names.append(name)
         return len(self._geometries) - 1
 
+    @property
+    def object_count(self) -> int:
+        """The number of objects that have been added."""
+        return self._object_count
+
+    def mesh_bounds(self, mesh: int) -> MeshBounds:
+        """Return the bounds that a mesh was added with, or those of its vertices."""
+        return self._bounds[mesh] or self._geometries[mesh].bounds
+
     def add_image(self, image: NDArray[Any]) -> int:
-        """Add a texture's pixels (height, width, 4) uint8 and return its id."""
-        self._images.append(check_image(image))
-        return len(self._images) - 1
+        """Add a texture's pixels (height, width, 4) uint8 and return its id; the same array is added once."""
+        if id(image) not in self._image_ids:
+            self._images.append(check_image(image))
+            self._image_ids[id(image)] = len(self._images) - 1
+            self._kept.append(image)  # as long as the builder lives, so that its id isn't given to another
+        return self._image_ids[id(image)]
 
     def add_material(self, **values: Any) -> int:
         """Add a material from the arguments of `make_material` and return its id.
@@ -263,8 +298,14 @@ class SceneBuilder:
         self._node_names.extend([""] * count)
         return np.arange(first, first + count)
 
-    def add_objects(self, nodes: ArrayLike, meshes: ArrayLike, materials: ArrayLike) -> NDArray[np.int64]:
-        """Add objects, given ids of nodes, meshes and materials, (k,) or one for all; return their rows (k,)."""
+    def add_objects(
+        self, nodes: ArrayLike, meshes: ArrayLike, materials: ArrayLike, casts_shadow: bool = True
+    ) -> NDArray[np.int64]:
+        """Add objects, given ids of nodes, meshes and materials, (k,) or one for all; return their rows (k,).
+
+        They cast shadows of the lights that do, unless `casts_shadow` is False: a ground, below which nothing is seen,
+        costs shadow maps time.
+        """
         columns = np.broadcast_arrays(
             *(np.atleast_1d(np.asarray(v, np.int64)) for v in (nodes, meshes, materials))
         )
@@ -272,7 +313,7 @@ class SceneBuilder:
         for name, column, limit in zip(("nodes", "meshes", "materials"), columns, limits, strict=True):
             if column.size and (column.min() < 0 or column.max() >= limit):
                 refuse(rules.BAD_INDEX, f"add_objects({name}=...)", column, f"0 to {limit - 1}")
-        self._objects.append(np.stack(columns, axis=1))
+        self._objects.append(np.stack([*columns, np.full_like(columns[0], casts_shadow)], axis=1))
         first = self._object_count
         self._object_count += len(columns[0])
         return np.arange(first, self._object_count)
@@ -352,7 +393,7 @@ class SceneBuilder:
         objects = make_objects(
             nodes,
             meshes,
-            (nodes.rows[table[:, 0]], table[:, 1], table[:, 2]),
+            (nodes.rows[table[:, 0]], table[:, 1], table[:, 2], table[:, 3]),
             np.concatenate([np.zeros(0, np.int64), *(one.objects for one in self._simulated)]),
             animated,
             (lower, upper),
@@ -379,6 +420,7 @@ class SceneBuilder:
             simulated,
             self._textures.make(),
             tuple(self._textures.samplers),
+            omissions=tuple(self.omissions),
         )
 
     def _complete_vertices(self, table: NDArray[np.int64]) -> list[MeshGeometry]:

@@ -24,7 +24,8 @@ from renderer.shaders.lighting import is_near, point_incidence, spot_incidence
 from renderer.shaders.structs import PointLight, SpotLight, SurfacePoint
 from renderer.techniques.cell_lists import CellReader, ClusterLists, bind_lists, list_pass
 from renderer.techniques.deferred import Deferred, GeometryResolve, resolve, resolve_geometry
-from renderer.techniques.forward import bind_lamps, bind_shading, explain_lamps, list_lamps
+from renderer.techniques.forward import bind_lamps, bind_shading, explain_lamps, find_forward, list_lamps
+from renderer.techniques.forward_plus import find_listed
 from renderer.techniques.forward_shader import LampShader
 from renderer.techniques.geometry_buffer import (
     GeometryReader,
@@ -34,6 +35,7 @@ from renderer.techniques.geometry_buffer import (
     list_readers,
 )
 from renderer.techniques.resolve import LIGHT_FORMAT, resolve_pass
+from renderer.techniques.transparency import declare_transparency
 from rhi import Device, Texture
 from rhi.shading import (
     Image2D,
@@ -232,6 +234,7 @@ class TiledDeferred:
                 "lights surfaces by what reaches all of them",
                 (*reads, "light"),
             ),
+            *declare_transparency(needs, find_forward),
         )
 
 
@@ -253,6 +256,7 @@ class ClusteredDeferred:
                 "lights surfaces by what reaches all of them and by their clusters' lights",
                 (*reads, "light lists"),
             ),
+            *declare_transparency(needs, partial(find_listed, kind=ClusterLists), reads=("light lists",)),
         )
 
 
@@ -275,7 +279,7 @@ def light_tiles(frame: Frame) -> None:
 def dispatch_tiles(frame: Frame, lit: Texture, added: tuple[type[TiledLighting], ...] = ()) -> None:
     """Run the compute shader for all tiles. With bases that are `added`, it adds up something else than light."""
     resources = frame.resources
-    uploads = resources.workspace(TileUploads)
+    uploads = frame.view.workspace(TileUploads)
     uploads.write(frame.camera, frame.targets.size, resources.scene.lights)
     parts, lamps = bind_lamps(frame)
     lamps.pop("light_rows")

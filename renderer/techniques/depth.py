@@ -5,37 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from renderer.frame import Frame, TechniquePass
-from renderer.shaders.structs import (
-    Object,
-    ObjectPosition,
-    SurfaceVarying,
-    ViewConstants,
-    relative_position,
-)
+from renderer.shaders.depth import DepthOnly
+from renderer.shaders.structs import SurfaceVarying
 from renderer.techniques.scene_shader import SceneShader
 from renderer.techniques.surfaces import Aspect, bind_surfaces, surface_variant
-from rhi.shading import Shader, Storage, Struct, Uniform, instance_index, vec3, vec4
 
 __rhi_internal__ = True
-
-
-class PlacedVertex(Struct):
-    """The part of a vertex that depth depends on."""
-
-    position: vec3
-
-
-class DepthOnly(Shader):
-    """Draws depth, bit for bit that of the forward shader."""
-
-    view: Uniform[ViewConstants]
-    objects: Storage[Object]
-    places: Storage[ObjectPosition]
-
-    def vertex(self, v: PlacedVertex) -> vec4:
-        row = instance_index()
-        position = self.objects[row].linear @ v.position + relative_position(self.places[row], self.view)
-        return self.view.relative_view_projection @ vec4(position, 1.0)
 
 
 class PartialDepth(SceneShader):

@@ -25,6 +25,7 @@ from renderer.techniques.forward import (
     Forward,
     bind_lamps,
     bind_materials,
+    find_forward,
     list_lamps,
 )
 from renderer.techniques.forward_shader import (
@@ -37,6 +38,7 @@ from renderer.techniques.forward_shader import (
 )
 from renderer.techniques.resolve import LIGHT_FORMAT, sum_pass
 from renderer.techniques.surfaces import Aspect, MaterialShader, bind_surfaces, list_models
+from renderer.techniques.transparency import declare_transparency
 from rhi import BlendFunction, DepthFunction, DepthTest, DepthWrite, Program, State, Texture
 from rhi.shading import Shader, Storage, Struct, instance_index, ivec3, vec3, vec4
 
@@ -70,7 +72,7 @@ class PointPairs(MaterialShader, LampShader):
     def find_object(self) -> int:
         return self.pairs[instance_index()].object
 
-    def find_lights(self, thing: Object) -> ivec3:
+    def list_lights(self, thing: Object) -> ivec3:
         entry = self.pairs[instance_index()].entry
         return ivec3(entry, entry + 1, entry + 1)
 
@@ -81,7 +83,7 @@ class PointPairs(MaterialShader, LampShader):
 class SpotPairs(PointPairs):
     """Adds the light of pairs of an object and one spot light that reaches it."""
 
-    def find_lights(self, thing: Object) -> ivec3:
+    def list_lights(self, thing: Object) -> ivec3:
         entry = self.pairs[instance_index()].entry
         return ivec3(entry, entry, entry + 1)
 
@@ -115,7 +117,7 @@ class ForwardMultipass:
                 )
             )
             light = result
-        return *passes, sum_pass(needs, light)
+        return *passes, sum_pass(needs, light), *declare_transparency(needs, find_forward)
 
 
 @cache
@@ -185,9 +187,10 @@ def draw_pairs(frame: Frame, effect: Effect, shader: type[Shader], color: Textur
 
 
 def _list_visible(frame: Frame) -> Rows:
-    """Return the objects drawn. Where only the device knows them, return all in view: those that are hidden fail the
-    depth test."""
+    """Return the objects drawn, but for transparent ones. Where only the device knows them, return all in view: those
+    that are hidden fail the depth test."""
     if frame.drawn.is_known:
-        return frame.drawn.rows
+        return frame.drawn.opaque
     resources = frame.resources
-    return resources.find_in_view(frame.camera, np.arange(len(resources.draws)))
+    rows = resources.find_in_view(frame.camera, np.arange(len(resources.draws)))
+    return rows[~resources.is_transparent[rows]]

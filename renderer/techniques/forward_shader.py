@@ -10,7 +10,7 @@ from functools import cache
 from typing import Final
 
 from renderer.shaders.lighting import in_range, point_incidence, spot_incidence
-from renderer.shaders.structs import PointLight, SpotLight, SurfacePoint, SurfaceVarying
+from renderer.shaders.structs import Material, PointLight, SpotLight, SurfacePoint, SurfaceVarying
 from renderer.techniques.scene_shader import (
     SHADING_PARTS,
     ReflectingShader,
@@ -41,11 +41,18 @@ class ForwardShader(MaterialShader, LampShader, ShadingShader):
     """The base of all variants: ambient light with the rim term."""
 
     def fragment(self, v: SurfaceVarying) -> vec4:
-        material = self.materials[v.material]
+        return self.light(v, self.materials[v.material])
+
+    def light(self, v: SurfaceVarying, material: Material) -> vec4:
+        """Return the pixel of the lit surface."""
         surface = self.find_surface(v, material)
         color = self.shade(surface, material)
-        color += self.lamplight(surface, v.lights)
+        color += self.lamplight(surface, self.find_lights(v))
         return self.finish(color, v.position)
+
+    def find_lights(self, v: SurfaceVarying) -> ivec3:
+        """Return the ends of the lists of lamps that light the surface; see `lamplight`."""
+        return v.lights
 
 
 class WithPointLights(LampShader):

@@ -24,7 +24,7 @@ from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Effect, Frame, Needs, Pas
 from renderer.shaders.encodings import decode_normal
 from renderer.shaders.lighting import safe_normalize
 from renderer.shaders.structs import SurfacePoint, SurfaceVarying
-from renderer.techniques.forward import Forward, bind_materials
+from renderer.techniques.forward import Forward, bind_materials, find_forward
 from renderer.techniques.forward_shader import ForwardShader, forward_variant
 from renderer.techniques.geometry_buffer import (
     SURFACE_FORMAT,
@@ -43,6 +43,7 @@ from renderer.techniques.light_volumes import (
 )
 from renderer.techniques.scene_shader import SHADING_PARTS, ReflectingShader
 from renderer.techniques.surfaces import Aspect, MaterialShader, list_models
+from renderer.techniques.transparency import declare_transparency
 from rhi import DepthFunction, DepthWrite, Format, Program, Texture, refuse
 from rhi.shading import (
     Precision,
@@ -236,6 +237,7 @@ class LightPrePass:
                 reads=("depth", *last),
                 writes=(Target("image", IMAGE_FORMAT),),
             ),
+            *declare_transparency(needs, find_forward),
         )
 
 

@@ -40,6 +40,7 @@ from renderer.shaders.structs import (
     ViewConstants,
     relative_position,
 )
+from renderer.shadows import SHADOW_PARTS, ShadowReceiver
 from rhi.shading import (
     Precision,
     Shader,
@@ -71,25 +72,28 @@ class SceneShader(Shader):
     def transform(self, v: Vertex, uv2: vec2, tangent: vec4, color: vec4) -> SurfaceVarying:
         row = self.find_object()
         thing = self.objects[row]
-        place = self.places[row]
-        position = thing.linear @ v.position + relative_position(place, self.view)
+        position = thing.linear @ v.position + relative_position(self.places[row], self.view)
         return SurfaceVarying(
             clip=self.view.relative_view_projection @ vec4(position, 1.0),
             position=position,
             normal=thing.normal @ v.normal,
             uv=v.uv,
             uv2=uv2,
-            tangent=vec4(thing.linear @ tangent.xyz, tangent.w * (1.0 - 2.0 * float(place.mirrored))),
+            tangent=self.turn_tangent(thing, tangent),
             color=color,
             material=thing.material,
-            lights=self.find_lights(thing),
+            lights=self.list_lights(thing),
         )
+
+    def turn_tangent(self, thing: Object, tangent: vec4) -> vec4:
+        """Return a tangent of a mesh as it is in the world."""
+        return tangent
 
     def find_object(self) -> int:
         """Return the row of the object that is drawn."""
         return instance_index()
 
-    def find_lights(self, thing: Object) -> ivec3:
+    def list_lights(self, thing: Object) -> ivec3:
         """Return where the point lights that light the object begin in the light rows, where they end and the spot
         lights begin, and where those end."""
         return ivec3(thing.lights_begin, thing.points_end, thing.lights_end)
@@ -187,7 +191,7 @@ class FinishShader(Shader):
         return color
 
 
-class ShadingShader(FinishShader, ReflectingShader):
+class ShadingShader(FinishShader, ReflectingShader, ShadowReceiver):
     """Shades a surface, wherever it comes from: ambient light."""
 
     ambient: Uniform[Ambient]
@@ -227,7 +231,8 @@ class WithDirectionalLights(ShadingShader):
     def sunlight(self, surface: SurfacePoint) -> vec3:
         color = vec3(0.0)
         for i in range(len(self.directional_lights)):
-            color += self.reflect_light(surface, directional_incidence(self.directional_lights[i]))
+            light = self.reflect_light(surface, directional_incidence(self.directional_lights[i]))
+            color += self.unblocked_sun(light, surface.position, surface.normal, i)
         return color
 
 
@@ -238,7 +243,8 @@ class WithSun(ShadingShader):
     directional_lights: Storage[DirectionalLight]
 
     def sunlight(self, surface: SurfacePoint) -> vec3:
-        return self.reflect_light(surface, directional_incidence(self.directional_lights[0]))
+        light = self.reflect_light(surface, directional_incidence(self.directional_lights[0]))
+        return self.unblocked_sun(light, surface.position, surface.normal, 0)
 
 
 class WithHaze(FinishShader):
@@ -257,5 +263,6 @@ SHADING_PARTS: Final[dict[str, type[Shader]]] = {
     "emissive_colors": WithEmissiveColors,
     "metals": WithMetals,
     "both_models": WithBothModels,
+    **SHADOW_PARTS,
 }
 """The features that can be added to a `ShadingShader`, by the names of their bindings where they have one."""

@@ -21,6 +21,7 @@ from renderer.scene import AlphaMode
 from renderer.shaders.lighting import safe_normalize
 from renderer.shaders.structs import (
     Material,
+    Object,
     SecondUv,
     SurfacePoint,
     SurfaceVarying,
@@ -37,6 +38,7 @@ from rhi.shading import (
     cross,
     ddx,
     ddy,
+    determinant,
     discard,
     dot,
     front_facing,
@@ -95,11 +97,20 @@ class MaterialShader(SceneShader, ReflectingShader):
         return vec3(1.0)
 
 
-class TextureShader(SceneShader):
-    """The base of shaders that read textures: the layers of one array."""
+class ImageShader(Shader):
+    """The base of shaders that read images: the layers of one array."""
+
+    images: Texture2DArray
+
+    def read_array(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
+        """Return a texel of an array, given the changes of texture coordinates to the pixels on the right and below."""
+        return self.images.sample_grad(place, right, below)
+
+
+class TextureShader(SceneShader, ImageShader):
+    """The base of shaders that read textures of the surfaces that they draw."""
 
     materials: Storage[Material]
-    images: Texture2DArray
 
     def read_texture(self, texture: int, v: SurfaceVarying) -> vec4:
         """Return the texel of the texture of this row."""
@@ -136,9 +147,6 @@ class WithTextureTable(TextureShader):
         """Return the change of texture coordinates to the next pixel below."""
         return ddy(v.uv)
 
-    def read_array(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
-        return self.images.sample_grad(place, right, below)
-
 
 class WithSecondUv(WithTextureTable):
     """Some textures are read by the second set of texture coordinates."""
@@ -154,7 +162,7 @@ class WithSecondUv(WithTextureTable):
         return first if uv_set == 0 else second
 
 
-class WithArray1(WithTextureTable):
+class WithArray1(ImageShader):
     """Adds a second array."""
 
     images_1: Texture2DArray
@@ -165,7 +173,7 @@ class WithArray1(WithTextureTable):
         return super().read_array(array, place, right, below)
 
 
-class WithArray2(WithTextureTable):
+class WithArray2(ImageShader):
     """Adds a third array."""
 
     images_2: Texture2DArray
@@ -176,7 +184,7 @@ class WithArray2(WithTextureTable):
         return super().read_array(array, place, right, below)
 
 
-class WithArray3(WithTextureTable):
+class WithArray3(ImageShader):
     """Adds a fourth array."""
 
     images_3: Texture2DArray
@@ -187,7 +195,7 @@ class WithArray3(WithTextureTable):
         return super().read_array(array, place, right, below)
 
 
-class WithArray4(WithTextureTable):
+class WithArray4(ImageShader):
     """Adds a fifth array."""
 
     images_4: Texture2DArray
@@ -198,7 +206,7 @@ class WithArray4(WithTextureTable):
         return super().read_array(array, place, right, below)
 
 
-class WithArray5(WithTextureTable):
+class WithArray5(ImageShader):
     """Adds a sixth array."""
 
     images_5: Texture2DArray
@@ -209,7 +217,7 @@ class WithArray5(WithTextureTable):
         return super().read_array(array, place, right, below)
 
 
-class WithArray6(WithTextureTable):
+class WithArray6(ImageShader):
     """Adds a seventh array."""
 
     images_6: Texture2DArray
@@ -220,7 +228,7 @@ class WithArray6(WithTextureTable):
         return super().read_array(array, place, right, below)
 
 
-class WithArray7(WithTextureTable):
+class WithArray7(ImageShader):
     """Adds an eighth array."""
 
     images_7: Texture2DArray
@@ -324,6 +332,15 @@ class WithEmissiveMaps(TextureShader, MaterialShader):
         return self.read_texture(texture, v).rgb
 
 
+class TangentShader(SceneShader):
+    """The base of shaders that read tangents."""
+
+    def turn_tangent(self, thing: Object, tangent: vec4) -> vec4:
+        # A transform that mirrors an object turns its bitangents, but not the product of its normals and tangents.
+        mirrors = determinant(thing.linear) < 0.0
+        return vec4(thing.linear @ tangent.xyz, -tangent.w if mirrors else tangent.w)
+
+
 class WithUv2(SceneShader):
     """Vertices have a second set of texture coordinates."""
 
@@ -331,7 +348,7 @@ class WithUv2(SceneShader):
         return self.transform(v, a.uv2, vec4(1.0, 0.0, 0.0, 1.0), vec4(1.0))
 
 
-class WithTangents(SceneShader):
+class WithTangents(TangentShader):
     """Vertices have tangents."""
 
     def vertex(self, v: Vertex, a: Tangent) -> SurfaceVarying:  # type: ignore[override]
@@ -345,7 +362,7 @@ class WithColors(SceneShader):
         return self.transform(v, vec2(0.0), vec4(1.0, 0.0, 0.0, 1.0), a.color)
 
 
-class WithUv2Tangents(SceneShader):
+class WithUv2Tangents(TangentShader):
     """Vertices have a second set of texture coordinates and tangents."""
 
     def vertex(self, v: Vertex, a: SecondUv, b: Tangent) -> SurfaceVarying:  # type: ignore[override]
@@ -359,14 +376,14 @@ class WithUv2Colors(SceneShader):
         return self.transform(v, a.uv2, vec4(1.0, 0.0, 0.0, 1.0), b.color)
 
 
-class WithTangentsColors(SceneShader):
+class WithTangentsColors(TangentShader):
     """Vertices have tangents and colours."""
 
     def vertex(self, v: Vertex, a: Tangent, b: VertexColor) -> SurfaceVarying:  # type: ignore[override]
         return self.transform(v, vec2(0.0), a.tangent, b.color)
 
 
-class WithUv2TangentsColors(SceneShader):
+class WithUv2TangentsColors(TangentShader):
     """Vertices have all of these."""
 
     def vertex(self, v: Vertex, a: SecondUv, b: Tangent, c: VertexColor) -> SurfaceVarying:  # type: ignore[override]
@@ -433,18 +450,26 @@ def bind_surfaces(
         "places": resources.places.buffer,
     }
     attributes = {"tangent": "normal_maps" in parts, "color": "vertex_colors" in parts}
-    images = resources.images
-    if images is not None and any(issubclass(SURFACE_PARTS[name], TextureShader) for name in parts):
-        names = [f"images_{number}" if number else "images" for number in range(len(images.arrays))]
-        bindings |= dict(zip(names, images.arrays, strict=True))
-        if images.table is not None:
+    if any(issubclass(SURFACE_PARTS[name], TextureShader) for name in parts):
+        arrays, images = bind_images(frame)
+        bindings |= images
+        if "textures" in images:
             attributes["uv2"] = Effect.SECOND_UVS in effects
-            parts += [*names[1:], *(["second_uv"] if attributes["uv2"] else []), "textures"]
-            bindings["textures"] = images.table
+            parts += [*arrays, *(["second_uv"] if attributes["uv2"] else []), "textures"]
     if has_materials or any(_reads_materials(SURFACE_PARTS[name]) for name in parts):
         bindings["materials"] = resources.materials.buffer
     present = [name for name in ("uv2", "tangent", "color") if attributes.get(name)]
     return [*parts, *(["_".join(present)] if present else [])], bindings
+
+
+def bind_images(frame: Frame) -> tuple[list[str], dict[str, Any]]:
+    """Return the names of the parts that an `ImageShader` needs for the arrays of the scene's images but the first, and
+    its bindings: `textures` is among them if textures are found by a table."""
+    images = frame.resources.images
+    assert images is not None, "a texture is read"
+    names = [f"images_{number}" if number else "images" for number in range(len(images.arrays))]
+    bindings: dict[str, Any] = dict(zip(names, images.arrays, strict=True))
+    return names[1:], bindings | ({} if images.table is None else {"textures": images.table})
 
 
 def _reads_materials(part: type[Shader]) -> bool:

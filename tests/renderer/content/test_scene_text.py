@@ -20,8 +20,8 @@ def refusal(text):
 
 def test_options_are_parsed_and_the_rest_keep_their_defaults():
     values = GENERATORS["city"].parse("detail=3,blocks=5")
-    assert values == {"blocks": 5, "detail": 3, "seed": 0}
-    assert GENERATORS["city"].parse("") == {"blocks": 44, "detail": 7, "seed": 0}
+    assert values == {"blocks": 5, "detail": 3, "seed": 0, "shadows": 0}
+    assert GENERATORS["city"].parse("") == {"blocks": 44, "detail": 7, "seed": 0, "shadows": 0}
 
 
 @pytest.mark.parametrize(

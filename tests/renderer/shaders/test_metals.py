@@ -65,8 +65,8 @@ def lights(direction: Floats, irradiance: Any = 1.0) -> Any:
 
 
 def random_views(seed: int, spread: float) -> tuple[Floats, Floats, Floats]:
-    """Return normals, directions to eyes and to lights, all within the upper hemisphere; with a small `spread` lights are
-    near the mirrored direction, where highlights are."""
+    """Return normals, directions to eyes and to lights, in float32, on one side. With a small `spread` lights are where
+    highlights are, near the mirrored direction."""
     random = np.random.default_rng(seed)
     n = unit(random.normal(size=(COUNT, 3)))
     v, light = (unit(random.normal(size=(COUNT, 3))) for _ in range(2))
@@ -74,8 +74,8 @@ def random_views(seed: int, spread: float) -> tuple[Floats, Floats, Floats]:
     mirrored = 2 * (v * n).sum(1, keepdims=True) * n - v
     light = unit(mirrored + spread * random.normal(size=(COUNT, 3)) if spread else light)
     light *= np.sign((light * n).sum(1, keepdims=True))
-    # Float32 vectors, so that both compare the same directions.
-    return n.astype(np.float32).astype(float), v.astype(np.float32).astype(float), light.astype(np.float32).astype(float)
+    n, v, light = (x.astype(np.float32).astype(float) for x in (n, v, light))
+    return n, v, light
 
 
 @pytest.mark.parametrize("spread", [0.0, 0.3, 0.03, 0.003])
@@ -130,7 +130,8 @@ def test_the_terms_times_their_colours_are_the_reflected_light() -> None:
     terms = evaluate(metal_terms, points, light)
     facing = np.maximum((n * light).sum(1, keepdims=True), 0.0)
     total = points["base_color"] * terms[:, :1] + points["specular_color"] * terms[:, 1:2] + terms[:, 2:]
-    np.testing.assert_allclose(evaluate(reflected_by_metal, points, lights(light)), total * facing, rtol=2e-5, atol=1e-6)
+    reflected = evaluate(reflected_by_metal, points, lights(light))
+    np.testing.assert_allclose(reflected, total * facing, rtol=2e-5, atol=1e-6)
 
 
 def test_a_metal_scatters_nothing_and_a_dielectric_mirrors_a_twenty_fifth() -> None:

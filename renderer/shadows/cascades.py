@@ -1,0 +1,141 @@
+"""Cascades of a directional light: maps for slices of the view, one behind the other.
+
+- **Splits** are practical (Zhang, Sun, Xu and Lun 2006): a mix of equal ratios and equal distances.
+- A slice is enclosed by a **sphere**. Its radius depends on the lens alone, so that a turn of the eye changes neither
+  the size of a texel nor, but for whole texels, the place of a map.
+- The middle of a map is moved to **whole texels**, and its depth to whole steps, in float64 and in the world. So texels
+  are at fixed places of the world, and edges of shadows don't crawl while the eye moves.
+- Several views of a frame, such as two eyes, share their cascades: spheres enclose the slices of all views.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from renderer.scene import Camera, Depth, Orthographic
+from renderer.scene.arrays import Floats
+from renderer.shadows.settings import ShadowSettings
+
+__rhi_internal__ = True
+
+_BORDER = 4
+"""Texels at each side of a map which no point is in: filters reach that far, and the middle was moved by up to one."""
+
+_STEPS = 64.0
+"""A radius is rounded up to this part of a power of two, so that rounding doesn't change it from frame to frame."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Cascade:
+    """One map of a directional light.
+
+    Attributes:
+        camera: what the map is drawn with: parallel rays, from above all casters to below the slice.
+        texel: the width of a texel in metres. length: the depth of the map in metres.
+        inner: how far from the middle, in metres to each side, points may be that are looked up.
+    """
+
+    camera: Camera
+    texel: float
+    length: float
+    inner: float
+
+
+def find_splits(near: float, far: float, count: int, split: float) -> Floats:
+    """Return the distances (count + 1,) at which slices begin and end. With `near` at 0 or behind the eye, they are
+    equally deep: there are no ratios."""
+    share = np.arange(count + 1) / count
+    even = near + (far - near) * share
+    if near <= 0.0:
+        return even
+    splits: Floats = split * near * (far / near) ** share + (1.0 - split) * even
+    return splits
+
+
+def find_range(camera: Camera) -> tuple[float, float]:
+    """Return the distances of the near and the far plane along the view; the latter may be infinite."""
+    lens = camera.projection.matrix
+    to_near, to_far = lens[3] - lens[2], lens[2]
+    if camera.projection.depth is Depth.STANDARD:
+        to_near, to_far = to_far, to_near
+    near = to_near[3] / to_near[2]
+    far = to_far[3] / to_far[2] if to_far[2] != 0.0 else np.inf
+    return float(near), float(far)
+
+
+def find_corners(camera: Camera, distances: Floats) -> Floats:
+    """Return the corners (d, 4, 3) of the view at distances (d,) along it, in view space."""
+    lens = camera.projection.matrix
+    w = lens[3, 3] - lens[3, 2] * distances
+    corners = np.empty((len(distances), 4, 3))
+    for place, (x, y) in enumerate(((-1, -1), (1, -1), (-1, 1), (1, 1))):
+        corners[:, place, 0] = (x * w + lens[0, 2] * distances - lens[0, 3]) / lens[0, 0]
+        corners[:, place, 1] = (y * w + lens[1, 2] * distances - lens[1, 3]) / lens[1, 1]
+        corners[:, place, 2] = -distances
+    return corners
+
+
+def enclose_slices(camera: Camera, distances: Floats) -> tuple[Floats, Floats]:
+    """Return spheres around the slices between distances (d,): centres (d - 1, 3) in the world, and radii (d - 1,).
+
+    A centre is on the line between the middles of the slice's two ends, where the farthest corners of both are equally
+    far, or else at one of the ends.
+    """
+    corners = find_corners(camera, distances)
+    middles = corners.mean(1)
+    squares = ((corners - middles[:, None]) ** 2).sum(2).max(1)
+    first, last = middles[:-1], middles[1:]
+    along = last - first
+    length = (along * along).sum(1)
+    share = np.clip(0.5 + 0.5 * (squares[1:] - squares[:-1]) / length, 0.0, 1.0)
+    centres = first + along * share[:, None]
+    ends = np.concatenate([corners[:-1], corners[1:]], axis=1)
+    radii: Floats = np.sqrt(((ends - centres[:, None]) ** 2).sum(2).max(1))
+    return camera.position + centres @ camera.rotation, radii
+
+
+def fit_cascades(
+    cameras: Sequence[Camera], direction: Floats, settings: ShadowSettings, top: float, depth: tuple[float, float]
+) -> list[Cascade]:
+    """Return the cascades of a light along `direction` for the views of a frame.
+
+    Args:
+        top: how far against `direction` from the world's origin casters reach, in metres.
+        depth: the least and the greatest distance of what parallel views may show.
+    """
+    spheres = []
+    for camera in cameras:
+        near, far = find_range(camera)
+        if isinstance(camera.projection, Orthographic):
+            near, far = max(near, depth[0]), max(min(far, depth[1]), max(near, depth[0]) + 1.0)
+        else:
+            far = min(far, near + settings.distance)
+        distances = find_splits(near, far, settings.cascades, settings.split)
+        spheres.append(enclose_slices(camera, distances))
+    centres, radii = (np.stack(some) for some in zip(*spheres, strict=True))
+    middle = centres.mean(0)
+    radius = (np.linalg.norm(centres - middle, axis=2) + radii).max(0)
+    return [
+        _place(centre, direction, float(one), settings.cascade_size, top)
+        for centre, one in zip(middle, radius, strict=True)
+    ]
+
+
+def _place(centre: Floats, direction: Floats, radius: float, size: int, top: float) -> Cascade:
+    step = 2.0 ** np.floor(np.log2(radius)) / _STEPS
+    radius = float(np.ceil(radius / step * (1.0 + 1e-9)) * step)
+    border = min(_BORDER, (size - 1) // 4)
+    texel = 2.0 * radius / (size - 2 * border)
+    axes = Camera.look_at((0, 0, 0), direction).rotation
+    place = axes @ centre
+    place[:2] = np.floor(place[:2] / texel) * texel
+    bottom = np.floor((place[2] - radius) / radius) * radius
+    above = max(np.ceil(top / radius + 1e-6) * radius, bottom + radius)
+    place[2] = above
+    length = float(above - bottom)
+    lens = Orthographic(height=size * texel, aspect=1.0, near=0.0, far=length)
+    inner = 0.5 * size * texel - max(border - 1, 0) * texel
+    return Cascade(Camera(place @ axes, axes, lens), texel, length, inner)

@@ -1,0 +1,104 @@
+"""The objects that may cast a shadow on what is visible, found for each map.
+
+Casters that can't move are kept apart from those that may: the former are drawn once, the latter over a copy of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from renderer.scene import Scene
+from renderer.scene.arrays import Floats, Rows
+from renderer.shadows.cascades import Cascade
+
+__rhi_internal__ = True
+
+_MARGIN = 1e-9  # by which boxes are too large, relative to their coordinates
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Casters:
+    """The casters of a map: rows of objects that can't move, and of those that may."""
+
+    still: Rows
+    moving: Rows
+
+    def __len__(self) -> int:
+        return len(self.still) + len(self.moving)
+
+
+class SceneCasters:
+    """The casters of a scene. Transparent objects cast no shadows.
+
+    Attributes:
+        still, moving: the rows of objects that cast shadows: those that can't move, and those that may.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        objects = scene.objects
+        may_move, casts = objects.dynamic | objects.simulated, objects.casts_shadow.copy()
+        casts[scene.find_transparent()] = False
+        self.still: Rows = np.flatnonzero(casts & ~may_move)
+        self.moving: Rows = np.flatnonzero(casts & may_move)
+        self._scene = scene
+        self._turned: dict[bytes, tuple[Floats, Floats]] = {}  # boxes of what can't move, by the light's axes
+
+    def turn(self, axes: Floats) -> LightBoxes:
+        """Return the boxes of all casters along the axes of a light."""
+        key = axes.tobytes()
+        if key not in self._turned:
+            self._turned = {key: turn_boxes(self._scene, self.still, axes)}
+        return LightBoxes(self, self._turned[key], turn_boxes(self._scene, self.moving, axes))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class LightBoxes:
+    """The boxes of all casters along the axes of a directional light: lower and upper corners (k, 3) each."""
+
+    casters: SceneCasters
+    still: tuple[Floats, Floats]
+    moving: tuple[Floats, Floats]
+
+    @property
+    def top(self) -> float:
+        """How far casters reach to the light, from the world's origin."""
+        return float(max(np.max(upper[:, 2], initial=-np.inf) for _, upper in (self.still, self.moving)))
+
+    def find(self, cascade: Cascade, receivers: tuple[Floats, Floats]) -> Casters | None:
+        """Return the casters whose shadows may fall on receivers in a cascade; None without receivers.
+
+        Args:
+            receivers: the boxes of what may be visible, along the same axes.
+        """
+        middle = cascade.camera.rotation @ cascade.camera.position
+        low, high = middle - (cascade.inner, cascade.inner, cascade.length), middle + cascade.inner
+        lower, upper = receivers
+        inside = ((lower[:, :2] <= high[:2]) & (upper[:, :2] >= low[:2])).all(1) & (upper[:, 2] >= low[2])
+        if not inside.any():
+            return None
+        border = 1.0 / cascade.camera.projection.matrix[0, 0] - cascade.inner  # read by filters
+        low = np.maximum(low, lower[inside].min(0)) - (border, border, 0.0)
+        high = np.minimum(high, upper[inside].max(0)) + border
+        return Casters(
+            self.casters.still[_find_above(self.still, low, high)],
+            self.casters.moving[_find_above(self.moving, low, high)],
+        )
+
+
+def _find_above(boxes: tuple[Floats, Floats], low: Floats, high: Floats) -> Rows:
+    """Return the boxes (k,) that meet a column: between `low` and `high` to the sides, above `low` to the light."""
+    lower, upper = boxes
+    meets = ((lower[:, :2] <= high[:2]) & (upper[:, :2] >= low[:2])).all(1) & (upper[:, 2] >= low[2])
+    return np.flatnonzero(meets)
+
+
+def turn_boxes(scene: Scene, rows: Rows, axes: Floats) -> tuple[Floats, Floats]:
+    """Return the lower and the upper corners (k, 3) of the boxes of the objects `rows` along other axes, whose unit
+    vectors are the rows of `axes`."""
+    lower, upper = scene.objects.lower[rows], scene.objects.upper[rows]
+    middle = (0.5 * lower + 0.5 * upper) @ axes.T
+    half = (0.5 * upper - 0.5 * lower) @ np.abs(axes).T
+    half += _MARGIN * (np.abs(middle) + half)
+    return middle - half, middle + half

@@ -1,0 +1,245 @@
+"""What shadow maps take from the light of a surface, in shaders.
+
+A shader that lights surfaces hands the light of each lamp to `unblocked_sun`, `unblocked_point` or `unblocked_spot`,
+which return what arrives. `ShadowReceiver` returns all of it; the classes below each add the shadows of one kind of
+light, and one of the filters reads the maps. So a technique has shadows by one call for each light, whichever maps
+there are. Tables of maps are uniform blocks: forward shading needs the eight storage buffers that a program may have.
+
+**Bias.** A texel holds the depth of a surface at its middle, and is compared with a point elsewhere in it, whose depth
+differs by tan θ times the distance. So a point isn't compared with its own depth, but with that of its surface's plane
+at the middle of the texel, which follows from the normal. What is left is rounding, and the difference between a normal
+and a facet: for these the point is moved along its normal, by `bias.x` texels and `bias.y` times the sine of θ, in all
+by less than a texel.
+
+Depth is reversed: 1 at the light, less farther away. A point is lit where it isn't farther than what is in the map.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.shadows.settings import ShadowFilter
+from rhi.shading import (
+    Array,
+    DepthTexture2D,
+    Shader,
+    Struct,
+    Texture2D,
+    Uniform,
+    abs,
+    array,
+    clamp,
+    cos,
+    dot,
+    floor,
+    fract,
+    ivec2,
+    mat3,
+    max,
+    mix,
+    sin,
+    smoothstep,
+    sqrt,
+    vec2,
+    vec3,
+)
+
+MOST_CASCADES: Final = 8
+"""The number of maps of all directional lights together."""
+
+_STEEPEST: Final = 0.005
+"""The cosine of the steepest slope that a plane is followed to: 89.7°."""
+
+
+def make_disc(count: int, radius: float) -> NDArray[np.float64]:
+    """Return a Poisson disc (count, 2): each place is, of many random ones, the farthest from those before it."""
+    random = np.random.default_rng(5)
+    places = np.zeros((1, 2))
+    while len(places) < count:
+        tried = random.uniform(-1.0, 1.0, (256, 2))
+        tried = tried[(tried**2).sum(1) <= 1.0]
+        distance = ((tried[:, None] - places) ** 2).sum(2).min(1)
+        places = np.concatenate([places, tried[distance.argmax()][None]])
+    return radius * places
+
+
+DISC: Final = make_disc(12, 2.0)
+"""Places in texels around a point."""
+
+
+class SunMap(Struct):
+    """A map of a directional light.
+
+    `axes` turns the world to the light's right, up and back. `origin` is the middle of the map at depth 1, relative to
+    the eye, `length` its depth in metres. `middle` is that of the tile in texels of the atlas, `half` half its width;
+    a texel is `texel` metres wide. Points are looked up within `inner` metres. Without casters `length` is 0.
+    `light` is the row of the light, and `is_last` 1 in the last map of a light, whose shadows fade at its edge.
+    """
+
+    axes: mat3
+    origin: vec3
+    texel: float
+    middle: vec2
+    half: float
+    inner: float
+    length: float
+    light: int
+    is_last: int
+
+
+class SunTable(Struct):
+    """The maps of directional lights, `count` of them, from the nearest of a light to its farthest, and their bias."""
+
+    maps: Array[SunMap] = array(SunMap, MOST_CASCADES)
+    bias: vec3
+    count: int
+
+
+class ShadowReceiver(Shader):
+    """The base of shaders that light surfaces: nothing blocks light."""
+
+    def unblocked_sun(self, light: vec3, position: vec3, normal: vec3, row: int) -> vec3:
+        """Return what arrives of the light of a directional light at a surface."""
+        return light
+
+    def unblocked_point(self, light: vec3, position: vec3, normal: vec3, row: int) -> vec3:
+        """Return what arrives of the light of a point light at a surface."""
+        return light
+
+    def unblocked_spot(self, light: vec3, position: vec3, normal: vec3, row: int) -> vec3:
+        """Return what arrives of the light of a spot light at a surface."""
+        return light
+
+
+class ShadowReader(Shader):
+    """The base of filters: reads the atlas."""
+
+    def find_lit_share(self, at: vec2, depth: float, slope: vec2, middle: vec2, half: float) -> float:
+        """Return the share of the texels around a point that are lit.
+
+        Args:
+            at: the place in texels of the atlas. depth: that of the point. slope: how much it changes with a texel.
+            middle, half: the tile, whose edge is repeated outside of it.
+        """
+        return 1.0
+
+
+class TexelReader(ShadowReader):
+    """The base of filters that compare texel by texel, each with the depth of the point's plane there."""
+
+    shadow_atlas: Texture2D
+
+    def is_lit(self, at: vec2, texel: vec2, depth: float, slope: vec2, middle: vec2, half: float) -> float:
+        """Return 1 where the plane is lit at the middle of a texel, otherwise 0."""
+        inside = clamp(texel, middle - half, middle + (half - 1.0))
+        plane = max(depth + dot(slope, inside + 0.5 - at), 0.0)  # of what is beyond the map, the map knows nothing
+        return 1.0 if plane >= self.shadow_atlas.load(ivec2(inside)).x else 0.0
+
+
+class HardShadows(TexelReader):
+    """Compares one texel."""
+
+    def find_lit_share(self, at: vec2, depth: float, slope: vec2, middle: vec2, half: float) -> float:
+        return self.is_lit(at, floor(at), depth, slope, middle, half)
+
+
+class HardwareShadows(ShadowReader):
+    """Compares 2 × 2 texels with one depth: that of the plane where it is nearest to the light among them."""
+
+    shadow_compare: DepthTexture2D
+
+    def find_lit_share(self, at: vec2, depth: float, slope: vec2, middle: vec2, half: float) -> float:
+        inside = clamp(at, middle - (half - 0.5), middle + (half - 0.5))
+        share = fract(inside - 0.5)
+        nearest = max(-slope * share, slope * (1.0 - share))
+        reference = depth + dot(slope, inside - at) + nearest.x + nearest.y
+        return self.shadow_compare.sample_compare_lod(
+            inside / vec2(self.shadow_compare.size()), clamp(reference, 0.0, 1.0), 0.0
+        )
+
+
+class SmoothShadows(TexelReader):
+    """Compares the 4 × 4 texels that a square of 3 × 3 around the point overlaps, weighted by their areas in it."""
+
+    def find_lit_share(self, at: vec2, depth: float, slope: vec2, middle: vec2, half: float) -> float:
+        first = floor(at - 1.5)
+        share = at - 1.5 - first
+        lit = 0.0
+        for row in range(4):
+            high = 1.0 if row > 0 else 1.0 - share.y
+            high = share.y if row == 3 else high
+            for column in range(4):
+                wide = 1.0 if column > 0 else 1.0 - share.x
+                wide = share.x if column == 3 else wide
+                texel = first + vec2(float(column), float(row))
+                lit += wide * high * self.is_lit(at, texel, depth, slope, middle, half)
+        return lit / 9.0
+
+
+class PoissonShadows(TexelReader):
+    """Compares texels of a disc. The angle by which it is turned belongs to the place in the map: it doesn't swim."""
+
+    def find_lit_share(self, at: vec2, depth: float, slope: vec2, middle: vec2, half: float) -> float:
+        cell = floor(at * 8.0)
+        angle = 6.2831853 * fract(52.982918 * fract(dot(cell, vec2(0.06711056, 0.00583715))))
+        turn = vec2(cos(angle), sin(angle))
+        lit = 0.0
+        for i in range(len(DISC)):
+            tap = DISC[i]
+            place = at + vec2(turn.x * tap.x - turn.y * tap.y, turn.y * tap.x + turn.x * tap.y)
+            lit += self.is_lit(at, floor(place), depth, slope, middle, half)
+        return lit / float(len(DISC))
+
+
+class WithSunShadows(ShadowReceiver, ShadowReader):
+    """Adds the shadows of directional lights."""
+
+    suns: Uniform[SunTable]
+
+    def unblocked_sun(self, light: vec3, position: vec3, normal: vec3, row: int) -> vec3:
+        if light.x + light.y + light.z <= 0.0:
+            return light
+        chosen = self.find_cascade(position, row)
+        if chosen < 0:
+            return light
+        return light * self.find_sun_share(self.suns.maps[chosen], position, normal)
+
+    def find_cascade(self, position: vec3, row: int) -> int:
+        """Return the first map of a light that a position is in, -1 if it is in none, or none has a caster there."""
+        chosen = -1
+        for i in range(self.suns.count):
+            if chosen < 0 and self.suns.maps[i].light == row:
+                place = self.suns.maps[i].axes @ (position - self.suns.maps[i].origin)
+                if max(abs(place.x), abs(place.y)) < self.suns.maps[i].inner and -place.z < self.suns.maps[i].length:
+                    chosen = i
+        return chosen
+
+    def find_sun_share(self, sun: SunMap, position: vec3, normal: vec3) -> float:
+        facing = sun.axes @ normal
+        sine = sqrt(max(1.0 - facing.z * facing.z, 0.0))
+        moved = position + normal * (sun.texel * (self.suns.bias.x + self.suns.bias.y * sine))
+        place = sun.axes @ (moved - sun.origin)
+        at = sun.middle + vec2(place.x, -place.y) / sun.texel
+        slope = vec2(-facing.x, facing.y) * (self.suns.bias.z * sun.texel / (max(facing.z, _STEEPEST) * sun.length))
+        share = self.find_lit_share(at, 1.0 + place.z / sun.length, slope, sun.middle, sun.half)
+        if sun.is_last == 1:
+            share = mix(share, 1.0, smoothstep(0.9, 1.0, max(abs(place.x), abs(place.y)) / sun.inner))
+        return share
+
+
+FILTERS: Final[dict[ShadowFilter, type[ShadowReader]]] = {
+    ShadowFilter.HARD: HardShadows,
+    ShadowFilter.HARDWARE: HardwareShadows,
+    ShadowFilter.SMOOTH: SmoothShadows,
+    ShadowFilter.POISSON: PoissonShadows,
+}
+"""The shader part of each filter."""
+
+SHADOW_PARTS: Final[dict[str, type[Shader]]] = {
+    "sun_shadows": WithSunShadows,
+    **{f"{filter.value}_shadows": reader for filter, reader in FILTERS.items()},
+}
+"""The parts that can be added to a `ShadowReceiver`, by name."""

@@ -1,0 +1,77 @@
+"""The choices of shadow maps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from renderer import rules
+from rhi import refuse
+
+__rhi_internal__ = True
+
+
+class ShadowFilter(Enum):
+    """How many texels of a shadow map a point is compared with, and how."""
+
+    HARD = "hard"
+    """The texel that holds the point: edges are texels."""
+    HARDWARE = "hardware"
+    """2 × 2 texels by a sampler that compares, weighted by the point's place between them."""
+    SMOOTH = "smooth"
+    """3 × 3 texels around the point, weighted by the area that they share with a square of that size."""
+    POISSON = "poisson"
+    """12 texels of a Poisson disc, turned by another angle at each place: edges are noise instead of texels."""
+
+
+@dataclass(frozen=True, slots=True)
+class ShadowSettings:
+    """What shadow maps look like and cost.
+
+    Attributes:
+        filter: how edges are smoothed.
+        cascades: the number of maps of a directional light, one behind the other along the view.
+        cascade_size: the width and height of each of them in texels.
+        distance: how far from the eye, in metres, directional lights cast shadows.
+        split: where cascades end: 0 divides the distance evenly, 1 by equal ratios, the practical split is between.
+        smallest, largest: bounds of the width of a map of a lamp in texels, powers of two.
+        largest_atlas: the greatest width of the texture that holds all maps, a power of two.
+        budget: how many maps of far lamps, those of at most `far_size` texels, are drawn again in a frame.
+        bias: 1 moves compared points by what texel size and angle call for; 0 shows what that is for.
+        back_faces: whether the casters' back faces are drawn instead of their front faces.
+    """
+
+    filter: ShadowFilter = ShadowFilter.SMOOTH
+    cascades: int = 4
+    cascade_size: int = 1024
+    distance: float = 250.0
+    split: float = 0.7
+    smallest: int = 16
+    largest: int = 512
+    largest_atlas: int = 4096
+    budget: int = 8
+    far_size: int = 64
+    bias: float = 1.0
+    back_faces: bool = False
+
+    def __post_init__(self) -> None:
+        for name, fine, allowed in (
+            ("cascades", 1 <= self.cascades <= 8, "1 to 8"),
+            ("cascade_size", _is_power(self.cascade_size), "a power of two"),
+            ("distance", 0.0 < self.distance < float("inf"), "above 0, finite"),
+            ("split", 0.0 <= self.split <= 1.0, "0 to 1"),
+            ("smallest", _is_power(self.smallest), "a power of two"),
+            ("largest", _is_power(self.largest) and self.largest >= self.smallest, "a power of two, at least smallest"),
+            (
+                "largest_atlas",
+                _is_power(self.largest_atlas) and self.largest_atlas >= max(self.largest, self.cascade_size),
+                "a power of two, at least as large as each map",
+            ),
+            ("budget", self.budget >= 1, "1 or more"),
+        ):
+            if not fine:
+                refuse(rules.BAD_SHADOWS, f"ShadowSettings({name}=...)", getattr(self, name), allowed)
+
+
+def _is_power(number: int) -> bool:
+    return number >= 1 and number & (number - 1) == 0

@@ -1,0 +1,156 @@
+"""Cascades: where the maps of a directional light are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from renderer.scene import Camera, Orthographic, Perspective, Projection
+from renderer.scene.arrays import Floats
+from renderer.shadows import ShadowSettings
+from renderer.shadows.cascades import (
+    Cascade,
+    enclose_slices,
+    find_corners,
+    find_range,
+    find_splits,
+    fit_cascades,
+)
+
+SUN = np.array((-0.55, -0.62, -0.50)) / np.linalg.norm((-0.55, -0.62, -0.50))
+LENS = Perspective(fov=1.0, near=0.2)
+AHEAD = np.array((0.0, 0.0, -1.0))
+SHALLOW = (-100.0, 100.0)
+
+
+def fit(camera: Camera, direction: Floats = SUN, top: float = 150.0, **settings: float) -> list[Cascade]:
+    return fit_cascades([camera], direction, ShadowSettings(**settings), top, SHALLOW)  # type: ignore[arg-type]
+
+
+def look(position: Floats, target: Floats, lens: Projection = LENS) -> Camera:
+    return Camera.look_at(position, target, projection=lens)
+
+
+def list_bits(cascades: list[Cascade]) -> list[tuple[object, ...]]:
+    return [(c.camera.position.tobytes(), c.camera.rotation.tobytes(), c.camera.projection, c.texel) for c in cascades]
+
+
+def test_splits_are_between_equal_distances_and_equal_ratios() -> None:
+    assert np.allclose(find_splits(1.0, 16.0, 4, 1.0), [1, 2, 4, 8, 16])
+    assert np.allclose(find_splits(1.0, 17.0, 4, 0.0), [1, 5, 9, 13, 17])
+    assert np.allclose(find_splits(1.0, 17.0, 4, 0.5)[2], 0.5 * 9 + 0.5 * 17**0.5)
+
+
+@pytest.mark.parametrize("near", [0.0, -5.0])
+def test_slices_that_begin_at_the_eye_or_behind_it_are_equally_deep(near: float) -> None:
+    assert np.allclose(np.diff(find_splits(near, 15.0, 5, 1.0)), (15.0 - near) / 5)
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [LENS, Perspective(fov=2.0, far=50.0), Orthographic(height=8.0, near=-3.0, far=40.0)],
+    ids=["no far plane", "wide", "parallel"],
+)
+def test_spheres_hold_the_corners_of_their_slices(lens: Projection) -> None:
+    camera = look(np.array((3.0, 4.0, 5.0)), np.array((1.0, 0.0, -9.0)), lens)
+    distances = np.array([find_range(camera)[0], 4.0, 9.0, 30.0])
+    centres, radii = enclose_slices(camera, distances)
+    corners = camera.position + find_corners(camera, distances) @ camera.rotation
+    for first, (centre, radius) in enumerate(zip(centres, radii, strict=True)):
+        both = corners[first : first + 2].reshape(-1, 3)
+        assert np.linalg.norm(both - centre, axis=1).max() <= radius * (1 + 1e-12)
+    clip = camera.view_projection @ np.concatenate([corners[1].T, np.ones((1, 4))])
+    assert np.allclose(np.abs(clip[:2] / clip[3]), 1.0)
+
+
+@given(
+    st.tuples(*[st.floats(-1e5, 1e5)] * 3),
+    st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda v: float(np.linalg.norm(v)) > 0.1),
+)
+def test_maps_are_at_whole_texels_and_as_large_wherever_the_eye_is_and_looks(
+    eye: tuple[float, ...], towards: tuple[float, ...]
+) -> None:
+    first = fit(look(np.zeros(3), AHEAD))
+    for one, other in zip(first, fit(look(np.array(eye), np.array(eye) + towards)), strict=True):
+        assert one.texel == other.texel
+        texels = (other.camera.rotation @ other.camera.position)[:2] / other.texel
+        assert np.abs(texels - np.round(texels)).max() < 1e-12 * np.abs(texels).max() + 1e-6
+
+
+@pytest.mark.parametrize("place", [0.0, 1e5])
+def test_moves_below_a_texel_leave_maps_as_they_are_to_the_bit(place: float) -> None:
+    settings = {"cascades": 1, "cascade_size": 1024, "distance": 4.0}
+    start = np.array((place, 2.0, place))
+    first = fit(look(start, start + AHEAD), **settings)[0]
+    assert first.texel < 0.01
+    steps = [start + first.camera.rotation[0] * first.texel * share for share in np.linspace(0.0, 3.0, 31)]
+    found = [fit(look(step, step + AHEAD), **settings) for step in steps]
+    places = [one[0].camera.position.tobytes() for one in found]
+    assert 3 <= len(set(places)) <= 4
+    assert all(len({*places[i : i + 3]}) <= 2 for i in range(len(places)))
+    apart = np.linalg.norm(found[-1][0].camera.position - first.camera.position)
+    assert apart == pytest.approx(3 * first.texel, abs=1e-9)
+
+
+def test_a_turn_of_the_eye_keeps_the_width_of_texels() -> None:
+    angles = np.linspace(0.0, 2.0 * np.pi, 50)
+    widths = {fit(look(np.zeros(3), np.array((np.sin(a), 0.3 * np.sin(2 * a), np.cos(a)))))[2].texel for a in angles}
+    assert len(widths) == 1
+
+
+@pytest.mark.parametrize("direction", [(0, -1, 0), (0, 1, 0), (0, -1, 1e-12), (1, 0, 0)], ids=str)
+def test_a_light_along_up_has_axes_at_right_angles(direction: tuple[float, ...]) -> None:
+    for one in fit(look(np.zeros(3), AHEAD), np.array(direction, float)):
+        assert np.allclose(one.camera.rotation @ one.camera.rotation.T, np.eye(3))
+        assert np.allclose(one.camera.forward, np.array(direction) / np.linalg.norm(direction))
+
+
+def test_cascades_end_at_the_far_plane() -> None:
+    near = fit(look(np.zeros(3), AHEAD, Perspective(fov=1.0, near=0.2, far=20.0)))
+    least = fit(look(np.zeros(3), AHEAD, Perspective(fov=1.0, near=0.2, far=0.3)))
+    assert len(near) == len(least) == 4
+    assert 10.0 < near[-1].inner < 30.0
+    assert least[-1].inner < 0.6
+
+
+def test_a_near_plane_beyond_the_distance_of_shadows_has_cascades_behind_it() -> None:
+    lens = Perspective(fov=1.0, near=1000.0)
+    cascades = fit(look(np.zeros(3), AHEAD, lens))
+    assert all(np.isfinite(one.texel) and one.texel > 0.0 for one in cascades)
+
+
+def test_parallel_views_have_cascades_where_the_scene_is() -> None:
+    camera = look(np.array((0.0, 50.0, 0.0)), np.zeros(3), Orthographic(height=20.0, near=0.0, far=1e4))
+    cascades = fit_cascades([camera], SUN, ShadowSettings(), 10.0, (48.0, 64.0))
+    assert max(one.inner for one in cascades) < 40.0
+    for one in cascades:
+        low = camera.position + camera.forward * 64.0 - one.camera.position
+        assert 0.0 < low @ one.camera.forward < one.length
+
+
+def test_a_map_of_one_texel_holds_its_slice() -> None:
+    (one,) = fit(look(np.zeros(3), AHEAD), cascades=1, cascade_size=1)
+    assert one.inner == pytest.approx(0.5 * one.texel)
+
+
+def test_views_of_one_frame_share_cascades_that_hold_the_slices_of_all() -> None:
+    eyes = [look(np.array((x, 2.0, 0.0)), np.array((x, 2.0, -1.0))) for x in (-0.03, 0.03)]
+    both = fit_cascades(eyes, SUN, ShadowSettings(), 150.0, SHALLOW)
+    for eye in eyes:
+        distances = find_splits(0.2, 250.2, 4, 0.7)
+        for one, centre, radius in zip(both, *enclose_slices(eye, distances), strict=True):
+            aside = np.abs(one.camera.rotation @ (centre - one.camera.position))[:2].max()
+            assert aside + radius <= one.inner
+
+
+@given(st.floats(-500.0, 500.0))
+def test_maps_reach_from_all_casters_to_below_their_slice(top: float) -> None:
+    camera = look(np.zeros(3), AHEAD)
+    distances = find_splits(0.2, 250.2, 4, 0.7)
+    for one, centre, radius in zip(fit(camera, top=top), *enclose_slices(camera, distances), strict=True):
+        above = one.camera.rotation[2] @ one.camera.position
+        middle = one.camera.rotation[2] @ centre
+        assert above >= top
+        assert above - one.length <= middle - radius

@@ -1,0 +1,164 @@
+"""Which shadow maps a frame draws, keeps and skips, in the commands that the null device records."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import rhi
+from renderer.content import BUILT_IN, load_scene
+from renderer.frame import Effect
+from renderer.renderer import Renderer
+from renderer.scene import Camera, Perspective, Scene, SceneBuilder, scaling, translation
+from renderer.shadows import ShadowFilter, ShadowSettings
+from renderer.techniques import TECHNIQUES
+from renderer.visibility import make_visibility
+
+EYE = Camera.look_at((0, 4, 12), (0, 0, 0), projection=Perspective(fov=1.0, near=0.1, far=100.0))
+SMALL = ShadowSettings(cascades=2, cascade_size=64)
+
+
+def stage(*, casts: bool = True, casters: bool = True, moves: bool = False) -> SceneBuilder:
+    """Make a floor and a box over it, which moves with time or not, and a sun."""
+    builder = SceneBuilder("stage")
+    box, material = builder.add_mesh(BUILT_IN["box"]()), builder.add_material()
+    floor = builder.add_node(translation((0, -0.5, 0)) @ scaling((30, 1, 30)))
+    builder.add_objects(floor, box, material, casts_shadow=False)
+    above = builder.add_node(translation((0, 2, 0)), dynamic=moves)
+    builder.add_objects(above, box, material, casts_shadow=casters)
+    if moves:
+        builder.animate(above, lambda seconds: translation(((seconds, 2.0, 0.0),)))
+    builder.lights.add_directional((-0.3, -1, -0.2), casts_shadow=casts)
+    return builder
+
+
+def make_renderer(device: rhi.Device, scene: Scene, technique: str = "forward") -> Renderer:
+    visibility = make_visibility("frustum", scene, device)
+    renderer = Renderer(device, scene, technique=TECHNIQUES[technique](), visibility=visibility, size=(64, 48))
+    renderer.shadows.settings = SMALL
+    return renderer
+
+
+def draw(renderer: Renderer, camera: Camera = EYE, seconds: float = 0.0) -> Counter[str]:
+    """Draw a frame; return the numbers of maps by what became of them."""
+    renderer.render(camera, seconds)
+    return Counter(report.state for report in renderer.shadows.reports)
+
+
+def record(device: rhi.Device, scene: Scene) -> list[tuple[object, ...]]:
+    device.stream.clear()
+    renderer = make_renderer(device, scene)
+    renderer.render(EYE)
+    return [(command.op, command.arguments) for command in device.stream]
+
+
+@pytest.mark.parametrize("missing", [{"casts": False}, {"casters": False}], ids=["light", "caster"])
+def test_a_scene_without_a_casting_light_or_a_caster_issues_no_command_of_shadows(
+    null: rhi.Device, missing: dict[str, bool]
+) -> None:
+    with make_renderer(null, stage(**missing).build()) as renderer:
+        renderer.render(EYE)
+        needs, plan = renderer.plan(EYE)
+        assert "shadow maps" not in [one.name for one in plan.passes]
+        assert not any("shadow" in command.labels for command in null.stream)
+        assert needs.explain(Effect.SUN_SHADOWS) == "the scene has no directional light that casts shadows"
+
+
+def test_maps_are_drawn_before_what_they_shade_and_the_plan_says_why(null: rhi.Device) -> None:
+    with make_renderer(null, stage().build()) as renderer:
+        _, plan = renderer.plan(EYE)
+        assert [one.name for one in plan.passes] == ["shadow maps", "forward"]
+        assert plan.passes[0].because == "the scene has 1 directional light that casts shadows"
+
+
+def test_a_map_is_kept_while_nothing_in_it_moves(null: rhi.Device) -> None:
+    with make_renderer(null, stage().build()) as renderer:
+        assert draw(renderer) == {"drawn": 2}
+        null.stream.clear()
+        assert draw(renderer) == {"kept": 2}
+        assert not [command for command in null.stream.draws() if "shadow maps" in command.labels]
+        assert {report.because for report in renderer.shadows.reports} == {"nothing in it has moved"}
+
+
+def test_a_moved_eye_draws_the_maps_again(null: rhi.Device) -> None:
+    with make_renderer(null, stage().build()) as renderer:
+        draw(renderer)
+        moved = replace(EYE, position=EYE.position + np.array((7.0, 0.0, 0.0)))
+        assert draw(renderer, moved) == {"drawn": 2}
+
+
+def test_a_caster_that_moves_is_drawn_over_a_copy_of_what_cant_move(null: rhi.Device) -> None:
+    builder = stage(moves=True)
+    builder.add_objects(builder.add_node(translation((3, 1, 0))), 0, 0)
+    with make_renderer(null, builder.build()) as renderer:
+        assert draw(renderer) == {"drawn": 2}
+        assert draw(renderer, seconds=1.0) == {"drawn": 2}
+        null.stream.clear()
+        assert draw(renderer, seconds=2.0) == {"drawn": 2}
+        assert renderer.shadows.casters_drawn == 2  # the box alone, in each map
+        copies = null.stream.filter(rhi.Op.COPY_TEXTURE)
+        assert len(copies) == 2
+        assert draw(renderer, seconds=2.0) == {"kept": 2}
+
+
+def test_a_view_without_anything_in_reach_of_a_map_skips_it(null: rhi.Device) -> None:
+    away = Camera.look_at((0, 400, 0), (0, 500, 0))
+    with make_renderer(null, stage().build()) as renderer:
+        assert draw(renderer, away) == {"skipped": 2}
+        assert renderer.shadows.reports[0].because == "nothing visible is in it"
+
+
+def test_casters_that_shade_nothing_visible_arent_drawn(null: rhi.Device) -> None:
+    builder = stage()
+    builder.add_objects(builder.add_node(translation((0, -30, 0))), 0, 0)  # below all that is visible
+    builder.add_objects(builder.add_node(translation((900, 0, 0))), 0, 0)  # far aside
+    with make_renderer(null, builder.build()) as renderer:
+        draw(renderer)
+        assert max(report.casters for report in renderer.shadows.reports) == 1
+
+
+def test_other_settings_draw_the_maps_again(null: rhi.Device) -> None:
+    with make_renderer(null, stage().build()) as renderer:
+        draw(renderer)
+        renderer.shadows.settings = replace(SMALL, cascades=3, filter=ShadowFilter.HARD)
+        assert draw(renderer) == {"drawn": 3}
+
+
+@pytest.mark.parametrize("size", [1, 2, 8])
+def test_maps_of_few_texels_are_drawn(null: rhi.Device, size: int) -> None:
+    with make_renderer(null, stage().build()) as renderer:
+        renderer.shadows.settings = replace(SMALL, cascade_size=size)
+        assert draw(renderer) == {"drawn": 2}
+        assert all(tile.size == size for tile in renderer.shadows.tiles.values())
+
+
+@pytest.mark.parametrize("technique", TECHNIQUES)
+def test_all_techniques_have_the_bindings_that_shadows_need(null: rhi.Device, technique: str) -> None:
+    builder = stage()
+    builder.lights.add_point((0, 3, 0), 8.0)
+    builder.lights.add_spot((0, 3, 0), (0, -1, 0), 8.0, 0.3, 0.5)
+    builder.add_image(np.zeros((4, 4, 4), np.uint8))
+    builder.haze = 0.01
+    with make_renderer(null, builder.build(), technique) as renderer:
+        assert draw(renderer) == {"drawn": 2}
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("cascades", 0), ("cascade_size", 100), ("distance", -1.0), ("split", 2.0), ("largest_atlas", 512), ("budget", 0)],
+)
+def test_settings_out_of_their_range_are_refused(name: str, value: float) -> None:
+    with pytest.raises(rhi.ValidationError) as refused:
+        ShadowSettings(**{name: value})  # type: ignore[arg-type]
+    assert refused.value.rule.id == "shadow-settings"
+
+
+def test_scenes_cast_shadows_on_request(null: rhi.Device) -> None:
+    plain, shaded = load_scene("city:blocks=2"), load_scene("city:blocks=2,shadows=1")
+    assert not plain.lights.directional["casts_shadow"].any()
+    assert shaded.lights.directional["casts_shadow"].all()
+    assert shaded.name == plain.name + ",shadows=1"
+    assert np.count_nonzero(~shaded.objects.casts_shadow) > 4  # ground

@@ -1,0 +1,242 @@
+"""What shadow maps look like: filters against NumPy, acne and detached shadows, on each device that draws."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from filter_reference import find_lit_share
+from numpy.typing import NDArray
+
+import rhi
+from renderer.content import BUILT_IN
+from renderer.renderer import Renderer
+from renderer.scene import Camera, Orthographic, Scene, SceneBuilder, scaling, translation
+from renderer.shadows import ShadowFilter, ShadowSettings
+from renderer.shadows.maps import FarDepth
+from renderer.shadows.receiver import FILTERS, ShadowReader
+from renderer.techniques import TECHNIQUES
+from renderer.visibility import NoCulling
+from rhi.shading import (
+    FragmentDepth,
+    Storage,
+    Struct,
+    Texture2D,
+    fragment_coordinate,
+    ivec2,
+    vec2,
+    vec3,
+    vec4,
+)
+
+Pixels = NDArray[np.int64]
+SETTINGS = ShadowSettings(cascades=1, cascade_size=128, distance=20.0)
+TILE = (16, 32, 16)
+
+
+class Compared(Struct):
+    """A point to be compared with a map."""
+
+    at: vec2
+    slope: vec2
+    depth: float
+
+
+class StoredDepth(Struct):
+    """What `StoreDepth` writes."""
+
+    depth: FragmentDepth
+
+
+class StoreDepth(FarDepth):
+    """Copies numbers to depth."""
+
+    numbers: Texture2D
+
+    def fragment(self) -> StoredDepth:
+        return StoredDepth(depth=self.numbers.load(ivec2(fragment_coordinate().xy)).x)
+
+
+class FilterCheck(FarDepth, ShadowReader):
+    """Shows the lit share of points, one in each pixel."""
+
+    points: Storage[Compared]
+
+    def fragment(self) -> vec4:
+        place = fragment_coordinate().xy
+        point = self.points[int(place.x) + 64 * int(place.y)]
+        share = self.find_lit_share(point.at, point.depth, point.slope, vec2(24.0, 40.0), 8.0)
+        return vec4(vec3(share), 1.0)
+
+
+@cache
+def check_variant(filter: ShadowFilter) -> Any:
+    return type("FilterCheck", (FILTERS[filter], FilterCheck), {"__module__": __name__})
+
+
+@pytest.mark.parametrize("filter", ShadowFilter)
+def test_filters_are_those_of_a_numpy_reference(gl: rhi.Device, filter: ShadowFilter) -> None:
+    compare_filter(gl, filter)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("filter", ShadowFilter)
+def test_filters_are_those_of_the_reference_on_each_device(drawing_device: rhi.Device, filter: ShadowFilter) -> None:
+    compare_filter(drawing_device, filter)
+
+
+def compare_filter(device: rhi.Device, filter: ShadowFilter) -> None:
+    """Compare 4,096 random points, in a tile and at its edges, with the reference."""
+    random = np.random.default_rng(7)
+    depths = random.uniform(0.3, 0.7, (64, 64)).astype(np.float32)
+    points = np.zeros(4096, Compared.dtype)
+    points["at"] = random.uniform((14, 30), (34, 50), (4096, 2))
+    points["slope"] = random.uniform(-0.05, 0.05, (4096, 2))
+    points["depth"] = random.uniform(0.3, 0.7, 4096)
+    given = (points["at"].astype(float), points["depth"].astype(float), points["slope"].astype(float))
+    want, doubt = find_lit_share(filter, depths.astype(float), *given, TILE)
+    atlas = device.texture((64, 64), rhi.Format.D32F)
+    image = device.texture((64, 64), rhi.Format.RGBA32F)
+    numbers = device.texture(depths, rhi.Format.R32F)
+    states = (rhi.CullMode.NONE, rhi.DepthFunction.ALWAYS)
+    with device.render_pass(None, atlas), device.states(*states):
+        device.draw(device.program(StoreDepth), device.mesh(3), numbers=numbers)
+    assert np.array_equal(atlas.read().reshape(64, 64), depths)
+    bindings: dict[str, Any] = {"shadow_atlas": atlas}
+    if filter is ShadowFilter.HARDWARE:
+        sampler = rhi.SamplerDescriptor(mip=None, compare=rhi.Comparison.GREATER_EQUAL)
+        bindings = {"shadow_compare": atlas.sampled(sampler)}
+    with device.render_pass(image), device.states(rhi.CullMode.NONE, rhi.DepthTest.OFF):
+        storage = device.storage(Compared, points)
+        device.draw(device.program(check_variant(filter)), device.mesh(3), points=storage, **bindings)
+    shown = image.read()[..., 0].reshape(-1).astype(float)
+    sure = doubt > 1e-5
+    assert sure.mean() > 0.99
+    wrong = np.abs(shown - want)[sure]
+    # The turned texels of the Poisson disc are others where a place is at the edge of a texel.
+    bound = 0.998 if filter is ShadowFilter.POISSON else 1.0
+    assert (wrong < 1 / 255).mean() >= bound
+    assert 0.2 < want.mean() < 0.8
+
+
+def render(device: rhi.Device, scene: Scene, camera: Camera, settings: ShadowSettings | None, size: int = 64) -> Pixels:
+    scene.lights.directional["casts_shadow"] = settings is not None
+    with Renderer(device, scene, visibility=NoCulling(scene), size=(size, size)) as renderer:
+        if settings is not None:
+            renderer.shadows.settings = settings
+        return renderer.render(camera).image.read()[..., :3].astype(int)
+
+
+def slope_scene(degrees: float) -> Scene:
+    """Make a floor that the sun lights from `degrees` beside its normal, from between the axes of the map."""
+    builder = SceneBuilder("slope")
+    mesh = builder.add_mesh(BUILT_IN["box"]())
+    builder.add_objects(
+        builder.add_node(translation((0, -0.5, 0)) @ scaling((30, 1, 30))),
+        mesh,
+        builder.add_material(specular_color=(0, 0, 0)),
+    )
+    angle, turn = np.radians(degrees), 0.7
+    down = (np.sin(angle) * np.cos(turn), -np.cos(angle), np.sin(angle) * np.sin(turn))
+    builder.lights.add_directional(down, intensity=1.0 / np.cos(angle))
+    return builder.build()
+
+
+FLOOR = Camera.look_at((0.3, 6, 5), (0.2, 0, 0.1))
+SLOPES = (0.0, 5.0, 20.0, 45.0, 60.0, 75.0, 85.0, 88.0, 89.0)
+
+
+@pytest.mark.parametrize("filter", ShadowFilter)
+def test_a_lit_plane_has_no_acne_at_any_slope(gl: rhi.Device, filter: ShadowFilter) -> None:
+    for degrees in SLOPES:
+        scene = slope_scene(degrees)
+        want, shown = (render(gl, scene, FLOOR, one) for one in (None, replace(SETTINGS, filter=filter)))
+        assert np.array_equal(shown, want), f"{degrees}°: {np.abs(shown - want).max()}"
+
+
+@pytest.mark.nightly
+def test_a_lit_plane_has_no_acne_on_each_device(drawing_device: rhi.Device) -> None:
+    for degrees in SLOPES:
+        scene = slope_scene(degrees)
+        want, shown = (render(drawing_device, scene, FLOOR, one) for one in (None, SETTINGS))
+        assert np.array_equal(shown, want), f"{degrees}°"
+
+
+@pytest.mark.parametrize("degrees", [45.0, 75.0])
+def test_without_bias_a_plane_shades_itself(gl: rhi.Device, degrees: float) -> None:
+    scene = slope_scene(degrees)
+    want, shown = (render(gl, scene, FLOOR, one) for one in (None, replace(SETTINGS, bias=0.0)))
+    assert (shown < want - 8).any(-1).mean() > 0.1
+
+
+def block_scene(degrees: float) -> tuple[Scene, NDArray[np.float64]]:
+    """Make a block on a floor and a sun; return the scene and the sun's direction."""
+    scene_builder = SceneBuilder("block")
+    mesh, material = scene_builder.add_mesh(BUILT_IN["box"]()), scene_builder.add_material(specular_color=(0, 0, 0))
+    floor = scene_builder.add_node(translation((0, -0.5, 0)) @ scaling((30, 1, 30)))
+    scene_builder.add_objects(floor, mesh, material)
+    scene_builder.add_objects(scene_builder.add_node(translation((0, 0.5, 0))), mesh, material)
+    angle, turn = np.radians(degrees), 0.7
+    down = np.array((np.sin(angle) * np.cos(turn), -np.cos(angle), np.sin(angle) * np.sin(turn)))
+    scene_builder.lights.add_directional(down, intensity=1.0 / np.cos(angle))
+    scene_builder.lights.sky = scene_builder.lights.ground = (0.0, 0.0, 0.0)
+    return scene_builder.build(), down
+
+
+def is_blocked(places: NDArray[np.float64], down: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return whether the unit block on the floor is between places (n, 3) and the sun."""
+    with np.errstate(divide="ignore"):
+        ends = np.stack([(corner - places) / -down for corner in ((-0.5, 0, -0.5), (0.5, 1, 0.5))])
+    enters, leaves = ends.min(0).max(-1), ends.max(0).min(-1)
+    return np.asarray(leaves > np.maximum(enters, 0.0))
+
+
+@pytest.mark.parametrize("filter", [ShadowFilter.HARD, ShadowFilter.SMOOTH])
+@pytest.mark.parametrize("degrees", [20.0, 60.0])
+def test_shadows_touch_their_casters_and_end_within_a_texel(
+    gl: rhi.Device, filter: ShadowFilter, degrees: float
+) -> None:
+    scene, down = block_scene(degrees)
+    above = Camera.look_at((0, 10, 0), (0, 0, 0), (0, 0, -1), Orthographic(height=8.0, aspect=1.0, near=1.0, far=10.5))
+    shown = render(gl, scene, above, replace(SETTINGS, filter=filter, cascade_size=256), size=256)
+    scene.lights.directional["intensity"] *= 0.5
+    lit = shown[..., 0] >= render(gl, scene, above, None, size=256)[..., 0]
+    across = (np.arange(256) + 0.5) / 256 * 8 - 4
+    floor = np.stack(np.meshgrid(across, across), -1) @ np.array(((1, 0, 0), (0, 0, 1)))
+    floor = floor.reshape(-1, 3)
+    on_floor = (np.abs(floor[:, [0, 2]]) > 0.5).any(1)
+    texel = 2 * np.linalg.norm((4.0, 4.0, 5.0)) / 248  # at most: the slice's sphere, in this map
+    axes = Camera.look_at((0, 0, 0), down).rotation
+    angles = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+    moved = [floor + texel * (np.cos(a) * axes[0] + np.sin(a) * axes[1]) for a in angles]
+    blocked = np.stack([is_blocked(places, down) for places in moved])
+    sure = on_floor & (blocked.all(0) | ~blocked.any(0))
+    assert sure.sum() > 0.9 * on_floor.sum()
+    assert np.array_equal(lit.reshape(-1)[sure], ~blocked[0][sure])
+
+
+def test_all_techniques_show_the_same_shadows(gl: rhi.Device) -> None:
+    scene, _ = block_scene(50.0)
+    camera = Camera.look_at((3, 4, 5), (0, 0, 0))
+    scene.lights.directional["casts_shadow"] = True
+    shown: dict[str, Pixels] = {}
+    for name, technique in TECHNIQUES.items():
+        with Renderer(gl, scene, technique=technique(), visibility=NoCulling(scene), size=(64, 64)) as renderer:
+            renderer.shadows.settings = SETTINGS
+            shown[name] = renderer.render(camera).image.read()[..., :3].astype(int)
+    for name, pixels in shown.items():
+        assert (np.abs(pixels - shown["forward"]).max(-1) > 3).mean() < 0.01, name
+    assert len(np.unique(shown["forward"][..., 0])) > 2
+
+
+def test_shadows_are_the_same_on_each_device(drawing_device: rhi.Device) -> None:
+    scene, _ = block_scene(50.0)
+    camera = Camera.look_at((3, 4, 5), (0, 0, 0))
+    pixels = render(drawing_device, scene, camera, SETTINGS, size=32)
+    plain = render(drawing_device, scene, camera, None, size=32)
+    darker = (pixels[..., 0] < plain[..., 0] - 40).mean()
+    assert 0.01 < darker < 0.1
+    assert not (pixels > plain).any()
