@@ -171,7 +171,7 @@ class StoredFrames(PackedReader):
         return decode_frame(bits)
 
 
-class StoredTextures(TextureShader, PackedReader):
+class StoredTextures(TextureShader, PackedReader):  # type: ignore[misc]
     """Textures are filtered as they would have been when the geometry was drawn."""
 
     def read_texture(self, texture: int, v: SurfaceVarying) -> vec4:
@@ -179,7 +179,7 @@ class StoredTextures(TextureShader, PackedReader):
         return self.images.sample_grad(vec3(v.uv, float(texture)), change.xy, change.zw)
 
 
-class StoredTable(WithTextureTable, PackedReader):
+class StoredTable(WithTextureTable, PackedReader):  # type: ignore[misc]
     """Likewise, where textures are found by a table."""
 
     def find_uv(self, uv_set: int, v: SurfaceVarying) -> vec4:
