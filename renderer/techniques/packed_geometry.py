@@ -8,7 +8,8 @@
 | 3 | 24 + 8 | the change of texture coordinates in x; the beginning of that in y |
 
 Its format is RGBA32UI, 16 bytes a pixel; a scene without images has the first two words only, RG32UI. The position
-follows from the depth and the ray of the pixel. Texels are read when geometry is drawn only where masks cut it: a
+follows from the depth and the ray of the pixel. Texture coordinates are stored as the material's textures are read, a
+transform applied. Texels are read when geometry is drawn only where masks cut it: a
 texture is filtered later, with the derivatives that are stored, so what is hidden costs no texel.
 
 Materials are evaluated by the parts that draw geometry in other techniques (`surfaces`), given a surface of the buffer
@@ -37,7 +38,7 @@ from renderer.shaders.encodings import (
 )
 from renderer.shaders.lighting import safe_normalize
 from renderer.shaders.pixels import FullScreen
-from renderer.shaders.structs import SurfaceVarying
+from renderer.shaders.structs import Material, SurfaceVarying, TextureUse
 from renderer.techniques.scene_shader import SceneShader
 from renderer.techniques.surfaces import (
     SURFACE_PARTS,
@@ -51,6 +52,7 @@ from renderer.techniques.surfaces import (
 from rhi import Format, refuse
 from rhi.shading import (
     Shader,
+    Storage,
     Struct,
     Texture2D,
     UintTexture2D,
@@ -60,6 +62,7 @@ from rhi.shading import (
     fragment_coordinate,
     ivec2,
     ivec3,
+    max,
     uint,
     uvec2,
     uvec4,
@@ -73,7 +76,7 @@ __rhi_internal__ = True
 MOST_MATERIALS: Final = 1 << 16
 """The number of materials that the buffer can tell apart."""
 
-_UNPACKED: Final = (Effect.VERTEX_COLORS, Effect.SECOND_UVS, Effect.TEXTURE_TRANSFORMS)
+_UNPACKED: Final = (Effect.VERTEX_COLORS, Effect.SECOND_UVS, Effect.MIXED_COORDINATES)
 _EVALUATED: Final = (Aspect.COLOR, Aspect.NORMAL, Aspect.METAL, Aspect.AMBIENT)
 
 
@@ -104,16 +107,20 @@ class PackedTextures(PackedShader):
     """Writes the packed geometry buffer of a scene with images."""
 
     def fragment(self, v: SurfaceVarying) -> TexturedWords:  # type: ignore[override]
-        x = encode_change(ddx(v.uv))
-        y = encode_change(ddy(v.uv))
+        x = encode_change(self.place(v, vec3(ddx(v.uv), 0.0)))
+        y = encode_change(self.place(v, vec3(ddy(v.uv), 0.0)))
         _ = self.find_texel(v)  # which leaves out what isn't drawn
         words = uvec4(
             self.encode_directions(v),
             uint(v.material) | y >> 8 << 16,
-            encode_uv(v.uv),
+            encode_uv(self.place(v, vec3(v.uv, 1.0))),
             x | y << 24,
         )
         return TexturedWords(packed=words)
+
+    def place(self, v: SurfaceVarying, uv: vec3) -> vec2:
+        """Return texture coordinates (u, v, 1), or changes of them (u, v, 0), as the material's textures are read."""
+        return uv.xy
 
 
 class PackedFrames(PackedTextures):
@@ -125,6 +132,26 @@ class PackedFrames(PackedTextures):
         turned = away_from_zero(dot(normal, v.normal))
         tangent = safe_normalize(v.tangent.xyz) * turned
         return encode_frame(TangentFrame(normal=normal, tangent=tangent, side=away_from_zero(v.tangent.w) * turned))
+
+
+class PlacedTextures(PackedTextures):
+    """Writes texture coordinates as textures are read: all of a material have the same transform."""
+
+    materials: Storage[Material]
+    textures: Storage[TextureUse]
+
+    def place(self, v: SurfaceVarying, uv: vec3) -> vec2:
+        material = self.materials[v.material]
+        maps = max(max(material.texture, material.normal_texture), material.metallic_roughness_texture)
+        row = max(maps, max(material.occlusion_texture, material.emissive_texture))
+        if row < 0:
+            return uv.xy
+        use = self.textures[row]
+        return vec2(dot(use.u, uv), dot(use.v, uv))
+
+
+class PlacedFrames(PlacedTextures, PackedFrames):
+    """Writes both of these."""
 
 
 class PackedReader(FullScreen, MaterialShader):  # type: ignore[misc]  # the vertex stage is FullScreen's
@@ -182,28 +209,31 @@ class StoredTextures(TextureShader, PackedReader):  # type: ignore[misc]
 class StoredTable(WithTextureTable, PackedReader):  # type: ignore[misc]
     """Likewise, where textures are found by a table."""
 
-    def find_uv(self, uv_set: int, v: SurfaceVarying) -> vec4:
-        return vec4(v.uv, self.find_change().xy)
-
-    def find_uv_below(self, uv_set: int, v: SurfaceVarying) -> vec2:
-        return self.find_change().zw
+    def read_texture(self, texture: int, v: SurfaceVarying) -> vec4:
+        use = self.textures[texture]
+        change = self.find_change()
+        return self.read_array(use.array, vec3(v.uv, use.layer), change.xy, change.zw)
 
 
 def can_pack(needs: Needs) -> bool:
-    """Return whether all that the scene's materials read is in the buffer: textures by one set of repeated texture
-    coordinates, and no colours of vertices."""
+    """Return whether all that the scene's materials read is in the buffer: repeated textures, all of a material at the
+    same place, and no colours of vertices."""
     return needs.effects.isdisjoint(_UNPACKED)
+
+
+def _has_textures(needs: Needs) -> bool:
+    maps = Effect.IMAGES, Effect.NORMAL_MAPS, Effect.ROUGHNESS_MAPS, Effect.OCCLUSION_MAPS, Effect.EMISSIVE_MAPS
+    return not needs.effects.isdisjoint(maps)
 
 
 def packed_pass(needs: Needs) -> Pass[Frame]:
     """Return the pass that draws the packed geometry buffer: `packed` and `depth`."""
-    has_images = Effect.IMAGES in needs.effects
     return Pass(
         "geometry",
         draw_packed,
         "stores the nearest surface of each pixel, without its material",
         writes=(
-            Target("packed", Format.RGBA32UI if has_images else Format.RG32UI),
+            Target("packed", Format.RGBA32UI if _has_textures(needs) else Format.RG32UI),
             Target("depth", DEPTH_FORMAT),
         ),
     )
@@ -217,13 +247,19 @@ def draw_packed(frame: Frame) -> None:
         refuse(rules.MANY_MATERIALS, "render", f"{count:,} materials", f"at most {MOST_MATERIALS:,}")
     has_tangents = Effect.NORMAL_MAPS in effects
     parts, bindings = bind_surfaces(frame, [Aspect.COVERAGE], has_materials=False, has_tangents=has_tangents)
-    base: type[PackedShader] = PackedTextures if Effect.IMAGES in effects else PackedShader
+    base: type[PackedShader] = PackedShader
+    if Effect.TEXTURE_TRANSFORMS in effects:
+        base = PlacedFrames if has_tangents else PlacedTextures
+        assert resources.images is not None, "textures are read"
+        bindings |= {"textures": resources.images.table, "materials": resources.materials.buffer}
+    elif _has_textures(frame.needs):
+        base = PackedFrames if has_tangents else PackedTextures
     frame.draw_visible(
         TechniquePass(
             frame.device,
             resources,
             frame.view,
-            frame.device.program(surface_variant(PackedFrames if has_tangents else base, parts)),
+            frame.device.program(surface_variant(base, parts)),
             bindings,
             color=frame.targets["packed"],
             depth=frame.targets["depth"],
