@@ -27,8 +27,8 @@ from renderer.shaders.lighting import hemisphere, safe_normalize
 from renderer.shaders.structs import Ambient, Incidence, SurfacePoint
 from rhi.shading import abs, cross, dot, exp2, function, max, min, mix, reflect, saturate, sqrt, vec3
 
-SMOOTHEST: Final = 0.067
-"""The least roughness. Its highlight is that of a shininess of 100,000, the largest one of the specular model."""
+SMOOTHEST: Final = 0.1
+"""The least roughness. Its highlight is about that of a shininess of 20,000."""
 
 
 @function
