@@ -9,12 +9,14 @@ from __future__ import annotations
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cached_property
+from time import perf_counter
 from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from renderer.frame import (
+    Blending,
     Drawn,
     Frame,
     Layer,
@@ -28,8 +30,9 @@ from renderer.frame import (
 )
 from renderer.scene import Camera, Scene, Simulator
 from renderer.shadows import ShadowMaps, shadow_passes
-from renderer.techniques import Forward, Technique
-from renderer.visibility import VisibilityAlgorithm, VisibilityStatistics, make_visibility
+from renderer.stereo import EyePair, Stereo, fit_picture
+from renderer.techniques import AutoTechnique, Forward, Technique
+from renderer.visibility import AutoCulling, VisibilityAlgorithm, VisibilityStatistics, make_visibility
 from rhi import Device, Texture
 
 _COUNTERS: Final = ("queries", "software_state_changes", "hardware_state_changes", "upload_bytes")
@@ -68,32 +71,38 @@ class FrameResult:
     `image`, `depth` and all other contents of the frame, `targets`, are overwritten by the next frame. `visibility` is
     the cost of finding the visible objects, None if the technique didn't do so. Where the device decides what is drawn,
     the first use of `visible` or `statistics` waits for the device; they can be read until the next frame.
+
+    With two eyes, `image` shows both, and `pictures` are the left and the right one's; `depth`, `targets` and
+    `visibility` are the left one's, and `statistics` are those of both together.
     """
 
     image: Texture
     depth: Texture
     targets: Targets
     visibility: VisibilityStatistics | None
-    _drawn: Drawn
+    pictures: tuple[Texture, ...]
+    _drawn: tuple[Drawn, ...]
     _counters: dict[str, int]
 
     @property
     def visible(self) -> NDArray[np.int64]:
-        """The rows of the objects drawn."""
-        return self._drawn.rows
+        """The rows of the objects drawn, with two eyes ascending."""
+        rows = [drawn.rows for drawn in self._drawn]
+        return rows[0] if len(rows) == 1 else np.unique(np.concatenate(rows))
 
     @cached_property
     def statistics(self) -> FrameStatistics:
         """The cost of the frame."""
-        drawn = self._drawn
-        return FrameStatistics(triangles=drawn.triangles, draws=len(drawn.rows), **self._counters)
+        triangles = sum(drawn.triangles for drawn in self._drawn)
+        draws = sum(len(drawn.rows) for drawn in self._drawn)
+        return FrameStatistics(triangles=triangles, draws=draws, **self._counters)
 
 
 class Renderer:
     """Draws one scene on one device.
 
-    The attributes `technique` and `visibility` may be exchanged between any two frames, and `layers`, which are drawn
-    over each frame in their order, changed.
+    The attributes `technique`, `visibility` and `blending` may be exchanged between any two frames, and `layers`, which
+    are drawn over each frame in their order, changed.
     """
 
     def __init__(
@@ -104,20 +113,24 @@ class Renderer:
         technique: Technique | None = None,
         visibility: VisibilityAlgorithm | None = None,
         size: tuple[int, int] = (960, 540),
+        blending: Blending = Blending.SORTED,
         validation: bool = False,
     ) -> None:
         """Create the targets and upload the scene.
 
         Args:
-            technique: how the scene is drawn; forward shading by default.
+            technique: how the scene is drawn; forward shading by default. `AutoTechnique` measures which one is the
+                fastest; its picture may change by 2 of 255 levels when it changes its mind.
             visibility: an algorithm made for `scene`; by default `auto`, which measures which one is the fastest.
             size: (width, height) of the image in pixels.
+            blending: how transparent surfaces that cover each other are put together.
             validation: whether to check samples of what is simulated: each batch has one object whose vertices must be
                 inside its bounds (`scene-left-bounds`).
         """
         self.device = device
         self.scene = scene
         self.technique: Technique = technique or Forward()
+        self.blending = blending
         self.layers: list[Layer] = []
         self._own: list[VisibilityAlgorithm] = []
         if visibility is None:
@@ -125,6 +138,8 @@ class Renderer:
             self._own.append(visibility)
         self._plans: dict[tuple[object, ...], Plan[Frame]] = {}
         self._planned: Technique | None = None
+        self._size = size
+        self._pair: EyePair | None = None
         with ExitStack() as made:
             self._targets = Targets(device, size)
             made.callback(self._targets.destroy)
@@ -146,11 +161,38 @@ class Renderer:
     @property
     def size(self) -> tuple[int, int]:
         """The (width, height) of the image in pixels; setting it creates new targets."""
-        return self._targets.size
+        return self._size
 
     @size.setter
     def size(self, size: tuple[int, int]) -> None:
-        self._targets.size = size
+        if size != self._size:
+            self._resize(size, self.stereo)
+
+    @property
+    def stereo(self) -> Stereo | None:
+        """How two eyes are drawn and shown, None for one. It may be exchanged between any two frames."""
+        return None if self._pair is None else self._pair.stereo
+
+    @stereo.setter
+    def stereo(self, stereo: Stereo | None) -> None:
+        pair, size = self._pair, self._size
+        if pair is None or stereo is None or fit_picture(stereo.output, size) != pair.targets.size:
+            self._resize(size, stereo)
+        else:
+            pair.stereo = stereo
+
+    def _resize(self, size: tuple[int, int], stereo: Stereo | None) -> None:
+        """Create what is needed for images of `size` with one eye or two. If it can't be, all stays as it was."""
+        pair = None if stereo is None else EyePair(self.device, stereo, size, self._view)
+        try:
+            self._targets.size = size if pair is None else pair.targets.size
+        except BaseException:
+            if pair is not None:
+                pair.destroy()
+            raise
+        if self._pair is not None:
+            self._pair.destroy()
+        self._size, self._pair = size, pair
 
     @property
     def shadows(self) -> ShadowMaps:
@@ -173,49 +215,124 @@ class Renderer:
 
     def render(self, camera: Camera, seconds: float = 0.0) -> FrameResult:
         """Draw the scene at the time `seconds` as `camera` sees it, with the image's aspect. Doesn't wait for the
-        GPU."""
-        device = self.device
-        width, height = self.size
-        camera = camera.with_aspect(width / height)
+        GPU, unless something `is_trying`."""
+        auto = self.technique
+        if not isinstance(auto, AutoTechnique):
+            return self._draw(camera, seconds)[0]
+        auto.look(camera, self.size)
+        is_timed = auto.is_trying and not self._is_trying_visibility
+        if is_timed:
+            self.device.finish()
+        began = perf_counter()
+        result, needs = self._draw(camera, seconds)
+        if is_timed:
+            self.device.finish()
+        is_timed = is_timed and not self._is_trying_visibility  # which may have begun to
+        auto.note(perf_counter() - began if is_timed else None, camera, needs)
+        return result
+
+    @property
+    def is_trying(self) -> bool:
+        """Whether the next frame is on trial: the visibility algorithm or the technique measures which of several is
+        the fastest."""
+        technique = self.technique
+        return self._is_trying_visibility or (isinstance(technique, AutoTechnique) and technique.is_trying)
+
+    @property
+    def _is_trying_visibility(self) -> bool:
+        return isinstance(self.visibility, AutoCulling) and self.visibility.is_trying
+
+    def _draw(self, camera: Camera, seconds: float) -> tuple[FrameResult, Needs]:
+        """Draw a frame; return it and what it needed."""
+        device, resources, pair = self.device, self._resources, self._pair
         before = device.statistics
+        around = self._aim(camera)
         self.scene.seconds = seconds
         expected = self.simulator.drawn
         self.simulator.begin_frame(seconds)
         self.scene.refresh()
-        self._view.aim(camera)
-        self._resources.update(camera)
-        self._resources.expect(camera, expected)
-        needs = find_needs(self.scene, camera, reaches=self._resources.reaching)
+        resources.update(self._view.camera)
+        resources.expect(around, expected)
+        needs = self._find_needs(around)
         plan = self._plan(needs)
-        self._targets.provide(plan.textures)
-        frame = Frame(device, self._view, self._resources, self._targets, needs)
-        for one in plan.passes:
-            with device.event(one.name):
-                one.run(frame)
+        left = Frame(device, self._view, resources, self._targets, needs)
+        frames = [left]
+        self._run(plan, left)
+        if pair is not None:
+            right = Frame(device, pair.view, resources, pair.targets, needs, left)
+            frames.append(right)
+            resources.look_from(right.camera, 1)
+            with device.event(pair.view.name):
+                self._run(plan, right)
         after = device.statistics
-        for layer in self.layers:
-            layer.render(device, frame)
-        device.present(self._targets.image)
+        for frame in frames:
+            for layer in self.layers:
+                layer.render(device, frame)
+        image = left.targets.image
+        if pair is not None:
+            with device.event("both eyes"):
+                image = pair.show(*frames)
+        device.present(image)
         counters = {name: getattr(after, name) - getattr(before, name) for name in _COUNTERS}
         counters["simulation_steps"] = self.simulator.steps
         counters["skipped_simulations"] = len(self.simulator) - self.simulator.seen
-        targets = self._targets
-        return FrameResult(targets.image, targets.depth, targets, frame.statistics, frame.drawn, counters)
+        result = FrameResult(
+            image,
+            left.targets.depth,
+            left.targets,
+            left.statistics,
+            tuple(frame.targets.image for frame in frames),
+            tuple(frame.drawn for frame in frames),
+            counters,
+        )
+        return result, needs
+
+    def _aim(self, camera: Camera) -> Camera:
+        """Aim the views of a frame through `camera`; return a camera that sees all that they see."""
+        camera = self._fit(camera)
+        if self._pair is None:
+            self._view.aim(camera)
+            return camera
+        rig, right = self._pair.stereo.rig, self._pair.view
+        around = rig.enclose(camera)
+        right.visibility = self._view.visibility
+        for view, eye in zip((self._view, right), rig.place_eyes(camera), strict=True):
+            view.aim(eye, around)
+        return around
+
+    def _fit(self, camera: Camera) -> Camera:
+        width, height = self._size
+        return camera.with_aspect(width / height)
+
+    def _run(self, plan: Plan[Frame], frame: Frame) -> None:
+        """Run the passes of a plan."""
+        frame.targets.provide(plan.textures)
+        for one in plan.passes:
+            with self.device.event(one.name):
+                one.run(frame)
 
     def plan(self, camera: Camera) -> tuple[Needs, Plan[Frame]]:
         """Return what a frame of `camera` needs, and its plan; nothing is drawn."""
-        width, height = self.size
-        needs = find_needs(self.scene, camera.with_aspect(width / height), reaches=self._resources.reaching)
+        camera = self._fit(camera)
+        if self._pair is not None:
+            camera = self._pair.stereo.rig.enclose(camera)
+        needs = self._find_needs(camera)
         return needs, self._plan(needs)
+
+    def _find_needs(self, camera: Camera) -> Needs:
+        return find_needs(self.scene, camera, reaches=self._resources.reaching, blending=self.blending)
 
     def _plan(self, needs: Needs) -> Plan[Frame]:
         """Return the plan of a frame with these needs; it is made once."""
-        if self._planned is not self.technique:
+        technique = self.technique
+        if isinstance(technique, AutoTechnique):
+            technique = technique.current
+        if self._planned is not technique:
             self._plans.clear()
-            self._planned = self.technique
+            self._planned = technique
         plan = self._plans.get(needs.key)
         if plan is None:
-            plan = self._plans[needs.key] = make_plan([*shadow_passes(needs), *self.technique.declare(needs)])
+            plan = self._plans[needs.key] = make_plan([*shadow_passes(needs), *technique.declare(needs)])
         return plan
 
     def destroy(self) -> None:
@@ -224,6 +341,8 @@ class Renderer:
         for visibility in self._own:
             visibility.destroy()
         self._own.clear()
+        if self._pair is not None:
+            self._pair.destroy()
         self._targets.destroy()
         self._view.destroy()
         self._resources.destroy()

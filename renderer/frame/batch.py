@@ -1,9 +1,9 @@
-"""The only batch of a view's first pass: commands that are recorded once, and arguments that they refer to.
+"""The first batch of a view, and its repetitions: commands that are recorded once, and arguments that they refer to.
 
 An algorithm that knows all visible objects before the first draw draws them in one batch. Which objects these are, and
 their order, changes with the camera; how they are drawn doesn't. So the draws' arguments lie in a buffer, and the
 commands depend only on their number: `none` records them once, `frustum` again when another number of objects is
-visible in two frames in a row.
+visible in two frames in a row. Further passes and the second eye draw the same objects, so they use the same arguments.
 """
 
 from __future__ import annotations
@@ -20,6 +20,26 @@ from rhi import DRAW, Buffer, Device, Encoder, IndirectDraws
 __rhi_internal__ = True
 
 
+class BatchCommands:
+    """The commands that draw a batch, for one pass of a view after the other."""
+
+    def __init__(self, device: Device) -> None:
+        self._device = device
+        self._passes: list[RepeatedCommands] = []
+        self._next = 0
+
+    def begin_frame(self) -> None:
+        """Begin with the first pass again."""
+        self._next = 0
+
+    def next(self) -> RepeatedCommands:
+        """Return the commands of the next pass."""
+        if self._next == len(self._passes):
+            self._passes.append(RepeatedCommands(self._device, ""))
+        self._next += 1
+        return self._passes[self._next - 1]
+
+
 class FrameBatch:
     """The draws of a frame that is one batch, on a device. The buffer is written when they differ from the last
     frame's."""
@@ -29,10 +49,10 @@ class FrameBatch:
         self._draws: NDArray[Any] | None = None  # of which the buffer has `_rows`, in this order
         self._rows = np.zeros(0, np.int64)
         self._buffer: Buffer | None = None
-        self._commands = RepeatedCommands(device, "")
 
     def execute(
         self,
+        commands: RepeatedCommands,
         key: tuple[object, ...],
         draws: NDArray[Any],
         parts: Sequence[NDArray[np.int64]],
@@ -64,11 +84,10 @@ class FrameBatch:
             ]
             issue(encoder, arguments)
 
-        self._commands.execute((*key, *counts), issue_batch)
+        commands.execute((*key, buffer, *counts), issue_batch)
 
     def destroy(self) -> None:
-        """Destroy the buffer, and drop the commands that refer to it."""
-        self._commands.forget()
+        """Destroy the buffer."""
         self._rows = np.zeros(0, np.int64)
         if self._buffer is not None:
             self._buffer.destroy()

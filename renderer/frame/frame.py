@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from renderer.frame.needs import Needs
 from renderer.frame.passes import Drawn, TechniquePass
 from renderer.frame.resources import SceneResources
 from renderer.frame.targets import Targets
 from renderer.frame.view import View
-from renderer.scene import Camera
+from renderer.scene import Camera, Scene
+from renderer.scene.arrays import Rows
 from renderer.visibility import VisibilityAlgorithm, VisibilityStatistics
+from renderer.visibility.boxes.bounds import is_parallel
 from rhi import Device
 
 __rhi_internal__ = True
@@ -31,6 +35,7 @@ class Frame:
     Attributes:
         view: what the image is seen from. resources: the scene on the device, up to date for this view.
         targets: the textures that the passes draw to. needs: the effects that are needed.
+        first: the frame of the left eye, drawn before, if this is the right eye's.
     """
 
     device: Device
@@ -38,6 +43,7 @@ class Frame:
     resources: SceneResources
     targets: Targets
     needs: Needs
+    first: Frame | None = None
     _seen: dict[View, ViewRecord] = field(default_factory=dict)
 
     @property
@@ -62,18 +68,41 @@ class Frame:
         seen = self._seen.get(self.view)
         return None if seen is None else seen.statistics
 
+    def draw_transparent(
+        self, scene_pass: TechniquePass, view: View | None = None, *, in_order: bool = True
+    ) -> None:
+        """Draw the transparent objects that a view sees, which `draw_visible` has found. If there are none, nothing is
+        issued.
+
+        Args:
+            in_order: whether they are drawn back to front, by the distances of their boxes' centres. Otherwise it is in
+                as few calls as there are windings.
+        """
+        view = view or self.view
+        seen = self._seen.get(view)
+        if seen is None or not len(rows := seen.drawn.transparent):
+            return
+        if in_order:
+            rows = sort_back_to_front(self.resources.scene, view.camera, rows)
+        else:
+            rows = rows[np.argsort(self.resources.mirrored[rows], kind="stable")]
+        with scene_pass:
+            scene_pass.draw_in_order(rows)
+
     def draw_visible(self, scene_pass: TechniquePass, view: View | None = None) -> None:
         """Draw what a view sees in a pass: the main view, unless another one is given.
 
         The first pass of a view finds the visible objects, in as many batches as its algorithm likes, which issues its
-        own commands there. It must be the first to write the view's depth. Later passes draw the same objects again.
+        own commands there. It must be the first to write the view's depth. Later passes draw the same objects again,
+        and so does the right eye if the left one's were found by the frustum around both.
         """
         view = view or self.view
-        seen = self._seen.get(view)
+        seen = self._seen.get(view) or self._find_shared(view)
         with scene_pass:
             if seen is not None:
-                scene_pass.open()
                 seen.drawn.draw_again(scene_pass)
+                if not scene_pass.was_opened:  # as below
+                    scene_pass.open()
                 return
             if not view.visibility.opens_pass:
                 scene_pass.open()
@@ -81,3 +110,22 @@ class Frame:
             if not scene_pass.was_opened:  # nothing was drawn: the targets are cleared all the same
                 scene_pass.open()
         self._seen[view] = ViewRecord(scene_pass.drawn, statistics)
+
+    def _find_shared(self, view: View) -> ViewRecord | None:
+        """Return what the left eye has found for both, if it has: objects in the frustum around them."""
+        if self.first is None or view is not self.view:
+            return None
+        seen = self.first._seen.get(self.first.view)
+        if seen is None or not seen.statistics.by_frustum:
+            return None
+        self._seen[view] = seen
+        return seen
+
+
+def sort_back_to_front(scene: Scene, camera: Camera, rows: Rows) -> Rows:
+    """Return objects in the order of the distances of their boxes' centres from the eye, the farthest first; with a
+    parallel lens, from the plane of the eye. Objects at the same distance keep their order."""
+    objects = scene.objects
+    away = 0.5 * (objects.lower[rows] + objects.upper[rows]) - camera.position
+    distances = away @ camera.forward if is_parallel(camera) else np.einsum("ij,ij->i", away, away)
+    return np.asarray(rows[np.argsort(-distances, kind="stable")])

@@ -23,7 +23,7 @@ from renderer import rules, shaders
 from renderer.lights.lists import list_lights
 from renderer.scene import Camera, Deformed, Scene, Simulator, normal_matrices
 from renderer.visibility import SceneArrays
-from renderer.visibility.boxes.volumes import Containment, classify, fit_aligned
+from renderer.visibility.boxes.volumes import find_in_view
 from rhi import Device, Format, Mesh, StorageBuffer, Texture, TextureKind, UniformBuffer, refuse
 from rhi.shading import Struct, UniformRange
 
@@ -36,6 +36,8 @@ R = TypeVar("R", bound=_Destroyable)
 S = TypeVar("S", bound=Struct)
 T = TypeVar("T")
 
+EYES: Final = 2
+"""The largest number of eyes of a frame."""
 LARGEST_IMAGE = 2048
 """The largest width and height of images in texels; larger ones are scaled down."""
 
@@ -126,12 +128,34 @@ class MirroredValue(Generic[S]):
         self.buffer.destroy()
 
 
+class Workspaces:
+    """What techniques keep between frames, by kinds: each is made when it is first asked for."""
+
+    def __init__(self, device: Device) -> None:
+        self._device = device
+        self._made: dict[Callable[[Device], Any], Any] = {}
+
+    def find(self, kind: Callable[[Device], R]) -> R:
+        """Return `kind(device)`, the same one each time."""
+        if kind not in self._made:
+            self._made[kind] = kind(self._device)
+        kept: R = self._made[kind]
+        return kept
+
+    def destroy(self) -> None:
+        """Destroy all."""
+        for kept in self._made.values():
+            kept.destroy()
+        self._made.clear()
+
+
 class SceneResources:
     """One scene on one device, shared by techniques.
 
     Attributes:
         mesh: all meshes in one. draws: (n,) of `rhi.DRAW`, one for each object.
         mirrored: (n,) bool, whether an object's transform mirrors it, which reverses the winding of its triangles.
+        is_transparent: (n,) bool, whether an object is transparent. transparent_rows: the rows of those that are.
         images: the scene's images as layers; None if there are none.
         objects, places, materials, directional, point, spot, light_rows: the arrays that shaders read; point and spot
             lights are left out if none of them reaches an object.
@@ -153,7 +177,7 @@ class SceneResources:
 
     def _make(self, device: Device, scene: Scene) -> None:
         self.scene = scene
-        self._workspaces: dict[Callable[[Device], Any], Any] = {}
+        self._workspaces: Workspaces = self._keep(Workspaces(device))
         self.simulator: Simulator = scene.make_simulator()
         self._held = np.zeros(len(scene.objects))  # by object, the state of the vertices on the device
         self._device = device
@@ -173,8 +197,14 @@ class SceneResources:
         self.places = keep(MirroredArray(device, shaders.ObjectPosition, "places"))
         self.materials = keep(MirroredArray(device, shaders.Material, "materials"))
         self.directional = keep(MirroredArray(device, shaders.DirectionalLight, "directional lights"))
-        self.point = keep(MirroredArray(device, shaders.PointLight, "point lights"))
-        self.spot = keep(MirroredArray(device, shaders.SpotLight, "spot lights"))
+        self._lamps = tuple(
+            (
+                keep(MirroredArray(device, shaders.PointLight, "point lights")),
+                keep(MirroredArray(device, shaders.SpotLight, "spot lights")),
+            )
+            for _ in range(EYES)
+        )
+        self.point, self.spot = self._lamps[0]
         self.light_rows = keep(MirroredArray(device, int, "light rows"))
         self._lit: tuple[NDArray[Any], ...] = ()  # the state that the light lists were made from
         self._listed: NDArray[np.int64] = np.zeros(0, np.int64)  # the light rows, as they are on the device
@@ -188,6 +218,9 @@ class SceneResources:
         self._places["mesh"] = objects.mesh
         self.mirrored: NDArray[np.bool_] = np.zeros(len(objects), bool)
         self._windings = (False, False)  # whether some object isn't mirrored, and whether some is
+        self.transparent_rows: NDArray[np.int64] = scene.find_transparent()
+        self.is_transparent: NDArray[np.bool_] = np.zeros(len(objects), bool)
+        self.is_transparent[self.transparent_rows] = True
         self._transform(np.arange(len(objects)))
 
     @cached_property
@@ -202,11 +235,8 @@ class SceneResources:
 
     def workspace(self, kind: Callable[[Device], R]) -> R:
         """Return what a technique keeps between frames beside the scene: `kind(device)`, which is made on first use and
-        destroyed with the resources."""
-        if kind not in self._workspaces:
-            self._workspaces[kind] = self._keep(kind(self._device))
-        kept: R = self._workspaces[kind]
-        return kept
+        destroyed with the resources. What depends on the camera is kept by its view (`View.workspace`)."""
+        return self._workspaces.find(kind)
 
     def list_arrays(self, view: UniformRange[shaders.ViewConstants]) -> SceneArrays:
         """Return the buffers of objects and meshes, as visibility algorithms on the device read them, and the constants
@@ -261,10 +291,7 @@ class SceneResources:
 
     def find_in_view(self, camera: Camera, rows: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return those of the objects `rows` whose bounds are not outside the view."""
-        if not len(rows):
-            return rows
-        side = classify(camera.frustum.planes, fit_aligned(self.scene, rows))
-        return rows.take(np.flatnonzero(side != Containment.OUTSIDE))
+        return find_in_view(self.scene, camera, rows)
 
     def has_winding(self, *, mirrored: bool) -> bool:
         """Return whether there are objects of one winding: mirrored ones, or others."""
@@ -301,18 +328,35 @@ class SceneResources:
 
     def update(self, camera: Camera) -> None:
         """Update the buffers to the scene, with lights relative to the eye of `camera`."""
-        scene, eye = self.scene, camera.position
+        scene = self.scene
         following = scene.objects.following_rows  # others that move are simulated before they are drawn
         self._transform(following)
         self.objects.write(self._rows, None if self._list_lights() else following)
-        self.places.write(self._places, following)
+        self.places.write(self._places, None if self._find_transparent() else following)
         self.materials.write(scene.materials)
-        lights = scene.lights.relative_to(eye)
+        self.look_from(camera)
+        self.ambient.write(_ambient(scene))
+        self.haze.write(_haze(scene))
+
+    def look_from(self, camera: Camera, eye: int = 0) -> None:
+        """Let lights be relative to the eye of `camera`, one of the `EYES` of a frame. Each eye has point and spot
+        lights of its own, which are written only where they have changed."""
+        lights = self.scene.lights.relative_to(camera.position)
+        self.point, self.spot = self._lamps[eye]
         self.directional.write(lights.directional)
         self.point.write(lights.point if self._reaching[0] else lights.point[:0])
         self.spot.write(lights.spot if self._reaching[1] else lights.spot[:0])
-        self.ambient.write(_ambient(scene))
-        self.haze.write(_haze(scene))
+
+    def _find_transparent(self) -> bool:
+        """Find the transparent objects, and return whether they are others than in the last frame."""
+        rows = self.scene.find_transparent()
+        if np.array_equal(rows, self.transparent_rows):
+            return False
+        self.transparent_rows = rows
+        self.is_transparent[:] = False
+        self.is_transparent[rows] = True
+        self._places["draw_list"] = np.where(self.is_transparent, -1, self.mirrored)
+        return True
 
     def _transform(self, rows: NDArray[np.int64]) -> None:
         """Update the rows of the arrays that hold the transforms of the objects `rows`."""
@@ -331,7 +375,7 @@ class SceneResources:
             self._windings = (bool((~self.mirrored).any()), bool(self.mirrored.any()))
         place = self._places[rows]
         place["high"], place["low"] = split_doubles(world[:, :3, 3])
-        place["mirrored"] = self.mirrored[rows]
+        place["draw_list"] = np.where(self.is_transparent[rows], -1, self.mirrored[rows])
         self._places[rows] = place
 
     def _list_lights(self) -> bool:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from renderer import shaders
-from renderer.frame.batch import FrameBatch
-from renderer.frame.resources import MirroredValue, split_doubles
+from renderer.frame.batch import BatchCommands, FrameBatch
+from renderer.frame.resources import MirroredValue, R, Workspaces, split_doubles
 from renderer.scene import Camera
 from renderer.visibility import VisibilityAlgorithm
 from rhi import Device, UniformBuffer
@@ -28,12 +29,20 @@ class View:
         name: what the view is called in plans and events.
         visibility: the algorithm; it may be exchanged between two frames.
         batch: the draws of its first pass, if these are one batch.
+        commands: those that draw the batch, pass by pass.
+        around: a camera that sees all that the frame's views see, this one's camera if there is only one.
     """
 
-    def __init__(self, device: Device, name: str, visibility: VisibilityAlgorithm) -> None:
+    def __init__(
+        self, device: Device, name: str, visibility: VisibilityAlgorithm, batch: FrameBatch | None = None
+    ) -> None:
+        """A view may share the `batch` of another one, which it doesn't destroy."""
         self.name = name
         self.visibility = visibility
-        self.batch = FrameBatch(device)
+        self.batch = batch or FrameBatch(device)
+        self.commands = BatchCommands(device)
+        self._owns_batch = batch is None
+        self._workspaces = Workspaces(device)
         self._camera: Camera | None = None
         self._constants = MirroredValue(device, _constants(np.eye(4), np.zeros(3)))
 
@@ -48,14 +57,27 @@ class View:
         """The camera's constants for shaders."""
         return self._constants.buffer
 
-    def aim(self, camera: Camera) -> None:
-        """Look through `camera` from now on; its constants are uploaded if they have changed."""
+    def workspace(self, kind: Callable[[Device], R]) -> R:
+        """Return what a technique keeps between frames of this view: `kind(device)`, which is made on first use and
+        destroyed with the view."""
+        return self._workspaces.find(kind)
+
+    def aim(self, camera: Camera, around: Camera | None = None) -> None:
+        """Look through `camera` in the next frame; its constants are uploaded if they have changed.
+
+        Args:
+            around: a camera that sees at least as much, with which objects are sought for several views at once.
+        """
         self._camera = camera
+        self.around = around or camera
+        self.commands.begin_frame()
         self._constants.write(_constants(camera.relative_view_projection, camera.position))
 
     def destroy(self) -> None:
-        """Destroy the buffers. The algorithm is not destroyed."""
-        self.batch.destroy()
+        """Destroy the buffers and workspaces. The algorithm is not destroyed."""
+        if self._owns_batch:
+            self.batch.destroy()
+        self._workspaces.destroy()
         self._constants.destroy()
 
 

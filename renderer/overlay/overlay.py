@@ -57,27 +57,36 @@ class Overlay:
         self._began: float | None = None
         self._ground: tuple[Scene, tuple[Floats, Floats]] | None = None
         self._before: Statistics = device.statistics
+        self._counted = self._after = self._before
         self.draws = 0
         self.milliseconds = 0.0
         if device.capabilities.timestamps:
             device.timing = True
 
     def render(self, device: Device, frame: Frame) -> None:
-        """Draw the overlay to the frame's image."""
-        began, counted = perf_counter(), device.statistics
+        """Draw the overlay to the frame's image. The right eye is shown what the left one sees, as far as the screen
+        is away."""
+        began = perf_counter()
+        if frame.first is None:
+            self._begin_frame(began, device.statistics)
+        shown = frame.first or frame
+        with device.event("overlay"):
+            self._add_left(device, shown, self._counted)
+            if shown.statistics is not None:
+                self._add_right(shown)
+            image = frame.targets.image
+            with device.render_pass(image):
+                self.draws += self._canvas.draw(image.size)
+        self._after = device.statistics
+        self.milliseconds += 1e3 * (perf_counter() - began)
+
+    def _begin_frame(self, began: float, counted: Statistics) -> None:
+        """Note what the last frame took, and what this one has counted until now."""
         if self._began is not None:
             self._frames.add(1e3 * (began - self._began))
             self._own.add(self.milliseconds)
-        self._began = began
-        with device.event("overlay"):
-            self._add_left(device, frame, counted)
-            if frame.statistics is not None:
-                self._add_right(frame)
-            image = frame.targets.image
-            with device.render_pass(image):
-                self.draws = self._canvas.draw(image.size)
-        self._before = device.statistics
-        self.milliseconds = 1e3 * (perf_counter() - began)
+        self._began, self._before, self._counted = began, self._after, counted
+        self.draws, self.milliseconds = 0, 0.0
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""

@@ -36,6 +36,7 @@ from renderer.scene.meshes import (
 )
 from renderer.scene.nodes import Nodes
 from renderer.scene.objects import Boxes, Objects
+from renderer.scene.omissions import Omission, Omissions
 from renderer.scene.paths import FRAME_COUNT, FRAMES_PER_SECOND, CameraPath, make_path
 from renderer.scene.scene import Scene, SceneBuilder
 from renderer.scene.simulation import (
@@ -48,15 +49,18 @@ from renderer.scene.simulation import (
     Simulated,
     Simulator,
 )
+from renderer.scene.stereo import COMFORTABLE_SHARE, NATURAL_DISTANCE, Skewed, StereoRig, measure_parallax
 from renderer.scene.transforms import normal_matrices, relative_to, rotation, scaling, translation
 
 __rhi_internal__ = True
 
 __all__ = [
+    "COMFORTABLE_SHARE",
     "DIRECTIONAL",
     "FRAMES_PER_SECOND",
     "FRAME_COUNT",
     "MATERIAL",
+    "NATURAL_DISTANCE",
     "POINT",
     "RANGE",
     "RELATIVE_POINT",
@@ -86,6 +90,8 @@ __all__ = [
     "Nodes",
     "ObjectSimulation",
     "Objects",
+    "Omission",
+    "Omissions",
     "Orthographic",
     "Perspective",
     "Projection",
@@ -96,14 +102,17 @@ __all__ = [
     "ShadingModel",
     "Simulated",
     "Simulator",
+    "Skewed",
     "Stepped",
     "Stepwise",
+    "StereoRig",
     "TextureMap",
     "Timed",
     "list_attributes",
     "make_geometry",
     "make_material",
     "make_path",
+    "measure_parallax",
     "normal_matrices",
     "relative_to",
     "rotation",

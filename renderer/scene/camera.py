@@ -186,6 +186,11 @@ class Camera:
         return cls(eye, np.stack([right, np.cross(back, right), back]), projection or Perspective())
 
     @property
+    def right(self) -> Floats:
+        """The unit vector (3,) to the camera's right."""
+        return np.array(self.rotation[0])
+
+    @property
     def forward(self) -> Floats:
         """The unit vector (3,) along which the camera looks."""
         x, y, z = self.rotation[2]

@@ -17,7 +17,7 @@ from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Floats, Rows
 from renderer.shadows.cascades import Cascade
 from renderer.shadows.lamps import find_shadow_boxes, pair_by_light
-from renderer.visibility.boxes.volumes import AlignedBoxes, Containment, classify, fit_aligned
+from renderer.visibility.boxes.volumes import AlignedBoxes, Containment, classify
 
 __rhi_internal__ = True
 
@@ -36,7 +36,7 @@ class Casters:
 
 
 class SceneCasters:
-    """The casters of a scene.
+    """The casters of a scene. Transparent objects cast no shadows.
 
     Attributes:
         still, moving: the rows of objects that cast shadows: those that can't move, and those that may.
@@ -44,9 +44,10 @@ class SceneCasters:
 
     def __init__(self, scene: Scene) -> None:
         objects = scene.objects
-        may_move = objects.dynamic | objects.simulated
-        self.still: Rows = np.flatnonzero(objects.casts_shadow & ~may_move)
-        self.moving: Rows = np.flatnonzero(objects.casts_shadow & may_move)
+        may_move, casts = objects.dynamic | objects.simulated, objects.casts_shadow.copy()
+        casts[scene.find_transparent()] = False
+        self.still: Rows = np.flatnonzero(casts & ~may_move)
+        self.moving: Rows = np.flatnonzero(casts & may_move)
         self._scene = scene
         self._lamps: dict[str, tuple[bytes, list[Rows]]] = {}
         self._turned: dict[bytes, tuple[Floats, Floats]] = {}  # boxes of what can't move, by the light's axes
@@ -121,14 +122,6 @@ def turn_boxes(scene: Scene, rows: Rows, axes: Floats) -> tuple[Floats, Floats]:
     half = (0.5 * upper - 0.5 * lower) @ np.abs(axes).T
     half += _MARGIN * (np.abs(middle) + half)
     return middle - half, middle + half
-
-
-def find_in_view(scene: Scene, rows: Rows, camera: Camera) -> Rows:
-    """Return those of the objects `rows` that aren't outside the view of a map."""
-    if not len(rows):
-        return rows
-    side = classify(camera.frustum.planes, fit_aligned(scene, rows))
-    return rows.take(np.flatnonzero(side != Containment.OUTSIDE))
 
 
 def find_shading(scene: Scene, rows: Rows, light: Any, cameras: Sequence[Camera]) -> Rows:

@@ -31,7 +31,7 @@ from renderer.scene.arrays import Rows
 from renderer.shaders.depth import DepthOnly
 from renderer.shaders.structs import ViewConstants
 from renderer.shadows.cascades import Cascade, fit_cascades
-from renderer.shadows.casters import Casters, SceneCasters, find_in_view, find_shading, turn_boxes
+from renderer.shadows.casters import Casters, SceneCasters, find_shading, turn_boxes
 from renderer.shadows.lamps import (
     aim_maps,
     choose_width,
@@ -44,6 +44,7 @@ from renderer.shadows.lamps import (
 from renderer.shadows.receiver import MOST_CASCADES, MOST_LAMP_MAPS, SLOTS_WIDE, LampTable, SunMap, SunTable
 from renderer.shadows.settings import ShadowFilter, ShadowSettings
 from renderer.shadows.tiles import Tile, TileTree
+from renderer.visibility.boxes.volumes import find_in_view
 from rhi import (
     Comparison,
     CullMode,
@@ -271,7 +272,7 @@ class ShadowMaps:
         wanted += self._want_lamps(scene, frame.needs, cameras, visible, frame.targets.size)
         self._place({one.key: one.size for one in wanted})
         self._draw(resources, self._decide(scene, wanted))
-        self.aim(cameras[0])
+        self.aim(frame.camera)
         self._write_lamps(scene)
 
     def aim(self, camera: Camera) -> None:
@@ -388,7 +389,7 @@ class ShadowMaps:
                     (*name, part if len(aimed) > 1 else -1),
                     camera,
                     width,
-                    Casters(find_in_view(scene, still, camera), moving[:0]),
+                    Casters(find_in_view(scene, camera, still), moving[:0]),
                 )
                 for part, camera in enumerate(aimed)
             ]
@@ -396,7 +397,7 @@ class ShadowMaps:
         listed = faces.wanted
         if len(moving):
             shading = find_shading(scene, moving, lamp.light, cameras)
-            listed = [_add_moving(one, find_in_view(scene, moving, one.camera), shading) for one in listed]
+            listed = [_add_moving(one, find_in_view(scene, one.camera, moving), shading) for one in listed]
         wanted = [one for one in listed if len(one.casters)]
         if len(wanted) < len(listed):
             for one in listed:
@@ -619,7 +620,11 @@ def shadow_passes(needs: Needs) -> list[Pass[Frame]]:
 
 
 def _update_maps(frame: Frame) -> None:
-    frame.resources.workspace(ShadowMaps).update(frame, [frame.camera])
+    maps = frame.resources.workspace(ShadowMaps)
+    if frame.first is None:
+        maps.update(frame, [frame.view.around])
+    else:  # the left eye's frame has drawn them for both
+        maps.aim(frame.camera)
 
 
 def describe_state(scene: Scene, rows: Rows) -> bytes:

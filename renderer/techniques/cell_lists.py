@@ -55,7 +55,7 @@ def list_pass(needs: Needs, kind: type[LightGrid], *, depth: str | None = None) 
 
     def collect(frame: Frame) -> None:
         texture = None if depth is None else frame.targets[depth]
-        grid = frame.resources.workspace(kind)
+        grid = frame.view.workspace(kind)
         grid.collect(frame.device, frame.camera, frame.targets.size, frame.resources.scene.lights, texture)
 
     reads = () if depth is None else (depth,)
@@ -64,5 +64,5 @@ def list_pass(needs: Needs, kind: type[LightGrid], *, depth: str | None = None) 
 
 def bind_lists(frame: Frame, kind: type[LightGrid]) -> dict[str, Any]:
     """Return the bindings of a `CellReader`, after the lists were made."""
-    grid = frame.resources.workspace(kind)
+    grid = frame.view.workspace(kind)
     return {"grid": grid.parameters, "light_rows": grid.lists}

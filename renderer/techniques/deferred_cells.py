@@ -25,10 +25,12 @@ from renderer.shaders.structs import PointLight, SpotLight, SurfacePoint
 from renderer.shadows import SHADOW_PARTS, ShadowReceiver
 from renderer.techniques.cell_lists import CellReader, ClusterLists, bind_lists, list_pass
 from renderer.techniques.deferred import Deferred, GeometryResolve, resolve, resolve_geometry
-from renderer.techniques.forward import bind_lamps, bind_shading, explain_lamps, list_lamps
+from renderer.techniques.forward import bind_lamps, bind_shading, explain_lamps, find_forward, list_lamps
+from renderer.techniques.forward_plus import find_listed
 from renderer.techniques.forward_shader import LampShader
 from renderer.techniques.geometry_buffer import GeometryReader, bind_geometry, geometry_pass
 from renderer.techniques.resolve import LIGHT_FORMAT, resolve_pass
+from renderer.techniques.transparency import declare_transparency
 from rhi import Device, Texture
 from rhi.shading import (
     Image2D,
@@ -227,6 +229,7 @@ class TiledDeferred:
                 "lights surfaces by what reaches all of them",
                 (*_READS, "light"),
             ),
+            *declare_transparency(needs, find_forward),
         )
 
 
@@ -247,6 +250,7 @@ class ClusteredDeferred:
                 "lights surfaces by what reaches all of them and by their clusters' lights",
                 (*_READS, "light lists"),
             ),
+            *declare_transparency(needs, partial(find_listed, kind=ClusterLists), reads=("light lists",)),
         )
 
 
@@ -268,7 +272,7 @@ def light_tiles(frame: Frame) -> None:
 def dispatch_tiles(frame: Frame, lit: Texture, added: tuple[type[TiledLighting], ...] = ()) -> None:
     """Run the compute shader for all tiles. With bases that are `added`, it adds up something else than light."""
     resources = frame.resources
-    uploads = resources.workspace(TileUploads)
+    uploads = frame.view.workspace(TileUploads)
     uploads.write(frame.camera, frame.targets.size, resources.scene.lights)
     parts, lamps = bind_lamps(frame)
     lamps.pop("light_rows")

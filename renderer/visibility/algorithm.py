@@ -32,6 +32,7 @@ class VisibilityStatistics:
         queries: number of occlusion queries issued.
         box_draws, boxes: draws of bounding boxes inside queries, and the number of boxes drawn; not objects.
         stalled_milliseconds: how long the CPU waited for query results.
+        by_frustum: whether only the frustum of `ScenePass.widen` decided, so that the objects are those of all eyes.
     """
 
     objects: int
@@ -44,6 +45,7 @@ class VisibilityStatistics:
     box_draws: int = 0
     boxes: int = 0
     stalled_milliseconds: float = 0.0
+    by_frustum: bool = False
 
 
 class VisibilityAlgorithm(Protocol):

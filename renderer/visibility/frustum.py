@@ -27,7 +27,7 @@ class NoCulling:
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw every object."""
         scene_pass.draw_alone(self._rows)
-        return VisibilityStatistics(len(self._rows), len(self._rows))
+        return VisibilityStatistics(len(self._rows), len(self._rows), by_frustum=True)
 
     def destroy(self) -> None:
         """Do nothing: there are no resources on the device."""
@@ -53,7 +53,7 @@ class FrustumCulling:
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw the objects whose bounds are not outside the frustum."""
         objects = self._scene.objects
-        planes = camera.frustum.planes
+        planes = scene_pass.widen(camera).frustum.planes
         static, counts = self._static.find_visible(planes)
         visible = objects.fixed_rows.take(static)
         moving = objects.following_rows
@@ -70,6 +70,7 @@ class FrustumCulling:
             nodes_tested=counts.nodes,
             objects_tested=counts.objects,
             plane_tests=counts.planes,
+            by_frustum=True,
         )
 
     def destroy(self) -> None:

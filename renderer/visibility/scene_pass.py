@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import NoReturn, Protocol
 
 from renderer import rules
+from renderer.scene import Camera
 from renderer.scene.arrays import Rows
 from renderer.shaders import MeshPart, Object, ObjectPosition, ViewConstants
 from rhi import Encoder, IndirectDraws, QuerySet, Texture, refuse
@@ -77,6 +78,11 @@ class ScenePass(Protocol):
         (`RepeatedCommands`)."""
         ...
 
+    def widen(self, camera: Camera) -> Camera:
+        """Return a camera that sees all that the frame's eyes see, at least what `camera` sees. Objects in its frustum
+        are those of all eyes."""
+        ...
+
     def open(self) -> None:
         """Begin the pass unless it is open."""
         ...
@@ -133,6 +139,10 @@ class CallbackPass:
     def key(self) -> tuple[object, ...]:
         """Refused: there is no device."""
         self._refuse("key")
+
+    def widen(self, camera: Camera) -> Camera:
+        """Return `camera`: there is no other eye."""
+        return camera
 
     def open(self) -> None:
         """Do nothing: there is no pass to begin."""

@@ -1,0 +1,192 @@
+"""Two eyes: a pair of cameras beside a camera, what is seen of it by both, and the parallax between them.
+
+The eyes of a rig stand half the eye distance e to the left and to the right of a camera, and look in its direction.
+Their lenses are skewed towards each other (*off-axis*), so that both images show the same rectangle at the convergence
+distance c. With P00 the horizontal scale of the lens, a point at the distance z along the view is in the image of width
+2 at x + P00 · e · (1/c - 1/z) more to the right in the right eye's picture than in the left one's: 0 at z = c,
+in front of the screen to the left (negative), and P00 · e / c at infinity. It never moves up or down.
+
+Eyes that are *toed in* are turned towards the convergence point instead. Their images are planes at an angle, so a
+point in a corner is higher in one than in the other. Such rigs are there to show this.
+
+A parallel lens sees what is beside the eye's axis at any distance, so its parallax is linear: P00 · e · (z/c - 1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from renderer import rules
+from renderer.scene.arrays import Floats
+from renderer.scene.camera import Camera, Depth, Orthographic, Perspective, Projection
+from rhi.errors import refuse
+
+__rhi_internal__ = True
+
+NATURAL_DISTANCE: Final = 0.063
+"""The distance of human eyes in metres, the mean of adults."""
+COMFORTABLE_SHARE: Final = 1.0 / 30.0
+"""The share of the image's width that parallax may spread over without strain: a rule of stereographers."""
+_MARGIN: Final = 1e-9  # of what encloses both views: their rounding
+
+
+@dataclass(frozen=True, slots=True)
+class Skewed:
+    """A lens with a skewed axis: d metres along the view, the middle of its image is d · `skew` to the right of where
+    `lens` has it."""
+
+    lens: Projection
+    skew: float
+
+    @property
+    def depth(self) -> Depth:
+        """The direction of depth."""
+        return self.lens.depth
+
+    @property
+    def matrix(self) -> Floats:
+        """The matrix (4, 4) float64 from view space to clip space."""
+        m = self.lens.matrix.copy()
+        m[:, 2] += self.skew * m[:, 0]
+        return m
+
+    def with_aspect(self, aspect: float) -> Skewed:
+        """Return the same lens for an image of width / height = `aspect`."""
+        return replace(self, lens=self.lens.with_aspect(aspect))
+
+
+@dataclass(frozen=True, slots=True)
+class StereoRig:
+    """The eyes beside a camera.
+
+    Attributes:
+        eye_distance: between the eyes, in metres. At 0 both are the camera itself.
+        convergence: the distance in metres at which parallax is 0: that of the screen. It may be infinite.
+        is_toed_in: whether the eyes are turned towards each other instead of having skewed lenses.
+    """
+
+    eye_distance: float = NATURAL_DISTANCE
+    convergence: float = 3.0
+    is_toed_in: bool = False
+
+    def __post_init__(self) -> None:
+        fine = 0.0 <= self.eye_distance < np.inf
+        if not fine:
+            refuse(rules.BAD_STEREO, "StereoRig(eye_distance=...)", self.eye_distance, "0 or more, finite")
+        if not self.convergence > 0.0:
+            refuse(rules.BAD_STEREO, "StereoRig(convergence=...)", self.convergence, "above 0; may be inf")
+
+    @classmethod
+    def comfortable(
+        cls, lens: Projection, nearest: float, farthest: float, share: float = COMFORTABLE_SHARE
+    ) -> StereoRig:
+        """Return the rig for what is from `nearest` to `farthest` metres along the view: its parallax spreads over at
+        most `share` of the image's width, as far in front of the screen as behind it.
+
+        The eyes are never farther apart than human ones.
+        """
+        if not 0.0 < nearest <= farthest:
+            given = f"{nearest} to {farthest}"
+            refuse(rules.BAD_STEREO, "StereoRig.comfortable(nearest, farthest)", given, "above 0, ascending")
+        scale = float(lens.matrix[0, 0])
+        if _is_parallel(lens):
+            convergence = 0.5 * (nearest + farthest)
+            spread = scale * (farthest - nearest) / convergence
+        else:
+            convergence = 2.0 / (1.0 / nearest + 1.0 / farthest)
+            spread = scale * (1.0 / nearest - 1.0 / farthest)
+        widest = 2.0 * share / spread if spread else np.inf
+        return cls(min(NATURAL_DISTANCE, widest), convergence)
+
+    def place_eyes(self, camera: Camera) -> tuple[Camera, Camera]:
+        """Return the left and the right eye beside a camera."""
+        if not self.eye_distance:
+            return camera, camera
+        left, right = (self._place(camera, side * 0.5 * self.eye_distance) for side in (-1.0, 1.0))
+        return left, right
+
+    def _place(self, camera: Camera, offset: float) -> Camera:
+        position = camera.position + offset * camera.right
+        if not self.is_toed_in:
+            return Camera(
+                position, camera.rotation, Skewed(camera.projection, -offset / self.convergence)
+            )
+        angle = np.arctan(offset / self.convergence)  # about the camera's up, to the left
+        cosine, sine = float(np.cos(angle)), float(np.sin(angle))
+        turn = np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]])
+        return Camera(position, turn @ camera.rotation, camera.projection)
+
+    def enclose(self, camera: Camera) -> Camera:
+        """Return a camera that sees all that either eye sees: a little behind `camera`, with a wider lens.
+
+        What is outside its frustum is in neither picture.
+        """
+        if not self.eye_distance:
+            return camera
+        lens, eyes = camera.projection, self.place_eyes(camera)
+        nearest, farthest = (1.0, 0.0) if lens.depth is Depth.REVERSED else (0.0, 1.0)
+        near = np.concatenate([_find_corners(camera, eye, nearest) for eye in eyes])
+        has_far = len(camera.frustum.planes) == 6
+        far = np.concatenate([_find_corners(camera, eye, farthest) for eye in eyes]) if has_far else near
+        widened = 1.0 + _MARGIN
+        if _is_parallel(lens):
+            ends = np.concatenate([near, far])
+            (half, high), back = np.abs(ends[:, :2]).max(axis=0) * widened, 0.0
+            begin, end = ends[:, 2].min(), ends[:, 2].max()
+            slack = _MARGIN * float(np.abs(ends).max())
+            wide: Projection = Orthographic(
+                2.0 * high, half / high, begin - slack, end + slack, depth=lens.depth
+            )
+        else:
+            offsets = np.repeat([eye.position - camera.position for eye in eyes], 4, axis=0) @ camera.rotation.T
+            ahead = near - offsets * (1.0, 1.0, -1.0)
+            if not (ahead[:, 2] > 0.0).all():
+                refuse(rules.BAD_STEREO, "StereoRig.enclose", self, "eyes that see less than a half space")
+            half, high = (np.abs(ahead[:, :2]) / ahead[:, 2:]).max(axis=0) * widened
+            back = 0.5 * self.eye_distance / half * widened
+            begin, end = near[:, 2].min() + back, far[:, 2].max() + back
+            wide = Perspective(
+                2.0 * float(np.arctan(high)),
+                float(half / high),
+                float(begin / widened),
+                float(end * widened) if has_far else np.inf,
+                lens.depth,
+            )
+        return Camera(camera.position - back * camera.forward, camera.rotation, wide)
+
+    def find_parallax(self, lens: Projection, distance: ArrayLike) -> Floats:
+        """Return how far a point at `distance` along the view is to the right in the right eye's picture of where it is
+        in the left one's, in units of half the image's width; for eyes that aren't toed in."""
+        z = np.asarray(distance, np.float64)
+        scale = float(lens.matrix[0, 0]) * self.eye_distance
+        if _is_parallel(lens):
+            return np.asarray(scale * (z / self.convergence - 1.0))
+        return np.asarray(scale * (1.0 / self.convergence - 1.0 / z))
+
+
+def measure_parallax(eyes: tuple[Camera, Camera], points: ArrayLike) -> Floats:
+    """Return (n, 2), how far points (n, 3) of the world are to the right and upwards in the right eye's picture of
+    where they are in the left one's, in units of half the image's width and height."""
+    places = []
+    for eye in eyes:
+        relative = (np.asarray(points, np.float64) - eye.position) @ eye.rotation.T
+        clip = np.concatenate([relative, np.ones((len(relative), 1))], axis=1) @ eye.projection.matrix.T
+        places.append(clip[:, :2] / clip[:, 3:])
+    return np.asarray(places[1] - places[0])
+
+
+def _find_corners(camera: Camera, eye: Camera, depth: float) -> Floats:
+    """Return the corners (4, 3) of an eye's image at a clip depth as `camera` sees them: rightwards, upwards, ahead."""
+    ends = (-1.0, 1.0)
+    clip = np.array([(x, y, depth, 1.0) for x in ends for y in ends])
+    points = clip @ np.linalg.inv(eye.projection.matrix).T
+    seen = points[:, :3] / points[:, 3:] @ eye.rotation + (eye.position - camera.position)
+    return np.asarray(seen @ camera.rotation.T * (1.0, 1.0, -1.0))
+
+
+def _is_parallel(lens: Projection) -> bool:
+    return bool(lens.matrix[3, 3] != 0.0)

@@ -1,0 +1,11 @@
+"""Stereo: both eyes of a frame, and the ways to show them in one image.
+
+renderer.stereo = Stereo(StereoRig(eye_distance=0.063, convergence=3.0), "dubois")
+"""
+
+from renderer.stereo.outputs import ANAGLYPHS, OUTPUTS, fit_picture, mix_anaglyph
+from renderer.stereo.pair import EyePair, Stereo
+
+__rhi_internal__ = True
+
+__all__ = ["ANAGLYPHS", "OUTPUTS", "EyePair", "Stereo", "fit_picture", "mix_anaglyph"]

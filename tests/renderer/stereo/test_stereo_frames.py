@@ -1,0 +1,297 @@
+"""Frames of two eyes: the pictures of each, and what they share."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import rhi
+from renderer.content import load_scene
+from renderer.content.shapes import box
+from renderer.renderer import FrameResult, Renderer
+from renderer.scene import (
+    Camera,
+    Depth,
+    Orthographic,
+    Perspective,
+    Scene,
+    SceneBuilder,
+    StereoRig,
+    scaling,
+    translation,
+)
+from renderer.scene.transforms import multiply
+from renderer.shaders import PointLight, ViewConstants
+from renderer.stereo import Stereo
+from renderer.techniques import TECHNIQUES, Particles
+from renderer.visibility import FrustumCulling, VisibilityAlgorithm, list_algorithms, make_visibility
+from rhi import Op
+
+SIZE: Final = (96, 54)
+RIG: Final = StereoRig(0.3, 6.0)
+
+
+@pytest.fixture(scope="module")
+def city() -> Scene:
+    return load_scene("city:blocks=6")
+
+
+@pytest.fixture(scope="module")
+def hall() -> Scene:
+    return load_scene("hall:columns=6,flags=4,fountains=1")
+
+
+def draw(
+    renderer: Renderer, camera: Camera, stereo: Stereo | None, seconds: float = 10.0
+) -> tuple[FrameResult, list[NDArray[Any]]]:
+    renderer.stereo = stereo
+    result = renderer.render(camera, seconds)
+    return result, [picture.read() for picture in result.pictures]
+
+
+def check_eyes(renderer: Renderer, camera: Camera, rig: StereoRig = RIG) -> None:
+    """Check that the eyes' pictures are those of their cameras, to the bit."""
+    _, both = draw(renderer, camera, Stereo(rig, "color"))
+    alone = [draw(renderer, eye, None)[1][0] for eye in rig.place_eyes(camera)]
+    assert not np.array_equal(*both)
+    for name, together, one in zip(("left", "right"), both, alone, strict=True):
+        assert np.array_equal(together, one), f"{name}: {(together != one).any(-1).sum()} pixels"
+
+
+@pytest.mark.parametrize("name", ["frustum", "chc_plus_plus"])
+def test_each_picture_is_that_of_its_eye_to_the_bit(
+    drawing_device: rhi.Device, city: Scene, name: str
+) -> None:
+    algorithm = make_visibility(name, city, drawing_device)
+    with Renderer(drawing_device, city, size=SIZE, visibility=algorithm) as renderer:
+        for frame in (600, 610):
+            check_eyes(renderer, city.paths["ground"].camera(frame))
+    algorithm.destroy()
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("scene_name", ["city", "hall"])
+@pytest.mark.parametrize("name", TECHNIQUES)
+def test_each_picture_of_each_technique_is_that_of_its_eye(
+    drawing_device: rhi.Device, request: pytest.FixtureRequest, scene_name: str, name: str
+) -> None:
+    scene: Scene = request.getfixturevalue(scene_name)
+    algorithm = FrustumCulling(scene)
+    with Renderer(
+        drawing_device, scene, technique=TECHNIQUES[name](), size=SIZE, visibility=algorithm
+    ) as renderer:
+        camera = scene.paths["ground"].camera(600)
+        check_eyes(renderer, camera)
+        check_eyes(renderer, camera, replace(RIG, is_toed_in=True))
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("scene_name", ["city", "hall"])
+@pytest.mark.parametrize("name", ["none", "stop_and_wait", "conditional", "depth_pyramid", "two_pass", "auto"])
+def test_each_picture_with_each_algorithm_is_that_of_its_eye(
+    drawing_device: rhi.Device, request: pytest.FixtureRequest, scene_name: str, name: str
+) -> None:
+    if name not in list_algorithms(drawing_device):
+        pytest.skip(f"this device can't run {name}")
+    scene: Scene = request.getfixturevalue(scene_name)
+    algorithm = make_visibility(name, scene, drawing_device)
+    with Renderer(drawing_device, scene, size=SIZE, visibility=algorithm) as renderer:
+        for frame in range(600, 660, 6):
+            check_eyes(renderer, scene.paths["ground"].camera(frame))
+    algorithm.destroy()
+
+
+LENSES: Final = {
+    "parallel": Orthographic(30.0, near=-5.0, far=300.0),
+    "parallel, standard depth": Orthographic(30.0, near=-5.0, far=300.0, depth=Depth.STANDARD),
+    "with an end": Perspective(near=0.2, far=60.0, depth=Depth.STANDARD),
+}
+
+
+@pytest.mark.parametrize("name", LENSES)
+def test_each_lens_has_two_eyes(drawing_device: rhi.Device, city: Scene, name: str) -> None:
+    camera = city.paths["ground"].camera(600).with_projection(LENSES[name])
+    with Renderer(drawing_device, city, size=SIZE, visibility=FrustumCulling(city)) as renderer:
+        check_eyes(renderer, camera, StereoRig(2.0, 20.0))
+
+
+def make_pillars(x: float) -> Scene:
+    """Pillars in sunlight, all at `x` metres from the world's origin."""
+    builder = SceneBuilder("pillars")
+    mesh = builder.add_mesh(box())
+    rng = np.random.default_rng(5)
+    places = rng.integers(-64, 64, (40, 3)) / 16.0 + (x, 0.0, -8.0)
+    nodes = builder.add_nodes(multiply(translation(places), scaling((0.25, 1.0, 0.25))))
+    colors = rng.uniform(0.1, 1.0, (40, 4))
+    builder.add_objects(nodes, mesh, [builder.add_material(base_color=tuple(color)) for color in colors])
+    builder.lights.add_directional((-0.4, -1.0, -0.3), (1.0, 1.0, 1.0), 1.5)
+    return builder.build()
+
+
+def test_eyes_far_from_the_origin_see_the_same(drawing_device: rhi.Device) -> None:
+    pictures = []
+    for x in (0.0, 131072.0):
+        scene = make_pillars(x)
+        camera = Camera.look_at((x, 1.0, 2.0), (x, 0.5, -8.0), projection=Perspective())
+        with Renderer(drawing_device, scene, size=SIZE, visibility=FrustumCulling(scene)) as renderer:
+            pictures.append(draw(renderer, camera, Stereo(StereoRig(0.125, 8.0), "color"))[1])
+    here, there = pictures
+    assert not np.array_equal(*here)
+    assert np.array_equal(here, there)
+
+
+class Counted(FrustumCulling):
+    """Frustum culling that counts how often it is asked."""
+
+    asked = 0
+
+    def render(self, camera: Camera, scene_pass: Any) -> Any:
+        self.asked += 1
+        return super().render(camera, scene_pass)
+
+
+def count(null: rhi.Device, scene: Scene, stereo: Stereo | None, technique: str = "forward") -> dict[str, Any]:
+    """Return what the frames of a walk cost, after the first ones."""
+    algorithm = Counted(scene)
+    with Renderer(
+        null, scene, technique=TECHNIQUES[technique](), size=SIZE, visibility=algorithm
+    ) as renderer:
+        renderer.stereo = stereo
+        path = scene.paths["ground"]
+        renderer.render(path.camera(599), 10.0)
+        algorithm.asked = 0
+        begin = len(null.stream)
+        results = [renderer.render(path.camera(600 + i), 10.0 + i / 60) for i in range(4)]
+        stream = null.stream[begin:]
+    return {
+        "asked": algorithm.asked,
+        "bytes": sum(result.statistics.upload_bytes for result in results),
+        "draws": sum(result.statistics.draws for result in results),
+        "steps": sum(result.statistics.simulation_steps for result in results),
+        "passes": len(stream.filter(Op.BEGIN_PASS)),
+        "visible": [result.visible for result in results],
+    }
+
+
+def test_both_eyes_are_culled_once_and_upload_once(null: rhi.Device, city: Scene) -> None:
+    one, two = (count(null, city, stereo) for stereo in (None, Stereo(StereoRig(0.065, 3.0), "color")))
+    assert one["asked"] == two["asked"] == 4
+    assert two["passes"] == 3 * one["passes"], "each eye, and the image of both"
+    for alone, both in zip(one["visible"], two["visible"], strict=True):
+        assert np.isin(alone, both).all()
+        assert len(both) <= 1.1 * len(alone)
+    assert two["draws"] == 2 * sum(map(len, two["visible"]))
+
+
+def test_the_second_eye_uploads_its_camera_and_its_lights(null: rhi.Device) -> None:
+    for scene in (load_scene("grid:count=9"), load_scene("grid:count=9,lights=16")):
+        camera = next(iter(scene.views.values()))
+        path = [replace(camera, position=np.add(camera.position, (0.1 * i, 0.0, 0.0))) for i in range(4)]
+        uploads = []
+        for stereo in (None, Stereo(StereoRig(0.065, 3.0), "color")):
+            with Renderer(null, scene, size=SIZE, visibility=FrustumCulling(scene)) as renderer:
+                renderer.stereo = stereo
+                uploads.append([renderer.render(camera).statistics.upload_bytes for camera in path][1:])
+        one, two = uploads
+        lights = len(scene.lights.point) * PointLight.dtype.itemsize
+        assert [b - a for a, b in zip(one, two, strict=True)] == [ViewConstants.dtype.itemsize + lights] * 3
+
+
+def test_eyes_that_are_culled_by_queries_are_asked_one_by_one(null: rhi.Device, city: Scene) -> None:
+    # The control: what one eye's queries say doesn't hold for the other.
+    class Alone(Counted):
+        def render(self, camera: Camera, scene_pass: Any) -> Any:
+            return replace(super().render(camera, scene_pass), by_frustum=False)
+
+    algorithm: VisibilityAlgorithm = Alone(city)
+    with Renderer(null, city, size=SIZE, visibility=algorithm) as renderer:
+        renderer.stereo = Stereo(RIG)
+        renderer.render(city.paths["ground"].camera(600))
+    assert isinstance(algorithm, Counted)
+    assert algorithm.asked == 2
+
+
+@pytest.mark.parametrize("technique", ["forward", "forward_plus", "deferred", "light_pre_pass"])
+def test_simulations_run_once_for_both_eyes(null: rhi.Device, hall: Scene, technique: str) -> None:
+    one, two = (count(null, hall, stereo, technique) for stereo in (None, Stereo(RIG, "color")))
+    assert one["asked"] == two["asked"] == 4
+    assert two["steps"] == one["steps"] > 0
+
+
+def test_a_second_frame_of_eyes_that_stay_uploads_nothing(null: rhi.Device, city: Scene) -> None:
+    with Renderer(null, city, size=SIZE, visibility=FrustumCulling(city)) as renderer:
+        renderer.stereo = Stereo(RIG)
+        camera = city.paths["ground"].camera(600)
+        first, second, third = (renderer.render(camera, 10.0).statistics for _ in range(3))
+    assert first.upload_bytes > 0
+    assert second.upload_bytes == third.upload_bytes == 0
+
+
+def test_commands_of_eyes_that_stay_are_recorded_once(null: rhi.Device, city: Scene) -> None:
+    with Renderer(null, city, size=SIZE, visibility=FrustumCulling(city)) as renderer:
+        renderer.stereo = Stereo(RIG, "side_by_side")
+        camera = city.paths["ground"].camera(600)
+        recorded = []
+        for _ in range(4):
+            before = null.statistics.recorded_commands
+            renderer.render(camera, 10.0)
+            recorded.append(null.statistics.recorded_commands - before)
+    assert recorded[1] > recorded[0] == recorded[2] == recorded[3] == 0
+
+
+def test_one_eye_and_two_take_turns(null: rhi.Device, city: Scene) -> None:
+    with Renderer(null, city, size=SIZE, visibility=FrustumCulling(city)) as renderer:
+        camera = city.paths["ground"].camera(600)
+        sizes = []
+        for output in (None, "color", "side_by_side", None, "over_under"):
+            renderer.stereo = None if output is None else Stereo(RIG, output)
+            result = renderer.render(camera)
+            sizes.append((result.image.size, [picture.size for picture in result.pictures]))
+        renderer.size = (31, 21)
+        result = renderer.render(camera)
+        sizes.append((result.image.size, [picture.size for picture in result.pictures]))
+    assert sizes == [
+        (SIZE, [SIZE]),
+        (SIZE, [SIZE, SIZE]),
+        (SIZE, [(48, 54), (48, 54)]),
+        (SIZE, [SIZE]),
+        (SIZE, [(96, 27), (96, 27)]),
+        ((31, 21), [(31, 11), (31, 11)]),
+    ]
+
+
+def test_layers_are_drawn_for_both_eyes(null: rhi.Device, hall: Scene) -> None:
+    eyes = []
+
+    class Catch(Particles):
+        def render(self, device: rhi.Device, frame: Any) -> None:
+            eyes.append(frame.camera.position)
+
+    with Renderer(null, hall, size=SIZE, visibility=FrustumCulling(hall)) as renderer:
+        layer = Catch(null)
+        renderer.layers.append(layer)
+        renderer.stereo = Stereo(RIG)
+        camera = hall.paths["ground"].camera(0)
+        renderer.render(camera)
+        layer.destroy()
+    assert np.array_equal(eyes, [eye.position for eye in RIG.place_eyes(camera)])
+
+
+def test_shadow_maps_are_drawn_once_for_both_eyes(null: rhi.Device) -> None:
+    scene = load_scene("city:blocks=6,shadows=1")
+    camera, passes, maps, casters = scene.paths["ground"].camera(600), [], [], []
+    for stereo in (None, Stereo(StereoRig(0.065, 6.0), "color")):
+        with Renderer(null, scene, size=SIZE, visibility=FrustumCulling(scene)) as renderer:
+            renderer.stereo = stereo
+            before = len(null.stream)
+            renderer.render(camera, 10.0)
+            passes.append(len(null.stream[before:].filter(Op.BEGIN_PASS)))
+            maps.append(renderer.shadows.count("drawn"))
+            casters.append(renderer.shadows.casters_drawn)
+    assert passes == [2, 4], "one for the maps; then one for each eye, and the image of both"
+    assert maps[0] == maps[1] > 0, "the second eye doesn't ask for maps"
+    assert casters[0] <= casters[1] <= 1.1 * casters[0]

@@ -1,0 +1,143 @@
+"""Two pictures in one image: the colours of anaglyphs against float64, and which pixel comes from which picture."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import rhi
+from renderer.content import load_scene
+from renderer.renderer import FrameResult, Renderer
+from renderer.scene import Camera, Scene, StereoRig
+from renderer.stereo import ANAGLYPHS, OUTPUTS, Stereo, mix_anaglyph
+from renderer.visibility import FrustumCulling
+
+SIZE: Final = (97, 55)  # odd: neither halves evenly
+RIG: Final = StereoRig(0.3, 6.0)
+
+
+def to_linear(pixels: NDArray[np.uint8]) -> NDArray[np.float64]:
+    share = pixels[..., :3] / 255.0
+    return np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+
+
+def to_levels(light: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(255.0 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055))
+
+
+@dataclass
+class Eyes:
+    """A renderer with two eyes that look at a street."""
+
+    renderer: Renderer
+    camera: Camera
+
+    def show(self, output: str, rig: StereoRig = RIG, **given: Any) -> tuple[NDArray[Any], list[NDArray[Any]]]:
+        """Return the image, and the pictures of both eyes."""
+        self.renderer.stereo = Stereo(rig, output, **given)
+        result = self.render()
+        return result.image.read(), [picture.read() for picture in result.pictures]
+
+    def render(self) -> FrameResult:
+        return self.renderer.render(self.camera, 10.0)
+
+
+@pytest.fixture(scope="module")
+def city() -> Scene:
+    return load_scene("city:blocks=6")
+
+
+@pytest.fixture(scope="module")
+def eyes(drawing_device: rhi.Device, city: Scene) -> Iterator[Eyes]:
+    with Renderer(drawing_device, city, size=SIZE, visibility=FrustumCulling(city)) as renderer:
+        yield Eyes(renderer, city.paths["ground"].camera(600))
+
+
+def test_grey_stays_grey_and_white_stays_white() -> None:
+    grey = np.linspace(0.0, 1.0, 256)[:, None] * np.ones(3)
+    for name in ANAGLYPHS:
+        mixed = mix_anaglyph(name, grey, grey)
+        assert np.abs(mixed - grey).max() < 1e-5, name  # Dubois gives six digits
+        assert np.array_equal(np.round(to_levels(mixed)), np.round(to_levels(grey)))
+
+
+def test_each_glass_lets_through_one_picture() -> None:
+    white, black = np.ones(3), np.zeros(3)
+    for name in ("grey", "color", "half_color"):
+        assert mix_anaglyph(name, white, black) == pytest.approx([1.0, 0.0, 0.0])
+        assert mix_anaglyph(name, black, white) == pytest.approx([0.0, 1.0, 1.0])
+    for picture, seen in ((0, [1.0, 0.0, 0.0]), (1, [0.0, 1.0, 1.0])):
+        mixed = mix_anaglyph("dubois", *((white, black) if picture == 0 else (black, white)))
+        assert mixed == pytest.approx(seen, abs=0.14)
+
+
+def test_colors_differ_where_they_should() -> None:
+    red = np.array([1.0, 0.0, 0.0])
+    assert mix_anaglyph("grey", red, red) == pytest.approx([0.2126] * 3)
+    assert mix_anaglyph("color", red, red) == pytest.approx(red)
+    assert mix_anaglyph("half_color", red, red) == pytest.approx([0.2126, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("name", ANAGLYPHS)
+def test_an_anaglyph_is_the_mix_of_both_pictures(eyes: Eyes, name: str) -> None:
+    image, (left, right) = eyes.show(name)
+    assert np.abs(left.astype(int) - right).max() > 50
+    want = to_levels(mix_anaglyph(name, to_linear(left), to_linear(right)))
+    assert np.abs(image[..., :3] - np.round(want)).max() <= 1
+    assert (image[..., 3] == 255).all()
+
+
+def test_even_rows_are_the_left_eye_s(eyes: Eyes) -> None:
+    image, (left, right) = eyes.show("interlaced")
+    assert np.array_equal(image[::2], left[::2])
+    assert np.array_equal(image[1::2], right[1::2])
+    assert not np.array_equal(left[1::2], right[1::2])
+
+
+def test_halves_are_whole_pictures_of_both_eyes(eyes: Eyes) -> None:
+    image, (left, right) = eyes.show("side_by_side")
+    assert image.shape == (55, 97, 4)
+    assert left.shape == right.shape == (55, 49, 4)
+    assert np.array_equal(image, np.concatenate([left, right], axis=1)[:, :97])
+    image, (left, right) = eyes.show("over_under")
+    assert left.shape == right.shape == (28, 97, 4)
+    assert np.array_equal(image, np.concatenate([left, right], axis=0)[:55])
+    full = eyes.show("interlaced")[1][0]
+    # Squeezed, not cut: each half has the whole field of view.
+    assert np.abs(full[::2].mean(axis=(0, 1)) - left.mean(axis=(0, 1))).max() < 4.0
+
+
+def test_swapped_eyes_exchange_their_pictures(eyes: Eyes) -> None:
+    image, (left, right) = eyes.show("side_by_side")
+    swapped, pictures = eyes.show("side_by_side", is_swapped=True)
+    assert np.array_equal(pictures, [left, right]), "the eyes stay where they are"
+    assert np.array_equal(swapped, np.concatenate([right, left], axis=1)[:, :97])
+    assert not np.array_equal(swapped, image)
+    grey, swapped = (eyes.show("grey", is_swapped=turned)[0] for turned in (False, True))
+    assert np.array_equal(swapped[..., 0], grey[..., 1])
+    assert np.array_equal(swapped[..., 1:3], grey[..., [0, 0]])
+
+
+def test_eyes_without_a_distance_see_what_one_eye_sees(eyes: Eyes) -> None:
+    eyes.renderer.stereo = None
+    mono = eyes.render()
+    assert len(mono.pictures) == 1
+    picture = mono.image.read()
+    for output in ("dubois", "color"):
+        image, pictures = eyes.show(output, StereoRig(0.0, 6.0))
+        assert all(np.array_equal(picture, one) for one in pictures)
+        if output == "color":
+            assert np.array_equal(image, picture)
+
+
+def test_unknown_outputs_are_refused() -> None:
+    assert Stereo(RIG, OUTPUTS[0]).output == "grey"
+    with pytest.raises(rhi.ValidationError) as error:
+        Stereo(RIG, "duboys")
+    assert error.value.rule.id == "stereo-unknown-output"
+    assert "'dubois'" in str(error.value)
