@@ -9,12 +9,14 @@ from __future__ import annotations
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cached_property
+from time import perf_counter
 from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from renderer.frame import (
+    Blending,
     Drawn,
     Frame,
     Layer,
@@ -29,8 +31,8 @@ from renderer.frame import (
 from renderer.scene import Camera, Scene, Simulator
 from renderer.shadows import ShadowMaps, shadow_passes
 from renderer.stereo import EyePair, Stereo, fit_picture
-from renderer.techniques import Forward, Technique
-from renderer.visibility import VisibilityAlgorithm, VisibilityStatistics, make_visibility
+from renderer.techniques import AutoTechnique, Forward, Technique
+from renderer.visibility import AutoCulling, VisibilityAlgorithm, VisibilityStatistics, make_visibility
 from rhi import Device, Texture
 
 _COUNTERS: Final = ("queries", "software_state_changes", "hardware_state_changes", "upload_bytes")
@@ -99,8 +101,8 @@ class FrameResult:
 class Renderer:
     """Draws one scene on one device.
 
-    The attributes `technique` and `visibility` may be exchanged between any two frames, and `layers`, which are drawn
-    over each frame in their order, changed.
+    The attributes `technique`, `visibility` and `blending` may be exchanged between any two frames, and `layers`, which
+    are drawn over each frame in their order, changed.
     """
 
     def __init__(
@@ -111,20 +113,24 @@ class Renderer:
         technique: Technique | None = None,
         visibility: VisibilityAlgorithm | None = None,
         size: tuple[int, int] = (960, 540),
+        blending: Blending = Blending.SORTED,
         validation: bool = False,
     ) -> None:
         """Create the targets and upload the scene.
 
         Args:
-            technique: how the scene is drawn; forward shading by default.
+            technique: how the scene is drawn; forward shading by default. `AutoTechnique` measures which one is the
+                fastest; its picture may change by 2 of 255 levels when it changes its mind.
             visibility: an algorithm made for `scene`; by default `auto`, which measures which one is the fastest.
             size: (width, height) of the image in pixels.
+            blending: how transparent surfaces that cover each other are put together.
             validation: whether to check samples of what is simulated: each batch has one object whose vertices must be
                 inside its bounds (`scene-left-bounds`).
         """
         self.device = device
         self.scene = scene
         self.technique: Technique = technique or Forward()
+        self.blending = blending
         self.layers: list[Layer] = []
         self._own: list[VisibilityAlgorithm] = []
         if visibility is None:
@@ -209,7 +215,35 @@ class Renderer:
 
     def render(self, camera: Camera, seconds: float = 0.0) -> FrameResult:
         """Draw the scene at the time `seconds` as `camera` sees it, with the image's aspect. Doesn't wait for the
-        GPU."""
+        GPU, unless something `is_trying`."""
+        auto = self.technique
+        if not isinstance(auto, AutoTechnique):
+            return self._draw(camera, seconds)[0]
+        auto.look(camera, self.size)
+        is_timed = auto.is_trying and not self._is_trying_visibility
+        if is_timed:
+            self.device.finish()
+        began = perf_counter()
+        result, needs = self._draw(camera, seconds)
+        if is_timed:
+            self.device.finish()
+        is_timed = is_timed and not self._is_trying_visibility  # which may have begun to
+        auto.note(perf_counter() - began if is_timed else None, camera, needs)
+        return result
+
+    @property
+    def is_trying(self) -> bool:
+        """Whether the next frame is on trial: the visibility algorithm or the technique measures which of several is
+        the fastest."""
+        technique = self.technique
+        return self._is_trying_visibility or (isinstance(technique, AutoTechnique) and technique.is_trying)
+
+    @property
+    def _is_trying_visibility(self) -> bool:
+        return isinstance(self.visibility, AutoCulling) and self.visibility.is_trying
+
+    def _draw(self, camera: Camera, seconds: float) -> tuple[FrameResult, Needs]:
+        """Draw a frame; return it and what it needed."""
         device, resources, pair = self.device, self._resources, self._pair
         before = device.statistics
         around = self._aim(camera)
@@ -219,7 +253,7 @@ class Renderer:
         self.scene.refresh()
         resources.update(self._view.camera)
         resources.expect(around, expected)
-        needs = find_needs(self.scene, around, reaches=resources.reaching)
+        needs = self._find_needs(around)
         plan = self._plan(needs)
         left = Frame(device, self._view, resources, self._targets, needs)
         frames = [left]
@@ -242,7 +276,7 @@ class Renderer:
         counters = {name: getattr(after, name) - getattr(before, name) for name in _COUNTERS}
         counters["simulation_steps"] = self.simulator.steps
         counters["skipped_simulations"] = len(self.simulator) - self.simulator.seen
-        return FrameResult(
+        result = FrameResult(
             image,
             left.targets.depth,
             left.targets,
@@ -251,6 +285,7 @@ class Renderer:
             tuple(frame.drawn for frame in frames),
             counters,
         )
+        return result, needs
 
     def _aim(self, camera: Camera) -> Camera:
         """Aim the views of a frame through `camera`; return a camera that sees all that they see."""
@@ -281,17 +316,23 @@ class Renderer:
         camera = self._fit(camera)
         if self._pair is not None:
             camera = self._pair.stereo.rig.enclose(camera)
-        needs = find_needs(self.scene, camera, reaches=self._resources.reaching)
+        needs = self._find_needs(camera)
         return needs, self._plan(needs)
+
+    def _find_needs(self, camera: Camera) -> Needs:
+        return find_needs(self.scene, camera, reaches=self._resources.reaching, blending=self.blending)
 
     def _plan(self, needs: Needs) -> Plan[Frame]:
         """Return the plan of a frame with these needs; it is made once."""
-        if self._planned is not self.technique:
+        technique = self.technique
+        if isinstance(technique, AutoTechnique):
+            technique = technique.current
+        if self._planned is not technique:
             self._plans.clear()
-            self._planned = self.technique
+            self._planned = technique
         plan = self._plans.get(needs.key)
         if plan is None:
-            plan = self._plans[needs.key] = make_plan([*shadow_passes(needs), *self.technique.declare(needs)])
+            plan = self._plans[needs.key] = make_plan([*shadow_passes(needs), *technique.declare(needs)])
         return plan
 
     def destroy(self) -> None:

@@ -36,14 +36,14 @@ _NOTES: Final = """\
 
 Each row is a frame: its milliseconds from the scene's update until the GPU is finished, and for each pass of its plan
 those between its timestamps on the GPU, and those that the CPU took to issue its commands. The first frame isn't
-counted. A device that works in batches has the work of a pass between its timestamps only in part: the sum of a frame
-is exact, its division among passes is not."""
+counted, nor are those in which `auto` looks for what is the fastest before it. A device that works in batches has the
+work of a pass between its timestamps only in part: the sum of a frame is exact, its division among passes is not."""
 
 
 def _add_arguments(parser: Parser) -> None:
     add_scene(parser)
     add_backend(parser)
-    add_technique(parser)
+    add_technique(parser, default="forward")
     parser.add_argument("--visibility", choices=ALGORITHMS, default="frustum", help=DECIDES)
     parser.add_argument("--camera", metavar="CAMERA", help=f"{CAMERA_HELP} (default: the scene's first path)")
     parser.add_argument(
@@ -75,11 +75,13 @@ def _run(given: argparse.Namespace) -> None:
         with Renderer(
             device,
             scene,
-            technique=make_technique(given),
+            technique=make_technique(given, scene, device),
             visibility=make_visibility(given.visibility, scene, device),
             size=given.size,
         ) as renderer:
             list(capture_frames(renderer, shots[:1]))
+            while renderer.is_trying:
+                list(capture_frames(renderer, shots[:1]))
             frames = list(show_progress(capture_frames(renderer, shots), len(shots), "capture"))
     write_frames(given.output, frames)
     note(f"wrote {given.output}: {len(frames)} frames")

@@ -20,6 +20,7 @@ from renderer.cli.arguments import (
     add_settings,
     add_size,
     add_technique,
+    explain_technique,
     load_settings,
     make_technique,
     open_scene,
@@ -29,6 +30,7 @@ from renderer.cli.arguments import (
 from renderer.cli.output import name_of, note, prepare_image, show_progress, write_image
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import parse_camera
+from renderer.frame import Blending
 from renderer.measure import FrameCost, measure_frame
 from renderer.overlay import Overlay
 from renderer.renderer import Renderer
@@ -38,7 +40,6 @@ from renderer.techniques.inspection import INSPECTIONS, Inspection
 from renderer.techniques.light_indexed import count_overflowing
 from renderer.visibility import (
     ALGORITHMS,
-    AutoCulling,
     Settings,
     VisibilityAlgorithm,
     check_algorithm,
@@ -59,8 +60,8 @@ _NOTES: Final = """\
   python -m renderer render city --camera ground --frame 600 --frames 120 --record walk.json
 
 Times are measured from the scene's update until the GPU is finished. The first frame isn't counted, and with `auto`
-neither are those in which it looks for the fastest algorithm. Counters are those of one frame, or with several frames
-their mean. The image is that of the last frame."""
+neither are those in which it looks for the fastest visibility algorithm and technique. Counters are those of one frame,
+or with several frames their mean. The image is that of the last frame."""
 
 
 def _add_arguments(parser: Parser) -> None:
@@ -96,6 +97,12 @@ def _add_arguments(parser: Parser) -> None:
         choices=[depth.value for depth in Depth],
         default=Depth.REVERSED.value,
         help="direction of depth: reversed has near at 1, standard has near at 0 (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--blending",
+        choices=[blending.value for blending in Blending],
+        default=Blending.SORTED.value,
+        help="transparent surfaces are drawn back to front, or averaged in any order (default: %(default)s)",
     )
     parser.add_argument(
         "--show",
@@ -143,9 +150,10 @@ def _run(given: argparse.Namespace) -> None:
         Renderer(
             device,
             scene,
-            technique=make_technique(given) if given.show is None else Inspection(given.show),
+            technique=make_technique(given, scene, device) if given.show is None else Inspection(given.show),
             visibility=_make_visibility(given.visibility, scene, device, settings),
             size=given.size,
+            blending=Blending(given.blending),
         ) as renderer,
         ExitStack() as layers,
     ):
@@ -156,7 +164,7 @@ def _run(given: argparse.Namespace) -> None:
         for layer in renderer.layers:
             layers.callback(layer.destroy)
         shots = list(enumerate(cameras, given.frame))
-        for _ in show_progress(warm_up(renderer), None, "find the fastest algorithm"):
+        for _ in show_progress(warm_up(renderer), None, "find what is the fastest"):
             measure_frame(renderer, cameras[0], given.frame / FRAMES_PER_SECOND)
         costs = []
         for frame, camera in show_progress(shots, len(shots), "render"):
@@ -173,7 +181,7 @@ def _run(given: argparse.Namespace) -> None:
             write_image(image, result.image.read())
         else:
             note(f"the {device.backend_name} device records and draws nothing: there is no image")
-        report = describe_run(renderer, costs, image, overflowing)
+        report = describe_run(renderer, costs, image, overflowing, explain_technique(renderer.technique, given))
     print(json.dumps(report) if given.json else show_report(report))
 
 
@@ -185,7 +193,7 @@ def _make_visibility(name: str, scene: Scene, device: rhi.Device, settings: Sett
 def warm_up(renderer: Renderer) -> Iterator[None]:
     """Yield once for each frame to draw before the first counted one: one, and with `auto` all on trial."""
     yield
-    while isinstance(renderer.visibility, AutoCulling) and renderer.visibility.is_trying:
+    while renderer.is_trying:
         yield
 
 
@@ -197,7 +205,11 @@ def with_depth(camera: Camera, depth: Depth) -> Camera:
 
 
 def describe_run(
-    renderer: Renderer, costs: list[FrameCost], image: Path | None, overflowing: int | None = None
+    renderer: Renderer,
+    costs: list[FrameCost],
+    image: Path | None,
+    overflowing: int | None,
+    technique: dict[str, str],
 ) -> dict[str, Any]:
     """Return the report that `--json` prints."""
     summary = FrameCost.summarize(costs)
@@ -208,6 +220,7 @@ def describe_run(
         "scene": renderer.scene.name,
         "size": list(renderer.size),
         "frames": len(costs),
+        **technique,
         **summary,
         **({} if overflowing is None else {"overflowing_pixels": overflowing}),
         "image": None if image is None else str(image),
