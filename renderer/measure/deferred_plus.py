@@ -136,7 +136,7 @@ def compare_deferred_plus(
 
 
 @dataclass
-class _Walk:
+class _WalkFindings:
     """What was found in all frames: milliseconds of steps, numbers of objects, and wrong pixels."""
 
     steps: dict[Key, dict[str, list[float]]]
@@ -174,8 +174,8 @@ def _walk(
     culling: TwoPassCulling,
     cameras: Sequence[Camera],
     progress: Callable[[int], Iterable[int]],
-) -> _Walk:
-    walk = _Walk({key: {} for key in renderers}, {}, dict.fromkeys(renderers, 0), [], [])
+) -> _WalkFindings:
+    walk = _WalkFindings({key: {} for key in renderers}, {}, dict.fromkeys(renderers, 0), [], [])
     before, device.timing = device.timing, device.capabilities.timestamps
     try:
         for number in progress(len(cameras)):
