@@ -10,16 +10,19 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
-from renderer.frame import IMAGE_FORMAT, Frame, Targets, View
+from renderer import rules
+from renderer.frame import IMAGE_FORMAT, Frame, Plan, Targets, View, make_plan
 from renderer.frame.resources import MirroredValue
 from renderer.scene import StereoRig
 from renderer.shaders.pixels import FullScreen
 from renderer.stereo.outputs import ANAGLYPHS, check_output, fit_picture
+from renderer.stereo.reprojection import REPROJECTION
 from renderer.techniques.full_screen import draw_full_screen
-from rhi import Device, Region, Texture
+from rhi import Device, Region, Texture, refuse
 from rhi.shading import Struct, Texture2D, Uniform, fragment_coordinate, ivec2, mat3, saturate, vec4
 
 __rhi_internal__ = True
@@ -32,14 +35,18 @@ class Stereo:
     Attributes:
         rig: where the eyes are. output: one of `OUTPUTS`.
         is_swapped: whether the left eye's picture is shown to the right eye and the other way round.
+        is_reprojected: whether the right eye's picture is made from the left one's instead of being drawn.
     """
 
     rig: StereoRig
     output: str = "dubois"
     is_swapped: bool = False
+    is_reprojected: bool = False
 
     def __post_init__(self) -> None:
         check_output(self.output, "Stereo(output=...)")
+        if self.is_reprojected and self.rig.is_toed_in:
+            refuse(rules.BAD_STEREO, "Stereo(is_reprojected=...)", True, "eyes that aren't toed in")
 
 
 class AnaglyphWeights(Struct):
@@ -73,6 +80,12 @@ class Interlaced(FullScreen):
         return self.right.load(place) if place.y % 2 == 1 else self.left.load(place)
 
 
+PICTURE: Final = make_plan(REPROJECTION, ("image",))
+"""The plan of a right eye's frame whose picture is reprojected."""
+PICTURE_AND_DEPTH: Final = make_plan(REPROJECTION)
+"""The same with depth, for layers."""
+
+
 class EyePair:
     """The right eye beside the view of the left one, and the image of both.
 
@@ -93,6 +106,12 @@ class EyePair:
             self._weights = MirroredValue(device, AnaglyphWeights(left=zeros, right=zeros))
             made.callback(self._weights.destroy)
             self._made = made.pop_all()
+
+    def plan(self, *, has_layers: bool) -> Plan[Frame] | None:
+        """Return the plan of the right eye's frame, None if it is that of the left one."""
+        if not self.stereo.is_reprojected:
+            return None
+        return PICTURE_AND_DEPTH if has_layers else PICTURE
 
     def show(self, left: Frame, right: Frame) -> Texture:
         """Draw the pictures of both frames to `image`, and return it."""
