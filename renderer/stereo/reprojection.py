@@ -1,13 +1,13 @@
-"""The right eye's picture made from the left one's: each pixel is moved along its row by the parallax of its depth.
+"""The right eye's picture made from the left one's: each pixel moves along its row by the parallax of its depth.
 
 The parallax is a linear function of depth, with each lens: a perspective lens has depths that are linear in 1/z, and so
 is its parallax; with a parallel one both are linear in z. So a pixel's way takes one multiplication, of numbers that
-are computed in float64.
+are computed in float64. Pixels are moved as they are, four bytes each: no colour is decoded.
 
-1. `MovePixels` writes the column of each pixel to where the right eye sees it. Of several that land on one pixel the
-   last one of the row wins, which is the nearest one: it has moved farther to the left than those before it.
-2. `TakePixels` makes the picture. Where nothing landed there is a *hole*: what the left eye doesn't see. It is filled
-   with what is to its right, which is what was hidden, since near things move to the left.
+An invocation has a row. `MovePixels` walks along it from left to right. Of several pixels that land on one the last
+wins, which is the nearest: it has moved farther to the left than those before it. Where nothing lands there is a
+*hole*: what the left eye doesn't see. `FillHoles` fills it with what is to its right, which is what was hidden, since
+near things move to the left.
 
 What a surface reflects is what the left eye sees of it, highlights included.
 """
@@ -24,33 +24,34 @@ from renderer.frame.passes import FARTHEST
 from renderer.frame.resources import MirroredValue
 from renderer.scene import Camera, Depth, measure_parallax
 from renderer.shaders.pixels import FullScreen
-from renderer.techniques.full_screen import Screen, bind_rays, draw_full_screen
-from rhi import CullMode, DepthFunction, DepthTest, DepthWrite, Device, StorageBuffer, Texture
+from renderer.stereo.words import Words
+from renderer.techniques.full_screen import Screen, bind_rays
+from rhi import CullMode, DepthFunction, DepthTest, DepthWrite, Device
 from rhi.shading import (
     FragmentDepth,
     Shader,
     Storage,
     StorageRW,
     Struct,
-    Texture2D,
     Uniform,
     abs,
-    atomic_max,
+    float_bits_to_uint,
     floor,
     fragment_coordinate,
     global_id,
     ivec2,
-    vec4,
+    uint,
+    uint_bits_to_float,
 )
 
 __rhi_internal__ = True
 
-_GROUP: Final = (64, 4)
+_ROWS: Final = 16  # of a work-group
 
 
 class Shift(Struct):
-    """How far pixels move to the right: `least` + `rate` times their nearness, in pixels. `farthest` is the depth of the
-    background, `size` that of the picture."""
+    """How far pixels move to the right: `least` + `rate` times their nearness, in pixels. `size` is that of the
+    picture, `farthest` the depth of the background."""
 
     size: ivec2
     least: float
@@ -59,50 +60,62 @@ class Shift(Struct):
 
 
 class MovePixels(Shader):
-    """Writes the column of each pixel, plus 1, to the place where the other eye sees it."""
+    """Moves the pixels of each row."""
 
-    work_group = _GROUP
+    work_group = (_ROWS,)
     shift: Uniform[Shift]
-    depth: Texture2D
-    columns: StorageRW[int]
+    depth: Storage[float]
+    picture: Storage[uint]
+    moved: StorageRW[uint]
 
     def compute(self) -> None:
-        at = global_id().xy
         size = self.shift.size
-        if at.x >= size.x or at.y >= size.y:
+        if global_id().x >= size.y:
             return
-        nearness = abs(self.depth.load(ivec2(at)).x - self.shift.farthest)
-        to = int(floor(float(at.x) + 0.5 + (self.shift.least + self.shift.rate * nearness)))
-        if to >= 0 and to < size.x:
-            atomic_max(self.columns[at.y * size.x + to], at.x + 1)
+        row = global_id().x * size.x
+        for x in range(size.x):
+            nearness = abs(self.depth[row + x] - self.shift.farthest)
+            to = int(floor(float(x) + 0.5 + (self.shift.least + self.shift.rate * nearness)))
+            if to >= 0 and to < size.x:
+                self.moved[row + to] = self.picture[row + x]
 
 
-class TakePixels(FullScreen):
-    """Takes each pixel from where it was, and fills holes with what is to their right."""
+class FillHoles(Shader):
+    """Fills each hole with the next pixel to its right, and those at the right edge with the last one of the row."""
 
-    picture: Texture2D
-    columns: Storage[int]
+    work_group = (_ROWS,)
+    shift: Uniform[Shift]
+    moved: Storage[uint]
+    picture: StorageRW[uint]
 
-    def fragment(self) -> vec4:
-        place = ivec2(fragment_coordinate().xy)
-        return self.picture.load(ivec2(self.find_column(place), place.y))
+    def compute(self) -> None:
+        size = self.shift.size
+        if global_id().x >= size.y:
+            return
+        end = global_id().x * size.x + size.x
+        pixel = uint(0)
+        for i in range(1, size.x + 1):
+            pixel = self.moved[end - i]
+            if pixel != uint(0):
+                break
+        for i in range(1, size.x + 1):
+            here = self.moved[end - i]
+            if here != uint(0):
+                pixel = here
+            self.picture[end - i] = pixel
 
-    def find_column(self, place: ivec2) -> int:
-        """Return the column that a pixel, or what fills it, comes from."""
-        width = self.picture.size().x
-        row = place.y * width
-        column = self.columns[row + place.x]
-        if column == 0:
-            for x in range(place.x + 1, width):
-                column = self.columns[row + x]
-                if column != 0:
-                    break
-        if column == 0:  # nothing landed between here and the right edge
-            for i in range(1, place.x + 1):
-                column = self.columns[row + place.x - i]
-                if column != 0:
-                    break
-        return column - 1 if column != 0 else place.x
+
+class EncodeDepth(Shader):
+    """Makes depths pixels that aren't 0, which stands for a hole."""
+
+    work_group = (64,)
+    depth: Storage[float]
+    picture: StorageRW[uint]
+
+    def compute(self) -> None:
+        i = global_id().x
+        if i < len(self.depth):
+            self.picture[i] = float_bits_to_uint(self.depth[i]) + uint(1)
 
 
 class MovedDepth(Struct):
@@ -111,46 +124,50 @@ class MovedDepth(Struct):
     depth: FragmentDepth
 
 
-class TakeDepth(TakePixels):
-    """Takes the depth of each pixel from where it was: it is the same for both eyes."""
+class TakeDepth(FullScreen):
+    """Writes the moved depth: that of a surface is the same for both eyes."""
+
+    shift: Uniform[Shift]
+    picture: Storage[uint]
 
     def fragment(self) -> MovedDepth:
         place = ivec2(fragment_coordinate().xy)
-        return MovedDepth(depth=self.picture.load(ivec2(self.find_column(place), place.y)).x)
+        return MovedDepth(
+            depth=uint_bits_to_float(self.picture[place.y * self.shift.size.x + place.x] - uint(1))
+        )
 
 
-class Columns:
+class Reprojector:
     """What is kept to move the pixels of a view.
 
     Attributes:
-        buffer: the column that each pixel comes from plus 1, 0 for holes; None before the first frame.
+        depth, picture, moved: the left eye's depth, what is moved and then filled, and what has holes between.
+        depths: `picture` and `moved` of the depth, for layers.
     """
 
     def __init__(self, device: Device) -> None:
-        self._device = device
-        self._size = (0, 0)
-        self.buffer: StorageBuffer[int] | None = None
         self.shift = MirroredValue(device, Shift(size=(0, 0), least=0.0, rate=0.0, farthest=0.0))
+        self.depth = Words(device, float)
+        self.picture, self.moved = Words(device, uint), Words(device, uint)
+        self.depths = Words(device, uint), Words(device, uint)
+        self._device = device
 
-    def fit(self, size: tuple[int, int]) -> StorageBuffer[int]:
-        """Return the buffer for a picture of `size`, empty."""
-        if self.buffer is None or size != self._size:
-            self._destroy_buffer()
-            self.buffer = self._device.storage(int, size[0] * size[1], label="columns")
-            self._size = size
-        else:
-            self.buffer.clear()
-        return self.buffer
-
-    def _destroy_buffer(self) -> None:
-        if self.buffer is not None:
-            self.buffer.destroy()
-            self.buffer = None
+    def move(self, size: tuple[int, int], picture: Words[Any], moved: Words[Any]) -> None:
+        """Move the pixels of `picture` to `moved`, and back to `picture` with all holes filled."""
+        device, groups = self._device, -(-size[1] // _ROWS)
+        moved.fit(size).clear()
+        given: dict[str, Any] = {
+            "shift": self.shift.buffer,
+            "picture": picture.buffer,
+            "moved": moved.buffer,
+        }
+        device.dispatch(device.program(MovePixels), groups, **given, depth=self.depth.buffer)
+        device.dispatch(device.program(FillHoles), groups, **given)
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
-        self._destroy_buffer()
-        self.shift.destroy()
+        for one in (self.shift, self.depth, self.picture, self.moved, *self.depths):
+            one.destroy()
 
 
 def find_shift(left: Camera, right: Camera, size: tuple[int, int]) -> Shift:
@@ -161,51 +178,44 @@ def find_shift(left: Camera, right: Camera, size: tuple[int, int]) -> Shift:
     nearness = (near[3] - near[2] * z) / (matrix[3, 3] - matrix[3, 2] * z)
     points = left.position + z[:, None] * left.forward
     first, second = (0.5 * size[0] * measure_parallax((left, right), points)[:, 0]).tolist()
-    rate = (second - first) / (nearness[1] - nearness[0])
-    return Shift(size=size, least=first - rate * nearness[0], rate=rate, farthest=FARTHEST[depth])
+    rate = float((second - first) / (nearness[1] - nearness[0]))
+    return Shift(size=size, least=first - rate * float(nearness[0]), rate=rate, farthest=FARTHEST[depth])
 
 
 def find_holes(right: Frame) -> NDArray[np.bool_]:
     """Return (height, width), which pixels of the right eye's picture are holes that were filled. Waits for the
     device."""
     width, height = right.targets.size
-    columns = right.view.workspace(Columns).buffer
-    if columns is None:
-        return np.zeros((height, width), bool)
-    return np.asarray(columns.read().reshape(height, width) == 0)
+    return np.asarray(right.view.workspace(Reprojector).moved.buffer.read().reshape(height, width) == 0)
 
 
-def _move(frame: Frame) -> None:
-    left, device, size = _left_of(frame), frame.device, frame.targets.size
-    kept = frame.view.workspace(Columns)
+def _move_pixels(frame: Frame) -> None:
+    left, size = _left_of(frame), frame.targets.size
+    kept = frame.view.workspace(Reprojector)
     kept.shift.write(find_shift(left.camera, frame.camera, size))
-    groups = tuple(-(-side // group) for side, group in zip(size, _GROUP, strict=True))
+    left.targets.depth.copy_to_buffer(kept.depth.fit(size))
+    left.targets.image.copy_to_buffer(kept.picture.fit(size))
+    kept.move(size, kept.picture, kept.moved)
+    frame.targets.image.copy_from_buffer(kept.picture.buffer)
+
+
+def _move_depth(frame: Frame) -> None:
+    device, size = frame.device, frame.targets.size
+    kept = frame.view.workspace(Reprojector)
+    picture, moved = kept.depths
     device.dispatch(
-        device.program(MovePixels),
-        groups,
-        shift=kept.shift.buffer,
-        depth=left.targets.depth,
-        columns=kept.fit(size),
+        device.program(EncodeDepth),
+        -(-size[0] * size[1] // 64),
+        depth=kept.depth.buffer,
+        picture=picture.fit(size),
     )
-
-
-def _take(frame: Frame) -> None:
-    draw_full_screen(frame, TakePixels, frame.targets.image, _bind(frame, _left_of(frame).targets.image))
-
-
-def _take_depth(frame: Frame) -> None:
-    device = frame.device
+    kept.move(size, picture, moved)
     states = (CullMode.NONE, DepthTest.ON, DepthWrite.ON, DepthFunction.ALWAYS)
     program: Any = device.program(TakeDepth)
     triangle = frame.view.workspace(Screen).triangle
     with device.render_pass(None, frame.targets.depth), device.states(*states):
-        device.draw(
-            program, triangle, **bind_rays(frame), **_bind(frame, _left_of(frame).targets.depth)
-        )
-
-
-def _bind(frame: Frame, picture: Texture) -> dict[str, Any]:
-    return {"picture": picture, "columns": frame.view.workspace(Columns).buffer}
+        given = {"shift": kept.shift.buffer, "picture": picture.buffer}
+        device.draw(program, triangle, **bind_rays(frame), **given)
 
 
 def _left_of(frame: Frame) -> Frame:
@@ -214,19 +224,17 @@ def _left_of(frame: Frame) -> Frame:
 
 
 REPROJECTION: Final = (
-    Pass("move pixels", _move, "the left eye's picture has most of it", writes=("columns",)),
     Pass(
-        "take pixels",
-        _take,
+        "reprojection",
+        _move_pixels,
         "the right eye's picture is made of the left one's",
-        reads=("columns",),
-        writes=(Target("image", IMAGE_FORMAT),),
+        writes=(Target("image", IMAGE_FORMAT), "left depth"),
     ),
     Pass(
-        "take depth",
-        _take_depth,
+        "reprojected depth",
+        _move_depth,
         "layers are drawn over it",
-        reads=("columns",),
+        reads=("left depth",),
         writes=(Target("depth", DEPTH_FORMAT),),
     ),
 )
