@@ -9,6 +9,7 @@ from __future__ import annotations
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cached_property
+from time import perf_counter
 from typing import Final, Self
 
 import numpy as np
@@ -28,8 +29,8 @@ from renderer.frame import (
 from renderer.scene import Camera, Scene, Simulator
 from renderer.shadows import ShadowMaps, shadow_passes
 from renderer.stereo import EyePair, Stereo, fit_picture
-from renderer.techniques import Forward, Technique
-from renderer.visibility import VisibilityAlgorithm, VisibilityStatistics, make_visibility
+from renderer.techniques import AutoTechnique, Forward, Technique
+from renderer.visibility import AutoCulling, VisibilityAlgorithm, VisibilityStatistics, make_visibility
 from rhi import Device, Texture
 
 _COUNTERS: Final = ("queries", "software_state_changes", "hardware_state_changes", "upload_bytes")
@@ -120,7 +121,8 @@ class Renderer:
         """Create the targets and upload the scene.
 
         Args:
-            technique: how the scene is drawn; forward shading by default.
+            technique: how the scene is drawn; forward shading by default. `AutoTechnique` measures which one is the
+                fastest; its picture may change by 2 of 255 levels when it changes its mind.
             visibility: an algorithm made for `scene`; by default `auto`, which measures which one is the fastest.
             size: (width, height) of the image in pixels.
             validation: whether to check samples of what is simulated: each batch has one object whose vertices must be
@@ -213,7 +215,35 @@ class Renderer:
 
     def render(self, camera: Camera, seconds: float = 0.0) -> FrameResult:
         """Draw the scene at the time `seconds` as `camera` sees it, with the image's aspect. Doesn't wait for the
-        GPU."""
+        GPU, unless something `is_trying`."""
+        auto = self.technique
+        if not isinstance(auto, AutoTechnique):
+            return self._draw(camera, seconds)[0]
+        auto.look(camera, self.size)
+        is_timed = auto.is_trying and not self._is_trying_visibility
+        if is_timed:
+            self.device.finish()
+        began = perf_counter()
+        result, needs = self._draw(camera, seconds)
+        if is_timed:
+            self.device.finish()
+        is_timed = is_timed and not self._is_trying_visibility  # which may have begun to
+        auto.note(perf_counter() - began if is_timed else None, camera, needs)
+        return result
+
+    @property
+    def is_trying(self) -> bool:
+        """Whether the next frame is on trial: the visibility algorithm or the technique measures which of several is
+        the fastest."""
+        technique = self.technique
+        return self._is_trying_visibility or (isinstance(technique, AutoTechnique) and technique.is_trying)
+
+    @property
+    def _is_trying_visibility(self) -> bool:
+        return isinstance(self.visibility, AutoCulling) and self.visibility.is_trying
+
+    def _draw(self, camera: Camera, seconds: float) -> tuple[FrameResult, Needs]:
+        """Draw a frame; return it and what it needed."""
         device, resources, pair = self.device, self._resources, self._pair
         before = device.statistics
         around = self._aim(camera)
@@ -246,7 +276,10 @@ class Renderer:
         counters = {name: getattr(after, name) - getattr(before, name) for name in _COUNTERS}
         counters["simulation_steps"] = self.simulator.steps
         counters["skipped_simulations"] = len(self.simulator) - self.simulator.seen
-        return FrameResult(image, left.targets.depth, left.targets, left.statistics, tuple(frames), counters)
+        result = FrameResult(
+            image, left.targets.depth, left.targets, left.statistics, tuple(frames), counters
+        )
+        return result, needs
 
     def _aim(self, camera: Camera) -> Camera:
         """Aim the views of a frame through `camera`; return a camera that sees all that they see."""
@@ -282,12 +315,15 @@ class Renderer:
 
     def _plan(self, needs: Needs) -> Plan[Frame]:
         """Return the plan of a frame with these needs; it is made once."""
-        if self._planned is not self.technique:
+        technique = self.technique
+        if isinstance(technique, AutoTechnique):
+            technique = technique.current
+        if self._planned is not technique:
             self._plans.clear()
-            self._planned = self.technique
+            self._planned = technique
         plan = self._plans.get(needs.key)
         if plan is None:
-            plan = self._plans[needs.key] = make_plan([*shadow_passes(needs), *self.technique.declare(needs)])
+            plan = self._plans[needs.key] = make_plan([*shadow_passes(needs), *technique.declare(needs)])
         return plan
 
     def destroy(self) -> None:

@@ -164,6 +164,11 @@ ONE_SAMPLE: Final = Rule(
     "this technique draws one sample per pixel",
     "smooth its image with --fxaa, or use --technique forward",
 )
+MANY_MATERIALS: Final = Rule(
+    "technique-many-materials",
+    "a packed geometry buffer holds 16 bits of a pixel's material",
+    "use --technique clustered",
+)
 BAD_TECHNIQUE: Final = Rule("technique-parameter", "a parameter of a technique is out of its range")
 
 # Shadows

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from pathlib import Path
 from typing import Final
 
 import rhi
 from renderer import rules
+from renderer.cli.output import note
 from renderer.cli.subcommand import Parser
+from renderer.content import load_scene
 from renderer.scene import Camera, Scene
 from renderer.stereo import OUTPUTS, Stereo, find_rig
-from renderer.techniques import TECHNIQUES, Forward, Smoothed, Technique
+from renderer.techniques import TECHNIQUES, AutoTechnique, Forward, Smoothed, Technique
+from renderer.techniques.auto import CANDIDATES
 from renderer.visibility import Settings
 from rhi import refuse
 
@@ -35,6 +39,14 @@ def add_scene(parser: Parser) -> None:
     parser.add_argument("scene", metavar="SCENE", help="a scene generator (see `scenes`) or a model file")
 
 
+def open_scene(text: str) -> Scene:
+    """Load the scene that `SCENE` names; what its file has and the scene hasn't is listed on stderr."""
+    scene = load_scene(text)
+    for omission in scene.omissions:
+        note(f"left out: {omission}")
+    return scene
+
+
 def add_backend(parser: Parser) -> None:
     """Add `--backend NAME`."""
     parser.add_argument(
@@ -52,32 +64,47 @@ def add_size(
     parser.add_argument("--size", type=parse_size, default=size, metavar="WxH", help=help)
 
 
-def add_technique(parser: Parser) -> None:
+def add_technique(parser: Parser, default: str = AutoTechnique.name) -> None:
     """Add `--technique NAME`, `--samples N` and `--fxaa`, which `make_technique` reads."""
     parser.add_argument(
         "--technique",
-        choices=TECHNIQUES,
-        default="forward",
-        help="how the scene is drawn (default: %(default)s)",
+        choices=[AutoTechnique.name, *TECHNIQUES],
+        default=default,
+        help="how the scene is drawn; auto tries a few and takes the fastest (default: %(default)s)",
     )
     parser.add_argument(
         "--samples",
         type=parse_count,
         default=1,
         metavar="N",
-        help="samples per pixel, which smooth edges; more than one needs the technique forward (default: 1)",
+        help="samples per pixel, which smooth edges; with more than one, auto is forward (default: 1)",
     )
-    parser.add_argument("--fxaa", action="store_true", help="smooth the edges of the image, with any technique")
+    parser.add_argument(
+        "--fxaa", action="store_true", help="smooth the edges of the image, with any technique"
+    )
 
 
-def make_technique(given: argparse.Namespace) -> Technique:
-    """Return the technique that the arguments of `add_technique` describe."""
-    technique = TECHNIQUES[given.technique]()
-    if given.samples > 1:
-        if not isinstance(technique, Forward):
-            refuse(rules.ONE_SAMPLE, "render", f"{technique.name} with --samples {given.samples}")
-        technique = Forward(given.samples)
-    return Smoothed(technique) if given.fxaa else technique
+def make_technique(given: argparse.Namespace, scene: Scene, device: rhi.Device) -> Technique:
+    """Return the technique that the arguments of `add_technique` describe, for a scene and a device."""
+
+    def make(name: str) -> Technique:
+        technique = Forward(given.samples) if given.samples > 1 else TECHNIQUES[name]()
+        return Smoothed(technique) if given.fxaa else technique
+
+    if given.samples > 1 and given.technique not in (AutoTechnique.name, Forward.name):
+        refuse(rules.ONE_SAMPLE, "render", f"{given.technique} with --samples {given.samples}")
+    if given.technique != AutoTechnique.name or given.samples > 1:
+        return make(given.technique)
+    return AutoTechnique(scene, device, {name: partial(make, name) for name in CANDIDATES})
+
+
+def explain_technique(technique: Technique, given: argparse.Namespace) -> dict[str, str]:
+    """Return the technique that draws, as `technique`, and `because`, why it does."""
+    if isinstance(technique, AutoTechnique):
+        return {"technique": technique.chosen, "because": technique.because}
+    if given.technique == AutoTechnique.name:
+        return {"technique": technique.name, "because": f"{given.samples} samples per pixel, which others don't have"}
+    return {"technique": technique.name, "because": "was asked for"}
 
 
 def add_stereo(parser: Parser) -> None:

@@ -17,12 +17,13 @@ from renderer.cli.arguments import (
     add_size,
     add_technique,
     make_technique,
+    open_scene,
     parse_count,
     parse_frame,
 )
 from renderer.cli.output import OutputError, draw_chart, note, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
-from renderer.content import load_scene, parse_camera
+from renderer.content import parse_camera
 from renderer.measure.capture import CapturedFrame, capture_frames, list_passes, write_frames
 from renderer.measure.table import format_table
 from renderer.renderer import Renderer
@@ -35,14 +36,14 @@ _NOTES: Final = """\
 
 Each row is a frame: its milliseconds from the scene's update until the GPU is finished, and for each pass of its plan
 those between its timestamps on the GPU, and those that the CPU took to issue its commands. The first frame isn't
-counted. A device that works in batches has the work of a pass between its timestamps only in part: the sum of a frame
-is exact, its division among passes is not."""
+counted, nor are those in which `auto` looks for what is the fastest before it. A device that works in batches has the
+work of a pass between its timestamps only in part: the sum of a frame is exact, its division among passes is not."""
 
 
 def _add_arguments(parser: Parser) -> None:
     add_scene(parser)
     add_backend(parser)
-    add_technique(parser)
+    add_technique(parser, default="forward")
     parser.add_argument("--visibility", choices=ALGORITHMS, default="frustum", help=DECIDES)
     parser.add_argument("--camera", metavar="CAMERA", help=f"{CAMERA_HELP} (default: the scene's first path)")
     parser.add_argument(
@@ -62,7 +63,7 @@ def _add_arguments(parser: Parser) -> None:
 def _run(given: argparse.Namespace) -> None:
     if given.plot is not None and given.plot.suffix.lower() not in (".svg", ".png", ".pdf"):
         raise OutputError(f"--plot: {given.plot.name!r} is not the name of a chart; end it with .svg")
-    scene = load_scene(given.scene)
+    scene = open_scene(given.scene)
     camera = given.camera or next(iter(scene.paths or scene.views))
     shots = [
         (frame, parse_camera(camera, scene, frame), frame / FRAMES_PER_SECOND)
@@ -74,11 +75,13 @@ def _run(given: argparse.Namespace) -> None:
         with Renderer(
             device,
             scene,
-            technique=make_technique(given),
+            technique=make_technique(given, scene, device),
             visibility=make_visibility(given.visibility, scene, device),
             size=given.size,
         ) as renderer:
             list(capture_frames(renderer, shots[:1]))
+            while renderer.is_trying:
+                list(capture_frames(renderer, shots[:1]))
             frames = list(show_progress(capture_frames(renderer, shots), len(shots), "capture"))
     write_frames(given.output, frames)
     note(f"wrote {given.output}: {len(frames)} frames")

@@ -10,10 +10,10 @@ from typing import Final
 
 import numpy as np
 
-from renderer.cli.arguments import PATH_HELP, add_scene, add_size, parse_count, parse_frame
+from renderer.cli.arguments import PATH_HELP, add_scene, add_size, open_scene, parse_count, parse_frame
 from renderer.cli.output import draw_chart, note, prepare_image, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
-from renderer.content import find_path, load_scene
+from renderer.content import find_path
 from renderer.measure import format_table
 from renderer.measure.backends import PASSES, BackendRow, compare_backends
 
@@ -72,7 +72,7 @@ def _add_arguments(parser: Parser) -> None:
 def _run(given: argparse.Namespace) -> None:
     if given.plot is not None:
         prepare_image(given.plot)
-    scene = load_scene(given.scene)
+    scene = open_scene(given.scene)
     path = find_path(given.camera_path, scene)
     frame = len(path) // 2 if given.frame is None else given.frame
     camera = path.camera(frame)

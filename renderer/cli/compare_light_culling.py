@@ -8,10 +8,18 @@ from dataclasses import asdict, fields
 from typing import Final
 
 import rhi
-from renderer.cli.arguments import CAMERA_HELP, add_backend, add_scene, add_size, parse_count, parse_frame
+from renderer.cli.arguments import (
+    CAMERA_HELP,
+    add_backend,
+    add_scene,
+    add_size,
+    open_scene,
+    parse_count,
+    parse_frame,
+)
 from renderer.cli.output import show_progress
 from renderer.cli.subcommand import Parser, Subcommand
-from renderer.content import load_scene, parse_camera
+from renderer.content import parse_camera
 from renderer.lights.culling import SPHERE_TESTS
 from renderer.measure import format_table
 from renderer.measure.light_culling import LightCullingRow, compare_light_culling
@@ -74,7 +82,7 @@ def _add_arguments(parser: Parser) -> None:
 
 
 def _run(given: argparse.Namespace) -> None:
-    scene = load_scene(given.scene)
+    scene = open_scene(given.scene)
     camera = parse_camera(given.camera or next(iter(scene.views)), scene, given.frame)
     with rhi.create_device(given.backend) as device:
         visibility = make_visibility("frustum", scene, device)

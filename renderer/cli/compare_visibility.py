@@ -16,12 +16,13 @@ from renderer.cli.arguments import (
     add_settings,
     add_size,
     add_walk,
+    open_scene,
     parse_count,
     parse_frame,
 )
 from renderer.cli.output import OutputError, draw_chart, note, prepare_image, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
-from renderer.content import find_path, load_scene
+from renderer.content import find_path
 from renderer.measure import format_table
 from renderer.measure.visibility import AlgorithmRow, compare_algorithms, list_contenders, list_frames
 from renderer.renderer import Renderer
@@ -110,7 +111,7 @@ def _run(given: argparse.Namespace) -> None:
     if given.threshold is not None:
         settings = replace(settings, threshold=given.threshold)
         tuned = None if tuned is None else replace(tuned, threshold=given.threshold)
-    scene = load_scene(given.scene)
+    scene = open_scene(given.scene)
     path = find_path(given.camera_path, scene)
     drawn = given.warm_up + (given.frames - 1) * given.stride + 1
     first = max(0, (len(path) - drawn + 1) // 2) if given.frame is None else given.frame

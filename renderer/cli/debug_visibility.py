@@ -20,11 +20,12 @@ from renderer.cli.arguments import (
     add_settings,
     add_size,
     load_settings,
+    open_scene,
     parse_frame,
 )
 from renderer.cli.output import OutputError, note, prepare_image
 from renderer.cli.subcommand import Parser, Subcommand
-from renderer.content import load_scene, parse_camera
+from renderer.content import parse_camera
 from renderer.measure.pictures import (
     COLORS,
     MEANINGS,
@@ -92,7 +93,7 @@ def _add_arguments(parser: Parser) -> None:
 def _run(given: argparse.Namespace) -> None:
     path = prepare_image(given.output)
     settings = load_settings(given)
-    scene = load_scene(given.scene)
+    scene = open_scene(given.scene)
     frames = range(max(given.frame - given.warm_up, 0), given.frame + 1)
     cameras = [parse_camera(given.camera, scene, frame) for frame in frames]
     with rhi.create_device(given.backend) as device:

@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import Final
 
 import rhi
-from renderer.cli.arguments import add_size, parse_count
+from renderer.cli.arguments import add_size, open_scene, parse_count
 from renderer.cli.output import name_of, note, prepare_image, show_progress, write_image
 from renderer.cli.subcommand import Parser, Subcommand
-from renderer.content import load_scene
 from renderer.measure import Measurement, alternate, format_table
 from renderer.renderer import FrameResult, FrameStatistics, Renderer
 from renderer.scene import FRAME_COUNT, FRAMES_PER_SECOND
@@ -97,7 +96,7 @@ def _add_arguments(parser: Parser) -> None:
 
 
 def _run(given: argparse.Namespace) -> None:
-    scene = load_scene(given.scene)
+    scene = open_scene(given.scene)
     with ExitStack() as stack:
         devices = open_devices(stack)
         variants = [

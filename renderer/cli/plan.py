@@ -8,28 +8,37 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Final
 
+import rhi
 from renderer.cli.arguments import (
     CAMERA_HELP,
     add_scene,
     add_size,
     add_technique,
+    explain_technique,
     make_technique,
+    open_scene,
     parse_frame,
 )
 from renderer.cli.output import OutputError, draw_chart, note
 from renderer.cli.subcommand import Parser, Subcommand
-from renderer.content import load_scene, parse_camera
+from renderer.content import parse_camera
+from renderer.measure import format_table, settle
 from renderer.measure.plans import PlanReport, describe_plan
-from renderer.measure.table import format_table
+from renderer.renderer import Renderer
+from renderer.scene import Camera, Scene
+from renderer.techniques import AutoTechnique, Technique
+from renderer.visibility import FrustumCulling
 
 _NOTES: Final = """\
   python -m renderer plan city
   python -m renderer plan hall --technique forward --camera ground --frame 600 --json
   python -m renderer plan city --plot plan.svg
+  python -m renderer plan night --backend gl
 
 A pass is in the plan because an effect of the scene calls for it, or because another pass reads what it writes. The
-commands are counted on the null device, so no GPU is needed. In the plot a column is a pass and a row a texture, with
-the contents that it holds in turn: dark where they are written, light where they are read."""
+commands are counted on the null device, so no GPU is needed. With --technique auto, the device that --backend names
+says which technique is the fastest; the null device doesn't know. In the plot a column is a pass and a row a texture,
+with the contents that it holds in turn: dark where they are written, light where they are read."""
 
 
 def _add_arguments(parser: Parser) -> None:
@@ -40,6 +49,13 @@ def _add_arguments(parser: Parser) -> None:
         "--frame", type=parse_frame, default=0, metavar="N", help="frame of the path (default: 0)"
     )
     add_size(parser)
+    parser.add_argument(
+        "--backend",
+        default="null",
+        metavar="NAME",
+        help="with --technique auto, the device that measures which is the fastest (default: null, which measures "
+        "nothing)",
+    )
     parser.add_argument("--plot", type=Path, metavar="F.svg", help="chart of passes and textures to write")
     parser.add_argument("--json", action="store_true", help="print the plan as JSON")
 
@@ -47,14 +63,32 @@ def _add_arguments(parser: Parser) -> None:
 def _run(given: argparse.Namespace) -> None:
     if given.plot is not None and given.plot.suffix.lower() not in (".svg", ".png", ".pdf"):
         raise OutputError(f"--plot: {given.plot.name!r} is not the name of a chart; end it with .svg")
-    scene = load_scene(given.scene)
+    scene = open_scene(given.scene)
     camera = parse_camera(given.camera or next(iter(scene.views)), scene, given.frame)
-    report = describe_plan(scene, make_technique(given), camera, given.size)
+    technique, chosen = choose_technique(given, scene, camera)
+    report = describe_plan(scene, technique, camera, given.size)
     if given.plot is not None:
         given.plot.parent.mkdir(parents=True, exist_ok=True)
-        plot_plan(report, given.plot, f"{given.technique}: {scene.name}")
+        plot_plan(report, given.plot, f"{technique.name}: {scene.name}")
         note(f"wrote {given.plot}")
-    print(json.dumps(asdict(report)) if given.json else show_plan(report))
+    if given.json:
+        print(json.dumps(chosen | asdict(report)))
+    else:
+        print(f"technique: {chosen['technique']}, {chosen['because']}\n\n{show_plan(report)}")
+
+
+def choose_technique(
+    given: argparse.Namespace, scene: Scene, camera: Camera
+) -> tuple[Technique, dict[str, str]]:
+    """Return the technique that the arguments ask for, and why it is this one; `auto` measures a few."""
+    with rhi.create_device(given.backend) as device:
+        technique = make_technique(given, scene, device)
+        if isinstance(technique, AutoTechnique):
+            visibility = FrustumCulling(scene)
+            with Renderer(device, scene, technique=technique, visibility=visibility, size=given.size) as renderer:
+                settle(renderer, camera)
+        chosen = explain_technique(technique, given)
+        return technique.current if isinstance(technique, AutoTechnique) else technique, chosen
 
 
 def show_plan(report: PlanReport) -> str:

@@ -6,7 +6,7 @@ import argparse
 import json
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,15 +21,17 @@ from renderer.cli.arguments import (
     add_size,
     add_stereo,
     add_technique,
+    explain_technique,
     load_settings,
     make_stereo,
     make_technique,
+    open_scene,
     parse_count,
     parse_frame,
 )
 from renderer.cli.output import name_of, note, prepare_image, show_progress, write_image
 from renderer.cli.subcommand import Parser, Subcommand
-from renderer.content import load_scene, parse_camera
+from renderer.content import parse_camera
 from renderer.measure import FrameCost, measure_frame
 from renderer.overlay import Overlay
 from renderer.renderer import FrameResult, Renderer
@@ -40,7 +42,6 @@ from renderer.techniques.inspection import INSPECTIONS, Inspection
 from renderer.techniques.light_indexed import count_overflowing
 from renderer.visibility import (
     ALGORITHMS,
-    AutoCulling,
     Settings,
     VisibilityAlgorithm,
     check_algorithm,
@@ -62,8 +63,8 @@ _NOTES: Final = """\
   python -m renderer render city --camera ground --frame 600 --frames 120 --record walk.json
 
 Times are measured from the scene's update until the GPU is finished. The first frame isn't counted, and with `auto`
-neither are those in which it looks for the fastest algorithm. Counters are those of one frame, or with several frames
-their mean. The image is that of the last frame."""
+neither are those in which it looks for the fastest visibility algorithm and technique. Counters are those of one frame,
+or with several frames their mean. The image is that of the last frame."""
 
 
 _MAGENTA: Final = (255, 0, 255, 255)
@@ -143,7 +144,7 @@ def _run(given: argparse.Namespace) -> None:
     settings = load_settings(given)
     if given.queries is not None:
         settings = replace(settings, emulated=given.queries == "emulated")
-    scene = load_scene(given.scene)
+    scene = open_scene(given.scene)
     cameras = [
         with_depth(parse_camera(given.camera or next(iter(scene.views)), scene, frame), Depth(given.depth))
         for frame in range(given.frame, given.frame + given.frames)
@@ -157,7 +158,7 @@ def _run(given: argparse.Namespace) -> None:
         Renderer(
             device,
             scene,
-            technique=make_technique(given) if given.show is None else Inspection(given.show),
+            technique=make_technique(given, scene, device) if given.show is None else Inspection(given.show),
             visibility=_make_visibility(given.visibility, scene, device, settings),
             size=given.size,
         ) as renderer,
@@ -171,7 +172,7 @@ def _run(given: argparse.Namespace) -> None:
         for layer in renderer.layers:
             layers.callback(layer.destroy)
         shots = list(enumerate(cameras, given.frame))
-        for _ in show_progress(warm_up(renderer), None, "find the fastest algorithm"):
+        for _ in show_progress(warm_up(renderer), None, "find what is the fastest"):
             measure_frame(renderer, cameras[0], given.frame / FRAMES_PER_SECOND)
         costs = []
         for frame, camera in show_progress(shots, len(shots), "render"):
@@ -190,7 +191,8 @@ def _run(given: argparse.Namespace) -> None:
                 holes = _report_holes(result, given.holes)
         else:
             note(f"the {device.backend_name} device records and draws nothing: there is no image")
-        report = describe_run(renderer, costs, image, overflowing, holes)
+        technique = explain_technique(renderer.technique, given)
+        report = describe_run(renderer, costs, image, overflowing, technique, holes)
     print(json.dumps(report) if given.json else show_report(report))
 
 
@@ -202,7 +204,7 @@ def _make_visibility(name: str, scene: Scene, device: rhi.Device, settings: Sett
 def warm_up(renderer: Renderer) -> Iterator[None]:
     """Yield once for each frame to draw before the first counted one: one, and with `auto` all on trial."""
     yield
-    while isinstance(renderer.visibility, AutoCulling) and renderer.visibility.is_trying:
+    while renderer.is_trying:
         yield
 
 
@@ -217,7 +219,8 @@ def describe_run(
     renderer: Renderer,
     costs: list[FrameCost],
     image: Path | None,
-    overflowing: int | None = None,
+    overflowing: int | None,
+    technique: dict[str, str],
     holes: int | None = None,
 ) -> dict[str, Any]:
     """Return the report that `--json` prints."""
@@ -229,11 +232,13 @@ def describe_run(
         "scene": renderer.scene.name,
         "size": list(renderer.size),
         "frames": len(costs),
+        **technique,
         **summary,
         **({} if overflowing is None else {"overflowing_pixels": overflowing}),
         **({} if renderer.stereo is None else _describe_stereo(renderer.stereo)),
         **({} if holes is None else {"holes": holes}),
         "image": None if image is None else str(image),
+        **({"left_out": [asdict(one) for one in renderer.scene.omissions]} if renderer.scene.omissions else {}),
     }
 
 
@@ -262,6 +267,7 @@ def show_report(report: dict[str, Any]) -> str:
         "milliseconds": f"{times['median']:.2f} (least {times['min']:.2f}, most {times['max']:.2f})",
         "image": report["image"] or "none: this device draws nothing",
     }
+    shown.pop("left_out", None)  # stderr has it
     texts = {key: f"{value:,}" if isinstance(value, int) else value for key, value in shown.items()}
     names = {"uploads_bytes": "bytes uploaded"}
     return "\n".join(

@@ -15,10 +15,18 @@ from pathlib import Path
 from typing import Any, Final, ParamSpec, TypeVar
 
 import rhi
-from renderer.cli.arguments import add_backend, add_queries, add_scene, add_size, add_walk, parse_count
+from renderer.cli.arguments import (
+    add_backend,
+    add_queries,
+    add_scene,
+    add_size,
+    add_walk,
+    open_scene,
+    parse_count,
+)
 from renderer.cli.output import OutputError, draw_chart, note, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
-from renderer.content import find_path, load_scene
+from renderer.content import find_path
 from renderer.measure import format_table
 from renderer.measure.tuning import ParameterPair, Trial, Walk, find_best, search, space_evenly, try_pairs
 from renderer.scene import CameraPath
@@ -100,7 +108,7 @@ def _add_arguments(parser: Parser) -> None:
 
 
 def _run(given: argparse.Namespace) -> None:
-    scene = load_scene(given.scene)
+    scene = open_scene(given.scene)
     path = find_path(given.camera_path, scene)
     first = max(0, (len(path) - given.frames - 1) // 2) if given.frame is None else given.frame
     walk = Walk(

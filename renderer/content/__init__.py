@@ -5,7 +5,7 @@ camera = parse_camera("ground", scene, frame=600).with_aspect(16 / 9)
 """
 
 from renderer.content.library import GENERATORS, find_path, load_scene, parse_camera
-from renderer.content.models import load_model
+from renderer.content.models import add_model, load_model
 from renderer.content.shapes import BUILT_IN
 from renderer.content.specs import Generator, Option
 from renderer.content.textures import IMAGE_SIZE
@@ -18,6 +18,7 @@ __all__ = [
     "IMAGE_SIZE",
     "Generator",
     "Option",
+    "add_model",
     "find_path",
     "load_model",
     "load_scene",

@@ -1,7 +1,7 @@
-"""Model files: glTF, OBJ, PLY and STL as scenes, read by trimesh.
+"""Model files as scenes: glTF is read by `renderer.content.gltf`, OBJ, PLY and STL by trimesh.
 
-trimesh is imported on first use (0.3 s). The node hierarchy of glTF is kept. Meshes far from their origin would lose
-precision in float32: their positions are stored relative to the mesh's centre, and a node moves them back.
+trimesh is imported on first use (0.3 s). Meshes far from their origin would lose precision in float32: the positions
+that trimesh has read in float64 are stored relative to the mesh's centre, and a node moves them back.
 """
 
 from __future__ import annotations
@@ -16,19 +16,23 @@ from typing import Any, Final
 import numpy as np
 
 from renderer import rules
+from renderer.content.assets import share_geometry, share_image
+from renderer.content.gltf import add_gltf
 from renderer.scene.arrays import Floats
 from renderer.scene.camera import Perspective
 from renderer.scene.materials import ImagePixels
 from renderer.scene.meshes import MeshGeometry, join, make_geometry
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
-from renderer.scene.transforms import is_affine, multiply, translation
+from renderer.scene.transforms import is_affine, translation
 from rhi.errors import refuse
 
 __rhi_internal__ = True
 
 FORMATS: Final = (".gltf", ".glb", ".obj", ".ply", ".stl")
 """The extensions of the files that can be read."""
+
+_GLTF: Final = (".gltf", ".glb")
 
 _FAR: Final = (
     64.0  # a mesh farther from its origin than this many times its size is stored relative to its centre
@@ -46,18 +50,45 @@ class _FileNode:
 
 
 def load_model(path: str) -> Scene:
-    """Load the scene in a model file, and add a sun and fitting cameras.
+    """Load the scene in a model file, and add fitting camera paths, and a sun if it has no light.
+
+    `Scene.omissions` lists what the file has and the scene hasn't. Refused as by `add_model`.
+    """
+    builder = SceneBuilder(path)
+    builder.background = (0.30, 0.36, 0.44)
+    add_model(builder, path)
+    if not len(builder.lights):
+        builder.lights.add_directional((-0.45, -0.8, -0.4), (1.0, 0.96, 0.9), 1.9)
+        builder.lights.sky, builder.lights.ground = (0.28, 0.32, 0.40), (0.14, 0.13, 0.12)
+    scene = builder.build()
+    _add_paths(scene, has_view=bool(builder.views))
+    return scene
+
+
+def add_model(builder: SceneBuilder, path: str) -> None:
+    """Add everything in a model file to a scene under construction. An image or a mesh that is there already, from
+    whichever file, is added once.
 
     Refused, naming the file: `scene-missing-file`, `scene-unknown-format`, `scene-unreadable-model`,
     `scene-empty-model`, `scene-bad-vertices`, `scene-bad-transform`.
     """
+    _check_file(path)
+    if Path(path).suffix.lower() in _GLTF:
+        before = builder.object_count
+        add_gltf(builder, path)
+        if builder.object_count == before:
+            others = "; ".join(map(str, builder.omissions))
+            refuse(rules.EMPTY_MODEL, f"load_model({path!r})", f"{path}, with {others}" if others else path)
+    else:
+        _add_by_trimesh(builder, path)
+
+
+def _add_by_trimesh(builder: SceneBuilder, path: str) -> None:
     meshes, nodes = _read(path)
-    builder = SceneBuilder(path)
-    builder.background = (0.30, 0.36, 0.44)
     ids: dict[str, tuple[int, int, Floats]] = {}
     for name, mesh in meshes.items():
         geometry, centre = _convert(path, mesh)
-        ids[name] = (builder.add_mesh(geometry, name), _add_material(builder, mesh), centre)
+        ids[name] = (builder.add_mesh(share_geometry(geometry), name), _add_material(builder, mesh), centre)
     rows: list[int] = []
     for node in nodes:
         parent = -1 if node.parent < 0 else rows[node.parent]
@@ -66,35 +97,23 @@ def load_model(path: str) -> Scene:
             mesh_id, material, centre = ids[node.mesh]
             at = builder.add_node(translation(centre), rows[-1]) if centre.any() else rows[-1]
             builder.add_objects(at, mesh_id, material)
-    _add_surroundings(builder)
-    scene = builder.build()
-    _add_paths(scene)
-    return scene
 
 
 def read_geometry(path: str) -> MeshGeometry:
     """Load all triangles of a model file as one mesh, in the file's world space."""
-    meshes, nodes = _read(path)
-    worlds: list[Floats] = []
-    parts = []
-    for node in nodes:
-        worlds.append(node.local if node.parent < 0 else multiply(worlds[node.parent], node.local))
-        if node.mesh is not None:
-            geometry, centre = _convert(path, meshes[node.mesh])
-            parts.append(geometry.transformed(multiply(worlds[-1], translation(centre))))
+    builder = SceneBuilder(path)
+    add_model(builder, path)
+    scene = builder.build()
+    parts = [
+        scene.meshes.geometry(mesh).transformed(scene.nodes.world[node])
+        for mesh, node in zip(scene.objects.mesh.tolist(), scene.objects.node.tolist(), strict=True)
+    ]
     return join(parts)
 
 
 def _read(path: str) -> tuple[dict[str, Any], list[_FileNode]]:
     """Read the file's triangle meshes by name, and its nodes, parents before children."""
-    file = Path(path)
-    call = f"load_model({path!r})"
-    if not file.exists():
-        refuse(rules.MISSING_FILE, call, path, tip=f"relative paths are resolved in {Path.cwd()}")
-    if file.suffix.lower() not in FORMATS:
-        refuse(rules.UNKNOWN_FORMAT, call, file.suffix or file.name, ", ".join(FORMATS))
-    if file.is_file() and not file.stat().st_size:
-        refuse(rules.EMPTY_MODEL, call, f"{path}, 0 bytes")
+    file, call = Path(path), f"load_model({path!r})"
     with _quiet():
         import trimesh
 
@@ -114,6 +133,16 @@ def _read(path: str) -> tuple[dict[str, Any], list[_FileNode]]:
         if not is_affine(node.local):
             refuse(rules.BAD_TRANSFORM, call, f"{path}: node {node.name!r}")
     return meshes, nodes
+
+
+def _check_file(path: str) -> None:
+    file, call = Path(path), f"load_model({path!r})"
+    if not file.exists():
+        refuse(rules.MISSING_FILE, call, path, tip=f"relative paths are resolved in {Path.cwd()}")
+    if file.suffix.lower() not in FORMATS:
+        refuse(rules.UNKNOWN_FORMAT, call, file.suffix or file.name, ", ".join(FORMATS))
+    if file.is_file() and not file.stat().st_size:
+        refuse(rules.EMPTY_MODEL, call, f"{path}, 0 bytes")
 
 
 @contextmanager
@@ -187,22 +216,11 @@ def _texture_coordinates(mesh: Any, count: int) -> Floats | None:
 
 
 def _add_material(builder: SceneBuilder, mesh: Any) -> int:
-    """Add a material with the colours and the texture of a mesh; glTF's roughness is converted to an exponent."""
+    """Add a material with the colour and the texture of a mesh."""
     visual = mesh.visual
     material = getattr(visual, "material", None)
-    image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
-    texture = -1 if image is None else builder.add_image(_pixels(image))
-    if material is not None and hasattr(material, "baseColorFactor"):
-        factor = material.baseColorFactor
-        color = np.ones(4) if factor is None else _unit_range(factor)
-        metallic = _number(material.metallicFactor, 0.0 if image is None else 0.1)
-        alpha = np.clip(_number(material.roughnessFactor, 0.7), 0.05, 1.0) ** 2
-        specular = 0.04 + (color[:3] - 0.04) * metallic
-        color = color * (*np.full(3, 1.0 - 0.5 * metallic), 1.0)
-        shininess = float(np.clip(2.0 / alpha**2 - 2.0, 1.0, 2048.0))
-        return builder.add_material(
-            base_color=tuple(color), specular_color=tuple(specular), shininess=shininess, texture=texture
-        )
+    image = getattr(material, "image", None)
+    texture = -1 if image is None else builder.add_image(share_image(_pixels(image)))
     given = (
         getattr(material, "diffuse", None) if material is not None else getattr(visual, "main_color", None)
     )
@@ -223,16 +241,7 @@ def _unit_range(color: Any) -> Floats:
     return np.clip(np.append(values, 1.0)[:4] if len(values) == 3 else values, 0.0, 1.0)
 
 
-def _number(value: Any, default: float) -> float:
-    return default if value is None else float(value)
-
-
-def _add_surroundings(builder: SceneBuilder) -> None:
-    builder.lights.add_directional((-0.45, -0.8, -0.4), (1.0, 0.96, 0.9), 1.9)
-    builder.lights.sky, builder.lights.ground = (0.28, 0.32, 0.40), (0.14, 0.13, 0.12)
-
-
-def _add_paths(scene: Scene) -> None:
+def _add_paths(scene: Scene, has_view: bool) -> None:
     """Add the paths `ground`, low through the model, and `sky`, above it, along its longer side."""
     lower, upper = scene.bounds
     size = np.maximum(upper - lower, 1e-3 * max(float((upper - lower).max()), 1e-6))
@@ -246,4 +255,6 @@ def _add_paths(scene: Scene) -> None:
         sink = 0.0 if name == "ground" else 0.75 * float(size[1])
         ends = np.stack([level - reach * along, level + reach * along])
         scene.paths[name] = make_path(ends, lens, rounding=0.1 * reach, ahead=0.5 * reach, sink=sink)
+    if has_view:
+        return
     scene.views = {name: view.with_projection(lens) for name, view in scene.views.items()}

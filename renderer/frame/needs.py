@@ -79,6 +79,8 @@ class Needs:
             plural = "directional lights that cast shadows"
         if effect in (Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS):
             rows = self.point_rows if effect is Effect.POINT_LIGHTS else self.spot_rows
+            if count == 1 and not len(rows):
+                return f"the only {noun} doesn't reach what is in view"
             reach = "reaches" if len(rows) == 1 else "reach"
             return f"{len(rows) or 'none'} of {count} {plural if count > 1 else noun} {reach} what is in view"
         return f"the scene has {count} {plural if count > 1 else noun}"

@@ -1,7 +1,7 @@
 """Measurements: what is compared alternates in one process, and results are medians and ratios."""
 
 from renderer.measure.alternate import Measurement, alternate
-from renderer.measure.frames import FrameCost, measure_frame
+from renderer.measure.frames import FrameCost, measure_frame, settle
 from renderer.measure.table import format_records, format_table
 
-__all__ = ["FrameCost", "Measurement", "alternate", "format_records", "format_table", "measure_frame"]
+__all__ = ["FrameCost", "Measurement", "alternate", "format_records", "format_table", "measure_frame", "settle"]

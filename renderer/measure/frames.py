@@ -39,3 +39,10 @@ def measure_frame(renderer: Renderer, camera: Camera, seconds: float) -> tuple[F
     result = renderer.render(camera, seconds)
     renderer.device.finish()
     return result, FrameCost(1e3 * (perf_counter() - began), result.statistics)
+
+
+def settle(renderer: Renderer, camera: Camera, seconds: float = 0.0) -> None:
+    """Draw a frame, and more as long as visibility algorithms or techniques are on trial."""
+    renderer.render(camera, seconds)
+    while renderer.is_trying:
+        renderer.render(camera, seconds)

@@ -36,6 +36,7 @@ from renderer.scene.meshes import (
 )
 from renderer.scene.nodes import Nodes
 from renderer.scene.objects import Boxes, Objects
+from renderer.scene.omissions import Omission, Omissions
 from renderer.scene.paths import FRAME_COUNT, FRAMES_PER_SECOND, CameraPath, make_path
 from renderer.scene.scene import Scene, SceneBuilder
 from renderer.scene.simulation import (
@@ -89,6 +90,8 @@ __all__ = [
     "Nodes",
     "ObjectSimulation",
     "Objects",
+    "Omission",
+    "Omissions",
     "Orthographic",
     "Perspective",
     "Projection",

@@ -55,6 +55,7 @@ RELATIVE_SPOT: Final = np.dtype(
 )
 """64 bytes, std430; positions relative to the eye."""
 
+_ROUNDED: Final = 2.0**-23  # of a unit vector's components in float32
 _LARGEST: Final = float(np.finfo(np.float32).max)
 
 
@@ -265,7 +266,9 @@ def _units(call: str, direction: ArrayLike, count: int) -> Floats:
         shown = _describe(allowed, lambda row: f"{given[row]}")
         refuse(rules.BAD_LIGHT, f"{call}(direction=...)", shown, "three finite numbers, not all 0")
     scaled = given / np.abs(given).max(axis=1, keepdims=True)  # no under- or overflow
-    return np.asarray(scaled / np.linalg.norm(scaled, axis=1, keepdims=True))
+    units = np.asarray(scaled / np.linalg.norm(scaled, axis=1, keepdims=True))
+    is_unit = np.abs(units - given).max(axis=1, keepdims=True) <= _ROUNDED
+    return np.where(is_unit, given, units)  # what has been rounded to float32 isn't rounded again
 
 
 def _describe(allowed: NDArray[np.bool_], show: Callable[[int], str]) -> str:

@@ -59,7 +59,7 @@ def list_attributes(format: np.dtype[Any]) -> frozenset[str]:
     return frozenset(format.names or ()) & frozenset(_OPTIONAL)
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False, slots=True, weakref_slot=True)
 class MeshGeometry:
     """One mesh: `vertices` (v,) of a `vertex_format` and `indices` (3 * triangles,) uint32, counter-clockwise from
     outside."""
@@ -239,6 +239,12 @@ class Meshes:
 
     def __len__(self) -> int:
         return len(self.ranges)
+
+    def geometry(self, mesh: int) -> MeshGeometry:
+        """Return one mesh with arrays of its own."""
+        first, count, base = (int(value) for value in self.ranges[mesh])
+        end = base + int(self.vertex_counts[mesh])
+        return MeshGeometry(self.vertices[base:end].copy(), self.indices[first : first + count].copy())
 
     @property
     def vertex_counts(self) -> NDArray[np.int64]:

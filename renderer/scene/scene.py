@@ -30,6 +30,7 @@ from renderer.scene.materials import (
 from renderer.scene.meshes import MeshBounds, Meshes, MeshGeometry
 from renderer.scene.nodes import Nodes
 from renderer.scene.objects import Objects, make_objects
+from renderer.scene.omissions import Omission, Omissions
 from renderer.scene.paths import CameraPath
 from renderer.scene.simulation import (
     FunctionOfTime,
@@ -59,6 +60,7 @@ class Scene:
         simulated: the simulations in their initial state, and what they change; a renderer's `Simulator` runs copies.
         seconds: the time of the last update or frame.
         views: named cameras, the first of which is the default. paths: named camera paths.
+        omissions: what the file that it was loaded from has and the scene hasn't.
     """
 
     def __init__(
@@ -77,6 +79,7 @@ class Scene:
         simulated: tuple[Simulated, ...] = (),
         textures: NDArray[Any] | None = None,
         samplers: tuple[SamplerDescriptor, ...] = (),
+        omissions: tuple[Omission, ...] = (),
     ) -> None:
         self.name = name
         self.simulated = simulated
@@ -92,6 +95,7 @@ class Scene:
         self.lights = lights
         self.views = dict(views)
         self.paths = dict(paths)
+        self.omissions = omissions
         self.seconds = 0.0
         self._simulator = self.make_simulator()
         self.update()
@@ -174,11 +178,15 @@ class SceneBuilder:
         self.haze = 0.0
         self.views: dict[str, Camera] = {}
         self.paths: dict[str, CameraPath] = {}
+        self.omissions = Omissions()
         self._geometries: list[MeshGeometry] = []
         self._bounds: list[MeshBounds | None] = []
         self._mesh_names: list[str] = []
         self._materials: list[NDArray[Any]] = []
+        self._mesh_ids: dict[int, int] = {}
         self._images: list[ImagePixels] = []
+        self._image_ids: dict[int, int] = {}
+        self._kept: list[object] = []
         self._textures = TextureRows()
         self._parents: list[NDArray[np.int64]] = []
         self._locals: list[Floats] = []
@@ -190,21 +198,40 @@ class SceneBuilder:
         self._animated: list[tuple[NDArray[np.int64], ObjectSimulation, tuple[Floats, Floats] | None]] = []
 
     def add_mesh(self, geometry: MeshGeometry, name: str = "", bounds: MeshBounds | None = None) -> int:
-        """Add a mesh and return its id. The vertices of a simulated mesh must never leave `bounds`."""
+        """Add a mesh and return its id: the same as before for a mesh without `bounds` that was added before.
+
+        The vertices of a simulated mesh must never leave its `bounds`.
+        """
+        if bounds is None and (known := self._mesh_ids.get(id(geometry))) is not None:
+            return known
         if bounds is not None:
             lower, upper = geometry.bounds
             if not ((bounds[0] <= lower) & (upper <= bounds[1])).all():
                 given = f"{bounds[0]} to {bounds[1]}"
                 refuse(rules.BAD_MESH, "add_mesh(bounds=...)", given, f"at least {lower} to {upper}")
+        elif id(geometry) not in self._mesh_ids:
+            self._mesh_ids[id(geometry)] = len(self._geometries)
         self._bounds.append(bounds)
         self._geometries.append(geometry)
         self._mesh_names.append(name)
         return len(self._geometries) - 1
 
+    @property
+    def object_count(self) -> int:
+        """The number of objects that have been added."""
+        return self._object_count
+
+    def mesh_bounds(self, mesh: int) -> MeshBounds:
+        """Return the bounds that a mesh was added with, or those of its vertices."""
+        return self._bounds[mesh] or self._geometries[mesh].bounds
+
     def add_image(self, image: NDArray[Any]) -> int:
-        """Add a texture's pixels (height, width, 4) uint8 and return its id."""
-        self._images.append(check_image(image))
-        return len(self._images) - 1
+        """Add a texture's pixels (height, width, 4) uint8 and return its id; the same array is added once."""
+        if id(image) not in self._image_ids:
+            self._images.append(check_image(image))
+            self._image_ids[id(image)] = len(self._images) - 1
+            self._kept.append(image)  # as long as the builder lives, so that its id isn't given to another
+        return self._image_ids[id(image)]
 
     def add_material(self, **values: Any) -> int:
         """Add a material from the arguments of `make_material` and return its id.
@@ -373,6 +400,7 @@ class SceneBuilder:
             simulated,
             self._textures.make(),
             tuple(self._textures.samplers),
+            omissions=tuple(self.omissions),
         )
 
     def _complete_vertices(self, table: NDArray[np.int64]) -> list[MeshGeometry]:

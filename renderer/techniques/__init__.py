@@ -3,8 +3,10 @@
 from collections.abc import Callable
 from typing import Final
 
+from renderer.techniques.auto import AutoTechnique
 from renderer.techniques.deferred import Deferred
 from renderer.techniques.deferred_cells import ClusteredDeferred, TiledDeferred
+from renderer.techniques.deferred_plus import DeferredPlus
 from renderer.techniques.forward import Forward
 from renderer.techniques.forward_multipass import ForwardMultipass
 from renderer.techniques.forward_plus import Clustered, ForwardPlus
@@ -28,15 +30,18 @@ TECHNIQUES: Final[dict[str, Callable[[], Technique]]] = {
         Clustered,
         TiledDeferred,
         ClusteredDeferred,
+        DeferredPlus,
     )
 }
 """Constructors of all techniques, by name."""
 
 __all__ = [
     "TECHNIQUES",
+    "AutoTechnique",
     "Clustered",
     "ClusteredDeferred",
     "Deferred",
+    "DeferredPlus",
     "Forward",
     "ForwardMultipass",
     "ForwardPlus",

@@ -113,6 +113,9 @@ class Capabilities:
     precise_triangles: bool = True
     """Whether depth is within 2e-5 of float64 and varyings within the corners' range for triangles however thin, and
     coverage right however far a triangle reaches beyond the view."""
+    precise_clipping: bool = True
+    """Whether a point is left out if its centre is out of view, and `PolygonMode.LINE` draws no line where the near or
+    the far plane cuts a triangle."""
     blend_per_target: bool = True
     wireframe: bool = False
     """Whether triangles can be drawn as their edges: `PolygonMode.LINE`."""

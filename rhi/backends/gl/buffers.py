@@ -4,6 +4,8 @@
   ctypes call with as many arguments.
 - A STREAM buffer is mapped once, persistently and coherently. Writing it is a copy into that memory, unordered
   as the contract allows. A READBACK buffer is mapped in the same way to be read.
+- NVIDIA's driver (580) executes a clear after a `BufferSubData` that follows it, unless the clear has finished. Copies,
+  reads and draws keep their order. So new buffers get zeros as their data, and a write waits for a buffer's clears.
 """
 
 from __future__ import annotations
@@ -14,12 +16,15 @@ from typing import Final, TypeAlias
 
 import moderngl
 import numpy as np
+from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
 from rhi.backends.gl import enums
 from rhi.backends.gl.entry_points import EntryPoints
 from rhi.backends.gl.errors import drain_errors, find_error
 from rhi.contract.descriptors import BufferDescriptor, BufferUsage, Id
+from rhi.errors import DeviceError
+from rhi.errors.rules import DEVICE_MEMORY
 
 __rhi_internal__ = True
 
@@ -50,16 +55,19 @@ class Buffers:
         self.bind_storage: dict[Id, BindRange] = {}
         self._mappings: dict[Id, memoryview] = {}
         self._readable: dict[Id, memoryview] = {}
+        self._cleared: set[Id] = set()
 
     def create(self, buffer: Id, descriptor: BufferDescriptor) -> None:
         drain_errors(self._gl)
-        flags = _MAP_FLAGS.get(descriptor.usage)
+        call, flags = f"device.buffer(size={descriptor.size})", _MAP_FLAGS.get(descriptor.usage)
+        try:
+            zeros = np.zeros(descriptor.size, np.uint8)  # pages that don't exist before the driver reads them
+        except MemoryError as failure:
+            raise DeviceError(DEVICE_MEMORY, call, str(failure)) from None
         created, mapping = (
-            self._create_static(descriptor.size)
-            if flags is None
-            else self._create_mapped(descriptor.size, flags)
+            (self._context.buffer(zeros), None) if flags is None else self._create_mapped(zeros, flags)
         )
-        error = find_error(self._gl, f"device.buffer(size={descriptor.size})")
+        error = find_error(self._gl, call)
         if error is not None:
             created.release()
             raise error
@@ -72,36 +80,31 @@ class Buffers:
         self.bind_uniform[buffer] = created.mglo.bind_to_uniform_block
         self.bind_storage[buffer] = created.mglo.bind_to_storage_buffer
 
-    def _create_static(self, size: int) -> tuple[moderngl.Buffer, None]:
-        created = self._context.buffer(reserve=size)
-        self._clear(created.glo, size)
-        return created, None
-
-    def _clear(self, name: int, size: int) -> None:
-        self._gl.ClearNamedBufferSubData(
-            name, enums.R8UI, 0, size, enums.RED_INTEGER, enums.UNSIGNED_BYTE, None
-        )
-
-    def _create_mapped(self, size: int, flags: int) -> tuple[moderngl.Buffer, memoryview | None]:
-        gl = self._gl
+    def _create_mapped(
+        self, zeros: NDArray[np.uint8], flags: int
+    ) -> tuple[moderngl.Buffer, memoryview | None]:
+        gl, size = self._gl, len(zeros)
         name = gl.create(gl.CreateBuffers)
-        gl.NamedBufferStorage(name, size, None, flags)
+        gl.NamedBufferStorage(name, size, zeros.ctypes.data_as(ctypes.c_void_p), flags)
         address = gl.MapNamedBufferRange(name, 0, size, flags)
         created = self._context.external_buffer(name, min(size, _MODERNGL_MAX_SIZE))
         if not address:
             return created, None
-        self._clear(name, size)
         return created, memoryview((ctypes.c_char * size).from_address(address)).cast("B")
 
     def destroy(self, buffer: Id) -> None:
         del self.bind_uniform[buffer], self.bind_storage[buffer]
         self._mappings.pop(buffer, None)
         self._readable.pop(buffer, None)
+        self._cleared.discard(buffer)
         self.objects.pop(buffer).release()
 
     def write(self, buffer: Id, offset: int, data: BytesLike) -> None:
         mapping = self._mappings.get(buffer)
         if mapping is None:
+            if buffer in self._cleared:
+                self._gl.Finish()
+                self._cleared.clear()
             self.objects[buffer].mglo.write(data, offset)
             return
         try:
@@ -126,6 +129,7 @@ class Buffers:
         )
 
     def clear(self, buffer: Id, offset: int, size: int, value: int) -> None:
+        self._cleared.add(buffer)
         self._gl.ClearNamedBufferSubData(
             self.objects[buffer].glo, enums.R32UI, offset, size, enums.RED_INTEGER, enums.UNSIGNED_INT,
             ctypes.byref(ctypes.c_uint(value)),

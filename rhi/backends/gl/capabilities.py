@@ -82,6 +82,7 @@ def query_capabilities(gl: EntryPoints, version: int, extensions: Container[str]
         alpha_test=True,
         depth_bias_clamp=has("GL_ARB_polygon_offset_clamp"),
         precise_triangles=False,  # GL promises neither; docs/backends-gl.md has llvmpipe's worst cases
+        precise_clipping=False,  # GL promises it, and llvmpipe keeps it, but NVIDIA's driver doesn't
         unsupported_formats=unsupported,
         unrenderable_formats=unrenderable,
     )  # fmt: skip

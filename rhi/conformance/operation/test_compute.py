@@ -464,6 +464,9 @@ IMAGE_FORMATS = [
 def test_an_image_is_loaded_and_stored_in_its_format(device: Device, format: Format, annotation: Any) -> None:
     require_format(device, format)
     data = random_texels(format, 3, 5)
+    if format is Format.R11G11B10F:  # a store may flush denormals: exponents of 0 become 1
+        for place, bits in ((0, 6), (11, 6), (22, 5)):
+            data |= ((data >> place + bits & 31) == 0).astype(np.uint32) << place + bits
     plain = squeezed(format, data)
     with device.texture(plain, format) as source, device.texture((5, 3), format) as target:
         program = device.program(image_copy(format, annotation))

@@ -420,6 +420,7 @@ def test_edges_of_a_triangle_that_reaches_beyond_the_view_are_drawn_where_they_a
 
 
 @pytest.mark.needs("wireframe")
+@pytest.mark.needs("precise_clipping")
 @pytest.mark.parametrize("beyond", [-0.5, 1.5], ids=["near", "far"])
 def test_no_line_is_drawn_where_a_plane_cuts_a_triangle(device: Device, beyond: float) -> None:
     """The edges end there."""

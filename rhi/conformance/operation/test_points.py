@@ -107,6 +107,7 @@ def test_no_point_is_larger_than_the_device_says(device: Device) -> None:
         assert abs(int((image.read()[2] > 0).sum()) - most) <= 1
 
 
+@pytest.mark.needs("precise_clipping")
 @pytest.mark.parametrize(("x", "seen"), [(-0.5, False), (0.5, True), (31.5, True), (32.5, False)])
 def test_a_point_is_clipped_by_its_centre(device: Device, x: float, seen: bool) -> None:
     expected = square(x, 10.5, 5.0) if seen else np.zeros(SIZE[::-1], bool)

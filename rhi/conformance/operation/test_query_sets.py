@@ -320,11 +320,11 @@ def test_indexed_draws_have_their_bases_and_instances(device: Device, queries: Q
     draws["base_vertex"] = [0, 0, 6, 6]
     draws["base_instance"] = [0, 2, 7, 7]  # the second instance of the last draw is outside of the target
     with device.mesh(rows, indices) as mesh, device.storage(uint, 1) as seen:
-        with device.render_pass(image, clear=(0.5, 0.5, 0.5, 0.5)):
+        with device.render_pass(image, clear=(0.4, 0.4, 0.4, 0.4)):
             device.draw_counted(device.program(Column), mesh, draws, queries, seen=seen)
         assert queries.wait()[:5].tolist() == [6, 18, 16, 16, -1]
         assert seen.read()[0] == 6 + 18 + 16 + 16
-        assert image.read()[0, :, 3].tolist() == [255, 255, 128, 128, *[255] * 6, *[128] * 4, 255, 255]
+        assert image.read()[0, :, 3].tolist() == [255, 255, 102, 102, *[255] * 6, *[102] * 4, 255, 255]
         assert not image.read()[0, :2, 0].any()
 
 

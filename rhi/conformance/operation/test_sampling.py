@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from rhi import Comparison, CompressedFormat, Device, Filter, Format, SamplerDescriptor, TextureKind, Wrap
 from rhi.conformance.compare import assert_near, assert_same
 from rhi.conformance.formats import random_texels, require_format, squeezed
-from rhi.conformance.reference import channels_of, compare, decode
+from rhi.conformance.reference import channels_of, compare, decode, encode
 from rhi.conformance.shaders import Colored, Corner, Shade
 from rhi.conformance.shapes import rectangle
 from rhi.contract.blocks import decode_level
@@ -133,10 +133,11 @@ def test_a_shader_reads_what_the_format_means(device: Device, format: Format) ->
     data = random_texels(format, 4, 8)
     with device.texture(squeezed(format, data), format) as texture:
         back = sampled(device, Sample2D, texture.sampled(NEAREST), texel_centers(8, 4))
-    slack, reason = (
-        (2e-3, "sRGB curves may be tables") if format.kind is ChannelKind.SRGB else (1e-6, "conversion in float32")
-    )
-    assert_near(back, decode(format, channels_of(format, squeezed(format, data))).reshape(-1, 4), slack, reason)
+    expected = decode(format, channels_of(format, squeezed(format, data))).reshape(-1, 4)
+    if format.kind is ChannelKind.SRGB:
+        assert_near(encode(format, back), encode(format, expected), 0.5, "half a step of sRGB, as in Direct3D")
+    else:
+        assert_near(back, expected, 1e-6, "conversion in float32")
 
 
 class LoadUint(Shader):
@@ -342,7 +343,10 @@ def test_a_border_is_clamped_to_what_its_format_can_hold(
     )
     with device.texture((1, 1), format) as texture:
         back = sampled(device, Sample2D, texture.sampled(descriptor), [(-1.0, 0.5), (0.5, 0.5)])
-    assert_near(back[0, :3], expected, 1 / 127, "8 bits")
+    if format is Format.R11G11B10F:  # GL doesn't say whether negative numbers are clamped
+        assert_near(np.maximum(back[0, :3], 0.0), expected, 1 / 127, "8 bits")
+    else:
+        assert_near(back[0, :3], expected, 1 / 127, "8 bits")
     assert_near(back[1, :3], (0.0, 0.0, 0.0), 0.0, "zeroed")
 
 
@@ -765,10 +769,18 @@ def assert_decoded(format: CompressedFormat, found: NDArray[Any], blocks: NDArra
     if format.name.startswith("BC6H"):
         assert_same(found, expected)
         return
-    slack = 1e-6 if format.name.startswith("BC7") else 2.01 / (127 if format.name.endswith("_SNORM") else 255)
+    if format.name.startswith("BC7"):
+        slack: Any = 1e-6
+    else:
+        across = np.pad(expected, [(0, -height % 4), (0, -width % 4), (0, 0)], mode="edge")
+        tiles = across.reshape(-(-height // 4), 4, -(-width // 4), 4, 4)
+        spread = (tiles.max((1, 3)) - tiles.min((1, 3))).repeat(4, 0).repeat(4, 1)[:height, :width]
+        step = 1.0 / (127 if format.name.endswith("_SNORM") else 255)
+        slack = np.maximum(2.01 * step, step + 0.03 * spread)
     if format.name.endswith("_SRGB"):
         slack = 2e-3 + 2.3 * slack
-    assert_near(found, expected, slack, "llvmpipe interpolates BC1 to BC5 within 2 stored numbers, BC7 exactly")
+    reason = "BC7 is exact; Direct3D asks for 1 stored number and 3 % of what the ends of BC1 to BC5 differ by"
+    assert_near(found, expected, slack, reason)
 
 
 @pytest.mark.parametrize("format", list(CompressedFormat), ids=lambda f: f.name)

@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 from types import CodeType
 from typing import Any, Final, NamedTuple
 
@@ -63,7 +64,13 @@ def compile_draw_code(
 ) -> CodeType:
     """Compile the functions of a program; `recorded`: those that a command buffer uses; `validates`: those of a device
     with validation, where each draw checks its thread."""
-    return compile("\n".join(_write_source(bindings, recorded, validates)), f"<draw of {name}>", "exec")
+    return _compile("\n".join(_write_source(bindings, recorded, validates)), f"<draw of {name}>")
+
+
+@lru_cache(maxsize=256)
+def _compile(source: str, file: str) -> CodeType:
+    """Compile a source, which takes a millisecond, once for all devices that have the program."""
+    return compile(source, file, "exec")
 
 
 def make_draw_code(code: CodeType, program: Any, bindings: tuple[Binding, ...]) -> DrawCode:

@@ -313,6 +313,15 @@ class Writer:
         match node:
             case tree.Declare(local=local, value=value):
                 self.declare(local, value, place)
+            case tree.Assign(target=tree.Index(base=tree.Index(base=matrix, index=row), index=column), value=value) if (
+                isinstance(matrix.type, MatrixType) and _is_bound(matrix) and not isinstance(column, tree.Constant)
+            ):
+                # NVIDIA's compiler refuses to store through an unknown column of a matrix in memory.
+                stored = self.expression(value)
+                with self.lines.braces(f"switch ({self.expression(column)})", self.file, place.line):
+                    for i in range(matrix.type.size):
+                        element = f"{self.expression(matrix)}[{i}][{self.expression(row)}]"
+                        self.line(f"case {i}: {element} = {stored}; break;", place)
             case tree.Assign(target=target, value=value):
                 text = self.expression(value)
                 if tree.has_effect(value) and tree.has_effect(target):
@@ -495,6 +504,13 @@ def count_returns(body: tree.Block) -> int:
         elif isinstance(statement, tree.If):
             count += count_returns(statement.then) + count_returns(statement.otherwise)
     return count
+
+
+def _is_bound(node: tree.Expression) -> bool:
+    """Return whether an lvalue is a part of a binding or of shared memory."""
+    while isinstance(node, tree.Member | tree.Swizzle | tree.Index):
+        node = node.base
+    return isinstance(node, tree.BindingRead)
 
 
 def _int_text(value: int) -> str:

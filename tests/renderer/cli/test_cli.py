@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import json
 import logging
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -18,7 +20,8 @@ import rhi
 from renderer.cli import main
 
 KEYS = [
-    "backend", "device", "scene", "size", "frames", "milliseconds", "triangles", "draws", "queries",
+    "backend", "device", "scene", "size", "frames", "technique", "because", "milliseconds", "triangles",
+    "draws", "queries",
     "software_state_changes", "hardware_state_changes", "simulation_steps", "skipped_simulations",
     "uploads_bytes", "image",
 ]  # fmt: skip
@@ -215,6 +218,24 @@ def test_an_empty_model_is_refused(capsys: pytest.CaptureFixture[str], here: Pat
     assert "scene-empty-model" in capsys.readouterr().err
 
 
+def test_what_a_file_has_and_the_scene_has_not_is_listed(capsys: pytest.CaptureFixture[str], here: Path) -> None:
+    triangle = base64.b64encode(struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0)).decode()
+    document = {
+        "asset": {"version": "2.0"},
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}, {"attributes": {"POSITION": 0}, "mode": 1}]}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
+        "bufferViews": [{"buffer": 0, "byteLength": 36}],
+        "buffers": [{"byteLength": 36, "uri": f"data:application/octet-stream;base64,{triangle}"}],
+    }
+    (here / "lines.gltf").write_text(json.dumps(document))
+    main(["render", "lines.gltf", "--backend", "null", "--json"])
+    output = capsys.readouterr()
+    assert "left out: lines (meshes[0].primitives[1])" in output.err.splitlines()
+    listed = {"what": "lines", "count": 1, "where": "meshes[0].primitives[1]"}
+    assert json.loads(output.out)["left_out"] == [listed]
+
+
 def test_a_camera_may_begin_with_a_minus(capsys: pytest.CaptureFixture[str]) -> None:
     assert run_json(capsys, CITY, "--backend", "null", "--camera", "-90,40,-90")["draws"] > 0
 
@@ -327,6 +348,7 @@ def test_overlay_and_particles_are_drawn_over_the_image_and_change_no_counter(
     pictures, reports = [], []
     for layers in ([], ["--particles"], ["--particles", "--overlay"]):
         arguments = ("hall:columns=6,rows=2,flags=0,fountains=4", "--size", "640x360", "--frame", "60")
+        arguments += ("--technique", "forward")
         report = run_json(capsys, *arguments, "--backend", "gl", "--visibility", "frustum", *layers)
         del report["hardware_state_changes"]  # a layer leaves other states than it has found
         pictures.append(np.asarray(Image.open(report["image"])).astype(int))
@@ -359,7 +381,35 @@ def test_plan_says_why_each_pass_is_there_and_what_is_left_out(capsys: pytest.Ca
     assert report["passes"][0]["because"]
     assert "spot lights" in [one["name"] for one in report["left_out"]]
     assert main(["plan", "grid:mesh=box,count=9"]) == 0
-    assert "left out:\n  spot lights: the scene has no spot light" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "left out:\n  spot lights: the scene has no spot light" in shown
+    assert shown.startswith("technique: forward, a null device draws nothing that could be measured\n")
+
+
+@pytest.mark.parametrize(("arguments", "technique", "because"), [
+    ([], "forward", "a null device draws nothing that could be measured"),
+    (["--technique", "deferred"], "deferred", "was asked for"),
+    (["--technique", "forward"], "forward", "was asked for"),
+    (["--samples", "4"], "forward", "4 samples per pixel, which others don't have"),
+    (["--fxaa"], "forward", "a null device draws nothing that could be measured"),
+])  # fmt: skip
+def test_the_technique_in_use_is_named_with_its_reason(
+    capsys: pytest.CaptureFixture[str], arguments: list[str], technique: str, because: str
+) -> None:
+    for command in ("plan", "render"):
+        size = ["--size", "64x36", "--backend", "null", "--json"]
+        assert main([command, "grid:mesh=box,count=9", *size, *arguments]) == 0
+        report = json.loads(capsys.readouterr().out)
+        assert (report["technique"], report["because"]) == (technique, because)
+
+
+@pytest.mark.usefixtures("gl")
+def test_a_device_chooses_the_technique_of_a_plan(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["plan", "grid:mesh=box,count=9", "--size", "64x36", "--backend", "gl", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["because"].startswith("the fastest in this view, ")
+    first = {"forward": "forward", "clustered_deferred": "geometry"}[report["technique"]]
+    assert report["passes"][0]["name"] == first
 
 
 @pytest.mark.parametrize(("name", "code"), [("plan.svg", 0), ("plan.png", 0), ("plan.txt", 2)])

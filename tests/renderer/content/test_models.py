@@ -107,7 +107,7 @@ def test_gltf_keeps_its_node_hierarchy(tmp_path):
 def test_gltf_materials_keep_their_colour_and_roughness(tmp_path):
     scene = load_model(write_gltf(tmp_path, TRIANGLE, [{"mesh": 0}], [0]))
     assert scene.materials["base_color"][0] == pytest.approx([0.5, 0.25, 1.0, 1.0], abs=0.01)
-    assert scene.materials["shininess"][0] == pytest.approx(30.0)
+    assert (scene.materials["metallic"][0], scene.materials["roughness"][0]) == (0.0, 0.5)
 
 
 def test_missing_normals_are_computed(tmp_path):

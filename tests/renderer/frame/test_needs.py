@@ -59,7 +59,7 @@ def test_lights_are_needed_where_their_light_is_in_view(effect: Effect) -> None:
     assert find_needs(scene, EYE).effects == {effect}
     unseen = find_needs(scene, AWAY)
     assert not unseen.effects
-    assert unseen.explain(effect) == f"none of 1 {effect.value[:-1]} reach what is in view"
+    assert unseen.explain(effect) == f"the only {effect.value[:-1]} doesn't reach what is in view"
 
 
 @pytest.mark.parametrize(("reaches", "count"), [((True, True), 2), ((False, True), 1), ((False, False), 0)])
@@ -87,6 +87,9 @@ def test_the_reasons_count_the_lights() -> None:
     needs = find_needs(scene, EYE)
     assert needs.point_rows.tolist() == [0, 1]
     assert needs.explain(Effect.POINT_LIGHTS) == "2 of 3 point lights reach what is in view"
+    assert find_needs(scene, AWAY).explain(Effect.POINT_LIGHTS) == "1 of 3 point lights reaches what is in view"
+    away = Camera.look_at((0, 0, 10), (0, 40, 10))
+    assert find_needs(scene, away).explain(Effect.POINT_LIGHTS) == "none of 3 point lights reach what is in view"
 
 
 positions = st.tuples(*[st.floats(-50, 50)] * 3)

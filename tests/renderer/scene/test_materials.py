@@ -94,7 +94,7 @@ def test_values_out_of_range_are_refused(name: str, good: Any, bad: Any) -> None
 def test_each_way_to_read_an_image_is_one_texture() -> None:
     clamped = SamplerDescriptor(wrap_u=Wrap.CLAMP, wrap_v=Wrap.CLAMP)
     builder = SceneBuilder("boxes")
-    images = [builder.add_image(SIDE) for _ in range(2)]
+    images = [builder.add_image(SIDE.copy()) for _ in range(2)]
     mesh, node = builder.add_mesh(BUILT_IN["box"]()), builder.add_node()
     given: list[dict[str, Any]] = [
         {"texture": images[1]},

@@ -26,6 +26,7 @@ from renderer.techniques import (
     Clustered,
     ClusteredDeferred,
     Deferred,
+    DeferredPlus,
     Forward,
     ForwardPlus,
     Inferred,
@@ -47,6 +48,8 @@ TECHNIQUES: dict[str, Callable[[], Technique]] = {
     "clustered": Clustered,
     "tiled deferred": TiledDeferred,
     "clustered deferred": ClusteredDeferred,
+    "deferred plus": DeferredPlus,
+    "deferred plus, a pass for each material": lambda: DeferredPlus(multi_pass=True),
 }
 MORE = [(True, 0), (False, 1), (True, 1), (False, 2), (True, 2)]
 """Whether lights are on textured surfaces, and the seeds of the lights: random scenes for the nightly run."""

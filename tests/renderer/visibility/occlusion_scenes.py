@@ -188,6 +188,28 @@ Shots = list[tuple[Camera, float]]
 """Cameras and times, frame by frame."""
 
 
+class Uncut:
+    """The frames of a scene without culling, drawn once, with which any number of algorithms are compared."""
+
+    def __init__(
+        self, device: rhi.Device, scene: Scene, shots: Shots, size: tuple[int, int] = (97, 55)
+    ) -> None:
+        self.scene, self.shots = scene, shots
+        self._renderer = Renderer(device, scene, size=size)
+        self._expected = self._draw(NoCulling(scene))
+
+    def _draw(self, algorithm: VisibilityAlgorithm) -> list[np.ndarray]:
+        return [draw_with(self._renderer, algorithm, *shot).image.read() for shot in self.shots]
+
+    def count_wrong_pixels(self, algorithm: VisibilityAlgorithm) -> list[int]:
+        """Count the pixels of each frame that differ."""
+        pairs = zip(self._draw(algorithm), self._expected, strict=True)
+        return [int((given != expected).any(2).sum()) for given, expected in pairs]
+
+    def destroy(self) -> None:
+        self._renderer.destroy()
+
+
 def count_wrong_pixels(
     device: rhi.Device,
     scene: Scene,
@@ -196,13 +218,9 @@ def count_wrong_pixels(
     size: tuple[int, int] = (97, 55),
 ) -> list[int]:
     """Count the pixels of each frame that differ from no culling."""
-    none = NoCulling(scene)
-    wrong = []
-    with Renderer(device, scene, size=size) as renderer:
-        for camera, seconds in shots:
-            expected = draw_with(renderer, none, camera, seconds).image.read()
-            given = draw_with(renderer, algorithm, camera, seconds).image.read()
-            wrong.append(int((given != expected).any(2).sum()))
+    uncut = Uncut(device, scene, shots, size)
+    wrong = uncut.count_wrong_pixels(algorithm)
+    uncut.destroy()
     return wrong
 
 

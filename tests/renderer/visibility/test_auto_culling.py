@@ -164,7 +164,7 @@ def test_a_choice_that_changed_is_soon_looked_at_again(null: rhi.Device, city: S
     auto.candidates["slow"].seconds = 0.0
     while auto.is_trying or auto.chosen != "slow":
         render(auto, look(9000.0), 1)
-    assert auto._rest == 6
+    assert auto._trial._rest == 6
 
 
 @pytest.mark.parametrize(("camera", "tries"), [

@@ -8,7 +8,8 @@ scene would give.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
 
@@ -25,6 +26,7 @@ from occlusion_scenes import (
     WALL,
     Oracle,
     Shots,
+    Uncut,
     cameras,
     count_wrong_pixels,
     delay_answers,
@@ -181,18 +183,35 @@ def make_on(device: rhi.Device, name: str, scene: Scene) -> object:
     return make_visibility(name, scene, device)
 
 
+@pytest.fixture(scope="module")
+def uncut(drawing_device: rhi.Device) -> Iterator[Callable[[str], Uncut]]:
+    """The frames of a case without culling."""
+
+    @cache
+    def find(title: str) -> Uncut:
+        case = IMAGES[title]
+        scene = case.scene()
+        frames.append(Uncut(drawing_device, scene, case.shots(scene), case.size))
+        return frames[-1]
+
+    frames: list[Uncut] = []
+    yield find
+    for one in frames:
+        one.destroy()
+
+
 @pytest.mark.parametrize("title", IMAGES)
 @pytest.mark.parametrize("name", NAMES)
-def test_a_hard_case_looks_as_without_culling(drawing_device: rhi.Device, name: str, title: str) -> None:
-    case = IMAGES[title]
-    scene = case.scene()
-    shots = case.shots(scene)
-    algorithm = make_on(drawing_device, name, scene)
-    assert count_wrong_pixels(drawing_device, scene, algorithm, shots, case.size) == [0] * len(shots)
+def test_a_hard_case_looks_as_without_culling(
+    drawing_device: rhi.Device, uncut: Callable[[str], Uncut], name: str, title: str
+) -> None:
+    case = uncut(title)
+    algorithm = make_on(drawing_device, name, case.scene)
+    assert case.count_wrong_pixels(algorithm) == [0] * len(case.shots)
     algorithm.destroy()
 
 
-def test_the_cases_are_not_empty(drawing_device: rhi.Device) -> None:
+def test_the_cases_are_not_empty(uncut: Callable[[str], Uncut]) -> None:
     # The control: in every case some frame shows something, and losing it is seen.
     class Nothing:
         opens_pass = False
@@ -200,11 +219,8 @@ def test_the_cases_are_not_empty(drawing_device: rhi.Device) -> None:
         def render(self, camera: Camera, scene_pass: object) -> None:
             return None
 
-    for title, case in IMAGES.items():
-        scene = case.scene()
-        assert sum(count_wrong_pixels(drawing_device, scene, Nothing(), case.shots(scene), case.size)) > 0, (
-            title
-        )
+    for title in IMAGES:
+        assert sum(uncut(title).count_wrong_pixels(Nothing())) > 0, title
 
 
 @settings(max_examples=4)
@@ -306,11 +322,18 @@ def make_late(latency: int) -> rhi.Device:
     return rhi.create_device("null", simulation=simulation)
 
 
-@pytest.mark.parametrize(
-    "latencies", [LATENCIES[1:3], pytest.param((LATENCIES[0], LATENCIES[3]), marks=pytest.mark.nightly)], ids=str
-)
-@pytest.mark.parametrize("title", IMAGES)
-def test_on_a_late_gpu_a_hard_case_draws_what_is_seen(title: str, latencies: tuple[int, ...]) -> None:
+def in_turns(*lists: Iterable[object]) -> list[object]:
+    """All combinations with all latencies; of each but one is taken by day, another one than of its neighbours."""
+    turns = len(LATENCIES)
+    return [
+        pytest.param(*case, latency, marks=() if (number + number // turns) % turns == turn else pytest.mark.nightly)
+        for number, case in enumerate(itertools.product(*lists))
+        for turn, latency in enumerate(LATENCIES)
+    ]
+
+
+@pytest.mark.parametrize(("title", "latency"), in_turns(IMAGES))
+def test_on_a_late_gpu_a_hard_case_draws_what_is_seen(title: str, latency: int) -> None:
     case = IMAGES[title]
     scene = case.scene()
     shots = case.shots(scene)
@@ -320,13 +343,12 @@ def test_on_a_late_gpu_a_hard_case_draws_what_is_seen(title: str, latencies: tup
         exact = ExactVisibility(device, scene, case.size)
         seen = [exact.find(camera) for camera, _ in shots]
     for name in (*OCCLUSION, *DEVICE):
-        for latency in latencies:
-            with make_late(latency) as device, Renderer(device, scene, size=case.size) as renderer:
-                oracle = Oracle(device, scene, name)
-                algorithm = make_visibility(name, scene, device)
-                for (camera, seconds), rows in zip(shots, seen, strict=True):
-                    oracle.guessed, oracle.seen = oracle.seen, rows
-                    assert visible(draw_with(renderer, algorithm, camera, seconds)) >= rows, (name, latency)
+        with make_late(latency) as device, Renderer(device, scene, size=case.size) as renderer:
+            oracle = Oracle(device, scene, name)
+            algorithm = make_visibility(name, scene, device)
+            for (camera, seconds), rows in zip(shots, seen, strict=True):
+                oracle.guessed, oracle.seen = oracle.seen, rows
+                assert visible(draw_with(renderer, algorithm, camera, seconds)) >= rows, name
 
 
 WALKS = {
@@ -337,9 +359,7 @@ WALKS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("latency", LATENCIES)
-@pytest.mark.parametrize("title", WALKS)
-@pytest.mark.parametrize("name", [*OCCLUSION, *DEVICE])
+@pytest.mark.parametrize(("name", "title", "latency"), in_turns([*OCCLUSION, *DEVICE], WALKS))
 def test_what_shows_is_drawn_whenever_the_answer_comes(name: str, title: str, latency: int) -> None:
     scene = _cloud()
     with make_late(latency) as device:
@@ -353,9 +373,7 @@ def test_what_shows_is_drawn_whenever_the_answer_comes(name: str, title: str, la
                     assert visible(draw_with(renderer, algorithm, camera)) >= oracle.seen
 
 
-@pytest.mark.parametrize("latency", LATENCIES)
-@pytest.mark.parametrize("ulps", [-1, 0, 1])
-@pytest.mark.parametrize("name", [*OCCLUSION, *DEVICE])
+@pytest.mark.parametrize(("name", "ulps", "latency"), in_turns([*OCCLUSION, *DEVICE], [-1, 0, 1]))
 def test_what_may_be_cut_by_the_near_plane_is_drawn_whatever_the_answer(
     name: str, ulps: int, latency: int
 ) -> None:

@@ -45,7 +45,8 @@ class Rasteriser:
     """The rasteriser of one device.
 
     Attributes:
-        works: whether the device supports it, see `rhi.backends.cl.pools`.
+        works: whether the device is a CPU, for which the kernels are written, and addresses work as
+            `rhi.backends.cl.pools` needs it. A GPU executes them, but stops where they load vectors at any address.
         retired: memory to keep until the next fence value has passed.
         bindings: the bound resources.
         state: the pass, program and render states of the next draw.
@@ -59,7 +60,7 @@ class Rasteriser:
     ) -> None:
         self._context = context
         self._addresses = addresses = Addresses(context)
-        self.works = addresses.work
+        self.works = addresses.work and bool(context.device.type & cl.device_type.CPU)
         self.retired = Retired()
         self._builds = Builds(context)
         self._programs: dict[Id, Pipeline] = {}

@@ -17,6 +17,11 @@
 #define GROUP 16
 typedef uint4 word_uint4 __attribute__((aligned(4)));  // without alignment to 16 bytes
 #define UNROLL _Pragma("unroll")  // PoCL unrolls only loops with a pragma; else arrays would be stored in memory
+#if defined(__x86_64__) || defined(__aarch64__)
+#define PREFETCH(address) __builtin_prefetch((const void *)(ulong)(address), 0, 3)
+#else  // a GPU hides latency by other work, and its compiler may not know the built-in function
+#define PREFETCH(address)
+#endif
 
 #define SUBTEXELS 256
 // Floats below 2^22 are rounded to integers by adding 1.5 * 2^23. So positions may lie 2^22 subtexels, 16384 texels, from

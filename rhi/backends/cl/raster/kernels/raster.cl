@@ -408,7 +408,7 @@ SINGLE raster(ulong address) {
         global const int *record = record_memory + (long)place * 16;
         if (records.list) {
             uint later = records.list[min(records.next + AHEAD, records.end - 1)];
-            __builtin_prefetch((const void *)(ulong)(record_memory + (long)later * 16), 0, 3);
+            PREFETCH(record_memory + (long)later * 16);
         }
         const int flags = record[FLAGS], first = record[BOX_FIRST], last = record[BOX_LAST];
         const int kind = flags & 3, front = flags >> 2 & 1;

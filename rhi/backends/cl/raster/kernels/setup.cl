@@ -511,7 +511,7 @@ SINGLE set_up(ulong address) {
             global const uint *corners = find_corners(draw, part * GROUP, last, scratch);
             if (last >= 2 * GROUP - 1 && draw->index_bytes == 4 && corners != scratch)
                 UNROLL for (int i = 0; i < GROUP; ++i)  // one corner of each primitive in the next group: the others are near it
-                    __builtin_prefetch((const void *)(ulong)(vertices + corners[3 * (GROUP + i)]), 0, 3);
+                    PREFETCH(vertices + corners[3 * (GROUP + i)]);
             int16 x[3], y[3];
             float16 z[3], near_w[3];
             LOAD_POSITIONS(0) LOAD_POSITIONS(1) LOAD_POSITIONS(2)

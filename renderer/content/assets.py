@@ -1,0 +1,82 @@
+"""Assets by content: an image or a mesh that several files hold is one array, however often it is loaded.
+
+An asset's id is a hash of its content: of an image's encoded bytes, so that it is decoded once, or of a mesh's vertices
+and indices. An asset lives as long as a scene or a builder uses it. `SceneBuilder` adds the same array once.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from io import BytesIO
+from os import cpu_count
+from typing import Any, Final
+from weakref import WeakValueDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.scene.materials import ImagePixels
+from renderer.scene.meshes import MeshGeometry
+
+__rhi_internal__ = True
+
+_images: Final[WeakValueDictionary[bytes, Any]] = WeakValueDictionary()
+_meshes: Final[WeakValueDictionary[bytes, MeshGeometry]] = WeakValueDictionary()
+
+
+def decode_images(encoded: Iterable[NDArray[np.uint8]]) -> list[ImagePixels | str]:
+    """Return the pixels of images (PNG, JPEG, and what else pillow reads), or for one that can't be read the reason.
+
+    Each content is decoded once, in as many threads as there are processors.
+    """
+    contents = list(encoded)
+    ids = [hash_content(content) for content in contents]
+    found: dict[bytes, ImagePixels | str] = {key: _images[key] for key in ids if key in _images}
+    missing = {key: content for key, content in zip(ids, contents, strict=True) if key not in found}
+    with ThreadPoolExecutor(min(cpu_count() or 1, 16)) as pool:
+        for key, pixels in zip(missing, pool.map(_decode, missing.values()), strict=True):
+            found[key] = pixels
+            if not isinstance(pixels, str):
+                _images[key] = pixels
+    return [found[key] for key in ids]
+
+
+def share_image(pixels: ImagePixels) -> ImagePixels:
+    """Return the image with the same pixels that is in use already, or this one."""
+    key = hash_content(repr(pixels.shape).encode(), pixels.reshape(-1))
+    shared: ImagePixels = _images.setdefault(key, pixels)
+    return shared
+
+
+def share_geometry(geometry: MeshGeometry) -> MeshGeometry:
+    """Return the mesh with the same content that is in use already, or this one."""
+    vertices = geometry.vertices
+    key = hash_content(
+        repr(vertices.dtype).encode(), vertices.view(np.uint8), geometry.indices.view(np.uint8)
+    )
+    return _meshes.setdefault(key, geometry)
+
+
+def hash_content(*parts: bytes | NDArray[np.uint8]) -> bytes:
+    """Return the id of a content: 16 bytes, of which equal ones mean equal contents."""
+    digest = hashlib.blake2b(digest_size=16)
+    for part in parts:
+        digest.update(len(part).to_bytes(8, "little"))
+        digest.update(part if isinstance(part, bytes) else np.ascontiguousarray(part).data)
+    return digest.digest()
+
+
+def _decode(content: NDArray[np.uint8]) -> ImagePixels | str:
+    from PIL import Image
+
+    try:
+        with Image.open(BytesIO(content.tobytes())) as image:
+            if image.mode.startswith("I"):  # 16 bits, which pillow would clip to 8
+                grey = np.asarray(image, np.float64) * (255.0 / 65535.0)
+                levels = np.clip(np.round(grey), 0.0, 255.0).astype(np.uint8)
+                return np.dstack([levels, levels, levels, np.full_like(levels, 255)])
+            return np.array(image.convert("RGBA"), np.uint8)
+    except Exception as error:  # pillow's decoders raise whatever a broken file leads them to
+        return f"{type(error).__name__}: {error}"

@@ -1,0 +1,149 @@
+"""Animations of a glTF file as tracks, and the bounds of what they move.
+
+All animations of a file are played together, each from its beginning when it has ended, as long as no other one before
+it moves the same part of the same node: many exporters write an animation for each object. Others are left out.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from renderer.content.gltf.accessors import Accessors
+from renderer.content.gltf.document import JsonObject
+from renderer.content.gltf.nodes import GltfNode
+from renderer.content.gltf.tracks import (
+    CUBIC,
+    LINEAR,
+    ROTATION,
+    SCALE,
+    STEP,
+    TRANSLATION,
+    WEIGHTS,
+    NodeMotion,
+    Track,
+)
+from renderer.scene.arrays import Floats, Rows
+from renderer.scene.omissions import Omissions
+from renderer.scene.transforms import transform_bounds
+
+__rhi_internal__ = True
+
+TARGETS: Final = {"translation": TRANSLATION, "rotation": ROTATION, "scale": SCALE, "weights": WEIGHTS}
+KINDS: Final = {"LINEAR": LINEAR, "STEP": STEP, "CUBICSPLINE": CUBIC}
+
+_Box = tuple[Floats, Floats]
+
+
+def read_tracks(root: JsonObject, accessors: Accessors, omissions: Omissions) -> dict[tuple[int, int], Track]:
+    """Return the tracks of all animations that can be played together, by the node's number and the target."""
+    tracks: dict[tuple[int, int], Track] = {}
+    count = len(root.children("nodes"))
+    for animation in root.children("animations"):
+        played = set(tracks)
+        samplers = animation.children("samplers")
+        channels = animation.children("channels")
+        used = [channel.index("sampler", len(samplers), needed=True) for channel in channels]
+        ends = [
+            accessors.times(samplers[n].index("input", len(accessors), needed=True))[-1] for n in set(used)
+        ]
+        period = float(max(ends, default=0.0))
+        for channel, number in zip(channels, used, strict=True):
+            target = channel.child("target")
+            if "node" not in target:
+                omissions.add("animations of something else than a node", channel.where)
+                continue
+            node = target.index("node", count, needed=True)
+            path = target.text("path")
+            if path not in TARGETS:
+                omissions.add(f"animations of {path!r}", channel.where)
+                continue
+            key = (node, TARGETS[path])
+            if key in played:
+                omissions.add("animations of what an earlier one moves", animation.where)
+            elif key in tracks:
+                channel.refuse("target", f"{path} of nodes[{node}] again", "each once in an animation")
+            else:
+                tracks[key] = _read_track(samplers[number], accessors, TARGETS[path], period)
+    return tracks
+
+
+def make_motion(
+    nodes: list[GltfNode], tracks: dict[tuple[int, int], Track], omissions: Omissions
+) -> tuple[Rows, NodeMotion] | None:
+    """Return the rows of the animated nodes and their motion, or None if none is animated."""
+    row_of = {node.number: row for row, node in enumerate(nodes)}
+    chosen: dict[int, list[Track]] = {}
+    for (number, target), track in tracks.items():
+        if target == WEIGHTS or number not in row_of:
+            continue
+        row = row_of[number]
+        if nodes[row].parts is None:
+            omissions.add("animations of nodes with a matrix", nodes[row].fields.where)
+        else:
+            chosen.setdefault(row, []).append(track)
+    if not chosen:
+        return None
+    rows = sorted(chosen)
+    parts = [nodes[row].parts or () for row in rows]
+    rest = tuple(np.array([part[at] for part in parts]) for at in range(3))
+    owners = np.repeat(np.arange(len(rows)), [len(chosen[row]) for row in rows])
+    listed = [track for row in rows for track in chosen[row]]
+    return np.array(rows), NodeMotion(listed, owners, (rest[0], rest[1], rest[2]))
+
+
+def find_bounds(
+    nodes: list[GltfNode], rows: Rows, motion: NodeMotion, contents: list[tuple[int, _Box]]
+) -> _Box:
+    """Return the boxes (k, 3) that hold at all times what is at the animated nodes `rows` (k,), down to the next.
+
+    They are in the space of the first node above that isn't animated. `contents` are boxes, each at a node.
+    """
+    member = np.full(len(nodes), -1)
+    member[rows] = np.arange(len(rows))
+    is_below = np.zeros(len(nodes), bool)  # at or below an animated node
+    for row, node in enumerate(nodes):  # parents come first
+        is_below[row] = member[row] >= 0 or (node.parent >= 0 and is_below[node.parent])
+    held: dict[int, list[_Box]] = {}
+    for row, box in contents:
+        if is_below[row]:
+            at, box = _raise(nodes, member, row, box)
+            held.setdefault(at, []).append(box)
+    lower, upper = np.zeros((len(rows), 3)), np.zeros((len(rows), 3))
+    for row, boxes in held.items():
+        box = (np.min([low for low, _ in boxes], axis=0), np.max([high for _, high in boxes], axis=0))
+        at = row
+        while at >= 0 and is_below[at]:
+            at, box = _raise(nodes, member, at, box)
+            box = motion.reach(int(member[at]), *box)
+            at = nodes[at].parent
+        lower[member[row]], upper[member[row]] = box
+    return lower, upper
+
+
+def _raise(nodes: list[GltfNode], member: Rows, row: int, box: _Box) -> tuple[int, _Box]:
+    """Return the nearest animated node at or above `row`, and the box in its space."""
+    while member[row] < 0:
+        low, high = transform_bounds(nodes[row].local[None], box[0][None], box[1][None])
+        row, box = nodes[row].parent, (low[0], high[0])
+    return row, box
+
+
+def _read_track(sampler: JsonObject, accessors: Accessors, target: int, period: float) -> Track:
+    kind = KINDS[sampler.choice("interpolation", KINDS, "LINEAR")]
+    times = accessors.times(sampler.index("input", len(accessors), needed=True))
+    number = sampler.index("output", len(accessors), needed=True)
+    types = {ROTATION: "VEC4", WEIGHTS: "SCALAR"}.get(target, "VEC3")
+    values = accessors.floats(number, types).astype(np.float64)
+    if not np.isfinite(values).all():
+        accessors.fields[number].refuse("", "values that aren't finite", "finite numbers")
+    parts = 3 if kind == CUBIC else 1
+    keys = len(times)
+    per_key = len(values) // (keys * parts) if target == WEIGHTS else 1
+    if len(values) != keys * parts * max(per_key, 1):
+        accessors.fields[number].refuse("count", len(values), f"{keys * parts}, for {keys} keys")
+    size = per_key if target == WEIGHTS else values.shape[1]
+    return Track(
+        target, kind, times, values.reshape((keys, 3, size) if kind == CUBIC else (keys, size)), period
+    )

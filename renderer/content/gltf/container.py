@@ -1,0 +1,172 @@
+"""The two containers of glTF 2.0: `.gltf`, JSON that names its buffers, and `.glb`, JSON and a buffer in one file.
+
+A `GltfFile` is opened by its first bytes, not by its extension. Buffers are read when they are first used, and only
+then checked, so that what nothing refers to isn't read.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+from pathlib import Path
+from typing import Final, NoReturn
+from urllib.parse import unquote, urlsplit
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer import rules
+from renderer.content.gltf.document import JsonObject
+from rhi.errors import refuse
+
+__rhi_internal__ = True
+
+EXTENSIONS: Final = (
+    "EXT_texture_webp",
+    "KHR_lights_punctual",
+    "KHR_materials_emissive_strength",
+    "KHR_materials_unlit",
+    "KHR_mesh_quantization",
+    "KHR_texture_transform",
+)
+"""The extensions that are read."""
+
+_MAGIC: Final = b"glTF"
+_JSON_CHUNK: Final = 0x4E4F534A
+_BINARY_CHUNK: Final = 0x004E4942
+
+ByteArray = NDArray[np.uint8]
+
+
+class GltfFile:
+    """The JSON of a glTF file, and its buffers.
+
+    Attributes:
+        path: the path as the user gave it.
+        root: the document.
+    """
+
+    def __init__(self, path: str) -> None:
+        self.path = path
+        self._folder = Path(path).parent
+        self._buffers: dict[int, ByteArray] = {}
+        self._binary: ByteArray | None = None
+        content = _read_bytes(path)
+        text = content.tobytes() if content[:4].tobytes() != _MAGIC else self._split(content)
+        try:
+            parsed = json.loads(text.decode("utf-8-sig"))
+        except (UnicodeDecodeError, json.JSONDecodeError, RecursionError, ValueError) as error:
+            _refuse(
+                path, f"its JSON: {error}" if not isinstance(error, RecursionError) else "its JSON: too deep"
+            )
+        if not isinstance(parsed, dict):
+            _refuse(path, "its JSON isn't an object")
+        self.root = JsonObject(path, "", parsed)
+        self._check_version()
+        self.views = self.root.children("bufferViews")
+        self._declared = self.root.children("buffers")
+
+    def view(self, number: int) -> ByteArray:
+        """Return the bytes of a buffer view."""
+        fields = self.views[number]
+        buffer = self.buffer(fields.index("buffer", len(self._declared), needed=True))
+        offset = fields.whole("byteOffset", 0)
+        length = fields.whole("byteLength", low=1)
+        if offset + length > len(buffer):
+            fields.refuse("", f"bytes {offset:,} to {offset + length:,}", f"0 to {len(buffer):,}")
+        return buffer[offset : offset + length]
+
+    def buffer(self, number: int) -> ByteArray:
+        """Return the bytes of a buffer, as many as it declares."""
+        if number not in self._buffers:
+            fields = self._declared[number]
+            length = fields.whole("byteLength", low=1)
+            if "uri" in fields:
+                held = self.read(fields)
+            elif number == 0 and self._binary is not None:
+                held = self._binary
+            else:
+                fields.refuse("uri", "missing", "the buffer's file, or data:…;base64,…")
+            if len(held) < length:
+                fields.refuse("byteLength", f"{length:,}, but there are {len(held):,} bytes")
+            self._buffers[number] = held[:length]
+        return self._buffers[number]
+
+    def read(self, fields: JsonObject) -> ByteArray:
+        """Return the bytes that the field `uri` names: those of a file beside this one, or the field's own."""
+        uri = fields.text("uri")
+        if uri.startswith("data:"):
+            header, _, data = uri.partition(",")
+            if not header.endswith(";base64"):
+                fields.refuse("uri", header, "data:…;base64,…")
+            try:
+                return np.frombuffer(base64.b64decode(data, validate=True), np.uint8)
+            except (binascii.Error, ValueError) as error:
+                fields.refuse("uri", f"{header}: {error}", "base64")
+        file = self.locate(uri)
+        if file is None:
+            fields.refuse("uri", uri, "a file's name, or data:…;base64,…")
+        try:
+            return np.fromfile(file, np.uint8)
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or str(error)
+            fields.refuse("uri", f"{uri}: {reason}", f"a file in {self._folder.resolve()}")
+
+    def locate(self, uri: str) -> Path | None:
+        """Return the file that `uri` names, or None if it isn't a local one."""
+        try:
+            if urlsplit(uri).scheme not in ("", "file"):
+                return None
+        except ValueError:
+            return None
+        return self._folder / unquote(uri)
+
+    def _split(self, content: ByteArray) -> bytes:
+        """Split a `.glb` into its chunks; return the JSON and keep the buffer."""
+        header = content[:20].view("<u4") if len(content) >= 20 else None
+        if header is None:
+            _refuse(self.path, f"{len(content)} bytes are too few for a .glb")
+        if header[1] != 2:
+            _refuse(self.path, f"version {header[1]} of .glb", "2")
+        if header[2] > len(content):
+            _refuse(self.path, f"{len(content):,} of {header[2]:,} bytes: the file was cut off")
+        chunks: list[tuple[int, ByteArray]] = []
+        at = 12
+        while at + 8 <= int(header[2]):
+            length, kind = (int(value) for value in np.frombuffer(content[at : at + 8].tobytes(), "<u4"))
+            if at + 8 + length > len(content):
+                _refuse(self.path, f"a chunk of {length:,} bytes at byte {at:,} of {len(content):,}")
+            chunks.append((kind, content[at + 8 : at + 8 + length]))
+            at += 8 + length + -length % 4
+        if not chunks or chunks[0][0] != _JSON_CHUNK:
+            _refuse(self.path, "its first chunk isn't JSON")
+        self._binary = next((data for kind, data in chunks[1:2] if kind == _BINARY_CHUNK), None)
+        return chunks[0][1].tobytes()
+
+    def _check_version(self) -> None:
+        asset = self.root.child("asset")
+        version = asset.text("minVersion", asset.text("version", "missing"))
+        if version.partition(".")[0] != "2":
+            asset.refuse("version", version, "2.0")
+        needed = [name for name in self.names("extensionsRequired") if name not in EXTENSIONS]
+        if needed:
+            self.root.refuse("extensionsRequired", ", ".join(needed), ", ".join(EXTENSIONS))
+
+    def names(self, field: str) -> list[str]:
+        """Return a list of texts in the document."""
+        held = self.root.values.get(field, [])
+        if not isinstance(held, list) or not all(isinstance(name, str) for name in held):
+            self.root.refuse(field, held, "a list of texts")
+        return held
+
+
+def _read_bytes(path: str) -> ByteArray:
+    try:
+        return np.fromfile(path, np.uint8)
+    except OSError as error:
+        _refuse(path, error.strerror or str(error))
+
+
+def _refuse(path: str, given: str, allowed: str = "") -> NoReturn:
+    refuse(rules.UNREADABLE_MODEL, f"load_model({path!r})", f"{path}: {given}", allowed)

@@ -1,0 +1,187 @@
+"""Materials, textures, images and samplers of a glTF file.
+
+Images are collected first and decoded together, in threads. One that is missing or can't be decoded is left out, and
+materials go without it: the rest of the file can still be seen, and the report says what is missing.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.content.assets import decode_images
+from renderer.content.gltf.container import GltfFile
+from renderer.content.gltf.document import JsonObject
+from renderer.scene.materials import AlphaMode, TextureMap
+from renderer.scene.omissions import Omissions
+from renderer.scene.scene import SceneBuilder
+from rhi import Filter, SamplerDescriptor, Wrap
+from rhi.errors import RhiError
+
+__rhi_internal__ = True
+
+ALPHA_MODES: Final = {"OPAQUE": AlphaMode.OPAQUE, "MASK": AlphaMode.MASK, "BLEND": AlphaMode.BLEND}
+MAGNIFY: Final = {9728: Filter.NEAREST, 9729: Filter.LINEAR}
+MINIFY: Final = {
+    9728: (Filter.NEAREST, None),
+    9729: (Filter.LINEAR, None),
+    9984: (Filter.NEAREST, Filter.NEAREST),
+    9985: (Filter.LINEAR, Filter.NEAREST),
+    9986: (Filter.NEAREST, Filter.LINEAR),
+    9987: (Filter.LINEAR, Filter.LINEAR),
+}
+WRAPS: Final = {10497: Wrap.REPEAT, 33071: Wrap.CLAMP, 33648: Wrap.MIRROR}
+
+_READ: Final = {"KHR_materials_emissive_strength", "KHR_materials_unlit"}
+_STRONGEST: Final = 1e6  # of emitted light
+
+
+class Materials:
+    """Reads materials into a builder.
+
+    Attributes:
+        builder: the scene under construction.
+        omissions: what was left out.
+    """
+
+    def __init__(self, file: GltfFile, builder: SceneBuilder, omissions: Omissions) -> None:
+        self.builder, self.omissions = builder, omissions
+        self._file = file
+        self._images = file.root.children("images")
+        self._textures = file.root.children("textures")
+        self._samplers = [_read_sampler(fields) for fields in file.root.children("samplers")]
+        self._ids: dict[int, int] = {}
+        self._default = -1
+
+    def add_all(self) -> list[int]:
+        """Add all materials of the file, and the images that they use; return their ids."""
+        materials = self._file.root.children("materials")
+        read = [self._read(fields) for fields in materials]
+        self._add_images({given[0] for _, maps in read for given in maps.values()})
+        added = []
+        for values, maps in read:
+            used = {name: (image, rest) for name, (image, rest) in maps.items() if image in self._ids}
+            textures = {name: TextureMap(self._ids[image], **rest) for name, (image, rest) in used.items()}
+            added.append(self.builder.add_material(**values, **textures))
+        return added
+
+    def default(self) -> int:
+        """Return the id of the material of primitives that have none; it is added when it is first asked for."""
+        if self._default < 0:
+            self._default = self.builder.add_material(base_color=(1.0, 1.0, 1.0), metallic=1.0, roughness=1.0)
+        return self._default
+
+    def _read(self, fields: JsonObject) -> tuple[dict[str, Any], dict[str, tuple[int, dict[str, Any]]]]:
+        """Return the arguments of `add_material`, and for each texture the image and how it is read."""
+        for name in fields.child("extensions").values.keys() - _READ:
+            self.omissions.add(name, fields.where)
+        pbr = fields.child("pbrMetallicRoughness")
+        mode = ALPHA_MODES[fields.choice("alphaMode", ALPHA_MODES, "OPAQUE")]
+        values: dict[str, Any] = {
+            "base_color": _colors(pbr, "baseColorFactor", 4),
+            "alpha_mode": mode,
+            "double_sided": fields.flag("doubleSided"),
+        }
+        if mode is AlphaMode.MASK:
+            values["alpha_cutoff"] = fields.real("alphaCutoff", 0.5, 0.0, 1e4)
+        maps: dict[str, tuple[int, dict[str, Any]]] = {}
+        self._read_map(maps, "texture", pbr.child("baseColorTexture"))
+        if fields.extension("KHR_materials_unlit") is not None:
+            return self._unlit(values, maps), maps
+        values["metallic"] = pbr.real("metallicFactor", 1.0, 0.0, 1.0)
+        values["roughness"] = pbr.real("roughnessFactor", 1.0, 0.0, 1.0)
+        self._read_map(maps, "metallic_roughness_texture", pbr.child("metallicRoughnessTexture"))
+        if self._read_map(maps, "normal_texture", normal := fields.child("normalTexture")):
+            values["normal_scale"] = normal.real("scale", 1.0, -1e4, 1e4)
+        if self._read_map(maps, "occlusion_texture", occlusion := fields.child("occlusionTexture")):
+            values["occlusion_strength"] = occlusion.real("strength", 1.0, 0.0, 1.0)
+        strength = fields.extension("KHR_materials_emissive_strength")
+        factor = 1.0 if strength is None else strength.real("emissiveStrength", 1.0, 0.0, _STRONGEST)
+        emissive = np.minimum(_colors(fields, "emissiveFactor", 3, 0.0) * factor, _STRONGEST)
+        values["emissive"] = tuple(emissive.tolist())
+        self._read_map(maps, "emissive_texture", fields.child("emissiveTexture"))
+        return values, maps
+
+    def _unlit(self, values: dict[str, Any], maps: dict[str, tuple[int, dict[str, Any]]]) -> dict[str, Any]:
+        """Turn a base colour into emitted light: nothing is reflected, and the base colour's alpha stays."""
+        color = values["base_color"]
+        if "texture" in maps:
+            maps["emissive_texture"] = maps["texture"]
+        return values | {
+            "base_color": (0.0, 0.0, 0.0, float(color[3])),
+            "specular_color": (0.0, 0.0, 0.0),
+            "emissive": tuple(color[:3].tolist()),
+        }
+
+    def _read_map(self, maps: dict[str, tuple[int, dict[str, Any]]], name: str, fields: JsonObject) -> bool:
+        """Note the texture that `fields` describes under `name`, if there is one."""
+        number = fields.index("index", len(self._textures))
+        if number < 0:
+            return False
+        texture = self._textures[number]
+        holder = texture.extension("EXT_texture_webp") or texture
+        image = holder.index("source", len(self._images))
+        if image < 0:
+            others = ", ".join(texture.child("extensions").values) or "no source"
+            self.omissions.add(f"textures with {others}", texture.where)
+            return False
+        rest: dict[str, Any] = {}
+        sampler = texture.index("sampler", len(self._samplers))
+        if sampler >= 0:
+            rest["sampler"] = self._samplers[sampler]
+        uv_set = fields.whole("texCoord", 0)
+        transform = fields.extension("KHR_texture_transform")
+        if transform is not None:
+            uv_set = transform.whole("texCoord", uv_set)
+            rest["offset"] = tuple(transform.reals("offset", 2, (0.0, 0.0)).tolist())
+            rest["rotation"] = transform.real("rotation", 0.0)
+            rest["scale"] = tuple(transform.reals("scale", 2, (1.0, 1.0)).tolist())
+        if uv_set > 1:
+            self.omissions.add(f"texture coordinates {uv_set}: set 0 is used", fields.where)
+        rest["uv_set"] = uv_set if uv_set < 2 else 0
+        maps[name] = (image, rest)
+        return True
+
+    def _add_images(self, numbers: set[int]) -> None:
+        """Decode and add those of `numbers` that can be read."""
+        contents: dict[int, NDArray[np.uint8]] = {}
+        for number in sorted(numbers):
+            fields = self._images[number]
+            try:
+                view = fields.index("bufferView", len(self._file.views))
+                contents[number] = self._file.view(view) if view >= 0 else self._file.read(fields)
+            except RhiError as error:
+                if "bufferView" in fields:
+                    raise
+                self.omissions.add(f"an image that can't be read ({error.given})", fields.where)
+        for number, pixels in zip(contents, decode_images(contents.values()), strict=True):
+            if isinstance(pixels, str):
+                self.omissions.add(f"an image that can't be read ({pixels})", self._images[number].where)
+            else:
+                self._ids[number] = self.builder.add_image(pixels)
+
+
+def _colors(fields: JsonObject, name: str, size: int, default: float = 1.0) -> NDArray[np.float64]:
+    found = fields.reals(name, size, (default,) * size)
+    if not ((found >= 0.0) & (found <= 1e4)).all():
+        fields.refuse(name, found.tolist(), "0 to 1")
+    return found
+
+
+def _read_sampler(fields: JsonObject) -> SamplerDescriptor:
+    def code(name: str, allowed: dict[int, Any], default: int) -> Any:
+        given = fields.whole(name, default)
+        if given not in allowed:
+            fields.refuse(name, given, ", ".join(map(str, allowed)))
+        return allowed[given]
+
+    minify, mip = code("minFilter", MINIFY, 9987)
+    return SamplerDescriptor(
+        minify,
+        code("magFilter", MAGNIFY, 9729),
+        mip,
+        code("wrapS", WRAPS, 10497),
+        code("wrapT", WRAPS, 10497),
+    )

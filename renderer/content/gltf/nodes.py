@@ -1,0 +1,186 @@
+"""The nodes of a glTF scene: hierarchy, transforms, cameras and lights.
+
+Nodes are listed by depth and then by their number in the file, which is the order of the rows of a scene. Each node
+has one parent at most and none is above itself: a file in which that isn't so is refused.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from renderer.content.gltf.document import JsonObject
+from renderer.content.gltf.tracks import compose
+from renderer.scene.arrays import Floats
+from renderer.scene.camera import Camera, Orthographic, Perspective
+from renderer.scene.lights import Lights
+from renderer.scene.omissions import Omissions
+from renderer.scene.transforms import multiply
+
+__rhi_internal__ = True
+
+ROOM: Final = "rhi"
+"""The key of what `save_scene` keeps in `extras`."""
+
+CANDELA: Final = 1.0 / np.pi
+"""Intensity of a light for each candela: a white surface that faces it reflects 1 / π of what it receives in glTF, and
+all of it here."""
+
+_FAINT: Final = 1.0 / 512.0  # what a light without a range gives at the range that it gets
+_FARTHEST: Final = 1e6  # metres: the greatest of these ranges
+_EXACT: Final = 1e-9  # deviation of a squared length from 1, up to which a quaternion is kept as it is
+_ORTHONORMAL: Final = 1e-6  # of products of axes, up to which axes are kept as they are: they may be float32
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class GltfNode:
+    """A node of a file.
+
+    Attributes:
+        number: its index in the file.
+        fields: the node as it stands there.
+        parent: the row of its parent in the list, or -1.
+        local: its transform (4, 4).
+        parts: translation (3,), rotation (4,) and scale (3,), or None if the file has a matrix.
+    """
+
+    number: int
+    fields: JsonObject
+    parent: int
+    local: Floats
+    parts: tuple[Floats, Floats, Floats] | None
+
+
+def list_nodes(root: JsonObject, omissions: Omissions) -> list[GltfNode]:
+    """Return the nodes of the file's default scene, or all nodes if it has no scene."""
+    nodes = root.children("nodes")
+    children = [fields.indices("children", len(nodes)) for fields in nodes]
+    above = np.full(len(nodes), -1, np.int64)
+    for number, below in enumerate(children):
+        for position, child in enumerate(below):
+            if above[child] >= 0:
+                nodes[number].refuse(
+                    f"children[{position}]", f"{child} is also a child of nodes[{above[child]}]"
+                )
+            above[child] = number
+    scenes = root.children("scenes")
+    if scenes:
+        chosen = scenes[max(root.index("scene", len(scenes)), 0)]
+        level = chosen.indices("nodes", len(nodes))
+        for position, number in enumerate(level):
+            if above[number] >= 0:
+                chosen.refuse(f"nodes[{position}]", f"{number} is a child of nodes[{above[number]}]", "roots")
+        if len(set(level)) < len(level):
+            chosen.refuse("nodes", level, "each node once")
+        for other in scenes:
+            if other is not chosen and set(other.indices("nodes", len(nodes))) - set(level):
+                omissions.add("other scenes", other.where)
+    else:
+        level = np.flatnonzero(above < 0).tolist()
+        if nodes and not level:
+            root.refuse("nodes", "each is a child of another")
+    listed: list[GltfNode] = []
+    row_of: dict[int, int] = {}
+    while level:
+        for number in sorted(level):
+            row_of[number] = len(listed)
+            listed.append(_read_node(nodes[number], number, row_of.get(int(above[number]), -1)))
+        level = [child for number in level for child in children[number]]
+    return listed
+
+
+def find_worlds(nodes: list[GltfNode]) -> Floats:
+    """Return the world transforms (n, 4, 4) of nodes, at the beginning."""
+    worlds = np.zeros((len(nodes), 4, 4))
+    for row, node in enumerate(nodes):
+        worlds[row] = node.local if node.parent < 0 else multiply(worlds[node.parent], node.local)
+    return worlds
+
+
+def is_room(node: GltfNode) -> bool:
+    """Return whether a node only holds a light or a camera that `save_scene` has placed; it is none of the scene's."""
+    return node.fields.child("extras").values.get(ROOM) == "placed"
+
+
+def read_camera(fields: JsonObject, world: Floats) -> Camera | None:
+    """Return a camera of the file at a node, or None if it looks nowhere; a camera looks along -Z of its node."""
+    if fields.choice("type", ("perspective", "orthographic")) == "perspective":
+        lens = fields.child("perspective")
+        near = lens.real("znear", low=1e-12)
+        far = lens.real("zfar", low=near * (1.0 + 1e-9)) if "zfar" in lens else np.inf
+        fov, aspect = (
+            lens.real("yfov", low=1e-6, high=3.14159),
+            lens.real("aspectRatio", 16.0 / 9.0, 1e-6, 1e6),
+        )
+        projection: Perspective | Orthographic = Perspective(fov, aspect, near, far)
+    else:
+        lens = fields.child("orthographic")
+        width, height = lens.real("xmag", low=1e-12), lens.real("ymag", low=1e-12)
+        near = lens.real("znear")
+        far = lens.real("zfar", low=near + 1e-9)
+        projection = Orthographic(2.0 * height, width / height, near, far)
+    axes = _axes(world)
+    return None if axes is None else Camera(world[:3, 3].copy(), axes, projection)
+
+
+def add_light(lights: Lights, fields: JsonObject, world: Floats, omissions: Omissions) -> None:
+    """Add a light of KHR_lights_punctual at a node; it shines along -Z of its node."""
+    kind = fields.choice("type", ("directional", "point", "spot"))
+    color = fields.reals("color", 3, (1.0, 1.0, 1.0)).tolist()
+    intensity = fields.real("intensity", 1.0, 0.0, 1e30) * CANDELA
+    if min(color) < 0.0:
+        fields.refuse("color", color, "0 or more")
+    axes = _axes(world)
+    if axes is None and kind != "point":
+        omissions.add("lights without a direction", fields.where)
+        return
+    forward = (0.0, 0.0, 0.0) if axes is None else tuple((-axes[2]).tolist())
+    if kind == "directional":
+        lights.add_directional(forward, color, intensity)
+        return
+    faint = min(max(float(np.sqrt(intensity * max(color) / _FAINT)), 1e-3), _FARTHEST)
+    reach = fields.real("range", faint, 1e-30, 1e30)
+    if kind == "point":
+        lights.add_point(world[:3, 3], reach, color, intensity)
+        return
+    spot = fields.child("spot")
+    outer = spot.real("outerConeAngle", np.pi / 4.0, 0.0, np.pi)
+    inner = spot.real("innerConeAngle", 0.0, 0.0, outer)
+    lights.add_spot(world[:3, 3], forward, reach, inner, outer, color, intensity)
+
+
+def _read_node(fields: JsonObject, number: int, parent: int) -> GltfNode:
+    if "matrix" in fields:
+        local = fields.reals("matrix", 16).reshape(4, 4).T
+        if not (local[3] == (0.0, 0.0, 0.0, 1.0)).all():
+            fields.refuse("matrix", f"last row {local[3].tolist()}", "0 0 0 1")
+        return GltfNode(number, fields, parent, local, None)
+    rotation = fields.reals("rotation", 4, (0.0, 0.0, 0.0, 1.0))
+    squared = float(rotation @ rotation)
+    if not 1e-12 < squared < 1e12:
+        fields.refuse("rotation", rotation.tolist(), "a quaternion of length 1")
+    if abs(squared - 1.0) > _EXACT:
+        rotation = rotation / np.sqrt(squared)
+    parts = (
+        fields.reals("translation", 3, (0.0, 0.0, 0.0)),
+        rotation,
+        fields.reals("scale", 3, (1.0, 1.0, 1.0)),
+    )
+    return GltfNode(number, fields, parent, compose(*parts), parts)
+
+
+def _axes(world: Floats) -> Floats | None:
+    """Return the axes (3, 3) of a node as rows: right, up and back, of unit length; None if they aren't axes."""
+    axes = world[:3, :3].T.copy()
+    if np.abs(axes @ axes.T - np.eye(3)).max() <= _ORTHONORMAL:
+        return axes
+    back, up = axes[2], axes[1]
+    length = float(np.linalg.norm(back))
+    right = np.cross(up, back)
+    across = float(np.linalg.norm(right))
+    if not np.isfinite([length, across]).all() or length < 1e-30 or across < 1e-30:
+        return None
+    back, right = back / length, right / across
+    return np.stack([right, np.cross(back, right), back])

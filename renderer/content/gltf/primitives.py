@@ -1,0 +1,224 @@
+"""Triangles of glTF: primitives as meshes of the renderer.
+
+Two primitives with the same accessors are one mesh, whatever their materials. A primitive that uses less than half of
+the vertices of its accessors, as when many share one array, gets a copy of those that it uses. Missing normals are
+flat, as glTF demands; single ones that aren't directions are computed from the triangles around them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer import rules
+from renderer.content.gltf.accessors import Accessors
+from renderer.content.gltf.document import JsonObject
+from renderer.scene.arrays import Rows
+from renderer.scene.meshes import VERTEX, MeshGeometry, compute_normals, vertex_format
+from renderer.scene.omissions import Omissions
+from rhi.errors import refuse
+
+__rhi_internal__ = True
+
+TRIANGLES: Final = 4
+_STRIP: Final = 5
+_FAN: Final = 6
+_MODES: Final = (
+    "points",
+    "lines",
+    "line loops",
+    "line strips",
+    "triangles",
+    "triangle strips",
+    "triangle fans",
+)
+
+ATTRIBUTES: Final = {
+    "POSITION": ("position", ("VEC3",)),
+    "NORMAL": ("normal", ("VEC3",)),
+    "TEXCOORD_0": ("uv", ("VEC2",)),
+    "TEXCOORD_1": ("uv2", ("VEC2",)),
+    "TANGENT": ("tangent", ("VEC4",)),
+    "COLOR_0": ("color", ("VEC4", "VEC3")),
+}
+"""Attributes of glTF, the fields of vertices that they are read into, and the types that they may have."""
+_UNIT: Final = 1e-4  # deviation of a squared length from 1 beyond which a normal is normalised
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PrimitiveMesh:
+    """A primitive's triangles, and the `rows` (v,) of its accessors that its vertices were read from."""
+
+    geometry: MeshGeometry
+    rows: Rows
+
+
+class Primitives:
+    """Reads primitives, each set of accessors once.
+
+    Attributes:
+        accessors: those of the file.
+        omissions: what was left out.
+    """
+
+    def __init__(self, accessors: Accessors, omissions: Omissions) -> None:
+        self.accessors, self.omissions = accessors, omissions
+        self._shapes: dict[object, PrimitiveMesh | None] = {}
+
+    def has_triangles(self, primitive: JsonObject) -> bool:
+        """Return whether a primitive consists of triangles; one that doesn't is noted as left out."""
+        mode = primitive.whole("mode", TRIANGLES, 0, 6)
+        if mode >= TRIANGLES and "POSITION" in primitive.child("attributes"):
+            return True
+        self.omissions.add(
+            _MODES[mode] if mode < TRIANGLES else "primitives without positions", primitive.where
+        )
+        return False
+
+    def key(self, primitive: JsonObject) -> object:
+        """Return what identifies the triangles of a primitive: its accessors and its mode."""
+        attributes = primitive.child("attributes")
+        count = len(self.accessors)
+        used = [(name, attributes.index(name, count, needed=True)) for name in sorted(attributes.values)]
+        return (tuple(used), primitive.index("indices", count), primitive.whole("mode", TRIANGLES, 0, 6))
+
+    def read(self, primitive: JsonObject) -> PrimitiveMesh | None:
+        """Return the triangles of a primitive, or None if it has none."""
+        key = self.key(primitive)
+        if key not in self._shapes:
+            self._shapes[key] = self._read(primitive)
+        return self._shapes[key]
+
+    def _read(self, primitive: JsonObject) -> PrimitiveMesh | None:
+        mode = primitive.whole("mode", TRIANGLES, 0, 6)
+        attributes = primitive.child("attributes")
+        for name in sorted(attributes.values.keys() - ATTRIBUTES.keys()):
+            if name not in ("JOINTS_0", "WEIGHTS_0"):
+                self.omissions.add(f"vertex attribute {name}", attributes.where)
+        columns = {
+            name: self._column(attributes, name, types)
+            for name, (_, types) in ATTRIBUTES.items()
+            if name in attributes
+        }
+        count = len(columns["POSITION"])
+        for name, column in columns.items():
+            if len(column) != count:
+                attributes.refuse(name, f"{len(column)} vertices", f"{count}, as many as positions")
+        corners = _list_triangles(self._corners(primitive, count), mode)
+        if not len(corners):
+            self.omissions.add("primitives without a triangle", primitive.where)
+            return None
+        if "NORMAL" not in columns:
+            columns.pop("TANGENT", None)  # glTF: tangents without normals are ignored
+            rows = corners.reshape(-1).astype(np.int64)
+            corners = np.arange(len(rows), dtype=np.uint32)
+        else:
+            rows, corners = _used_rows(corners.reshape(-1), count)
+        return PrimitiveMesh(self._assemble(attributes, columns, rows, corners), rows)
+
+    def _column(self, attributes: JsonObject, name: str, types: tuple[str, ...]) -> NDArray[np.float32]:
+        number = attributes.index(name, len(self.accessors), needed=True)
+        return self.accessors.floats(number, types)
+
+    def _corners(self, primitive: JsonObject, count: int) -> NDArray[np.uint32]:
+        """Return the indices of a primitive, all of which are below `count`."""
+        number = primitive.index("indices", len(self.accessors))
+        if number < 0:
+            return np.arange(count, dtype=np.uint32)
+        found = self.accessors.array(number, "SCALAR", "u")
+        if int(found.max()) >= count:
+            worst = int(np.argmax(found >= count))
+            self.accessors.fields[number].refuse(
+                "", f"element {worst} is index {found[worst]}", f"0 to {count - 1}"
+            )
+        return found.astype(np.uint32)
+
+    def _assemble(
+        self,
+        attributes: JsonObject,
+        columns: dict[str, NDArray[np.float32]],
+        rows: Rows,
+        corners: NDArray[np.uint32],
+    ) -> MeshGeometry:
+        position = columns["POSITION"][rows]
+        finite = np.isfinite(position).all(1)
+        if not finite.all():
+            worst = int(rows[np.argmin(finite)])
+            refuse(
+                rules.BAD_VERTICES,
+                f"load_model({attributes.file!r})",
+                f"{attributes.file}: {attributes.place('POSITION')}: vertex {worst} is {columns['POSITION'][worst]}",
+                "finite numbers",
+            )
+        more = {ATTRIBUTES[name][0] for name in columns} - set(VERTEX.names or ())
+        vertices: NDArray[Any] = np.zeros(len(rows), vertex_format(more))
+        vertices["position"] = position
+        vertices["normal"] = self._normals(attributes, columns.get("NORMAL"), rows, position, corners)
+        for name, column in columns.items():
+            if name not in ("POSITION", "NORMAL"):
+                vertices[ATTRIBUTES[name][0]] = self._finite(attributes, name, column[rows])
+        return MeshGeometry(vertices, np.ascontiguousarray(corners))
+
+    def _normals(
+        self,
+        attributes: JsonObject,
+        stored: NDArray[np.float32] | None,
+        rows: Rows,
+        position: NDArray[np.float32],
+        corners: NDArray[np.uint32],
+    ) -> NDArray[Any]:
+        if stored is None:
+            return compute_normals(position, corners)
+        normals = stored[rows]
+        with np.errstate(over="ignore", invalid="ignore"):
+            squared = np.einsum("ij,ij->i", normals, normals, dtype=np.float64)
+        bad = ~(np.isfinite(squared) & (squared > 1e-12))
+        off = ~bad & (np.abs(squared - 1.0) > _UNIT)
+        if off.any():
+            normals[off] = normals[off] / np.sqrt(squared[off])[:, None]
+        if bad.any():
+            self.omissions.add("normals that aren't directions", attributes.place("NORMAL"), int(bad.sum()))
+            normals[bad] = compute_normals(position, corners)[bad]
+        return normals
+
+    def _finite(self, attributes: JsonObject, name: str, values: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the values (v, size) of an attribute: 0 where they aren't finite, and colours with alpha."""
+        bad = ~np.isfinite(values).all(1)
+        if bad.any():
+            self.omissions.add(f"{name} that isn't a number", attributes.place(name), int(bad.sum()))
+            values[bad] = 0.0
+        if name == "COLOR_0" and values.shape[1] == 3:
+            values = np.concatenate([values, np.ones((len(values), 1), np.float32)], axis=1)
+        return values
+
+
+def _list_triangles(corners: NDArray[np.uint32], mode: int) -> NDArray[np.uint32]:
+    """Return the triangles (t, 3) of a list, a strip or a fan; what is left over at the end isn't drawn."""
+    count = len(corners)
+    if mode == TRIANGLES:
+        return corners[: count - count % 3].reshape(-1, 3)
+    first = np.arange(max(count - 2, 0))
+    if mode == _STRIP:
+        odd = first % 2
+        return corners[np.stack([first, first + 1 + odd, first + 2 - odd], axis=1)]
+    return (
+        corners[np.stack([first + 1, first + 2, np.zeros_like(first)], axis=1)] if mode == _FAN else corners
+    )
+
+
+def _used_rows(corners: NDArray[np.uint32], count: int) -> tuple[Rows, NDArray[np.uint32]]:
+    """Return the rows of the vertices to keep, and the indices of these: all rows, if at least half are used."""
+    if len(corners) * 2 >= count:
+        used = np.zeros(count, bool)
+        used[corners] = True
+        if used.sum() * 2 >= count:
+            return np.arange(count), corners
+        rows = np.flatnonzero(used)
+        number = np.zeros(count, np.uint32)
+        number[rows] = np.arange(len(rows), dtype=np.uint32)
+        return rows, number[corners]
+    rows, corners_again = np.unique(corners, return_inverse=True)
+    return rows.astype(np.int64), corners_again.astype(np.uint32)

@@ -1,0 +1,158 @@
+"""glTF 2.0 files as scenes.
+
+A file is read in this order: materials with their images, meshes, nodes with objects, cameras and lights, animations.
+What is broken is refused in one line that names the place in the file (`renderer.content.gltf.document`). What is
+whole but has no place in a scene is left out and listed (`Scene.omissions`).
+
+Meshes have the order of their accessors, nodes that of their depth and then of the file, objects that of their nodes.
+So a scene that `save_scene` has written is read back row by row.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.content.assets import share_geometry
+from renderer.content.gltf.accessors import Accessors
+from renderer.content.gltf.animations import find_bounds, make_motion, read_tracks
+from renderer.content.gltf.container import EXTENSIONS, GltfFile
+from renderer.content.gltf.document import JsonObject
+from renderer.content.gltf.materials import Materials
+from renderer.content.gltf.nodes import (
+    GltfNode,
+    add_light,
+    find_worlds,
+    is_room,
+    list_nodes,
+    read_camera,
+)
+from renderer.content.gltf.primitives import Primitives
+from renderer.content.gltf.tracks import NodeMotion
+from renderer.scene.arrays import Floats, Rows
+from renderer.scene.scene import SceneBuilder
+
+__rhi_internal__ = True
+
+_ELSEWHERE = (
+    "KHR_materials_",
+    "KHR_texture_",
+    "EXT_texture_",
+)  # extensions that are listed where they are used
+
+
+def add_gltf(builder: SceneBuilder, path: str) -> None:
+    """Add everything in a glTF file to a scene under construction.
+
+    Cameras become views, named after their nodes. Refused, naming the file: `scene-unreadable-model`,
+    `scene-bad-vertices`.
+    """
+    _GltfReader(builder, GltfFile(path)).add_all()
+
+
+class _GltfReader:
+    """Adds one file to a builder."""
+
+    def __init__(self, builder: SceneBuilder, file: GltfFile) -> None:
+        self._builder, self._file, self._omissions = builder, file, builder.omissions
+        self._root = file.root
+        self._accessors = Accessors(file)
+        self._meshes: list[
+            list[tuple[int, int]]
+        ] = []  # for each mesh of the file its parts' meshes and materials
+
+    def add_all(self) -> None:
+        for name in self._file.names("extensionsUsed"):
+            if name not in EXTENSIONS and not name.startswith(_ELSEWHERE):
+                self._omissions.add(name, "extensionsUsed")
+        self._add_meshes(Materials(self._file, self._builder, self._omissions))
+        nodes = list_nodes(self._root, self._omissions)
+        tracks = read_tracks(self._root, self._accessors, self._omissions)
+        animated = make_motion(nodes, tracks, self._omissions)
+        self._add_nodes(nodes, animated)
+        moving = np.zeros(len(nodes), bool)
+        if animated is not None:
+            moving[animated[0]] = True
+        for row, node in enumerate(nodes):  # parents come first
+            moving[row] |= node.parent >= 0 and moving[node.parent]
+        worlds = find_worlds(nodes)
+        self._add_cameras(nodes, worlds, moving)
+        self._add_lights(nodes, worlds, moving)
+
+    def _add_meshes(self, materials: Materials) -> None:
+        """Add the materials and the meshes of the file, a mesh for each set of accessors."""
+        ids = materials.add_all()
+        reader = Primitives(self._accessors, self._omissions)
+        meshes = self._root.children("meshes")
+        parts = [
+            [primitive for primitive in mesh.children("primitives") if reader.has_triangles(primitive)]
+            for mesh in meshes
+        ]
+        firsts: dict[object, tuple[int, int, JsonObject, str]] = {}
+        for number, (mesh, primitives) in enumerate(zip(meshes, parts, strict=True)):
+            name = mesh.text("name", "")
+            for primitive in primitives:
+                attributes = primitive.child("attributes")
+                first = attributes.index("POSITION", len(self._accessors))
+                own = primitive.child("extras").values.get("name", name)
+                firsts.setdefault(reader.key(primitive), (first, number, primitive, str(own)))
+        made: dict[object, int] = {}
+        for key, (_, _, primitive, name) in sorted(firsts.items(), key=lambda item: item[1][:2]):
+            shape = reader.read(primitive)
+            if shape is not None:
+                made[key] = self._builder.add_mesh(share_geometry(shape.geometry), name)
+        for primitives in parts:
+            found = []
+            for primitive in primitives:
+                material = primitive.index("material", len(ids))
+                if (mesh_id := made.get(reader.key(primitive), -1)) >= 0:
+                    found.append((mesh_id, ids[material] if material >= 0 else materials.default()))
+            self._meshes.append(found)
+
+    def _add_nodes(self, nodes: list[GltfNode], animated: tuple[Rows, NodeMotion] | None) -> None:
+        """Add nodes, objects and their animations."""
+        moving = set() if animated is None else set(animated[0].tolist())
+        ids: list[int] = []
+        contents: list[tuple[int, tuple[Floats, Floats]]] = []
+        for row, node in enumerate(nodes):
+            if is_room(node):
+                ids.append(-1)
+                continue
+            above = -1 if node.parent < 0 else ids[node.parent]
+            name = node.fields.text("name", "")
+            ids.append(self._builder.add_node(node.local, above, dynamic=row in moving, name=name))
+            mesh = node.fields.index("mesh", len(self._meshes))
+            for geometry, material in self._meshes[mesh] if mesh >= 0 else ():
+                self._builder.add_objects(ids[-1], geometry, material)
+                contents.append((row, self._builder.mesh_bounds(geometry)))
+        if animated is not None:
+            rows, motion = animated
+            self._builder.animate(np.array(ids)[rows], motion, find_bounds(nodes, rows, motion, contents))
+
+    def _add_cameras(self, nodes: list[GltfNode], worlds: Floats, moving: NDArray[np.bool_]) -> None:
+        cameras = self._root.children("cameras")
+        for node, world, moves in zip(nodes, worlds, moving, strict=True):
+            number = node.fields.index("camera", len(cameras))
+            if number < 0:
+                continue
+            camera = read_camera(cameras[number], world)
+            if camera is None:
+                self._omissions.add("cameras without a direction", node.fields.where)
+                continue
+            if moves:
+                self._omissions.add("motion of a camera", node.fields.where)
+            name = node.fields.text("name", "") or cameras[number].text("name", "") or f"camera {number}"
+            while name in self._builder.views:
+                name += "'"
+            self._builder.views[name] = camera
+
+    def _add_lights(self, nodes: list[GltfNode], worlds: Floats, moving: NDArray[np.bool_]) -> None:
+        held = self._root.extension("KHR_lights_punctual")
+        lights = [] if held is None else held.children("lights")
+        for node, world, moves in zip(nodes, worlds, moving, strict=True):
+            used = node.fields.extension("KHR_lights_punctual")
+            if used is not None:
+                number = used.index("light", len(lights), needed=True)
+                if moves:
+                    self._omissions.add("motion of a light", node.fields.where)
+                add_light(self._builder.lights, lights[number], world, self._omissions)

@@ -1,0 +1,291 @@
+"""Animations of nodes: keys on tracks, evaluated all at once, and how far they move what hangs on them.
+
+A track animates the translation, the rotation or the scale of one node. The keys of all tracks lie in one array in
+which each track begins after the end of the one before, so that one binary search finds the keys of every track.
+Between two keys a track is constant, linear (rotations follow the great circle) or a cubic Hermite curve, as in glTF.
+Each animation begins again at its end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.scene.arrays import Floats, Rows
+from renderer.scene.catching_up import Recompute
+
+__rhi_internal__ = True
+
+STEP, LINEAR, CUBIC = range(3)
+"""What is between two keys."""
+
+TRANSLATION, ROTATION, SCALE, WEIGHTS = range(4)
+"""What a track animates."""
+
+_ARC: Final = np.pi / 32.0  # a turn is divided into parts of at most this angle, whose error is bounded
+_PIECES: Final = 8  # into which a segment of a cubic rotation is divided
+_WIDEST: Final = np.cos(1.0)  # of the half angle between quaternions that are still treated as one direction
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Track:
+    """The keys of one track.
+
+    Attributes:
+        target: TRANSLATION, ROTATION, SCALE or WEIGHTS.
+        kind: STEP, LINEAR or CUBIC.
+        times: (k,) seconds, ascending.
+        values: (k, size); of a cubic track (k, 3, size): the tangent before each key, its value, the tangent after it.
+        period: the length in seconds of the animation that it belongs to.
+    """
+
+    target: int
+    kind: int
+    times: Floats
+    values: Floats
+    period: float
+
+    @property
+    def keys(self) -> Floats:
+        """The values (k, size) at the keys."""
+        return self.values[:, 1] if self.kind == CUBIC else self.values
+
+
+class Keys:
+    """The keys of many tracks whose values have the same size; quaternions are x, y, z, w."""
+
+    def __init__(self, tracks: Sequence[Track], size: int) -> None:
+        counts = np.array([len(track.times) for track in tracks], np.int64)
+        self._ends = np.cumsum(counts)
+        self._starts = self._ends - counts
+        begins = np.array([track.times[0] for track in tracks])
+        lengths = np.array([track.times[-1] for track in tracks]) - begins
+        self._kind = np.array([track.kind for track in tracks])
+        self._turns = np.array([track.target == ROTATION for track in tracks])
+        self._period = np.array([track.period for track in tracks])
+        self._begin, self._end = begins, begins + lengths
+        shift = np.concatenate([[0.0], np.cumsum(lengths + 1.0)])[: len(tracks)] - begins
+        self._times = np.concatenate([np.zeros(0), *(track.times for track in tracks)])
+        self._search = self._times + np.repeat(shift, counts)
+        self._shift = shift
+        keys = [_unit(t.keys) if t.target == ROTATION and t.kind != CUBIC else t.keys for t in tracks]
+        self._values = np.concatenate([np.zeros((0, size)), *keys])
+        self._before, self._after = (
+            np.concatenate(
+                [
+                    np.zeros((0, size)),
+                    *(t.values[:, side] if t.kind == CUBIC else 0.0 * t.values for t in tracks),
+                ]
+            )
+            for side in (0, 2)
+        )
+
+    def at(self, tracks: Rows, seconds: float) -> Floats:
+        """Return the values (j, size) of `tracks` (j,) at a time."""
+        period = self._period[tracks]
+        local = np.where(period > 0.0, np.mod(seconds, np.where(period > 0.0, period, 1.0)), 0.0)
+        local = np.clip(local, self._begin[tracks], self._end[tracks])
+        first = np.searchsorted(self._search, local + self._shift[tracks], "right") - 1
+        first = np.clip(first, self._starts[tracks], self._ends[tracks] - 1)
+        second = np.minimum(first + 1, self._ends[tracks] - 1)
+        length = self._times[second] - self._times[first]
+        share = np.clip((local - self._times[first]) / np.where(length > 0.0, length, 1.0), 0.0, 1.0)[:, None]
+        a, b = self._values[first], self._values[second]
+        kind, turns = self._kind[tracks], self._turns[tracks]
+        linear = (1.0 - share) * a + share * b
+        found: Floats = np.where((kind == STEP)[:, None], np.where(share < 1.0, a, b), linear)
+        if (great := turns & (kind == LINEAR)).any():
+            found[great] = slerp(a[great], b[great], share[great, 0])
+        if (cubic := kind == CUBIC).any():
+            found[cubic] = _hermite(
+                a[cubic], self._after[first[cubic]], b[cubic], self._before[second[cubic]], share[cubic],
+                length[cubic, None],
+            )  # fmt: skip
+        if (curved := turns & (kind == CUBIC)).any():
+            found[curved] = _unit(found[curved])
+        return found
+
+
+class NodeMotion:
+    """The motion of k nodes: a simulation for `SceneBuilder.animate`.
+
+    Attributes:
+        tracks: all tracks. owners: (t,) the member that each animates.
+        rest: the translations (k, 3), rotations (k, 4) and scales (k, 3) of what has no track.
+    """
+
+    catch_up: Final = Recompute()
+
+    def __init__(self, tracks: Sequence[Track], owners: Rows, rest: tuple[Floats, Floats, Floats]) -> None:
+        self.tracks, self.owners = tuple(tracks), owners
+        self.rest = rest
+        self._now = tuple(values.copy() for values in rest)
+        self._track_of = np.full((3, len(rest[0])), -1, np.int64)  # by target and member
+        by_size = {size: [n for n, t in enumerate(tracks) if t.values.shape[-1] == size] for size in (3, 4)}
+        self._keys = {size: Keys([tracks[n] for n in numbers], size) for size, numbers in by_size.items()}
+        for numbers in by_size.values():
+            for row, number in enumerate(numbers):
+                self._track_of[tracks[number].target, owners[number]] = row
+
+    def __deepcopy__(self, memo: object) -> NodeMotion:
+        """Return a copy with a state of its own; the keys never change."""
+        made = copy(self)
+        made._now = tuple(values.copy() for values in self._now)
+        return made
+
+    def set_time(self, members: Rows, seconds: float) -> None:
+        """Compute the parts of the transforms of `members` (j,) at a time."""
+        for target, size in ((TRANSLATION, 3), (ROTATION, 4), (SCALE, 3)):
+            rows = self._track_of[target, members]
+            moved = rows >= 0
+            if moved.any():
+                self._now[target][members[moved]] = self._keys[size].at(rows[moved], seconds)
+
+    def transforms(self, members: Rows) -> Floats:
+        """Return the present transforms (j, 4, 4) of `members` (j,)."""
+        translation, rotation, scale = self._now
+        return compose(translation[members], rotation[members], scale[members])
+
+    def reach(self, member: int, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
+        """Return a box in the space of the member's parent that holds the box `lower` to `upper` (3,) at all times."""
+        values = [(rest[member], rest[member]) for rest in self.rest]
+        turning: Track | None = None
+        for number in np.flatnonzero(self.owners == member).tolist():
+            track = self.tracks[number]
+            if track.target == ROTATION:
+                turning = track
+            else:
+                values[track.target] = _extremes(track)
+        (moved_low, moved_high), _, (scale_low, scale_high) = values
+        products = np.stack([lower * scale_low, lower * scale_high, upper * scale_low, upper * scale_high])
+        lower, upper = products.min(0), products.max(0)
+        if turning is None:
+            lower, upper = _turned(self.rest[1][member][None], np.zeros(1), lower, upper)
+        else:
+            lower, upper = _turned(*_arcs(turning), lower, upper)
+        size = max(float(np.abs([lower, upper, moved_low, moved_high]).max()), 1e-30)
+        slack = 1e-8 * size  # of rounding, here and where the motion is evaluated
+        return lower + moved_low - slack, upper + moved_high + slack
+
+
+def compose(translation: Floats, rotation: Floats, scale: Floats) -> Floats:
+    """Return transforms (..., 4, 4) of translations (..., 3), quaternions x, y, z, w (..., 4) and scales (..., 3)."""
+    x, y, z, w = np.moveaxis(rotation, -1, 0)
+    matrix = np.zeros((*translation.shape[:-1], 4, 4))
+    matrix[..., 0, 0], matrix[..., 1, 1] = 1.0 - 2.0 * (y * y + z * z), 1.0 - 2.0 * (x * x + z * z)
+    matrix[..., 2, 2] = 1.0 - 2.0 * (x * x + y * y)
+    matrix[..., 0, 1], matrix[..., 1, 0] = 2.0 * (x * y - z * w), 2.0 * (x * y + z * w)
+    matrix[..., 0, 2], matrix[..., 2, 0] = 2.0 * (x * z + y * w), 2.0 * (x * z - y * w)
+    matrix[..., 1, 2], matrix[..., 2, 1] = 2.0 * (y * z - x * w), 2.0 * (y * z + x * w)
+    matrix[..., :3, :3] *= scale[..., None, :]
+    matrix[..., :3, 3] = translation
+    matrix[..., 3, 3] = 1.0
+    return matrix
+
+
+def slerp(a: Floats, b: Floats, share: Floats) -> Floats:
+    """Return rotations (j, 4) on the shorter great circles from `a` to `b` (j, 4), at `share` (j,) of the way."""
+    cosine = (a * b).sum(-1)
+    b = np.where(cosine[:, None] < 0.0, -b, b)
+    angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
+    sine = np.sin(angle)
+    near = sine < 1e-6
+    safe = np.where(near, 1.0, sine)
+    first = np.where(near, 1.0 - share, np.sin((1.0 - share) * angle) / safe)
+    second = np.where(near, share, np.sin(share * angle) / safe)
+    return _unit(first[:, None] * a + second[:, None] * b)
+
+
+def _hermite(
+    a: Floats, leaving: Floats, b: Floats, arriving: Floats, share: Floats, length: Floats
+) -> Floats:
+    """Return points of cubic curves from `a` to `b` with the tangents `leaving` and `arriving`, per second."""
+    s, s2, s3 = share, share**2, share**3
+    return (
+        (2.0 * s3 - 3.0 * s2 + 1.0) * a
+        + length * (s3 - 2.0 * s2 + s) * leaving
+        + (3.0 * s2 - 2.0 * s3) * b
+        + length * (s3 - s2) * arriving
+    )
+
+
+def _unit(quaternions: Floats) -> Floats:
+    length = np.linalg.norm(quaternions, axis=-1, keepdims=True)
+    return np.where(length > 1e-12, quaternions / np.where(length > 1e-12, length, 1.0), (0.0, 0.0, 0.0, 1.0))
+
+
+def _controls(track: Track) -> Floats:
+    """Return the four control points (k - 1, 4, size) of each segment of a cubic track, as a Bézier curve."""
+    third = np.diff(track.times)[:, None] / 3.0
+    before, keys, after = track.values[:, 0], track.values[:, 1], track.values[:, 2]
+    return np.stack(
+        [keys[:-1], keys[:-1] + third * after[:-1], keys[1:] - third * before[1:], keys[1:]], axis=1
+    )
+
+
+def _extremes(track: Track) -> tuple[Floats, Floats]:
+    """Return bounds (size,) of the values of a track that isn't a rotation: those of keys and control points."""
+    points = track.keys
+    if track.kind == CUBIC:
+        points = np.concatenate([points, _controls(track).reshape(-1, points.shape[1])])
+    return points.min(0), points.max(0)
+
+
+def _arcs(track: Track) -> tuple[Floats, NDArray[np.float64]]:
+    """Cover a track of rotations: return rotations (j, 4), and angles (j,) by which it differs from one of them."""
+    keys = _unit(track.keys)
+    if track.kind == STEP or len(keys) == 1:
+        return keys, np.zeros(len(keys))
+    if track.kind == LINEAR:
+        a, b = keys[:-1], keys[1:]
+        angle = 2.0 * np.arccos(np.clip(np.abs((a * b).sum(1)), 0.0, 1.0))
+        parts = np.maximum(np.ceil(angle / _ARC), 1.0).astype(np.int64)
+        segment = np.repeat(np.arange(len(parts)), parts)
+        part = np.arange(len(segment)) - np.repeat(np.cumsum(parts) - parts, parts)
+        middles = slerp(a[segment], b[segment], (part + 0.5) / parts[segment])
+        return middles, (0.5 * angle / parts)[segment]
+    points = _controls(track)
+    pieces = []
+    for piece in range(_PIECES):
+        pieces.append(_cut(points, piece / _PIECES, (piece + 1) / _PIECES))
+    points = np.concatenate(pieces)
+    middle = _unit(points.mean(1))
+    length = np.linalg.norm(points, axis=-1)
+    cosine = ((points * middle[:, None]).sum(-1) / np.maximum(length, 1e-300)).min(1)
+    # Points in a cone around the middle: what is between them is in the cone, too, so its direction is near.
+    near = (cosine > _WIDEST) & (length.min(1) > 1e-6)
+    return middle, np.where(near, 2.0 * np.arccos(np.clip(cosine, -1.0, 1.0)), np.pi)
+
+
+def _cut(points: Floats, start: float, end: float) -> Floats:
+    """Return the control points (k, 4, size) of a part of Bézier curves, by blossoming."""
+
+    def blossom(first: float, second: float, third: float) -> Floats:
+        level = points
+        for share in (first, second, third):
+            level = (1.0 - share) * level[:, :-1] + share * level[:, 1:]
+        return level[:, 0]
+
+    corners = ((start, start, start), (start, start, end), (start, end, end), (end, end, end))
+    return np.stack([blossom(*corner) for corner in corners], axis=1)
+
+
+def _turned(rotations: Floats, angles: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
+    """Return a box that holds the box `lower` to `upper` under rotations that are at most `angles` (j,) from one of
+    `rotations` (j, 4).
+
+    A rotation by an angle moves a point at the distance r by at most 2 r sin(angle / 2), and never farther out than r.
+    """
+    linear = compose(np.zeros((len(rotations), 3)), rotations, np.ones((len(rotations), 3)))[:, :3, :3]
+    centre, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
+    farthest = float(np.linalg.norm(np.maximum(np.abs(lower), np.abs(upper))))
+    middle, reach = linear @ centre, np.abs(linear) @ half
+    reach = reach + (2.0 * farthest * np.sin(0.5 * np.minimum(angles, np.pi)))[:, None]
+    farthest *= 1.0 + 1e-12
+    low, high = (middle - reach).min(0), (middle + reach).max(0)
+    return np.maximum(low, -farthest), np.minimum(high, farthest)

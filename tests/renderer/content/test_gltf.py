@@ -1,0 +1,457 @@
+"""glTF files: what is read of meshes, materials, nodes, cameras and lights, and what is listed as left out."""
+
+import base64
+import io
+import json
+
+import numpy as np
+import pytest
+from gltf_documents import TRIANGLE, GltfDocument
+from PIL import Image
+
+from renderer.content import add_model, load_model
+from renderer.scene import AlphaMode, Orthographic, SceneBuilder, ShadingModel
+from rhi import Filter, Wrap
+
+QUAD = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], np.float32)
+UP = np.tile(np.array([[0, 0, 1]], np.float32), (4, 1))
+
+
+def load(document, folder, name="model.glb"):
+    return load_model(document.write(folder / name))
+
+
+def one_mesh(**mesh):
+    document = GltfDocument(nodes=[{"mesh": 0}])
+    document.mesh(**mesh)
+    return document
+
+
+def left_out(scene):
+    return {omission.what: omission.count for omission in scene.omissions}
+
+
+def png(pixels):
+    file = io.BytesIO()
+    Image.fromarray(np.asarray(pixels, np.uint8)).save(file, "PNG")
+    return file.getvalue()
+
+
+def with_image(pixels=((((255, 0, 0, 255),),)), **material):
+    document = one_mesh(material=0)
+    document.add("images", bufferView=document.view(png(pixels)), mimeType="image/png")
+    document.add("textures", source=0)
+    document.add("materials", **material)
+    return document
+
+
+# -- containers ----------------------------------------------------------------------------------------------------
+
+
+def test_both_containers_give_the_same_scene(tmp_path):
+    document = one_mesh(positions=QUAD, indices=np.array([0, 1, 2], np.uint16), NORMAL=UP)
+    one, other = load(document, tmp_path, "a.glb"), load(document, tmp_path, "a.gltf")
+    assert (one.meshes.vertices == other.meshes.vertices).all()
+    assert (one.meshes.indices == other.meshes.indices).all()
+
+
+def test_a_buffer_may_stand_in_the_document_itself(tmp_path):
+    document = one_mesh()
+    uri = "data:application/octet-stream;base64," + base64.b64encode(bytes(document.data)).decode()
+    values = document.values | {"buffers": [{"uri": uri, "byteLength": len(document.data)}]}
+    (tmp_path / "a.gltf").write_text(json.dumps(values))
+    assert load_model(str(tmp_path / "a.gltf")).triangle_count == 1
+
+
+def test_a_file_name_may_be_escaped(tmp_path):
+    document = one_mesh()
+    (tmp_path / "my data.bin").write_bytes(document.data)
+    values = document.values | {"buffers": [{"uri": "my%20data.bin", "byteLength": len(document.data)}]}
+    (tmp_path / "a.gltf").write_text(json.dumps(values))
+    assert load_model(str(tmp_path / "a.gltf")).triangle_count == 1
+
+
+# -- accessors -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["u1", "u2", "u4"])
+def test_indices_of_all_sizes_are_read(tmp_path, kind):
+    scene = load(one_mesh(positions=QUAD, indices=np.array([2, 1, 3], kind), NORMAL=UP), tmp_path)
+    assert scene.meshes.indices.tolist() == [2, 1, 3]
+
+
+@pytest.mark.parametrize(
+    ("kind", "stored", "expected"),
+    [
+        ("u1", [0, 51, 255], [0.0, 0.2, 1.0]),
+        ("u2", [0, 13107, 65535], [0.0, 0.2, 1.0]),
+        ("i1", [-128, -127, 127], [-1.0, -1.0, 1.0]),
+        ("i2", [-32768, -32767, 32767], [-1.0, -1.0, 1.0]),
+    ],
+)
+def test_normalised_integers_become_floats(tmp_path, kind, stored, expected):
+    document = one_mesh()
+    uv = document.accessor(np.array([stored, stored], kind).T.copy(), normalized=True)
+    document.values["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"] = uv
+    scene = load(document, tmp_path)
+    assert scene.meshes.vertices["uv"][:, 0].tolist() == np.float32(expected).tolist()
+
+
+def test_quantised_positions_are_read_as_they_are(tmp_path):
+    document = GltfDocument(nodes=[{"mesh": 0, "scale": [0.5, 0.5, 0.5]}])
+    position = document.accessor((TRIANGLE * 100).astype(np.int16))
+    document.add("meshes", primitives=[{"attributes": {"POSITION": position}}])
+    document.values["extensionsRequired"] = document.values["extensionsUsed"] = ["KHR_mesh_quantization"]
+    scene = load(document, tmp_path)
+    assert scene.meshes.vertices["position"].tolist() == (TRIANGLE * 100).tolist()
+    assert scene.objects.upper[0] == pytest.approx([50, 50, 0])
+
+
+def test_interleaved_vertices_are_read(tmp_path):
+    document = GltfDocument(nodes=[{"mesh": 0}])
+    rows = np.concatenate([TRIANGLE, UP[:3], TRIANGLE[:, :2]], axis=1)
+    view = document.view(rows.tobytes(), byteStride=32)
+    kinds = (("POSITION", "VEC3", 0), ("NORMAL", "VEC3", 12), ("TEXCOORD_0", "VEC2", 24))
+    attributes = {
+        name: document.add(
+            "accessors", bufferView=view, byteOffset=offset, componentType=5126, count=3, type=kind
+        )
+        for name, kind, offset in kinds
+    }
+    document.add("meshes", primitives=[{"attributes": attributes}])
+    vertices = load(document, tmp_path).meshes.vertices
+    assert vertices["position"].tolist() == TRIANGLE.tolist()
+    assert vertices["uv"].tolist() == TRIANGLE[:, :2].tolist()
+    assert vertices["normal"].tolist() == UP[:3].tolist()
+
+
+@pytest.mark.parametrize("has_base", [True, False])
+def test_sparse_elements_replace_those_of_their_accessor(tmp_path, has_base):
+    document = GltfDocument(nodes=[{"mesh": 0}])
+    indices, values = (
+        document.view(np.array([1, 2], np.uint8).tobytes()),
+        document.view(TRIANGLE[1:].tobytes()),
+    )
+    sparse = {
+        "count": 2,
+        "indices": {"bufferView": indices, "componentType": 5121},
+        "values": {"bufferView": values},
+    }
+    base = np.full((3, 3), 7, np.float32)
+    number = document.accessor(base, sparse=sparse)
+    if not has_base:
+        del document.values["accessors"][number]["bufferView"]
+    document.add("meshes", primitives=[{"attributes": {"POSITION": number}}])
+    position = load(document, tmp_path).meshes.vertices["position"]
+    assert position.tolist() == [[7.0 * has_base] * 3, *TRIANGLE[1:].tolist()]
+
+
+# -- meshes --------------------------------------------------------------------------------------------------------
+
+
+def test_strips_and_fans_face_as_their_triangles_do(tmp_path):
+    strip = load(one_mesh(positions=QUAD, mode=5, NORMAL=UP), tmp_path, "strip.glb")
+    assert strip.meshes.indices.tolist() == [0, 1, 2, 1, 3, 2]
+    fan = load(one_mesh(positions=QUAD[[0, 1, 3, 2]], mode=6, NORMAL=UP), tmp_path, "fan.glb")
+    assert fan.meshes.indices.tolist() == [1, 2, 0, 2, 3, 0]
+
+
+def test_missing_normals_are_flat(tmp_path):
+    bent = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float32)
+    indices = np.array([0, 1, 2, 0, 2, 3], np.uint8)
+    vertices = load(one_mesh(positions=bent, indices=indices), tmp_path).meshes.vertices
+    assert vertices["normal"].tolist() == [[0, 0, 1]] * 3 + [[1, 0, 0]] * 3
+
+
+def test_normals_that_are_no_directions_are_computed_and_listed(tmp_path):
+    normals = np.array([[0, 0, 0], [0, 0, 3], [np.nan, 0, 0]], np.float32)
+    scene = load(one_mesh(NORMAL=normals), tmp_path)
+    assert scene.meshes.vertices["normal"].tolist() == [[0, 0, 1]] * 3
+    assert left_out(scene) == {"normals that aren't directions": 2}
+
+
+def test_second_uvs_tangents_and_colours_are_read(tmp_path):
+    document = with_image(
+        normalTexture={"index": 0}, occlusionTexture={"index": 0, "texCoord": 1, "strength": 0.5}
+    )
+    attributes = document.values["meshes"][0]["primitives"][0]["attributes"]
+    tangent = np.array([[0, 1, 0, -1]] * 3, np.float32)
+    attributes["NORMAL"] = document.accessor(UP[:3])
+    attributes["TANGENT"] = document.accessor(tangent)
+    attributes["TEXCOORD_0"] = document.accessor(TRIANGLE[:, :2].copy())
+    attributes["TEXCOORD_1"] = document.accessor(2 * TRIANGLE[:, :2])
+    attributes["COLOR_0"] = document.accessor(np.array([[255, 0, 51]] * 3, np.uint8), normalized=True)
+    vertices = load(document, tmp_path).meshes.vertices
+    assert vertices["tangent"].tolist() == tangent.tolist()
+    assert vertices["uv2"].tolist() == (2 * TRIANGLE[:, :2]).tolist()
+    assert vertices["color"][0] == pytest.approx([1, 0, 0.2, 1])
+
+
+def test_primitives_that_share_a_large_array_get_the_part_that_they_use(tmp_path):
+    many = np.arange(300, dtype=np.float32).reshape(100, 3)
+    document = one_mesh(
+        positions=many, indices=np.array([90, 95, 99], np.uint8), NORMAL=np.tile(UP[:1], (100, 1))
+    )
+    meshes = load(document, tmp_path).meshes
+    assert meshes.vertices["position"].tolist() == many[[90, 95, 99]].tolist()
+    assert meshes.indices.tolist() == [0, 1, 2]
+
+
+def test_points_and_lines_are_listed(tmp_path):
+    document = one_mesh()
+    part = document.values["meshes"][0]["primitives"]
+    part += [part[0] | {"mode": 0}, part[0] | {"mode": 1}, part[0] | {"mode": 1}]
+    scene = load(document, tmp_path)
+    assert scene.triangle_count == 1
+    assert left_out(scene) == {"points": 1, "lines": 2}
+
+
+# -- assets --------------------------------------------------------------------------------------------------------
+
+
+def test_primitives_with_the_same_accessors_are_one_mesh(tmp_path):
+    document = GltfDocument(nodes=[{"mesh": 0}, {"mesh": 1}])
+    document.mesh()
+    document.values["meshes"].append(document.values["meshes"][0])
+    scene = load(document, tmp_path)
+    assert (len(scene.meshes), len(scene.objects)) == (1, 2)
+
+
+def test_the_same_content_is_loaded_once_across_files(tmp_path):
+    material = {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}
+    paths = [with_image(**material).write(tmp_path / name) for name in ("a.glb", "b.gltf")]
+    other = with_image([[[0, 255, 0, 255]]], **material)
+    other.values["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = other.accessor(TRIANGLE * 2)
+    builder = SceneBuilder("three files")
+    for path in (*paths, other.write(tmp_path / "c.glb")):
+        add_model(builder, path)
+    scene = builder.build()
+    assert (len(scene.objects), len(scene.meshes), len(scene.images)) == (3, 2, 2)
+    again = load_model(paths[0])
+    assert again.images[0] is scene.images[0]
+
+
+# -- materials -----------------------------------------------------------------------------------------------------
+
+
+def test_a_material_is_read_with_its_factors_and_textures(tmp_path):
+    material = {
+        "pbrMetallicRoughness": {
+            "baseColorFactor": [0.5, 0.25, 1, 0.75],
+            "metallicFactor": 0.25,
+            "roughnessFactor": 0.5,
+            "baseColorTexture": {"index": 0},
+            "metallicRoughnessTexture": {"index": 0},
+        },
+        "normalTexture": {"index": 0, "scale": 2},
+        "occlusionTexture": {"index": 0, "strength": 0.5},
+        "emissiveTexture": {"index": 0},
+        "emissiveFactor": [1, 0.5, 0],
+        "alphaMode": "MASK",
+        "alphaCutoff": 0.25,
+        "doubleSided": True,
+        "extensions": {"KHR_materials_emissive_strength": {"emissiveStrength": 8}},
+    }
+    scene = load(with_image(**material), tmp_path)
+    found = scene.materials[0]
+    assert found["model"] == ShadingModel.METALLIC_ROUGHNESS
+    assert found["base_color"].tolist() == [0.5, 0.25, 1, 0.75]
+    assert (found["metallic"], found["roughness"]) == (0.25, 0.5)
+    assert (found["normal_scale"], found["occlusion_strength"]) == (2, 0.5)
+    assert found["emissive"].tolist() == [8, 4, 0]
+    assert (found["alpha_mode"], found["alpha_cutoff"]) == (AlphaMode.MASK, 0.25)
+    assert found["double_sided"] == 1
+    names = (
+        "texture",
+        "metallic_roughness_texture",
+        "normal_texture",
+        "occlusion_texture",
+        "emissive_texture",
+    )
+    rows = [int(found[name]) for name in names]
+    assert scene.textures["is_color"][rows].tolist() == [1, 0, 0, 0, 1]
+    assert scene.textures["image"][rows].tolist() == [0] * 5
+    assert left_out(scene) == {}
+
+
+def test_a_primitive_without_a_material_gets_the_default_one(tmp_path):
+    scene = load(one_mesh(), tmp_path)
+    assert scene.materials["base_color"].tolist() == [[1, 1, 1, 1]]
+    assert (scene.materials["metallic"].item(), scene.materials["roughness"].item()) == (1, 1)
+
+
+def test_an_unlit_material_only_emits(tmp_path):
+    document = with_image(
+        pbrMetallicRoughness={"baseColorFactor": [0.5, 1, 1, 0.5], "baseColorTexture": {"index": 0}},
+        extensions={"KHR_materials_unlit": {}},
+        alphaMode="BLEND",
+    )
+    scene = load(document, tmp_path)
+    found = scene.materials[0]
+    assert found["base_color"].tolist() == [0, 0, 0, 0.5]
+    assert found["emissive"].tolist() == [0.5, 1, 1]
+    assert found["specular_color"].tolist() == [0, 0, 0]
+    assert scene.textures["is_color"][[found["texture"], found["emissive_texture"]]].tolist() == [1, 1]
+
+
+def test_a_texture_keeps_its_sampler_and_its_transform(tmp_path):
+    transform = {"offset": [0.25, 0.5], "scale": [2, 3], "rotation": 0.5, "texCoord": 1}
+    used = {"index": 0, "extensions": {"KHR_texture_transform": transform}}
+    document = with_image(pbrMetallicRoughness={"baseColorTexture": used})
+    document.values["textures"][0]["sampler"] = document.add(
+        "samplers", magFilter=9728, minFilter=9985, wrapS=33071, wrapT=33648
+    )
+    scene = load(document, tmp_path)
+    texture = scene.textures[scene.materials["texture"][0]]
+    sampler = scene.samplers[texture["sampler"]]
+    assert (sampler.magnify, sampler.minify, sampler.mip) == (Filter.NEAREST, Filter.LINEAR, Filter.NEAREST)
+    assert (sampler.wrap_u, sampler.wrap_v) == (Wrap.CLAMP, Wrap.MIRROR)
+    assert texture["uv_set"] == 1
+    cosine, sine = np.cos(0.5), np.sin(0.5)
+    wanted = [[2 * cosine, 3 * sine, 0.25], [-2 * sine, 3 * cosine, 0.5]]
+    assert texture["transform"] == pytest.approx(np.array(wanted), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "broken", [{"uri": "not-there.png"}, {"uri": "https://example.org/a.png"}, "rubbish"]
+)
+def test_an_image_that_cannot_be_read_is_listed_and_the_material_goes_without(tmp_path, broken):
+    document = with_image(pbrMetallicRoughness={"baseColorTexture": {"index": 0}})
+    if broken == "rubbish":
+        broken = {"bufferView": document.view(b"rubbish!"), "mimeType": "image/png"}
+    document.values["images"] = [broken]
+    scene = load(document, tmp_path, "model.gltf")
+    assert scene.materials["texture"].tolist() == [-1]
+    (omission,) = scene.omissions
+    assert omission.what.startswith("an image that can't be read")
+    assert omission.where == "images[0]"
+
+
+def test_images_of_all_kinds_become_four_channels(tmp_path):
+    deep = np.array([[0, 257 * 7], [65535, 257]], np.uint16)
+    for pixels, wanted in ((deep, [0, 7, 255, 1]), (np.array([[3, 4], [5, 6]], np.uint8), [3, 4, 5, 6])):
+        file = io.BytesIO()
+        Image.fromarray(pixels).save(file, "PNG")
+        document = with_image(pbrMetallicRoughness={"baseColorTexture": {"index": 0}})
+        document.values["images"][0]["bufferView"] = document.view(file.getvalue())
+        image = load(document, tmp_path).images[0]
+        assert image[..., :3].reshape(-1, 3).tolist() == [[grey] * 3 for grey in wanted]
+        assert (image[..., 3] == 255).all()
+
+
+def test_what_materials_cannot_say_is_listed(tmp_path):
+    document = with_image(extensions={"KHR_materials_clearcoat": {}, "KHR_materials_sheen": {}})
+    assert left_out(load(document, tmp_path)) == {"KHR_materials_clearcoat": 1, "KHR_materials_sheen": 1}
+
+
+# -- nodes, cameras, lights ----------------------------------------------------------------------------------------
+
+
+def test_nodes_have_the_transforms_of_their_parts_or_their_matrix(tmp_path):
+    turn = [0, np.sin(np.pi / 4), 0, np.cos(np.pi / 4)]  # a quarter about y: x becomes -z
+    matrix = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 5, 6, 7, 1]
+    document = GltfDocument(
+        scene=0,
+        scenes=[{"nodes": [1, 0]}],
+        nodes=[
+            {"name": "parts", "translation": [1, 2, 3], "rotation": turn, "scale": [2, 1, 1], "mesh": 0},
+            {"name": "matrix", "matrix": matrix, "children": [2]},
+            {"name": "below", "mesh": 0},
+        ],
+    )
+    document.mesh()
+    scene = load(document, tmp_path)
+    assert scene.nodes.names == ("parts", "matrix", "below")
+    assert scene.nodes.parents.tolist() == [-1, -1, 1]
+    assert scene.nodes.world[0] @ (1, 0, 0, 1) == pytest.approx([1, 2, 1, 1])
+    assert scene.nodes.world[2][:3, 3].tolist() == [5, 6, 7]
+
+
+def test_only_the_default_scene_is_read_and_others_are_listed(tmp_path):
+    document = GltfDocument(
+        scene=1,
+        scenes=[{"nodes": [0]}, {"nodes": [1]}],
+        nodes=[{"mesh": 0, "name": "a"}, {"mesh": 0, "name": "b"}],
+    )
+    document.mesh()
+    scene = load(document, tmp_path)
+    assert scene.nodes.names == ("b",)
+    assert left_out(scene) == {"other scenes": 1}
+
+
+def test_cameras_become_views(tmp_path):
+    document = GltfDocument(
+        nodes=[
+            {"mesh": 0},
+            {"name": "near", "translation": [0, 0, 5], "camera": 0, "scale": [3, 3, 3]},
+            {"name": "flat", "rotation": [0, 1, 0, 0], "camera": 1},
+        ],
+        cameras=[
+            {
+                "type": "perspective",
+                "perspective": {"yfov": 0.7, "znear": 0.5, "zfar": 20, "aspectRatio": 1.5},
+            },
+            {"type": "orthographic", "orthographic": {"xmag": 4, "ymag": 2, "znear": 1, "zfar": 9}},
+        ],
+    )
+    document.mesh()
+    scene = load(document, tmp_path)
+    near, flat = scene.views["near"], scene.views["flat"]
+    assert list(scene.views) == ["near", "flat"]
+    assert near.position.tolist() == [0, 0, 5]
+    assert near.forward.tolist() == pytest.approx([0, 0, -1])
+    assert near.projection.matrix == pytest.approx(near.projection.__class__(0.7, 1.5, 0.5, 20).matrix)
+    assert flat.forward.tolist() == pytest.approx([0, 0, 1])
+    assert flat.projection == Orthographic(4.0, 2.0, 1.0, 9.0)
+
+
+def test_an_infinite_camera_has_no_far_plane(tmp_path):
+    document = one_mesh()
+    document.values["nodes"].append({"camera": 0})
+    document.add("cameras", type="perspective", perspective={"yfov": 1, "znear": 0.1})
+    (view,) = load(document, tmp_path).views.values()
+    assert view.projection.far == np.inf
+
+
+def test_lights_are_read_in_their_places(tmp_path):
+    down = [-np.sin(np.pi / 4), 0, 0, np.cos(np.pi / 4)]  # -z becomes -y
+    document = GltfDocument(
+        nodes=[
+            {"mesh": 0},
+            {"translation": [1, 2, 3], "rotation": down, "children": [2, 3, 4]},
+            {"extensions": {"KHR_lights_punctual": {"light": 0}}},
+            {"extensions": {"KHR_lights_punctual": {"light": 1}}},
+            {"extensions": {"KHR_lights_punctual": {"light": 2}}},
+        ],
+        extensions={
+            "KHR_lights_punctual": {
+                "lights": [
+                    {"type": "directional", "intensity": np.pi},
+                    {"type": "point", "color": [1, 0.5, 0], "intensity": 2 * np.pi, "range": 7},
+                    {"type": "spot", "spot": {"innerConeAngle": 0.2, "outerConeAngle": 0.4}, "range": 9},
+                ]
+            }
+        },
+    )
+    document.mesh()
+    lights = load(document, tmp_path).lights
+    assert len(lights) == 3  # no sun is added
+    assert lights.directional["direction"][0] == pytest.approx([0, -1, 0], abs=1e-7)
+    assert lights.directional["intensity"][0] == pytest.approx(1.0)
+    assert lights.point["position"].tolist() == [[1, 2, 3]]
+    assert (lights.point["intensity"][0], lights.point["range"][0]) == (pytest.approx(2.0), 7)
+    assert lights.point["color"].tolist() == [[1, 0.5, 0]]
+    assert lights.spot["direction"][0] == pytest.approx([0, -1, 0], abs=1e-7)
+    assert (lights.spot["inner"][0], lights.spot["outer"][0]) == pytest.approx((0.2, 0.4))
+
+
+def test_a_light_without_a_range_ends_where_it_is_faint(tmp_path):
+    document = one_mesh()
+    document.values["nodes"][0]["extensions"] = {"KHR_lights_punctual": {"light": 0}}
+    document.values["extensions"] = {"KHR_lights_punctual": {"lights": [{"type": "point", "intensity": 100}]}}
+    (light,) = load(document, tmp_path).lights.point
+    assert light["intensity"] / light["range"] ** 2 == pytest.approx(1 / 512, rel=1e-4)
+
+
+def test_a_file_without_lights_gets_a_sun(tmp_path):
+    assert len(load(one_mesh(), tmp_path).lights.directional) == 1

@@ -1,0 +1,206 @@
+"""Animations of glTF files: their values, what is moved, and bounds that hold at all times."""
+
+import numpy as np
+import pytest
+from gltf_documents import GltfDocument
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from renderer.content import load_model
+from renderer.content.gltf.tracks import (
+    CUBIC,
+    LINEAR,
+    ROTATION,
+    SCALE,
+    STEP,
+    TRANSLATION,
+    NodeMotion,
+    Track,
+)
+
+REST = (np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]), np.ones((1, 3)))
+
+
+def turn(degrees, axis=2):
+    quaternion = np.zeros(4)
+    quaternion[axis], quaternion[3] = np.sin(np.radians(degrees) / 2), np.cos(np.radians(degrees) / 2)
+    return quaternion
+
+
+def animated(path, times, values, kind="LINEAR", nodes=None):
+    document = GltfDocument(nodes=nodes or [{"mesh": 0}])
+    document.mesh()
+    document.animate(len(document.values["nodes"]) - 1, path, times, values, kind)
+    return document
+
+
+def place(scene, seconds, row=0):
+    scene.update(seconds)
+    return scene.nodes.world[row]
+
+
+def left_out(scene):
+    return {omission.what: omission.count for omission in scene.omissions}
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "expected"),
+    [
+        ("LINEAR", [[0, 0, 0], [4, 0, 0]], {0: 0, 0.5: 1, 1: 2, 1.5: 3, 2.5: 1}),
+        ("STEP", [[0, 0, 0], [4, 0, 0]], {0: 0, 1: 0, 1.99: 0, 2.5: 0}),
+        # Tangents of 0: smooth from 0 to 4.
+        (
+            "CUBICSPLINE",
+            [[0] * 3, [0] * 3, [0] * 3, [0] * 3, [4, 0, 0], [0] * 3],
+            {0: 0, 0.5: 0.625, 1: 2, 1.5: 3.375},
+        ),
+        # Tangents of 2 a second: straight.
+        ("CUBICSPLINE", [[0] * 3, [0] * 3, [2, 0, 0], [2, 0, 0], [4, 0, 0], [0] * 3], {0.5: 1, 1: 2, 1.5: 3}),
+    ],
+)
+def test_a_translation_follows_its_keys_and_begins_again(tmp_path, kind, values, expected):
+    scene = load_model(animated("translation", [0, 2], values, kind).write(tmp_path / "a.glb"))
+    for seconds, x in expected.items():
+        assert place(scene, seconds)[0, 3] == pytest.approx(x), seconds
+
+
+def test_before_its_first_key_a_track_has_the_first_value(tmp_path):
+    scene = load_model(animated("translation", [1, 2], [[3, 0, 0], [5, 0, 0]]).write(tmp_path / "a.glb"))
+    assert [place(scene, seconds)[0, 3] for seconds in (0, 0.5, 1, 1.5)] == [3, 3, 3, 4]
+
+
+def test_a_rotation_takes_the_shorter_way_at_constant_speed(tmp_path):
+    far = -turn(90)  # the same rotation, on the other side of the sphere
+    scene = load_model(animated("rotation", [0, 3], [turn(0), far]).write(tmp_path / "a.glb"))
+    for seconds, degrees in ((1, 30), (2, 60)):
+        x, y = place(scene, seconds)[:2, 0]
+        assert np.degrees(np.arctan2(y, x)) == pytest.approx(degrees, abs=1e-4)
+
+
+def test_a_scale_and_a_rotation_keep_the_translation_of_the_node(tmp_path):
+    document = animated(
+        "scale", [0, 1], [[1, 1, 1], [3, 1, 1]], nodes=[{"mesh": 0, "translation": [7, 0, 0]}]
+    )
+    document.animate(0, "rotation", [0, 1], [turn(0), turn(90)])
+    world = place(load_model(document.write(tmp_path / "a.glb")), 0.5)
+    assert world[:3, 3].tolist() == [7, 0, 0]
+    assert np.linalg.norm(world[:3, 0]) == pytest.approx(2.0)
+
+
+def test_animations_of_different_nodes_are_played_together(tmp_path):
+    document = animated("translation", [0, 1], [[0, 0, 0], [2, 0, 0]], nodes=[{"mesh": 0}, {"mesh": 0}])
+    document.animate(0, "translation", [0, 4], [[0, 0, 0], [4, 0, 0]])
+    scene = load_model(document.write(tmp_path / "a.glb"))
+    assert [place(scene, 2.5, row)[0, 3] for row in (0, 1)] == [2.5, 1.0]
+    assert left_out(scene) == {}
+
+
+def test_a_second_animation_of_the_same_part_is_listed(tmp_path):
+    document = animated("translation", [0, 1], [[0, 0, 0], [2, 0, 0]])
+    document.animate(0, "translation", [0, 1], [[0, 0, 0], [8, 0, 0]])
+    scene = load_model(document.write(tmp_path / "a.glb"))
+    assert place(scene, 0.5)[0, 3] == 1
+    assert left_out(scene) == {"animations of what an earlier one moves": 1}
+
+
+def test_only_visible_objects_are_animated_and_their_bounds_never_change(tmp_path):
+    scene = load_model(animated("translation", [0, 1], [[0, 0, 0], [2, 0, 0]]).write(tmp_path / "a.glb"))
+    assert scene.objects.simulated.tolist() == [True]
+    assert scene.objects.lower[0] == pytest.approx([0, 0, 0], abs=1e-6)
+    assert scene.objects.upper[0] == pytest.approx([3, 1, 0], abs=1e-6)
+
+
+def test_bounds_of_a_rotation_are_those_of_the_box_that_it_sweeps(tmp_path):
+    scene = load_model(animated("rotation", [0, 1], [turn(0), turn(90)]).write(tmp_path / "a.glb"))
+    # The corner (1, 1) goes from 45° to 135°, and (1, 0) to (0, 1).
+    assert scene.objects.lower[0] == pytest.approx([-1, 0, 0], abs=0.15)
+    assert scene.objects.upper[0] == pytest.approx([1, np.sqrt(2), 0], abs=0.15)
+
+
+def test_bounds_hold_below_several_animated_nodes(tmp_path):
+    nodes = [
+        {"children": [1], "translation": [10, 0, 0], "rotation": turn(30).tolist()},
+        {"children": [2]},
+        {"children": [3], "scale": [2, 1, 1], "translation": [0, 1, 0]},
+        {"mesh": 0},
+    ]
+    document = animated("rotation", [0, 0.7], [turn(0, 0), turn(170, 0)], nodes=nodes)
+    document.animate(1, "rotation", [0, 1, 2], [turn(0), turn(120), turn(200)])
+    document.animate(1, "translation", [0, 1.3], [[0, 0, 0], [0, 2, 1]])
+    scene = load_model(document.write(tmp_path / "a.glb"))
+    assert scene.objects.boxes.node[0] == 0
+    scene.check_bounds(np.linspace(0.0, 6.0, 61))
+
+
+@pytest.mark.parametrize(
+    "nodes", [[{"mesh": 0, "matrix": np.eye(4).ravel().tolist()}], [{"mesh": 0}]], ids=["matrix", "parts"]
+)
+def test_the_animation_of_a_node_with_a_matrix_is_listed(tmp_path, nodes):
+    document = animated("translation", [0, 1], [[0, 0, 0], [2, 0, 0]], nodes=nodes)
+    scene = load_model(document.write(tmp_path / "a.glb"))
+    assert left_out(scene) == ({"animations of nodes with a matrix": 1} if "matrix" in nodes[0] else {})
+
+
+def test_lights_and_cameras_stay_where_they_are_and_their_motion_is_listed(tmp_path):
+    document = animated(
+        "translation", [0, 1], [[0, 0, 0], [2, 0, 0]],
+        nodes=[{"mesh": 0}, {"camera": 0}, {"children": [1]}],
+    )  # fmt: skip
+    document.add("cameras", type="perspective", perspective={"yfov": 1, "znear": 0.1})
+    assert left_out(load_model(document.write(tmp_path / "a.glb"))) == {"motion of a camera": 1}
+
+
+def make_track(rng, target, kind, keys):
+    size = 4 if target == ROTATION else 3
+    values = rng.normal(size=(keys, 3, size) if kind == CUBIC else (keys, size))
+    if target == ROTATION:
+        middle = values[:, 1] if kind == CUBIC else values
+        middle /= np.linalg.norm(middle, axis=1, keepdims=True)
+    times = np.cumsum(rng.uniform(0.1, 1.0, keys)) - 0.1
+    return Track(target, kind, times, values, float(times[-1]) * rng.uniform(1.0, 1.5))
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.lists(st.sampled_from([TRANSLATION, ROTATION, SCALE]), min_size=1, max_size=3, unique=True),
+    st.sampled_from([STEP, LINEAR, CUBIC]),
+    st.integers(1, 5),
+)
+def test_no_point_of_a_box_ever_leaves_the_reach_of_its_motion(seed, targets, kind, keys):
+    rng = np.random.default_rng(seed)
+    tracks = [make_track(rng, target, kind, keys) for target in targets]
+    motion = NodeMotion(tracks, np.zeros(len(tracks), np.int64), REST)
+    ends = np.sort(rng.normal(size=(2, 3)), axis=0)
+    lower, upper = motion.reach(0, *ends)
+    corners = np.array(
+        [[ends[i, 0], ends[j, 1], ends[k, 2], 1] for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+    )
+    for seconds in np.concatenate([rng.uniform(0, 8, 40), *(track.times for track in tracks)]):
+        motion.set_time(np.zeros(1, np.int64), float(seconds))
+        points = corners @ motion.transforms(np.zeros(1, np.int64))[0].T
+        assert (points[:, :3] >= lower).all()
+        assert (points[:, :3] <= upper).all()
+
+
+def test_tracks_of_many_nodes_are_found_by_one_search():
+    rng = np.random.default_rng(5)
+    tracks = [make_track(rng, TRANSLATION, LINEAR, int(keys)) for keys in rng.integers(1, 9, 50)]
+    rest = tuple(np.repeat(part, 50, axis=0) for part in REST)
+    motion = NodeMotion(tracks, np.arange(50), rest)
+    motion.set_time(np.arange(50), 1.234)
+    found = motion.transforms(np.arange(50))[:, :3, 3]
+    for track, place in zip(tracks, found, strict=True):
+        local = 1.234 % track.period
+        wanted = [np.interp(local, track.times, track.values[:, axis]) for axis in range(3)]
+        assert place == pytest.approx(wanted, abs=1e-9)
+
+
+def test_a_copy_of_a_motion_has_a_state_of_its_own():
+    from copy import deepcopy
+
+    track = Track(TRANSLATION, LINEAR, np.array([0.0, 1.0]), np.array([[0.0] * 3, [2.0, 0, 0]]), 1.0)
+    motion = NodeMotion([track], np.zeros(1, np.int64), REST)
+    other = deepcopy(motion)
+    motion.set_time(np.zeros(1, np.int64), 0.5)
+    assert [one.transforms(np.zeros(1, np.int64))[0, 0, 3] for one in (motion, other)] == [1.0, 0.0]

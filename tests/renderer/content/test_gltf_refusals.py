@@ -1,0 +1,253 @@
+"""Broken glTF files: each is refused in one line that names the file and the place, and none ends in a traceback."""
+
+import json
+from copy import deepcopy
+
+import numpy as np
+import pytest
+from gltf_documents import TRIANGLE, GltfDocument, pack_glb
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from renderer.content import load_model
+from rhi.errors import RhiError, ValidationError
+
+
+def make_document():
+    """A file with a part of everything."""
+    document = GltfDocument(
+        scene=0,
+        scenes=[{"nodes": [0, 3]}],
+        nodes=[
+            {"name": "root", "children": [1, 2]},
+            {"mesh": 0, "translation": [1, 0, 0]},
+            {"camera": 0, "extensions": {"KHR_lights_punctual": {"light": 0}}},
+            {"mesh": 0, "matrix": np.eye(4).ravel().tolist()},
+        ],
+        cameras=[{"type": "perspective", "perspective": {"yfov": 1, "znear": 0.1}}],
+        extensions={"KHR_lights_punctual": {"lights": [{"type": "spot", "spot": {"outerConeAngle": 0.5}}]}},
+        materials=[
+            {"pbrMetallicRoughness": {"baseColorFactor": [1, 1, 1, 1], "baseColorTexture": {"index": 0}}}
+        ],
+        textures=[{"source": 0, "sampler": 0}],
+        samplers=[{"wrapS": 10497}],
+        images=[{"uri": "data:image/png;base64,AAAA"}],
+    )
+    document.mesh(
+        indices=np.array([0, 1, 2], np.uint16), NORMAL=np.tile(np.float32([[0, 0, 1]]), (3, 1)), material=0
+    )
+    rows, values = document.view(np.array([1], np.uint8).tobytes()), document.view(TRIANGLE[1:2].tobytes())
+    sparse = {
+        "count": 1,
+        "indices": {"bufferView": rows, "componentType": 5121},
+        "values": {"bufferView": values},
+    }
+    document.values["accessors"][0]["sparse"] = sparse
+    document.animate(1, "translation", [0, 1], [[0, 0, 0], [1, 0, 0]])
+    return document
+
+
+def refusal(document, folder, name="bad.glb"):
+    path = document.write(folder / name)
+    with pytest.raises(ValidationError) as error:
+        load_model(path)
+    assert error.value.given.startswith(path)
+    return error.value.rule.id, error.value.given.removeprefix(path).removeprefix(": "), error.value.allowed
+
+
+def test_the_whole_document_is_read(tmp_path):
+    scene = load_model(make_document().write(tmp_path / "good.glb"))
+    assert len(scene.objects) == 2
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "where"),
+    [
+        (("asset", "version"), "1.0", "asset.version"),
+        (("asset",), 5, "asset"),
+        (("scene",), 1, "scene"),
+        (("scenes", 0, "nodes", 1), 9, "scenes[0].nodes[1]"),
+        (("scenes", 0, "nodes", 1), 1, "scenes[0].nodes[1]"),
+        (("nodes", 0, "children", 0), 0, "scenes[0].nodes[0]"),
+        (("nodes", 1, "children"), [0], "scenes[0].nodes[0]"),
+        (("nodes", 1, "children"), [2], "nodes[1].children[0]"),
+        (("nodes", 1, "mesh"), 1, "nodes[1].mesh"),
+        (("nodes", 1, "mesh"), -1, "nodes[1].mesh"),
+        (("nodes", 1, "translation"), [1, 2], "nodes[1].translation"),
+        (("nodes", 1, "translation", 0), "x", "nodes[1].translation"),
+        (("nodes", 1, "translation", 0), 1e999, "nodes[1].translation"),
+        (("nodes", 1, "rotation"), [0, 0, 0, 0], "nodes[1].rotation"),
+        (("nodes", 3, "matrix", 3), 1, "nodes[3].matrix"),
+        (("nodes", 2, "camera"), True, "nodes[2].camera"),
+        (("nodes", 2, "extensions", "KHR_lights_punctual"), {}, "nodes[2].extensions.KHR_lights_punctual.light"),
+        (("cameras", 0, "perspective", "yfov"), 4, "cameras[0].perspective.yfov"),
+        (("cameras", 0, "type"), "fisheye", "cameras[0].type"),
+        (("extensions", "KHR_lights_punctual", "lights", 0, "type"), 3,
+         "extensions.KHR_lights_punctual.lights[0].type"),
+        (("meshes", 0, "primitives", 0, "mode"), 7, "meshes[0].primitives[0].mode"),
+        (("meshes", 0, "primitives", 0, "material"), 5, "meshes[0].primitives[0].material"),
+        (("meshes", 0, "primitives", 0, "attributes", "NORMAL"), 2, "accessors[2].type"),
+        (("materials", 0, "pbrMetallicRoughness", "baseColorFactor", 0), -1,
+         "materials[0].pbrMetallicRoughness.baseColorFactor"),
+        (("materials", 0, "alphaMode"), "SOFT", "materials[0].alphaMode"),
+        (("textures", 0, "sampler"), 3, "textures[0].sampler"),
+        (("samplers", 0, "wrapS"), 1, "samplers[0].wrapS"),
+        (("accessors", 0, "count"), 0, "accessors[0].count"),
+        (("accessors", 0, "count"), 100, "accessors[0]"),
+        (("accessors", 0, "byteOffset"), 4, "accessors[0]"),
+        (("accessors", 0, "componentType"), 5124, "accessors[0].componentType"),
+        (("accessors", 0, "bufferView"), 77, "accessors[0].bufferView"),
+        (("accessors", 0, "sparse", "indices", "componentType"), 5126, "accessors[0].sparse.indices.componentType"),
+        (("accessors", 0, "sparse", "count"), 4, "accessors[0].sparse.count"),
+        (("bufferViews", 0, "byteOffset"), 10_000, "bufferViews[0]"),
+        (("bufferViews", 0, "byteStride"), 8, "bufferViews[0].byteStride"),
+        (("bufferViews", 0, "byteLength"), 0, "bufferViews[0].byteLength"),
+        (("animations", 0, "samplers", 0, "interpolation"), "FAST", "animations[0].samplers[0].interpolation"),
+        (("animations", 0, "samplers", 0, "output"), 2, "accessors[2].type"),
+        (("animations", 0, "channels", 0, "target", "node"), 4, "animations[0].channels[0].target.node"),
+        (("extensionsRequired",), ["KHR_draco_mesh_compression"], "extensionsRequired"),
+    ],
+)  # fmt: skip
+def test_a_wrong_value_is_refused_with_its_place(tmp_path, place, value, where):
+    document = make_document()
+    held = document.values
+    for step in place[:-1]:
+        held = held[step]
+    held[place[-1]] = value
+    rule, given, _ = refusal(document, tmp_path)
+    assert rule == "scene-unreadable-model"
+    assert given.startswith(f"{where}: ")
+
+
+def test_an_index_beyond_the_vertices_is_refused_and_the_last_one_is_not(tmp_path):
+    for last, fits in ((2, True), (3, False)):
+        document = GltfDocument(nodes=[{"mesh": 0}])
+        document.mesh(indices=np.array([0, 1, last], np.uint8))
+        if fits:
+            assert load_model(document.write(tmp_path / "a.glb")).triangle_count == 1
+        else:
+            assert refusal(document, tmp_path)[1:] == ("accessors[1]: element 2 is index 3", "0 to 2")
+
+
+def test_nodes_that_contain_each_other_are_refused(tmp_path):
+    document = GltfDocument(nodes=[{"mesh": 0, "children": [1]}, {"children": [0]}])
+    document.mesh()
+    assert refusal(document, tmp_path)[1] == "nodes: each is a child of another"
+    document.values["scenes"] = [{"nodes": [0]}]
+    assert refusal(document, tmp_path)[1] == "scenes[0].nodes[0]: 0 is a child of nodes[1]"
+
+
+@pytest.mark.parametrize(
+    "uri", ["not-there.bin", "https://example.org/a.bin", "data:,abc", "data:x;base64,!!"]
+)
+def test_a_buffer_that_cannot_be_read_is_refused(tmp_path, uri):
+    document = make_document()
+    values = {**document.values, "buffers": [{"uri": uri, "byteLength": len(document.data)}]}
+    (tmp_path / "bad.gltf").write_text(json.dumps(values))
+    with pytest.raises(ValidationError, match=r"buffers\[0\]\.uri") as error:
+        load_model(str(tmp_path / "bad.gltf"))
+    assert error.value.rule.id == "scene-unreadable-model"
+
+
+def test_a_glb_that_was_cut_off_anywhere_is_refused(tmp_path):
+    make_document().write(tmp_path / "whole.glb")
+    content = (tmp_path / "whole.glb").read_bytes()
+    for size in (*range(1, 40), 100, len(content) // 2, len(content) - 1):
+        (tmp_path / "cut.glb").write_bytes(content[:size])
+        with pytest.raises(ValidationError) as error:
+            load_model(str(tmp_path / "cut.glb"))
+        assert error.value.rule.id == "scene-unreadable-model"
+
+
+@pytest.mark.parametrize(
+    "text", [b"[]", b"{", b"\xff\xfe", b"[" * 100_000, b'{"asset": {"version": 1' + b"0" * 5000]
+)
+def test_json_that_is_no_document_is_refused(tmp_path, text):
+    (tmp_path / "bad.gltf").write_bytes(text)
+    with pytest.raises(ValidationError) as error:
+        load_model(str(tmp_path / "bad.gltf"))
+    assert error.value.rule.id == "scene-unreadable-model"
+
+
+def test_a_file_without_triangles_is_refused_and_says_what_it_has(tmp_path):
+    document = GltfDocument(nodes=[{"mesh": 0}])
+    document.mesh(mode=0)
+    rule, given, _ = refusal(document, tmp_path)
+    assert rule == "scene-empty-model"
+    assert "points" in given
+
+
+JUNK = st.one_of(
+    st.none(), st.booleans(), st.integers(-2, 10), st.integers(), st.floats(), st.text(max_size=3),
+    st.just([]), st.just({}), st.lists(st.integers(-2, 5), max_size=4), st.just({"extensions": []}),
+)  # fmt: skip
+
+
+def list_places(value, above=()):
+    """All places in a document."""
+    yield above
+    pairs = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, held in pairs:
+        yield from list_places(held, (*above, key))
+
+
+QUICK = settings(deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+DOCUMENT = make_document()
+PLACES = [place for place in list_places(DOCUMENT.values) if place]
+
+
+def damage(values, place, junk):
+    held = values
+    for step in place[:-1]:
+        try:
+            held = held[step]
+        except (KeyError, IndexError, TypeError):
+            return
+    if isinstance(held, dict) and junk is None:
+        held.pop(place[-1], None)
+    elif isinstance(held, dict) or (isinstance(held, list) and place[-1] in range(len(held))):
+        held[place[-1]] = deepcopy(junk)
+
+
+def load_damaged(folder, damages, content=None):
+    path = folder / "damaged.glb"
+    if content is None:
+        values = deepcopy(DOCUMENT.values)
+        for place, junk in damages:
+            damage(values, place, junk)
+        values["buffers"] = [{"byteLength": len(DOCUMENT.data)}]
+        content = pack_glb(values, bytes(DOCUMENT.data))
+    path.write_bytes(content)
+    try:
+        scene = load_model(str(path))
+    except RhiError as error:
+        refused = error
+    else:
+        assert len(scene.objects) > 0
+        return
+    assert refused.given.startswith(str(path)), refused  # a refusal names the file
+
+
+@settings(QUICK, max_examples=150)
+@given(damages=st.lists(st.tuples(st.sampled_from(PLACES), JUNK), min_size=1, max_size=3))
+def test_a_damaged_document_is_read_or_refused(tmp_path, damages):
+    load_damaged(tmp_path, damages)
+
+
+@pytest.mark.nightly
+@settings(QUICK, max_examples=20_000, derandomize=False)
+@given(damages=st.lists(st.tuples(st.sampled_from(PLACES), JUNK), min_size=1, max_size=4))
+def test_thousands_of_damaged_documents_are_read_or_refused(tmp_path, damages):
+    load_damaged(tmp_path, damages)
+
+
+@settings(QUICK, max_examples=100)
+@given(data=st.data())
+def test_a_file_with_damaged_bytes_is_read_or_refused(tmp_path, data):
+    values = {**DOCUMENT.values, "buffers": [{"byteLength": len(DOCUMENT.data)}]}
+    content = bytearray(pack_glb(values, bytes(DOCUMENT.data)))
+    for at, byte in data.draw(
+        st.lists(st.tuples(st.integers(0, len(content) - 1), st.integers(0, 255)), max_size=8)
+    ):
+        content[at] = byte
+    load_damaged(tmp_path, (), bytes(content))

@@ -1,0 +1,305 @@
+"""The technique that measures others and uses the fastest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import rhi
+from renderer.content import BUILT_IN, load_scene
+from renderer.frame import Frame, Needs, find_needs
+from renderer.renderer import Renderer
+from renderer.scene import Camera, Scene, SceneBuilder
+from renderer.techniques import AutoTechnique, ClusteredDeferred, Forward, Smoothed, TiledDeferred
+from renderer.techniques.auto import CANDIDATES, FEW_LAMPS, list_candidates
+from renderer.visibility import NoCulling, make_visibility
+from rhi import Op
+
+SIZE = (32, 16)
+EYE = Camera.look_at((0, 0, 10), (0, 0, 0))
+
+
+class Clock:
+    """A clock that shows only the time that techniques have taken."""
+
+    now = 0.0
+
+
+class Slow:
+    """A technique that takes a set time, by this clock."""
+
+    def __init__(self, technique: Forward | ClusteredDeferred, seconds: float, log: list[str]) -> None:
+        self.technique, self.seconds, self.log = technique, seconds, log
+
+    @property
+    def name(self) -> str:
+        return self.technique.name
+
+    def declare(self, needs: Needs):
+        def run(one: Callable[[Frame], None]) -> Callable[[Frame], None]:
+            def taking_time(frame: Frame) -> None:
+                self.log.append(self.name)
+                Clock.now += self.seconds
+                one(frame)
+
+            return taking_time
+
+        first, *others = self.technique.declare(needs)
+        return (replace(first, run=run(first.run)), *others)
+
+
+@pytest.fixture(autouse=True)
+def clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("renderer.renderer.perf_counter", lambda: Clock.now)
+
+
+@pytest.fixture
+def always(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have a device that draws nothing try all candidates."""
+    monkeypatch.setattr("renderer.techniques.auto.list_candidates", lambda device, needs, names: (list(names), ""))
+
+
+@pytest.fixture
+def log() -> list[str]:
+    return []
+
+
+def box(lamps: int = 3) -> Scene:
+    builder = SceneBuilder("box")
+    builder.add_objects(builder.add_node(), builder.add_mesh(BUILT_IN["box"]()), builder.add_material())
+    for number in range(lamps):
+        builder.lights.add_point((0.01 * number, 1.5, 0), 3.0)
+    builder.views["eye"] = EYE
+    return builder.build()
+
+
+def make_auto(
+    device: rhi.Device, scene: Scene, log: list[str], forward: float, clustered: float, rest: int = 0
+) -> AutoTechnique:
+    makers = {
+        "forward": lambda: Slow(Forward(), forward, log),
+        "clustered_deferred": lambda: Slow(ClusteredDeferred(), clustered, log),
+    }
+    return AutoTechnique(scene, device, makers, frames=4, rest=rest)
+
+
+@pytest.fixture
+def renderer(null: rhi.Device) -> Iterator[Callable[[AutoTechnique], Renderer]]:
+    made: list[Renderer] = []
+
+    def make(auto: AutoTechnique) -> Renderer:
+        scene = auto._scene
+        made.append(Renderer(null, scene, technique=auto, visibility=NoCulling(scene), size=SIZE))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.destroy()
+
+
+@pytest.mark.usefixtures("always")
+@pytest.mark.parametrize(
+    ("forward", "clustered", "chosen"), [(0.02, 0.01, "clustered_deferred"), (0.01, 0.02, "forward")]
+)
+def test_each_is_tried_and_the_fastest_stays(
+    null: rhi.Device, log: list[str], renderer, forward: float, clustered: float, chosen: str
+) -> None:
+    auto = make_auto(null, box(), log, forward, clustered)
+    drawn = renderer(auto)
+    drawn.render(EYE)
+    assert auto.is_trying
+    assert drawn.is_trying
+    assert auto.because == "forward, clustered_deferred are being tried"
+    while drawn.is_trying:
+        drawn.render(EYE)
+    tried = 3 if forward < clustered else 4  # what is hopelessly slow is given up
+    assert log == ["forward"] * 5 + ["clustered_deferred"] * tried
+    assert auto.chosen == chosen
+    log.clear()
+    for _ in range(6):
+        drawn.render(EYE)
+    assert log == [chosen] * 6
+    assert auto.because.startswith("the fastest in this view, 10.0 ms a frame; ")
+    assert auto.because.endswith(" 20.0")
+
+
+@pytest.mark.usefixtures("always")
+def test_the_passes_are_those_of_the_technique_in_use(null: rhi.Device, log: list[str], renderer) -> None:
+    auto = make_auto(null, box(), log, 0.02, 0.01)
+    drawn = renderer(auto)
+    names = []
+    for _ in range(9):
+        drawn.render(EYE)
+        names.append(log[-1])
+        _, plan = drawn.plan(EYE)
+        uses = [one.name for one in plan.passes]
+        assert uses == (["forward"] if auto.chosen == "forward" else ["geometry", "light lists", "resolve"])
+    assert names == ["forward"] * 5 + ["clustered_deferred"] * 4
+
+
+@pytest.mark.usefixtures("always")
+@pytest.mark.parametrize(
+    ("change", "tries"),
+    [
+        (lambda scene, drawn: None, False),
+        (lambda scene, drawn: setattr(drawn, "size", (16, 16)), True),
+        (lambda scene, drawn: scene.lights.add_point((0, 1.5, 0), 3.0), False),
+        (lambda scene, drawn: [scene.lights.add_point((0, 1.5, 0), 3.0) for _ in range(10)], True),
+    ],
+)
+def test_another_size_or_many_more_lights_are_another_trial(
+    null: rhi.Device, log: list[str], renderer, change, tries: bool
+) -> None:
+    scene = box()
+    auto = make_auto(null, scene, log, 0.01, 0.02)
+    drawn = renderer(auto)
+    for _ in range(12):
+        drawn.render(EYE)
+    assert not auto.is_trying
+    change(scene, drawn)
+    drawn.render(EYE)
+    assert auto.is_trying is tries
+
+
+@pytest.mark.usefixtures("always")
+@pytest.mark.parametrize(("camera", "tries"), [
+    (Camera.look_at((0, 0, 10.1), (0, 0, 0)), False), (Camera.look_at((0, 0, 12), (0, 0, 0)), True),
+    (Camera.look_at((0, 0, 10), (5, 0, 0)), False), (Camera.look_at((0, 0, 10), (11, 0, 0)), True),
+])  # fmt: skip
+def test_another_view_is_another_trial(
+    null: rhi.Device, log: list[str], renderer, camera: Camera, tries: bool
+) -> None:
+    auto = make_auto(null, box(), log, 0.01, 0.02)
+    drawn = renderer(auto)
+    for _ in range(12):
+        drawn.render(EYE)
+    drawn.render(camera)
+    assert auto.is_trying is tries
+
+
+@pytest.mark.usefixtures("always")
+def test_techniques_are_not_exchanged_while_visibility_is_on_trial(
+    null: rhi.Device, log: list[str], renderer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    auto = make_auto(null, box(), log, 0.02, 0.01)
+    drawn = renderer(auto)
+    monkeypatch.setattr(Renderer, "_is_trying_visibility", True)
+    for _ in range(9):
+        drawn.render(EYE)
+    assert log == ["forward"] * 9
+    monkeypatch.setattr(Renderer, "_is_trying_visibility", False)
+    for _ in range(8):
+        drawn.render(EYE)
+    assert auto.chosen == "clustered_deferred"
+
+
+@pytest.mark.usefixtures("always")
+def test_exchanges_leave_nothing_behind(null: rhi.Device, log: list[str], renderer) -> None:
+    auto = make_auto(null, box(), log, 0.01, 0.012)
+    drawn = renderer(auto)
+
+    def count() -> int:
+        made = len(null.stream.filter((Op.CREATE_TEXTURE, Op.CREATE_BUFFER)))
+        return made - len(null.stream.filter(Op.DESTROY))
+
+    alive = []
+    for turn in range(6):
+        drawn.render(Camera.look_at((0, 0, 10 + 2 * turn), (0, 0, 0)))
+        while drawn.is_trying:
+            drawn.render(Camera.look_at((0, 0, 10 + 2 * turn), (0, 0, 0)))
+        null.finish()
+        alive.append(count())
+    assert log.count("clustered_deferred") >= 4 * len(alive)
+    assert alive[1:] == alive[1:2] * (len(alive) - 1)
+
+
+def needs_of(lamps: int) -> Needs:
+    return find_needs(box(lamps), EYE)
+
+
+def test_a_device_that_draws_nothing_has_one_candidate_and_waits_for_nothing(
+    null: rhi.Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert list_candidates(null, needs_of(99), CANDIDATES)[0] == ["forward"]
+    scene = box()
+    auto = AutoTechnique(scene, null)
+    monkeypatch.setattr(null, "finish", lambda: pytest.fail("waited"))
+    renderer = Renderer(null, scene, technique=auto, visibility=NoCulling(scene), size=SIZE)
+    for _ in range(3):
+        renderer.render(EYE)
+    assert not renderer.is_trying
+    assert (auto.chosen, auto.because) == ("forward", "a null device draws nothing that could be measured")
+
+
+class Device:
+    """What `list_candidates` asks of a device."""
+
+    def __init__(self, backend: str, name: str, *, compute: bool = True) -> None:
+        self.backend_name = backend
+        self.capabilities = rhi.Capabilities(backend, name, "", compute=compute)
+
+
+FORWARD, CLUSTERS, TILES = (one.name for one in (Forward, ClusteredDeferred, TiledDeferred))
+
+
+@pytest.mark.parametrize(("device", "lamps", "expected"), [
+    (Device("gl", "a GPU"), 1, [FORWARD, CLUSTERS, TILES]), (Device("gl", "a GPU"), 0, [FORWARD, CLUSTERS]),
+    (Device("gl", "llvmpipe (LLVM 15)"), 99, [FORWARD, CLUSTERS]),
+    (Device("gl", "a GPU", compute=False), 99, [FORWARD]),
+    (Device("cl", "a CPU"), FEW_LAMPS, [FORWARD, CLUSTERS, TILES]),
+    (Device("cl", "a CPU"), FEW_LAMPS - 1, [FORWARD]),
+])  # fmt: skip
+def test_the_kind_of_device_and_the_lights_in_view_say_what_is_tried(
+    device: rhi.Device, lamps: int, expected: list[str]
+) -> None:
+    assert list_candidates(device, needs_of(lamps), CANDIDATES)[0] == expected
+
+
+def test_candidates_that_were_tried_once_stay_when_there_are_fewer_lights(
+    null: rhi.Device, renderer, monkeypatch: pytest.MonkeyPatch, log: list[str]
+) -> None:
+    seen: list[list[str]] = [["forward"], ["forward", "clustered_deferred"], ["forward"], ["forward"]]
+    monkeypatch.setattr("renderer.techniques.auto.list_candidates", lambda *_: (seen.pop(0), "few"))
+    auto = make_auto(null, box(), log, 0.02, 0.01)
+    drawn, names = renderer(auto), []
+    while seen:
+        drawn.render(EYE)
+        names.append(auto.names)
+    assert names == [("forward",), *[("forward", "clustered_deferred")] * 3]
+
+
+def test_pictures_of_a_trial_are_alike_and_so_are_smoothed_ones(gl: rhi.Device) -> None:
+    scene = load_scene("hall:columns=6,rows=2,flags=0,detail=3,lights=40")
+    camera = next(iter(scene.views.values()))
+    makers = {name: (lambda make=make: Smoothed(make())) for name, make in CANDIDATES.items()}
+    for technique, auto in (
+        (Forward(), AutoTechnique(scene, gl, rest=0)),
+        (Smoothed(Forward()), AutoTechnique(scene, gl, makers)),
+    ):
+        with Renderer(gl, scene, technique=technique, visibility=NoCulling(scene), size=(96, 64)) as renderer:
+            wanted = renderer.render(camera).image.read().astype(int)
+            renderer.technique = auto
+            used = set()
+            renderer.render(camera)
+            while renderer.is_trying:
+                used.add(auto.chosen)
+                image = renderer.render(camera).image.read().astype(int)
+                assert np.abs(image - wanted).max() <= 2
+        assert {"forward", "clustered_deferred"} <= used
+
+
+def test_visibility_and_technique_are_tried_one_after_the_other(gl: rhi.Device) -> None:
+    scene = box()
+    visibility, auto = make_visibility("auto", scene, gl), AutoTechnique(scene, gl)
+    with Renderer(gl, scene, technique=auto, visibility=visibility, size=SIZE) as renderer:
+        order = []
+        renderer.render(EYE)
+        while renderer.is_trying:
+            order.append("visibility" if renderer._is_trying_visibility else "technique")
+            renderer.render(EYE)
+    visibility.destroy()
+    assert order == sorted(order, reverse=True)
+    assert set(order) == {"visibility", "technique"}
