@@ -6,7 +6,7 @@ are computed in float64. Pixels are moved as they are, four bytes each: no colou
 
 An invocation has a row. `MovePixels` walks along it from left to right. Of several pixels that land on one the last
 wins, which is the nearest: it has moved farther to the left than those before it. Where nothing lands there is a
-*hole*: what the left eye doesn't see. `FillHoles` fills it with what is to its right, which is what was hidden, since
+*hole*: what the left eye doesn't see. `FillPixels` fills it with what is to its right, which is what was hidden, since
 near things move to the left.
 
 What a surface reflects is what the left eye sees of it, highlights included.
@@ -80,7 +80,7 @@ class MovePixels(Shader):
                 self.moved[row + to] = self.picture[row + x]
 
 
-class FillHoles(Shader):
+class FillPixels(Shader):
     """Fills each hole with the next pixel to its right, and those at the right edge with the last one of the row."""
 
     work_group = (_ROWS,)
@@ -162,7 +162,7 @@ class Reprojector:
             "moved": moved.buffer,
         }
         device.dispatch(device.program(MovePixels), groups, **given, depth=self.depth.buffer)
-        device.dispatch(device.program(FillHoles), groups, **given)
+        device.dispatch(device.program(FillPixels), groups, **given)
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
