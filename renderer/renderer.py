@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.frame import (
+    Blending,
     Frame,
     Layer,
     Needs,
@@ -104,8 +105,8 @@ class FrameResult:
 class Renderer:
     """Draws one scene on one device.
 
-    The attributes `technique` and `visibility` may be exchanged between any two frames, and `layers`, which are drawn
-    over each frame in their order, changed.
+    The attributes `technique`, `visibility` and `blending` may be exchanged between any two frames, and `layers`, which
+    are drawn over each frame in their order, changed.
     """
 
     def __init__(
@@ -116,6 +117,7 @@ class Renderer:
         technique: Technique | None = None,
         visibility: VisibilityAlgorithm | None = None,
         size: tuple[int, int] = (960, 540),
+        blending: Blending = Blending.SORTED,
         validation: bool = False,
     ) -> None:
         """Create the targets and upload the scene.
@@ -125,12 +127,14 @@ class Renderer:
                 fastest; its picture may change by 2 of 255 levels when it changes its mind.
             visibility: an algorithm made for `scene`; by default `auto`, which measures which one is the fastest.
             size: (width, height) of the image in pixels.
+            blending: how transparent surfaces that cover each other are put together.
             validation: whether to check samples of what is simulated: each batch has one object whose vertices must be
                 inside its bounds (`scene-left-bounds`).
         """
         self.device = device
         self.scene = scene
         self.technique: Technique = technique or Forward()
+        self.blending = blending
         self.layers: list[Layer] = []
         self._own: list[VisibilityAlgorithm] = []
         if visibility is None:
@@ -253,7 +257,7 @@ class Renderer:
         self.scene.refresh()
         resources.update(self._view.camera)
         resources.expect(around, expected)
-        needs = find_needs(self.scene, around, reaches=resources.reaching)
+        needs = self._find_needs(around)
         plan = self._plan(needs)
         left = Frame(device, self._view, resources, self._targets, needs)
         frames = [left]
@@ -310,8 +314,11 @@ class Renderer:
         camera = self._fit(camera)
         if self._pair is not None:
             camera = self._pair.stereo.rig.enclose(camera)
-        needs = find_needs(self.scene, camera, reaches=self._resources.reaching)
+        needs = self._find_needs(camera)
         return needs, self._plan(needs)
+
+    def _find_needs(self, camera: Camera) -> Needs:
+        return find_needs(self.scene, camera, reaches=self._resources.reaching, blending=self.blending)
 
     def _plan(self, needs: Needs) -> Plan[Frame]:
         """Return the plan of a frame with these needs; it is made once."""

@@ -1,4 +1,4 @@
-"""The command line: `python -m renderer render|demo|compare|plan|capture|tune|debug|scenes`.
+"""The command line: `python -m renderer render|demo|compare|plan|capture|tune|debug|convert|scenes`.
 
 Results go to stdout, everything else to stderr. Bad input ends in one line, `error: …`, and exit code 2.
 """
@@ -17,6 +17,7 @@ from renderer.cli import (
     compare_stereo,
     compare_techniques,
     compare_visibility,
+    convert,
     debug_visibility,
     demo,
     plan,
@@ -49,6 +50,7 @@ COMMANDS: Final[tuple[Subcommand | SubcommandGroup, ...]] = (
     capture.COMMAND,
     tune.COMMAND,
     SubcommandGroup("debug", "picture what the renderer does", (debug_visibility.COMMAND,)),
+    convert.COMMAND,
     scenes.COMMAND,
 )
 """All commands, in the order of the help."""

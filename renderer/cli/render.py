@@ -32,6 +32,7 @@ from renderer.cli.arguments import (
 from renderer.cli.output import name_of, note, prepare_image, show_progress, write_image
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import parse_camera
+from renderer.frame import Blending
 from renderer.measure import FrameCost, measure_frame
 from renderer.overlay import Overlay
 from renderer.renderer import FrameResult, Renderer
@@ -112,6 +113,12 @@ def _add_arguments(parser: Parser) -> None:
         help="direction of depth: reversed has near at 1, standard has near at 0 (default: %(default)s)",
     )
     parser.add_argument(
+        "--blending",
+        choices=[blending.value for blending in Blending],
+        default=Blending.SORTED.value,
+        help="transparent surfaces are drawn back to front, or averaged in any order (default: %(default)s)",
+    )
+    parser.add_argument(
         "--show",
         choices=INSPECTIONS,
         help="picture what the frame is made of instead of its light (docs/lighting.md)",
@@ -161,6 +168,7 @@ def _run(given: argparse.Namespace) -> None:
             technique=make_technique(given, scene, device) if given.show is None else Inspection(given.show),
             visibility=_make_visibility(given.visibility, scene, device, settings),
             size=given.size,
+            blending=Blending(given.blending),
         ) as renderer,
         ExitStack() as layers,
     ):

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from renderer.lights.in_view import find_lights_in_view
 from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Rows
+from renderer.visibility.boxes.volumes import find_in_view
 
 __rhi_internal__ = True
 
@@ -30,6 +31,16 @@ class Effect(Enum):
     EMISSION = "emission"
     HAZE = "haze"
     SUN_SHADOWS = "shadows of directional lights"
+    TRANSPARENCY = "transparency"
+
+
+class Blending(Enum):
+    """How transparent surfaces that cover each other are put together."""
+
+    SORTED = "sorted"
+    """Objects are drawn back to front, each over what is behind it."""
+    WEIGHTED = "weighted"
+    """Surfaces are averaged, near ones with more weight, in any order (McGuire and Bavoil 2013)."""
 
 
 _NOUNS: Final = {
@@ -38,6 +49,7 @@ _NOUNS: Final = {
     Effect.SPOT_LIGHTS: "spot light",
     Effect.IMAGES: "image",
     Effect.EMISSION: "material that emits light",
+    Effect.TRANSPARENCY: "transparent object",
     Effect.SUN_SHADOWS: "directional light that casts shadows",
 }
 
@@ -49,12 +61,15 @@ class Needs:
     Attributes:
         effects: those that are needed. counts: of each effect, how many of its causes the scene has.
         point_rows, spot_rows: the rows of the lights whose light may reach something in view.
+        transparent_rows: the rows of the transparent objects in view. blending: how they are put together.
     """
 
     effects: frozenset[Effect]
     counts: dict[Effect, int]
     point_rows: Rows
     spot_rows: Rows
+    transparent_rows: Rows
+    blending: Blending
 
     @property
     def has_sun(self) -> bool:
@@ -64,7 +79,7 @@ class Needs:
     @property
     def key(self) -> tuple[object, ...]:
         """What a technique's declaration depends on."""
-        return self.effects, self.has_sun
+        return self.effects, self.has_sun, self.blending
 
     def explain(self, effect: Effect) -> str:
         """Return why the effect is needed or not, such as `3 of 13 point lights reach what is in view`."""
@@ -83,14 +98,25 @@ class Needs:
                 return f"the only {noun} doesn't reach what is in view"
             reach = "reaches" if len(rows) == 1 else "reach"
             return f"{len(rows) or 'none'} of {count} {plural if count > 1 else noun} {reach} what is in view"
+        if effect is Effect.TRANSPARENCY:
+            seen = len(self.transparent_rows)
+            verb = "is" if seen == 1 else "are"
+            return f"{seen or 'none'} of {count} {plural if count > 1 else noun} {verb} in view"
         return f"the scene has {count} {plural if count > 1 else noun}"
 
 
-def find_needs(scene: Scene, camera: Camera, *, reaches: tuple[bool, bool] = (True, True)) -> Needs:
+def find_needs(
+    scene: Scene,
+    camera: Camera,
+    *,
+    reaches: tuple[bool, bool] = (True, True),
+    blending: Blending = Blending.SORTED,
+) -> Needs:
     """Find what `scene` needs as `camera` sees it.
 
     Args:
         reaches: whether any point light reaches an object, and whether any spot light does.
+        blending: how transparent surfaces are to be put together.
     """
     lights = scene.lights
     planes = camera.frustum.planes if len(lights.point) or len(lights.spot) else np.zeros((0, 4))
@@ -99,6 +125,8 @@ def find_needs(scene: Scene, camera: Camera, *, reaches: tuple[bool, bool] = (Tr
         find_lights_in_view(planes, some["position"], some["range"].astype(np.float64)) if reached else none
         for some, reached in zip((lights.point, lights.spot), reaches, strict=True)
     )
+    transparent = scene.find_transparent()
+    seen = find_in_view(scene, camera, transparent)
     counts = {
         Effect.DIRECTIONAL_LIGHTS: len(lights.directional),
         Effect.POINT_LIGHTS: len(lights.point),
@@ -106,13 +134,13 @@ def find_needs(scene: Scene, camera: Camera, *, reaches: tuple[bool, bool] = (Tr
         Effect.IMAGES: len(scene.images),
         Effect.EMISSION: int(np.count_nonzero(scene.materials["emission"])),
         Effect.HAZE: int(scene.haze > 0.0),
+        Effect.TRANSPARENCY: len(transparent),
         Effect.SUN_SHADOWS: _count_casting(scene, lights.directional),
     }
-    hidden = {
-        effect for effect, rows in ((Effect.POINT_LIGHTS, point), (Effect.SPOT_LIGHTS, spot)) if not len(rows)
-    }
+    in_view = {Effect.POINT_LIGHTS: point, Effect.SPOT_LIGHTS: spot, Effect.TRANSPARENCY: seen}
+    hidden = {effect for effect, rows in in_view.items() if not len(rows)}
     effects = frozenset(effect for effect, count in counts.items() if count and effect not in hidden)
-    return Needs(effects, counts, point, spot)
+    return Needs(effects, counts, point, spot, seen, blending)
 
 
 def _count_casting(scene: Scene, lights: NDArray[Any]) -> int:

@@ -30,7 +30,7 @@ class Casters:
 
 
 class SceneCasters:
-    """The casters of a scene.
+    """The casters of a scene. Transparent objects cast no shadows.
 
     Attributes:
         still, moving: the rows of objects that cast shadows: those that can't move, and those that may.
@@ -38,9 +38,10 @@ class SceneCasters:
 
     def __init__(self, scene: Scene) -> None:
         objects = scene.objects
-        may_move = objects.dynamic | objects.simulated
-        self.still: Rows = np.flatnonzero(objects.casts_shadow & ~may_move)
-        self.moving: Rows = np.flatnonzero(objects.casts_shadow & may_move)
+        may_move, casts = objects.dynamic | objects.simulated, objects.casts_shadow.copy()
+        casts[scene.find_transparent()] = False
+        self.still: Rows = np.flatnonzero(casts & ~may_move)
+        self.moving: Rows = np.flatnonzero(casts & may_move)
         self._scene = scene
         self._turned: dict[bytes, tuple[Floats, Floats]] = {}  # boxes of what can't move, by the light's axes
 

@@ -24,10 +24,12 @@ from renderer.shaders.lighting import is_near, point_light, spot_light
 from renderer.shaders.structs import PointLight, SpotLight, SurfacePoint
 from renderer.techniques.cell_lists import CellReader, ClusterLists, bind_lists, list_pass
 from renderer.techniques.deferred import Deferred, GeometryResolve, resolve, resolve_geometry
-from renderer.techniques.forward import bind_lamps, bind_shading, explain_lamps, list_lamps
+from renderer.techniques.forward import bind_lamps, bind_shading, explain_lamps, find_forward, list_lamps
+from renderer.techniques.forward_plus import find_listed
 from renderer.techniques.forward_shader import LampShader
 from renderer.techniques.geometry_buffer import GeometryReader, bind_geometry, geometry_pass
 from renderer.techniques.resolve import LIGHT_FORMAT, resolve_pass
+from renderer.techniques.transparency import declare_transparency
 from rhi import Device, Texture
 from rhi.shading import (
     Image2D,
@@ -226,6 +228,7 @@ class TiledDeferred:
                 "lights surfaces by what reaches all of them",
                 (*_READS, "light"),
             ),
+            *declare_transparency(needs, find_forward),
         )
 
 
@@ -246,6 +249,7 @@ class ClusteredDeferred:
                 "lights surfaces by what reaches all of them and by their clusters' lights",
                 (*_READS, "light lists"),
             ),
+            *declare_transparency(needs, partial(find_listed, kind=ClusterLists), reads=("light lists",)),
         )
 
 

@@ -16,14 +16,15 @@ So a hidden fragment costs its geometry alone, and textures are read once a pixe
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, partial
 from typing import Any, Final
 
 from renderer.frame import IMAGE_FORMAT, Effect, Frame, Needs, Pass, Target
 from renderer.shaders.pixels import FullScreen, distance_at, nearness_of, place_pixel
 from renderer.shaders.structs import SurfacePoint
 from renderer.techniques.cell_lists import CellReader, ClusterLists, bind_lists, list_pass
-from renderer.techniques.forward import bind_lamps, bind_shading, list_lamps
+from renderer.techniques.forward import bind_lamps, bind_shading, find_forward, list_lamps
+from renderer.techniques.forward_plus import find_listed
 from renderer.techniques.forward_shader import PARTS, LampShader
 from renderer.techniques.full_screen import draw_full_screen
 from renderer.techniques.material_rectangles import (
@@ -34,6 +35,7 @@ from renderer.techniques.material_rectangles import (
 )
 from renderer.techniques.packed_geometry import PackedImages, PackedReader, bind_packed, packed_pass
 from renderer.techniques.scene_shader import ShadingShader, WithSun
+from renderer.techniques.transparency import declare_transparency
 from rhi.shading import Shader, discard, fragment_coordinate, ivec2, vec3, vec4
 
 __rhi_internal__ = True
@@ -79,7 +81,7 @@ class DeferredPlus:
 
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the passes `geometry`, `light lists` if there are lights to list, and `shading`; with `multi_pass`
-        also `material ids` and `rectangles`."""
+        also `material ids` and `rectangles`; and those of transparent surfaces."""
         lists = (list_pass(needs, ClusterLists),) if list_lamps(needs) else ()
         found = (ids_pass(), rectangles_pass()) if self.multi_pass else ()
         reads = ["packed", "depth"]
@@ -92,7 +94,12 @@ class DeferredPlus:
             reads=tuple(reads),
             writes=(Target("image", IMAGE_FORMAT),),
         )
-        return (packed_pass(needs), *lists, *found, shading)
+        if lists:
+            lit_by_cells = partial(find_listed, kind=ClusterLists)
+            transparency = declare_transparency(needs, lit_by_cells, reads=("light lists",))
+        else:
+            transparency = declare_transparency(needs, find_forward)
+        return (packed_pass(needs), *lists, *found, shading, *transparency)
 
     def _shade(self, frame: Frame) -> None:
         (features, bindings), (parts, lamps) = bind_shading(frame), bind_lamps(frame)

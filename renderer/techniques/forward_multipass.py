@@ -26,6 +26,7 @@ from renderer.techniques.forward import (
     bind_lamps,
     bind_materials,
     bind_surfaces,
+    find_forward,
     list_lamps,
 )
 from renderer.techniques.forward_shader import (
@@ -38,6 +39,7 @@ from renderer.techniques.forward_shader import (
 )
 from renderer.techniques.resolve import LIGHT_FORMAT, sum_pass
 from renderer.techniques.scene_shader import Textured
+from renderer.techniques.transparency import declare_transparency
 from rhi import BlendFunction, CullMode, DepthFunction, DepthTest, DepthWrite, Program, State, Texture
 from rhi.shading import Shader, Storage, Struct, instance_index, ivec3, vec3, vec4
 
@@ -118,7 +120,7 @@ class ForwardMultipass:
                 )
             )
             light = result
-        return *passes, sum_pass(needs, light)
+        return *passes, sum_pass(needs, light), *declare_transparency(needs, find_forward)
 
 
 @cache
@@ -187,9 +189,10 @@ def draw_pairs(frame: Frame, effect: Effect, shader: type[Shader], color: Textur
 
 
 def _list_visible(frame: Frame) -> Rows:
-    """Return the objects drawn. Where only the device knows them, return all in view: those that are hidden fail the
-    depth test."""
+    """Return the objects drawn, but for transparent ones. Where only the device knows them, return all in view: those
+    that are hidden fail the depth test."""
     if frame.drawn.is_known:
-        return frame.drawn.rows
+        return frame.drawn.opaque
     resources = frame.resources
-    return resources.find_in_view(frame.camera, np.arange(len(resources.draws)))
+    rows = resources.find_in_view(frame.camera, np.arange(len(resources.draws)))
+    return rows[~resources.is_transparent[rows]]

@@ -9,8 +9,8 @@ Without point and spot lights in view there is nothing to list, and both are pla
 
 from __future__ import annotations
 
-from functools import cache
-from typing import Final
+from functools import cache, partial
+from typing import Any, Final
 
 from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target, TechniquePass
 from renderer.lights.culling.grid import LightGrid
@@ -24,11 +24,12 @@ from renderer.techniques.cell_lists import (
     list_pass,
 )
 from renderer.techniques.depth import draw_depth
-from renderer.techniques.forward import Forward, bind_lamps, bind_materials, list_lamps
+from renderer.techniques.forward import Forward, bind_lamps, bind_materials, find_forward, list_lamps
 from renderer.techniques.forward_shader import ForwardShader, forward_variant
 from renderer.techniques.full_screen import bind_rays
+from renderer.techniques.transparency import declare_transparency
 from rhi import DepthFunction, DepthWrite
-from rhi.shading import Shader, Uniform, dot, vec4
+from rhi.shading import Uniform, dot, ivec3
 
 __rhi_internal__ = True
 
@@ -38,12 +39,8 @@ class LitByCells(CellReader, ForwardShader):
 
     rays: Uniform[PixelRays]
 
-    def fragment(self, v: SurfaceVarying) -> vec4:
-        material = self.materials[v.material]
-        surface = self.find_surface(v, material)
-        color = self.shade(surface, material)
-        color += self.lamplight(surface, self.find_cell_lights(dot(v.position, self.rays.forward)))
-        return self.finish(color, v.position)
+    def find_lights(self, v: SurfaceVarying) -> ivec3:
+        return self.find_cell_lights(dot(v.position, self.rays.forward))
 
 
 class ForwardPlus:
@@ -70,6 +67,8 @@ class ForwardPlus:
                 reads=("depth", "light lists"),
                 writes=(Target("image", IMAGE_FORMAT),),
             ),
+            # The lists of tiles end at opaque surfaces.
+            *declare_transparency(needs, find_forward),
         )
 
 
@@ -91,28 +90,35 @@ class Clustered:
                 reads=("light lists",),
                 writes=(Target("image", IMAGE_FORMAT), Target("depth", DEPTH_FORMAT)),
             ),
+            *declare_transparency(needs, partial(find_listed, kind=ClusterLists), reads=("light lists",)),
         )
 
 
 @cache
-def cells_variant(parts: tuple[str, ...], *, has_sun: bool) -> type[Shader]:
+def cells_variant(parts: tuple[str, ...], *, has_sun: bool) -> type[ForwardShader]:
     """Return the forward shader with these parts, lit by the lights of cells."""
     return type(
         "LitByCells", (LitByCells, forward_variant(*parts, has_sun=has_sun)), {"__module__": __name__}
     )
 
 
-def draw_listed(frame: Frame, kind: type[LightGrid], *, after_depth: bool) -> None:
-    """Draw the visible objects, lit by the lights of their cells; where depth was drawn before, only what is seen."""
+def find_listed(frame: Frame, kind: type[LightGrid]) -> tuple[type[ForwardShader], dict[str, Any]]:
+    """Return the forward shader that is lit by the lights of cells, and its bindings."""
     (features, bindings), (more, lamps) = bind_materials(frame), bind_lamps(frame)
     shader = cells_variant((*features, *more), has_sun=frame.needs.has_sun)
+    return shader, bindings | lamps | bind_lists(frame, kind) | bind_rays(frame)
+
+
+def draw_listed(frame: Frame, kind: type[LightGrid], *, after_depth: bool) -> None:
+    """Draw the visible objects, lit by the lights of their cells; where depth was drawn before, only what is seen."""
+    shader, bindings = find_listed(frame, kind)
     frame.draw_visible(
         TechniquePass(
             frame.device,
             frame.resources,
             frame.view,
             frame.device.program(shader),
-            bindings | lamps | bind_lists(frame, kind) | bind_rays(frame),
+            bindings,
             color=frame.targets["image"],
             depth=frame.targets["depth"],
             clear=(*frame.resources.scene.background, 1.0),

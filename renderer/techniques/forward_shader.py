@@ -41,7 +41,7 @@ class MaterialShader(SceneShader):
             position=v.position,
             normal=safe_normalize(v.normal),
             to_eye=safe_normalize(-v.position),
-            base_color=material.base_color.rgb * self.texel(material.texture, v.uv),
+            base_color=material.base_color.rgb * self.texel(material.texture, v.uv).rgb,
             specular_color=material.specular_color,
             shininess=material.shininess,
         )
@@ -51,11 +51,18 @@ class ForwardShader(MaterialShader, LampShader, ShadingShader):
     """The base of all variants: ambient light with the rim term."""
 
     def fragment(self, v: SurfaceVarying) -> vec4:
-        material = self.materials[v.material]
+        return self.light(v, self.materials[v.material])
+
+    def light(self, v: SurfaceVarying, material: Material) -> vec4:
+        """Return the pixel of the lit surface."""
         surface = self.find_surface(v, material)
         color = self.shade(surface, material)
-        color += self.lamplight(surface, v.lights)
+        color += self.lamplight(surface, self.find_lights(v))
         return self.finish(color, v.position)
+
+    def find_lights(self, v: SurfaceVarying) -> ivec3:
+        """Return the ends of the lists of lamps that light the surface; see `lamplight`."""
+        return v.lights
 
 
 class WithPointLights(LampShader):

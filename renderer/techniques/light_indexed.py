@@ -27,9 +27,17 @@ from renderer.shaders.lighting import point_light, safe_normalize, spot_light
 from renderer.shaders.pixels import PixelRays, distance_at, nearness_of, place_pixel
 from renderer.shaders.structs import SurfacePoint
 from renderer.techniques.depth import draw_depth
-from renderer.techniques.forward import Forward, bind_lamps, bind_materials, explain_lamps, list_lamps
+from renderer.techniques.forward import (
+    Forward,
+    bind_lamps,
+    bind_materials,
+    explain_lamps,
+    find_forward,
+    list_lamps,
+)
 from renderer.techniques.forward_shader import WithPointLights, WithSpotLights, forward_variant
 from renderer.techniques.full_screen import bind_rays
+from renderer.techniques.transparency import declare_transparency
 from rhi import (
     BlendColor,
     BlendFactor,
@@ -202,7 +210,7 @@ class LightIndexed:
     name: Final = "light_indexed"
 
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
-        """Return the three passes."""
+        """Return the three passes, and those of transparent surfaces."""
         if not list_lamps(needs):
             return Forward().declare(needs)
         because = explain_lamps(needs)
@@ -227,6 +235,7 @@ class LightIndexed:
                 reads=(INDICES, "depth"),
                 writes=(Target("image", IMAGE_FORMAT),),
             ),
+            *declare_transparency(needs, find_forward),
         )
 
 
