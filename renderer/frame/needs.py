@@ -31,6 +31,8 @@ class Effect(Enum):
     EMISSION = "emission"
     HAZE = "haze"
     SUN_SHADOWS = "shadows of directional lights"
+    POINT_SHADOWS = "shadows of point lights"
+    SPOT_SHADOWS = "shadows of spot lights"
     TRANSPARENCY = "transparency"
 
 
@@ -51,6 +53,8 @@ _NOUNS: Final = {
     Effect.EMISSION: "material that emits light",
     Effect.TRANSPARENCY: "transparent object",
     Effect.SUN_SHADOWS: "directional light that casts shadows",
+    Effect.POINT_SHADOWS: "point light that casts shadows",
+    Effect.SPOT_SHADOWS: "spot light that casts shadows",
 }
 
 
@@ -61,6 +65,7 @@ class Needs:
     Attributes:
         effects: those that are needed. counts: of each effect, how many of its causes the scene has.
         point_rows, spot_rows: the rows of the lights whose light may reach something in view.
+        point_casting, spot_casting: those of them that cast shadows; none if no object does.
         transparent_rows: the rows of the transparent objects in view. blending: how they are put together.
     """
 
@@ -68,6 +73,8 @@ class Needs:
     counts: dict[Effect, int]
     point_rows: Rows
     spot_rows: Rows
+    point_casting: Rows
+    spot_casting: Rows
     transparent_rows: Rows
     blending: Blending
 
@@ -89,11 +96,15 @@ class Needs:
         noun = _NOUNS[effect]
         if not count:
             return f"the scene has no {noun}"
-        plural = noun.replace("material that emits", "materials that emit") if "material" in noun else f"{noun}s"
-        if effect is Effect.SUN_SHADOWS:
-            plural = "directional lights that cast shadows"
-        if effect in (Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS):
-            rows = self.point_rows if effect is Effect.POINT_LIGHTS else self.spot_rows
+        plural = _make_plural(noun)
+        reaching = {
+            Effect.POINT_LIGHTS: self.point_rows,
+            Effect.SPOT_LIGHTS: self.spot_rows,
+            Effect.POINT_SHADOWS: self.point_casting,
+            Effect.SPOT_SHADOWS: self.spot_casting,
+        }
+        if effect in reaching:
+            rows = reaching[effect]
             if count == 1 and not len(rows):
                 return f"the only {noun} doesn't reach what is in view"
             reach = "reaches" if len(rows) == 1 else "reach"
@@ -136,11 +147,28 @@ def find_needs(
         Effect.HAZE: int(scene.haze > 0.0),
         Effect.TRANSPARENCY: len(transparent),
         Effect.SUN_SHADOWS: _count_casting(scene, lights.directional),
+        Effect.POINT_SHADOWS: _count_casting(scene, lights.point),
+        Effect.SPOT_SHADOWS: _count_casting(scene, lights.spot),
     }
-    in_view = {Effect.POINT_LIGHTS: point, Effect.SPOT_LIGHTS: spot, Effect.TRANSPARENCY: seen}
+    point_casting = point[lights.point["casts_shadow"][point]] if counts[Effect.POINT_SHADOWS] else none
+    spot_casting = spot[lights.spot["casts_shadow"][spot]] if counts[Effect.SPOT_SHADOWS] else none
+    in_view = {
+        Effect.POINT_LIGHTS: point,
+        Effect.SPOT_LIGHTS: spot,
+        Effect.POINT_SHADOWS: point_casting,
+        Effect.SPOT_SHADOWS: spot_casting,
+        Effect.TRANSPARENCY: seen,
+    }
     hidden = {effect for effect, rows in in_view.items() if not len(rows)}
     effects = frozenset(effect for effect, count in counts.items() if count and effect not in hidden)
-    return Needs(effects, counts, point, spot, seen, blending)
+    return Needs(effects, counts, point, spot, point_casting, spot_casting, seen, blending)
+
+
+def _make_plural(noun: str) -> str:
+    """Return the plural of `light that casts`, `material that emits` and the like."""
+    name, that, clause = noun.partition(" that ")
+    verb, space, rest = clause.partition(" ")
+    return f"{name}s{that}{verb.removesuffix('s')}{space}{rest}"
 
 
 def _count_casting(scene: Scene, lights: NDArray[Any]) -> int:

@@ -59,7 +59,8 @@ class LightingShader(VolumeShader, GeometryReader):
         row = self.material.load(place)
         surface = self.read_surface(self.materials[int(row.x)], row, texel, position)
         incidence = self.find_incidence(position, v.light)
-        return vec4(reflected_light(surface, incidence.direction, incidence.irradiance), 0.0)
+        light = reflected_light(surface, incidence.direction, incidence.irradiance)
+        return vec4(self.unblocked(light, position, surface.normal, v.light), 0.0)
 
 
 class GeometryResolve(ResolveShader, GeometryReader, ShadingShader):

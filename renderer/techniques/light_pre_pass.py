@@ -122,7 +122,7 @@ class TermShader(VolumeShader, SurfaceReader):
         facing = dot(surface.normal, incidence.direction)
         if facing <= 0.0:
             return LightTerms(diffuse=vec4(0.0), specular=vec4(0.0))
-        diffuse = incidence.irradiance * facing
+        diffuse = self.unblocked(incidence.irradiance * facing, position, surface.normal, light)
         specular = diffuse * highlight(surface, incidence.direction)
         return LightTerms(diffuse=vec4(diffuse, luminance(specular)), specular=vec4(specular, 0.0))
 
