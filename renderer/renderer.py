@@ -154,6 +154,11 @@ class Renderer:
             made.pop_all()
 
     @property
+    def view(self) -> View:
+        """What the image is drawn from, with what techniques keep for it; with two eyes the left one."""
+        return self._view
+
+    @property
     def visibility(self) -> VisibilityAlgorithm:
         """The algorithm that finds the objects in the image."""
         return self._view.visibility

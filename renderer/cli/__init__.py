@@ -12,6 +12,7 @@ from typing import Final, NoReturn
 from renderer.cli import (
     capture,
     compare_backends,
+    compare_deferred_plus,
     compare_encodings,
     compare_light_culling,
     compare_stereo,
@@ -41,6 +42,7 @@ COMMANDS: Final[tuple[Subcommand | SubcommandGroup, ...]] = (
             compare_techniques.COMMAND,
             compare_visibility.COMMAND,
             compare_light_culling.COMMAND,
+            compare_deferred_plus.COMMAND,
             compare_stereo.COMMAND,
             compare_encodings.COMMAND,
             compare_backends.COMMAND,
