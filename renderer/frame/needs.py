@@ -43,6 +43,8 @@ class Effect(Enum):
     TEXTURE_TRANSFORMS = "texture transforms"
     MIXED_COORDINATES = "mixed coordinates"
     SUN_SHADOWS = "shadows of directional lights"
+    POINT_SHADOWS = "shadows of point lights"
+    SPOT_SHADOWS = "shadows of spot lights"
     TRANSPARENCY = "transparency"
 
 
@@ -78,6 +80,8 @@ _NOUNS: Final = {
     ),
     Effect.TRANSPARENCY: ("transparent object", "transparent objects"),
     Effect.SUN_SHADOWS: ("directional light that casts shadows", "directional lights that cast shadows"),
+    Effect.POINT_SHADOWS: ("point light that casts shadows", "point lights that cast shadows"),
+    Effect.SPOT_SHADOWS: ("spot light that casts shadows", "spot lights that cast shadows"),
 }
 
 
@@ -89,6 +93,7 @@ class Needs:
         effects: those that are needed. counts: of each effect, how many of its causes the scene has.
         material_count: the number of materials.
         point_rows, spot_rows: the rows of the lights whose light may reach something in view.
+        point_casting, spot_casting: those of them that cast shadows; none if no object does.
         transparent_rows: the rows of the transparent objects in view. blending: how they are put together.
     """
 
@@ -97,6 +102,8 @@ class Needs:
     material_count: int
     point_rows: Rows
     spot_rows: Rows
+    point_casting: Rows
+    spot_casting: Rows
     transparent_rows: Rows
     blending: Blending
 
@@ -123,8 +130,14 @@ class Needs:
         noun, plural = _NOUNS[effect]
         if not count:
             return f"the scene has no {noun}"
-        if effect in (Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS):
-            rows = self.point_rows if effect is Effect.POINT_LIGHTS else self.spot_rows
+        reaching = {
+            Effect.POINT_LIGHTS: self.point_rows,
+            Effect.SPOT_LIGHTS: self.spot_rows,
+            Effect.POINT_SHADOWS: self.point_casting,
+            Effect.SPOT_SHADOWS: self.spot_casting,
+        }
+        if effect in reaching:
+            rows = reaching[effect]
             if count == 1 and not len(rows):
                 return f"the only {noun} doesn't reach what is in view"
             reach = "reaches" if len(rows) == 1 else "reach"
@@ -166,11 +179,23 @@ def find_needs(
         Effect.TRANSPARENCY: len(transparent),
         Effect.SUN_SHADOWS: _count_casting(scene, lights.directional),
         **{Effect(name): count for name, count in scene.count_features().items()},
+        Effect.POINT_SHADOWS: _count_casting(scene, lights.point),
+        Effect.SPOT_SHADOWS: _count_casting(scene, lights.spot),
     }
-    in_view = {Effect.POINT_LIGHTS: point, Effect.SPOT_LIGHTS: spot, Effect.TRANSPARENCY: seen}
+    point_casting = point[lights.point["casts_shadow"][point]] if counts[Effect.POINT_SHADOWS] else none
+    spot_casting = spot[lights.spot["casts_shadow"][spot]] if counts[Effect.SPOT_SHADOWS] else none
+    in_view = {
+        Effect.POINT_LIGHTS: point,
+        Effect.SPOT_LIGHTS: spot,
+        Effect.POINT_SHADOWS: point_casting,
+        Effect.SPOT_SHADOWS: spot_casting,
+        Effect.TRANSPARENCY: seen,
+    }
     hidden = {effect for effect, rows in in_view.items() if not len(rows)}
     effects = frozenset(effect for effect, count in counts.items() if count and effect not in hidden)
-    return Needs(effects, counts, len(scene.materials), point, spot, seen, blending)
+    return Needs(
+        effects, counts, len(scene.materials), point, spot, point_casting, spot_casting, seen, blending
+    )
 
 
 def _count_casting(scene: Scene, lights: NDArray[Any]) -> int:

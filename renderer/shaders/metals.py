@@ -15,7 +15,8 @@ don't depend on colours, two of them times a colour of the material. So a light 
 `SurfacePoint` has the two colours.
 
 `(n·h)² (α² - 1) + 1` loses all digits of a sharp highlight in float32; it is the same as `|n×h|² + α² (n·h)²`, which
-loses none. A roughness below `SMOOTHEST` counts as that: the highlight of a light without size is white there anyway,
+loses none. Where a mapped normal looks away from the eye and n·h is negative, D isn't cut to 0, which would show as
+an edge. A roughness below `SMOOTHEST` counts as that: the highlight of a light without size is white there anyway,
 and normals that are stored in 2 × 16 bits would no longer do.
 """
 
@@ -27,8 +28,8 @@ from renderer.shaders.lighting import hemisphere, safe_normalize
 from renderer.shaders.structs import Ambient, Incidence, SurfacePoint
 from rhi.shading import abs, cross, dot, exp2, function, max, min, mix, reflect, saturate, sqrt, vec3
 
-SMOOTHEST: Final = 0.067
-"""The least roughness. Its highlight is that of a shininess of 100,000, the largest one of the specular model."""
+SMOOTHEST: Final = 0.1
+"""The least roughness. Its highlight is about that of a shininess of 20,000."""
 
 
 @function
@@ -57,13 +58,11 @@ def metal_terms(surface: SurfacePoint, to_light: vec3) -> vec3:
     beyond = 1.0 - saturate(dot(surface.to_eye, halfway))
     p = beyond * beyond
     p = p * p * beyond
-    if along <= 0.0:
-        return vec3(1.0 - p, 0.0, 0.0)
     roughness = surface.shininess * surface.shininess
     alpha = roughness * roughness
     across = cross(surface.normal, halfway)
     spread = max(dot(across, across) + alpha * along * along, alpha)
-    lit = dot(surface.normal, to_light)
+    lit = saturate(dot(surface.normal, to_light))
     seen = abs(dot(surface.normal, surface.to_eye))
     masked = (lit + sqrt(alpha + (1.0 - alpha) * lit * lit)) * (seen + sqrt(alpha + (1.0 - alpha) * seen * seen))
     lobe = alpha / (spread * spread * masked)

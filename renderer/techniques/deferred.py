@@ -64,7 +64,8 @@ class LightingShader(VolumeShader, GeometryReader):
             return vec4(0.0)
         row = self.material.load(place)
         surface = self.read_surface(row, texel, place, position)
-        return vec4(self.reflect_light(surface, self.find_incidence(position, v.light)), 0.0)
+        light = self.reflect_light(surface, self.find_incidence(position, v.light))
+        return vec4(self.unblocked(light, position, surface.normal, v.light), 0.0)
 
 
 class GeometryResolve(ResolveShader, GeometryReader, ShadingShader):

@@ -22,6 +22,7 @@ from renderer.lights.culling.uploads import LightUploads
 from renderer.lights.culling.volumes import WORD
 from renderer.shaders.lighting import is_near, point_incidence, spot_incidence
 from renderer.shaders.structs import PointLight, SpotLight, SurfacePoint
+from renderer.shadows import SHADOW_PARTS, ShadowReceiver
 from renderer.techniques.cell_lists import CellReader, ClusterLists, bind_lists, list_pass
 from renderer.techniques.deferred import Deferred, GeometryResolve, resolve, resolve_geometry
 from renderer.techniques.forward import bind_lamps, bind_shading, explain_lamps, find_forward, list_lamps
@@ -80,7 +81,7 @@ class LitByLists(CellReader, LampShader, GeometryResolve):
         return self.lamplight(surface, self.find_cell_lights(distance))
 
 
-class TiledLighting(GeometryReader):
+class TiledLighting(GeometryReader, ShadowReceiver):
     """Adds up the light of each pixel. A work-group has one tile."""
 
     # As in other passes: highlights end up in 8 bits.
@@ -188,7 +189,8 @@ class TiledPointLights(TiledLighting):
         light = self.point_lights[row]
         if not is_near(surface.position, light.position, light.range):
             return vec3(0.0)
-        return self.reflect_light(surface, point_incidence(surface.position, light))
+        reflected = self.reflect_light(surface, point_incidence(surface.position, light))
+        return self.unblocked_point(reflected, surface.position, surface.normal, row)
 
 
 class TiledSpotLights(TiledLighting):
@@ -206,7 +208,8 @@ class TiledSpotLights(TiledLighting):
         light = self.spot_lights[row]
         if not is_near(surface.position, light.position, light.range):
             return vec3(0.0)
-        return self.reflect_light(surface, spot_incidence(surface.position, light))
+        reflected = self.reflect_light(surface, spot_incidence(surface.position, light))
+        return self.unblocked_spot(reflected, surface.position, surface.normal, row)
 
 
 class TileUploads(LightUploads):
@@ -266,7 +269,7 @@ def tiled_variant(
 ) -> type[Shader]:
     """Return the compute shader for point lights, spot lights or both, which reads the geometry buffer by `readers`;
     bases that are `added` come first."""
-    known = {"point_lights": TiledPointLights, "spot_lights": TiledSpotLights}
+    known = {"point_lights": TiledPointLights, "spot_lights": TiledSpotLights, **SHADOW_PARTS}
     bases = (*added, *readers, *(known[part] for part in parts))
     return type("TiledLights", bases, {"__module__": __name__})
 

@@ -135,7 +135,7 @@ def shading_variant(
 ) -> type[Any]:
     """Return the shader of the last pass with these of `PARTS`, and these that read the buffer."""
     known = PARTS | {"directional_lights": WithSun} if has_sun else PARTS
-    bases: list[type[Shader]] = [known[part] for part in parts]
+    bases: list[type[Shader]] = [known[part] for part in dict.fromkeys(parts)]
     bases += [RectangleShader] if multi_pass else []
     bases += readers
     bases.append(PackedLamps if has_lamps else PackedShading)

@@ -136,7 +136,13 @@ def bind_forward(frame: Frame) -> tuple[Program[Any], dict[str, Any]]:
 
 def bind_lamps(frame: Frame, effects: Iterable[Effect] = LAMPS) -> tuple[list[str], dict[str, Any]]:
     """Return the names of the parts that a `LampShader` needs for those of the point and spot lights that the frame
-    needs, and its bindings."""
+    needs, with their shadows, and its bindings."""
+    (parts, bindings), (more, maps) = bind_plain_lamps(frame, effects), bind_lamp_shadows(frame, effects)
+    return [*parts, *more], bindings | maps
+
+
+def bind_plain_lamps(frame: Frame, effects: Iterable[Effect] = LAMPS) -> tuple[list[str], dict[str, Any]]:
+    """Return the names of the parts of lamps without shadows, and their bindings."""
     resources = frame.resources
     optional = {
         Effect.POINT_LIGHTS: ("point_lights", resources.point.buffer),
@@ -147,6 +153,14 @@ def bind_lamps(frame: Frame, effects: Iterable[Effect] = LAMPS) -> tuple[list[st
     if present:
         present["light_rows"] = resources.light_rows.buffer
     return parts, present
+
+
+def bind_lamp_shadows(frame: Frame, effects: Iterable[Effect] = LAMPS) -> tuple[list[str], dict[str, Any]]:
+    """Return the names of the parts of the shadows of those lights that the frame needs, and their bindings."""
+    shadows = {Effect.POINT_LIGHTS: Effect.POINT_SHADOWS, Effect.SPOT_LIGHTS: Effect.SPOT_SHADOWS}
+    names = {Effect.POINT_LIGHTS: "point", Effect.SPOT_LIGHTS: "spot"}
+    kinds = [names[effect] for effect in effects if shadows[effect] in frame.needs.effects]
+    return frame.resources.workspace(ShadowMaps).bind_lamps(kinds) if kinds else ([], {})
 
 
 def bind_materials(frame: Frame) -> tuple[list[str], dict[str, Any]]:

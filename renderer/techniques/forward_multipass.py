@@ -23,8 +23,9 @@ from renderer.shaders.structs import Object, SurfaceVarying
 from renderer.techniques.forward import (
     LAMPS,
     Forward,
-    bind_lamps,
+    bind_lamp_shadows,
     bind_materials,
+    bind_plain_lamps,
     find_forward,
     list_lamps,
 )
@@ -155,8 +156,9 @@ def _draw_base(frame: Frame) -> None:
 
 def _add_lamps(frame: Frame, effect: Effect) -> None:
     parts, bindings = bind_surfaces(frame, (Aspect.COVERAGE, Aspect.COLOR, Aspect.NORMAL, Aspect.METAL))
-    shader = pair_variant(effect, (*parts, *list_models(frame.needs)))
-    bindings |= bind_lamps(frame, [effect])[1]
+    shadows, maps = bind_lamp_shadows(frame, [effect])
+    shader = pair_variant(effect, (*shadows, *parts, *list_models(frame.needs)))
+    bindings |= bind_plain_lamps(frame, [effect])[1] | maps
     draw_pairs(frame, effect, shader, frame.targets["light"], **bindings)
 
 

@@ -11,6 +11,7 @@ from typing import Final
 
 from renderer.shaders.lighting import in_range, point_incidence, spot_incidence
 from renderer.shaders.structs import Material, PointLight, SpotLight, SurfacePoint, SurfaceVarying
+from renderer.shadows import ShadowReceiver
 from renderer.techniques.scene_shader import (
     SHADING_PARTS,
     ReflectingShader,
@@ -21,7 +22,7 @@ from renderer.techniques.surfaces import SURFACE_PARTS, MaterialShader
 from rhi.shading import Shader, Storage, ivec3, vec3, vec4
 
 
-class LampShader(ReflectingShader):
+class LampShader(ReflectingShader, ShadowReceiver):
     """The base of shaders that light surfaces by lists of lamps, point and spot lights: without any."""
 
     def lamplight(self, surface: SurfacePoint, lights: ivec3) -> vec3:
@@ -66,7 +67,8 @@ class WithPointLights(LampShader):
         for i in range(begin, end):
             row = self.light_rows[i]
             if in_range(surface, self.point_lights[row].position, self.point_lights[row].range):
-                color += self.reflect_light(surface, point_incidence(surface.position, self.point_lights[row]))
+                light = self.reflect_light(surface, point_incidence(surface.position, self.point_lights[row]))
+                color += self.unblocked_point(light, surface.position, surface.normal, row)
         return color
 
 
@@ -81,7 +83,8 @@ class WithSpotLights(LampShader):
         for i in range(begin, end):
             row = self.light_rows[i]
             if in_range(surface, self.spot_lights[row].position, self.spot_lights[row].range):
-                color += self.reflect_light(surface, spot_incidence(surface.position, self.spot_lights[row]))
+                light = self.reflect_light(surface, spot_incidence(surface.position, self.spot_lights[row]))
+                color += self.unblocked_spot(light, surface.position, surface.normal, row)
         return color
 
 
@@ -99,5 +102,5 @@ def forward_variant(*parts: str, has_sun: bool = False) -> type[ForwardShader]:
     """Return the forward shader with these of `PARTS`, and only their bindings. `has_sun` says that there is exactly
     one directional light."""
     known = PARTS | {"directional_lights": WithSun} if has_sun else PARTS
-    bases = tuple(known[part] for part in parts)
+    bases = tuple(known[part] for part in dict.fromkeys(parts))
     return type("Forward", (*bases, ForwardShader), {"__module__": __name__})

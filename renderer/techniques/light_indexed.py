@@ -165,7 +165,8 @@ class WithIndexedPointLights(WithPointLights):
         while number > 0:
             row = self.numbered[number - 1]
             if row >= 0:
-                color += self.reflect_light(surface, point_incidence(surface.position, self.point_lights[row]))
+                light = self.reflect_light(surface, point_incidence(surface.position, self.point_lights[row]))
+                color += self.unblocked_point(light, surface.position, surface.normal, row)
             packed = packed >> uvec4(LIGHT_BITS)
             number = next_light(packed)
         return color
@@ -187,7 +188,8 @@ class WithIndexedSpotLights(WithSpotLights):
         while number > 0:
             row = self.numbered[number - 1]
             if row < 0:
-                color += self.reflect_light(surface, spot_incidence(surface.position, self.spot_lights[~row]))
+                light = self.reflect_light(surface, spot_incidence(surface.position, self.spot_lights[~row]))
+                color += self.unblocked_spot(light, surface.position, surface.normal, ~row)
             packed = packed >> uvec4(LIGHT_BITS)
             number = next_light(packed)
         return color

@@ -142,7 +142,7 @@ class TermShader(VolumeShader, SurfaceReader, ReflectingShader):
         if facing <= 0.0:
             return LightTerms(diffuse=vec4(0.0), specular=vec4(0.0), grazing=vec4(0.0))
         terms = self.find_terms(surface, incidence.direction)
-        light_in = incidence.irradiance * facing
+        light_in = self.unblocked(incidence.irradiance * facing, position, surface.normal, light)
         specular = light_in * terms.y
         return LightTerms(
             diffuse=vec4(light_in * terms.x, luminance(specular)),
