@@ -7,8 +7,8 @@ has all of them. `@` and the name of a view or `@path#frame` choose another came
 All techniques render the same frame in each round, and `auto` does, too, after its trial. Times are those of the
 processor, over all threads, and of the clock, from the frame's update until the device is finished; figures are
 medians, "x forward" those of the rounds' ratios. "lights" is how often a light is looked at for each pixel with
-geometry. The last line of a scene says what `auto` has chosen, and the ratio of its time to that of the fastest
-technique, by the processor and by the clock: `--auto` prints only these, as a table.
+geometry. The last line of a scene says what `auto` has chosen, and the ratio of that technique's time to the least of
+all: `--auto` prints only these, as a table, with the ratio of the time of `auto` to that of the technique.
 
     python benchmarks/techniques.py [--backend gl] [--rounds 5] [--size 480x270] [--scenes hall,night@crossing,…]
     python benchmarks/techniques.py --auto [--backend cl] [--size 960x540]
@@ -86,14 +86,20 @@ class Result:
     times: dict[str, Measurement]
     chosen: str
 
-    def find_ratios(self) -> tuple[str, float, float]:
-        """Return the fastest technique by the clock, and the ratios of the time of `auto` to the least of all, by the
-        processor and by the clock."""
-        auto = self.times["auto"]
-        others = [one for name, one in self.times.items() if name != "auto"]
-        by_clock = max(auto.ratio_to(one) for one in others)
-        by_processor = max(auto.processor_ratio_to(one) for one in others)
-        return min(others, key=lambda one: one.median).name, by_processor, by_clock
+    def find_fastest(self) -> str:
+        """Return the name of the technique that takes the least time by the clock."""
+        return min((name for name in self.times if name != "auto"), key=lambda name: self.times[name].median)
+
+    def find_ratios(self) -> tuple[float, float, float]:
+        """Return the ratios of the time of the chosen technique to the least of all, by the clock and by the processor,
+        and that of `auto` to the technique that it has chosen, by the processor."""
+        times = {name: one for name, one in self.times.items() if name != "auto"}
+        chosen = times[self.chosen]
+        return (
+            max(chosen.ratio_to(one) for one in times.values()),
+            max(chosen.processor_ratio_to(one) for one in times.values()),
+            self.times["auto"].processor_ratio_to(chosen),
+        )
 
 
 def load(text: str) -> tuple[Scene, Camera]:
@@ -167,8 +173,11 @@ def measure(
                 f"{'' if lights is None else f'{lights / pixels:8.2f} lights'}",
                 flush=True,
             )
-        best, by_processor, by_clock = result.find_ratios()
-        print(f"  auto: {auto.chosen}, {by_processor:.2f} x the fastest, {by_clock:.2f} by the clock ({best})")
+        by_clock, by_processor, _ = result.find_ratios()
+        print(
+            f"  auto: {auto.chosen}, {by_clock:.2f} x the fastest by the clock ({result.find_fastest()}), "
+            f"{by_processor:.2f} x by the processor"
+        )
     return result
 
 
@@ -189,10 +198,9 @@ def main() -> None:
             techniques = {name: one for name, one in techniques.items() if name != "tiled_deferred"}
         for text in split_scenes(given.scenes or (AUTO_SCENES if given.auto else SCENES)):
             result = measure(device, text, (width, height), given.rounds, techniques, shows=not given.auto)
-            best, by_processor, by_clock = result.find_ratios()
-            rows.append([text, result.chosen, best, by_processor, by_clock])
+            rows.append([text, result.chosen, result.find_fastest(), *result.find_ratios()])
     if given.auto:
-        header = ["scene and view", "auto", "fastest by the clock", "x fastest, processor", "x fastest, clock"]
+        header = ["scene@view", "auto", "fastest", "auto x fastest", "by the processor", "auto x its technique"]
         print(format_table(header, rows, markdown=True))
 
 

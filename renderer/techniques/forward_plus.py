@@ -9,6 +9,7 @@ Without point and spot lights in view there is nothing to list, and both are pla
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from typing import Final
 
@@ -27,7 +28,7 @@ from renderer.techniques.depth import draw_depth
 from renderer.techniques.forward import Forward, bind_lamps, bind_materials, list_lamps
 from renderer.techniques.forward_shader import ForwardShader, forward_variant
 from renderer.techniques.full_screen import bind_rays
-from rhi import DepthFunction, DepthWrite
+from rhi import DepthFunction, DepthWrite, Device
 from rhi.shading import Shader, Uniform, dot, vec4
 
 __rhi_internal__ = True
@@ -102,7 +103,7 @@ def cells_variant(parts: tuple[str, ...], *, has_sun: bool) -> type[Shader]:
     )
 
 
-def draw_listed(frame: Frame, kind: type[LightGrid], *, after_depth: bool) -> None:
+def draw_listed(frame: Frame, kind: Callable[[Device], LightGrid], *, after_depth: bool) -> None:
     """Draw the visible objects, lit by the lights of their cells; where depth was drawn before, only what is seen."""
     (features, bindings), (more, lamps) = bind_materials(frame), bind_lamps(frame)
     shader = cells_variant((*features, *more), has_sun=frame.needs.has_sun)
