@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.frame import (
-    Drawn,
+    Blending,
     Frame,
     Layer,
     Needs,
@@ -71,37 +71,42 @@ class FrameResult:
     the cost of finding the visible objects, None if the technique didn't do so. Where the device decides what is drawn,
     the first use of `visible` or `statistics` waits for the device; they can be read until the next frame.
 
-    With two eyes, `image` shows both, and `pictures` are the left and the right one's; `depth`, `targets` and
-    `visibility` are the left one's, and `statistics` are those of both together.
+    With two eyes, `image` shows both, and `pictures` and `frames` are the left and the right one's; `depth`, `targets`
+    and `visibility` are the left one's, and `statistics` are those of both together.
     """
 
     image: Texture
     depth: Texture
     targets: Targets
     visibility: VisibilityStatistics | None
-    pictures: tuple[Texture, ...]
-    _drawn: tuple[Drawn, ...]
+    frames: tuple[Frame, ...]
     _counters: dict[str, int]
+
+    @property
+    def pictures(self) -> tuple[Texture, ...]:
+        """The picture of each eye."""
+        return tuple(frame.targets.image for frame in self.frames)
 
     @property
     def visible(self) -> NDArray[np.int64]:
         """The rows of the objects drawn, with two eyes ascending."""
-        rows = [drawn.rows for drawn in self._drawn]
+        rows = [frame.drawn.rows for frame in self.frames]
         return rows[0] if len(rows) == 1 else np.unique(np.concatenate(rows))
 
     @cached_property
     def statistics(self) -> FrameStatistics:
         """The cost of the frame."""
-        triangles = sum(drawn.triangles for drawn in self._drawn)
-        draws = sum(len(drawn.rows) for drawn in self._drawn)
+        drawn = [frame.drawn for frame in self.frames]
+        triangles = sum(one.triangles for one in drawn)
+        draws = sum(len(one.rows) for one in drawn)
         return FrameStatistics(triangles=triangles, draws=draws, **self._counters)
 
 
 class Renderer:
     """Draws one scene on one device.
 
-    The attributes `technique` and `visibility` may be exchanged between any two frames, and `layers`, which are drawn
-    over each frame in their order, changed.
+    The attributes `technique`, `visibility` and `blending` may be exchanged between any two frames, and `layers`, which
+    are drawn over each frame in their order, changed.
     """
 
     def __init__(
@@ -112,6 +117,7 @@ class Renderer:
         technique: Technique | None = None,
         visibility: VisibilityAlgorithm | None = None,
         size: tuple[int, int] = (960, 540),
+        blending: Blending = Blending.SORTED,
         validation: bool = False,
     ) -> None:
         """Create the targets and upload the scene.
@@ -121,12 +127,14 @@ class Renderer:
                 fastest; its picture may change by 2 of 255 levels when it changes its mind.
             visibility: an algorithm made for `scene`; by default `auto`, which measures which one is the fastest.
             size: (width, height) of the image in pixels.
+            blending: how transparent surfaces that cover each other are put together.
             validation: whether to check samples of what is simulated: each batch has one object whose vertices must be
                 inside its bounds (`scene-left-bounds`).
         """
         self.device = device
         self.scene = scene
         self.technique: Technique = technique or Forward()
+        self.blending = blending
         self.layers: list[Layer] = []
         self._own: list[VisibilityAlgorithm] = []
         if visibility is None:
@@ -144,6 +152,11 @@ class Renderer:
             self._resources = SceneResources(device, scene)
             self._validation = self.simulator.validation = validation
             made.pop_all()
+
+    @property
+    def view(self) -> View:
+        """What the image is drawn from, with what techniques keep for it; with two eyes the left one."""
+        return self._view
 
     @property
     def visibility(self) -> VisibilityAlgorithm:
@@ -249,7 +262,7 @@ class Renderer:
         self.scene.refresh()
         resources.update(self._view.camera)
         resources.expect(around, expected)
-        needs = find_needs(self.scene, around, reaches=resources.reaching)
+        needs = self._find_needs(around)
         plan = self._plan(needs)
         left = Frame(device, self._view, resources, self._targets, needs)
         frames = [left]
@@ -259,7 +272,7 @@ class Renderer:
             frames.append(right)
             resources.look_from(right.camera, 1)
             with device.event(pair.view.name):
-                self._run(plan, right)
+                self._run(pair.plan(has_layers=bool(self.layers)) or plan, right)
         after = device.statistics
         for frame in frames:
             for layer in self.layers:
@@ -273,13 +286,7 @@ class Renderer:
         counters["simulation_steps"] = self.simulator.steps
         counters["skipped_simulations"] = len(self.simulator) - self.simulator.seen
         result = FrameResult(
-            image,
-            left.targets.depth,
-            left.targets,
-            left.statistics,
-            tuple(frame.targets.image for frame in frames),
-            tuple(frame.drawn for frame in frames),
-            counters,
+            image, left.targets.depth, left.targets, left.statistics, tuple(frames), counters
         )
         return result, needs
 
@@ -312,8 +319,11 @@ class Renderer:
         camera = self._fit(camera)
         if self._pair is not None:
             camera = self._pair.stereo.rig.enclose(camera)
-        needs = find_needs(self.scene, camera, reaches=self._resources.reaching)
+        needs = self._find_needs(camera)
         return needs, self._plan(needs)
+
+    def _find_needs(self, camera: Camera) -> Needs:
+        return find_needs(self.scene, camera, reaches=self._resources.reaching, blending=self.blending)
 
     def _plan(self, needs: Needs) -> Plan[Frame]:
         """Return the plan of a frame with these needs; it is made once."""

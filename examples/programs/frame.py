@@ -16,7 +16,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import rhi
-from rhi.shading import Shader, vec2, vec4, vertex_index
+from rhi.shading import Shader, Struct, mat4, vec2, vec3, vec4, vertex_index
+
+
+class Vertex(Struct):
+    """A corner with a normal."""
+
+    position: vec3
+    normal: vec3
+
+
+class Camera(Struct):
+    """A matrix from world to clip space."""
+
+    view_projection: mat4
 
 
 class Screen(Shader):

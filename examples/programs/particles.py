@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from frame import Screen, look_at, main, perspective
+from frame import Camera, Screen, look_at, main, perspective
 
 import rhi
 from rhi.shading import (
@@ -17,7 +17,6 @@ from rhi.shading import (
     fragment_coordinate,
     global_id,
     ivec2,
-    mat4,
     vec3,
     vec4,
     vertex_index,
@@ -39,10 +38,6 @@ class Particle(Struct):
 class Step(Struct):
     seconds: float
     gravity: float
-
-
-class Camera(Struct):
-    view_projection: mat4
 
 
 class Spark(Struct):

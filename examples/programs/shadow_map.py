@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from frame import look_at, main, make_cube, perspective
+from frame import Vertex, look_at, main, make_cube, perspective
 
 import rhi
 from rhi import Comparison, CullMode, Format, PolygonOffset, SamplerDescriptor, Wrap
@@ -24,11 +24,6 @@ from rhi.shading import (
 )
 
 SHADOW = (1024, 1024)
-
-
-class Vertex(Struct):
-    position: vec3
-    normal: vec3
 
 
 class Box(Struct):
@@ -110,7 +105,7 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
         view_projection=perspective(45, size[0] / size[1]) @ look_at((14, 12, 18), (0, 1, 0)),
         sun_projection=box @ look_at(sun * 30, (0, 0, 0)),
         sun=sun,
-    ))  # fmt: skip
+    ))
     compared = SamplerDescriptor(
         wrap_u=Wrap.CLAMP, wrap_v=Wrap.CLAMP, mip=None, compare=Comparison.GREATER_EQUAL
     )

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from frame import look_at, main, make_cube, perspective
+from frame import Camera, look_at, main, make_cube, perspective
 
 import rhi
-from rhi.shading import Shader, Struct, Texture2D, Uniform, dot, mat4, max, normalize, vec2, vec3, vec4
+from rhi.shading import Shader, Struct, Texture2D, Uniform, dot, max, normalize, vec2, vec3, vec4
 
 
 class Vertex(Struct):
@@ -19,10 +19,6 @@ class Surface(Struct):
     clip: vec4
     normal: vec3
     uv: vec2
-
-
-class Camera(Struct):
-    view_projection: mat4
 
 
 class TexturedCube(Shader):

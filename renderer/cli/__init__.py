@@ -1,4 +1,4 @@
-"""The command line: `python -m renderer render|demo|compare|plan|capture|tune|debug|scenes`.
+"""The command line: `python -m renderer render|demo|compare|plan|capture|tune|debug|convert|scenes`.
 
 Results go to stdout, everything else to stderr. Bad input ends in one line, `error: …`, and exit code 2.
 """
@@ -12,10 +12,13 @@ from typing import Final, NoReturn
 from renderer.cli import (
     capture,
     compare_backends,
+    compare_deferred_plus,
     compare_encodings,
     compare_light_culling,
+    compare_stereo,
     compare_techniques,
     compare_visibility,
+    convert,
     debug_visibility,
     demo,
     plan,
@@ -34,11 +37,13 @@ COMMANDS: Final[tuple[Subcommand | SubcommandGroup, ...]] = (
     demo.COMMAND,
     SubcommandGroup(
         "compare",
-        "compare techniques, visibility algorithms, tests of light culling, encodings, or backends",
+        "compare techniques, visibility algorithms, tests of light culling, one eye and two, encodings, or backends",
         (
             compare_techniques.COMMAND,
             compare_visibility.COMMAND,
             compare_light_culling.COMMAND,
+            compare_deferred_plus.COMMAND,
+            compare_stereo.COMMAND,
             compare_encodings.COMMAND,
             compare_backends.COMMAND,
         ),
@@ -47,6 +52,7 @@ COMMANDS: Final[tuple[Subcommand | SubcommandGroup, ...]] = (
     capture.COMMAND,
     tune.COMMAND,
     SubcommandGroup("debug", "picture what the renderer does", (debug_visibility.COMMAND,)),
+    convert.COMMAND,
     scenes.COMMAND,
 )
 """All commands, in the order of the help."""

@@ -4,6 +4,7 @@ scene = load_scene("city:blocks=12,seed=3")
 camera = parse_camera("ground", scene, frame=600).with_aspect(16 / 9)
 """
 
+from renderer.content.gltf import save_scene
 from renderer.content.library import GENERATORS, find_path, load_scene, parse_camera
 from renderer.content.models import add_model, load_model
 from renderer.content.shapes import BUILT_IN
@@ -23,4 +24,5 @@ __all__ = [
     "load_model",
     "load_scene",
     "parse_camera",
+    "save_scene",
 ]

@@ -17,7 +17,7 @@ import numpy as np
 
 from renderer import rules
 from renderer.content.assets import share_geometry, share_image
-from renderer.content.gltf import add_gltf
+from renderer.content.gltf import Surroundings, add_gltf
 from renderer.scene.arrays import Floats
 from renderer.scene.camera import Perspective
 from renderer.scene.materials import ImagePixels
@@ -56,7 +56,12 @@ def load_model(path: str) -> Scene:
     """
     builder = SceneBuilder(path)
     builder.background = (0.30, 0.36, 0.44)
-    add_model(builder, path)
+    surroundings = _add(builder, path)
+    if surroundings is not None:
+        builder.background, builder.haze = surroundings.background, surroundings.haze
+        builder.lights.sky, builder.lights.ground = surroundings.sky, surroundings.ground
+        builder.paths.update(surroundings.paths)
+        return builder.build()
     if not len(builder.lights):
         builder.lights.add_directional((-0.45, -0.8, -0.4), (1.0, 0.96, 0.9), 1.9)
         builder.lights.sky, builder.lights.ground = (0.28, 0.32, 0.40), (0.14, 0.13, 0.12)
@@ -72,15 +77,22 @@ def add_model(builder: SceneBuilder, path: str) -> None:
     Refused, naming the file: `scene-missing-file`, `scene-unknown-format`, `scene-unreadable-model`,
     `scene-empty-model`, `scene-bad-vertices`, `scene-bad-transform`.
     """
+    _add(builder, path)
+
+
+def _add(builder: SceneBuilder, path: str) -> Surroundings | None:
+    """Add everything in a model file; return the surroundings of a scene that was saved."""
     _check_file(path)
+    surroundings = None
     if Path(path).suffix.lower() in _GLTF:
         before = builder.object_count
-        add_gltf(builder, path)
+        surroundings = add_gltf(builder, path)
         if builder.object_count == before:
             others = "; ".join(map(str, builder.omissions))
             refuse(rules.EMPTY_MODEL, f"load_model({path!r})", f"{path}, with {others}" if others else path)
     else:
         _add_by_trimesh(builder, path)
+    return surroundings
 
 
 def _add_by_trimesh(builder: SceneBuilder, path: str) -> None:

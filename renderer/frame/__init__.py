@@ -2,9 +2,9 @@
 
 from renderer.frame.frame import Frame
 from renderer.frame.layer import Layer
-from renderer.frame.needs import Effect, Needs, find_needs
+from renderer.frame.needs import Blending, Effect, Needs, find_needs
 from renderer.frame.passes import Drawn, TechniquePass
-from renderer.frame.plan import OUTPUTS, DroppedPass, Pass, Plan, SharedTexture, Target, make_plan
+from renderer.frame.plan import OUTPUTS, DroppedPass, Pass, Plan, SharedTexture, Target, find_last, make_plan
 from renderer.frame.resources import MirroredArray, SceneResources
 from renderer.frame.targets import DEPTH_FORMAT, IMAGE_FORMAT, Targets
 from renderer.frame.view import View
@@ -13,6 +13,7 @@ __all__ = [
     "DEPTH_FORMAT",
     "IMAGE_FORMAT",
     "OUTPUTS",
+    "Blending",
     "Drawn",
     "DroppedPass",
     "Effect",
@@ -28,6 +29,7 @@ __all__ = [
     "Targets",
     "TechniquePass",
     "View",
+    "find_last",
     "find_needs",
     "make_plan",
 ]

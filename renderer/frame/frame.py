@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from renderer.frame.needs import Needs
 from renderer.frame.passes import Drawn, TechniquePass
 from renderer.frame.resources import SceneResources
 from renderer.frame.targets import Targets
 from renderer.frame.view import View
-from renderer.scene import Camera
+from renderer.scene import Camera, Scene
+from renderer.scene.arrays import Rows
 from renderer.visibility import VisibilityAlgorithm, VisibilityStatistics
+from renderer.visibility.boxes.bounds import is_parallel
 from rhi import Device
 
 __rhi_internal__ = True
@@ -64,6 +68,27 @@ class Frame:
         seen = self._seen.get(self.view)
         return None if seen is None else seen.statistics
 
+    def draw_transparent(
+        self, scene_pass: TechniquePass, view: View | None = None, *, in_order: bool = True
+    ) -> None:
+        """Draw the transparent objects that a view sees, which `draw_visible` has found. If there are none, nothing is
+        issued.
+
+        Args:
+            in_order: whether they are drawn back to front, by the distances of their boxes' centres. Otherwise it is in
+                as few calls as there are windings.
+        """
+        view = view or self.view
+        seen = self._seen.get(view)
+        if seen is None or not len(rows := seen.drawn.transparent):
+            return
+        if in_order:
+            rows = sort_back_to_front(self.resources.scene, view.camera, rows)
+        else:
+            rows = rows[np.argsort(self.resources.mirrored[rows], kind="stable")]
+        with scene_pass:
+            scene_pass.draw_in_order(rows)
+
     def draw_visible(self, scene_pass: TechniquePass, view: View | None = None) -> None:
         """Draw what a view sees in a pass: the main view, unless another one is given.
 
@@ -76,6 +101,8 @@ class Frame:
         with scene_pass:
             if seen is not None:
                 seen.drawn.draw_again(scene_pass)
+                if not scene_pass.was_opened:  # as below
+                    scene_pass.open()
                 return
             if not view.visibility.opens_pass:
                 scene_pass.open()
@@ -93,3 +120,12 @@ class Frame:
             return None
         self._seen[view] = seen
         return seen
+
+
+def sort_back_to_front(scene: Scene, camera: Camera, rows: Rows) -> Rows:
+    """Return objects in the order of the distances of their boxes' centres from the eye, the farthest first; with a
+    parallel lens, from the plane of the eye. Objects at the same distance keep their order."""
+    objects = scene.objects
+    away = 0.5 * (objects.lower[rows] + objects.upper[rows]) - camera.position
+    distances = away @ camera.forward if is_parallel(camera) else np.einsum("ij,ij->i", away, away)
+    return np.asarray(rows[np.argsort(-distances, kind="stable")])

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from renderer.lights.in_view import find_lights_in_view
 from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Rows
+from renderer.visibility.boxes.volumes import find_in_view
 
 __rhi_internal__ = True
 
@@ -30,6 +31,18 @@ class Effect(Enum):
     EMISSION = "emission"
     HAZE = "haze"
     SUN_SHADOWS = "shadows of directional lights"
+    POINT_SHADOWS = "shadows of point lights"
+    SPOT_SHADOWS = "shadows of spot lights"
+    TRANSPARENCY = "transparency"
+
+
+class Blending(Enum):
+    """How transparent surfaces that cover each other are put together."""
+
+    SORTED = "sorted"
+    """Objects are drawn back to front, each over what is behind it."""
+    WEIGHTED = "weighted"
+    """Surfaces are averaged, near ones with more weight, in any order (McGuire and Bavoil 2013)."""
 
 
 _NOUNS: Final = {
@@ -38,7 +51,10 @@ _NOUNS: Final = {
     Effect.SPOT_LIGHTS: "spot light",
     Effect.IMAGES: "image",
     Effect.EMISSION: "material that emits light",
+    Effect.TRANSPARENCY: "transparent object",
     Effect.SUN_SHADOWS: "directional light that casts shadows",
+    Effect.POINT_SHADOWS: "point light that casts shadows",
+    Effect.SPOT_SHADOWS: "spot light that casts shadows",
 }
 
 
@@ -49,12 +65,18 @@ class Needs:
     Attributes:
         effects: those that are needed. counts: of each effect, how many of its causes the scene has.
         point_rows, spot_rows: the rows of the lights whose light may reach something in view.
+        point_casting, spot_casting: those of them that cast shadows; none if no object does.
+        transparent_rows: the rows of the transparent objects in view. blending: how they are put together.
     """
 
     effects: frozenset[Effect]
     counts: dict[Effect, int]
     point_rows: Rows
     spot_rows: Rows
+    point_casting: Rows
+    spot_casting: Rows
+    transparent_rows: Rows
+    blending: Blending
 
     @property
     def has_sun(self) -> bool:
@@ -64,7 +86,7 @@ class Needs:
     @property
     def key(self) -> tuple[object, ...]:
         """What a technique's declaration depends on."""
-        return self.effects, self.has_sun
+        return self.effects, self.has_sun, self.blending
 
     def explain(self, effect: Effect) -> str:
         """Return why the effect is needed or not, such as `3 of 13 point lights reach what is in view`."""
@@ -74,23 +96,38 @@ class Needs:
         noun = _NOUNS[effect]
         if not count:
             return f"the scene has no {noun}"
-        plural = noun.replace("material that emits", "materials that emit") if "material" in noun else f"{noun}s"
-        if effect is Effect.SUN_SHADOWS:
-            plural = "directional lights that cast shadows"
-        if effect in (Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS):
-            rows = self.point_rows if effect is Effect.POINT_LIGHTS else self.spot_rows
+        plural = _make_plural(noun)
+        reaching = {
+            Effect.POINT_LIGHTS: self.point_rows,
+            Effect.SPOT_LIGHTS: self.spot_rows,
+            Effect.POINT_SHADOWS: self.point_casting,
+            Effect.SPOT_SHADOWS: self.spot_casting,
+        }
+        if effect in reaching:
+            rows = reaching[effect]
             if count == 1 and not len(rows):
                 return f"the only {noun} doesn't reach what is in view"
             reach = "reaches" if len(rows) == 1 else "reach"
             return f"{len(rows) or 'none'} of {count} {plural if count > 1 else noun} {reach} what is in view"
+        if effect is Effect.TRANSPARENCY:
+            seen = len(self.transparent_rows)
+            verb = "is" if seen == 1 else "are"
+            return f"{seen or 'none'} of {count} {plural if count > 1 else noun} {verb} in view"
         return f"the scene has {count} {plural if count > 1 else noun}"
 
 
-def find_needs(scene: Scene, camera: Camera, *, reaches: tuple[bool, bool] = (True, True)) -> Needs:
+def find_needs(
+    scene: Scene,
+    camera: Camera,
+    *,
+    reaches: tuple[bool, bool] = (True, True),
+    blending: Blending = Blending.SORTED,
+) -> Needs:
     """Find what `scene` needs as `camera` sees it.
 
     Args:
         reaches: whether any point light reaches an object, and whether any spot light does.
+        blending: how transparent surfaces are to be put together.
     """
     lights = scene.lights
     planes = camera.frustum.planes if len(lights.point) or len(lights.spot) else np.zeros((0, 4))
@@ -99,6 +136,8 @@ def find_needs(scene: Scene, camera: Camera, *, reaches: tuple[bool, bool] = (Tr
         find_lights_in_view(planes, some["position"], some["range"].astype(np.float64)) if reached else none
         for some, reached in zip((lights.point, lights.spot), reaches, strict=True)
     )
+    transparent = scene.find_transparent()
+    seen = find_in_view(scene, camera, transparent)
     counts = {
         Effect.DIRECTIONAL_LIGHTS: len(lights.directional),
         Effect.POINT_LIGHTS: len(lights.point),
@@ -106,13 +145,30 @@ def find_needs(scene: Scene, camera: Camera, *, reaches: tuple[bool, bool] = (Tr
         Effect.IMAGES: len(scene.images),
         Effect.EMISSION: int(np.count_nonzero(scene.materials["emission"])),
         Effect.HAZE: int(scene.haze > 0.0),
+        Effect.TRANSPARENCY: len(transparent),
         Effect.SUN_SHADOWS: _count_casting(scene, lights.directional),
+        Effect.POINT_SHADOWS: _count_casting(scene, lights.point),
+        Effect.SPOT_SHADOWS: _count_casting(scene, lights.spot),
     }
-    hidden = {
-        effect for effect, rows in ((Effect.POINT_LIGHTS, point), (Effect.SPOT_LIGHTS, spot)) if not len(rows)
+    point_casting = point[lights.point["casts_shadow"][point]] if counts[Effect.POINT_SHADOWS] else none
+    spot_casting = spot[lights.spot["casts_shadow"][spot]] if counts[Effect.SPOT_SHADOWS] else none
+    in_view = {
+        Effect.POINT_LIGHTS: point,
+        Effect.SPOT_LIGHTS: spot,
+        Effect.POINT_SHADOWS: point_casting,
+        Effect.SPOT_SHADOWS: spot_casting,
+        Effect.TRANSPARENCY: seen,
     }
+    hidden = {effect for effect, rows in in_view.items() if not len(rows)}
     effects = frozenset(effect for effect, count in counts.items() if count and effect not in hidden)
-    return Needs(effects, counts, point, spot)
+    return Needs(effects, counts, point, spot, point_casting, spot_casting, seen, blending)
+
+
+def _make_plural(noun: str) -> str:
+    """Return the plural of `light that casts`, `material that emits` and the like."""
+    name, that, clause = noun.partition(" that ")
+    verb, space, rest = clause.partition(" ")
+    return f"{name}s{that}{verb.removesuffix('s')}{space}{rest}"
 
 
 def _count_casting(scene: Scene, lights: NDArray[Any]) -> int:

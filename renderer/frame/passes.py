@@ -53,6 +53,7 @@ class Drawn:
         self._batches: list[NDArray[np.int64]] = []
         self._conditional: list[tuple[NDArray[np.int64], QuerySet, NDArray[np.int64]]] = []
         self._lists: list[tuple[DeviceList, int]] = []
+        self._transparent: list[NDArray[np.int64]] = []
 
     @property
     def is_known(self) -> bool:
@@ -63,6 +64,10 @@ class Drawn:
         """Record that the objects `rows` (k,) were drawn."""
         self._batches.append(rows)
 
+    def add_transparent(self, rows: NDArray[np.int64]) -> None:
+        """Record that the transparent objects `rows` (k,) are in view: they are drawn after the others."""
+        self._transparent.append(rows)
+
     def add_conditional(self, rows: NDArray[np.int64], queries: QuerySet, answers: NDArray[np.int64]) -> None:
         """Record that the objects `rows` (k,) were drawn, each on a condition."""
         self._conditional.append((rows, queries, answers))
@@ -71,9 +76,19 @@ class Drawn:
         """Record that a list was drawn."""
         self._lists.append((draws, draws.generation))
 
+    @property
+    def transparent(self) -> NDArray[np.int64]:
+        """The rows of the transparent objects; their order is that in which they were found."""
+        return np.concatenate([np.zeros(0, np.int64), *self._transparent])
+
     @cached_property
     def rows(self) -> NDArray[np.int64]:
-        """The rows of all objects drawn, in the order of their batches."""
+        """The rows of all objects drawn, in the order of their batches; transparent ones last."""
+        return np.concatenate([self.opaque, self.transparent])
+
+    @cached_property
+    def opaque(self) -> NDArray[np.int64]:
+        """The rows of all objects drawn but the transparent ones, in the order of their batches."""
         for draws, generation in self._lists:
             if draws.generation != generation:
                 refuse(
@@ -105,6 +120,9 @@ class Drawn:
 
 class TechniquePass:
     """A `ScenePass`: draws the scene with one program to one set of targets, as a visibility algorithm decides.
+
+    Transparent objects are only recorded when an algorithm draws them (`drawn.transparent`). So what it draws and asks
+    about is never hidden by them, and a later pass draws them in an order of their own (`draw_in_order`).
 
     The pass may be closed and opened again; its targets are cleared when it is first opened. The rows of a batch are
     drawn in one call, front to back, because near objects hide what is drawn after them. They are sorted by the depth
@@ -152,6 +170,7 @@ class TechniquePass:
         self._clears = clears
         self.was_opened = False
         self._has_all_in_view = False
+        self._has_transparent = len(resources.transparent_rows) > 0
         self._scopes: ExitStack | None = None
         self._clears_list = False  # whether the first list clears the targets
 
@@ -209,6 +228,8 @@ class TechniquePass:
     def draw(self, rows: NDArray[np.int64]) -> None:
         """Draw the objects `rows` (k,)."""
         resources = self._begin_batch(rows)
+        if self._has_transparent:
+            rows = rows[self._set_transparent_aside(rows)]
         self.drawn.add_batch(rows)
         rows = self._sort(rows)
         for mirrored, winding in WINDINGS:
@@ -225,6 +246,10 @@ class TechniquePass:
         self.close()
         resources = self._resources
         resources.simulate(rows)
+        if self._has_transparent:
+            rows = rows[self._set_transparent_aside(rows)]
+            if not len(rows):
+                return
         self.drawn.add_batch(rows)
         rows = self._sort(rows)
         parts = [rows[resources.find_winding(rows, mirrored=mirrored)] for mirrored, _ in WINDINGS]
@@ -246,6 +271,9 @@ class TechniquePass:
         """Draw the objects `rows` (k,), each on condition that row `answers[i]` (k,) of a query set counted a sample.
         Objects with the same condition are drawn together, front to back."""
         resources = self._begin_batch(rows)
+        if self._has_transparent:
+            opaque = self._set_transparent_aside(rows)
+            rows, answers = rows[opaque], answers[opaque]
         self.drawn.add_conditional(rows, queries, answers)
         order = np.lexsort((self._find_farthest(rows), answers))
         rows, answers = rows[order], answers[order]
@@ -262,6 +290,26 @@ class TechniquePass:
                         answers[chosen],
                         **self._bindings,
                     )
+
+    def draw_in_order(self, rows: NDArray[np.int64]) -> None:
+        """Draw the objects `rows` (k,) in this order, transparent ones as well. Neighbours of one winding are drawn in
+        one call."""
+        resources = self._begin_batch(rows)
+        mirrored = resources.mirrored[rows]
+        ends = [*(np.flatnonzero(mirrored[1:] != mirrored[:-1]) + 1).tolist(), len(rows)]
+        begin = 0
+        for end in ends:
+            with self._device.states(WINDINGS[int(mirrored[begin])][1]):
+                self._device.draw_many(
+                    self._program, resources.mesh, resources.draws[rows[begin:end]], **self._bindings
+                )
+            begin = end
+
+    def _set_transparent_aside(self, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Record the transparent ones of the objects `rows`, and return which are not."""
+        transparent = self._resources.is_transparent[rows]
+        self.drawn.add_transparent(rows[transparent])
+        return ~transparent
 
     def _begin_batch(self, rows: NDArray[np.int64]) -> SceneResources:
         """Open the pass and simulate the objects that are drawn next; return the scene's resources."""
@@ -285,6 +333,9 @@ class TechniquePass:
         """Record that a list is drawn. Simulated objects that are not outside the view are run, since any of them may
         be on it."""
         self._simulate_in_view()
+        if self.drawn.is_known:  # transparent objects are on no list: all that aren't outside the view are drawn
+            resources, camera = self._resources, self._view.camera
+            self.drawn.add_transparent(resources.find_in_view(camera, resources.transparent_rows))
         self.drawn.add_list(draws)
         self._clears_list = self._clears_list or not self.was_opened
         self.was_opened = True

@@ -134,6 +134,14 @@ def list_names(contents: Iterable[Target | str]) -> list[str]:
     return [one if isinstance(one, str) else one.name for one in contents]
 
 
+def find_last(passes: Iterable[Pass[F]], name: str) -> str:
+    """Return the name of what is left of the contents `name` after all of these passes that draw over it."""
+    changes = {old: new for one in passes for old, new in one.changes.items()}
+    while name in changes:
+        name = changes[name]
+    return name
+
+
 def make_plan(passes: Sequence[Pass[F]], outputs: Iterable[str] = OUTPUTS) -> Plan[F]:
     """Plan a frame with these passes, whose `outputs` are used after it.
 

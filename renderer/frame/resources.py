@@ -23,7 +23,7 @@ from renderer import rules, shaders
 from renderer.lights.lists import list_lights
 from renderer.scene import Camera, Deformed, Scene, Simulator, normal_matrices
 from renderer.visibility import SceneArrays
-from renderer.visibility.boxes.volumes import Containment, classify, fit_aligned
+from renderer.visibility.boxes.volumes import find_in_view
 from rhi import Device, Format, Mesh, StorageBuffer, Texture, TextureKind, UniformBuffer, refuse
 from rhi.shading import Struct, UniformRange
 
@@ -155,6 +155,7 @@ class SceneResources:
     Attributes:
         mesh: all meshes in one. draws: (n,) of `rhi.DRAW`, one for each object.
         mirrored: (n,) bool, whether an object's transform mirrors it, which reverses the winding of its triangles.
+        is_transparent: (n,) bool, whether an object is transparent. transparent_rows: the rows of those that are.
         images: the scene's images as layers; None if there are none.
         objects, places, materials, directional, point, spot, light_rows: the arrays that shaders read; point and spot
             lights are left out if none of them reaches an object.
@@ -216,6 +217,9 @@ class SceneResources:
         self._places["mesh"] = objects.mesh
         self.mirrored: NDArray[np.bool_] = np.zeros(len(objects), bool)
         self._windings = (False, False)  # whether some object isn't mirrored, and whether some is
+        self.transparent_rows: NDArray[np.int64] = scene.find_transparent()
+        self.is_transparent: NDArray[np.bool_] = np.zeros(len(objects), bool)
+        self.is_transparent[self.transparent_rows] = True
         self._transform(np.arange(len(objects)))
 
     @cached_property
@@ -291,10 +295,7 @@ class SceneResources:
 
     def find_in_view(self, camera: Camera, rows: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return those of the objects `rows` whose bounds are not outside the view."""
-        if not len(rows):
-            return rows
-        side = classify(camera.frustum.planes, fit_aligned(self.scene, rows))
-        return rows.take(np.flatnonzero(side != Containment.OUTSIDE))
+        return find_in_view(self.scene, camera, rows)
 
     def has_winding(self, *, mirrored: bool) -> bool:
         """Return whether there are objects of one winding: mirrored ones, or others."""
@@ -335,7 +336,7 @@ class SceneResources:
         following = scene.objects.following_rows  # others that move are simulated before they are drawn
         self._transform(following)
         self.objects.write(self._rows, None if self._list_lights() else following)
-        self.places.write(self._places, following)
+        self.places.write(self._places, None if self._find_transparent() else following)
         self.materials.write(scene.materials)
         self.look_from(camera)
         self.ambient.write(_ambient(scene))
@@ -350,6 +351,17 @@ class SceneResources:
         self.directional.write(lights.directional)
         self.point.write(lights.point if self._reaching[0] else lights.point[:0])
         self.spot.write(lights.spot if self._reaching[1] else lights.spot[:0])
+
+    def _find_transparent(self) -> bool:
+        """Find the transparent objects, and return whether they are others than in the last frame."""
+        rows = self.scene.find_transparent()
+        if np.array_equal(rows, self.transparent_rows):
+            return False
+        self.transparent_rows = rows
+        self.is_transparent[:] = False
+        self.is_transparent[rows] = True
+        self._places["draw_list"] = np.where(self.is_transparent, -1, self.mirrored)
+        return True
 
     def _transform(self, rows: NDArray[np.int64]) -> None:
         """Update the rows of the arrays that hold the transforms of the objects `rows`."""
@@ -368,7 +380,7 @@ class SceneResources:
             self._windings = (bool((~self.mirrored).any()), bool(self.mirrored.any()))
         place = self._places[rows]
         place["high"], place["low"] = split_doubles(world[:, :3, 3])
-        place["mirrored"] = self.mirrored[rows]
+        place["draw_list"] = np.where(self.is_transparent[rows], -1, self.mirrored[rows])
         self._places[rows] = place
 
     def _list_lights(self) -> bool:

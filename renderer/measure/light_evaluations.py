@@ -21,12 +21,13 @@ from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target, Tec
 from renderer.lights.culling.grid import LightGrid
 from renderer.renderer import Renderer
 from renderer.scene import Camera
-from renderer.shaders.pixels import FullScreen, PixelRays
+from renderer.shaders.pixels import FullScreen, PixelRays, distance_at, nearness_of
 from renderer.shaders.structs import SurfacePoint, SurfaceVarying
 from renderer.techniques import (
     Clustered,
     ClusteredDeferred,
     Deferred,
+    DeferredPlus,
     Forward,
     ForwardMultipass,
     ForwardPlus,
@@ -126,6 +127,18 @@ class PixelLights(ListLengths, CellReader, FullScreen, SurfaceReader):
         return vec4(self.count(self.find_cell_lights(uint_bits_to_float(texel.y))))
 
 
+class PlacedLights(ListLengths, CellReader, FullScreen):
+    """Counts the lights of the list of a pixel's cell, whose place follows from its depth."""
+
+    depth: Texture2D
+
+    def fragment(self) -> vec4:
+        nearness = nearness_of(self.rays, self.depth.load(ivec2(fragment_coordinate().xy)).x)
+        if nearness == 0.0:
+            return vec4(0.0)
+        return vec4(self.count(self.find_cell_lights(distance_at(self.rays, nearness))))
+
+
 class TileLights(TiledLighting):
     """Counts the lights that a tile keeps, for an image of half floats: what is left of thousands, and thousands."""
 
@@ -211,6 +224,8 @@ def find_count(technique: Technique) -> Pass[Frame] | None:
             return _declare(_count_indices, INDICES, "depth")
         case ClusteredDeferred():
             return _declare(_count_pixels, "light lists", "surface", "depth")
+        case DeferredPlus():
+            return _declare(_count_places, "light lists", "depth")
         case TiledDeferred():
             return _declare(_count_tiles, "surface", "material", "depth", format=LIGHT_FORMAT)
         case Deferred() | LightPrePass():
@@ -287,6 +302,12 @@ def _count_pixels(frame: Frame) -> None:
     draw_full_screen(
         frame, shader, targets[EVALUATIONS], bindings, depth=targets["depth"], clear=(0.0, 0.0, 0.0, 0.0)
     )
+
+
+def _count_places(frame: Frame) -> None:
+    targets, shader = frame.targets, cast("type[FullScreen]", _count_kinds(frame, PlacedLights))
+    bindings = {"depth": targets["depth"]} | bind_lists(frame, ClusterLists)
+    draw_full_screen(frame, shader, targets[EVALUATIONS], bindings)
 
 
 def _count_tiles(frame: Frame) -> None:

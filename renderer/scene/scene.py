@@ -21,6 +21,7 @@ from renderer.scene.materials import (
     MATERIAL,
     TEXTURE,
     TEXTURES,
+    AlphaMode,
     ImagePixels,
     TextureMap,
     TextureRows,
@@ -150,6 +151,13 @@ class Scene:
     def count_triangles(self, objects: NDArray[np.int64]) -> int:
         """Return the number of triangles of the objects with these rows."""
         return int(self.meshes.triangle_counts[self.objects.mesh[objects]].sum())
+
+    def find_transparent(self) -> Rows:
+        """Return the rows of the objects whose materials are blended with what is behind them."""
+        blended = self.materials["alpha_mode"] == AlphaMode.BLEND
+        if not blended.any():
+            return np.zeros(0, np.int64)
+        return np.flatnonzero(blended[self.objects.material])
 
     def relative_transforms(
         self, eye: ArrayLike, objects: NDArray[np.int64] | None = None

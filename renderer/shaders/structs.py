@@ -54,13 +54,15 @@ class Object(Struct):
 class ObjectPosition(Struct):
     """An object's world position, `high` + `low` (two floats for each double), and its mesh.
 
-    `mirrored` is 1 if the object's transform mirrors it, which reverses the winding of its triangles.
+    `draw_list` is the list of draws that it is on where the device makes lists: 0, or 1 if its transform mirrors it,
+    which reverses the winding of its triangles. It is -1 if the object is transparent: those are not on a list, since
+    they hide nothing and are drawn in an order of their own.
     """
 
     high: vec3
     mesh: int
     low: vec3
-    mirrored: int
+    draw_list: int
 
 
 class MeshPart(Struct):

@@ -5,13 +5,19 @@ Casters that can't move are kept apart from those that may: the former are drawn
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from renderer.scene import Scene
+from renderer.lights.lists import list_lights
+from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Floats, Rows
 from renderer.shadows.cascades import Cascade
+from renderer.shadows.lamps import find_shadow_boxes, pair_by_light
+from renderer.visibility.boxes.volumes import AlignedBoxes, Containment, classify
 
 __rhi_internal__ = True
 
@@ -30,7 +36,7 @@ class Casters:
 
 
 class SceneCasters:
-    """The casters of a scene.
+    """The casters of a scene. Transparent objects cast no shadows.
 
     Attributes:
         still, moving: the rows of objects that cast shadows: those that can't move, and those that may.
@@ -38,11 +44,26 @@ class SceneCasters:
 
     def __init__(self, scene: Scene) -> None:
         objects = scene.objects
-        may_move = objects.dynamic | objects.simulated
-        self.still: Rows = np.flatnonzero(objects.casts_shadow & ~may_move)
-        self.moving: Rows = np.flatnonzero(objects.casts_shadow & may_move)
+        may_move, casts = objects.dynamic | objects.simulated, objects.casts_shadow.copy()
+        casts[scene.find_transparent()] = False
+        self.still: Rows = np.flatnonzero(casts & ~may_move)
+        self.moving: Rows = np.flatnonzero(casts & may_move)
         self._scene = scene
+        self._lamps: dict[str, tuple[bytes, list[Rows]]] = {}
         self._turned: dict[bytes, tuple[Floats, Floats]] = {}  # boxes of what can't move, by the light's axes
+
+    def find_in_reach(self, kind: str, lights: NDArray[Any]) -> tuple[list[Rows], list[Rows]]:
+        """Return, for each of the lights of one kind, the rows of the casters in its range: those that can't move, and
+        those that may. The former are found again only if a light has changed."""
+        positions, ranges = lights["position"], lights["range"].astype(np.float64)
+        key = positions.tobytes() + ranges.tobytes()
+        if kind not in self._lamps or self._lamps[kind][0] != key:
+            self._lamps[kind] = key, self._pair(self.still, positions, ranges)
+        return self._lamps[kind][1], self._pair(self.moving, positions, ranges)
+
+    def _pair(self, rows: Rows, positions: Floats, ranges: Floats) -> list[Rows]:
+        lower, upper = self._scene.objects.lower[rows], self._scene.objects.upper[rows]
+        return [rows[some] for some in pair_by_light(*list_lights(lower, upper, positions, ranges), len(positions))]
 
     def turn(self, axes: Floats) -> LightBoxes:
         """Return the boxes of all casters along the axes of a light."""
@@ -101,3 +122,11 @@ def turn_boxes(scene: Scene, rows: Rows, axes: Floats) -> tuple[Floats, Floats]:
     half = (0.5 * upper - 0.5 * lower) @ np.abs(axes).T
     half += _MARGIN * (np.abs(middle) + half)
     return middle - half, middle + half
+
+
+def find_shading(scene: Scene, rows: Rows, light: Any, cameras: Sequence[Camera]) -> Rows:
+    """Return those of the objects `rows` whose shadows, of a point or spot light, may be in one of the views."""
+    objects, position, reach = scene.objects, light["position"], float(light["range"])
+    boxes = AlignedBoxes(*find_shadow_boxes(objects.lower[rows], objects.upper[rows], position, reach))
+    seen = [classify(camera.frustum.planes, boxes) != Containment.OUTSIDE for camera in cameras]
+    return rows.take(np.flatnonzero(np.any(seen, axis=0)))

@@ -8,6 +8,9 @@ its own casters (`renderer.shadows.casters`). It is kept from frame to frame:
   which is made when the first caster moves;
 - **drawn** from scratch otherwise. A map without a caster, or without anything visible in reach, is **skipped**.
 
+Small maps of lamps, which are far away, take turns: in a frame only some of them are drawn again, those first that were
+drawn longest ago. Movers whose shadows aren't in view draw no map of a lamp again.
+
 Maps belong to the frame, not to a view: all views of a frame share them.
 """
 
@@ -22,15 +25,26 @@ import numpy as np
 from renderer.frame import Effect, Frame, Needs, Pass
 from renderer.frame.passes import WINDINGS
 from renderer.frame.resources import MirroredValue, SceneResources, split_doubles
+from renderer.lights.lists import list_lights
 from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Rows
 from renderer.shaders.depth import DepthOnly
 from renderer.shaders.structs import ViewConstants
 from renderer.shadows.cascades import Cascade, fit_cascades
-from renderer.shadows.casters import Casters, SceneCasters, turn_boxes
-from renderer.shadows.receiver import MOST_CASCADES, SunMap, SunTable
+from renderer.shadows.casters import Casters, SceneCasters, find_shading, turn_boxes
+from renderer.shadows.lamps import (
+    aim_maps,
+    choose_width,
+    find_scale,
+    find_widths,
+    is_cube,
+    shrink,
+    turn_into_quaternion,
+)
+from renderer.shadows.receiver import MOST_CASCADES, MOST_LAMP_MAPS, SLOTS_WIDE, LampTable, SunMap, SunTable
 from renderer.shadows.settings import ShadowFilter, ShadowSettings
 from renderer.shadows.tiles import Tile, TileTree
+from renderer.visibility.boxes.volumes import find_in_view
 from rhi import (
     Comparison,
     CullMode,
@@ -51,7 +65,7 @@ from rhi.shading import Shader, vec4, vertex_index
 
 __rhi_internal__ = True
 
-SHADOW_EFFECTS: Final = (Effect.SUN_SHADOWS,)
+SHADOW_EFFECTS: Final = (Effect.SUN_SHADOWS, Effect.POINT_SHADOWS, Effect.SPOT_SHADOWS)
 """The effects that call for shadow maps."""
 
 _COMPARING: Final = SamplerDescriptor(
@@ -64,6 +78,8 @@ _COMPARING: Final = SamplerDescriptor(
 )
 _STEP: Final = 16.0  # metres, by which the depth of what parallel views show is rounded
 _BIAS: Final = (0.1, 0.6)  # texels along the normal: at any angle, and times its sine
+
+_SUN: Final = "directional"
 
 MapKey = tuple[str, int, int]
 """The name of a map: the kind of its light, the light's row, and which of its maps it is."""
@@ -95,11 +111,48 @@ class MapReport:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class WantedMap:
-    """A map that the frame needs."""
+    """A map that the frame needs.
+
+    Attributes:
+        place: what its camera is. still: the same, and which casters can't move: the map is drawn again if it changes.
+        is_quiet: whether no caster that may move shades anything visible.
+    """
 
     key: MapKey
     camera: Camera
     size: int
+    casters: Casters
+    place: tuple[object, ...]
+    still: tuple[object, ...]
+    is_quiet: bool = False
+
+    @classmethod
+    def make(cls, key: MapKey, camera: Camera, size: int, casters: Casters) -> WantedMap:
+        """Return a map whose casters may all shade something visible."""
+        place = camera.position.tobytes(), camera.rotation.tobytes(), camera.projection
+        return cls(key, camera, size, casters, place, (place, casters.still.tobytes()))
+
+
+@dataclass(eq=False, slots=True)
+class LampMaps:
+    """The maps of a lamp, each `width` texels wide: their cameras, and what is wanted of each without the casters that
+    may move. They hold as long as `key` is the same."""
+
+    key: tuple[object, ...]
+    width: int
+    cameras: list[Camera]
+    wanted: list[WantedMap]
+    scale: float
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class WantedLamp:
+    """A lamp that casts a shadow on something visible, and the casters in its range."""
+
+    kind: str
+    row: int
+    light: Any
+    width: float
     casters: Casters
 
 
@@ -110,6 +163,7 @@ class ShadowMap:
     Attributes:
         view: the constants of its camera. still: what it shows of casters that can't move, None if nothing yet.
         moving: the state of the others in it. copied: what the second texture holds of its tile.
+        frame: the number of the frame in which it was drawn last.
     """
 
     tile: Tile
@@ -117,6 +171,7 @@ class ShadowMap:
     still: tuple[object, ...] | None = None
     moving: bytes = b""
     copied: tuple[object, ...] | None = None
+    frame: int = 0
 
 
 @dataclass(eq=False, slots=True)
@@ -134,13 +189,12 @@ class ShadowMaps:
 
     Attributes:
         settings: their choices; they may be exchanged between two frames.
-        reports: what became of each map of the last frame.
         casters_drawn: the number of objects that were drawn to maps in the last frame.
     """
 
     def __init__(self, device: Device) -> None:
         self.settings = ShadowSettings()
-        self.reports: list[MapReport] = []
+        self._reported: list[tuple[MapKey, str, str, WantedMap | None]] = []
         self.casters_drawn = 0
         self._device = device
         self._scene: Scene | None = None
@@ -151,12 +205,24 @@ class ShadowMaps:
         self._atlas: Texture | None = None
         self._kept: Texture | None = None  # the second texture
         self._triangle = device.mesh(3, label="shadow tile")
+        self._lamp_table = MirroredValue(device, _make_lamp_table([], 0.0, 0))
+        self._slot_texture: Texture | None = None
+        self._lamps: list[tuple[str, int, LampMaps, list[MapKey | None]]] = []  # those with maps, and the keys of these
+        self._placements = 0  # how often a tile was given to a map
+        self._written: tuple[object, ...] = ()  # what the table of lamps was written from
+        self._faces: dict[tuple[str, int], LampMaps] = {}
+        self._frame = 0
         self._sun_table = MirroredValue(device, _make_table([], 0.0))
         self._suns: list[tuple[int, Cascade, MapKey | None]] = []  # the key of those with a map
 
     def count(self, state: str) -> int:
         """Return the number of maps of the last frame that were `drawn`, `kept` or `skipped`."""
-        return sum(report.state == state for report in self.reports)
+        return sum(reported == state for _, reported, _, _ in self._reported)
+
+    @property
+    def reports(self) -> list[MapReport]:
+        """What became of each map of the last frame."""
+        return [_make_report(*reported) for reported in self._reported]
 
     @property
     def atlas(self) -> Texture:
@@ -182,6 +248,14 @@ class ShadowMaps:
         name, bindings = self.bind_filter()
         return ["sun_shadows", name], bindings | {"suns": self._sun_table.buffer}
 
+    def bind_lamps(self, kinds: Sequence[str]) -> tuple[list[str], dict[str, Any]]:
+        """Return the names of the parts of the shadows of lamps, `point`, `spot` or both, and their bindings."""
+        name, bindings = self.bind_filter()
+        return [*(f"{kind}_shadows" for kind in kinds), name], bindings | {
+            "lamps": self._lamp_table.buffer,
+            "lamp_slots": self._slot_texture,
+        }
+
     def update(self, frame: Frame, cameras: Sequence[Camera]) -> None:
         """Bring all maps that a frame needs up to date, for views of `cameras`."""
         resources = frame.resources
@@ -189,15 +263,17 @@ class ShadowMaps:
         if self._scene is not scene or self._used_settings != self.settings:
             self._reset(scene)
         assert self._casters is not None
-        self.reports = []
+        self._reported = []
         self.casters_drawn = 0
-        wanted = self._want_suns(resources, frame.needs, cameras, self._casters)
+        self._frame += 1
+        seen = [resources.find_in_view(camera, np.arange(len(scene.objects))) for camera in cameras]
+        visible = np.unique(np.concatenate(seen))
+        wanted = self._want_suns(resources, frame.needs, cameras, visible)
+        wanted += self._want_lamps(scene, frame.needs, cameras, visible, frame.targets.size)
         self._place({one.key: one.size for one in wanted})
-        work = MapWork()
-        for one in wanted:
-            self._decide(scene, one, work)
-        self._draw(resources, work)
+        self._draw(resources, self._decide(scene, wanted))
         self.aim(frame.camera)
+        self._write_lamps(scene)
 
     def aim(self, camera: Camera) -> None:
         """Give shaders the places of all maps relative to the eye of `camera`."""
@@ -221,7 +297,7 @@ class ShadowMaps:
         self._sun_table.write(_make_table(maps, self.settings.bias))
 
     def _want_suns(
-        self, resources: SceneResources, needs: Needs, cameras: Sequence[Camera], casters: SceneCasters
+        self, resources: SceneResources, needs: Needs, cameras: Sequence[Camera], visible: Rows
     ) -> list[WantedMap]:
         """Return the cascades that have something visible and a caster, and note all of them."""
         self._suns = []
@@ -229,26 +305,128 @@ class ShadowMaps:
         scene = resources.scene
         if Effect.SUN_SHADOWS not in needs.effects:
             return wanted
-        seen = [resources.find_in_view(camera, np.arange(len(scene.objects))) for camera in cameras]
-        visible = np.unique(np.concatenate(seen))
+        assert self._casters is not None
         depth = _find_depth(scene, cameras[0])
         rows = np.flatnonzero(scene.lights.directional["casts_shadow"])[:MOST_CASCADES].tolist()
         settings = replace(self.settings, cascades=min(self.settings.cascades, MOST_CASCADES // len(rows)))
         for row in rows:
             direction = scene.lights.directional["direction"][row].astype(np.float64)
             axes = Camera.look_at((0, 0, 0), direction).rotation
-            boxes = casters.turn(axes)
+            boxes = self._casters.turn(axes)
             receivers = turn_boxes(scene, visible, axes)
             for part, cascade in enumerate(fit_cascades(cameras, direction, settings, boxes.top, depth)):
-                key, found = ("directional", row, part), boxes.find(cascade, receivers)
+                key, found = (_SUN, row, part), boxes.find(cascade, receivers)
                 if found is None or not len(found):
                     reason = "nothing visible is in it" if found is None else "no caster is in it"
-                    self._report(key, 0, 0, "skipped", reason)
+                    self._report(key, "skipped", reason)
                     self._suns.append((row, cascade, None))
                 else:
-                    wanted.append(WantedMap(key, cascade.camera, self.settings.cascade_size, found))
+                    wanted.append(WantedMap.make(key, cascade.camera, self.settings.cascade_size, found))
                     self._suns.append((row, cascade, key))
         return wanted
+
+    def _want_lamps(
+        self, scene: Scene, needs: Needs, cameras: Sequence[Camera], visible: Rows, size: tuple[int, int]
+    ) -> list[WantedMap]:
+        """Return the maps of lamps that reach something visible and have a caster, and note all of them."""
+        assert self._casters is not None
+        settings, found = self.settings, list[WantedLamp]()
+        lower, upper = scene.objects.lower[visible], scene.objects.upper[visible]
+        for kind, lights, rows in (
+            ("point", scene.lights.point, needs.point_casting),
+            ("spot", scene.lights.spot, needs.spot_casting),
+        ):
+            if not len(rows):
+                continue
+            some = lights[rows]
+            _, reaching = list_lights(lower, upper, some["position"], some["range"].astype(np.float64))
+            reaches = np.bincount(reaching, minlength=len(rows)) > 0
+            still, moving = self._casters.find_in_reach(kind, lights)
+            for i, (row, width) in enumerate(zip(rows.tolist(), find_widths(cameras, size, some), strict=True)):
+                casters = Casters(still[row], moving[row])
+                if reaches[i] and len(casters):
+                    found.append(WantedLamp(kind, row, some[i], float(width), casters))
+                else:
+                    reason = "no caster is in its range" if reaches[i] else "it reaches nothing visible"
+                    self._report((kind, row, -1), "skipped", reason)
+        suns = sum(key is not None for _, _, key in self._suns)
+        room = settings.largest_atlas**2 - suns * settings.cascade_size**2
+        wanted: list[WantedMap] = []
+        self._lamps = []
+        for lamp, width in self._choose_widths(found, room):
+            wanted += self._list_faces(scene, lamp, width, cameras)
+        return wanted
+
+    def _choose_widths(self, lamps: list[WantedLamp], room: int) -> list[tuple[WantedLamp, int]]:
+        """Return the lamps that get maps, and how wide these are. The most visible lamps come first."""
+        settings, chosen = self.settings, dict[int, int]()
+        lamps = sorted(lamps, key=lambda lamp: -lamp.width)
+        counts = {i: 6 if is_cube(lamp.light) else 1 for i, lamp in enumerate(lamps)}
+        maps = 0
+        for i, lamp in enumerate(lamps):
+            maps += counts[i]
+            if maps > MOST_LAMP_MAPS or maps * settings.smallest**2 > room:
+                self._report((lamp.kind, lamp.row, -1), "skipped", "there is no room left for its maps")
+                maps -= counts[i]
+                continue
+            faces = self._faces.get((lamp.kind, lamp.row))
+            held = None if faces is None else faces.width
+            chosen[i] = choose_width(lamp.width, held, settings.smallest, settings.largest)
+        chosen = shrink(chosen, counts, room, settings.smallest)
+        return [(lamps[i], width) for i, width in chosen.items()]
+
+    def _list_faces(
+        self, scene: Scene, lamp: WantedLamp, width: int, cameras: Sequence[Camera]
+    ) -> list[WantedMap]:
+        """Return the maps of a lamp that have a caster."""
+        name, (still, moving) = (lamp.kind, lamp.row), (lamp.casters.still, lamp.casters.moving)
+        key = (lamp.light.tobytes(), width, still.tobytes())
+        faces = self._faces.get(name)
+        if faces is None or faces.key != key:
+            aimed = aim_maps(lamp.light, width)
+            maps = [
+                WantedMap.make(
+                    (*name, part if len(aimed) > 1 else -1),
+                    camera,
+                    width,
+                    Casters(find_in_view(scene, camera, still), moving[:0]),
+                )
+                for part, camera in enumerate(aimed)
+            ]
+            faces = self._faces[name] = LampMaps(key, width, aimed, maps, find_scale(lamp.light, width))
+        listed = faces.wanted
+        if len(moving):
+            shading = find_shading(scene, moving, lamp.light, cameras)
+            listed = [_add_moving(one, find_in_view(scene, one.camera, moving), shading) for one in listed]
+        wanted = [one for one in listed if len(one.casters)]
+        if len(wanted) < len(listed):
+            for one in listed:
+                if not len(one.casters):
+                    self._report(one.key, "skipped", "no caster is in it")
+        if wanted:
+            self._lamps.append((lamp.kind, lamp.row, faces, [one.key if len(one.casters) else None for one in listed]))
+        return wanted
+
+    def _write_lamps(self, scene: Scene) -> None:
+        """Give shaders the maps of lamps, if they have changed."""
+        points, spots = len(scene.lights.point), len(scene.lights.spot)
+        written = (self._lamps, self._placements, points, spots)
+        if written == self._written or not points + spots:
+            return
+        self._written = written
+        slots = np.full((-(-(points + spots) // SLOTS_WIDE), SLOTS_WIDE), -1, np.int32)
+        maps: list[tuple[Camera, Tile, float]] = []
+        for kind, row, faces, keys in self._lamps:
+            slots.reshape(-1)[row + (points if kind == "spot" else 0)] = 2 * len(maps) + (len(keys) > 1)
+            for camera, key in zip(faces.cameras, keys, strict=True):
+                maps.append((camera, _NO_TILE if key is None else self._maps[key].tile, faces.scale))
+        self._lamp_table.write(_make_lamp_table(maps, self.settings.bias, points))
+        if self._slot_texture is None or self._slot_texture.size != slots.shape[::-1]:
+            if self._slot_texture is not None:
+                self._slot_texture.destroy()
+            self._slot_texture = self._device.texture(slots, Format.R32I, label="shadow slots")
+        else:
+            self._slot_texture.write(slots)
 
     def _place(self, sizes: dict[MapKey, int]) -> None:
         """Give each map a tile of its size. Maps that aren't wanted keep theirs until others need the room."""
@@ -268,6 +446,7 @@ class ShadowMaps:
                 self._place(sizes)
                 return
             self._maps[key] = ShadowMap(tile, MirroredValue(self._device, _NO_VIEW))
+            self._placements += 1
 
     def _grow(self, sizes: dict[MapKey, int]) -> None:
         """Make the atlas large enough for tiles of these sizes."""
@@ -282,22 +461,37 @@ class ShadowMaps:
         self._tree = TileTree(side)
         self._atlas = self._device.texture((side, side), Format.D32F, label="shadow atlas")
 
-    def _decide(self, scene: Scene, wanted: WantedMap, work: MapWork) -> None:
-        """Note what is to be drawn of a map."""
-        one, casters, camera = self._maps[wanted.key], wanted.casters, wanted.camera
-        still = (
-            camera.position.tobytes(), camera.rotation.tobytes(), camera.projection, casters.still.tobytes()
-        )  # fmt: skip
-        moving = describe_state(scene, casters.moving)
-        if one.still == still and one.moving == moving:
-            self._report(wanted.key, one.tile.size, len(casters), "kept", "nothing in it has moved")
-            return
+    def _decide(self, scene: Scene, wanted: list[WantedMap]) -> MapWork:
+        """Find what is to be drawn of the maps."""
+        work, late = MapWork(), list[tuple[int, WantedMap, bytes]]()
+        for each in wanted:
+            one = self._maps[each.key]
+            moving = describe_state(scene, each.casters.moving)
+            is_far = each.size <= self.settings.far_size and each.key[0] != _SUN
+            if one.still == each.still and one.moving == moving:
+                self._report(each.key, "kept", "nothing in it has moved", each)
+            elif one.still == each.still and each.is_quiet:
+                self._report(each.key, "kept", "what moved in it shades nothing visible", each)
+            elif one.still is None or one.still[0] != each.place or not is_far:
+                self._add_work(work, each, moving)
+            else:
+                late.append((one.frame, each, moving))
+        late.sort(key=lambda item: item[0])
+        for number, (_, each, moving) in enumerate(late):
+            if number < self.settings.budget:
+                self._add_work(work, each, moving)
+            else:
+                self._report(each.key, "kept", f"{self.settings.budget} far maps are drawn in a frame", each)
+        return work
+
+    def _add_work(self, work: MapWork, wanted: WantedMap, moving: bytes) -> None:
+        """Note what is to be drawn of a map that has changed."""
+        one, casters, still = self._maps[wanted.key], wanted.casters, wanted.still
         if one.still != still:
             because = "it is new" if one.still is None else "the light, the view or its casters have changed"
-            rows = np.concatenate([casters.still, casters.moving])
-            work.fresh.append((one, rows))
+            work.fresh.append((one, np.concatenate([casters.still, casters.moving])))
             one.copied = None
-            one.view.write(_view_constants(camera))
+            one.view.write(_view_constants(wanted.camera))
         else:
             because = "a caster has moved"
             if one.copied == still:
@@ -309,8 +503,8 @@ class ShadowMaps:
                 one.copied = still
             if len(casters.moving):
                 work.over.append((one, casters.moving))
-        one.still, one.moving = still, moving
-        self._report(wanted.key, one.tile.size, len(casters), "drawn", because)
+        one.still, one.moving, one.frame = still, moving, self._frame
+        self._report(wanted.key, "drawn", because, wanted)
 
     def _draw(self, resources: SceneResources, work: MapWork) -> None:
         for _, rows in (*work.fresh, *work.over):
@@ -364,10 +558,8 @@ class ShadowMaps:
                                     places=places,
                                 )
 
-    def _report(self, key: MapKey, size: int, casters: int, state: str, because: str) -> None:
-        kind, row, part = key
-        name = f"{kind} light {row}, {'cascade' if kind == 'directional' else 'face'} {part}"
-        self.reports.append(MapReport(name, size, casters, state, because))
+    def _report(self, key: MapKey, state: str, because: str, wanted: WantedMap | None = None) -> None:
+        self._reported.append((key, state, because, wanted))
 
     def _reset(self, scene: Scene) -> None:
         """Begin anew with a scene and the settings."""
@@ -375,6 +567,7 @@ class ShadowMaps:
         self._destroy_textures()
         self._scene, self._casters = scene, SceneCasters(scene)
         self._used_settings = self.settings
+        self._faces.clear()
 
     def _forget(self, key: MapKey) -> None:
         one = self._maps.pop(key)
@@ -396,7 +589,26 @@ class ShadowMaps:
         self._forget_all()
         self._destroy_textures()
         self._sun_table.destroy()
+        self._lamp_table.destroy()
+        if self._slot_texture is not None:
+            self._slot_texture.destroy()
+            self._slot_texture = None
         self._triangle.destroy()
+
+
+def _add_moving(wanted: WantedMap, moving: Rows, shading: Rows) -> WantedMap:
+    """Return a map with casters that may move, of which those in `shading` shade something visible."""
+    if not len(moving):
+        return wanted
+    is_quiet = not np.isin(moving, shading).any()
+    return replace(wanted, casters=Casters(wanted.casters.still, moving), is_quiet=bool(is_quiet))
+
+
+def _make_report(key: MapKey, state: str, because: str, wanted: WantedMap | None) -> MapReport:
+    kind, row, part = key
+    name = f"{kind} light {row}" + (f", {'cascade' if kind == _SUN else 'face'} {part}" if part >= 0 else "")
+    size, casters = (wanted.size, len(wanted.casters)) if wanted is not None else (0, 0)
+    return MapReport(name, size, casters, state, because)
 
 
 def shadow_passes(needs: Needs) -> list[Pass[Frame]]:
@@ -442,6 +654,16 @@ def _make_table(maps: list[SunMap], bias: float) -> SunTable:
     )
     filled = [*maps, *[empty] * (MOST_CASCADES - len(maps))]
     return SunTable(maps=filled, bias=(bias * _BIAS[0], bias * _BIAS[1], bias), count=len(maps))
+
+
+def _make_lamp_table(maps: list[tuple[Camera, Tile, float]], bias: float, points: int) -> LampTable:
+    turns, tiles = np.zeros((MOST_LAMP_MAPS, 4)), np.zeros((MOST_LAMP_MAPS, 4))
+    for i, (camera, tile, scale) in enumerate(maps):
+        turns[i] = turn_into_quaternion(camera.rotation)
+        tiles[i] = (tile.x + 0.5 * tile.size, tile.y + 0.5 * tile.size, 0.5 * tile.size, scale)
+    return LampTable(
+        turns=turns, tiles=tiles, bias=(bias * _BIAS[0], bias * _BIAS[1], bias), points=points
+    )
 
 
 def _view_constants(camera: Camera) -> ViewConstants:

@@ -21,11 +21,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from renderer.shaders.structs import PointLight, SpotLight
+from renderer.shadows.lamps import NEAR
 from renderer.shadows.settings import ShadowFilter
 from rhi.shading import (
     Array,
     DepthTexture2D,
+    IntTexture2D,
     Shader,
+    Storage,
     Struct,
     Texture2D,
     Uniform,
@@ -33,22 +37,33 @@ from rhi.shading import (
     array,
     clamp,
     cos,
+    cross,
     dot,
     floor,
     fract,
+    function,
     ivec2,
+    length,
     mat3,
     max,
+    min,
     mix,
     sin,
     smoothstep,
     sqrt,
     vec2,
     vec3,
+    vec4,
 )
 
 MOST_CASCADES: Final = 8
 """The number of maps of all directional lights together."""
+
+MOST_LAMP_MAPS: Final = 510
+"""The number of maps of all lamps together: their table has the 16 KiB that each uniform block may have."""
+
+SLOTS_WIDE: Final = 64
+"""The width of the texture of slots."""
 
 _STEEPEST: Final = 0.005
 """The cosine of the steepest slope that a plane is followed to: 89.7°."""
@@ -98,6 +113,23 @@ class SunTable(Struct):
     count: int
 
 
+@function
+def turn(rotation: vec4, v: vec3) -> vec3:
+    """Return a vector turned by a quaternion."""
+    return v + 2.0 * cross(rotation.xyz, cross(rotation.xyz, v) + rotation.w * v)
+
+
+@function
+def cube_face(v: vec3) -> int:
+    """Return the face of a cube that a direction leads to: +x, -x, +y, -y, +z, -z."""
+    size = abs(v)
+    if size.x >= size.y and size.x >= size.z:
+        return 0 if v.x > 0.0 else 1
+    if size.y >= size.z:
+        return 2 if v.y > 0.0 else 3
+    return 4 if v.z > 0.0 else 5
+
+
 class ShadowReceiver(Shader):
     """The base of shaders that light surfaces: nothing blocks light."""
 
@@ -135,7 +167,8 @@ class TexelReader(ShadowReader):
     def is_lit(self, at: vec2, texel: vec2, depth: float, slope: vec2, middle: vec2, half: float) -> float:
         """Return 1 where the plane is lit at the middle of a texel, otherwise 0."""
         inside = clamp(texel, middle - half, middle + (half - 1.0))
-        plane = max(depth + dot(slope, inside + 0.5 - at), 0.0)  # of what is beyond the map, the map knows nothing
+        # Where the plane is farther away than the point, another wall may be in front of it.
+        plane = max(depth + dot(slope, inside + 0.5 - at), depth)
         return 1.0 if plane >= self.shadow_atlas.load(ivec2(inside)).x else 0.0
 
 
@@ -230,6 +263,87 @@ class WithSunShadows(ShadowReceiver, ShadowReader):
         return share
 
 
+class LampTable(Struct):
+    """The maps of point and spot lights: for each the rotation from the world to its right, up and back, as a
+    quaternion, and its tile: its middle and half its width in texels, and the texels in a unit of the tangent.
+
+    The width of a face without casters is 0. Spot lights are numbered after the `points` point lights.
+    """
+
+    turns: Array[vec4] = array(vec4, MOST_LAMP_MAPS)
+    tiles: Array[vec4] = array(vec4, MOST_LAMP_MAPS)
+    bias: vec3
+    points: int
+
+
+class WithLampShadows(ShadowReceiver, ShadowReader):
+    """The base of the shadows of point and spot lights: finds the maps of a light, and looks a surface up in them.
+
+    `lamp_slots` has for each light twice the number of its first map, and 1 more if its maps are the faces of a cube;
+    -1 without maps.
+    """
+
+    lamps: Uniform[LampTable]
+    lamp_slots: IntTexture2D
+
+    def past_casters(self, light: vec3, away: vec3, reach: float, normal: vec3, number: int) -> vec3:
+        """Return what arrives of a lamp's light at a surface.
+
+        Args:
+            away: from the lamp to the surface. reach: the lamp's range. number: that of the lamp.
+        """
+        if light.x + light.y + light.z <= 0.0:
+            return light
+        slot = self.lamp_slots.load(ivec2(number % SLOTS_WIDE, number // SLOTS_WIDE)).x
+        if slot < 0:
+            return light
+        map = slot // 2
+        is_cube = slot % 2 == 1
+        distance = max(length(away), 1e-20)
+        facing = dot(normal, away) / distance
+        sine = sqrt(max(1.0 - facing * facing, 0.0))
+        depth = max(max(abs(away.x), abs(away.y)), abs(away.z))
+        if not is_cube:
+            depth = -turn(self.lamps.turns[map], away).z
+        texel = max(depth, 0.0) / self.lamps.tiles[map].w
+        moved = away + normal * (texel * (self.lamps.bias.x + self.lamps.bias.y * sine))
+        if is_cube:
+            map += cube_face(moved)
+        tile = self.lamps.tiles[map]
+        if tile.z <= 0.0:
+            return light
+        rotation = self.lamps.turns[map]
+        place = turn(rotation, moved)
+        near = reach * NEAR
+        nearness = 1.0 / max(-place.z, near)
+        at = tile.xy + vec2(place.x, -place.y) * (nearness * tile.w)
+        # On a plane n · p = d through the lamp's space, 1 / -z is linear in x / -z and y / -z: n.x / d and n.y / d.
+        plane = min(dot(normal, moved), -_STEEPEST * distance)
+        tilt = turn(rotation, normal)
+        slope = vec2(tilt.x, -tilt.y) * (self.lamps.bias.z * near / (plane * tile.w))
+        return light * self.find_lit_share(at, near * nearness, slope, tile.xy, tile.z)
+
+
+class WithPointShadows(WithLampShadows):
+    """Adds the shadows of point lights."""
+
+    point_lights: Storage[PointLight]
+
+    def unblocked_point(self, light: vec3, position: vec3, normal: vec3, row: int) -> vec3:
+        away = position - self.point_lights[row].position
+        return self.past_casters(light, away, self.point_lights[row].range, normal, row)
+
+
+class WithSpotShadows(WithLampShadows):
+    """Adds the shadows of spot lights."""
+
+    spot_lights: Storage[SpotLight]
+
+    def unblocked_spot(self, light: vec3, position: vec3, normal: vec3, row: int) -> vec3:
+        away = position - self.spot_lights[row].position
+        return self.past_casters(light, away, self.spot_lights[row].range, normal, row + self.lamps.points)
+
+
 FILTERS: Final[dict[ShadowFilter, type[ShadowReader]]] = {
     ShadowFilter.HARD: HardShadows,
     ShadowFilter.HARDWARE: HardwareShadows,
@@ -240,6 +354,8 @@ FILTERS: Final[dict[ShadowFilter, type[ShadowReader]]] = {
 
 SHADOW_PARTS: Final[dict[str, type[Shader]]] = {
     "sun_shadows": WithSunShadows,
+    "point_shadows": WithPointShadows,
+    "spot_shadows": WithSpotShadows,
     **{f"{filter.value}_shadows": reader for filter, reader in FILTERS.items()},
 }
 """The parts that can be added to a `ShadowReceiver`, by name."""

@@ -58,6 +58,11 @@ class ShadowSettings:
         for name, fine, allowed in (
             ("cascades", 1 <= self.cascades <= 8, "1 to 8"),
             ("cascade_size", _is_power(self.cascade_size), "a power of two"),
+            (
+                "largest_atlas",
+                self.cascades * self.cascade_size**2 <= self.largest_atlas**2,
+                f"room for {self.cascades} maps of {self.cascade_size} texels",
+            ),
             ("distance", 0.0 < self.distance < float("inf"), "above 0, finite"),
             ("split", 0.0 <= self.split <= 1.0, "0 to 1"),
             ("smallest", _is_power(self.smallest), "a power of two"),

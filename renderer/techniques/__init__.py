@@ -6,6 +6,7 @@ from typing import Final
 from renderer.techniques.auto import AutoTechnique
 from renderer.techniques.deferred import Deferred
 from renderer.techniques.deferred_cells import ClusteredDeferred, TiledDeferred
+from renderer.techniques.deferred_plus import DeferredPlus
 from renderer.techniques.forward import Forward
 from renderer.techniques.forward_multipass import ForwardMultipass
 from renderer.techniques.forward_plus import Clustered, ForwardPlus
@@ -29,6 +30,7 @@ TECHNIQUES: Final[dict[str, Callable[[], Technique]]] = {
         Clustered,
         TiledDeferred,
         ClusteredDeferred,
+        DeferredPlus,
     )
 }
 """Constructors of all techniques, by name."""
@@ -39,6 +41,7 @@ __all__ = [
     "Clustered",
     "ClusteredDeferred",
     "Deferred",
+    "DeferredPlus",
     "Forward",
     "ForwardMultipass",
     "ForwardPlus",

@@ -19,7 +19,7 @@ from typing import Any, Final
 from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass
 from renderer.shaders.lighting import reflected_light
 from renderer.shaders.structs import SurfacePoint
-from renderer.techniques.forward import bind_shading
+from renderer.techniques.forward import bind_shading, find_forward
 from renderer.techniques.geometry_buffer import GeometryReader, bind_geometry, geometry_pass
 from renderer.techniques.light_volumes import (
     BRIGHTEST,
@@ -31,6 +31,7 @@ from renderer.techniques.light_volumes import (
 )
 from renderer.techniques.resolve import ResolveShader, draw_resolve, resolve_pass
 from renderer.techniques.scene_shader import ShadingShader
+from renderer.techniques.transparency import declare_transparency
 from rhi import Format
 from rhi.shading import (
     Precision,
@@ -58,7 +59,8 @@ class LightingShader(VolumeShader, GeometryReader):
         row = self.material.load(place)
         surface = self.read_surface(self.materials[int(row.x)], row, texel, position)
         incidence = self.find_incidence(position, v.light)
-        return vec4(reflected_light(surface, incidence.direction, incidence.irradiance), 0.0)
+        light = reflected_light(surface, incidence.direction, incidence.irradiance)
+        return vec4(self.unblocked(light, position, surface.normal, v.light), 0.0)
 
 
 class GeometryResolve(ResolveShader, GeometryReader, ShadingShader):
@@ -98,7 +100,8 @@ class Deferred:
         self.stencil = stencil
 
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
-        """Return the passes `geometry`, `point lights` and `spot lights` if there are any in view, and `resolve`."""
+        """Return the passes `geometry`, `point lights` and `spot lights` if there are any in view, and `resolve`, and
+        those of transparent surfaces."""
         reads = ("surface", "material", "depth")
         lights, last = declare_lights(needs, ["light"], reads, partial(light_geometry, stencil=self.stencil))
         return (
@@ -107,6 +110,7 @@ class Deferred:
             resolve_pass(
                 partial(resolve, lights=last), "lights surfaces by what reaches all of them", (*reads, *last)
             ),
+            *declare_transparency(needs, find_forward),
         )
 
 

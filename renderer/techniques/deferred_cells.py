@@ -22,12 +22,15 @@ from renderer.lights.culling.uploads import LightUploads
 from renderer.lights.culling.volumes import WORD
 from renderer.shaders.lighting import is_near, point_light, spot_light
 from renderer.shaders.structs import PointLight, SpotLight, SurfacePoint
+from renderer.shadows import SHADOW_PARTS, ShadowReceiver
 from renderer.techniques.cell_lists import CellReader, ClusterLists, bind_lists, list_pass
 from renderer.techniques.deferred import Deferred, GeometryResolve, resolve, resolve_geometry
-from renderer.techniques.forward import bind_lamps, bind_shading, explain_lamps, list_lamps
+from renderer.techniques.forward import bind_lamps, bind_shading, explain_lamps, find_forward, list_lamps
+from renderer.techniques.forward_plus import find_listed
 from renderer.techniques.forward_shader import LampShader
 from renderer.techniques.geometry_buffer import GeometryReader, bind_geometry, geometry_pass
 from renderer.techniques.resolve import LIGHT_FORMAT, resolve_pass
+from renderer.techniques.transparency import declare_transparency
 from rhi import Device, Texture
 from rhi.shading import (
     Image2D,
@@ -73,7 +76,7 @@ class LitByLists(CellReader, LampShader, GeometryResolve):
         return self.lamplight(surface, self.find_cell_lights(distance))
 
 
-class TiledLighting(GeometryReader):
+class TiledLighting(GeometryReader, ShadowReceiver):
     """Adds up the light of each pixel. A work-group has one tile."""
 
     # As in other passes: highlights end up in 8 bits.
@@ -180,7 +183,7 @@ class TiledPointLights(TiledLighting):
         light = self.point_lights[row]
         if not is_near(surface.position, light.position, light.range):
             return vec3(0.0)
-        return point_light(surface, light)
+        return self.unblocked_point(point_light(surface, light), surface.position, surface.normal, row)
 
 
 class TiledSpotLights(TiledLighting):
@@ -199,7 +202,7 @@ class TiledSpotLights(TiledLighting):
         light = self.spot_lights[row]
         if not is_near(surface.position, light.position, light.range):
             return vec3(0.0)
-        return spot_light(surface, light)
+        return self.unblocked_spot(spot_light(surface, light), surface.position, surface.normal, row)
 
 
 class TileUploads(LightUploads):
@@ -226,6 +229,7 @@ class TiledDeferred:
                 "lights surfaces by what reaches all of them",
                 (*_READS, "light"),
             ),
+            *declare_transparency(needs, find_forward),
         )
 
 
@@ -246,6 +250,7 @@ class ClusteredDeferred:
                 "lights surfaces by what reaches all of them and by their clusters' lights",
                 (*_READS, "light lists"),
             ),
+            *declare_transparency(needs, partial(find_listed, kind=ClusterLists), reads=("light lists",)),
         )
 
 
@@ -254,7 +259,7 @@ def tiled_variant(
     parts: tuple[str, ...], added: tuple[type[TiledLighting], ...] = (), *, has_images: bool
 ) -> type[Shader]:
     """Return the compute shader for point lights, spot lights or both; bases that are `added` come first."""
-    known = {"point_lights": TiledPointLights, "spot_lights": TiledSpotLights}
+    known = {"point_lights": TiledPointLights, "spot_lights": TiledSpotLights, **SHADOW_PARTS}
     bases = (*added, *(known[part] for part in parts))
     return type("TiledLights", bases, {"__module__": __name__, "has_images": has_images})
 

@@ -8,10 +8,22 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any, Final
 
-from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Effect, Frame, Needs, Pass, Target, TechniquePass
+from renderer.frame import (
+    DEPTH_FORMAT,
+    IMAGE_FORMAT,
+    Blending,
+    Effect,
+    Frame,
+    Needs,
+    Pass,
+    Target,
+    TechniquePass,
+    find_last,
+)
 from renderer.shadows import ShadowMaps
 from renderer.techniques.depth import draw_depth
-from renderer.techniques.forward_shader import forward_variant
+from renderer.techniques.forward_shader import ForwardShader, forward_variant
+from renderer.techniques.transparency import declare_transparency, sorted_pass
 from rhi import Program, Texture
 
 LAMPS: Final = {Effect.POINT_LIGHTS: "point lights", Effect.SPOT_LIGHTS: "spot lights"}
@@ -42,12 +54,16 @@ class Forward:
         self.samples = samples
 
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
-        """Return the only pass; with several samples, one that draws depth before it, and one that resolves them."""
+        """Return the pass `forward`; with several samples, one that draws depth before it, and one that resolves them;
+        and those of transparent surfaces."""
         image, depth = Target("image", IMAGE_FORMAT), Target("depth", DEPTH_FORMAT)
         because = "draws the visible objects, lit"
         if self.samples == 1:
-            return (Pass("forward", draw_lit, because, writes=(image, depth)),)
-        return (
+            return (
+                Pass("forward", draw_lit, because, writes=(image, depth)),
+                *declare_transparency(needs, find_forward),
+            )
+        passes = [
             Pass(
                 "depth", draw_depth, "layers and culling can't read depth of several samples", writes=(depth,)
             ),
@@ -61,14 +77,19 @@ class Forward:
                     Target("depth samples", DEPTH_FORMAT, samples=self.samples),
                 ),
             ),
-            Pass(
-                "resolve",
-                _resolve_samples,
-                "a pixel is the mean of its samples",
-                reads=("image samples",),
-                writes=(image,),
-            ),
+        ]
+        # Weighted sums can't be resolved: those surfaces are drawn after it, with one sample.
+        is_sorted = needs.blending is Blending.SORTED
+        if is_sorted and Effect.TRANSPARENCY in needs.effects:
+            passes.append(sorted_pass(needs, find_forward, image="image samples", depth="depth samples"))
+        resolve = Pass(
+            "resolve",
+            _resolve_samples,
+            "a pixel is the mean of its samples",
+            reads=(find_last(passes, "image samples"),),
+            writes=(image,),
         )
+        return *passes, resolve, *(() if is_sorted else declare_transparency(needs, find_forward))
 
 
 def draw_lit(frame: Frame) -> None:
@@ -100,16 +121,27 @@ def _draw_to(frame: Frame, image: Texture, depth: Texture) -> None:
     )
 
 
+def find_forward(frame: Frame) -> tuple[type[ForwardShader], dict[str, Any]]:
+    """Return the forward shader for the effects that the frame needs, and its bindings."""
+    (features, bindings), (more, lamps) = bind_materials(frame), bind_lamps(frame)
+    return forward_variant(*features, *more, has_sun=frame.needs.has_sun), bindings | lamps
+
+
 def bind_forward(frame: Frame) -> tuple[Program[Any], dict[str, Any]]:
     """Return the forward program for the effects that the frame needs, and its bindings."""
-    (features, bindings), (more, lamps) = bind_materials(frame), bind_lamps(frame)
-    shader = forward_variant(*features, *more, has_sun=frame.needs.has_sun)
-    return frame.device.program(shader), bindings | lamps
+    shader, bindings = find_forward(frame)
+    return frame.device.program(shader), bindings
 
 
 def bind_lamps(frame: Frame, effects: Iterable[Effect] = LAMPS) -> tuple[list[str], dict[str, Any]]:
     """Return the names of the parts that a `LampShader` needs for those of the point and spot lights that the frame
-    needs, and its bindings."""
+    needs, with their shadows, and its bindings."""
+    (parts, bindings), (more, maps) = bind_plain_lamps(frame, effects), bind_lamp_shadows(frame, effects)
+    return [*parts, *more], bindings | maps
+
+
+def bind_plain_lamps(frame: Frame, effects: Iterable[Effect] = LAMPS) -> tuple[list[str], dict[str, Any]]:
+    """Return the names of the parts of lamps without shadows, and their bindings."""
     resources = frame.resources
     optional = {
         Effect.POINT_LIGHTS: ("point_lights", resources.point.buffer),
@@ -120,6 +152,14 @@ def bind_lamps(frame: Frame, effects: Iterable[Effect] = LAMPS) -> tuple[list[st
     if present:
         present["light_rows"] = resources.light_rows.buffer
     return parts, present
+
+
+def bind_lamp_shadows(frame: Frame, effects: Iterable[Effect] = LAMPS) -> tuple[list[str], dict[str, Any]]:
+    """Return the names of the parts of the shadows of those lights that the frame needs, and their bindings."""
+    shadows = {Effect.POINT_LIGHTS: Effect.POINT_SHADOWS, Effect.SPOT_LIGHTS: Effect.SPOT_SHADOWS}
+    names = {Effect.POINT_LIGHTS: "point", Effect.SPOT_LIGHTS: "spot"}
+    kinds = [names[effect] for effect in effects if shadows[effect] in frame.needs.effects]
+    return frame.resources.workspace(ShadowMaps).bind_lamps(kinds) if kinds else ([], {})
 
 
 def bind_materials(frame: Frame) -> tuple[list[str], dict[str, Any]]:

@@ -20,12 +20,15 @@ from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target, Tec
 from renderer.frame.passes import WINDINGS
 from renderer.scene.arrays import Rows
 from renderer.shaders.structs import SurfaceVarying, Vertex
+from renderer.shadows import SHADOW_PARTS
 from renderer.techniques.forward import (
     LAMPS,
     Forward,
-    bind_lamps,
+    bind_lamp_shadows,
     bind_materials,
+    bind_plain_lamps,
     bind_surfaces,
+    find_forward,
     list_lamps,
 )
 from renderer.techniques.forward_shader import (
@@ -38,6 +41,7 @@ from renderer.techniques.forward_shader import (
 )
 from renderer.techniques.resolve import LIGHT_FORMAT, sum_pass
 from renderer.techniques.scene_shader import Textured
+from renderer.techniques.transparency import declare_transparency
 from rhi import BlendFunction, CullMode, DepthFunction, DepthTest, DepthWrite, Program, State, Texture
 from rhi.shading import Shader, Storage, Struct, instance_index, ivec3, vec3, vec4
 
@@ -118,7 +122,7 @@ class ForwardMultipass:
                 )
             )
             light = result
-        return *passes, sum_pass(needs, light)
+        return *passes, sum_pass(needs, light), *declare_transparency(needs, find_forward)
 
 
 @cache
@@ -128,11 +132,12 @@ def unmapped_variant(parts: tuple[str, ...], *, has_sun: bool) -> type[Shader]:
 
 
 @cache
-def pair_variant(effect: Effect, *, has_images: bool) -> type[Shader]:
-    """Return the shader that adds the light of pairs with one kind of lamp."""
+def pair_variant(effect: Effect, *shadows: str, has_images: bool) -> type[Shader]:
+    """Return the shader that adds the light of pairs with one kind of lamp, with these parts of shadows."""
     is_point = effect is Effect.POINT_LIGHTS
     bases = (PointPairs, WithPointLights) if is_point else (SpotPairs, WithSpotLights)
-    return type("Pairs", (*bases, *([Textured] if has_images else [])), {"__module__": __name__})
+    added = (SHADOW_PARTS[part] for part in shadows)
+    return type("Pairs", (*added, *bases, *([Textured] if has_images else [])), {"__module__": __name__})
 
 
 def _draw_base(frame: Frame) -> None:
@@ -155,8 +160,9 @@ def _draw_base(frame: Frame) -> None:
 
 
 def _add_lamps(frame: Frame, effect: Effect) -> None:
-    shader = pair_variant(effect, has_images=Effect.IMAGES in frame.needs.effects)
-    bindings = bind_surfaces(frame)[1] | bind_lamps(frame, [effect])[1]
+    shadows, maps = bind_lamp_shadows(frame, [effect])
+    shader = pair_variant(effect, *shadows, has_images=Effect.IMAGES in frame.needs.effects)
+    bindings = bind_surfaces(frame)[1] | bind_plain_lamps(frame, [effect])[1] | maps
     draw_pairs(frame, effect, shader, frame.targets["light"], **bindings)
 
 
@@ -187,9 +193,10 @@ def draw_pairs(frame: Frame, effect: Effect, shader: type[Shader], color: Textur
 
 
 def _list_visible(frame: Frame) -> Rows:
-    """Return the objects drawn. Where only the device knows them, return all in view: those that are hidden fail the
-    depth test."""
+    """Return the objects drawn, but for transparent ones. Where only the device knows them, return all in view: those
+    that are hidden fail the depth test."""
     if frame.drawn.is_known:
-        return frame.drawn.rows
+        return frame.drawn.opaque
     resources = frame.resources
-    return resources.find_in_view(frame.camera, np.arange(len(resources.draws)))
+    rows = resources.find_in_view(frame.camera, np.arange(len(resources.draws)))
+    return rows[~resources.is_transparent[rows]]

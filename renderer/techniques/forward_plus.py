@@ -10,8 +10,8 @@ Without point and spot lights in view there is nothing to list, and both are pla
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
-from typing import Final
+from functools import cache, partial
+from typing import Any, Final
 
 from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target, TechniquePass
 from renderer.lights.culling.grid import LightGrid
@@ -25,11 +25,12 @@ from renderer.techniques.cell_lists import (
     list_pass,
 )
 from renderer.techniques.depth import draw_depth
-from renderer.techniques.forward import Forward, bind_lamps, bind_materials, list_lamps
+from renderer.techniques.forward import Forward, bind_lamps, bind_materials, find_forward, list_lamps
 from renderer.techniques.forward_shader import ForwardShader, forward_variant
 from renderer.techniques.full_screen import bind_rays
+from renderer.techniques.transparency import declare_transparency
 from rhi import DepthFunction, DepthWrite, Device
-from rhi.shading import Shader, Uniform, dot, vec4
+from rhi.shading import Uniform, dot, ivec3
 
 __rhi_internal__ = True
 
@@ -39,12 +40,8 @@ class LitByCells(CellReader, ForwardShader):
 
     rays: Uniform[PixelRays]
 
-    def fragment(self, v: SurfaceVarying) -> vec4:
-        material = self.materials[v.material]
-        surface = self.find_surface(v, material)
-        color = self.shade(surface, material)
-        color += self.lamplight(surface, self.find_cell_lights(dot(v.position, self.rays.forward)))
-        return self.finish(color, v.position)
+    def find_lights(self, v: SurfaceVarying) -> ivec3:
+        return self.find_cell_lights(dot(v.position, self.rays.forward))
 
 
 class ForwardPlus:
@@ -71,6 +68,8 @@ class ForwardPlus:
                 reads=("depth", "light lists"),
                 writes=(Target("image", IMAGE_FORMAT),),
             ),
+            # The lists of tiles end at opaque surfaces.
+            *declare_transparency(needs, find_forward),
         )
 
 
@@ -79,41 +78,58 @@ class Clustered:
 
     name: Final = "clustered"
 
+    def __init__(self, *, depth_first: bool = False) -> None:
+        """With `depth_first`, a pass of its own draws depth before, so that no hidden fragment is lit."""
+        self.depth_first = depth_first
+
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
-        """Return the passes `light lists` and `forward`; only the last one without lights to list."""
+        """Return the passes `light lists` and `forward`, and before them `depth` if that is drawn first; only the last
+        one without lights to list."""
         if not list_lamps(needs):
             return Forward().declare(needs)
+        image, depth = Target("image", IMAGE_FORMAT), Target("depth", DEPTH_FORMAT)
+        before = (Pass("depth", draw_depth, "no hidden fragment is lit", writes=(depth,)),) if self.depth_first else ()
         return (
+            *before,
             list_pass(needs, ClusterLists),
             Pass(
                 "forward",
-                lambda frame: draw_listed(frame, ClusterLists, after_depth=False),
+                lambda frame: draw_listed(frame, ClusterLists, after_depth=self.depth_first),
                 "draws the visible objects, lit by their clusters' lights",
-                reads=("light lists",),
-                writes=(Target("image", IMAGE_FORMAT), Target("depth", DEPTH_FORMAT)),
+                reads=("depth", "light lists") if before else ("light lists",),
+                writes=(image,) if before else (image, depth),
             ),
+            *declare_transparency(needs, partial(find_listed, kind=ClusterLists), reads=("light lists",)),
         )
 
 
 @cache
-def cells_variant(parts: tuple[str, ...], *, has_sun: bool) -> type[Shader]:
+def cells_variant(parts: tuple[str, ...], *, has_sun: bool) -> type[ForwardShader]:
     """Return the forward shader with these parts, lit by the lights of cells."""
     return type(
         "LitByCells", (LitByCells, forward_variant(*parts, has_sun=has_sun)), {"__module__": __name__}
     )
 
 
-def draw_listed(frame: Frame, kind: Callable[[Device], LightGrid], *, after_depth: bool) -> None:
-    """Draw the visible objects, lit by the lights of their cells; where depth was drawn before, only what is seen."""
+def find_listed(
+    frame: Frame, kind: Callable[[Device], LightGrid]
+) -> tuple[type[ForwardShader], dict[str, Any]]:
+    """Return the forward shader that is lit by the lights of cells, and its bindings."""
     (features, bindings), (more, lamps) = bind_materials(frame), bind_lamps(frame)
     shader = cells_variant((*features, *more), has_sun=frame.needs.has_sun)
+    return shader, bindings | lamps | bind_lists(frame, kind) | bind_rays(frame)
+
+
+def draw_listed(frame: Frame, kind: Callable[[Device], LightGrid], *, after_depth: bool) -> None:
+    """Draw the visible objects, lit by the lights of their cells; where depth was drawn before, only what is seen."""
+    shader, bindings = find_listed(frame, kind)
     frame.draw_visible(
         TechniquePass(
             frame.device,
             frame.resources,
             frame.view,
             frame.device.program(shader),
-            bindings | lamps | bind_lists(frame, kind) | bind_rays(frame),
+            bindings,
             color=frame.targets["image"],
             depth=frame.targets["depth"],
             clear=(*frame.resources.scene.background, 1.0),

@@ -11,11 +11,12 @@ from typing import Final
 
 from renderer.shaders.lighting import in_range, point_light, safe_normalize, spot_light
 from renderer.shaders.structs import Material, PointLight, SpotLight, SurfacePoint, SurfaceVarying
+from renderer.shadows import ShadowReceiver
 from renderer.techniques.scene_shader import SHADING_PARTS, SceneShader, ShadingShader, Textured, WithSun
 from rhi.shading import Shader, Storage, ivec3, vec3, vec4
 
 
-class LampShader(Shader):
+class LampShader(ShadowReceiver):
     """The base of shaders that light surfaces by lists of lamps, point and spot lights: without any."""
 
     def lamplight(self, surface: SurfacePoint, lights: ivec3) -> vec3:
@@ -41,7 +42,7 @@ class MaterialShader(SceneShader):
             position=v.position,
             normal=safe_normalize(v.normal),
             to_eye=safe_normalize(-v.position),
-            base_color=material.base_color.rgb * self.texel(material.texture, v.uv),
+            base_color=material.base_color.rgb * self.texel(material.texture, v.uv).rgb,
             specular_color=material.specular_color,
             shininess=material.shininess,
         )
@@ -51,11 +52,18 @@ class ForwardShader(MaterialShader, LampShader, ShadingShader):
     """The base of all variants: ambient light with the rim term."""
 
     def fragment(self, v: SurfaceVarying) -> vec4:
-        material = self.materials[v.material]
+        return self.light(v, self.materials[v.material])
+
+    def light(self, v: SurfaceVarying, material: Material) -> vec4:
+        """Return the pixel of the lit surface."""
         surface = self.find_surface(v, material)
         color = self.shade(surface, material)
-        color += self.lamplight(surface, v.lights)
+        color += self.lamplight(surface, self.find_lights(v))
         return self.finish(color, v.position)
+
+    def find_lights(self, v: SurfaceVarying) -> ivec3:
+        """Return the ends of the lists of lamps that light the surface; see `lamplight`."""
+        return v.lights
 
 
 class WithPointLights(LampShader):
@@ -69,7 +77,8 @@ class WithPointLights(LampShader):
         for i in range(begin, end):
             row = self.light_rows[i]
             if in_range(surface, self.point_lights[row].position, self.point_lights[row].range):
-                color += point_light(surface, self.point_lights[row])
+                light = point_light(surface, self.point_lights[row])
+                color += self.unblocked_point(light, surface.position, surface.normal, row)
         return color
 
 
@@ -84,7 +93,8 @@ class WithSpotLights(LampShader):
         for i in range(begin, end):
             row = self.light_rows[i]
             if in_range(surface, self.spot_lights[row].position, self.spot_lights[row].range):
-                color += spot_light(surface, self.spot_lights[row])
+                light = spot_light(surface, self.spot_lights[row])
+                color += self.unblocked_spot(light, surface.position, surface.normal, row)
         return color
 
 
@@ -102,5 +112,5 @@ def forward_variant(*parts: str, has_sun: bool = False) -> type[ForwardShader]:
     """Return the forward shader with these of `PARTS`, and only their bindings. `has_sun` says that there is exactly
     one directional light."""
     known = PARTS | {"directional_lights": WithSun} if has_sun else PARTS
-    bases = tuple(known[part] for part in parts)
+    bases = tuple(known[part] for part in dict.fromkeys(parts))
     return type("Forward", (*bases, ForwardShader), {"__module__": __name__})

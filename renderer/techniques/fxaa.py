@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
-from renderer.frame import IMAGE_FORMAT, Frame, Needs, Pass, Target
+from renderer.frame import IMAGE_FORMAT, Frame, Needs, Pass, Target, find_last
 from renderer.shaders.pixels import FullScreen
 from renderer.techniques.full_screen import draw_full_screen
 from renderer.techniques.technique import Technique
@@ -130,14 +130,15 @@ class Smoothed:
 
     def declare(self, needs: Needs) -> Sequence[Pass[Frame]]:
         """Return the technique's passes, and one that smooths the image."""
+        passes = self._technique.declare(needs)
         return (
-            *self._technique.declare(needs),
+            *passes,
             Pass(
                 "fxaa",
                 _smooth,
                 "smooths edges",
                 writes=(Target("image with edges", IMAGE_FORMAT),),
-                changes={"image": "smooth image"},
+                changes={find_last(passes, "image"): "smooth image"},
             ),
         )
 

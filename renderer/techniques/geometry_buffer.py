@@ -111,7 +111,7 @@ class TexturedGeometry(Textured, SurfaceShader):
     materials: Storage[Material]
 
     def fragment(self, v: SurfaceVarying) -> TexturedTexels:
-        texel = encode_texel(self.texel(self.materials[v.material].texture, v.uv))
+        texel = encode_texel(self.texel(self.materials[v.material].texture, v.uv).rgb)
         return TexturedTexels(surface=self.encode_surface(v), material=uvec2(uint(v.material), texel))
 
 

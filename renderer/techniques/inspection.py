@@ -18,7 +18,7 @@ from renderer.shaders.lighting import in_range, safe_normalize
 from renderer.shaders.pixels import FullScreen, distance_at, nearness_of, place_pixel
 from renderer.shaders.structs import SurfacePoint, SurfaceVarying
 from renderer.techniques.depth import draw_depth
-from renderer.techniques.forward import bind_lamps
+from renderer.techniques.forward import bind_plain_lamps
 from renderer.techniques.forward_shader import LampShader, MaterialShader, WithPointLights, WithSpotLights
 from renderer.techniques.full_screen import draw_full_screen
 from renderer.techniques.scene_shader import SceneShader
@@ -175,7 +175,7 @@ def _draw_normals(frame: Frame) -> None:
 
 
 def _draw_lights(frame: Frame) -> None:
-    parts, lamps = bind_lamps(frame)
+    parts, lamps = bind_plain_lamps(frame)
     materials = frame.resources.materials.buffer
     _draw(frame, _count_lights(tuple(parts)), frame.targets["image"], materials=materials, **lamps)
 

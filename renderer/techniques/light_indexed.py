@@ -27,9 +27,17 @@ from renderer.shaders.lighting import point_light, safe_normalize, spot_light
 from renderer.shaders.pixels import PixelRays, distance_at, nearness_of, place_pixel
 from renderer.shaders.structs import SurfacePoint
 from renderer.techniques.depth import draw_depth
-from renderer.techniques.forward import Forward, bind_lamps, bind_materials, explain_lamps, list_lamps
+from renderer.techniques.forward import (
+    Forward,
+    bind_lamps,
+    bind_materials,
+    explain_lamps,
+    find_forward,
+    list_lamps,
+)
 from renderer.techniques.forward_shader import WithPointLights, WithSpotLights, forward_variant
 from renderer.techniques.full_screen import bind_rays
+from renderer.techniques.transparency import declare_transparency
 from rhi import (
     BlendColor,
     BlendFactor,
@@ -157,7 +165,8 @@ class WithIndexedPointLights(WithPointLights):
         while number > 0:
             row = self.numbered[number - 1]
             if row >= 0:
-                color += point_light(surface, self.point_lights[row])
+                light = point_light(surface, self.point_lights[row])
+                color += self.unblocked_point(light, surface.position, surface.normal, row)
             packed = packed >> uvec4(LIGHT_BITS)
             number = next_light(packed)
         return color
@@ -179,7 +188,8 @@ class WithIndexedSpotLights(WithSpotLights):
         while number > 0:
             row = self.numbered[number - 1]
             if row < 0:
-                color += spot_light(surface, self.spot_lights[~row])
+                light = spot_light(surface, self.spot_lights[~row])
+                color += self.unblocked_spot(light, surface.position, surface.normal, ~row)
             packed = packed >> uvec4(LIGHT_BITS)
             number = next_light(packed)
         return color
@@ -202,7 +212,7 @@ class LightIndexed:
     name: Final = "light_indexed"
 
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
-        """Return the three passes."""
+        """Return the three passes, and those of transparent surfaces."""
         if not list_lamps(needs):
             return Forward().declare(needs)
         because = explain_lamps(needs)
@@ -227,6 +237,7 @@ class LightIndexed:
                 reads=(INDICES, "depth"),
                 writes=(Target("image", IMAGE_FORMAT),),
             ),
+            *declare_transparency(needs, find_forward),
         )
 
 

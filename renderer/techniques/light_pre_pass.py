@@ -24,7 +24,7 @@ from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Effect, Frame, Needs, Pas
 from renderer.shaders.encodings import decode_normal
 from renderer.shaders.lighting import highlight, safe_normalize
 from renderer.shaders.structs import Material, SurfacePoint, SurfaceVarying
-from renderer.techniques.forward import Forward, bind_materials
+from renderer.techniques.forward import Forward, bind_materials, find_forward
 from renderer.techniques.forward_shader import ForwardShader, forward_variant
 from renderer.techniques.geometry_buffer import (
     SURFACE_FORMAT,
@@ -41,6 +41,7 @@ from renderer.techniques.light_volumes import (
     draw_volumes,
     lit_variant,
 )
+from renderer.techniques.transparency import declare_transparency
 from rhi import DepthFunction, DepthWrite, Format, Program, Texture, refuse
 from rhi.shading import (
     Precision,
@@ -121,7 +122,7 @@ class TermShader(VolumeShader, SurfaceReader):
         facing = dot(surface.normal, incidence.direction)
         if facing <= 0.0:
             return LightTerms(diffuse=vec4(0.0), specular=vec4(0.0))
-        diffuse = incidence.irradiance * facing
+        diffuse = self.unblocked(incidence.irradiance * facing, position, surface.normal, light)
         specular = diffuse * highlight(surface, incidence.direction)
         return LightTerms(diffuse=vec4(diffuse, luminance(specular)), specular=vec4(specular, 0.0))
 
@@ -187,6 +188,7 @@ class LightPrePass:
                 reads=("depth", *last),
                 writes=(Target("image", IMAGE_FORMAT),),
             ),
+            *declare_transparency(needs, find_forward),
         )
 
 

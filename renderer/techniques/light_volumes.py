@@ -30,6 +30,8 @@ from renderer.lights.hulls import make_cone, make_sphere
 from renderer.shaders.lighting import is_near, point_incidence, spot_incidence
 from renderer.shaders.pixels import PixelRays
 from renderer.shaders.structs import Incidence, PointLight, SpotLight, ViewConstants
+from renderer.shadows import SHADOW_PARTS, ShadowReceiver
+from renderer.techniques.forward import bind_lamp_shadows
 from renderer.techniques.full_screen import BEHIND, find_far
 from renderer.techniques.resolve import LIGHT_FORMAT
 from rhi import (
@@ -48,7 +50,6 @@ from rhi import (
     StencilTest,
 )
 from rhi.shading import (
-    Shader,
     Storage,
     Struct,
     Uniform,
@@ -99,7 +100,7 @@ def project_volume(center: vec3, offset: vec3, reach: float, view: ViewConstants
     return clip
 
 
-class VolumeShader(Shader):
+class VolumeShader(ShadowReceiver):
     """The base of shaders that draw light volumes; `rows` are the rows of the lights to be drawn. A technique's
     fragment stage is combined with the volumes of one kind of lights (`lit_variant`)."""
 
@@ -114,6 +115,10 @@ class VolumeShader(Shader):
     def find_incidence(self, position: vec3, light: int) -> Incidence:
         """Return what arrives at a position of the light of this row."""
         return Incidence(direction=vec3(0.0), irradiance=vec3(0.0))
+
+    def unblocked(self, light: vec3, position: vec3, normal: vec3, row: int) -> vec3:
+        """Return what arrives of the light of this row at a surface."""
+        return light
 
 
 class PointVolumes(VolumeShader):
@@ -135,6 +140,9 @@ class PointVolumes(VolumeShader):
 
     def find_incidence(self, position: vec3, light: int) -> Incidence:
         return point_incidence(position, self.point_lights[light])
+
+    def unblocked(self, light: vec3, position: vec3, normal: vec3, row: int) -> vec3:
+        return self.unblocked_point(light, position, normal, row)
 
 
 class SpotVolumes(VolumeShader):
@@ -165,6 +173,9 @@ class SpotVolumes(VolumeShader):
     def find_incidence(self, position: vec3, light: int) -> Incidence:
         return spot_incidence(position, self.spot_lights[light])
 
+    def unblocked(self, light: vec3, position: vec3, normal: vec3, row: int) -> vec3:
+        return self.unblocked_spot(light, position, normal, row)
+
 
 VOLUMES: Final[dict[Effect, type[VolumeShader]]] = {
     Effect.POINT_LIGHTS: PointVolumes,
@@ -178,6 +189,12 @@ def lit_variant(base: type[VolumeShader], effect: Effect, **constants: bool) -> 
     """Return the shader whose fragments are those of `base`, in the volumes of point or spot lights, with these
     attributes."""
     return type(base.__name__, (base, VOLUMES[effect]), {"__module__": __name__, **constants})
+
+
+@cache
+def shadowed_variant(shader: type[VolumeShader], *parts: str) -> type[VolumeShader]:
+    """Return a shader of light volumes with parts of shadows."""
+    return type(shader.__name__, (*(SHADOW_PARTS[part] for part in parts), shader), {"__module__": __name__})
 
 
 class VolumeMeshes:
@@ -284,7 +301,10 @@ def draw_volumes(
         is_masked: whether each light is masked in the stencil buffer; otherwise all are one draw.
     """
     device, resources = frame.device, frame.resources
-    program: Program[Any] = device.program(shader)
+    parts, maps = bind_lamp_shadows(frame, [effect])
+    lit: Any = shader
+    program: Program[Any] = device.program(shadowed_variant(lit, *parts) if parts else lit)
+    bindings = bindings | maps
     mask: Program[Any] | None = device.program(VOLUMES[effect]) if is_masked else None
     lights = resources.point if effect is Effect.POINT_LIGHTS else resources.spot
     name = "point_lights" if effect is Effect.POINT_LIGHTS else "spot_lights"

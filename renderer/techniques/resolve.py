@@ -69,7 +69,7 @@ def resolve_variant(
 ) -> type[ResolveShader]:
     """Return a shader of the pass with these bases and these of `PARTS`, and only their bindings."""
     known = PARTS | {"directional_lights": WithSun} if has_sun else PARTS
-    added = tuple(known[part] for part in parts)
+    added = tuple(known[part] for part in dict.fromkeys(parts))
     return type("Resolve", (*added, *bases), {"__module__": __name__, "has_images": has_images})
 
 

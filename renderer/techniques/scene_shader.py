@@ -64,8 +64,8 @@ class SceneShader(Shader):
             lights=lights,
         )
 
-    def texel(self, image: int, uv: vec2) -> vec3:
-        return vec3(1.0)
+    def texel(self, image: int, uv: vec2) -> vec4:
+        return vec4(1.0)
 
 
 class Textured(SceneShader):
@@ -73,11 +73,11 @@ class Textured(SceneShader):
 
     images: Texture2DArray
 
-    def texel(self, image: int, uv: vec2) -> vec3:
+    def texel(self, image: int, uv: vec2) -> vec4:
         # All fragments of a primitive take the same branch, so the derivatives of uv are defined.
         if image < 0:
-            return vec3(1.0)
-        return self.images.sample(vec3(uv, float(image))).rgb
+            return vec4(1.0)
+        return self.images.sample(vec3(uv, float(image)))
 
 
 class FinishShader(Shader):

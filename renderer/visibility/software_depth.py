@@ -90,6 +90,9 @@ class SoftwareDepth:
     def choose_occluders(self, camera: Camera, rows: Rows) -> Rows:
         """Return those of the objects `rows` (k,) with the largest surface over squared distance, near ones first."""
         rows = rows[self._can_occlude[rows]]
+        transparent = self._scene.find_transparent()
+        if len(transparent):
+            rows = np.setdiff1d(rows, transparent)
         lower, upper = self._scene.objects.lower[rows], self._scene.objects.upper[rows]
         extent = np.minimum(upper - lower, 1e100)
         surface = (extent * np.roll(extent, 1, axis=1)).sum(axis=1)

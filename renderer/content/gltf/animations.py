@@ -33,6 +33,8 @@ __rhi_internal__ = True
 TARGETS: Final = {"translation": TRANSLATION, "rotation": ROTATION, "scale": SCALE, "weights": WEIGHTS}
 KINDS: Final = {"LINEAR": LINEAR, "STEP": STEP, "CUBICSPLINE": CUBIC}
 
+_LARGEST: Final = 1e30  # of a key: products of a few don't overflow
+
 _Box = tuple[Floats, Floats]
 
 
@@ -136,8 +138,8 @@ def _read_track(sampler: JsonObject, accessors: Accessors, target: int, period: 
     number = sampler.index("output", len(accessors), needed=True)
     types = {ROTATION: "VEC4", WEIGHTS: "SCALAR"}.get(target, "VEC3")
     values = accessors.floats(number, types).astype(np.float64)
-    if not np.isfinite(values).all():
-        accessors.fields[number].refuse("", "values that aren't finite", "finite numbers")
+    if not (np.abs(values) <= _LARGEST).all():
+        accessors.fields[number].refuse("", "values that aren't finite", f"numbers up to {_LARGEST:g}")
     parts = 3 if kind == CUBIC else 1
     keys = len(times)
     per_key = len(values) // (keys * parts) if target == WEIGHTS else 1

@@ -18,6 +18,7 @@ from rhi.errors import refuse
 
 __rhi_internal__ = True
 
+_LARGEST: Final = 1e30  # of a number: products of a few don't overflow
 _SHOWN: Final = 60  # characters of a value that a refusal shows
 
 
@@ -120,6 +121,10 @@ class JsonObject:
             self.refuse(name, given, ", ".join(names))
         return given
 
+    def length(self, name: str) -> int:
+        """Return the length of the list `name`; 0 if it is missing."""
+        return len(self._list(name))
+
     def child(self, name: str) -> JsonObject:
         """Return the object in the field `name`; one without fields if it is missing."""
         given = self.values.get(name, {})
@@ -149,7 +154,7 @@ class JsonObject:
 
 
 def _is_number(given: Any) -> TypeGuard[float]:
-    return isinstance(given, int | float) and not isinstance(given, bool) and abs(given) <= 1e300
+    return isinstance(given, int | float) and not isinstance(given, bool) and abs(given) <= _LARGEST
 
 
 def _shown(given: object) -> object:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from renderer.content.assets import decode_images
 from renderer.content.gltf.container import GltfFile
 from renderer.content.gltf.document import JsonObject
+from renderer.content.gltf.extras import SPECULAR, private
 from renderer.scene.materials import AlphaMode, TextureMap
 from renderer.scene.omissions import Omissions
 from renderer.scene.scene import SceneBuilder
@@ -82,10 +83,9 @@ class Materials:
         values: dict[str, Any] = {
             "base_color": _colors(pbr, "baseColorFactor", 4),
             "alpha_mode": mode,
+            "alpha_cutoff": fields.real("alphaCutoff", 0.5, 0.0, 1e4),
             "double_sided": fields.flag("doubleSided"),
         }
-        if mode is AlphaMode.MASK:
-            values["alpha_cutoff"] = fields.real("alphaCutoff", 0.5, 0.0, 1e4)
         maps: dict[str, tuple[int, dict[str, Any]]] = {}
         self._read_map(maps, "texture", pbr.child("baseColorTexture"))
         if fields.extension("KHR_materials_unlit") is not None:
@@ -102,7 +102,8 @@ class Materials:
         emissive = np.minimum(_colors(fields, "emissiveFactor", 3, 0.0) * factor, _STRONGEST)
         values["emissive"] = tuple(emissive.tolist())
         self._read_map(maps, "emissive_texture", fields.child("emissiveTexture"))
-        return values, maps
+        held = private(fields)
+        return (values if held is None else _restore(held, values, maps)), maps
 
     def _unlit(self, values: dict[str, Any], maps: dict[str, tuple[int, dict[str, Any]]]) -> dict[str, Any]:
         """Turn a base colour into emitted light: nothing is reflected, and the base colour's alpha stays."""
@@ -163,9 +164,32 @@ class Materials:
                 self._ids[number] = self.builder.add_image(pixels)
 
 
-def _colors(fields: JsonObject, name: str, size: int, default: float = 1.0) -> NDArray[np.float64]:
+def _restore(
+    held: JsonObject, values: dict[str, Any], maps: dict[str, tuple[int, dict[str, Any]]]
+) -> dict[str, Any]:
+    """Return a material's values with those that glTF can't say in place of their likeness."""
+    restored = dict(values)
+    if "emission" in held:
+        restored["emission"] = held.real("emission", low=0.0, high=_STRONGEST)
+        restored["emissive"] = tuple(_colors(held, "emissive", 3, high=_STRONGEST).tolist())
+        if not held.flag("has_emissive_texture", True):
+            maps.pop("emissive_texture", None)
+    if "shininess" in held:
+        for name in ("metallic", "roughness"):
+            del restored[name]
+        maps.pop("metallic_roughness_texture", None)
+        restored["specular_color"] = tuple(_colors(held, "specular_color", 3).tolist())
+        for name, (low, high) in SPECULAR.items():
+            if name != "specular_color":
+                restored[name] = held.real(name, low=low, high=high)
+    return restored
+
+
+def _colors(
+    fields: JsonObject, name: str, size: int, default: float = 1.0, high: float = 1e4
+) -> NDArray[np.float64]:
     found = fields.reals(name, size, (default,) * size)
-    if not ((found >= 0.0) & (found <= 1e4)).all():
+    if not ((found >= 0.0) & (found <= high)).all():
         fields.refuse(name, found.tolist(), "0 to 1")
     return found
 

@@ -7,11 +7,12 @@ has one parent at most and none is above itself: a file in which that isn't so i
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from renderer.content.gltf.document import JsonObject
+from renderer.content.gltf.extras import private
 from renderer.content.gltf.tracks import compose
 from renderer.scene.arrays import Floats
 from renderer.scene.camera import Camera, Orthographic, Perspective
@@ -21,15 +22,13 @@ from renderer.scene.transforms import multiply
 
 __rhi_internal__ = True
 
-ROOM: Final = "rhi"
-"""The key of what `save_scene` keeps in `extras`."""
-
 CANDELA: Final = 1.0 / np.pi
 """Intensity of a light for each candela: a white surface that faces it reflects 1 / π of what it receives in glTF, and
 all of it here."""
 
 _FAINT: Final = 1.0 / 512.0  # what a light without a range gives at the range that it gets
 _FARTHEST: Final = 1e6  # metres: the greatest of these ranges
+_LARGEST_WORLD: Final = 1e60  # in a world transform: float32 vertices times it can be squared
 _EXACT: Final = 1e-9  # deviation of a squared length from 1, up to which a quaternion is kept as it is
 _ORTHONORMAL: Final = 1e-6  # of products of axes, up to which axes are kept as they are: they may be float32
 
@@ -96,12 +95,11 @@ def find_worlds(nodes: list[GltfNode]) -> Floats:
     worlds = np.zeros((len(nodes), 4, 4))
     for row, node in enumerate(nodes):
         worlds[row] = node.local if node.parent < 0 else multiply(worlds[node.parent], node.local)
+        if np.abs(worlds[row]).max() > _LARGEST_WORLD:
+            node.fields.refuse(
+                "", f"a world transform up to {np.abs(worlds[row]).max():g}", f"{_LARGEST_WORLD:g}"
+            )
     return worlds
-
-
-def is_room(node: GltfNode) -> bool:
-    """Return whether a node only holds a light or a camera that `save_scene` has placed; it is none of the scene's."""
-    return node.fields.child("extras").values.get(ROOM) == "placed"
 
 
 def read_camera(fields: JsonObject, world: Floats) -> Camera | None:
@@ -125,30 +123,50 @@ def read_camera(fields: JsonObject, world: Floats) -> Camera | None:
     return None if axes is None else Camera(world[:3, 3].copy(), axes, projection)
 
 
-def add_light(lights: Lights, fields: JsonObject, world: Floats, omissions: Omissions) -> None:
-    """Add a light of KHR_lights_punctual at a node; it shines along -Z of its node."""
-    kind = fields.choice("type", ("directional", "point", "spot"))
-    color = fields.reals("color", 3, (1.0, 1.0, 1.0)).tolist()
-    intensity = fields.real("intensity", 1.0, 0.0, 1e30) * CANDELA
-    if min(color) < 0.0:
-        fields.refuse("color", color, "0 or more")
-    axes = _axes(world)
-    if axes is None and kind != "point":
-        omissions.add("lights without a direction", fields.where)
-        return
-    forward = (0.0, 0.0, 0.0) if axes is None else tuple((-axes[2]).tolist())
-    if kind == "directional":
-        lights.add_directional(forward, color, intensity)
-        return
-    faint = min(max(float(np.sqrt(intensity * max(color) / _FAINT)), 1e-3), _FARTHEST)
-    reach = fields.real("range", faint, 1e-30, 1e30)
-    if kind == "point":
-        lights.add_point(world[:3, 3], reach, color, intensity)
-        return
-    spot = fields.child("spot")
-    outer = spot.real("outerConeAngle", np.pi / 4.0, 0.0, np.pi)
-    inner = spot.real("innerConeAngle", 0.0, 0.0, outer)
-    lights.add_spot(world[:3, 3], forward, reach, inner, outer, color, intensity)
+class LightRows:
+    """Lights of KHR_lights_punctual at nodes, collected so that they are added as arrays."""
+
+    def __init__(self) -> None:
+        self._rows: dict[str, list[dict[str, Any]]] = {"directional": [], "point": [], "spot": []}
+
+    def add(self, fields: JsonObject, world: Floats, omissions: Omissions) -> None:
+        """Add a light at a node, along whose -Z it shines."""
+        kind = fields.choice("type", self._rows)
+        color = fields.reals("color", 3, (1.0, 1.0, 1.0))
+        if color.min() < 0.0:
+            fields.refuse("color", color.tolist(), "0 or more")
+        held = private(fields)
+        row: dict[str, Any] = {
+            "color": color,
+            "intensity": fields.real("intensity", 1.0, 0.0) * CANDELA,
+            "casts_shadow": held is not None and held.flag("casts_shadow"),
+        }
+        if kind != "point":
+            axes = _axes(world)
+            if axes is None:
+                omissions.add("lights without a direction", fields.where)
+                return
+            row["direction"] = -axes[2]
+        if kind != "directional":
+            faint = float(np.sqrt(row["intensity"] * color.max() / _FAINT))
+            row["position"] = world[:3, 3]
+            row["range"] = fields.real("range", min(max(faint, 1e-3), _FARTHEST), 1e-30)
+        if kind == "spot":
+            spot = fields.child("spot")
+            row["outer"] = spot.real("outerConeAngle", np.pi / 4.0, 0.0, np.pi)
+            row["inner"] = spot.real("innerConeAngle", 0.0, 0.0, row["outer"])
+        self._rows[kind].append(row)
+
+    def add_to(self, lights: Lights) -> None:
+        """Add all lights, each kind in the order in which they were collected."""
+        for row in self._rows["directional"]:
+            lights.add_directional(**row)
+        for kind, add in (("point", lights.add_points), ("spot", lights.add_spots)):
+            if rows := self._rows[kind]:
+                columns: dict[str, Any] = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+                shadows = columns.pop("casts_shadow")
+                added = add(**columns)
+                getattr(lights, kind)["casts_shadow"][added] = shadows
 
 
 def _read_node(fields: JsonObject, number: int, parent: int) -> GltfNode:

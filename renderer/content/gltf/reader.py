@@ -18,12 +18,12 @@ from renderer.content.gltf.accessors import Accessors
 from renderer.content.gltf.animations import find_bounds, make_motion, read_tracks
 from renderer.content.gltf.container import EXTENSIONS, GltfFile
 from renderer.content.gltf.document import JsonObject
+from renderer.content.gltf.extras import Surroundings, is_placed, private, read_surroundings
 from renderer.content.gltf.materials import Materials
 from renderer.content.gltf.nodes import (
     GltfNode,
-    add_light,
+    LightRows,
     find_worlds,
-    is_room,
     list_nodes,
     read_camera,
 )
@@ -41,13 +41,16 @@ _ELSEWHERE = (
 )  # extensions that are listed where they are used
 
 
-def add_gltf(builder: SceneBuilder, path: str) -> None:
-    """Add everything in a glTF file to a scene under construction.
+def add_gltf(builder: SceneBuilder, path: str) -> Surroundings | None:
+    """Add everything in a glTF file to a scene under construction; return the surroundings of a scene that
+    `save_scene` has written, or None.
 
     Cameras become views, named after their nodes. Refused, naming the file: `scene-unreadable-model`,
     `scene-bad-vertices`.
     """
-    _GltfReader(builder, GltfFile(path)).add_all()
+    reader = _GltfReader(builder, GltfFile(path))
+    reader.add_all()
+    return reader.surroundings
 
 
 class _GltfReader:
@@ -56,18 +59,22 @@ class _GltfReader:
     def __init__(self, builder: SceneBuilder, file: GltfFile) -> None:
         self._builder, self._file, self._omissions = builder, file, builder.omissions
         self._root = file.root
+        scenes = file.root.children("scenes")
+        held = private(scenes[max(file.root.index("scene", len(scenes)), 0)]) if scenes else None
+        self._private = JsonObject(file.path, "", {}) if held is None else held
+        self.surroundings = None if held is None else read_surroundings(held)
         self._accessors = Accessors(file)
-        self._meshes: list[
-            list[tuple[int, int]]
-        ] = []  # for each mesh of the file its parts' meshes and materials
+        self._materials = Materials(file, builder, builder.omissions)
+        self._meshes: list[list[tuple[int, int]]] = []  # of each mesh of the file: meshes, materials or -1
 
     def add_all(self) -> None:
         for name in self._file.names("extensionsUsed"):
             if name not in EXTENSIONS and not name.startswith(_ELSEWHERE):
                 self._omissions.add(name, "extensionsUsed")
-        self._add_meshes(Materials(self._file, self._builder, self._omissions))
+        self._add_meshes()
         nodes = list_nodes(self._root, self._omissions)
         tracks = read_tracks(self._root, self._accessors, self._omissions)
+        worlds = find_worlds(nodes)
         animated = make_motion(nodes, tracks, self._omissions)
         self._add_nodes(nodes, animated)
         moving = np.zeros(len(nodes), bool)
@@ -75,13 +82,12 @@ class _GltfReader:
             moving[animated[0]] = True
         for row, node in enumerate(nodes):  # parents come first
             moving[row] |= node.parent >= 0 and moving[node.parent]
-        worlds = find_worlds(nodes)
         self._add_cameras(nodes, worlds, moving)
         self._add_lights(nodes, worlds, moving)
 
-    def _add_meshes(self, materials: Materials) -> None:
+    def _add_meshes(self) -> None:
         """Add the materials and the meshes of the file, a mesh for each set of accessors."""
-        ids = materials.add_all()
+        ids = self._materials.add_all()
         reader = Primitives(self._accessors, self._omissions)
         meshes = self._root.children("meshes")
         parts = [
@@ -97,37 +103,71 @@ class _GltfReader:
                 own = primitive.child("extras").values.get("name", name)
                 firsts.setdefault(reader.key(primitive), (first, number, primitive, str(own)))
         made: dict[object, int] = {}
+        is_saved = self.surroundings is not None  # then equal meshes were several in the scene, and stay so
+        added: set[int] = set()
         for key, (_, _, primitive, name) in sorted(firsts.items(), key=lambda item: item[1][:2]):
             shape = reader.read(primitive)
-            if shape is not None:
-                made[key] = self._builder.add_mesh(share_geometry(shape.geometry), name)
+            if shape is None:
+                continue
+            geometry = share_geometry(shape.geometry)
+            if is_saved and id(geometry) in added:
+                geometry = shape.geometry
+            added.add(id(geometry))
+            made[key] = self._builder.add_mesh(geometry, name)
         for primitives in parts:
             found = []
             for primitive in primitives:
                 material = primitive.index("material", len(ids))
                 if (mesh_id := made.get(reader.key(primitive), -1)) >= 0:
-                    found.append((mesh_id, ids[material] if material >= 0 else materials.default()))
+                    found.append((mesh_id, ids[material] if material >= 0 else -1))
             self._meshes.append(found)
 
     def _add_nodes(self, nodes: list[GltfNode], animated: tuple[Rows, NodeMotion] | None) -> None:
         """Add nodes, objects and their animations."""
         moving = set() if animated is None else set(animated[0].tolist())
+        dynamic = frozenset(self._private.indices("dynamic", len(self._root.children("nodes"))))
         ids: list[int] = []
+        objects: list[tuple[int, int, int]] = []
+        bounds: dict[int, tuple[Floats, Floats]] = {}
         contents: list[tuple[int, tuple[Floats, Floats]]] = []
         for row, node in enumerate(nodes):
-            if is_room(node):
+            if row not in moving and is_placed(node.fields):
                 ids.append(-1)
                 continue
             above = -1 if node.parent < 0 else ids[node.parent]
             name = node.fields.text("name", "")
-            ids.append(self._builder.add_node(node.local, above, dynamic=row in moving, name=name))
+            is_dynamic = row in moving or node.number in dynamic
+            ids.append(self._builder.add_node(node.local, above, dynamic=is_dynamic, name=name))
             mesh = node.fields.index("mesh", len(self._meshes))
             for geometry, material in self._meshes[mesh] if mesh >= 0 else ():
-                self._builder.add_objects(ids[-1], geometry, material)
-                contents.append((row, self._builder.mesh_bounds(geometry)))
+                material = material if material >= 0 else self._materials.default()
+                objects.append((ids[-1], geometry, material))
+                if animated is not None and geometry not in bounds:
+                    bounds[geometry] = self._builder.mesh_bounds(geometry)
+                if animated is not None:
+                    contents.append((row, bounds[geometry]))
+        self._add_objects(objects)
         if animated is not None:
             rows, motion = animated
             self._builder.animate(np.array(ids)[rows], motion, find_bounds(nodes, rows, motion, contents))
+
+    def _add_objects(self, objects: list[tuple[int, int, int]]) -> None:
+        """Add objects (node, mesh, material), those of a saved scene in their order there."""
+        if not objects:
+            return
+        count = len(objects)
+        table = np.array(objects, np.int64)
+        if self._private.length("objects") == count:  # else another program has changed them
+            order = self._private.indices("objects", count)
+            if len(set(order)) < count:
+                self._private.refuse("objects", "a row twice", "each row once")
+            table[order] = table.copy()
+        casts = np.ones(count, bool)
+        casts[self._private.indices("shadowless", count)] = False
+        ends = [*(np.flatnonzero(np.diff(casts)) + 1).tolist(), count]
+        for start, end in zip([0, *ends], ends, strict=False):
+            nodes, meshes, materials = table[start:end].T
+            self._builder.add_objects(nodes, meshes, materials, bool(casts[start]))
 
     def _add_cameras(self, nodes: list[GltfNode], worlds: Floats, moving: NDArray[np.bool_]) -> None:
         cameras = self._root.children("cameras")
@@ -149,10 +189,12 @@ class _GltfReader:
     def _add_lights(self, nodes: list[GltfNode], worlds: Floats, moving: NDArray[np.bool_]) -> None:
         held = self._root.extension("KHR_lights_punctual")
         lights = [] if held is None else held.children("lights")
+        found = LightRows()
         for node, world, moves in zip(nodes, worlds, moving, strict=True):
             used = node.fields.extension("KHR_lights_punctual")
             if used is not None:
                 number = used.index("light", len(lights), needed=True)
                 if moves:
                     self._omissions.add("motion of a light", node.fields.where)
-                add_light(self._builder.lights, lights[number], world, self._omissions)
+                found.add(lights[number], world, self._omissions)
+        found.add_to(self._builder.lights)

@@ -20,7 +20,7 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.scene import Scene
+from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Floats, Rows
 
 __rhi_internal__ = True
@@ -118,6 +118,14 @@ def classify(planes: Floats, volumes: Volumes) -> NDArray[np.uint8]:
 def fit_aligned(scene: Scene, rows: Rows) -> AlignedBoxes:
     """Return the aligned boxes around the objects `rows` (n,)."""
     return AlignedBoxes(scene.objects.lower[rows], scene.objects.upper[rows])
+
+
+def find_in_view(scene: Scene, camera: Camera, rows: Rows) -> Rows:
+    """Return those of the objects `rows` (k,) whose bounds are not outside the view."""
+    if not len(rows):
+        return rows
+    side = classify(camera.frustum.planes, fit_aligned(scene, rows))
+    return np.asarray(rows.take(np.flatnonzero(side != Containment.OUTSIDE)))
 
 
 def fit_oriented(scene: Scene, rows: Rows) -> OrientedBoxes:

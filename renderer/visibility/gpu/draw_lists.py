@@ -88,7 +88,7 @@ class CountKeys(Shader):
             if mark == uint(VISIBLE):
                 octaves = log2(max(self.occludees[row].depth, 0.125))
                 key = clamp(int(floor(2.0 * octaves)) + 6, 0, _BUCKETS - 1)
-                key += _BUCKETS * self.places[row].mirrored
+                key += _BUCKETS * self.places[row].draw_list
                 self.marks[row] = uint(DRAWN)
             elif mark == uint(HIDDEN):
                 key = _HIDDEN_KEY

@@ -60,7 +60,7 @@ HIDDEN: Final = 0
 VISIBLE: Final = 1
 """The mark of an object for the next list."""
 OUTSIDE: Final = 2
-"""The mark of an object outside the frustum."""
+"""The mark of an object outside the frustum, or on no list."""
 DRAWN: Final = 3
 """The mark of an object that a list of this frame holds."""
 
@@ -170,6 +170,8 @@ class FindOccludees(Shader):
         if is_near or not far < TOO_FAR:
             mark = VISIBLE
         elif self.is_outside(box):
+            mark = OUTSIDE
+        if place.draw_list < 0:  # it is on no list
             mark = OUTSIDE
         if is_near or mark == OUTSIDE or not far < TOO_FAR:
             box.x = vec3(0.0)

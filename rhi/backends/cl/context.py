@@ -32,6 +32,8 @@ from rhi.errors.rules import DEVICE_DRIVER
 __rhi_internal__ = True
 
 ENVIRONMENT: Final = "RHI_CL_DEVICE"
+KERNELS_ENVIRONMENT: Final = "RHI_KERNELS"
+"""Which kernels are built: `quick` or `optimised` ones; see `rhi.backends.cl.raster.builds`."""
 _CALL: Final = "rhi.create_device('cl')"
 _ALLOWED: Final = "an OpenCL device that compiles and runs a kernel"
 _INSTALL: Final = "on Debian: apt install pocl-opencl-icd"
@@ -82,7 +84,10 @@ class ClContext:
     cache: KernelCache
 
     def compile(self, source: str, options: Sequence[str] = ()) -> cl.Program:
-        """Build a program (`build`), which is looked for and kept in the cache."""
+        """Build a program (`build`), which is looked for and kept in the cache. It is optimised, unless the user
+        wants quick kernels only."""
+        if os.environ.get(KERNELS_ENVIRONMENT) == "quick":
+            options = (*options, *QUICK)
         request = self.cache.request(source, options)
         return build_cached(self.context, self.cache, request, self.cache.find(request.key))
 

@@ -36,8 +36,10 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def run_json(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
-    assert main(["render", *arguments, "--json"]) == 0
+def run_json(
+    capsys: pytest.CaptureFixture[str], *arguments: str, command: str = "render"
+) -> dict[str, Any]:
+    assert main([command, *arguments, "--json"]) == 0
     report: dict[str, Any] = json.loads(capsys.readouterr().out)
     return report
 
@@ -234,6 +236,19 @@ def test_what_a_file_has_and_the_scene_has_not_is_listed(capsys: pytest.CaptureF
     assert "left out: lines (meshes[0].primitives[1])" in output.err.splitlines()
     listed = {"what": "lines", "count": 1, "where": "meshes[0].primitives[1]"}
     assert json.loads(output.out)["left_out"] == [listed]
+
+
+def test_a_scene_is_converted_and_looks_the_same(capsys: pytest.CaptureFixture[str], here: Path) -> None:
+    assert run_json(capsys, CITY, "new/city.glb", command="convert")["left_out"] == []
+    one, other = (run_json(capsys, scene, "--backend", "null") for scene in (CITY, "new/city.glb"))
+    assert {key for key in one if one[key] != other[key]} <= {"scene", "milliseconds", "image"}
+
+
+def test_what_a_file_cannot_hold_is_listed(capsys: pytest.CaptureFixture[str], here: Path) -> None:
+    main(["convert", "hall:columns=2,flags=2", "hall.gltf"])
+    output = capsys.readouterr()
+    assert output.err == "left out: simulations of nodes (simulated[0], 12 times)\n"
+    assert output.out.startswith("hall.gltf: ")
 
 
 def test_a_camera_may_begin_with_a_minus(capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,22 +12,54 @@ from hypothesis import strategies as st
 from renderer.content import load_model
 from rhi.errors import RhiError, ValidationError
 
+SURROUNDINGS = {
+    "background": [0, 0, 0],
+    "haze": 0.5,
+    "sky": [1, 1, 1],
+    "ground": [0, 0, 0],
+    "dynamic": [1],
+    "objects": [1, 0],
+    "shadowless": [0],
+    "paths": [
+        {
+            "name": "ground",
+            "perspective": 1.0,
+            "aspect": 1.5,
+            "near": 0.1,
+            "depth": "reversed",
+            "positions": [0, 0, 0, 1, 1, 1],
+            "targets": [1, 0, 0, 2, 1, 1],
+            "ups": [0, 1, 0],
+        }
+    ],
+}
+SPECULAR = {
+    "specular_color": [0.1, 0.1, 0.1],
+    "shininess": 32,
+    "rim_strength": 0.5,
+    "rim_power": 4,
+    "emission": 1,
+    "emissive": [0, 0, 0],
+}
+
 
 def make_document():
     """A file with a part of everything."""
     document = GltfDocument(
         scene=0,
-        scenes=[{"nodes": [0, 3]}],
+        scenes=[{"nodes": [0, 3, 4], "extras": {"rhi": SURROUNDINGS}}],
         nodes=[
             {"name": "root", "children": [1, 2]},
             {"mesh": 0, "translation": [1, 0, 0]},
             {"camera": 0, "extensions": {"KHR_lights_punctual": {"light": 0}}},
             {"mesh": 0, "matrix": np.eye(4).ravel().tolist()},
+            {"camera": 0, "extras": {"rhi": {"placed": True}}},
         ],
         cameras=[{"type": "perspective", "perspective": {"yfov": 1, "znear": 0.1}}],
         extensions={"KHR_lights_punctual": {"lights": [{"type": "spot", "spot": {"outerConeAngle": 0.5}}]}},
         materials=[
-            {"pbrMetallicRoughness": {"baseColorFactor": [1, 1, 1, 1], "baseColorTexture": {"index": 0}}}
+            {"pbrMetallicRoughness": {"baseColorFactor": [1, 1, 1, 1], "baseColorTexture": {"index": 0}}},
+            {"extras": {"rhi": SPECULAR}},
         ],
         textures=[{"source": 0, "sampler": 0}],
         samplers=[{"wrapS": 10497}],
@@ -104,7 +136,7 @@ def test_the_whole_document_is_read(tmp_path):
         (("bufferViews", 0, "byteLength"), 0, "bufferViews[0].byteLength"),
         (("animations", 0, "samplers", 0, "interpolation"), "FAST", "animations[0].samplers[0].interpolation"),
         (("animations", 0, "samplers", 0, "output"), 2, "accessors[2].type"),
-        (("animations", 0, "channels", 0, "target", "node"), 4, "animations[0].channels[0].target.node"),
+        (("animations", 0, "channels", 0, "target", "node"), 5, "animations[0].channels[0].target.node"),
         (("extensionsRequired",), ["KHR_draco_mesh_compression"], "extensionsRequired"),
     ],
 )  # fmt: skip

@@ -193,6 +193,7 @@ print(f"{len(done)} workers, {sum(done)} tasks")
 """
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("gl")
 def test_a_dask_cluster_of_two_workers_runs_the_trials(here: Path) -> None:
     """Runs in a process of its own, so that warnings of dask on a slow machine don't fail the test."""

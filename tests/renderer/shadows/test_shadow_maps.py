@@ -120,6 +120,127 @@ def test_casters_that_shade_nothing_visible_arent_drawn(null: rhi.Device) -> Non
         assert max(report.casters for report in renderer.shadows.reports) == 1
 
 
+def street(lamps: int = 64, *, car: bool = True) -> Scene:
+    """Make a street of casting lamps, 12 m apart, with a post each, and a car that passes at 10 m/s, or none."""
+    builder = SceneBuilder("street")
+    box, material = builder.add_mesh(BUILT_IN["box"]()), builder.add_material()
+    along = 12.0 * np.arange(lamps)
+    for x in along:
+        ground = translation((x, -0.5, 0)) @ scaling((12, 1, 20))
+        builder.add_objects(builder.add_node(ground), box, material, casts_shadow=False)
+        builder.add_objects(builder.add_node(translation((x, 1, 2)) @ scaling((0.2, 2, 0.2))), box, material)
+        builder.lights.add_spot((x, 5, 0), (0, -1, 0), 8.0, 0.4, 0.8, casts_shadow=True)
+    if car:
+        node = builder.add_node(translation((0, 0.5, 0)), dynamic=True)
+        builder.add_objects(node, box, material)
+        builder.animate(node, lambda seconds: translation(((10.0 * seconds, 0.5, 0.0),)))
+    return builder.build()
+
+
+ABOVE = Camera.look_at((378, 300, 0), (378, 0, 0), (0, 0, -1), Perspective(fov=1.0, aspect=4 / 3, near=1.0))
+ALONG = Camera.look_at((-30, 40, 0), (378, 0, 0), projection=Perspective(fov=1.6, near=0.5))
+
+
+def test_a_static_street_of_64_lamps_draws_no_map_again(null: rhi.Device) -> None:
+    with make_renderer(null, street(car=False)) as renderer:
+        assert draw(renderer, ALONG) == {"drawn": 64}
+        for _ in range(3):
+            null.stream.clear()
+            assert draw(renderer, ALONG) == {"kept": 64}
+            assert len(null.stream.draws()) == 1  # the scene
+
+
+def test_a_moving_eye_draws_no_map_of_a_lamp_again(null: rhi.Device) -> None:
+    with make_renderer(null, street(car=False)) as renderer:
+        renderer.shadows.settings = replace(SMALL, smallest=32, largest=32)
+        draw(renderer, ALONG)
+        moved = replace(ALONG, position=ALONG.position + np.array((3.0, 1.0, 0.0)))
+        assert draw(renderer, moved) == {"kept": 64}
+
+
+def test_a_car_that_passes_draws_only_the_maps_that_it_touches(null: rhi.Device) -> None:
+    with make_renderer(null, street()) as renderer:
+        renderer.shadows.settings = replace(SMALL, smallest=32, largest=32, far_size=16)
+        draw(renderer, ALONG)
+        for seconds in (1.2, 6.0, 6.3, 30.0):
+            states = draw(renderer, ALONG, seconds)
+            touched = [r.name for r in renderer.shadows.reports if r.state == "drawn"]
+            lamp = round(10 * seconds / 12)
+            assert f"spot light {lamp}" in touched
+            assert len(touched) <= 4  # where it is, and where it was in the last frame
+            assert states["kept"] == 64 - len(touched)
+            assert all(abs(int(name.split()[-1]) - lamp) <= 1 or seconds != 6.3 for name in touched)
+
+
+def test_what_moves_without_shading_anything_visible_draws_no_map_again(null: rhi.Device) -> None:
+    builder = SceneBuilder("shelf")
+    box, material = builder.add_mesh(BUILT_IN["box"]()), builder.add_material()
+    for x in (0.0, 40.0):  # the second one isn't in view
+        builder.add_objects(builder.add_node(translation((x, -0.5, 0)) @ scaling((30, 1, 30))), box, material)
+    moves = builder.add_node(translation((26, 1, 0)), dynamic=True)
+    builder.add_objects(moves, box, material)
+    builder.animate(moves, lambda seconds: translation(((26.0 + seconds, 1.0, 0.0),)))
+    builder.lights.add_point((20, 2, 0), 24.0, casts_shadow=True)
+    down = Camera.look_at((0, 10, 0), (0, 0, 0), (0, 0, -1), Perspective(fov=1.0, aspect=4 / 3, near=1.0))
+    with make_renderer(null, builder.build()) as renderer:
+        draw(renderer, down)
+        drawn = draw(renderer, down, 0.5)
+        assert not drawn["drawn"]
+        reasons = {report.because for report in renderer.shadows.reports}
+        assert "what moved in it shades nothing visible" in reasons
+
+
+def test_far_maps_take_turns_when_there_are_more_than_the_budget(null: rhi.Device) -> None:
+    builder = SceneBuilder("crowd")
+    box, material = builder.add_mesh(BUILT_IN["box"]()), builder.add_material()
+    nodes = builder.add_nodes(translation([(12.0 * i, 1.0, 0.0) for i in range(10)]), dynamic=True)
+    builder.add_objects(nodes, box, material)
+    builder.animate(nodes, lambda s: translation([(12.0 * i + s, 1.0, 0.0) for i in range(10)]))
+    builder.lights.add_spots([(12.0 * i, 5, 0) for i in range(10)], (0, -1, 0), 8.0, 0.4, 0.6, casts_shadow=True)
+    camera = Camera.look_at((54, 200, 0), (54, 0, 0), (0, 0, -1), Perspective(fov=1.0, aspect=4 / 3, near=1.0))
+    with make_renderer(null, builder.build()) as renderer:
+        renderer.shadows.settings = replace(SMALL, budget=5)
+        assert draw(renderer, camera) == {"drawn": 10}
+        turns = []
+        for number in range(1, 5):
+            assert draw(renderer, camera, 0.01 * number) == {"drawn": 5, "kept": 5}
+            turns += [report.name for report in renderer.shadows.reports if report.state == "drawn"]
+        assert Counter(turns) == dict.fromkeys((f"spot light {i}" for i in range(10)), 2)
+
+
+def test_a_lamp_without_a_caster_in_range_has_no_map(null: rhi.Device) -> None:
+    builder = stage(casts=False)
+    builder.lights.add_point((0, 3, 0), 8.0, casts_shadow=True)
+    builder.lights.add_point((5, 1, 0), 2.0, casts_shadow=True)  # in reach of the floor alone
+    with make_renderer(null, builder.build()) as renderer:
+        draw(renderer)
+        skipped = {r.name: r.because for r in renderer.shadows.reports if r.state == "skipped"}
+        assert skipped["point light 1"] == "no caster is in its range"
+        assert all(name == "point light 1" or because == "no caster is in it" for name, because in skipped.items())
+        assert {key[1] for key in renderer.shadows.tiles} == {0}
+
+
+def test_more_maps_than_the_table_holds_leave_out_the_least_visible_lamps(null: rhi.Device) -> None:
+    builder = stage(casts=False)
+    places = np.random.default_rng(1).uniform((-4, -1, -4), (4, 7, 4), (100, 3))
+    builder.lights.add_points(places, 9.0, casts_shadow=True)
+    with make_renderer(null, builder.build()) as renderer:
+        draw(renderer)
+        reasons = [r.because for r in renderer.shadows.reports if r.name.count("face") == 0]
+        assert reasons.count("there is no room left for its maps") == 100 - 510 // 6
+
+
+def test_lamps_share_what_room_there_is(null: rhi.Device) -> None:
+    builder = stage()
+    builder.lights.add_points(np.random.default_rng(1).uniform((-2, 1, -2), (2, 5, 2), (20, 3)), 9.0, casts_shadow=True)
+    with make_renderer(null, builder.build()) as renderer:
+        renderer.shadows.settings = replace(SMALL, largest=128, largest_atlas=256)
+        draw(renderer)
+        assert renderer.shadows.atlas.size == (256, 256)
+        sizes = {tile.size for key, tile in renderer.shadows.tiles.items() if key[0] == "point"}
+        assert max(sizes) <= 16
+
+
 def test_other_settings_draw_the_maps_again(null: rhi.Device) -> None:
     with make_renderer(null, stage().build()) as renderer:
         draw(renderer)

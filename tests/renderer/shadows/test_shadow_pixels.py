@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 import rhi
 from renderer.content import BUILT_IN
 from renderer.renderer import Renderer
-from renderer.scene import Camera, Orthographic, Scene, SceneBuilder, scaling, translation
+from renderer.scene import Camera, Orthographic, Perspective, Scene, SceneBuilder, scaling, translation
 from renderer.shadows import ShadowFilter, ShadowSettings
 from renderer.shadows.maps import FarDepth
 from renderer.shadows.receiver import FILTERS, ShadowReader
@@ -218,17 +218,208 @@ def test_shadows_touch_their_casters_and_end_within_a_texel(
     assert np.array_equal(lit.reshape(-1)[sure], ~blocked[0][sure])
 
 
+ROOM = 4.0  # half its width
+
+
+def lamp_scene(*, block: tuple[float, float, float] | None, at: tuple[float, float, float] = (0, 0, 0)) -> SceneBuilder:
+    """Make a room, of walls that are boxes, around `at`, with a block in it or not. It has no light yet."""
+    builder = SceneBuilder("room")
+    mesh, material = builder.add_mesh(BUILT_IN["box"]()), builder.add_material(specular_color=(0, 0, 0))
+    for axis in range(3):
+        for side in (-1.0, 1.0):
+            middle, size = np.zeros(3), np.full(3, 2 * ROOM + 2)
+            middle[axis], size[axis] = side * (ROOM + 0.5), 1.0
+            builder.add_objects(builder.add_node(translation(middle + at) @ scaling(size)), mesh, material)
+    if block is not None:
+        builder.add_objects(builder.add_node(translation(np.add(block, at))), mesh, material)
+    builder.lights.sky = builder.lights.ground = (0.1, 0.1, 0.1)
+    return builder
+
+
+def add_lamp(builder: SceneBuilder, kind: str, at: tuple[float, ...], range: float = 16.0, casts: bool = True) -> None:
+    if kind == "point":
+        builder.lights.add_point(at, range, intensity=6.0, casts_shadow=casts)
+    else:
+        outer = 0.6 if kind == "spot" else 1.4
+        builder.lights.add_spot(at, (0.3, -1.0, 0.2), range, 0.8 * outer, outer, intensity=30.0, casts_shadow=casts)
+
+
+def look_around(at: tuple[float, ...] = (0, 0, 0)) -> list[Camera]:
+    """Return views of the corners of the room, in which three walls and seams of cube maps meet."""
+    lens = Perspective(fov=1.6, aspect=1.0, near=0.05)
+    places = [np.array(corner, float) for corner in ((1, 1, 1), (-1, -1, 1), (1, -1, -1))]
+    return [Camera.look_at(at - 1.5 * place, at + place, projection=lens) for place in places]
+
+
+LAMPS = ShadowSettings(smallest=64, largest=64)
+
+
+def render_lamps(device: rhi.Device, scene: Scene, camera: Camera, settings: ShadowSettings, size: int = 48) -> Pixels:
+    with Renderer(device, scene, visibility=NoCulling(scene), size=(size, size)) as renderer:
+        renderer.shadows.settings = settings
+        return renderer.render(camera).image.read()[..., :3].astype(int)
+
+
+@pytest.mark.parametrize("filter", ShadowFilter)
+@pytest.mark.parametrize("kind", ["point", "spot", "wide spot"])
+def test_lit_walls_have_neither_acne_nor_seams(gl: rhi.Device, filter: ShadowFilter, kind: str) -> None:
+    for at in ((0.3, 0.5, -0.2), (3.5, -3.9, 3.0)):  # in the middle, and where light grazes two walls
+        for camera in look_around():
+            shown = []
+            for casts in (False, True):
+                builder = lamp_scene(block=None)
+                add_lamp(builder, kind, at, casts=casts)
+                shown.append(render_lamps(gl, builder.build(), camera, replace(LAMPS, filter=filter)))
+            flat = ~is_at_corner(camera, np.array(at), 48)
+            assert flat.mean() > 0.5
+            assert np.array_equal(shown[0][flat], shown[1][flat])
+
+
+def is_at_corner(camera: Camera, lamp: NDArray[np.float64], size: int) -> NDArray[np.bool_]:
+    """Return (size, size), where another wall of the room is within four texels of a map, seen from a lamp: there a
+    filter finds that wall's depth."""
+    across = ((np.arange(size) + 0.5) / size * 2 - 1) * np.tan(0.8)
+    rays = np.stack(np.broadcast_arrays(across, -across[:, None], -1.0), -1) @ camera.rotation
+    ends = (np.sign(rays) * ROOM - camera.position) / rays
+    hit = camera.position + rays * ends.min(-1, keepdims=True)
+    near = np.zeros((size, size), bool)
+    for axis in range(3):
+        edge = hit.copy()
+        edge[..., axis] = np.sign(hit[..., axis]) * ROOM
+        ways = [place - lamp for place in (hit, edge)]
+        sine = np.linalg.norm(np.cross(*ways), axis=-1) / np.prod([np.linalg.norm(way, axis=-1) for way in ways], 0)
+        near |= (sine < 4 / 29) & (ends.argmin(-1) != axis)
+    return near
+
+
+@pytest.mark.parametrize("kind", ["point", "spot", "wide spot"])
+def test_without_bias_walls_shade_themselves(gl: rhi.Device, kind: str) -> None:
+    builder = lamp_scene(block=None)
+    add_lamp(builder, kind, (0.3, 0.5, -0.2))
+    scene, camera = builder.build(), look_around()[1]
+    want, shown = (render_lamps(gl, scene, camera, replace(LAMPS, bias=bias)) for bias in (1.0, 0.0))
+    assert (shown < want - 8).any(-1).mean() > 0.05
+
+
+@pytest.mark.parametrize("away", [0.0, 1e5], ids=["at the origin", "100 km from it"])
+@pytest.mark.parametrize("kind", ["point", "spot"])
+def test_shadows_of_lamps_end_within_a_texel_also_over_seams(gl: rhi.Device, kind: str, away: float) -> None:
+    at, lamp = (away, 0.0, away), np.array((-0.6, 1.5, -0.4))
+    shown, halves = [], []
+    for casts in (False, True):
+        builder = lamp_scene(block=(0.0, -1.0, 0.0), at=at)
+        add_lamp(builder, kind, tuple(lamp + at), casts=casts)
+        scene = builder.build()
+        camera = Camera.look_at(
+            np.add(at, (0, -1.6, 0)), np.add(at, (0, -2, 0)), (0, 0, -1),
+            Orthographic(height=8.0, aspect=1.0, near=0.0, far=5.0),
+        )  # fmt: skip
+        shown.append(render_lamps(gl, scene, camera, replace(LAMPS, smallest=128, largest=128), size=128)[..., 0])
+        scene.lights.point["intensity"] *= 0.5
+        scene.lights.spot["intensity"] *= 0.5
+        halves.append(render_lamps(gl, scene, camera, LAMPS, size=128)[..., 0])
+    half = halves[0]
+    across = (np.arange(128) + 0.5) / 128 * 8 - 4
+    floor = np.stack(np.meshgrid(across, across), -1).reshape(-1, 2)
+    floor = np.stack([floor[:, 0], np.full(len(floor), -ROOM), floor[:, 1]], 1)
+    to_lamp = lamp - floor
+    texel = np.linalg.norm(to_lamp, axis=1, keepdims=True) / 61  # at most: of half a map, to the side
+    aside = np.stack([np.cross(to_lamp, (1, 0, 0)), np.cross(to_lamp, (0, 0, 1))])
+    aside /= np.linalg.norm(aside, axis=-1, keepdims=True)
+    angles = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+    blocked = np.stack(
+        [
+            is_between(floor + texel * (np.cos(a) * aside[0] + np.sin(a) * aside[1]), lamp, (0.0, -1.0, 0.0))
+            for a in angles
+        ]
+    )
+    is_lit = shown[0].reshape(-1) > half.reshape(-1) + 1
+    is_middle = (np.abs(floor[:, [0, 2]]) < ROOM - 0.6).all(1)
+    sure = is_lit & is_middle & (blocked.all(0) | ~blocked.any(0))
+    lit = (shown[1] >= half).reshape(-1)
+    assert sure.sum() > 0.6 * is_lit.sum()
+    assert (blocked.all(0) & sure).sum() > 100
+    assert np.array_equal(lit[sure], ~blocked[0][sure])
+
+
+def is_between(places: NDArray[np.float64], lamp: NDArray[np.float64], block: tuple[float, ...]) -> NDArray[np.bool_]:
+    """Return whether a unit block is between places (n, 3) and a lamp."""
+    way = lamp - places
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = np.stack([(np.array(block) + side - places) / way for side in (-0.5, 0.5)])
+    enters, leaves = ends.min(0).max(-1), ends.max(0).min(-1)
+    return np.asarray((leaves > np.maximum(enters, 0.0)) & (enters < 1.0))
+
+
+@pytest.mark.parametrize(("back_faces", "blocks"), [(False, False), (True, True)])
+def test_a_light_inside_a_closed_caster_shines_through_unless_back_faces_are_drawn(
+    gl: rhi.Device, back_faces: bool, blocks: bool
+) -> None:
+    builder = lamp_scene(block=(0, 0, 0))
+    add_lamp(builder, "point", (0.1, 0.2, 0.0))
+    scene, camera = builder.build(), look_around()[2]
+    settings = replace(LAMPS, back_faces=back_faces)
+    shown = render_lamps(gl, scene, camera, settings)
+    scene.lights.point["casts_shadow"] = False
+    plain = render_lamps(gl, scene, camera, settings)
+    assert ((shown < plain - 20).any(-1).mean() > 0.3) == blocks
+    flat = ~is_at_corner(camera, np.array((0.1, 0.2, 0.0)), 48)
+    assert blocks or np.array_equal(shown[flat], plain[flat])
+
+
+@pytest.mark.parametrize("at", [(0.0, 0.501, 0.0), (0.501, 0.2, 0.0)], ids=["above it", "beside it"])
+def test_a_caster_a_millimetre_from_a_lamp_casts_a_shadow(gl: rhi.Device, at: tuple[float, ...]) -> None:
+    builder = lamp_scene(block=(0, 0, 0))
+    add_lamp(builder, "spot", at)  # beside the block, the near plane cuts through it
+    scene, camera = builder.build(), Camera.look_at((0, -0.6, 0), (0, -4, 0), (0, 0, -1))
+    shown = render_lamps(gl, scene, camera, LAMPS)
+    scene.lights.spot["casts_shadow"] = False
+    plain = render_lamps(gl, scene, camera, LAMPS)
+    assert not (shown > plain).any()
+    assert (shown < plain - 20).any(-1).mean() > 0.1
+
+
+@pytest.mark.parametrize("size", [1, 2, 4])
+def test_maps_of_few_texels_are_looked_up(gl: rhi.Device, size: int) -> None:
+    scene, _ = block_scene(30.0)
+    scene.lights.add_point((1.5, 2.0, 0.5), 8.0, intensity=4.0, casts_shadow=True)
+    small = replace(SETTINGS, cascade_size=size, smallest=size, largest=size)
+    shown = render(gl, scene, Camera.look_at((3, 4, 5), (0, 0, 0)), small)
+    assert len(np.unique(shown)) > 4
+
+
+def test_a_map_is_the_same_to_the_bit_after_a_move_below_a_texel(gl: rhi.Device) -> None:
+    scene, _ = block_scene(30.0)
+    scene.lights.directional["casts_shadow"] = True
+    with Renderer(gl, scene, visibility=NoCulling(scene), size=(64, 64)) as renderer:
+        renderer.shadows.settings = SETTINGS
+        renderer.render(FLOOR)
+        first, tiles = renderer.shadows.atlas.read().copy(), renderer.shadows.tiles
+        moved = [replace(FLOOR, position=FLOOR.position + share * 0.3) for share in np.linspace(0.0, 1.0, 7)]
+        for camera in moved:
+            renderer.render(camera)
+            drawn = renderer.shadows.count("drawn")
+            shown = renderer.shadows.atlas.read()
+            assert renderer.shadows.tiles == tiles
+            assert drawn or np.array_equal(shown, first)
+            first = shown.copy()
+
+
 def test_all_techniques_show_the_same_shadows(gl: rhi.Device) -> None:
     scene, _ = block_scene(50.0)
     camera = Camera.look_at((3, 4, 5), (0, 0, 0))
-    scene.lights.directional["casts_shadow"] = True
+    scene.lights.directional["intensity"] *= 0.3
+    scene.lights.add_point((1.2, 1.5, 0.8), 6.0, intensity=2.0)
+    scene.lights.add_spot((-1.5, 2.5, 1.0), (0.5, -1.0, -0.3), 8.0, 0.4, 0.7, intensity=8.0)
+    scene.lights.cast_shadows()
     shown: dict[str, Pixels] = {}
     for name, technique in TECHNIQUES.items():
         with Renderer(gl, scene, technique=technique(), visibility=NoCulling(scene), size=(64, 64)) as renderer:
             renderer.shadows.settings = SETTINGS
             shown[name] = renderer.render(camera).image.read()[..., :3].astype(int)
     for name, pixels in shown.items():
-        assert (np.abs(pixels - shown["forward"]).max(-1) > 3).mean() < 0.01, name
+        # Inferred lighting has light for 36 % of the pixels.
+        assert (np.abs(pixels - shown["forward"]).max(-1) > 3).mean() < (0.05 if name == "inferred" else 0.01), name
     assert len(np.unique(shown["forward"][..., 0])) > 2
 
 

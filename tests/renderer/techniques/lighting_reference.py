@@ -29,6 +29,21 @@ def shade_plane(
     The plane is at right angles to the unit vector `plane`, by which it is lit too unless another `normal` is
     given. It has the scene's first material, with `albedo` for base colour times texel.
     """
+    return encode(look_at_plane(scene, camera, size, point, plane, albedo, normal)[0])
+
+
+def look_at_plane(
+    scene: Scene,
+    camera: Camera,
+    size: tuple[int, int],
+    point: Floats,
+    plane: Floats,
+    albedo: Floats,
+    normal: Floats | None = None,
+    material: int = 0,
+) -> tuple[Floats, Floats]:
+    """Return the linear colours (height, width, 3) of a plane, of another material than the first if that is given, and
+    the distances (height, width) from the eye; see `shade_plane`."""
     normal = plane if normal is None else normal
     lens = camera.projection
     assert isinstance(lens, Perspective)
@@ -39,10 +54,10 @@ def shade_plane(
     distance = ((point - camera.position) @ plane) / (rays @ plane)
     assert (distance > 0).all(), "the plane must fill the image"
     hit = camera.position + rays * distance[..., None]
-    color = shade(scene, scene.materials[0], hit, normal, _unit(camera.position - hit), albedo)
-    shown = tone_map(color)
-    through = np.exp(-scene.haze * np.linalg.norm(hit - camera.position, axis=-1))[..., None]
-    return encode(shown * through + np.array(scene.background) * (1 - through))
+    color = shade(scene, scene.materials[material], hit, normal, _unit(camera.position - hit), albedo)
+    shown, away = tone_map(color), np.linalg.norm(hit - camera.position, axis=-1)
+    through = np.exp(-scene.haze * away)[..., None]
+    return shown * through + np.array(scene.background) * (1 - through), away
 
 
 def shade(scene: Scene, material: Any, hit: Floats, normal: Floats, to_eye: Floats, albedo: Floats) -> Floats:

@@ -11,7 +11,14 @@ from renderer.content import BUILT_IN
 from renderer.measure.plans import describe_plan
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene, SceneBuilder
-from renderer.techniques import Clustered, ClusteredDeferred, ForwardPlus, Technique, TiledDeferred
+from renderer.techniques import (
+    Clustered,
+    ClusteredDeferred,
+    DeferredPlus,
+    ForwardPlus,
+    Technique,
+    TiledDeferred,
+)
 from renderer.techniques.cell_lists import ClusterLists
 from renderer.visibility import NoCulling
 from rhi import Op
@@ -25,6 +32,12 @@ PASSES: dict[str, tuple[Callable[[], Technique], list[str], list[str]]] = {
         ClusteredDeferred,
         ["geometry", "resolve"],
         ["geometry", "light lists", "resolve"],
+    ),
+    "deferred_plus": (DeferredPlus, ["geometry", "shading"], ["geometry", "light lists", "shading"]),
+    "deferred_plus, multi-pass": (
+        lambda: DeferredPlus(multi_pass=True),
+        ["geometry", "material ids", "rectangles", "shading"],
+        ["geometry", "light lists", "material ids", "rectangles", "shading"],
     ),
 }
 
@@ -56,6 +69,8 @@ def test_lights_to_list_bring_their_passes_and_none_bring_none(name: str, points
         ("clustered", [3, 0]),
         ("tiled_deferred", [0, 1, 0]),
         ("clustered_deferred", [0, 3, 0]),
+        ("deferred_plus", [0, 3, 0]),
+        ("deferred_plus, multi-pass", [0, 3, 0, 1, 0]),
     ],
 )
 def test_lists_take_a_few_dispatches_however_many_lights_there_are(name: str, dispatches: list[int]) -> None:
@@ -90,6 +105,8 @@ def test_a_geometry_pass_is_drawn_once(null: rhi.Device) -> None:
         "clustered": [0, 1],
         "tiled_deferred": [1, 0, 1],
         "clustered_deferred": [1, 0, 1],
+        "deferred_plus": [1, 0, 1],
+        "deferred_plus, multi-pass": [1, 0, 1, 0, 1],
     }
 
 

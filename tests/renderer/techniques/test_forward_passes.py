@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -75,8 +76,14 @@ def farthest_apart(one: NDArray[Any], other: NDArray[Any]) -> int:
     return int(np.abs(one - other).max())
 
 
+SCENES = ("city:blocks=6", "hall:columns=6,flags=2", "grid:count=9")
+
+
 @pytest.mark.parametrize("technique", TECHNIQUES)
-@pytest.mark.parametrize("text", ["city:blocks=6", "hall:columns=6,flags=2", "grid:count=9"])
+@pytest.mark.parametrize(("drawing_device", "text"), [
+    pytest.param(backend, text, marks=pytest.mark.nightly if backend == "cl" and text != SCENES[1] else ())
+    for backend, text in itertools.product(("gl", "cl"), SCENES)  # each scene has shaders of its own
+], indirect=["drawing_device"])  # fmt: skip
 def test_a_scene_looks_as_in_one_pass(
     drawing_device: rhi.Device, technique: Callable[[], Technique], text: str
 ) -> None:

@@ -5,6 +5,7 @@ The hard cases, which all algorithms share, are in `test_hard_cases`."""
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -65,15 +66,20 @@ def test_a_walk_looks_as_without_culling(device: rhi.Device, city: Scene, name: 
     assert count_wrong_pixels(device, city, make(name, city, device), shots) == [0] * 12
 
 
+@cache
+def whole_city() -> Scene:
+    return load_scene("city")
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("frames", [4, pytest.param(10, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("frames", [3, pytest.param(10, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("path", ["ground", "sky"])
 @pytest.mark.parametrize("name", DEVICE)
 def test_a_walk_through_the_whole_city_loses_no_depth(
     gl: rhi.Device, name: str, path: str, frames: int
 ) -> None:
     # Its pixels of exactly equal depth show the surface drawn first, so it is the depth that is compared.
-    whole = load_scene("city")
+    whole = whole_city()
     algorithm, none = make(name, whole, gl), NoCulling(whole)
     with Renderer(gl, whole, size=(480, 270)) as renderer:
         for frame in range(640, 640 + 2 * frames, 2):

@@ -38,7 +38,7 @@ def make_rows(count: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray
     places, boxes, parts = (
         np.zeros(n, s.dtype) for n, s in ((count, ObjectPosition), (count, Occludee), (5, MeshPart))
     )
-    places["mesh"], places["mirrored"] = rng.integers(0, 5, count), rng.random(count) < 0.3
+    places["mesh"], places["draw_list"] = rng.integers(0, 5, count), rng.random(count) < 0.3
     # Between the borders of half octaves, so that a logarithm's last bit doesn't matter.
     boxes["depth"] = rng.choice([-3.0, 0.0, 0.1, 1.1, 1.3, 5.0, 77.0, 5000.0, 1e20], count)
     parts["first"], parts["count"], parts["base_vertex"] = rng.integers(0, 999, (3, 5))
@@ -47,7 +47,7 @@ def make_rows(count: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 def expect(marks: np.ndarray, places: np.ndarray, boxes: np.ndarray, mirrored: bool) -> np.ndarray:
     """Return the expected rows of one winding in the order of their draws."""
-    rows = np.flatnonzero((marks == VISIBLE) & (places["mirrored"] == mirrored))
+    rows = np.flatnonzero((marks == VISIBLE) & (places["draw_list"] == mirrored))
     return rows[np.argsort(buckets(boxes["depth"][rows]), kind="stable")]
 
 

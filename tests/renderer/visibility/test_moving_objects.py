@@ -6,6 +6,7 @@ right image. So objects and queries are counted, in a scene and in copies of it 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Collection
 
 import numpy as np
@@ -70,8 +71,15 @@ def count(device: rhi.Device, scene: Scene, name: str) -> tuple[list[set[int]], 
     return drawn, queries
 
 
-@pytest.mark.parametrize("wall", WALLS)
-@pytest.mark.parametrize("name", NAMES)
+WAITING_ON_CL = (("stop_and_wait", "half"), ("stop_and_wait", "all"), ("chc", "half"))
+"""They ask as on gl, one question at a time, and wait for each: half of the time that all take."""
+
+
+@pytest.mark.parametrize(("device", "name", "wall"), [
+    pytest.param(backend, name, wall, marks=pytest.mark.nightly if backend == "cl" and (name, wall) in WAITING_ON_CL
+                 else ())
+    for backend, name, wall in itertools.product(("gl", "cl"), NAMES, WALLS)
+], indirect=["device"])  # fmt: skip
 def test_a_moving_copy_of_a_scene_draws_the_same_objects_with_about_as_many_queries(
     device: rhi.Device, monkeypatch: pytest.MonkeyPatch, name: str, wall: str
 ) -> None:

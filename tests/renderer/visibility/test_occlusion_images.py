@@ -63,12 +63,13 @@ def test_how_long_visibility_persists_changes_no_pixel(gl: rhi.Device, city: Sce
 
 
 @pytest.mark.slow
-def test_where_two_surfaces_tie_the_depth_is_the_same(gl: rhi.Device) -> None:
-    # One pixel of this frame shows another of two surfaces at exactly one depth; none shows another depth.
+@pytest.mark.parametrize("frames", [range(640, 650, 3), pytest.param(range(640, 700), marks=pytest.mark.nightly)])
+def test_where_two_surfaces_tie_the_depth_is_the_same(gl: rhi.Device, frames: range) -> None:
+    # Of two surfaces at exactly one depth either may show; another depth may not.
     whole = load_scene("city")
     algorithm, none = ChcPlusPlus(whole, gl), NoCulling(whole)
     with Renderer(gl, whole, size=(960, 540)) as renderer:
-        for frame in range(640, 650):
+        for frame in frames:
             camera = whole.paths["sky"].camera(frame)
             expected = draw_with(renderer, none, camera).depth.read()
             assert (draw_with(renderer, algorithm, camera).depth.read() == expected).all()

@@ -23,6 +23,8 @@ from rhi.backends.cl.backend import ClBackend
 from rhi.backends.gl.backend import GlBackend
 from rhi.shading import Shader, StorageRW, Struct, Uniform, global_id, vec2, vec4
 
+pytestmark = pytest.mark.usefixtures("quick_collections")
+
 BENCHMARK = Path(__file__).parents[3] / "benchmarks" / "memory.py"
 CORNERS = np.array([[-1, -1], [1, -1], [0, 1]], np.float32)
 

@@ -19,6 +19,8 @@ from rhi.device.core.timeline import MAX_WAITING, MAX_WAITING_BYTES
 from rhi.device.queries.timers import MAX_EVENTS
 from rhi.shading import Shader, StorageRW, Struct, Uniform, global_id, run_compute, vec2, vec4
 
+pytestmark = pytest.mark.usefixtures("quick_collections")
+
 
 class Corner(Struct):
     position: vec2

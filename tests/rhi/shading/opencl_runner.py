@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache, lru_cache
@@ -12,7 +13,7 @@ import numpy as np
 import pyopencl as cl
 
 from rhi.backends.cl.cache import KernelCache
-from rhi.backends.cl.context import caches_kernels, declares_kernels
+from rhi.backends.cl.context import KERNELS_ENVIRONMENT, QUICK, caches_kernels, declares_kernels
 from rhi.contract.descriptors import BindingKind, StageText
 from rhi.shading import Shader, compile_shader, opencl_kernel
 from rhi.shading.evaluation.compute import storage_words, uniform_words
@@ -52,8 +53,11 @@ def build(text: str, shader: type[Shader]) -> cl.Program:
 
 
 def build_text(text: str, options: Sequence[str] = ()) -> cl.Program:
-    """Build a program, without the driver's header where the OpenCL backend leaves it out too."""
+    """Build a program, as the OpenCL backend does: without the driver's header where it can do without, and quickly if
+    that is wanted."""
     device = queue().device
+    if os.environ.get(KERNELS_ENVIRONMENT) == "quick":
+        options = (*options, *QUICK)
     cache = KernelCache(None, "", declares=caches_kernels(device) and declares_kernels(device))
     source, options = cache.request(text, ["-w", *options]).write()
     return cl.Program(queue().context, source).build(list(options))

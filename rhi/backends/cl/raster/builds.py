@@ -6,7 +6,8 @@
 - PoCL compiles one kernel at a time per process, and no kernel can be launched while it generates machine code. So
   other processes optimise kernels into the cache (`compiler.py`), from which a thread takes them.
 - `Kernel.optimise` begins that before the kernel is hot.
-- `RHI_KERNELS=quick` keeps the first kernels, `RHI_KERNELS=optimised` builds optimised ones at once. Drivers whose
+- `RHI_KERNELS=quick` keeps the first kernels (and compute programs aren't optimised either, `ClContext.compile`),
+  `RHI_KERNELS=optimised` builds optimised ones at once. Drivers whose
   cache isn't a folder (`rhi.backends.cl.cache`) always do the latter.
 - The logger `rhi.kernels` reports at level INFO how many kernels are built. Cached kernels aren't reported.
 """
@@ -25,7 +26,15 @@ import numpy as np
 import pyopencl as cl
 
 from rhi.backends.cl.cache import make_mark
-from rhi.backends.cl.context import FLUSHES_DENORMALS, PAGE, QUICK, ClContext, build_again, build_cached
+from rhi.backends.cl.context import (
+    FLUSHES_DENORMALS,
+    KERNELS_ENVIRONMENT,
+    PAGE,
+    QUICK,
+    ClContext,
+    build_again,
+    build_cached,
+)
 from rhi.backends.cl.raster.tables import BATCH_STRUCT
 
 if TYPE_CHECKING:
@@ -34,7 +43,6 @@ if TYPE_CHECKING:
 __rhi_internal__ = True
 
 LOGGER: Final = logging.getLogger("rhi.kernels")
-ENVIRONMENT: Final = "RHI_KERNELS"
 HOT: Final = 2000
 """Work-items after which a kernel is optimised: tiles of 64×64 texels, or a thousand vertices each. Up to here the time
 lost is of the order of what optimising takes."""
@@ -133,7 +141,7 @@ class Builds:
     def __init__(self, context: ClContext) -> None:
         self._context = context
         self._cache = context.cache
-        mode = os.environ.get(ENVIRONMENT, "")
+        mode = os.environ.get(KERNELS_ENVIRONMENT, "")
         self.is_quick = context.cache.works and context.shares_memory and mode != "optimised"
         self._optimises = mode != "quick"
         self._jobs: queue.SimpleQueue[tuple[Optimisation, Future[None]] | None] = queue.SimpleQueue()

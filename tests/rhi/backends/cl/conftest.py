@@ -9,7 +9,7 @@ import pytest
 from cl_kit import ClKit
 
 from rhi.backends.cl import create_backend
-from rhi.backends.cl.raster import builds
+from rhi.backends.cl.context import KERNELS_ENVIRONMENT
 from rhi.backends.cl.raster.builds import Kernel
 
 
@@ -23,7 +23,7 @@ def cl_kit() -> Iterator[ClKit]:
 @pytest.fixture
 def optimised_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
     """Devices that build optimised kernels at once, which keep bounds of depth."""
-    monkeypatch.setenv(builds.ENVIRONMENT, "optimised")
+    monkeypatch.setenv(KERNELS_ENVIRONMENT, "optimised")
 
 
 @pytest.fixture

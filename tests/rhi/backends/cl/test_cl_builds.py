@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 import rhi
 from rhi import BlendFunction, CullMode, DepthFunction, DepthTest, DepthWrite, Device, Format, Program
-from rhi.backends.cl import cache
+from rhi.backends.cl import cache, context
 from rhi.backends.cl.backend import ClBackend
+from rhi.backends.cl.context import KERNELS_ENVIRONMENT
 from rhi.backends.cl.raster import builds, compiler
 from rhi.backends.cl.raster.compiler import Compiler, Job
 from rhi.conformance.patience import comes_true
@@ -28,6 +29,7 @@ from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import corners, rectangle
 from rhi.contract.descriptors import ProgramDescriptor, Stage, StageText
 from rhi.errors import ShaderError
+from rhi.shading import Shader, StorageRW, abs, barrier, exp, global_id, local_id, pow, shared, sin
 
 SIZE = (130, 70)
 
@@ -72,7 +74,7 @@ def expected(optimised_kernels: None) -> NDArray[Any]:
 @pytest.fixture
 def device(monkeypatch: pytest.MonkeyPatch) -> Iterator[Device]:
     """A device that finds no optimised kernels in the cache."""
-    monkeypatch.delenv(builds.ENVIRONMENT, raising=False)
+    monkeypatch.delenv(KERNELS_ENVIRONMENT, raising=False)
     monkeypatch.setattr(builds.Builds, "is_cached", lambda self, text: False)
     with rhi.create_device("cl") as device:
         yield device
@@ -100,18 +102,65 @@ def test_a_new_combination_of_states_and_formats_builds_nothing(device: Device, 
     assert find_builds(device).built == built
 
 
-@pytest.mark.parametrize("states", STATES.values(), ids=STATES)
+@pytest.mark.parametrize(
+    "states",
+    [
+        pytest.param(states, marks=() if name in ("blended", "farthest") else pytest.mark.nightly)
+        for name, states in STATES.items()
+    ],
+    ids=STATES,
+)
 def test_quick_and_optimised_kernels_draw_the_same_bits(
     monkeypatch: pytest.MonkeyPatch, states: tuple[Any, ...]
 ) -> None:
     pictures = []
     for mode in ("quick", "optimised"):
-        monkeypatch.setenv(builds.ENVIRONMENT, mode)
+        monkeypatch.setenv(KERNELS_ENVIRONMENT, mode)
         with rhi.create_device("cl") as device:
             monkeypatch.setattr(builds.Builds, "is_cached", lambda self, text: not self.is_quick)
             assert find_builds(device).is_quick == (mode == "quick")
             pictures.append(draw(device, device.program(Colored), *states, format=Format.RGBA16F))
     np.testing.assert_array_equal(*pictures)
+
+
+class Waves(Shader):
+    """Built-ins of PoCL's library, shared memory, a barrier, a loop and a branch that lanes don't take together."""
+
+    work_group = (64,)
+    numbers: StorageRW[float]
+    beside = shared(float, 64)
+
+    def compute(self) -> None:
+        here = int(local_id().x)
+        x = self.numbers[global_id().x]
+        self.beside[here] = sin(x) * exp(-x) + pow(abs(x), 0.3)
+        barrier()
+        total = 0.0
+        for step in range(5):
+            neighbour = self.beside[(here + step) % 64]
+            total = total + neighbour * x if x > 0.25 * float(step) else total - neighbour / 3.0
+        self.numbers[global_id().x] = total
+
+
+def test_quick_and_optimised_compute_programs_compute_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+    results, options = [], []
+    build = context.build_cached
+
+    def note(opened: Any, kept: Any, request: cache.Request, stored: Any) -> Any:
+        options.append(request.options)
+        return build(opened, kept, request, stored)
+
+    for mode in ("quick", "optimised"):
+        monkeypatch.setenv(KERNELS_ENVIRONMENT, mode)
+        with rhi.create_device("cl") as device:
+            monkeypatch.setattr(context, "build_cached", note)
+            numbers = device.storage(float, np.linspace(-2, 2, 128, dtype=np.float32))
+            device.dispatch(device.program(Waves), 2, numbers=numbers)
+            results.append(numbers.read())
+            monkeypatch.undo()
+    assert options == [context.QUICK, ()]
+    np.testing.assert_array_equal(*results)
+    assert len(np.unique(results[0])) > 100
 
 
 def test_hot_kernels_are_optimised_and_draw_the_same(
@@ -187,7 +236,7 @@ def test_closing_a_device_does_not_wait_for_kernels_that_are_optimised(monkeypat
 
     monkeypatch.setattr(Compiler, "__init__", note)
     monkeypatch.setattr(compiler, "select", SimpleNamespace(select=halt))
-    monkeypatch.delenv(builds.ENVIRONMENT, raising=False)
+    monkeypatch.delenv(KERNELS_ENVIRONMENT, raising=False)
     monkeypatch.setattr(builds, "HOT", 0)
     monkeypatch.setattr(builds.Builds, "is_cached", lambda self, text: False)
     monkeypatch.setattr(cache.KernelCache, "knows", lambda *given: False)
@@ -221,7 +270,7 @@ def test_a_process_that_refuses_a_kernel_goes_on_with_others(device: Device) -> 
 def test_a_text_that_the_driver_refuses_is_told_of_by_the_draw_that_needs_it(
     monkeypatch: pytest.MonkeyPatch, stage: Stage, mode: str
 ) -> None:
-    monkeypatch.setenv(builds.ENVIRONMENT, mode)
+    monkeypatch.setenv(KERNELS_ENVIRONMENT, mode)
     with rhi.create_device("cl") as device:
         good = device.program(Colored)
         descriptor = good.descriptor

@@ -120,8 +120,18 @@ def test_processes_that_begin_together_share_the_work(tmp_path: Path) -> None:
     assert draw(tmp_path) == (*pictures, 0)
 
 
-@pytest.mark.parametrize("name", ["program.bc", "*.so"])
-@pytest.mark.parametrize("damage", [bytes.upper, lambda content: content[:100], lambda content: b""])
+def cut(content: bytes) -> bytes:
+    return content[:100]
+
+
+def empty(content: bytes) -> bytes:
+    return b""
+
+
+@pytest.mark.parametrize(("name", "damage"), [
+    pytest.param(name, damage, marks=() if damage in by_day else pytest.mark.nightly)
+    for name, by_day in (("program.bc", (bytes.upper, empty)), ("*.so", (cut,))) for damage in (bytes.upper, cut, empty)
+])  # fmt: skip
 def test_a_damaged_file_is_built_again(
     filled: tuple[Path, str], name: str, damage: Callable[[bytes], bytes]
 ) -> None:
@@ -135,9 +145,10 @@ def test_a_damaged_file_is_built_again(
     assert draw(folder) == (picture, 0)
 
 
-@pytest.mark.parametrize(
-    "damage", [bytes.upper, lambda content: content[:100], lambda content: b"", lambda content: cache._seal(b"other")]
-)
+@pytest.mark.parametrize("damage", [
+    bytes.upper, lambda content: cache._seal(b"other"),
+    *(pytest.param(each, marks=pytest.mark.nightly) for each in (cut, empty)),
+])  # fmt: skip
 def test_damaged_or_foreign_code_is_made_again(
     filled: tuple[Path, str], damage: Callable[[bytes], bytes]
 ) -> None:

@@ -1,0 +1,49 @@
+"""`convert`: write a scene as a glTF file."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Final
+
+from renderer.cli.arguments import add_scene, open_scene
+from renderer.cli.output import note
+from renderer.cli.subcommand import Parser, Subcommand
+from renderer.content import save_scene
+
+_NOTES: Final = """\
+  python -m renderer convert city:blocks=12 city.glb
+  python -m renderer convert model.obj model.gltf
+  python -m renderer render city.glb --camera ground
+
+A scene that was written is read back the same. What the file can't hold is listed on stderr."""
+
+
+def _add_arguments(parser: Parser) -> None:
+    add_scene(parser)
+    parser.add_argument(
+        "output", type=Path, metavar="FILE", help="file to write: .glb, or .gltf with a .bin beside it"
+    )
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
+def _run(given: argparse.Namespace) -> None:
+    scene = open_scene(given.scene)
+    given.output.parent.mkdir(parents=True, exist_ok=True)
+    left_out = save_scene(scene, given.output)
+    for omission in left_out:
+        note(f"left out: {omission}")
+    report = {
+        "file": str(given.output),
+        "bytes": given.output.stat().st_size,
+        "objects": len(scene.objects),
+        "triangles": scene.triangle_count,
+        "left_out": [asdict(omission) for omission in (*scene.omissions, *left_out)],
+    }
+    summary = f"{given.output}: {len(scene.objects):,} objects, {scene.triangle_count:,} triangles"
+    print(json.dumps(report) if given.json else summary)
+
+
+COMMAND: Final = Subcommand("convert", "write a scene as a glTF file", _add_arguments, _run, _NOTES)

@@ -1,0 +1,111 @@
+"""What a scene has and glTF can't say, kept in `extras` of the file under the key `rhi`.
+
+Other programs ignore it, or carry it along. `save_scene` writes it and the reader reads it; both use the names here. It
+never says twice what glTF says, so that a file that another program has changed is read as it was changed.
+
+- of the scene: background, haze, ambient light, camera paths; which nodes may move, the order of the objects, which
+  objects cast no shadow.
+- of a material of the specular model: its four parameters, and emission as a multiple of the base colour. What glTF can
+  say is written beside it as a likeness for other programs.
+- of a light: whether it casts a shadow. Of a node: that it only holds a light or a camera, and is none of the scene's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from renderer.content.gltf.document import JsonObject
+from renderer.scene.camera import Depth, Orthographic, Perspective, Projection
+from renderer.scene.paths import CameraPath
+from renderer.scene.scene import Scene
+
+__rhi_internal__ = True
+
+KEY: Final = "rhi"
+PLACED: Final = "placed"
+SPECULAR: Final = {
+    "specular_color": (0.0, 1e4),
+    "shininess": (1.0, 1e5),
+    "rim_strength": (0.0, 1e4),
+    "rim_power": (0.1, 100.0),
+}
+"""The parameters of the specular model, and their ranges."""
+
+_Color = tuple[float, float, float]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Surroundings:
+    """What a scene has besides its parts: `background`, `haze`, the ambient light `sky` and `ground`, and `paths`."""
+
+    background: _Color
+    haze: float
+    sky: _Color
+    ground: _Color
+    paths: Mapping[str, CameraPath]
+
+
+def private(fields: JsonObject) -> JsonObject | None:
+    """Return what `save_scene` has kept in the extras of an object, or None."""
+    held = fields.values.get("extras")
+    found = held.get(KEY) if isinstance(held, dict) else None
+    return JsonObject(fields.file, f"{fields.where}.extras.{KEY}", found) if isinstance(found, dict) else None
+
+
+def is_placed(fields: JsonObject) -> bool:
+    """Return whether a node only holds a light or a camera that `save_scene` has placed."""
+    held = private(fields)
+    is_used = "children" in fields or "mesh" in fields  # by another program
+    return held is not None and held.flag(PLACED) and not is_used
+
+
+def write_surroundings(scene: Scene) -> dict[str, Any]:
+    """Return what `read_surroundings` reads."""
+    return {
+        "background": list(map(float, scene.background)),
+        "haze": float(scene.haze),
+        "sky": list(map(float, scene.lights.sky)),
+        "ground": list(map(float, scene.lights.ground)),
+        "paths": [_write_path(name, path) for name, path in scene.paths.items()],
+    }
+
+
+def read_surroundings(fields: JsonObject) -> Surroundings:
+    """Return the surroundings that a scene was saved with."""
+    colors = [tuple(fields.reals(name, 3).tolist()) for name in ("background", "sky", "ground")]
+    paths = {held.text("name"): _read_path(held) for held in fields.children("paths")}
+    return Surroundings(colors[0], fields.real("haze", low=0.0), colors[1], colors[2], paths)
+
+
+def _write_path(name: str, path: CameraPath) -> dict[str, Any]:
+    lens = path.projection
+    assert isinstance(lens, Perspective | Orthographic)
+    kind = {"perspective": lens.fov} if isinstance(lens, Perspective) else {"orthographic": lens.height}
+    far = {} if np.isinf(lens.far) else {"far": lens.far}
+    rest = {"aspect": lens.aspect, "near": lens.near, **far, "depth": lens.depth.value}
+    arrays = {"positions": path.positions, "targets": path.targets, "ups": path.ups}
+    return {"name": name, **kind, **rest, **{key: rows.ravel().tolist() for key, rows in arrays.items()}}
+
+
+def _read_path(fields: JsonObject) -> CameraPath:
+    is_parallel = "orthographic" in fields
+    near = fields.real("near", low=-np.inf if is_parallel else 1e-30)
+    far = fields.real("far", low=float(np.nextafter(near, np.inf))) if is_parallel or "far" in fields else np.inf
+    aspect, depth = fields.real("aspect", low=1e-9), Depth(fields.choice("depth", [one.value for one in Depth]))
+    lens: Projection
+    if is_parallel:
+        lens = Orthographic(fields.real("orthographic", low=1e-12), aspect, near, far, depth)
+    else:
+        lens = Perspective(fields.real("perspective", low=1e-9, high=3.14159), aspect, near, far, depth)
+    size = fields.length("positions")
+    count = size - size % 3
+    if not count:
+        fields.refuse("positions", "no camera", "three numbers for each camera")
+    positions, targets = (fields.reals(name, count).reshape(-1, 3) for name in ("positions", "targets"))
+    one = fields.length("ups") == 3
+    ups = fields.reals("ups", 3) if one else fields.reals("ups", count).reshape(-1, 3)
+    return CameraPath(positions, targets, lens, ups)

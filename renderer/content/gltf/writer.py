@@ -1,0 +1,440 @@
+"""Scenes as glTF 2.0 files.
+
+The scene's arrays are written as they are: its vertices are one interleaved buffer view, and the accessors of a mesh
+begin at its first vertex; so are its indices. Transforms are JSON numbers, which hold float64 exactly. Reading the
+file gives the same arrays. What glTF can't say is kept in extras (`renderer.content.gltf.extras`), or listed.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from concurrent.futures import ThreadPoolExecutor
+from io import BytesIO
+from os import cpu_count
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer import rules
+from renderer.content.gltf.extras import KEY, PLACED, SPECULAR, write_surroundings
+from renderer.content.gltf.materials import ALPHA_MODES, MAGNIFY, MINIFY, WRAPS
+from renderer.content.gltf.nodes import CANDELA
+from renderer.content.gltf.primitives import ATTRIBUTES
+from renderer.content.gltf.tracks import LINEAR, NodeMotion, Track
+from renderer.scene.arrays import Floats
+from renderer.scene.camera import Camera, Depth, Orthographic, Perspective
+from renderer.scene.materials import AlphaMode, ImagePixels, ShadingModel
+from renderer.scene.omissions import Omission, Omissions
+from renderer.scene.scene import Scene
+from rhi import SamplerDescriptor
+from rhi.errors import refuse
+
+__rhi_internal__ = True
+
+FORMATS: Final = (".glb", ".gltf")
+"""The extensions of the files that can be written."""
+
+_PATHS: Final = ("translation", "rotation", "scale")
+_KINDS: Final = ("STEP", "LINEAR", "CUBICSPLINE")
+_MODES: Final = {mode: name for name, mode in ALPHA_MODES.items()}
+_VERTICES, _INDICES = 34962, 34963  # targets of buffer views
+_MAGNIFY: Final = {value: code for code, value in MAGNIFY.items()}
+_MINIFY: Final = {value: code for code, value in MINIFY.items()}
+_WRAPS: Final = {value: code for code, value in WRAPS.items()}
+_SLOTS: Final = {
+    "normal_texture": ("normalTexture", "normal_scale", "scale", 1.0),
+    "occlusion_texture": ("occlusionTexture", "occlusion_strength", "strength", 1.0),
+}
+
+
+def save_scene(scene: Scene, path: str | Path) -> tuple[Omission, ...]:
+    """Write a scene as glTF: `.glb`, or `.gltf` with a `.bin` beside it. Return what the file can't hold.
+
+    `load_model` reads the same scene from it: the same rows of nodes, objects, meshes, materials, images, lights, and
+    the same views and paths. Animations that were read from glTF are written; other simulations are left out, and what
+    they move is written as it is now.
+
+    Refused: `scene-unknown-format`.
+    """
+    file = Path(path)
+    if file.suffix.lower() not in FORMATS:
+        refuse(
+            rules.UNKNOWN_FORMAT, f"save_scene({str(path)!r})", file.suffix or file.name, ", ".join(FORMATS)
+        )
+    writer = _GltfWriter(scene)
+    writer.write_all()
+    writer.save(file)
+    return tuple(writer.omissions)
+
+
+class _GltfWriter:
+    """One file under construction."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.omissions = Omissions()
+        self._scene = scene
+        self._chunks: list[bytes] = []
+        self._size = 0
+        self._lists: dict[str, list[Any]] = {}
+        self._extensions: set[str] = set()
+        self._lights: list[dict[str, Any]] = []
+        self._textures: dict[tuple[int, int], int] = {}
+
+    def write_all(self) -> None:
+        """Collect everything in the scene."""
+        self._write_images()
+        self._lists["materials"] = [self._material(row) for row in self._scene.materials]
+        primitives = self._write_meshes()
+        motions = self._write_nodes(primitives)
+        self._write_animations(motions)
+        self._write_lights()
+        self._write_views()
+
+    def save(self, file: Path) -> None:
+        """Write the file, and its buffer beside it unless it is a `.glb`."""
+        data = b"".join(self._chunks)
+        values: dict[str, Any] = {"asset": {"version": "2.0", "generator": "rhi renderer"}, "scene": 0}
+        values |= {name: held for name, held in self._lists.items() if held}
+        if self._lights:
+            self._extensions.add("KHR_lights_punctual")
+            values["extensions"] = {"KHR_lights_punctual": {"lights": self._lights}}
+        if self._extensions:
+            values["extensionsUsed"] = sorted(self._extensions)
+        buffer: dict[str, Any] = {"byteLength": len(data)}
+        values["buffers"] = [buffer]
+        if file.suffix.lower() == ".gltf":
+            binary = file.with_suffix(".bin")
+            buffer["uri"] = binary.name
+            binary.write_bytes(data)
+            file.write_text(json.dumps(values, allow_nan=False))
+            return
+        text = json.dumps(values, allow_nan=False).encode()
+        text += b" " * (-len(text) % 4)
+        total = 28 + len(text) + len(data)
+        with file.open("wb") as out:
+            out.write(struct.pack("<4sII", b"glTF", 2, total))
+            out.write(struct.pack("<II", len(text), 0x4E4F534A) + text)
+            out.write(struct.pack("<II", len(data), 0x004E4942) + data)
+
+    def _add(self, name: str, values: dict[str, Any]) -> int:
+        held = self._lists.setdefault(name, [])
+        held.append(values)
+        return len(held) - 1
+
+    def _view(self, data: bytes, **more: Any) -> int:
+        number = self._add(
+            "bufferViews", {"buffer": 0, "byteOffset": self._size, "byteLength": len(data), **more}
+        )
+        padded = data + bytes(-len(data) % 4)
+        self._chunks.append(padded)
+        self._size += len(padded)
+        return number
+
+    def _write_images(self) -> None:
+        with ThreadPoolExecutor(min(cpu_count() or 1, 16)) as pool:
+            for encoded in pool.map(_encode, self._scene.images):
+                self._add("images", {"bufferView": self._view(encoded), "mimeType": "image/png"})
+        for number, sampler in enumerate(self._scene.samplers):
+            self._add("samplers", self._sampler(sampler, number))
+
+    def _sampler(self, sampler: SamplerDescriptor, number: int) -> dict[str, Any]:
+        wraps = [_WRAPS.get(wrap) for wrap in (sampler.wrap_u, sampler.wrap_v)]
+        if None in wraps or sampler.max_anisotropy != 1.0:
+            self.omissions.add("borders and anisotropy of a sampler", f"samplers[{number}]")
+        return {
+            "magFilter": _MAGNIFY[sampler.magnify],
+            "minFilter": _MINIFY[sampler.minify, sampler.mip],
+            "wrapS": wraps[0] or 33071,
+            "wrapT": wraps[1] or 33071,
+        }
+
+    def _texture(self, row: Any) -> dict[str, Any]:
+        """Return the reference of a material to a row of the scene's textures."""
+        texture = self._scene.textures[row]
+        image, sampler = int(texture["image"]), int(texture["sampler"])
+        if (image, sampler) not in self._textures:
+            default = self._scene.samplers[sampler] == SamplerDescriptor()
+            held = {"source": image, **({} if default else {"sampler": sampler})}
+            self._textures[image, sampler] = self._add("textures", held)
+        given: dict[str, Any] = {"index": self._textures[image, sampler]}
+        if texture["uv_set"]:
+            given["texCoord"] = int(texture["uv_set"])
+        (xx, xy, u), (yx, yy, v) = texture["transform"].astype(np.float64).tolist()
+        if (xx, xy, u, yx, yy, v) != (1.0, 0.0, 0.0, 0.0, 1.0, 0.0):
+            self._extensions.add("KHR_texture_transform")
+            turned = float(np.arctan2(-yx, xx)) if xy or yx else 0.0
+            scale = [float(np.hypot(xx, yx)), float(np.hypot(xy, yy))] if turned else [xx, yy]
+            if turned and xx * yy - xy * yx < 0.0:
+                scale[1] = -scale[1]
+            given["extensions"] = {
+                "KHR_texture_transform": {"offset": [u, v], "rotation": turned, "scale": scale}
+            }
+        return given
+
+    def _material(self, row: NDArray[Any]) -> dict[str, Any]:
+        """Return a material; one of the specular model is a likeness, with its parameters in extras."""
+        color = [float(value) for value in row["base_color"]]
+        pbr: dict[str, Any] = {"baseColorFactor": color}
+        made: dict[str, Any] = {"pbrMetallicRoughness": pbr}
+        extras: dict[str, Any] = {}
+        if row["texture"] >= 0:
+            pbr["baseColorTexture"] = self._texture(row["texture"])
+        if row["model"] == ShadingModel.METALLIC_ROUGHNESS:
+            pbr |= {"metallicFactor": float(row["metallic"]), "roughnessFactor": float(row["roughness"])}
+            if row["metallic_roughness_texture"] >= 0:
+                pbr["metallicRoughnessTexture"] = self._texture(row["metallic_roughness_texture"])
+        else:
+            extras = {name: row[name].tolist() for name in SPECULAR}
+            alpha = np.sqrt(2.0 / (float(row["shininess"]) + 2.0))  # the exponent of about the same highlight
+            pbr |= {"metallicFactor": 0.0, "roughnessFactor": float(np.sqrt(alpha))}
+        for field, (name, factor, written, default) in _SLOTS.items():
+            if row[field] >= 0:
+                made[name] = self._texture(row[field])
+                if row[factor] != default:
+                    made[name][written] = float(row[factor])
+        emissive, image = [float(value) for value in row["emissive"]], int(row["emissive_texture"])
+        if row["emission"]:
+            extras |= {"emission": float(row["emission"]), "emissive": emissive}
+            if not any(emissive):
+                emissive = [float(value) * float(row["emission"]) for value in color[:3]]
+                extras["has_emissive_texture"] = image >= 0
+                image = image if image >= 0 else int(row["texture"])
+        if any(emissive):
+            strength = 2.0 ** np.ceil(
+                np.log2(max(*emissive, 1.0))
+            )  # a power of two, so that nothing is rounded
+            made["emissiveFactor"] = [value / strength for value in emissive]
+            if strength > 1.0:
+                self._extensions.add("KHR_materials_emissive_strength")
+                held = {"emissiveStrength": float(strength)}
+                made["extensions"] = {"KHR_materials_emissive_strength": held}
+        if image >= 0:
+            made["emissiveTexture"] = self._texture(image)
+        if row["alpha_mode"] != AlphaMode.OPAQUE:
+            made["alphaMode"] = _MODES[AlphaMode(int(row["alpha_mode"]))]
+        if row["alpha_cutoff"] != 0.5:
+            made["alphaCutoff"] = float(row["alpha_cutoff"])
+        if row["double_sided"]:
+            made["doubleSided"] = True
+        if extras:
+            made["extras"] = {KEY: extras}
+        return made
+
+    def _write_meshes(self) -> list[dict[str, Any]]:
+        """Write the vertices and indices of all meshes; return for each the attributes and indices of a primitive."""
+        meshes = self._scene.meshes
+        stride = meshes.vertices.dtype.itemsize
+        vertices = self._view(meshes.vertices.tobytes(), byteStride=stride, target=_VERTICES)
+        indices = self._view(meshes.indices.tobytes(), target=_INDICES)
+        offsets = {name: found[1] for name, found in (meshes.vertices.dtype.fields or {}).items()}
+        fields = {name: (field, types[0]) for name, (field, types) in ATTRIBUTES.items()}
+        written = []
+        for mesh, count in enumerate(meshes.vertex_counts.tolist()):
+            first_index, index_count, base = (int(value) for value in meshes.ranges[mesh])
+            position = meshes.vertices["position"][base : base + count]
+            attributes = {}
+            for name, (field, kind) in fields.items():
+                if field not in offsets:
+                    continue
+                offset = offsets[field]
+                held: dict[str, Any] = {
+                    "bufferView": vertices,
+                    "byteOffset": base * stride + offset,
+                    "componentType": 5126,
+                    "count": count,
+                    "type": kind,
+                }
+                if name == "POSITION":
+                    held |= {"min": position.min(0).tolist(), "max": position.max(0).tolist()}
+                attributes[name] = self._add("accessors", held)
+            order = self._add(
+                "accessors",
+                {
+                    "bufferView": indices,
+                    "byteOffset": 4 * first_index,
+                    "componentType": 5125,
+                    "count": index_count,
+                    "type": "SCALAR",
+                },
+            )
+            written.append({"attributes": attributes, "indices": order})
+        return written
+
+    def _write_nodes(self, primitives: list[dict[str, Any]]) -> list[tuple[NDArray[np.int64], NodeMotion]]:
+        """Write nodes, and for each set of objects at a node a mesh; return the motions that can be written."""
+        scene, nodes, objects = self._scene, self._scene.nodes, self._scene.objects
+        order = np.argsort(objects.node, kind="stable")
+        starts = np.searchsorted(objects.node[order], np.arange(len(nodes) + 1))
+        made: list[dict[str, Any]] = []
+        combined: dict[tuple[tuple[int, int], ...], int] = {}
+        children: list[list[int]] = [[] for _ in range(len(nodes))]
+        for row, parent in enumerate(nodes.parents.tolist()):
+            if parent >= 0:
+                children[parent].append(row)
+        for row in range(len(nodes)):
+            held: dict[str, Any] = {"name": nodes.names[row]} if nodes.names[row] else {}
+            held |= {"children": children[row]} if children[row] else {}
+            if (local := nodes.local[row]).tolist() != _IDENTITY:
+                moved = local.copy()
+                moved[:3, 3] = 0.0
+                if moved.tolist() == _IDENTITY:
+                    held["translation"] = local[:3, 3].tolist()
+                else:
+                    held["matrix"] = local.T.ravel().tolist()
+            rows = order[starts[row] : starts[row + 1]]
+            if len(rows):
+                pairs = tuple(zip(objects.mesh[rows].tolist(), objects.material[rows].tolist(), strict=True))
+                if pairs not in combined:
+                    combined[pairs] = self._add("meshes", self._mesh(pairs, primitives))
+                held["mesh"] = combined[pairs]
+            made.append(held)
+        unused = np.setdiff1d(np.arange(len(primitives)), objects.mesh)
+        for mesh in unused.tolist():
+            self._add("meshes", self._mesh(((mesh, -1),), primitives))
+        motions = self._find_motions(made)
+        self._lists["nodes"] = made
+        lists = {
+            "dynamic": np.flatnonzero(nodes.dynamic),
+            "objects": order if (np.diff(order) < 0).any() else order[:0],
+            "shadowless": np.flatnonzero(~objects.casts_shadow),
+        }
+        private = write_surroundings(scene) | {
+            name: rows.tolist() for name, rows in lists.items() if len(rows)
+        }
+        roots = np.flatnonzero(nodes.parents < 0).tolist()
+        self._lists["scenes"] = [{"name": scene.name, "nodes": roots, "extras": {KEY: private}}]
+        return motions
+
+    def _mesh(self, pairs: tuple[tuple[int, int], ...], primitives: list[dict[str, Any]]) -> dict[str, Any]:
+        names = [self._scene.meshes.names[mesh] for mesh, _ in pairs]
+        parts = [
+            primitives[mesh] | ({"material": material} if material >= 0 else {}) for mesh, material in pairs
+        ]
+        if len(set(names)) == 1:
+            return {**({"name": names[0]} if names[0] else {}), "primitives": parts}
+        named = [part | {"extras": {"name": name}} for part, name in zip(parts, names, strict=True)]
+        return {"primitives": named}
+
+    def _find_motions(self, nodes: list[dict[str, Any]]) -> list[tuple[NDArray[np.int64], NodeMotion]]:
+        """Return the motions of glTF with the rows of their nodes, which get their parts in place of a matrix."""
+        motions = []
+        for number, one in enumerate(self._scene.simulated):
+            motion = one.simulation
+            if not isinstance(motion, NodeMotion):
+                what = "simulations of nodes" if len(one.nodes) else "simulations of vertices"
+                self.omissions.add(what, f"simulated[{number}]", len(one))
+                continue
+            for member, row in enumerate(one.nodes.tolist()):
+                for name in ("matrix", *_PATHS):
+                    nodes[row].pop(name, None)
+                nodes[row] |= {
+                    name: part[member].tolist() for name, part in zip(_PATHS, motion.rest, strict=True)
+                }
+            motions.append((one.nodes, motion))
+        return motions
+
+    def _write_animations(self, motions: list[tuple[NDArray[np.int64], NodeMotion]]) -> None:
+        """Write tracks; those that begin again together are an animation."""
+        for rows, motion in motions:
+            animations: dict[float, dict[str, list[Any]]] = {}
+            for track, owner in zip(motion.tracks, motion.owners.tolist(), strict=True):
+                held = animations.setdefault(track.period, {"samplers": [], "channels": []})
+                held["samplers"].append(self._track(track))
+                target = {"node": int(rows[owner]), "path": _PATHS[track.target]}
+                held["channels"].append({"sampler": len(held["samplers"]) - 1, "target": target})
+            for held in animations.values():
+                self._add("animations", held)
+
+    def _track(self, track: Track) -> dict[str, Any]:
+        times = track.times.astype("<f4")
+        size = track.values.shape[-1]
+        values = track.values.astype("<f4").reshape(-1, size)
+        given = {
+            "input": self._accessor(times, "SCALAR", min=[float(times.min())], max=[float(times.max())]),
+            "output": self._accessor(values, f"VEC{size}"),
+        }
+        return given if track.kind == LINEAR else given | {"interpolation": _KINDS[track.kind]}
+
+    def _accessor(self, values: NDArray[Any], kind: str, **more: Any) -> int:
+        view = self._view(values.tobytes())
+        held = {"bufferView": view, "componentType": 5126, "count": len(values), "type": kind}
+        return self._add("accessors", held | more)
+
+    def _place(self, name: str, position: Floats, axes: Floats, **more: Any) -> None:
+        """Add a node that only holds a light or a camera; `axes` (3, 3) has the rows right, up and back."""
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = axes.T, position
+        held = {"name": name, "matrix": matrix.T.ravel().tolist(), "extras": {KEY: {PLACED: True}}, **more}
+        self._lists["scenes"][0]["nodes"].append(self._add("nodes", held))
+
+    def _write_lights(self) -> None:
+        lights = self._scene.lights
+        for kind, rows in (
+            ("directional", lights.directional),
+            ("point", lights.point),
+            ("spot", lights.spot),
+        ):
+            for row in rows:
+                number = len(self._lights)
+                held: dict[str, Any] = {
+                    "type": kind,
+                    "color": row["color"].tolist(),
+                    "intensity": float(row["intensity"]) / CANDELA,
+                }
+                if kind != "directional":
+                    held["range"] = float(row["range"])
+                if kind == "spot":
+                    if row["outer"] > np.pi / 2.0 or row["inner"] == row["outer"]:
+                        self.omissions.add(
+                            "cones of spot lights that glTF doesn't allow", f"lights[{number}]"
+                        )
+                    held["spot"] = {
+                        "innerConeAngle": float(row["inner"]),
+                        "outerConeAngle": float(row["outer"]),
+                    }
+                if row["casts_shadow"]:
+                    held["extras"] = {KEY: {"casts_shadow": True}}
+                self._lights.append(held)
+                position = np.zeros(3) if kind == "directional" else row["position"].astype(np.float64)
+                axes = np.eye(3) if kind == "point" else _look_along(row["direction"].astype(np.float64))
+                extension = {"KHR_lights_punctual": {"light": number}}
+                self._place(f"{kind} {number}", position, axes, extensions=extension)
+
+    def _write_views(self) -> None:
+        for name, view in self._scene.views.items():
+            number = self._add("cameras", self._camera(view, name))
+            self._place(name, view.position, view.rotation, camera=number)
+
+    def _camera(self, view: Camera, name: str) -> dict[str, Any]:
+        lens = view.projection
+        assert isinstance(lens, Perspective | Orthographic)
+        if lens.depth is not Depth.REVERSED:
+            self.omissions.add("the direction of a camera's depth", name)
+        far = {} if np.isinf(lens.far) else {"zfar": lens.far}
+        if isinstance(lens, Perspective):
+            held = {"yfov": lens.fov, "aspectRatio": lens.aspect, "znear": lens.near, **far}
+            return {"type": "perspective", "perspective": held}
+        height = 0.5 * lens.height
+        held = {"xmag": height * lens.aspect, "ymag": height, "znear": lens.near, **far}
+        return {"type": "orthographic", "orthographic": held}
+
+
+_IDENTITY: Final = np.eye(4).tolist()
+
+
+def _look_along(direction: Floats) -> Floats:
+    """Return axes (3, 3) whose last row is exactly the opposite of a unit vector."""
+    up = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
+    up /= np.linalg.norm(up)
+    return np.stack([np.cross(up, -direction), up, -direction])
+
+
+def _encode(image: ImagePixels) -> bytes:
+    from PIL import Image
+
+    file = BytesIO()
+    Image.fromarray(image).save(file, "PNG", compress_level=1)
+    return file.getvalue()

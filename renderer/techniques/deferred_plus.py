@@ -1,0 +1,133 @@
+"""Deferred+ (Doghramachi and Bucci, GPU Zen 2017): geometry is drawn once, without materials; each pixel's material is
+evaluated afterwards, and lit by its cluster's lights in the same step.
+
+1. `geometry` draws the packed geometry buffer (`packed_geometry`), as the visibility algorithm decides: with
+   `two_pass`, first what the last frame's depth doesn't hide, then what this frame's depth doesn't hide.
+2. `light lists` lists the lights of clusters.
+3. `shading` reads each pixel's surface and material, filters the textures and adds up the light, in one pass over the
+   screen.
+
+With `multi_pass`, each material is shaded by draws of its own: `material ids` writes materials as depth, `rectangles`
+finds where each is seen, and `shading` draws the rectangles with a depth test (`material_rectangles`).
+
+So a hidden fragment costs its geometry alone, and textures are read once a pixel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache, partial
+from typing import Any, Final
+
+from renderer.frame import IMAGE_FORMAT, Effect, Frame, Needs, Pass, Target
+from renderer.shaders.pixels import FullScreen, distance_at, nearness_of, place_pixel
+from renderer.shaders.structs import SurfacePoint
+from renderer.techniques.cell_lists import CellReader, ClusterLists, bind_lists, list_pass
+from renderer.techniques.forward import bind_lamps, bind_shading, find_forward, list_lamps
+from renderer.techniques.forward_plus import find_listed
+from renderer.techniques.forward_shader import PARTS, LampShader
+from renderer.techniques.full_screen import draw_full_screen
+from renderer.techniques.material_rectangles import (
+    RectangleShader,
+    draw_rectangles,
+    ids_pass,
+    rectangles_pass,
+)
+from renderer.techniques.packed_geometry import PackedImages, PackedReader, bind_packed, packed_pass
+from renderer.techniques.scene_shader import ShadingShader, WithSun
+from renderer.techniques.transparency import declare_transparency
+from rhi.shading import Shader, discard, fragment_coordinate, ivec2, vec3, vec4
+
+__rhi_internal__ = True
+
+
+class PackedShading(PackedReader, ShadingShader, FullScreen):
+    """Shades the pixels of the packed geometry buffer."""
+
+    def fragment(self) -> vec4:
+        place = fragment_coordinate().xy
+        pixel = ivec2(place)
+        nearness = nearness_of(self.rays, self.depth.load(pixel).x)
+        if nearness == 0.0:
+            discard()
+        distance = distance_at(self.rays, nearness)
+        position = place_pixel(self.rays, place, distance)
+        words = self.packed.load(pixel)
+        material = self.materials[int(words.y & 65535)]
+        surface = self.find_surface(words, material, position)
+        color = self.shade(surface, material)
+        color += self.local_light(surface, distance)
+        return self.finish(color, position)
+
+    def local_light(self, surface: SurfacePoint, distance: float) -> vec3:
+        return vec3(0.0)
+
+
+class PackedLamps(CellReader, LampShader, PackedShading):
+    """Adds the lights of clusters."""
+
+    def local_light(self, surface: SurfacePoint, distance: float) -> vec3:
+        return self.lamplight(surface, self.find_cell_lights(distance))
+
+
+class DeferredPlus:
+    """Draws geometry without materials, and evaluates the material of each pixel once."""
+
+    name: Final = "deferred_plus"
+
+    def __init__(self, *, multi_pass: bool = False) -> None:
+        """With `multi_pass`, the pixels of a material are found by a depth test, and shaded in draws of their own."""
+        self.multi_pass = multi_pass
+
+    def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
+        """Return the passes `geometry`, `light lists` if there are lights to list, and `shading`; with `multi_pass`
+        also `material ids` and `rectangles`; and those of transparent surfaces."""
+        lists = (list_pass(needs, ClusterLists),) if list_lamps(needs) else ()
+        found = (ids_pass(), rectangles_pass()) if self.multi_pass else ()
+        reads = ["packed", "depth"]
+        reads += ["light lists"] if lists else []
+        reads += ["material ids", "rectangles"] if self.multi_pass else []
+        shading = Pass(
+            "shading",
+            self._shade,
+            "evaluates each pixel's material and its light",
+            reads=tuple(reads),
+            writes=(Target("image", IMAGE_FORMAT),),
+        )
+        if lists:
+            lit_by_cells = partial(find_listed, kind=ClusterLists)
+            transparency = declare_transparency(needs, lit_by_cells, reads=("light lists",))
+        else:
+            transparency = declare_transparency(needs, find_forward)
+        return (packed_pass(needs), *lists, *found, shading, *transparency)
+
+    def _shade(self, frame: Frame) -> None:
+        (features, bindings), (parts, lamps) = bind_shading(frame), bind_lamps(frame)
+        bindings |= bind_packed(frame) | lamps
+        if lamps:
+            bindings |= bind_lists(frame, ClusterLists)
+        shader = shading_variant(
+            (*features, *parts),
+            has_lamps=bool(lamps),
+            has_images=Effect.IMAGES in frame.needs.effects,
+            has_sun=frame.needs.has_sun,
+            multi_pass=self.multi_pass,
+        )
+        if self.multi_pass:
+            draw_rectangles(frame, shader, bindings)
+        else:
+            clear = (*frame.resources.scene.background, 1.0)
+            draw_full_screen(frame, shader, frame.targets["image"], bindings, clear=clear)
+
+
+@cache
+def shading_variant(
+    parts: Sequence[str], *, has_lamps: bool, has_images: bool, has_sun: bool, multi_pass: bool
+) -> type[Any]:
+    """Return the shader of the last pass with these of `PARTS`, and only their bindings."""
+    known = PARTS | {"directional_lights": WithSun} if has_sun else PARTS
+    bases: list[type[Shader]] = [known[part] for part in dict.fromkeys(parts)]
+    bases += [RectangleShader] if multi_pass else []
+    bases += [PackedImages] if has_images else []
+    bases.append(PackedLamps if has_lamps else PackedShading)
+    return type("PackedShading", tuple(bases), {"__module__": __name__})

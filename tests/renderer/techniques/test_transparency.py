@@ -1,0 +1,359 @@
+"""Transparent surfaces: what they show, compared with compositing in float64, and what they cost."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+from lighting_reference import encode, look_at_plane
+from numpy.typing import NDArray
+from test_technique_pixels import EYE, add_random_lights, stage
+
+import rhi
+from renderer.content import BUILT_IN
+from renderer.frame import Blending, Effect, find_needs
+from renderer.frame.frame import sort_back_to_front
+from renderer.renderer import FrameResult, Renderer
+from renderer.scene import (
+    AlphaMode,
+    Camera,
+    Depth,
+    Orthographic,
+    Perspective,
+    Scene,
+    SceneBuilder,
+    make_geometry,
+    scaling,
+    translation,
+)
+from renderer.techniques import TECHNIQUES, Forward, Smoothed, Technique
+from renderer.visibility import ALGORITHMS, NoCulling, list_algorithms, make_visibility
+from rhi import DepthWrite, Op
+
+SIZE = (48, 32)
+PANE = make_geometry([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], [(0, 1, 2), (0, 2, 3)])
+FRONT = Camera.look_at((0, 0, 8), (0, 0, 0), projection=Perspective(fov=0.9, aspect=SIZE[0] / SIZE[1]))
+
+
+def add_pane(
+    builder: SceneBuilder, z: float, color: Sequence[float], *, mirrored: bool = False, size: float = 9.0
+) -> None:
+    """Add a pane before `FRONT`, opaque if the colour has no alpha. It fills the image unless it is small."""
+    mode = AlphaMode.BLEND if len(color) == 4 else AlphaMode.OPAQUE
+    material = builder.add_material(
+        base_color=color, alpha_mode=mode, specular_color=(0.3, 0.3, 0.3), shininess=30.0
+    )
+    turned = scaling((-size if mirrored else size, size, 1.0))
+    builder.add_objects(builder.add_node(translation((0, 0, z)) @ turned), builder.add_mesh(PANE), material)
+
+
+def panes(*layers: tuple[float, Sequence[float]]) -> SceneBuilder:
+    """Make panes at these depths, in this order, in haze, with light that differs from place to place."""
+    builder = SceneBuilder("panes")
+    for number, (z, color) in enumerate(layers):
+        add_pane(builder, z, color, mirrored=number % 3 == 2)
+    builder.lights.add_directional((-0.3, -0.5, -1.0), intensity=0.8)
+    builder.lights.add_point((2.0, 1.0, 3.0), 9.0, (0.4, 0.9, 0.5), 8.0)
+    builder.background, builder.haze = (0.2, 0.3, 0.5), 0.05
+    builder.views["front"] = FRONT
+    return builder
+
+
+def render(
+    device: rhi.Device,
+    scene: Scene,
+    technique: Technique | None = None,
+    blending: Blending = Blending.SORTED,
+    camera: Camera | None = None,
+    size: tuple[int, int] = SIZE,
+) -> NDArray[np.int64]:
+    visibility = NoCulling(scene)
+    with Renderer(
+        device, scene, technique=technique, visibility=visibility, size=size, blending=blending
+    ) as renderer:
+        view = camera or next(iter(scene.views.values()))
+        return renderer.render(view).image.read()[..., :3].astype(np.int64)
+
+
+LAYERS: list[tuple[float, Sequence[float]]] = [
+    (1.0, (0.9, 0.2, 0.1, 0.4)),
+    (-3.0, (0.5, 0.5, 0.4)),
+    (4.0, (0.1, 0.3, 0.9, 0.25)),
+    (-1.0, (0.1, 0.8, 0.2, 0.7)),
+    (3.0, (0.9, 0.9, 0.1, 0.0)),
+    (-5.0, (0.9, 0.1, 0.9, 0.9)),  # behind the opaque one
+    (2.0, (0.3, 0.3, 0.3, 1.0)),
+]
+"""Depths and colours of panes, not in order; the last one hides all but two."""
+
+
+def composite(scene: Scene, layers: list[tuple[float, Sequence[float]]], blending: Blending) -> NDArray[np.float64]:
+    """Return the image (h, w, 3), sRGB of 0…255 and not rounded, of panes whose materials are the scene's."""
+    seen = []
+    for row, (z, color) in enumerate(layers):
+        plane, albedo = np.array([0.0, 0.0, 1.0]), np.array(color[:3], np.float32).astype(float)
+        shown, away = look_at_plane(scene, FRONT, SIZE, np.array([0, 0, z]), plane, albedo, material=row)
+        seen.append((z, color[3] if len(color) == 4 else None, shown, away))
+    image = np.broadcast_to(scene.background, (*SIZE[::-1], 3)).astype(float)
+    nearest = -np.inf
+    for z, alpha, shown, _ in seen:
+        if alpha is None and z > nearest:
+            image, nearest = shown, z
+    visible = sorted((one for one in seen if one[1] is not None and one[0] > nearest), key=lambda one: one[0])
+    if blending is Blending.SORTED:
+        for _, alpha, shown, _ in visible:
+            image = alpha * shown + (1 - alpha) * image
+        return encode(image)
+    weights = [
+        alpha * np.clip(0.03 / (1e-5 + (away / 200) ** 4), 1e-2, 1e3)[..., None] for _, alpha, _, away in visible
+    ]
+    mean = sum(w * shown for w, (_, _, shown, _) in zip(weights, visible, strict=True)) / sum(weights)
+    left = np.prod([1 - alpha for _, alpha, _, _ in visible])
+    return encode((1 - left) * mean + left * image)
+
+
+@pytest.mark.parametrize("blending", Blending)
+def test_panes_are_within_two_levels_of_compositing_in_float64(
+    drawing_device: rhi.Device, blending: Blending
+) -> None:
+    layers = LAYERS[:-1]
+    scene = panes(*layers).build()
+    wanted = composite(scene, layers, blending)
+    assert wanted.std() > 3.0  # a picture, not one colour
+    # Each layer is rounded to 8 bits.
+    assert np.abs(render(drawing_device, scene, blending=blending) - wanted).max() <= 2.0
+    other = composite(scene, [(-z, color) for z, color in layers], blending)
+    assert np.abs(other - wanted).max() > 20.0
+
+
+def test_a_pane_of_opacity_1_hides_what_is_behind_it(drawing_device: rhi.Device) -> None:
+    scene = panes(*LAYERS).build()
+    wanted = composite(scene, LAYERS, Blending.SORTED)
+    assert np.abs(render(drawing_device, scene) - wanted).max() <= 2.0
+    alone = render(drawing_device, panes(*(layer for layer in LAYERS if layer[0] >= 2.0)).build())
+    assert (render(drawing_device, scene) == alone).all()
+
+
+def test_a_texels_alpha_multiplies_the_materials(gl: rhi.Device) -> None:
+    images = []
+    for alpha, texel in ((0.5, 128), (0.5 * 128 / 255, 255)):
+        builder = panes((-3.0, (0.5, 0.5, 0.4)))
+        image = builder.add_image(np.full((2, 2, 4), (255, 255, 255, texel), np.uint8))
+        glass = builder.add_material(base_color=(1, 0, 0, alpha), alpha_mode=AlphaMode.BLEND, texture=image)
+        builder.add_objects(builder.add_node(scaling((9, 9, 1))), builder.add_mesh(PANE), glass)
+        images.append(render(gl, builder.build()))
+    assert np.abs(images[0] - images[1]).max() <= 1
+    assert np.abs(images[0] - render(gl, panes((-3.0, (0.5, 0.5, 0.4))).build())).max() > 10
+
+
+def test_weighted_surfaces_look_the_same_in_any_order(drawing_device: rhi.Device) -> None:
+    scenes = [panes(*LAYERS[:-1]).build(), panes(*LAYERS[-2::-1]).build()]
+    first, second = (render(drawing_device, scene, blending=Blending.WEIGHTED) for scene in scenes)
+    assert np.abs(first - second).max() <= 1
+
+
+def glassy(seed: int = 0, *, textured: bool = False) -> Scene:
+    """Make the stage of the techniques' tests, with lights and with glass of both windings."""
+    random, builder = np.random.default_rng(seed), stage(textured=textured)
+    add_random_lights(builder, 30, seed)
+    meshes = [builder.add_mesh(BUILT_IN[name]()) for name in ("box", "sphere")]
+    for number in range(8):
+        glass = builder.add_material(
+            base_color=(*random.uniform(0.1, 1.0, 3), random.uniform(0.2, 0.8)),
+            alpha_mode=AlphaMode.BLEND,
+            specular_color=(0.5, 0.5, 0.5),
+            shininess=60.0,
+        )
+        size = (-2.0 if number % 4 == 0 else 2.0, 2.0, 0.1 if number % 2 else 1.5)
+        place = random.uniform((-5, 0.3, -3), (5, 2, 6))
+        builder.add_objects(builder.add_node(translation(place) @ scaling(size)), meshes[number % 2], glass)
+    builder.haze, builder.background = 0.02, (0.3, 0.4, 0.5)
+    builder.views["eye"] = EYE
+    return builder.build()
+
+
+def check_all(device: rhi.Device, scene: Scene, blending: Blending) -> None:
+    """Check that each technique gives forward shading's picture."""
+    expected = render(device, scene, Forward(), blending)
+    off = {}
+    for name, make in TECHNIQUES.items():
+        if name != "inferred":
+            image = render(device, scene, make(), blending)
+            off[name] = int(np.abs(image - expected).max())
+    assert max(off.values()) <= 2, off
+
+
+def test_every_technique_gives_the_picture_of_forward_shading(gl: rhi.Device) -> None:
+    check_all(gl, glassy(), Blending.SORTED)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("blending", Blending)
+@pytest.mark.parametrize("seed", [1, 2])
+def test_every_technique_gives_the_picture_of_forward_shading_of_any_glass(
+    drawing_device: rhi.Device, seed: int, blending: Blending
+) -> None:
+    check_all(drawing_device, glassy(seed, textured=seed == 2), blending)
+
+
+@pytest.mark.parametrize("name", sorted({*ALGORITHMS} - {"auto"}))
+def test_every_visibility_algorithm_shows_transparent_objects_and_what_they_cover(gl: rhi.Device, name: str) -> None:
+    if name not in list_algorithms(gl):
+        pytest.skip(f"{name} doesn't run here")
+    builder = panes((-3.0, (0.5, 0.5, 0.4)), (2.0, (0.2, 0.5, 0.9, 0.5)))
+    add_pane(builder, 0.0, (0.9, 0.1, 0.1), size=0.5)  # behind the glass
+    add_pane(builder, -4.0, (0.1, 0.9, 0.1, 0.5), size=0.5)  # behind the wall
+    scene = builder.build()
+    wanted = render(gl, scene)
+    visibility = make_visibility(name, scene, gl)
+    with Renderer(gl, scene, visibility=visibility, size=SIZE) as renderer:
+        for _ in range(5):  # until what was hidden has been asked about
+            result = renderer.render(FRONT)
+            assert np.abs(result.image.read()[..., :3].astype(int) - wanted).max() <= 1
+            assert {0, 1, 2} <= {*result.visible.tolist()}
+    visibility.destroy()
+
+
+@pytest.mark.parametrize("name", ["stop_and_wait", "chc", "chc_plus_plus", "software_depth"])
+def test_a_transparent_object_behind_a_wall_is_culled_where_the_cpu_knows(gl: rhi.Device, name: str) -> None:
+    if name not in list_algorithms(gl):
+        pytest.skip(f"{name} doesn't run here")
+    builder = panes((2.0, (0.5, 0.5, 0.4)))
+    add_pane(builder, -4.0, (0.1, 0.9, 0.1, 0.5), size=0.5)
+    scene = builder.build()
+    visibility = make_visibility(name, scene, gl)
+    with Renderer(gl, scene, visibility=visibility, size=SIZE) as renderer:
+        for _ in range(30):
+            visible = renderer.render(FRONT).visible.tolist()
+    visibility.destroy()
+    assert visible == [0]
+
+
+def record(
+    device: rhi.Device, scene: Scene, technique: Technique | None = None, blending: Blending = Blending.SORTED
+) -> tuple[rhi.CommandStream, FrameResult]:
+    """Return the commands of the second of two frames, and its result."""
+    renderer = Renderer(
+        device, scene, technique=technique, visibility=NoCulling(scene), size=SIZE, blending=blending
+    )
+    for _ in range(2):
+        device.stream.clear()
+        result = renderer.render(FRONT)
+    return device.stream, result
+
+
+def count(device: rhi.Device, scene: Scene, blending: Blending = Blending.SORTED) -> tuple[int, int]:
+    """Return the number of render passes and of draw calls in a frame."""
+    stream, _ = record(device, scene, blending=blending)
+    return len(stream.filter(Op.BEGIN_PASS)), len(stream.draws())
+
+
+WALL: tuple[float, Sequence[float]] = (-3.0, (0.5, 0.5, 0.4))
+
+
+@pytest.mark.parametrize("blending", Blending)
+@pytest.mark.parametrize("name", TECHNIQUES)
+def test_a_transparent_object_out_of_view_costs_nothing(null: rhi.Device, name: str, blending: Blending) -> None:
+    builder = panes(WALL)
+    add_pane(builder, 20.0, (1.0, 1.0, 1.0, 0.5))
+    with rhi.create_device("null") as other:
+        wanted, _ = record(other, panes(WALL).build(), TECHNIQUES[name](), blending)
+        stream, _ = record(null, builder.build(), TECHNIQUES[name](), blending)
+        assert [c.op for c in stream] == [c.op for c in wanted]
+
+
+def test_transparent_objects_add_a_pass_and_a_draw_for_each_run_of_a_winding(null: rhi.Device) -> None:
+    assert count(null, panes(WALL).build()) == (1, 1)
+    one = (1.0, (1.0, 1.0, 1.0, 0.5))
+    assert count(null, panes(WALL, one).build()) == (2, 2)
+    builder = panes(WALL)
+    for number, mirrored in enumerate((False, False, True, True, True, False)):
+        add_pane(builder, number, (1.0, 1.0, 1.0, 0.5), mirrored=mirrored)
+    assert count(null, builder.build()) == (2, 1 + 3)
+    assert count(null, builder.build(), Blending.WEIGHTED) == (3, 1 + 2 + 1)
+
+
+def test_transparent_surfaces_write_no_depth_and_are_tested_against_that_of_opaque_ones(null: rhi.Device) -> None:
+    stream, result = record(null, panes(WALL, (1.0, (1.0, 1.0, 1.0, 0.5))).build())
+    opaque, transparent = stream.draws()
+    assert opaque.states[DepthWrite] is DepthWrite.ON
+    assert transparent.states[DepthWrite] is DepthWrite.OFF
+    assert transparent.states[rhi.DepthFunction] is rhi.DepthFunction.GREATER
+    assert transparent.states[rhi.BlendFunction][0] == rhi.BlendFunction.PREMULTIPLIED
+    assert result.visible.tolist() == [0, 1]
+
+
+def test_a_transparent_object_that_is_hidden_is_not_drawn(null: rhi.Device) -> None:
+    class Choosing(NoCulling):
+        def render(self, camera: Camera, scene_pass: object) -> object:
+            self._rows = np.array([0])
+            return super().render(camera, scene_pass)
+
+    scene = panes(WALL, (1.0, (1.0, 1.0, 1.0, 0.5))).build()
+    renderer = Renderer(null, scene, visibility=Choosing(scene), size=SIZE)
+    null.stream.clear()
+    renderer.render(FRONT)
+    assert len(null.stream.draws()) == 1
+
+
+def test_a_material_that_becomes_transparent_changes_its_objects(null: rhi.Device) -> None:
+    scene = panes(WALL, (1.0, (1.0, 1.0, 1.0, 0.5))).build()
+    with Renderer(null, scene, visibility=NoCulling(scene), size=SIZE) as renderer:
+        passes = []
+        for mode in (AlphaMode.OPAQUE, AlphaMode.BLEND, AlphaMode.OPAQUE):
+            scene.materials["alpha_mode"][1] = mode
+            null.stream.clear()
+            renderer.render(FRONT)
+            passes.append(len(null.stream.filter(Op.BEGIN_PASS)))
+    assert passes == [1, 2, 1]
+
+
+@pytest.mark.parametrize("depth", Depth)
+@pytest.mark.parametrize("lens", [Perspective, lambda depth: Orthographic(20.0, depth=depth)])
+def test_objects_are_sorted_by_the_distance_of_their_boxes_centres(lens: Callable[..., object], depth: Depth) -> None:
+    builder, random = SceneBuilder("boxes"), np.random.default_rng(7)
+    mesh, material = builder.add_mesh(BUILT_IN["box"]()), builder.add_material()
+    # Far from the origin, where a step of float32 is half a metre.
+    places = np.add(random.uniform(-30, 30, (200, 3)), (1e7, 0, -1e7))
+    for place in places:
+        builder.add_objects(builder.add_node(translation(place)), mesh, material)
+    camera = Camera.look_at((1e7, 1, -1e7), (1e7 + 3, 2, -1e7 + 5), projection=lens(depth=depth))
+    rows = random.permutation(200)[:150]
+    away = places - camera.position
+    far = away @ camera.forward if isinstance(camera.projection, Orthographic) else np.linalg.norm(away, axis=1)
+    order = sort_back_to_front(builder.build(), camera, rows)
+    assert sorted(order.tolist()) == sorted(rows.tolist())
+    assert (np.diff(far[order]) < 1e-6).all()
+
+
+@pytest.mark.parametrize("name", ["light_pre_pass", "forward_plus"])
+def test_nothing_of_the_last_frame_is_left_where_all_objects_are_transparent(gl: rhi.Device, name: str) -> None:
+    builder = panes()
+    add_pane(builder, 1.0, (0.9, 0.9, 0.9, 0.8), size=1.0)
+    scene = builder.build()
+    aside = Camera.look_at((2, 0, 8), (2, 0, 0), projection=FRONT.projection)
+    wanted = render(gl, scene, camera=aside)
+    with Renderer(gl, scene, technique=TECHNIQUES[name](), visibility=NoCulling(scene), size=SIZE) as renderer:
+        renderer.render(FRONT)
+        image = renderer.render(aside).image.read()[..., :3].astype(int)
+    assert np.abs(image - wanted).max() <= 2
+
+
+def test_a_frame_says_why_it_has_a_pass_of_transparent_surfaces() -> None:
+    builder = panes(WALL, (1.0, (1.0, 1.0, 1.0, 0.5)))
+    add_pane(builder, 20.0, (1.0, 1.0, 1.0, 0.5))
+    scene = builder.build()
+    assert find_needs(scene, FRONT).explain(Effect.TRANSPARENCY) == "1 of 2 transparent objects is in view"
+    away = Camera.look_at((0, 0, 30), (0, 0, 40))
+    assert find_needs(scene, away).explain(Effect.TRANSPARENCY) == "none of 2 transparent objects are in view"
+    assert find_needs(panes(WALL).build(), FRONT).explain(Effect.TRANSPARENCY) == "the scene has no transparent object"
+
+
+@pytest.mark.parametrize("blending", Blending)
+def test_smooth_edges_go_with_transparent_surfaces(gl: rhi.Device, blending: Blending) -> None:
+    builder = panes(WALL, (1.0, (0.2, 0.9, 0.3, 0.5)))
+    plain = render(gl, builder.build(), blending=blending)
+    for technique in (Smoothed(Forward()), Forward(samples=4)):
+        # Without edges they change nothing.
+        assert np.abs(render(gl, builder.build(), technique, blending) - plain).max() <= 1
