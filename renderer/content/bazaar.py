@@ -1,0 +1,228 @@
+"""The bazaar: rooms full of things, no two neighbours alike, behind walls with doorways.
+
+It has the shape of the scene that Deferred+ was measured with (table 1.1): hundreds of materials, each with a colour, a
+normal, and a metal and roughness texture, thousands of instances of hundreds of meshes of some 240 triangles, many
+lights, each with a bulb that shines; and from the view `corner`, in which all of it is in the frustum, walls hide most.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from renderer.content import shapes
+from renderer.content.specs import SEED, Generator, Option
+from renderer.content.surfaces import KINDS, paint_surface
+from renderer.scene.arrays import Floats, Rows
+from renderer.scene.camera import Camera, Perspective
+from renderer.scene.materials import TextureMap
+from renderer.scene.meshes import MeshGeometry
+from renderer.scene.paths import make_path
+from renderer.scene.scene import Scene, SceneBuilder
+from renderer.scene.transforms import multiply, rotation, scaling, translation
+
+__rhi_internal__ = True
+
+ROOM: Final = 7.0
+"""Width of a room in metres."""
+
+_HEIGHT: Final = 3.4
+_THICK: Final = 0.3  # of a wall
+_DOOR: Final = (1.5, 2.4)  # width and height of a doorway, metres
+_OPEN: Final = 0.18  # share of the walls between rooms that are missing
+_PER_ROOM: Final = 44  # things in a room, walls not counted
+_VARIANTS: Final = 2  # surfaces of each kind
+_TEXELS: Final = 256  # width and height of a surface's images
+
+
+def make_bazaar(instances: int, materials: int, meshes: int, lights: int, detail: int, seed: int) -> Scene:
+    """Make a bazaar of `instances` objects with `materials` materials and `meshes` meshes, lit by `lights` lights."""
+    rng = np.random.default_rng([seed, 21])
+    name = f"bazaar:instances={instances},materials={materials},meshes={meshes},lights={lights}"
+    builder = SceneBuilder(f"{name},detail={detail},seed={seed}")
+    builder.background = (0.012, 0.014, 0.022)
+    side = max(2, int(np.ceil(np.sqrt(instances / (_PER_ROOM + 4.0)))))
+    used = _add_materials(builder, rng, materials, seed)
+    walls = _add_walls(builder, rng, side, used, instances)
+    _add_things(builder, rng, side, used, meshes, instances - walls, detail)
+    _add_lights(builder, rng, side, lights)
+    _add_cameras(builder, side)
+    return builder.build()
+
+
+BAZAAR: Final = Generator(
+    "bazaar",
+    "rooms full of things of hundreds of materials, behind walls; ground and sky paths",
+    (
+        Option("instances", 5000, "objects, bulbs not counted", 16, 200_000),
+        Option("materials", 300, "materials with three textures each", 1, 65_000),
+        Option("meshes", 400, "meshes of things", 1, 20_000),
+        Option("lights", 256, "coloured point lights, each with a bulb", 0, 65_536),
+        Option("detail", 12, "how finely things are divided", 4, 64),
+        SEED,
+    ),
+    make_bazaar,
+)
+
+
+def _add_materials(builder: SceneBuilder, rng: np.random.Generator, count: int, seed: int) -> Rows:
+    """Add materials: each one of the surfaces, with a tint, a scale and a roughness of its own."""
+    surfaces = [paint_surface(kind, _TEXELS, seed + turn) for turn in range(_VARIANTS) for kind in KINDS]
+    images = [
+        [builder.add_image(image) for image in (one.color, one.normal, one.metal_roughness)]
+        for one in surfaces[: max(count, 1)]
+    ]
+    hue = 2.0 * np.pi * (rng.random((count, 1)) + np.array([0.0, 1.0, 2.0]) / 3.0)
+    gray = rng.uniform(0.35, 0.8, (count, 1))
+    tints = gray * (1.0 + rng.uniform(0.0, 0.45, (count, 1)) * np.cos(hue))
+    rough, strength = rng.uniform(0.45, 1.0, count), rng.uniform(0.5, 1.2, count)
+    scales = rng.choice([0.5, 1.0, 2.0], count)
+    added = []
+    for number in range(count):
+        color, normal, metal = (
+            TextureMap(image, scale=(float(scales[number]), float(scales[number])))
+            for image in images[number % len(images)]
+        )
+        added.append(
+            builder.add_material(
+                base_color=tuple(tints[number].tolist()),
+                texture=color,
+                metallic=1.0,
+                roughness=float(rough[number]),
+                metallic_roughness_texture=metal,
+                normal_texture=normal,
+                normal_scale=float(strength[number]),
+            )
+        )
+    return np.array(added)
+
+
+def _add_walls(builder: SceneBuilder, rng: np.random.Generator, side: int, materials: Rows, most: int) -> int:
+    """Add floors and walls of `side` x `side` rooms, `most` of them at most; return how many."""
+    floor = builder.add_mesh(shapes.plane(2, (3.0, 3.0)), "floor")
+    wall = builder.add_mesh(shapes.box(2), "wall")
+    half = 0.5 * side * ROOM
+    middle = (np.arange(side) + 0.5) * ROOM - half
+    x, z = (values.ravel() for values in np.meshgrid(middle, middle))
+    tiles = multiply(translation(np.stack([x, 0.0 * x, z], 1)), scaling((ROOM, 1.0, ROOM)))
+    parts = []
+    for line in range(side + 1):
+        at = line * ROOM - half
+        for cell in middle.tolist():
+            for turned in (False, True):
+                is_outside = line in (0, side)
+                if is_outside or rng.random() >= _OPEN:
+                    parts.extend(_wall(at, cell, turned, closed=is_outside))
+    everything = np.concatenate([tiles, np.array(parts)])[:most]
+    ids = np.where(np.arange(len(everything)) < len(tiles), floor, wall)
+    builder.add_objects(builder.add_nodes(everything), ids, rng.choice(materials, len(everything)))
+    return len(everything)
+
+
+def _wall(at: float, cell: float, turned: bool, closed: bool) -> list[Floats]:
+    """Return the boxes of a wall between two rooms: one, or two beside a doorway and one above it."""
+    door, lintel = _DOOR
+    wing = 0.5 * (ROOM - door)
+    if closed:
+        boxes = [((0.0, 0.5 * _HEIGHT), (ROOM + _THICK, _HEIGHT))]
+    else:
+        boxes = [
+            ((-0.5 * (door + wing), 0.5 * _HEIGHT), (wing, _HEIGHT)),
+            ((0.5 * (door + wing), 0.5 * _HEIGHT), (wing, _HEIGHT)),
+            ((0.0, 0.5 * (_HEIGHT + lintel)), (door, _HEIGHT - lintel)),
+        ]
+    placed = []
+    for (along, up), (width, height) in boxes:
+        if turned:
+            placed.append(multiply(translation((at, up, cell + along)), scaling((_THICK, height, width))))
+        else:
+            placed.append(multiply(translation((cell + along, up, at)), scaling((width, height, _THICK))))
+    return placed
+
+
+def _add_things(
+    builder: SceneBuilder,
+    rng: np.random.Generator,
+    side: int,
+    materials: Rows,
+    meshes: int,
+    count: int,
+    detail: int,
+) -> None:
+    """Add `count` things, evenly to all rooms, along the walls and in stacks, out of the way of the doors."""
+    if count <= 0:
+        return
+    ids = np.array(
+        [builder.add_mesh(_make_thing(rng, detail), f"thing {number}") for number in range(meshes)]
+    )
+    room = np.arange(count) % (side * side)
+    middle = (np.stack(np.divmod(room, side), axis=1) + 0.5 - 0.5 * side) * ROOM
+    reach = 0.5 * ROOM - 0.7
+    away = rng.uniform(0.9, reach, (count, 2)) * rng.choice([-1.0, 1.0], (count, 2))
+    size = rng.uniform(0.45, 1.15, count)
+    floor = np.where(rng.random(count) < 0.3, rng.uniform(0.6, 2.0, count), 0.0)  # on shelves, and hanging
+    places = np.stack([middle[:, 0] + away[:, 0], floor, middle[:, 1] + away[:, 1]], axis=1)
+    turned = rotation((0.0, 1.0, 0.0), rng.uniform(0.0, 2.0 * np.pi, count))
+    matrices = multiply(multiply(translation(places), turned), scaling(size[:, None] * np.ones(3)))
+    number = np.arange(count)
+    chosen = np.where(
+        number < len(materials), number % len(materials), rng.integers(0, len(materials), count)
+    )
+    which = np.where(number < meshes, number % meshes, rng.integers(0, meshes, count))
+    builder.add_objects(builder.add_nodes(matrices), ids[which], materials[chosen])
+
+
+def _make_thing(rng: np.random.Generator, detail: int) -> MeshGeometry:
+    """Make a vase, a barrel, a lamp or a post: a turned shape a metre high at most, on y = 0."""
+    rings = max(detail - 3, 4)
+    y = np.linspace(0.0, float(rng.uniform(0.5, 1.0)), rings)
+    waves = rng.uniform(-1.0, 1.0, 3) * (0.16, 0.09, 0.05)
+    phase = rng.uniform(0.0, 2.0 * np.pi, 3)
+    shape = sum(
+        wave * np.sin((order + 1) * 2.0 * y + turn)
+        for order, (wave, turn) in enumerate(zip(waves.tolist(), phase.tolist(), strict=True))
+    )
+    radius = np.maximum(float(rng.uniform(0.16, 0.34)) + shape, 0.05)
+    profile = np.concatenate([[(0.0, 0.0)], np.stack([radius, y], axis=1), [(0.0, y[-1])]])
+    return shapes.lathe(profile, detail)
+
+
+def _add_lights(builder: SceneBuilder, rng: np.random.Generator, side: int, count: int) -> None:
+    lights = builder.lights
+    lights.sky, lights.ground = (0.045, 0.05, 0.07), (0.03, 0.027, 0.024)
+    if not count:
+        lights.add_directional((-0.4, -0.8, -0.45), (1.0, 0.95, 0.88), 1.8)
+        return
+    half = 0.5 * side * ROOM - 0.5
+    places = rng.uniform((-half, 1.4, -half), (half, _HEIGHT - 0.2, half), (count, 3))
+    hue = 2.0 * np.pi * (rng.random((count, 1)) + np.array([0.0, 1.0, 2.0]) / 3.0)
+    colors = 0.68 + 0.32 * np.cos(hue)
+    reach = float(np.clip(2.2 * side * ROOM / np.sqrt(count), 2.5, 9.0))
+    lights.add_points(places, reach, colors, 0.16 * reach**2)
+    bulb = builder.add_mesh(shapes.sphere(8), "bulb")
+    glow = [builder.add_material(base_color=tuple(color), emission=1.6) for color in _hues().tolist()]
+    nodes = builder.add_nodes(multiply(translation(places), scaling((0.12, 0.12, 0.12))))
+    nearest = np.abs(colors[:, None] - _hues()).sum(-1).argmin(1)
+    builder.add_objects(nodes, bulb, np.array(glow)[nearest], casts_shadow=False)
+
+
+def _hues() -> Floats:
+    """Return the colours (8, 3) of bulbs."""
+    hue = 2.0 * np.pi * (np.arange(8)[:, None] / 8.0 + np.array([0.0, 1.0, 2.0]) / 3.0)
+    return np.asarray(0.68 + 0.32 * np.cos(hue))
+
+
+def _add_cameras(builder: SceneBuilder, side: int) -> None:
+    half = 0.5 * side * ROOM
+    lens = Perspective(fov=np.radians(60.0), near=0.1)
+    corner = np.array([-half - 7.5, 11.0, -half - 7.5])  # so far that all is in view, so high that a fifth is seen
+    builder.views["corner"] = Camera.look_at(corner, (0.0, 1.5, 0.0), projection=lens)
+    builder.views["overview"] = Camera.look_at(
+        (-1.1 * half, 0.8 * half, -1.1 * half), (0, 0, 0), projection=lens
+    )
+    row = ROOM * (side // 2 + 0.5) - half
+    low = [(-half + 1.0, 1.7, row), (half - 1.0, 1.7, row)]
+    builder.paths["ground"] = make_path(low, lens, rounding=2.0, ahead=5.0)
+    high = [(-half, _HEIGHT + 3.0, row), (half, _HEIGHT + 3.0, row)]
+    builder.paths["sky"] = make_path(high, lens, rounding=2.0, ahead=8.0, sink=3.0)

@@ -1,0 +1,80 @@
+"""The scene with many materials: its counts, its materials, and how much of it walls hide."""
+
+import numpy as np
+import pytest
+
+import rhi
+from renderer.content import load_scene
+from renderer.content.surfaces import KINDS, paint_surface
+from renderer.measure.exact import ExactVisibility
+from renderer.scene import ShadingModel
+
+SMALL = "bazaar:instances=700,materials=40,meshes=12,lights=16,detail=4"
+
+
+@pytest.fixture(scope="module")
+def small():
+    return load_scene(SMALL)
+
+
+def test_it_has_as_many_instances_materials_and_meshes_as_asked_for(small):
+    things = small.objects.mesh[np.char.startswith(np.array(small.meshes.names)[small.objects.mesh], "thing")]
+    assert len(small.objects) == 700 + 16
+    assert len(np.unique(things)) == 12
+    metals = small.materials["model"] == ShadingModel.METALLIC_ROUGHNESS
+    assert metals.sum() == 40
+    assert set(np.flatnonzero(metals)) <= set(small.objects.material.tolist())
+    assert len(small.lights.point) == 16
+
+
+def test_each_material_has_three_textures_of_its_own_surface(small):
+    metals = small.materials[small.materials["model"] == ShadingModel.METALLIC_ROUGHNESS]
+    names = ("texture", "normal_texture", "metallic_roughness_texture")
+    images = np.stack([small.textures["image"][metals[name]] for name in names], axis=1)
+    assert (np.diff(images, axis=1) == 1).all()
+    assert (images[:, 0] % 3 == 0).all()
+    assert small.textures["is_color"][metals["texture"]].all()
+    assert not small.textures["is_color"][metals["normal_texture"]].any()
+
+
+def test_few_instances_are_all_floors_and_walls():
+    assert len(load_scene("bazaar:instances=16,materials=1,meshes=1,lights=0,detail=4").objects) == 16
+
+
+def test_a_seed_gives_the_same_scene_and_another_one_another():
+    one, same, other = (load_scene(f"{SMALL},seed={seed}") for seed in (1, 1, 2))
+    assert (one.nodes.local == same.nodes.local).all()
+    assert (one.meshes.vertices == same.meshes.vertices).all()
+    assert one.materials.tobytes() == same.materials.tobytes() != other.materials.tobytes()
+    assert not np.array_equal(one.nodes.local, other.nodes.local)
+
+
+def test_all_of_it_is_in_the_view_and_walls_hide_most(small):
+    planes = small.views["corner"].with_aspect(16 / 9).frustum.planes
+    middle = 0.5 * (small.objects.lower + small.objects.upper)
+    assert (middle @ planes[:, :3].T + planes[:, 3] > -1.0).all()
+    with rhi.create_device("gl") as device:
+        exact = ExactVisibility(device, small, (320, 180))
+        share = len(exact.find(small.views["corner"])) / len(small.objects)
+        exact.destroy()
+    assert 0.1 < share < 0.5
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_surface_repeats_without_a_seam(kind):
+    made = paint_surface(kind, 64, 3)
+    for image in (made.color, made.normal, made.metal_roughness):
+        pixels = image[..., :3].astype(int)
+        for axis in (0, 1):
+            inside = np.abs(np.diff(pixels, axis=axis)).mean(axis=(1 - axis, 2))
+            seam = np.abs(np.take(pixels, 0, axis) - np.take(pixels, -1, axis)).mean()
+            assert seam <= inside.max() + 1.0
+
+
+def test_normals_of_a_surface_lean_away_from_what_is_higher():
+    made = paint_surface("studs", 96, 0)
+    normals = made.normal[..., :3] / 127.5 - 1.0
+    assert np.linalg.norm(normals, axis=-1) == pytest.approx(1.0, abs=0.02)
+    stud = normals[:16, :16]  # one of six by six, highest in its middle
+    assert stud[8, :7, 0].mean() < -0.1 < 0.1 < stud[8, 9:, 0].mean()  # left leans left
+    assert stud[9:, 8, 1].mean() < -0.1 < 0.1 < stud[:7, 8, 1].mean()  # the lower rows lean down: green is up
