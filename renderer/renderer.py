@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from renderer.frame import (
     Blending,
-    Drawn,
     Frame,
     Layer,
     Needs,
@@ -72,29 +71,34 @@ class FrameResult:
     the cost of finding the visible objects, None if the technique didn't do so. Where the device decides what is drawn,
     the first use of `visible` or `statistics` waits for the device; they can be read until the next frame.
 
-    With two eyes, `image` shows both, and `pictures` are the left and the right one's; `depth`, `targets` and
-    `visibility` are the left one's, and `statistics` are those of both together.
+    With two eyes, `image` shows both, and `pictures` and `frames` are the left and the right one's; `depth`, `targets`
+    and `visibility` are the left one's, and `statistics` are those of both together.
     """
 
     image: Texture
     depth: Texture
     targets: Targets
     visibility: VisibilityStatistics | None
-    pictures: tuple[Texture, ...]
-    _drawn: tuple[Drawn, ...]
+    frames: tuple[Frame, ...]
     _counters: dict[str, int]
+
+    @property
+    def pictures(self) -> tuple[Texture, ...]:
+        """The picture of each eye."""
+        return tuple(frame.targets.image for frame in self.frames)
 
     @property
     def visible(self) -> NDArray[np.int64]:
         """The rows of the objects drawn, with two eyes ascending."""
-        rows = [drawn.rows for drawn in self._drawn]
+        rows = [frame.drawn.rows for frame in self.frames]
         return rows[0] if len(rows) == 1 else np.unique(np.concatenate(rows))
 
     @cached_property
     def statistics(self) -> FrameStatistics:
         """The cost of the frame."""
-        triangles = sum(drawn.triangles for drawn in self._drawn)
-        draws = sum(len(drawn.rows) for drawn in self._drawn)
+        drawn = [frame.drawn for frame in self.frames]
+        triangles = sum(one.triangles for one in drawn)
+        draws = sum(len(one.rows) for one in drawn)
         return FrameStatistics(triangles=triangles, draws=draws, **self._counters)
 
 
@@ -148,6 +152,11 @@ class Renderer:
             self._resources = SceneResources(device, scene)
             self._validation = self.simulator.validation = validation
             made.pop_all()
+
+    @property
+    def view(self) -> View:
+        """What the image is drawn from, with what techniques keep for it; with two eyes the left one."""
+        return self._view
 
     @property
     def visibility(self) -> VisibilityAlgorithm:
@@ -263,7 +272,7 @@ class Renderer:
             frames.append(right)
             resources.look_from(right.camera, 1)
             with device.event(pair.view.name):
-                self._run(plan, right)
+                self._run(pair.plan(has_layers=bool(self.layers)) or plan, right)
         after = device.statistics
         for frame in frames:
             for layer in self.layers:
@@ -277,13 +286,7 @@ class Renderer:
         counters["simulation_steps"] = self.simulator.steps
         counters["skipped_simulations"] = len(self.simulator) - self.simulator.seen
         result = FrameResult(
-            image,
-            left.targets.depth,
-            left.targets,
-            left.statistics,
-            tuple(frame.targets.image for frame in frames),
-            tuple(frame.drawn for frame in frames),
-            counters,
+            image, left.targets.depth, left.targets, left.statistics, tuple(frames), counters
         )
         return result, needs
 

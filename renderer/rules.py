@@ -94,6 +94,9 @@ BAD_WALK: Final = Rule(
 FRAME_RANGE: Final = Rule("camera-frame-range", "the camera path has no such frame")
 
 BAD_STEREO: Final = Rule("stereo-bad-value", "a value of a pair of eyes is out of its range")
+NO_STEREO: Final = Rule(
+    "stereo-one-eye", "one eye has no distance from another", "add --stereo dubois, or another output"
+)
 UNKNOWN_STEREO: Final = Rule("stereo-unknown-output", "there is no way of this name to show two pictures in one")
 
 # Visibility

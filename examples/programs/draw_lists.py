@@ -12,7 +12,7 @@ import numpy as np
 from frame import main
 
 import rhi
-from rhi import BlendFunction, CullMode, Filter, SamplerDescriptor, Scissor
+from rhi import BlendFunction, CullMode, Filter, SamplerDescriptor
 from rhi.shading import Shader, Struct, Texture2D, Uniform, vec2, vec4
 
 Color = tuple[int, int, int, int]
@@ -121,13 +121,13 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
     screen = device.transient.uniform(Screen(size=size))
     indices = np.array(lists.indices, np.uint16)
     mesh = device.transient.mesh(program, np.array(lists.vertices, FIELDS), indices)
+    firsts, counts, clips = zip(*lists.commands, strict=True)
     with (
         device.render_pass(image, clear=(0.2, 0.25, 0.3, 1)),
         device.states(BlendFunction.ALPHA, CullMode.NONE),
     ):
-        for first, count, rectangle in lists.commands:
-            with device.states(Scissor(*rectangle)):
-                device.draw(program, mesh.view(first, count), screen=screen, atlas=atlas.sampled(smooth))
+        draws = mesh.draws(firsts, counts)
+        device.draw_clipped(program, mesh, draws, clips, screen=screen, atlas=atlas.sampled(smooth))
     return image
 
 

@@ -12,8 +12,10 @@ from typing import Final, NoReturn
 from renderer.cli import (
     capture,
     compare_backends,
+    compare_deferred_plus,
     compare_encodings,
     compare_light_culling,
+    compare_stereo,
     compare_techniques,
     compare_visibility,
     convert,
@@ -35,11 +37,13 @@ COMMANDS: Final[tuple[Subcommand | SubcommandGroup, ...]] = (
     demo.COMMAND,
     SubcommandGroup(
         "compare",
-        "compare techniques, visibility algorithms, tests of light culling, encodings, or backends",
+        "compare techniques, visibility algorithms, tests of light culling, one eye and two, encodings, or backends",
         (
             compare_techniques.COMMAND,
             compare_visibility.COMMAND,
             compare_light_culling.COMMAND,
+            compare_deferred_plus.COMMAND,
+            compare_stereo.COMMAND,
             compare_encodings.COMMAND,
             compare_backends.COMMAND,
         ),

@@ -12,7 +12,8 @@ from renderer import rules
 from renderer.cli.output import note
 from renderer.cli.subcommand import Parser
 from renderer.content import load_scene
-from renderer.scene import Scene
+from renderer.scene import Camera, Scene
+from renderer.stereo import OUTPUTS, Stereo, find_rig
 from renderer.techniques import TECHNIQUES, AutoTechnique, Forward, Smoothed, Technique
 from renderer.techniques.auto import CANDIDATES
 from renderer.visibility import Settings
@@ -106,6 +107,48 @@ def explain_technique(technique: Technique, given: argparse.Namespace) -> dict[s
     return {"technique": technique.name, "because": "was asked for"}
 
 
+def add_stereo(parser: Parser) -> None:
+    """Add `--stereo OUTPUT` and what describes the eyes, which `make_stereo` reads."""
+    parser.add_argument(
+        "--stereo", choices=OUTPUTS, help="draw two eyes, and show them like this (docs/stereo.md)"
+    )
+    parser.add_argument(
+        "--eye-distance",
+        type=parse_length,
+        metavar="M",
+        help="metres between the eyes (default: comfortable for the first frame, at most 0.063)",
+    )
+    parser.add_argument(
+        "--convergence",
+        type=parse_length,
+        metavar="M",
+        help="metres from the eyes to the screen, where there is no parallax (default: in the middle of what is seen)",
+    )
+    parser.add_argument("--swap-eyes", action="store_true", help="show each picture to the other eye")
+    parser.add_argument("--toe-in", action="store_true", help="turn the eyes towards each other, to see why not")
+    parser.add_argument(
+        "--reproject", action="store_true", help="make the right eye's picture of the left one's"
+    )
+
+
+def make_stereo(given: argparse.Namespace, scene: Scene, camera: Camera) -> Stereo | None:
+    """Return the stereo that the arguments of `add_stereo` describe, comfortable for a camera where they don't say."""
+    if given.stereo is None:
+        named = ("eye_distance", "convergence", "swap_eyes", "toe_in", "reproject")
+        for name in named:
+            if getattr(given, name):
+                refuse(rules.NO_STEREO, "render", f"--{name.replace('_', '-')} without --stereo")
+        return None
+    rig = find_rig(
+        scene,
+        camera,
+        eye_distance=given.eye_distance,
+        convergence=given.convergence,
+        is_toed_in=given.toe_in,
+    )
+    return Stereo(rig, given.stereo, is_swapped=given.swap_eyes, is_reprojected=given.reproject)
+
+
 def add_walk(parser: Parser, what: str) -> None:
     """Add `--camera-path PATH`, `--frame N` and `--frames N`; `what` is the help of the last."""
     parser.add_argument(
@@ -150,6 +193,17 @@ def parse_size(text: str) -> tuple[int, int]:
     if not int(width) or not int(height):
         raise argparse.ArgumentTypeError(f"{text!r} is empty; give a width and a height of 1 or more")
     return int(width), int(height)
+
+
+def parse_length(text: str) -> float:
+    """Parse a length in metres, 0 or more; it may be infinite."""
+    try:
+        length = float(text)
+    except ValueError:
+        length = -1.0
+    if not length >= 0.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a length in metres")
+    return length
 
 
 def parse_count(text: str) -> int:

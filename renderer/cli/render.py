@@ -19,9 +19,11 @@ from renderer.cli.arguments import (
     add_scene,
     add_settings,
     add_size,
+    add_stereo,
     add_technique,
     explain_technique,
     load_settings,
+    make_stereo,
     make_technique,
     open_scene,
     parse_count,
@@ -33,8 +35,9 @@ from renderer.content import parse_camera
 from renderer.frame import Blending
 from renderer.measure import FrameCost, measure_frame
 from renderer.overlay import Overlay
-from renderer.renderer import Renderer
+from renderer.renderer import FrameResult, Renderer
 from renderer.scene import FRAMES_PER_SECOND, Camera, CameraPath, Depth, Orthographic, Perspective, Scene
+from renderer.stereo import Stereo, find_holes
 from renderer.techniques import Particles
 from renderer.techniques.inspection import INSPECTIONS, Inspection
 from renderer.techniques.light_indexed import count_overflowing
@@ -56,12 +59,16 @@ _NOTES: Final = """\
   python -m renderer render city --backend null --json
   python -m renderer render city --camera ground --frame 600 --frames 120 --overlay
   python -m renderer render hall --show lights
+  python -m renderer render city --camera ground --frame 600 --stereo dubois
   python -m renderer render city --backend null --frames 10 --trace city.zip
   python -m renderer render city --camera ground --frame 600 --frames 120 --record walk.json
 
 Times are measured from the scene's update until the GPU is finished. The first frame isn't counted, and with `auto`
 neither are those in which it looks for the fastest visibility algorithm and technique. Counters are those of one frame,
 or with several frames their mean. The image is that of the last frame."""
+
+
+_MAGENTA: Final = (255, 0, 255, 255)
 
 
 def _add_arguments(parser: Parser) -> None:
@@ -92,6 +99,13 @@ def _add_arguments(parser: Parser) -> None:
         "--frames", type=parse_count, default=1, metavar="N", help="number of frames to time (default: 1)"
     )
     add_size(parser)
+    add_stereo(parser)
+    parser.add_argument(
+        "--holes",
+        type=Path,
+        metavar="F.png",
+        help="as --reproject, and write the right eye's picture with its holes in magenta",
+    )
     parser.add_argument(
         "--depth",
         choices=[depth.value for depth in Depth],
@@ -133,6 +147,7 @@ def _add_arguments(parser: Parser) -> None:
 def _run(given: argparse.Namespace) -> None:
     if given.output is not None:
         prepare_image(given.output)
+    given.reproject = given.reproject or given.holes is not None
     settings = load_settings(given)
     if given.queries is not None:
         settings = replace(settings, emulated=given.queries == "emulated")
@@ -157,6 +172,7 @@ def _run(given: argparse.Namespace) -> None:
         ) as renderer,
         ExitStack() as layers,
     ):
+        renderer.stereo = make_stereo(given, scene, cameras[0].with_aspect(given.size[0] / given.size[1]))
         if given.particles:
             renderer.layers.append(Particles(device))
         if given.overlay:
@@ -174,14 +190,17 @@ def _run(given: argparse.Namespace) -> None:
             given.trace.parent.mkdir(parents=True, exist_ok=True)
             save(device, given.trace)
             note(f"wrote {given.trace}: {len(device.stream):,} commands")
-        image, overflowing = None, None
+        image, overflowing, holes = None, None, None
         if device.capabilities.shading:
             overflowing = count_overflowing(result.targets)
             image = prepare_image(given.output or Path(f"{name_of(scene)}.png"))
             write_image(image, result.image.read())
+            if given.reproject and given.stereo is not None:
+                holes = _report_holes(result, given.holes)
         else:
             note(f"the {device.backend_name} device records and draws nothing: there is no image")
-        report = describe_run(renderer, costs, image, overflowing, explain_technique(renderer.technique, given))
+        technique = explain_technique(renderer.technique, given)
+        report = describe_run(renderer, costs, image, overflowing, technique, holes)
     print(json.dumps(report) if given.json else show_report(report))
 
 
@@ -210,6 +229,7 @@ def describe_run(
     image: Path | None,
     overflowing: int | None,
     technique: dict[str, str],
+    holes: int | None = None,
 ) -> dict[str, Any]:
     """Return the report that `--json` prints."""
     summary = FrameCost.summarize(costs)
@@ -223,9 +243,28 @@ def describe_run(
         **technique,
         **summary,
         **({} if overflowing is None else {"overflowing_pixels": overflowing}),
+        **({} if renderer.stereo is None else _describe_stereo(renderer.stereo)),
+        **({} if holes is None else {"holes": holes}),
         "image": None if image is None else str(image),
         **({"left_out": [asdict(one) for one in renderer.scene.omissions]} if renderer.scene.omissions else {}),
     }
+
+
+def _describe_stereo(stereo: Stereo) -> dict[str, Any]:
+    rig = stereo.rig
+    return {"stereo": stereo.output, "eye_distance": rig.eye_distance, "convergence": rig.convergence}
+
+
+def _report_holes(result: FrameResult, path: Path | None) -> int:
+    """Return the number of holes in a reprojected picture; write it with them to `path`."""
+    _, right = result.frames
+    holes = find_holes(right)
+    if path is not None:
+        pixels = right.targets.image.read()
+        pixels[holes] = _MAGENTA
+        write_image(prepare_image(path), pixels)
+        note(f"wrote {path}: holes are magenta")
+    return int(holes.sum())
 
 
 def show_report(report: dict[str, Any]) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 from renderer import rules
 from renderer.content.bazaar import BAZAAR
 from renderer.content.city import CITY
+from renderer.content.glass import GLASS
 from renderer.content.grid import GRID
 from renderer.content.hall import HALL
 from renderer.content.models import FORMATS, load_model
@@ -26,7 +27,7 @@ from rhi.errors import refuse
 __rhi_internal__ = True
 
 GENERATORS: Final[dict[str, Generator]] = {
-    generator.name: generator for generator in (CITY, HALL, GRID, NIGHT, BAZAAR)
+    generator.name: generator for generator in (CITY, HALL, GRID, NIGHT, BAZAAR, GLASS)
 }
 """All scene generators by name."""
 

@@ -5,7 +5,18 @@ renderer.stereo = Stereo(StereoRig(eye_distance=0.063, convergence=3.0), "dubois
 
 from renderer.stereo.outputs import ANAGLYPHS, OUTPUTS, fit_picture, mix_anaglyph
 from renderer.stereo.pair import EyePair, Stereo
+from renderer.stereo.reprojection import find_holes
+from renderer.stereo.rigs import find_rig
 
 __rhi_internal__ = True
 
-__all__ = ["ANAGLYPHS", "OUTPUTS", "EyePair", "Stereo", "fit_picture", "mix_anaglyph"]
+__all__ = [
+    "ANAGLYPHS",
+    "OUTPUTS",
+    "EyePair",
+    "Stereo",
+    "find_holes",
+    "find_rig",
+    "fit_picture",
+    "mix_anaglyph",
+]

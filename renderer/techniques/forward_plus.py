@@ -77,18 +77,26 @@ class Clustered:
 
     name: Final = "clustered"
 
+    def __init__(self, *, depth_first: bool = False) -> None:
+        """With `depth_first`, a pass of its own draws depth before, so that no hidden fragment is lit."""
+        self.depth_first = depth_first
+
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
-        """Return the passes `light lists` and `forward`; only the last one without lights to list."""
+        """Return the passes `light lists` and `forward`, and before them `depth` if that is drawn first; only the last
+        one without lights to list."""
         if not list_lamps(needs):
             return Forward().declare(needs)
+        image, depth = Target("image", IMAGE_FORMAT), Target("depth", DEPTH_FORMAT)
+        before = (Pass("depth", draw_depth, "no hidden fragment is lit", writes=(depth,)),) if self.depth_first else ()
         return (
+            *before,
             list_pass(needs, ClusterLists),
             Pass(
                 "forward",
-                lambda frame: draw_listed(frame, ClusterLists, after_depth=False),
+                lambda frame: draw_listed(frame, ClusterLists, after_depth=self.depth_first),
                 "draws the visible objects, lit by their clusters' lights",
-                reads=("light lists",),
-                writes=(Target("image", IMAGE_FORMAT), Target("depth", DEPTH_FORMAT)),
+                reads=("depth", "light lists") if before else ("light lists",),
+                writes=(image,) if before else (image, depth),
             ),
             *declare_transparency(needs, partial(find_listed, kind=ClusterLists), reads=("light lists",)),
         )

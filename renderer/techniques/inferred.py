@@ -7,6 +7,11 @@
    **sensitive to discontinuities**: texels whose surface lies in another plane or is turned away hardly count. So light
    doesn't leak over edges. Where none of the four belongs to its surface, a fragment takes their mean.
 
+Transparent surfaces are lit by the same passes, because they are **stippled**: `stipple` draws them over three of each
+2 × 2 texels of the small buffers, an object always over the same one. So four surfaces behind each other are lit at
+once: an opaque one and three transparent ones. In the pass `transparency` a fragment takes its terms from the four
+nearest texels that its object may have. To opaque surfaces, stippled texels are those of strangers.
+
 The original compares the numbers of objects and faces; here the stored normals and distances say the same, without
 another buffer. What is lit is an exact position of the image, also where the scale isn't 1 / n.
 """
@@ -15,30 +20,35 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache, partial
-from typing import Final
+from typing import Any, Final
 
 from renderer import rules
-from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target
+from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Effect, Frame, Needs, Pass, Target, TechniquePass
 from renderer.shaders.encodings import decode_normal
 from renderer.shaders.pixels import FullScreen
-from renderer.shaders.structs import SurfacePoint
-from renderer.techniques.forward import Forward, bind_materials
+from renderer.shaders.structs import SurfacePoint, SurfaceVarying, Vertex
+from renderer.techniques.forward import Forward, bind_materials, find_forward
 from renderer.techniques.forward_shader import ForwardShader, forward_variant
 from renderer.techniques.full_screen import draw_full_screen
 from renderer.techniques.geometry_buffer import (
     SURFACE_FORMAT,
     SurfaceReader,
+    bind_scene,
     bind_surface,
     find_shrunk,
 )
 from renderer.techniques.light_pre_pass import (
     SHININESS_FORMAT,
+    NormalShader,
+    NormalTexels,
     bind_terms,
     collect_terms,
     draw_again,
     normals_pass,
 )
 from renderer.techniques.light_volumes import BRIGHTEST, declare_lights
+from renderer.techniques.scene_shader import SceneShader
+from renderer.techniques.transparency import declare_transparency
 from rhi import DepthFunction, DepthWrite, refuse
 from rhi.shading import (
     FragmentDepth,
@@ -48,11 +58,14 @@ from rhi.shading import (
     Uniform,
     abs,
     clamp,
+    discard,
     dot,
     float_bits_to_uint,
     floor,
     fragment_coordinate,
+    instance_index,
     ivec2,
+    ivec3,
     length,
     min,
     step,
@@ -68,6 +81,8 @@ _ALIKE: Final = 0.9
 """The least cosine between normals of one surface."""
 _STRANGER: Final = 1e-4
 """The weight of a texel with another surface, where all four have one."""
+_LAYERS: Final = 3
+"""The transparent surfaces behind each other that are lit at once."""
 _LEAST: Final = 1e-3
 """Where texels of the fragment's surface have less of the bilinear weights, all of them count the same."""
 
@@ -103,19 +118,45 @@ class ShrinkShader(FullScreen):
         return ShrunkTexels(surface=surface, shininess=self.shininess.load(place).x, depth=depth)
 
 
+class Stippled(SceneShader):
+    """Tells the texels of an object. The lists of its lights aren't used; their place in the varyings has the number of
+    the texel in each 2 × 2, from 1 to 3."""
+
+    def vertex(self, v: Vertex) -> SurfaceVarying:
+        row = instance_index()
+        return self.transform(v, row, self.objects[row], ivec3(1 + row % _LAYERS))
+
+
+class StippleShader(Stippled, NormalShader):
+    """Writes normal, distance and shininess to an object's texels."""
+
+    def fragment(self, v: SurfaceVarying) -> NormalTexels:
+        place = ivec2(fragment_coordinate().xy)
+        if place.x % 2 + 2 * (place.y % 2) != v.lights.x:
+            discard()
+        return super().fragment(v)
+
+
 class Inference(ForwardShader, SurfaceReader):
     """Adds the light of terms in buffers that are smaller than the image."""
 
     diffuse: Texture2D
     specular: Texture2D
     is_shrunk = True
+    is_stippled = False
 
     def pointlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
         size = self.surface.size()
         at = fragment_coordinate().xy * vec2(size) / self.rays.size - 0.5
+        stride = 1
+        offset = ivec2(0)
+        if self.is_stippled:  # the texels of the object are every second one, from the one that `Stippled` tells
+            stride = 2
+            offset = ivec2(begin % 2, begin // 2)
+            at = (at - vec2(offset)) * 0.5
         share = at - floor(at)
-        first = clamp(ivec2(floor(at)), ivec2(0), size - 1)
-        last = clamp(ivec2(floor(at)) + 1, ivec2(0), size - 1)
+        first = clamp(ivec2(floor(at)) * stride + offset, ivec2(0), size - 1)
+        last = clamp((ivec2(floor(at)) + 1) * stride + offset, ivec2(0), size - 1)
         right = ivec2(last.x, first.y)
         below = ivec2(first.x, last.y)
         alike = vec4(
@@ -153,18 +194,23 @@ class Inferred:
 
     name: Final = "inferred"
 
-    def __init__(self, *, scale: float = 0.6) -> None:
-        """`scale` is the width and height of light buffers in those of the image, more than 0 and at most 1."""
+    def __init__(self, *, scale: float = 0.6, stippled: bool = True) -> None:
+        """`scale` is the width and height of light buffers in those of the image, more than 0 and at most 1.
+
+        If they aren't `stippled`, transparent surfaces are lit by the lists of their objects.
+        """
         if not 0.0 < scale <= 1.0:
             refuse(rules.BAD_TECHNIQUE, "Inferred(scale=...)", scale, "more than 0, at most 1; 0.4 and more look well")
         self.scale = scale
+        self.stippled = stippled
 
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the passes `normals`, `shrink`, those of lights in view, and `materials`; without such lights, that of
-        forward shading."""
-        scale, small = self.scale, ("small surface", "small shininess", "small depth")
-        terms = partial(collect_terms, prefix="small ")
-        lights, last = declare_lights(needs, ["diffuse", "specular"], small, terms, scale)
+        forward shading; and those of transparent surfaces."""
+        stippled = self.stippled and Effect.TRANSPARENCY in needs.effects
+        scale, small, lit = self.scale, name_small("small "), name_small("stippled " if stippled else "small ")
+        terms = partial(collect_terms, prefix="stippled " if stippled else "small ")
+        lights, last = declare_lights(needs, ["diffuse", "specular"], lit, terms, scale)
         if not lights:
             return Forward().declare(needs)
         formats = (SURFACE_FORMAT, SHININESS_FORMAT, DEPTH_FORMAT)
@@ -177,15 +223,54 @@ class Inferred:
                 reads=("surface", "shininess", "depth"),
                 writes=tuple(Target(name, format, scale) for name, format in zip(small, formats, strict=True)),
             ),
+            *([_stipple_pass(needs, small, lit)] if stippled else []),
             *lights,
             Pass(
                 "materials",
-                partial(draw_inferred, terms=last),
+                partial(draw_inferred, surface=lit[0], terms=last),
                 "draws the visible objects, lit by what was collected",
-                reads=("depth", "small surface", *last),
+                reads=("depth", lit[0], *last),
                 writes=(Target("image", IMAGE_FORMAT),),
             ),
+            *declare_transparency(
+                needs,
+                partial(find_inferred, surface=lit[0], terms=last, stippled=True) if stippled else find_forward,
+                reads=(lit[0], *last) if stippled else (),
+            ),
         )
+
+
+def name_small(prefix: str) -> tuple[str, str, str]:
+    """Return the names of shrunk contents."""
+    return f"{prefix}surface", f"{prefix}shininess", f"{prefix}depth"
+
+
+def _stipple_pass(needs: Needs, small: Sequence[str], stippled: Sequence[str]) -> Pass[Frame]:
+    """Return the pass that draws transparent surfaces over shrunk contents."""
+    return Pass(
+        "stipple",
+        _stipple,
+        f"lets light reach transparent surfaces; {needs.explain(Effect.TRANSPARENCY)}",
+        changes=dict(zip(small, stippled, strict=True)),
+    )
+
+
+def _stipple(frame: Frame) -> None:
+    targets, resources = frame.targets, frame.resources
+    surface, shininess, depth = (targets[name] for name in name_small("stippled "))
+    frame.draw_transparent(
+        TechniquePass(
+            frame.device,
+            resources,
+            frame.view,
+            frame.device.program(StippleShader),
+            bind_scene(frame) | {"materials": resources.materials.buffer},
+            color=[surface, shininess],
+            depth=depth,
+            clears=False,
+        ),
+        in_order=False,
+    )
 
 
 def shrink(frame: Frame) -> None:
@@ -208,14 +293,29 @@ def shrink(frame: Frame) -> None:
 
 
 @cache
-def inferred_variant(parts: tuple[str, ...], *, has_sun: bool) -> type[ForwardShader]:
+def inferred_variant(
+    parts: tuple[str, ...], *, has_sun: bool, is_stippled: bool = False
+) -> type[ForwardShader]:
     """Return the forward shader with these of `PARTS` that infers the light of point and spot lights."""
-    return type("Inferred", (Inference, forward_variant(*parts, has_sun=has_sun)), {"__module__": __name__})
+    bases = (*([Stippled] if is_stippled else []), Inference, forward_variant(*parts, has_sun=has_sun))
+    return type("Inferred", bases, {"__module__": __name__, "is_stippled": is_stippled})
 
 
-def draw_inferred(frame: Frame, *, terms: Sequence[str]) -> None:
-    """Draw the visible objects again, lit by the terms."""
+def find_inferred(
+    frame: Frame, *, surface: str, terms: Sequence[str], stippled: bool = False
+) -> tuple[type[ForwardShader], dict[str, Any]]:
+    """Return the forward shader that is lit by the terms, and its bindings.
+
+    Args:
+        surface: the contents with the surfaces that were lit.
+        stippled: whether the shader is that of transparent objects.
+    """
     features, bindings = bind_materials(frame)
-    shader = inferred_variant(tuple(features), has_sun=frame.needs.has_sun)
-    bindings |= bind_surface(frame, "small surface") | bind_terms(frame, terms)
+    shader = inferred_variant(tuple(features), has_sun=frame.needs.has_sun, is_stippled=stippled)
+    return shader, bindings | bind_surface(frame, surface) | bind_terms(frame, terms)
+
+
+def draw_inferred(frame: Frame, *, surface: str, terms: Sequence[str]) -> None:
+    """Draw the visible objects again, lit by the terms."""
+    shader, bindings = find_inferred(frame, surface=surface, terms=terms)
     draw_again(frame, frame.device.program(shader), bindings)

@@ -240,6 +240,18 @@ class PreparedQueries(Protocol):
         None while any answer is missing; never wait."""
 
 
+class ClipsDraws(Protocol):
+    """Optional part of the contract: many draws in rectangles of their own, for platforms that can save the cost of a
+    change of states for each."""
+
+    def draw_clipped(
+        self, vertex_array: Id, primitive: Primitive, draws: NDArray[np.void], clips: NDArray[np.int64]
+    ) -> None:
+        """Draw each of `draws` (n,) in a rectangle of `clips` (n, 4): x, y, width, height. It is the equivalent of
+        `Backend.set_states` of a `Scissor` and `Backend.draw` for each of them; the `Scissor` then is the one before.
+        There is at least one draw. Not for QUADS."""
+
+
 class PreparesQueries(Protocol):
     """Optional part of the contract: many queries in one call, for platforms on which each query has a fixed cost."""
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from typing_extensions import ParamSpec
 
 from rhi.contract.descriptors import DRAW, Primitive
@@ -24,7 +24,7 @@ from rhi.device.queries.occlusion import Conditional, OcclusionQuery
 from rhi.device.queries.sets import QuerySet, find_runs
 from rhi.device.queries.timers import EventScope, Timers
 from rhi.device.resources.buffers import Buffer, StorageBuffer, check_buffer
-from rhi.device.resources.meshes import Drawable, Mesh, check_draws
+from rhi.device.resources.meshes import Drawable, Mesh, check_clips, check_draws
 from rhi.device.resources.programs import Program
 from rhi.device.resources.textures import Texture
 from rhi.device.transient import TransientMemory
@@ -160,6 +160,41 @@ class Encoder:
             vertex_array, mesh.primitive, arguments.buffer, offset, len(array), array.dtype.itemsize, 0, 0
         )
         core.draws += 1
+
+    def draw_clipped(
+        self,
+        program: Program[P],
+        mesh: Drawable,
+        draws: NDArray[Any],
+        clips: ArrayLike,
+        /,
+        *args: P.args,
+        **bindings: P.kwargs,
+    ) -> None:
+        """Draw parts of `mesh`, each inside a rectangle, in one call: the draw lists of an interface.
+
+        Each rectangle takes the place of the `Scissor` that is set around the call.
+
+        Args:
+            draws: (n,) as for `draw_many`, of any primitive. Shaders tell them apart by `instance_index()`; their
+                `draw_index()` is 0.
+            clips: (n, 4) integers: x, y, width and height in texels, from the target's top left corner. Draws in an
+                empty rectangle are left out.
+
+        Raises:
+            ValidationError: the errors of `draw` and `draw_many`; nothing is drawn or bound then.
+        """
+        call = f"{self.NAME}.draw_clipped"
+        own = self._resolve_program(program, call)
+        check_drawable(self._core, mesh, call)
+        array = check_draws(self._core, mesh, draws, call)
+        rectangles = check_clips(self._core, clips, len(array), call)
+        vertex_array = self._bind_draws(own, mesh, bindings)
+        shown = (rectangles[:, 2:] > 0).all(1) & (array["count"] > 0) & (array["instances"] > 0)
+        array, rectangles = array[shown], rectangles[shown]
+        if len(array):
+            self._core.draw_clipped(vertex_array, mesh.primitive, array, rectangles)
+            self._core.draws += len(array)
 
     def draw_counted(
         self,

@@ -5,7 +5,8 @@ known exactly what else is visible; that is the second list. So whatever the fir
 is everything, is drawn in the same frame. What it holds too much costs time, and changes no pixel.
 
 The CPU knows none of this. It submits the same commands whatever is visible, and however many objects there are: they
-are recorded once, and a frame writes its constants and submits them.
+are recorded once, and a frame writes its constants and submits them. While the device takes timestamps they are issued
+one by one, and so the steps are timed.
 """
 
 from __future__ import annotations
@@ -60,15 +61,21 @@ class DeviceCulling(ABC):
         def issue(encoder: Encoder) -> None:
             with encoder.event("likely"):
                 self._mark_likely(encoder, direction, scene_pass)
-                self.first.list_draws(encoder, scene_pass.arrays)
+                with encoder.event("list draws"):
+                    self.first.list_draws(encoder, scene_pass.arrays)
             scene_pass.draw_list(encoder, self.first, first=True)
             with encoder.event("missed"):
                 self._mark_missed(encoder, direction, scene_pass)
-                self.second.list_draws(encoder, scene_pass.arrays)
+                with encoder.event("list draws"):
+                    self.second.list_draws(encoder, scene_pass.arrays)
             scene_pass.draw_list(encoder, self.second, first=False)
-            self._remember(encoder, direction, scene_pass)
+            with encoder.event("remember"):
+                self._remember(encoder, direction, scene_pass)
 
-        self._repeated.execute(key, issue)
+        if self._device.timing:
+            issue(self._device)  # of recorded commands, events take no timestamps
+        else:
+            self._repeated.execute(key, issue)
         return self._count()
 
     @abstractmethod

@@ -40,12 +40,13 @@ class TwoPassCulling(DeviceCulling):
         return key
 
     def _mark_likely(self, encoder: Encoder, direction: Depth, scene_pass: ScenePass) -> None:
-        self._occludees.find(encoder, scene_pass.arrays)
-        with self._reprojected.render_pass(encoder, direction):
+        with encoder.event("find boxes"):
+            self._occludees.find(encoder, scene_pass.arrays)
+        with encoder.event("test boxes"), self._reprojected.render_pass(encoder, direction):
             self._occludees.mark_all(encoder, self._guessed, direction)
 
     def _mark_missed(self, encoder: Encoder, direction: Depth, scene_pass: ScenePass) -> None:
-        with encoder.render_pass(depth=scene_pass.depth):
+        with encoder.event("test boxes"), encoder.render_pass(depth=scene_pass.depth):
             self._occludees.mark_listed(
                 encoder, self._exact, direction, self.first.hidden, self.first.box_draw
             )

@@ -513,6 +513,13 @@ class GlBackend:
             self._activate()
         return self._draws.prepare_calls(self._bound_program, vertex_array, primitive, draws)
 
+    def draw_clipped(
+        self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], clips: NDArray[np.int64]
+    ) -> None:
+        """See `rhi.contract.backend.ClipsDraws`."""
+        call, arguments = self.prepare_calls(vertex_array, primitive, draws)
+        self._states.cut_each(call, arguments, clips)
+
     def draw_indirect(
         self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, draws: int, stride: int,
         count_buffer: Id, count_offset: int,

@@ -92,6 +92,11 @@ class DebugGlBackend(GlBackend):
     def prepare_queries(self, queries: Sequence[Id]) -> PreparedQueries:
         return _CheckedQueries(super().prepare_queries(queries), self)
 
+    def draw_clipped(
+        self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], clips: NDArray[np.int64]
+    ) -> None:
+        self.check(super().draw_clipped, "draw_clipped", vertex_array, primitive, draws, clips)
+
     def make_current(self) -> None:
         super().make_current()
         self._debug.clear()  # of calls that restore what nobody changed, some are errors

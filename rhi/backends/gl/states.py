@@ -11,8 +11,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 from rhi.backends.gl import enums
 from rhi.backends.gl.entry_points import EntryPoints
@@ -308,6 +311,21 @@ class RenderStates:
         right, bottom = min(x + int(value.width), _SCISSOR_LIMIT), min(y + int(value.height), _SCISSOR_LIMIT)
         self._gl.Scissor(left, top, max(right - left, 0), max(bottom - top, 0))
         self._gl.Enable(enums.SCISSOR_TEST)
+
+    def cut_each(
+        self, call: Callable[..., object], arguments: Iterable[tuple[Any, ...]], clips: NDArray[np.int64]
+    ) -> None:
+        """Call a function with each of `arguments` (n) in one of the rectangles `clips` (n, 4)."""
+        corners = np.clip(np.concatenate([clips[:, :2], clips[:, :2] + clips[:, 2:]], axis=1), 0, _SCISSOR_LIMIT)
+        corners[:, 2:] -= corners[:, :2]
+        scissor = self._gl.Scissor
+        try:
+            self._gl.Enable(enums.SCISSOR_TEST)
+            for corner, each in zip(corners.tolist(), arguments, strict=True):
+                scissor(*corner)
+                call(*each)
+        finally:
+            self._scissor(self.values[Scissor])
 
     def _polygon_mode(self, mode: PolygonMode) -> None:
         self._gl.PolygonMode(enums.FRONT_AND_BACK, enums.LINE if mode is _WIREFRAME else enums.FILL)

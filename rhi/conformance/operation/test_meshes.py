@@ -18,6 +18,7 @@ from rhi import (
     IndirectDraws,
     Mesh,
     Primitive,
+    Scissor,
     ValidationError,
 )
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
@@ -484,6 +485,58 @@ def test_many_draws_without_indices(device: Device) -> None:
     assert_same(row[6:], [(6, 3, 0, 1), (7, 3, 0, 1)])
     assert_same(row[0], (0, 9, 1, 1))
     assert_same(row[1:6], 0)
+
+
+CLIPS = [(0, 0, 3, 1), (2, 0, 4, 1), (-5, -2, 6, 9), (7, 0, 1 << 30, 1), (1, 0, 0, 1), (3, 1, 2, 5)]
+"""Rectangles in a row of 8 texels; the last two are empty, or beside it."""
+
+
+@pytest.mark.parametrize("primitive", [Primitive.TRIANGLES, Primitive.QUADS])
+@pytest.mark.parametrize("indexed", [False, True], ids=["plain", "indexed"])
+def test_each_clipped_draw_is_cut_by_its_own_rectangle(device: Device, primitive: Primitive, indexed: bool) -> None:
+    """As by a scope of `Scissor` around each. The second half of the vertices covers nothing."""
+    quad = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], float)
+    shape = quad if primitive is Primitive.QUADS else quad[[0, 1, 2, 0, 2, 3]]
+    count = len(shape)
+    rows = corners(np.concatenate([shape + 9, shape]))
+    indices = np.arange(2 * count, dtype=np.uint16) if indexed else None
+    with (
+        device.texture(ROW, Format.RGBA32F) as image,
+        device.texture(ROW, Format.RGBA32F) as expected,
+        device.mesh(rows, indices, primitive=primitive) as mesh,
+    ):
+        program = device.program(Numbered)
+        draws = mesh.draws(count, count, base_instance=np.arange(6))
+        with device.states(BlendFunction.ADDITIVE, CullMode.NONE):
+            with device.render_pass(image, clear=(0, 0, 0, 0)):
+                device.draw_clipped(program, mesh, draws, CLIPS)
+            with device.render_pass(expected, clear=(0, 0, 0, 0)):
+                for number, clip in enumerate(CLIPS):
+                    with device.states(Scissor(*clip)):
+                        device.draw(program, mesh.view(count, count, base_instance=number))
+        assert image.read()[0, :, 3].tolist() == [2, 1, 2, 1, 1, 1, 0, 1]
+        assert_same(image.read(), expected.read())
+
+
+def test_after_clipped_draws_the_scissor_is_the_one_around_them(device: Device) -> None:
+    with device.texture(ROW, Format.RGBA32F) as image, device.mesh(rectangle()) as mesh:
+        program = device.program(Numbered)
+        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(BlendFunction.ADDITIVE):
+            with device.states(Scissor(4, 0, 2, 1)):
+                device.draw_clipped(program, mesh, mesh.draws([0, 0], 6), [(0, 0, 1, 1), (1, 0, 2, 1)])
+                device.draw(program, mesh)
+            device.draw(program, mesh)
+        assert_same(image.read()[0, :, 3], [2, 2, 2, 1, 2, 2, 1, 1])
+
+
+def test_clipped_draws_of_a_transient_mesh_see_its_vertices(device: Device) -> None:
+    with device.texture(ROW, Format.RGBA32F) as image:
+        program = device.program(Numbered)
+        for first in (0, 2):
+            mesh = device.transient.mesh(program, corners(CENTERS[first:]), primitive=Primitive.POINTS)
+            with device.render_pass(image, clear=(0, 0, 0, 0)):
+                device.draw_clipped(program, mesh, mesh.draws([1, 3], 1), [(0, 0, 8, 1), (0, 0, 3, 1)])
+            assert_same(image.read()[0, :, 3], np.arange(8) == first + 1)
 
 
 def test_many_draws_read_the_instances_of_their_base(device: Device) -> None:

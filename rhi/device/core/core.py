@@ -14,11 +14,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from threading import get_ident
 from types import TracebackType
-from typing import ClassVar, Final, NoReturn, Protocol, TypeVar, cast
+from typing import Any, ClassVar, Final, NoReturn, Protocol, TypeVar, cast
 
-from rhi.contract.backend import Backend, HoldsContext, PreparesDraws
+import numpy as np
+from numpy.typing import NDArray
+
+from rhi.contract.backend import Backend, ClipsDraws, HoldsContext, PreparesDraws
 from rhi.contract.descriptors import Id, PassDescriptor, Primitive, SamplerDescriptor, Wrap
-from rhi.contract.states import AlphaTest
+from rhi.contract.queries import list_draws
+from rhi.contract.states import AlphaTest, Scissor, StateChange
 from rhi.device.core.interrupts import HeldInterrupts
 from rhi.device.core.readback_pool import ReadbackPool
 from rhi.device.core.refusals import RefusalLog
@@ -151,6 +155,7 @@ class Core:
     """
 
     __slots__ = (
+        "_clips",
         "_context",
         "_ids",
         "_prepares",
@@ -219,6 +224,7 @@ class Core:
         self.frame_rings: list[FrameMemory] = []
         self.readbacks = ReadbackPool(backend, self.timeline, self.new_id)
         self.tests_alpha = False
+        self._clips = cast("ClipsDraws", backend) if hasattr(backend, "draw_clipped") else None
         self._prepares: PreparesDraws | None = None
         if hasattr(backend, "prepare_draw"):
             self._prepares = cast("PreparesDraws", backend)
@@ -403,6 +409,26 @@ class Core:
         except BaseException:
             self.states.lose_hardware()
             raise
+
+    def draw_clipped(
+        self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], clips: NDArray[np.int64]
+    ) -> None:
+        """Draw each of `draws` (n,) inside one of the rectangles `clips` (n, 4), with the bindings in place. The
+        hardware's states are then as before."""
+        states = self.states
+        try:
+            if self._clips is not None and primitive is not Primitive.QUADS:
+                self._clips.draw_clipped(vertex_array, primitive, draws, clips)
+            else:
+                backend = self.backend
+                for clip, arguments in zip(clips.tolist(), list_draws(draws), strict=True):
+                    backend.set_states((StateChange(Scissor, Scissor(*clip)),))
+                    backend.draw(vertex_array, primitive, *arguments)
+                backend.set_states((StateChange(Scissor, states.hardware[Scissor]),))
+        except BaseException:
+            states.lose_hardware()
+            raise
+        states.hardware_changes += len(draws) + 1
 
     def adopt_states(self, values: tuple[object, ...]) -> None:
         """Record state values that were sent to the backend without the cache."""

@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple, Self, TypeAlias, cast
 from weakref import WeakSet
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rhi.contract.descriptors import (
     DRAW,
@@ -450,6 +450,7 @@ class Mesh(Drawable, Resource):
         self.data.core.program = None
 
 
+_FARTHEST_CLIP: Final = 1 << 30  # as in `Scissor`
 _COLUMNS: Final = {
     "first": (0, (1 << 32) - 1),
     "count": (0, (1 << 32) - 1),
@@ -492,6 +493,18 @@ def check_draws(core: Core, mesh: Drawable, draws: NDArray[Any], call: str) -> N
                 MESH_RANGE, call, f"a draw up to element {last}", f"within {mesh.element_count} elements"
             )
     return np.ascontiguousarray(mesh.place_draws(array))
+
+
+def check_clips(core: Core, clips: ArrayLike, count: int, call: str) -> NDArray[np.int64]:
+    """Return rectangles (count, 4) of draws; refuse other shapes, other numbers than integers, and negative sizes."""
+    check = Arguments(call, core.refuse)
+    array = check.array("clips", clips)
+    if array.shape != (count, 4) or array.dtype.kind not in "iu":
+        check.fail("clips", f"{array.dtype} of shape {array.shape}", f"({count}, 4) integers")
+    if count and (array[:, 2:].min() < 0 or np.abs(array.astype(np.float64)).max() > _FARTHEST_CLIP):
+        given = f"rectangles from {array.min(0).tolist()} to {array.max(0).tolist()}"
+        check.fail("clips", given, f"sizes from 0, all numbers up to {_FARTHEST_CLIP}")
+    return array.astype(np.int64)
 
 
 def _source(core: Core, source: VertexSource, call: str) -> NDArray[Any] | Buffer:

@@ -15,6 +15,7 @@ SCENES = [
     "night:blocks=8,detail=2,lights=200",
     "hall:flags=4,lights=40",
     "grid:mesh=cone,count=50,lights=9",
+    "glass:panes=7,lights=3",
 ]
 
 
@@ -146,6 +147,16 @@ def test_a_hall_without_flags_stands_still():
     hall = load_scene("hall:flags=0,columns=4,rows=2")
     assert len(hall.objects.dynamic_rows) == 0
     assert hall.update(1.0).size == 0
+
+
+@pytest.mark.parametrize("panes", [1, 2, 25])
+def test_glass_has_panes_and_half_as_many_balls_before_opaque_columns(panes):
+    glass = load_scene(f"glass:panes={panes},lights=2")
+    transparent = glass.find_transparent()
+    assert len(transparent) == panes + panes // 2
+    assert len(glass.objects) > len(transparent)
+    assert (glass.objects.lower[transparent][:, 1] > -1e-6).all()
+    assert len(glass.lights.point) == 2
 
 
 def test_a_grid_holds_as_many_copies_as_asked_on_the_ground():

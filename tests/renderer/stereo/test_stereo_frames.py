@@ -178,7 +178,7 @@ def count(null: rhi.Device, scene: Scene, stereo: Stereo | None, technique: str 
 
 
 def test_both_eyes_are_culled_once_and_upload_once(null: rhi.Device, city: Scene) -> None:
-    one, two = (count(null, city, stereo) for stereo in (None, Stereo(StereoRig(0.065, 3.0), "color")))
+    one, two = (count(null, city, stereo) for stereo in (None, Stereo(StereoRig(0.065, 3.0), "grey")))
     assert one["asked"] == two["asked"] == 4
     assert two["passes"] == 3 * one["passes"], "each eye, and the image of both"
     for alone, both in zip(one["visible"], two["visible"], strict=True):
@@ -284,7 +284,7 @@ def test_layers_are_drawn_for_both_eyes(null: rhi.Device, hall: Scene) -> None:
 def test_shadow_maps_are_drawn_once_for_both_eyes(null: rhi.Device) -> None:
     scene = load_scene("city:blocks=6,shadows=1")
     camera, passes, maps, casters = scene.paths["ground"].camera(600), [], [], []
-    for stereo in (None, Stereo(StereoRig(0.065, 6.0), "color")):
+    for stereo in (None, Stereo(StereoRig(0.065, 6.0), "grey")):
         with Renderer(null, scene, size=SIZE, visibility=FrustumCulling(scene)) as renderer:
             renderer.stereo = stereo
             before = len(null.stream)

@@ -59,7 +59,7 @@ def draw(device: rhi.Device, scene: Scene, *, multi_pass: bool) -> dict[str, NDA
         names = ("image", "depth", "packed", *(("material ids",) if multi_pass else ()))
         found = {name: targets[name].read() for name in names}
         if multi_pass:
-            found["rectangles"] = renderer._view.workspace(MaterialRectangles).read()
+            found["rectangles"] = renderer.view.workspace(MaterialRectangles).read()
     return found
 
 
@@ -201,7 +201,7 @@ def test_the_list_has_room_for_each_material_in_each_tile(null: rhi.Device) -> N
     scene, technique = scatter(5), DeferredPlus(multi_pass=True)
     with Renderer(null, scene, technique=technique, visibility=NoCulling(scene), size=(65, 32)) as renderer:
         renderer.render(EYE)
-        assert renderer._view.workspace(MaterialRectangles).rectangles.count == 3 * 5  # of 32 × 32 pixels
+        assert renderer.view.workspace(MaterialRectangles).rectangles.count == 3 * 5  # of 32 × 32 pixels
 
 
 # two-pass culling

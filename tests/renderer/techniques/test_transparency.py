@@ -27,7 +27,7 @@ from renderer.scene import (
     scaling,
     translation,
 )
-from renderer.techniques import TECHNIQUES, Forward, Smoothed, Technique
+from renderer.techniques import TECHNIQUES, Forward, Inferred, Smoothed, Technique, inferred
 from renderer.visibility import ALGORITHMS, NoCulling, list_algorithms, make_visibility
 from rhi import DepthWrite, Op
 
@@ -197,6 +197,39 @@ def test_every_technique_gives_the_picture_of_forward_shading_of_any_glass(
     check_all(drawing_device, glassy(seed, textured=seed == 2), blending)
 
 
+GLASS: list[tuple[float, Sequence[float]]] = [
+    (1.0, (0.9, 0.2, 0.1, 0.4)),
+    (2.0, (0.1, 0.3, 0.9, 0.25)),
+    (3.0, (0.2, 0.8, 0.3, 0.5)),
+]
+
+
+@pytest.mark.parametrize("scale", [0.6, pytest.param(1.0, marks=pytest.mark.nightly)])
+def test_inferred_light_reaches_three_transparent_surfaces_behind_each_other(
+    gl: rhi.Device, monkeypatch: pytest.MonkeyPatch, scale: float
+) -> None:
+    builder = panes((-3.0, (0.5, 0.5, 0.4)), *GLASS)
+    builder.lights.add_point((0.0, 0.0, 2.5), 9.0, (1.0, 0.6, 0.3), 40.0)  # before two of the three
+    scene = builder.build()
+    expected = render(gl, scene)
+    image = render(gl, scene, Inferred(scale=scale))
+    inferred.inferred_variant.cache_clear()
+    monkeypatch.setattr(inferred, "_LAYERS", 1)  # the control: all three have the same texel
+    wrong = render(gl, scene, Inferred(scale=scale))
+    inferred.inferred_variant.cache_clear()
+    assert np.abs(image - expected).max() <= 8
+    assert np.abs(wrong - expected).max() > 15
+
+
+@pytest.mark.nightly
+def test_stippled_light_is_near_that_of_forward_shading(drawing_device: rhi.Device) -> None:
+    scene = glassy()
+    expected, size = render(drawing_device, scene, size=(240, 160)), (240, 160)
+    for technique, least in ((Inferred(stippled=False), 40.0), (Inferred(), 28.0)):
+        image = render(drawing_device, scene, technique, size=size)
+        assert 10.0 * np.log10(255.0**2 / ((image - expected) ** 2).mean()) > least
+
+
 @pytest.mark.parametrize("name", sorted({*ALGORITHMS} - {"auto"}))
 def test_every_visibility_algorithm_shows_transparent_objects_and_what_they_cover(gl: rhi.Device, name: str) -> None:
     if name not in list_algorithms(gl):
@@ -272,6 +305,19 @@ def test_transparent_objects_add_a_pass_and_a_draw_for_each_run_of_a_winding(nul
         add_pane(builder, number, (1.0, 1.0, 1.0, 0.5), mirrored=mirrored)
     assert count(null, builder.build()) == (2, 1 + 3)
     assert count(null, builder.build(), Blending.WEIGHTED) == (3, 1 + 2 + 1)
+
+
+@pytest.mark.parametrize(("stippled", "passes"), [(True, 6), (False, 5)])
+def test_stippling_is_one_more_pass_where_a_lamp_reaches_something(
+    null: rhi.Device, stippled: bool, passes: int
+) -> None:
+    one = (1.0, (1.0, 1.0, 1.0, 0.5))
+    stream, _ = record(null, panes(WALL, one).build(), Inferred(stippled=stippled))
+    assert len(stream.filter(Op.BEGIN_PASS)) == len(stream.draws()) == passes
+    unlit = panes(WALL, one)
+    unlit.lights.point = unlit.lights.point[:0]
+    stream, _ = record(null, unlit.build(), Inferred(stippled=stippled))
+    assert len(stream.draws()) == 2
 
 
 def test_transparent_surfaces_write_no_depth_and_are_tested_against_that_of_opaque_ones(null: rhi.Device) -> None:

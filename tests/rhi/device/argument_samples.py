@@ -272,6 +272,16 @@ def encoder_samples(open_encoder: Callable[[House], Any]) -> dict[str, Sample]:
             call("draw_many", "program", "mesh", "draws"),
             {"program": PROGRAM, "mesh": MESH, "draws": DRAWS, "tint": TINT},
         ),
+        "draw_clipped": Sample(
+            call("draw_clipped", "program", "mesh", "draws", "clips"),
+            {
+                "program": PROGRAM,
+                "mesh": MESH,
+                "draws": DRAWS,
+                "clips": ([(0, 0, 2, 2), (1, 0, 0, 1)], nothing),
+                "tint": TINT,
+            },
+        ),
         "draw_counted": Sample(
             call("draw_counted", "program", "mesh", "draws", "queries", "rows"),
             DRAWS_BY_ROW,

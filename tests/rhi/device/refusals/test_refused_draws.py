@@ -233,6 +233,27 @@ def test_many_draws_come_as_an_array_of_their_dtype(recording: Device) -> None:
             recording.draw_many(program, mesh, mesh.draws())
 
 
+WRONG_CLIPS = {
+    "too few": [(0, 0, 1, 1)],
+    "three numbers": np.zeros((2, 3), int),
+    "fractions": np.zeros((2, 4)),
+    "a negative width": [(0, 0, 1, 1), (0, 0, -1, 1)],
+    "a negative height": [(0, 0, 1, 1), (0, 0, 1, -1)],
+    "too far": [(0, 0, 1, 1), ((1 << 30) + 1, 0, 1, 1)],
+    "unequal rows": [(0, 0, 1, 1), (0, 0)],
+}
+
+
+@pytest.mark.parametrize("name", WRONG_CLIPS)
+def test_clips_are_a_rectangle_for_each_draw(recording: Device, name: str) -> None:
+    program = recording.program(Colored)
+    with recording.texture(SIZE, Format.R8) as image, recording.mesh(rectangle()) as mesh:
+        with recording.render_pass(image):
+            with refuses(rules.DEVICE_ARGUMENT, recording):
+                loose(recording).draw_clipped(program, mesh, mesh.draws([0, 3], 3), WRONG_CLIPS[name])
+            recording.draw_clipped(program, mesh, mesh.draws([0, 3], 3), [(0, 0, 0, 0), (-(1 << 30), 0, 1 << 30, 1)])
+
+
 def test_many_draws_stay_in_the_mesh(recording: Device) -> None:
     program = recording.program(Colored)
     with recording.texture(SIZE, Format.R8) as image, recording.mesh(rectangle()) as mesh:

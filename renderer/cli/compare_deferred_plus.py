@@ -1,0 +1,122 @@
+"""`compare deferred-plus`: Deferred+ and clustered forward shading, with and without culling."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Final
+
+import rhi
+from renderer.cli.arguments import (
+    PATH_HELP,
+    add_backend,
+    add_scene,
+    add_size,
+    open_scene,
+    parse_count,
+    parse_frame,
+)
+from renderer.cli.output import note, prepare_image, show_progress, write_image
+from renderer.cli.subcommand import Parser, Subcommand
+from renderer.content import find_path
+from renderer.measure import format_table
+from renderer.measure.buffers import picture_buffers
+from renderer.measure.deferred_plus import STEPS, DeferredPlusReport, compare_deferred_plus
+
+_NOTES: Final = """\
+  python -m renderer compare deferred-plus city --camera-path ground --frames 30
+  python -m renderer compare deferred-plus city --size 1280x720 --backend cl --markdown
+  python -m renderer compare deferred-plus hall --frames 2 --output buffers.png
+
+The frames of a walk are drawn in turn by Deferred+ in one pass over the screen, by Deferred+ with each material in
+rectangles of its own, and by clustered forward shading, with two-pass culling and with frustum culling only. Times of
+frames are from the scene's update until the device is finished, medians of all frames; those of steps lie between
+timestamps of the device, and include what it has been given before. `processor ms` is the time of all threads. Then
+follows what culling has drawn: what its first pass held to be visible, and what only the second one has found. `wrong
+pixels` are those that aren't the same without culling. Under OpenCL set RHI_KERNELS=optimised."""
+
+
+def _add_arguments(parser: Parser) -> None:
+    add_scene(parser)
+    parser.add_argument("--camera-path", default="ground", metavar="PATH", help=PATH_HELP)
+    parser.add_argument(
+        "--frame", type=parse_frame, default=0, metavar="N", help="first frame of the path (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--frames", type=parse_count, default=16, metavar="N", help="number of frames (default: %(default)s)"
+    )
+    add_size(parser)
+    add_backend(parser)
+    parser.add_argument("--output", type=Path, metavar="F.png", help="write a picture of the buffers and rectangles")
+    form = parser.add_mutually_exclusive_group()
+    form.add_argument("--json", action="store_true", help="print the result as JSON")
+    form.add_argument("--markdown", action="store_true", help="print the tables as Markdown")
+
+
+def _run(given: argparse.Namespace) -> None:
+    if given.output is not None:
+        prepare_image(given.output)
+    scene = open_scene(given.scene)
+    path = find_path(given.camera_path, scene)
+    cameras = [path.camera(given.frame + number) for number in range(given.frames)]
+
+    def progress(count: int) -> Iterable[int]:
+        return show_progress(range(count), count, "compare")
+
+    with rhi.create_device(given.backend) as device:
+        report = compare_deferred_plus(device, scene, cameras, given.size, progress=progress)
+        if given.output is not None:
+            write_image(given.output, picture_buffers(device, scene, cameras[0], given.size))
+            note(f"wrote {given.output}")
+        about = {
+            "backend": device.backend_name,
+            "device": device.capabilities.device,
+            "scene": scene.name,
+            "camera_path": given.camera_path,
+            "frame": given.frame,
+            "frames": given.frames,
+            "size": list(given.size),
+        }
+    print(json.dumps(about | asdict(report)) if given.json else show_report(report, markdown=given.markdown))
+
+
+def show_report(report: DeferredPlusReport, *, markdown: bool = False) -> str:
+    """Format the report as tables: aligned text, or Markdown."""
+    used = [name for name in STEPS if any(name in row.steps for row in report.rows)]
+    header = ["technique", "culling", "ms", "processor ms", *used, "wrong pixels"]
+    cells = [
+        [
+            row.technique,
+            "on" if row.culling else "off",
+            row.milliseconds,
+            row.processor_milliseconds,
+            *(f"{row.steps[name]:.2f}" if name in row.steps else "" for name in used),
+            row.wrong_pixels,
+        ]
+        for row in report.rows
+    ]
+    culling = report.culling
+    counts: list[list[object]] = [
+        ["instances in the view", culling.instances],
+        ["drawn by the first pass", culling.first],
+        ["found by the second pass", culling.second],
+        ["the second pass adds, %", culling.missed],
+        ["culled, %", culling.culled],
+    ]
+    steps = [[name, milliseconds] for name, milliseconds in culling.steps.items()]
+    tables = [
+        format_table(header, cells, markdown=markdown),
+        format_table(["culling, a frame", ""], counts, markdown=markdown),
+    ]
+    if steps:
+        tables.append(format_table(["step of culling", "ms"], steps, markdown=markdown))
+    return "\n\n".join(tables)
+
+
+COMMAND: Final = Subcommand(
+    "deferred-plus", "compare Deferred+ and clustered forward shading, with and without culling", _add_arguments, _run,
+    _NOTES,
+)  # fmt: skip

@@ -1,0 +1,171 @@
+"""`compare stereo`: what a frame costs with one eye and with two, with and without shadows."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterable
+from dataclasses import asdict, fields
+from typing import Final
+
+import rhi
+from renderer.cli.arguments import (
+    PATH_HELP,
+    add_backend,
+    add_scene,
+    parse_count,
+    parse_frame,
+    parse_length,
+    parse_size,
+)
+from renderer.cli.output import show_progress
+from renderer.cli.subcommand import Parser, Subcommand
+from renderer.content import find_path, load_scene
+from renderer.measure import format_table
+from renderer.measure.stereo import StereoRow, compare_stereo, list_stereos
+from renderer.scene import Scene
+from renderer.stereo import find_rig
+from renderer.techniques import TECHNIQUES
+
+_NOTES: Final = """\
+  python -m renderer compare stereo city --sizes 640x360,960x540 --shadows off,on
+  python -m renderer compare stereo hall --technique deferred --stereo dubois,side_by_side --json
+  python -m renderer compare stereo night:lights=256 --sizes 960x540 --backend cl --markdown
+
+One eye and all ways to show two take turns, frame by frame along a path, culled by the frustum. Times are medians, from
+the scene's update until the GPU is finished; `processor ms` is the time of the processor in all threads. Ratios are to
+one eye in the same frame. An output that ends in _reprojected makes the right eye's picture of the left one's. With
+`--shadows on`, all lights cast shadows that can. Under OpenCL set RHI_KERNELS=optimised, or the first frames are drawn
+by kernels that were built in a hurry."""
+_SWITCH: Final = {"off": False, "on": True}
+_DEFAULT: Final = ("dubois", "color", "side_by_side", "color_reprojected")
+
+
+def _add_arguments(parser: Parser) -> None:
+    add_scene(parser)
+    parser.add_argument(
+        "--sizes",
+        type=lambda text: [parse_size(part) for part in text.split(",")],
+        default=[(640, 360), (960, 540)],
+        metavar="WxH,…",
+        help="sizes of the image in pixels (default: 640x360,960x540)",
+    )
+    parser.add_argument(
+        "--shadows",
+        type=_parse_switches,
+        default=[False],
+        metavar="off,on",
+        help="without shadows, with them, or both (default: off)",
+    )
+    parser.add_argument(
+        "--stereo",
+        type=_parse_stereos,
+        default=list(_DEFAULT),
+        metavar="A,B,…",
+        help=f"some of {', '.join(list_stereos())} (default: {','.join(_DEFAULT)})",
+    )
+    parser.add_argument(
+        "--technique", choices=TECHNIQUES, default="forward", help="how the scene is drawn (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--eye-distance", type=parse_length, metavar="M", help="metres between the eyes (default: comfortable)"
+    )
+    parser.add_argument(
+        "--convergence", type=parse_length, metavar="M", help="metres to the screen (default: comfortable)"
+    )
+    parser.add_argument("--camera-path", default="ground", metavar="PATH", help=PATH_HELP)
+    parser.add_argument(
+        "--frame", type=parse_frame, default=900, metavar="N", help="first frame of the path (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--frames", type=parse_count, default=20, metavar="N", help="number of frames (default: %(default)s)"
+    )
+    add_backend(parser)
+    form = parser.add_mutually_exclusive_group()
+    form.add_argument("--json", action="store_true", help="print the result as JSON")
+    form.add_argument("--markdown", action="store_true", help="print the table as Markdown")
+
+
+def _run(given: argparse.Namespace) -> None:
+    scenes = {has_shadows: _load(given.scene, has_shadows) for has_shadows in given.shadows}
+    scene = next(iter(scenes.values()))
+    path = find_path(given.camera_path, scene)
+    width, height = given.sizes[0]
+    rig = find_rig(
+        scene,
+        path.camera(given.frame).with_aspect(width / height),
+        eye_distance=given.eye_distance,
+        convergence=given.convergence,
+    )
+
+    def progress(frames: range) -> Iterable[int]:
+        return show_progress(frames, len(frames), "compare")
+
+    with rhi.create_device(given.backend) as device:
+        rows = compare_stereo(
+            device,
+            scenes,
+            path,
+            rig,
+            given.sizes,
+            given.stereo,
+            range(given.frame, given.frame + given.frames),
+            TECHNIQUES[given.technique],
+            progress,
+        )
+        report = {
+            "backend": device.backend_name,
+            "device": device.capabilities.device,
+            "scene": given.scene,
+            "technique": given.technique,
+            "camera_path": given.camera_path,
+            "frame": given.frame,
+            "frames": given.frames,
+            "eye_distance": rig.eye_distance,
+            "convergence": rig.convergence,
+            "rows": [asdict(row) for row in rows],
+        }
+    print(json.dumps(report) if given.json else show_rows(rows, markdown=given.markdown))
+
+
+def _load(text: str, has_shadows: bool) -> Scene:
+    scene = load_scene(text)
+    lights = scene.lights
+    if has_shadows:
+        lights.cast_shadows()
+    else:
+        for some in (lights.directional, lights.point, lights.spot):
+            some["casts_shadow"] = False
+    return scene
+
+
+def show_rows(rows: list[StereoRow], *, markdown: bool = False) -> str:
+    """Format the rows as a table: aligned text, or Markdown."""
+    names = [field.name for field in fields(StereoRow)]
+    header = [name.replace("_", " ").replace("milliseconds", "ms") for name in names]
+    cells = []
+    for row in rows:
+        values = asdict(row) | {"shadows": "on" if row.shadows else "off", "size": "{} × {}".format(*row.size)}
+        cells.append([values[name] for name in names])
+    return format_table(header, cells, markdown=markdown)
+
+
+def _parse_switches(text: str) -> list[bool]:
+    names = text.split(",")
+    for name in names:
+        if name not in _SWITCH:
+            raise argparse.ArgumentTypeError(f"{name!r} is neither off nor on")
+    return [_SWITCH[name] for name in dict.fromkeys(names)]
+
+
+def _parse_stereos(text: str) -> list[str]:
+    names = text.split(",")
+    for name in names:
+        if name not in list_stereos():
+            raise argparse.ArgumentTypeError(f"{name!r} is no output; give some of {', '.join(list_stereos())}")
+    return list(dict.fromkeys(names))
+
+
+COMMAND: Final = Subcommand(
+    "stereo", "compare what a frame costs with one eye and with two", _add_arguments, _run, _NOTES
+)

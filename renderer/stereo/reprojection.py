@@ -1,0 +1,241 @@
+"""The right eye's picture made from the left one's: each pixel moves along its row by the parallax of its depth.
+
+The parallax is a linear function of depth, with each lens: a perspective lens has depths that are linear in 1/z, and so
+is its parallax; with a parallel one both are linear in z. So a pixel's way takes one multiplication, of numbers that
+are computed in float64. Pixels are moved as they are, four bytes each: no colour is decoded.
+
+An invocation has a row. `MovePixels` walks along it from left to right. Of several pixels that land on one the last
+wins, which is the nearest: it has moved farther to the left than those before it. Where nothing lands there is a
+*hole*: what the left eye doesn't see. `FillPixels` fills it with what is to its right, which is what was hidden, since
+near things move to the left.
+
+What a surface reflects is what the left eye sees of it, highlights included.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Pass, Target
+from renderer.frame.passes import FARTHEST
+from renderer.frame.resources import MirroredValue
+from renderer.scene import Camera, Depth, measure_parallax
+from renderer.shaders.pixels import FullScreen
+from renderer.stereo.words import Words
+from renderer.techniques.full_screen import Screen, bind_rays
+from rhi import CullMode, DepthFunction, DepthTest, DepthWrite, Device
+from rhi.shading import (
+    FragmentDepth,
+    Shader,
+    Storage,
+    StorageRW,
+    Struct,
+    Uniform,
+    abs,
+    float_bits_to_uint,
+    floor,
+    fragment_coordinate,
+    global_id,
+    ivec2,
+    uint,
+    uint_bits_to_float,
+)
+
+__rhi_internal__ = True
+
+_ROWS: Final = 16  # of a work-group
+
+
+class Shift(Struct):
+    """How far pixels move to the right: `least` + `rate` times their nearness, in pixels. `size` is that of the
+    picture, `farthest` the depth of the background."""
+
+    size: ivec2
+    least: float
+    rate: float
+    farthest: float
+
+
+class MovePixels(Shader):
+    """Moves the pixels of each row."""
+
+    work_group = (_ROWS,)
+    shift: Uniform[Shift]
+    depth: Storage[float]
+    picture: Storage[uint]
+    moved: StorageRW[uint]
+
+    def compute(self) -> None:
+        size = self.shift.size
+        if global_id().x >= size.y:
+            return
+        row = global_id().x * size.x
+        for x in range(size.x):
+            nearness = abs(self.depth[row + x] - self.shift.farthest)
+            to = int(floor(float(x) + 0.5 + (self.shift.least + self.shift.rate * nearness)))
+            if to >= 0 and to < size.x:
+                self.moved[row + to] = self.picture[row + x]
+
+
+class FillPixels(Shader):
+    """Fills each hole with the next pixel to its right, and those at the right edge with the last one of the row."""
+
+    work_group = (_ROWS,)
+    shift: Uniform[Shift]
+    moved: Storage[uint]
+    picture: StorageRW[uint]
+
+    def compute(self) -> None:
+        size = self.shift.size
+        if global_id().x >= size.y:
+            return
+        end = global_id().x * size.x + size.x
+        pixel = uint(0)
+        for i in range(1, size.x + 1):
+            pixel = self.moved[end - i]
+            if pixel != uint(0):
+                break
+        for i in range(1, size.x + 1):
+            here = self.moved[end - i]
+            if here != uint(0):
+                pixel = here
+            self.picture[end - i] = pixel
+
+
+class EncodeDepth(Shader):
+    """Makes depths pixels that aren't 0, which stands for a hole."""
+
+    work_group = (64,)
+    depth: Storage[float]
+    picture: StorageRW[uint]
+
+    def compute(self) -> None:
+        i = global_id().x
+        if i < len(self.depth):
+            self.picture[i] = float_bits_to_uint(self.depth[i]) + uint(1)
+
+
+class MovedDepth(Struct):
+    """The depth of a moved pixel."""
+
+    depth: FragmentDepth
+
+
+class TakeDepth(FullScreen):
+    """Writes the moved depth: that of a surface is the same for both eyes."""
+
+    shift: Uniform[Shift]
+    picture: Storage[uint]
+
+    def fragment(self) -> MovedDepth:
+        place = ivec2(fragment_coordinate().xy)
+        return MovedDepth(
+            depth=uint_bits_to_float(self.picture[place.y * self.shift.size.x + place.x] - uint(1))
+        )
+
+
+class Reprojector:
+    """What is kept to move the pixels of a view.
+
+    Attributes:
+        depth, picture, moved: the left eye's depth, what is moved and then filled, and what has holes between.
+        depths: `picture` and `moved` of the depth, for layers.
+    """
+
+    def __init__(self, device: Device) -> None:
+        self.shift = MirroredValue(device, Shift(size=(0, 0), least=0.0, rate=0.0, farthest=0.0))
+        self.depth = Words(device, float)
+        self.picture, self.moved = Words(device, uint), Words(device, uint)
+        self.depths = Words(device, uint), Words(device, uint)
+        self._device = device
+
+    def move(self, size: tuple[int, int], picture: Words[Any], moved: Words[Any]) -> None:
+        """Move the pixels of `picture` to `moved`, and back to `picture` with all holes filled."""
+        device, groups = self._device, -(-size[1] // _ROWS)
+        moved.fit(size).clear()
+        given: dict[str, Any] = {
+            "shift": self.shift.buffer,
+            "picture": picture.buffer,
+            "moved": moved.buffer,
+        }
+        device.dispatch(device.program(MovePixels), groups, **given, depth=self.depth.buffer)
+        device.dispatch(device.program(FillPixels), groups, **given)
+
+    def destroy(self) -> None:
+        """Destroy the resources on the device."""
+        for one in (self.shift, self.depth, self.picture, self.moved, *self.depths):
+            one.destroy()
+
+
+def find_shift(left: Camera, right: Camera, size: tuple[int, int]) -> Shift:
+    """Return how the pixels of a picture of `size` move from one eye to the other. The eyes look in one direction."""
+    depth, matrix = left.projection.depth, left.projection.matrix
+    near = matrix[2] if depth is Depth.REVERSED else matrix[3] - matrix[2]
+    z = np.array([1.0, 2.0])
+    nearness = (near[3] - near[2] * z) / (matrix[3, 3] - matrix[3, 2] * z)
+    points = left.position + z[:, None] * left.forward
+    first, second = (0.5 * size[0] * measure_parallax((left, right), points)[:, 0]).tolist()
+    rate = float((second - first) / (nearness[1] - nearness[0]))
+    return Shift(size=size, least=first - rate * float(nearness[0]), rate=rate, farthest=FARTHEST[depth])
+
+
+def find_holes(right: Frame) -> NDArray[np.bool_]:
+    """Return (height, width), which pixels of the right eye's picture are holes that were filled. Waits for the
+    device."""
+    width, height = right.targets.size
+    return np.asarray(right.view.workspace(Reprojector).moved.buffer.read().reshape(height, width) == 0)
+
+
+def _move_pixels(frame: Frame) -> None:
+    left, size = _left_of(frame), frame.targets.size
+    kept = frame.view.workspace(Reprojector)
+    kept.shift.write(find_shift(left.camera, frame.camera, size))
+    left.targets.depth.copy_to_buffer(kept.depth.fit(size))
+    left.targets.image.copy_to_buffer(kept.picture.fit(size))
+    kept.move(size, kept.picture, kept.moved)
+    frame.targets.image.copy_from_buffer(kept.picture.buffer)
+
+
+def _move_depth(frame: Frame) -> None:
+    device, size = frame.device, frame.targets.size
+    kept = frame.view.workspace(Reprojector)
+    picture, moved = kept.depths
+    device.dispatch(
+        device.program(EncodeDepth),
+        -(-size[0] * size[1] // 64),
+        depth=kept.depth.buffer,
+        picture=picture.fit(size),
+    )
+    kept.move(size, picture, moved)
+    states = (CullMode.NONE, DepthTest.ON, DepthWrite.ON, DepthFunction.ALWAYS)
+    program: Any = device.program(TakeDepth)
+    triangle = frame.view.workspace(Screen).triangle
+    with device.render_pass(None, frame.targets.depth), device.states(*states):
+        given = {"shift": kept.shift.buffer, "picture": picture.buffer}
+        device.draw(program, triangle, **bind_rays(frame), **given)
+
+
+def _left_of(frame: Frame) -> Frame:
+    assert frame.first is not None, "the left eye's frame comes first"
+    return frame.first
+
+
+REPROJECTION: Final = (
+    Pass(
+        "reprojection",
+        _move_pixels,
+        "the right eye's picture is made of the left one's",
+        writes=(Target("image", IMAGE_FORMAT), "left depth"),
+    ),
+    Pass(
+        "reprojected depth",
+        _move_depth,
+        "layers are drawn over it",
+        reads=("left depth",),
+        writes=(Target("depth", DEPTH_FORMAT),),
+    ),
+)
+"""The passes of the right eye's frame. Without layers, only `image` is needed."""

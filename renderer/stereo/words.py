@@ -1,0 +1,40 @@
+"""Pictures as words: buffers of four bytes for each pixel, which compute shaders move and mix without decoding them."""
+
+from __future__ import annotations
+
+from typing import Generic, TypeVar
+
+from rhi import Device, StorageBuffer
+
+__rhi_internal__ = True
+
+T = TypeVar("T")
+
+
+class Words(Generic[T]):
+    """A storage buffer with an element for each pixel of a picture, of the size that is asked for."""
+
+    def __init__(self, device: Device, element: type[T]) -> None:
+        self._device = device
+        self._element = element
+        self._buffer: StorageBuffer[T] | None = None
+
+    @property
+    def buffer(self) -> StorageBuffer[T]:
+        """The buffer, after `fit`."""
+        assert self._buffer is not None, "a buffer is fitted before it is used"
+        return self._buffer
+
+    def fit(self, size: tuple[int, int]) -> StorageBuffer[T]:
+        """Return the buffer for pictures of `size`; one of another size is replaced."""
+        count = size[0] * size[1]
+        if self._buffer is None or len(self._buffer) != count:
+            self.destroy()
+            self._buffer = self._device.storage(self._element, count, label="pixels")
+        return self._buffer
+
+    def destroy(self) -> None:
+        """Destroy the buffer."""
+        if self._buffer is not None:
+            self._buffer.destroy()
+            self._buffer = None

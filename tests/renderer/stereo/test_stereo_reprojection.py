@@ -1,0 +1,169 @@
+"""The right eye's picture made from the left one's: where pixels move to, and the holes that they leave."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+import pytest
+
+import rhi
+from renderer.content import load_scene
+from renderer.content.shapes import box
+from renderer.renderer import FrameResult, Renderer
+from renderer.scene import (
+    Camera,
+    Depth,
+    Orthographic,
+    Perspective,
+    Projection,
+    Scene,
+    SceneBuilder,
+    StereoRig,
+    scaling,
+    translation,
+)
+from renderer.scene.transforms import multiply
+from renderer.stereo import Stereo, find_holes
+from renderer.visibility import FrustumCulling
+from rhi import Op
+
+SIZE: Final = (96, 54)
+NEAR, FAR = 3.0, 27.0
+# With this lens, P00 · width / 2 is 27 pixels: a wall moves by +2, the box before it by -6.
+LENS: Final = Perspective(np.pi / 2, SIZE[0] / SIZE[1])
+RIG: Final = StereoRig(1.0, 9.0)
+
+
+@pytest.fixture(scope="module")
+def wall() -> Scene:
+    """A box before a wall of many colours, both seen from the front, in light that has no direction."""
+    builder = SceneBuilder("wall")
+    mesh = builder.add_mesh(box())
+    rng = np.random.default_rng(1)
+    columns, rows = np.meshgrid(np.arange(-60, 61, 4), np.arange(-32, 33, 4))
+    tiles = np.stack([columns.ravel(), rows.ravel(), np.full(columns.size, -FAR - 2.0)], axis=1)
+    places = np.concatenate([tiles, [(0.0, 0.0, -NEAR - 0.5)]])
+    sizes = np.where(np.arange(len(places)) < len(tiles), 4.0, 1.0)[:, None] * np.ones(3)
+    nodes = builder.add_nodes(multiply(translation(places), scaling(sizes)))
+    colors = rng.uniform(0.1, 1.0, (len(places), 4))
+    materials = [builder.add_material(base_color=tuple(one), specular_color=(0, 0, 0)) for one in colors]
+    builder.add_objects(nodes, mesh, materials)
+    return builder.build()
+
+
+def look(lens: Projection = LENS) -> Camera:
+    return Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, -1.0), projection=lens)
+
+
+def draw(renderer: Renderer, camera: Camera, rig: StereoRig, *, moved: bool) -> tuple[FrameResult, Any, Any]:
+    """Return the result and the pictures of both eyes."""
+    renderer.stereo = Stereo(rig, "color", is_reprojected=moved)
+    result = renderer.render(camera)
+    left, right = (picture.read() for picture in result.pictures)
+    return result, left, right
+
+
+@pytest.mark.parametrize("depth", list(Depth))
+def test_pixels_move_by_the_parallax_of_their_depth(drawing_device: rhi.Device, wall: Scene, depth: Depth) -> None:
+    camera = look(Perspective(LENS.fov, LENS.aspect, depth=depth))
+    with Renderer(drawing_device, wall, size=SIZE, visibility=FrustumCulling(wall)) as renderer:
+        _, left, drawn = draw(renderer, camera, RIG, moved=False)
+        result, same, moved = draw(renderer, camera, RIG, moved=True)
+        holes = find_holes(result.frames[1])
+    assert np.array_equal(same, left), "the left eye is drawn as before"
+    assert np.array_equal(moved[~holes], drawn[~holes])
+    # The box is 9 pixels high and wide: 27 / 3. Beside it the eye sees 8 pixels of the wall, P00 · e · (1/z1 - 1/z2).
+    wide = holes.sum(axis=1)
+    assert sorted(set(wide.tolist())) == [2, 10], "2 at the left edge, where the wall moves away from it"
+    assert (wide == 10).sum() == 9
+    middle = np.flatnonzero(holes[27])
+    assert middle[:2].tolist() == [0, 1]
+    assert np.diff(middle[2:]).tolist() == [1] * 7
+    # Holes show the wall: the pixel to their right.
+    assert np.array_equal(moved[27, middle[2:]], np.repeat(drawn[27, middle[-1] + 1][None], 8, axis=0))
+
+
+def test_eyes_without_a_distance_move_nothing(drawing_device: rhi.Device, wall: Scene) -> None:
+    with Renderer(drawing_device, wall, size=SIZE, visibility=FrustumCulling(wall)) as renderer:
+        result, left, right = draw(renderer, look(), StereoRig(0.0, 9.0), moved=True)
+        assert np.array_equal(left, right)
+        assert not find_holes(result.frames[1]).any()
+        assert np.array_equal(result.image.read(), left)
+
+
+def test_all_converges_where_the_wall_is(drawing_device: rhi.Device, wall: Scene) -> None:
+    with Renderer(drawing_device, wall, size=SIZE, visibility=FrustumCulling(wall)) as renderer:
+        for convergence, edge in ((FAR, []), (FAR * 0.9, [0]), (FAR * 1.1, [95])):
+            result, left, right = draw(renderer, look(), StereoRig(6.0, convergence), moved=True)
+            holes = np.flatnonzero(find_holes(result.frames[1])[0]).tolist()
+            assert holes == edge, "to the left of what moves to the right, and the other way round"
+            if not edge:
+                assert np.array_equal(left[0], right[0])
+
+
+LENSES: Final = {
+    "parallel": (Orthographic(20.0, near=0.5, far=100.0), StereoRig(1.0, 9.0)),
+    "parallel, standard depth": (Orthographic(20.0, near=0.5, far=100.0, depth=Depth.STANDARD), StereoRig(1.0, 9.0)),
+    "with an end": (Perspective(LENS.fov, near=0.5, far=60.0), RIG),
+}
+
+
+@pytest.mark.parametrize("name", LENSES)
+def test_each_lens_moves_pixels(drawing_device: rhi.Device, wall: Scene, name: str) -> None:
+    lens, rig = LENSES[name]
+    with Renderer(drawing_device, wall, size=SIZE, visibility=FrustumCulling(wall)) as renderer:
+        _, left, drawn = draw(renderer, look(lens), rig, moved=False)
+        result, _, moved = draw(renderer, look(lens), rig, moved=True)
+        seen = ~find_holes(result.frames[1])
+    errors = np.abs(moved.astype(int) - drawn)[..., :3].max(axis=2)
+    unmoved = np.abs(left.astype(int) - drawn)[..., :3].max(axis=2)
+    # A pixel moves by whole pixels: at most half a pixel off, at the seams of tiles that are wider than that.
+    assert (errors[seen] > 2).mean() < 0.35
+    assert (errors[seen] > 2).mean() < 0.7 * (unmoved[seen] > 2).mean()
+
+
+class Looker:
+    """A layer that keeps the depth of each eye."""
+
+    def __init__(self) -> None:
+        self.depths: list[Any] = []
+
+    def render(self, device: rhi.Device, frame: Any) -> None:
+        self.depths.append(frame.targets.depth.read())
+
+    def destroy(self) -> None:
+        pass
+
+
+def test_layers_find_the_depth_of_moved_pixels(drawing_device: rhi.Device, wall: Scene) -> None:
+    looker = Looker()
+    with Renderer(drawing_device, wall, size=SIZE, visibility=FrustumCulling(wall)) as renderer:
+        renderer.layers.append(looker)
+        draw(renderer, look(), RIG, moved=False)
+        result, _, _ = draw(renderer, look(), RIG, moved=True)
+        seen = ~find_holes(result.frames[1])
+    left, right, same, moved = looker.depths
+    assert np.array_equal(left, same)
+    assert np.abs(moved - right)[seen].max() < 1e-6
+    assert len(np.unique(moved.round(4))) >= 2
+
+
+def test_only_the_left_eye_draws_the_scene(null: rhi.Device) -> None:
+    scene = load_scene("city:blocks=6")
+    draws, passes = [], []
+    for moved in (False, True):
+        with Renderer(null, scene, size=SIZE, visibility=FrustumCulling(scene)) as renderer:
+            renderer.stereo = Stereo(RIG, "color", is_reprojected=moved)
+            before = len(null.stream)
+            draws.append(renderer.render(scene.paths["ground"].camera(600)).statistics.draws)
+            passes.append(len(null.stream[before:].filter(Op.BEGIN_PASS)))
+    assert draws[0] == 2 * draws[1] > 0
+    assert passes == [2, 1], "without layers, no depth is made either"
+
+
+def test_eyes_that_are_toed_in_are_refused() -> None:
+    assert Stereo(StereoRig(1.0, 9.0), is_reprojected=True).is_reprojected
+    with pytest.raises(rhi.ValidationError) as error:
+        Stereo(StereoRig(1.0, 9.0, is_toed_in=True), is_reprojected=True)
+    assert error.value.rule.id == "stereo-bad-value"
