@@ -284,7 +284,7 @@ class ShadowMaps:
             maps.append(
                 SunMap(
                     axes=cascade.camera.rotation,
-                    origin=cascade.camera.position - camera.position,
+                    place=cascade.camera.rotation @ (cascade.camera.position - camera.position),
                     texel=cascade.texel,
                     middle=(x + 0.5 * size, y + 0.5 * size),
                     half=0.5 * size,
@@ -650,7 +650,7 @@ _NO_VIEW: Final = ViewConstants(relative_view_projection=np.eye(4), eye_high=np.
 
 def _make_table(maps: list[SunMap], bias: float) -> SunTable:
     empty = SunMap(
-        axes=np.eye(3), origin=np.zeros(3), texel=1.0, middle=(0, 0), half=0, inner=0, length=0, light=-1, is_last=0
+        axes=np.eye(3), place=np.zeros(3), texel=1.0, middle=(0, 0), half=0, inner=1, length=0, light=-1, is_last=0
     )
     filled = [*maps, *[empty] * (MOST_CASCADES - len(maps))]
     return SunTable(maps=filled, bias=(bias * _BIAS[0], bias * _BIAS[1], bias), count=len(maps))

@@ -32,7 +32,7 @@ def find_lit_share(
         plane = np.clip(plane, 0.0, 1.0) + np.zeros(weights.shape)
     else:
         clamped = np.clip(texels, corner, corner + size - 1)
-        plane = np.maximum(depth + ((clamped + 0.5 - at) * slope).sum(-1), depth)
+        plane = depth + np.abs(((clamped + 0.5 - at) * slope).sum(-1))
     stored = depths[clamped[..., 1].astype(int), clamped[..., 0].astype(int)]
     return (weights * (plane >= stored)).sum(0) / weights.sum(0), np.abs(plane - stored).min(0)
 

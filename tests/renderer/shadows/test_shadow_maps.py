@@ -12,8 +12,9 @@ import rhi
 from renderer.content import BUILT_IN, load_scene
 from renderer.frame import Effect
 from renderer.renderer import Renderer
-from renderer.scene import Camera, Perspective, Scene, SceneBuilder, scaling, translation
+from renderer.scene import Camera, Perspective, Scene, SceneBuilder, StereoRig, scaling, translation
 from renderer.shadows import ShadowFilter, ShadowSettings
+from renderer.stereo import Stereo
 from renderer.techniques import TECHNIQUES
 from renderer.visibility import make_visibility
 
@@ -239,6 +240,17 @@ def test_lamps_share_what_room_there_is(null: rhi.Device) -> None:
         assert renderer.shadows.atlas.size == (256, 256)
         sizes = {tile.size for key, tile in renderer.shadows.tiles.items() if key[0] == "point"}
         assert max(sizes) <= 16
+
+
+def test_two_eyes_share_maps_that_are_drawn_once(null: rhi.Device) -> None:
+    builder = stage()
+    builder.lights.add_spot((0, 5, 0), (0, -1, 0), 8.0, 0.4, 0.8, casts_shadow=True)
+    with make_renderer(null, builder.build()) as renderer:
+        renderer.stereo = Stereo(StereoRig(), "color")
+        assert draw(renderer) == {"drawn": 3}
+        passes = [c for c in null.stream.draws() if "shadow maps" in c.labels]
+        assert len(passes) == 2 * 3  # each map is cleared and drawn once
+        assert draw(renderer) == {"kept": 3}
 
 
 def test_other_settings_draw_the_maps_again(null: rhi.Device) -> None:
