@@ -65,7 +65,7 @@ def add_gltf(builder: SceneBuilder, path: str) -> Surroundings | None:
 
 
 @dataclass(frozen=True, slots=True)
-class _MeshPart:
+class _GltfPart:
     """A primitive of a mesh of the file, its mesh in the scene, and its material or -1."""
 
     primitive: JsonObject
@@ -86,7 +86,7 @@ class _GltfReader:
         self._accessors = Accessors(file)
         self._materials = Materials(file, builder, builder.omissions)
         self._primitives = Primitives(self._accessors, builder.omissions)
-        self._meshes: list[list[_MeshPart]] = []  # of each mesh of the file
+        self._meshes: list[list[_GltfPart]] = []  # of each mesh of the file
 
     def add_all(self) -> None:
         for name in self._file.names("extensionsUsed"):
@@ -140,7 +140,7 @@ class _GltfReader:
             for primitive in primitives:
                 material = primitive.index("material", len(ids))
                 if (mesh_id := made.get(reader.key(primitive), -1)) >= 0:
-                    found.append(_MeshPart(primitive, mesh_id, ids[material] if material >= 0 else -1))
+                    found.append(_GltfPart(primitive, mesh_id, ids[material] if material >= 0 else -1))
             self._meshes.append(found)
 
     def _add_nodes(
@@ -196,7 +196,7 @@ class _GltfReader:
     def _read_deformed(
         self,
         node: GltfNode,
-        part: _MeshPart,
+        part: _GltfPart,
         tracks: dict[tuple[int, int], Track],
         skeletons: list[Skeleton | None],
     ) -> DeformedMesh | None:
