@@ -198,20 +198,30 @@ def shadowed_variant(shader: type[VolumeShader], *parts: str) -> type[VolumeShad
 
 
 class VolumeMeshes:
-    """What light volumes keep between frames.
-
-    Attributes:
-        sphere, cone: the meshes.
-    """
+    """The meshes of light volumes, each created when it is first drawn."""
 
     def __init__(self, device: Device) -> None:
-        self.sphere = _make_mesh(device, "light spheres", *make_sphere(), cone=0.0)
-        self.cone = _make_mesh(device, "light cones", *make_cone(), cone=1.0)
+        self._device = device
+        self._made: dict[str, Mesh] = {}
+
+    @property
+    def sphere(self) -> Mesh:
+        """The sphere around a light's range."""
+        if "sphere" not in self._made:
+            self._made["sphere"] = _make_mesh(self._device, "light spheres", *make_sphere(), cone=0.0)
+        return self._made["sphere"]
+
+    @property
+    def cone(self) -> Mesh:
+        """The cone of a narrow spot light."""
+        if "cone" not in self._made:
+            self._made["cone"] = _make_mesh(self._device, "light cones", *make_cone(), cone=1.0)
+        return self._made["cone"]
 
     def destroy(self) -> None:
         """Destroy the meshes."""
-        self.sphere.destroy()
-        self.cone.destroy()
+        for mesh in self._made.values():
+            mesh.destroy()
 
 
 def _make_mesh(
@@ -264,7 +274,12 @@ def list_volumes(frame: Frame, effect: Effect) -> list[tuple[Mesh, NDArray[np.in
         return [(meshes.sphere, frame.needs.point_rows)]
     rows = frame.needs.spot_rows
     narrow = frame.resources.scene.lights.spot["outer"][rows] <= WIDEST_CONE
-    return [(mesh, part) for mesh, part in ((meshes.cone, rows[narrow]), (meshes.sphere, rows[~narrow])) if len(part)]
+    volumes = []
+    if narrow.any():
+        volumes.append((meshes.cone, rows[narrow]))
+    if not narrow.all():
+        volumes.append((meshes.sphere, rows[~narrow]))
+    return volumes
 
 
 def draw_volumes(
