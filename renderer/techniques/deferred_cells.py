@@ -13,7 +13,7 @@ from __future__ import annotations
 from functools import cache, partial
 from typing import Final
 
-from renderer.frame import Frame, Needs, Pass, Target
+from renderer.frame import Effect, Frame, Needs, Pass, Target
 from renderer.lights.culling.cells import Cell, CellGrid, block_cell, padded_radius, range_of
 from renderer.lights.culling.cone_tests import Cone, cone_overlaps_tightly
 from renderer.lights.culling.kernels import LightCounts
@@ -91,7 +91,6 @@ class TiledLighting(GeometryReader, ShadowReceiver):
     grid: Uniform[CellGrid]
     lights: Uniform[LightCounts]
     spheres: Storage[vec4]
-    cones: Storage[Cone]
     depth: Texture2D
     lit: Image2D = image(LIGHT_FORMAT)
     least = shared(uint)
@@ -196,6 +195,7 @@ class TiledPointLights(TiledLighting):
 class TiledSpotLights(TiledLighting):
     """Adds spot lights."""
 
+    cones: Storage[Cone]
     spot_lights: Storage[SpotLight]
 
     def reaches_in_cone(self, spot: int, cell: Cell) -> bool:
@@ -293,6 +293,7 @@ def dispatch_tiles(frame: Frame, lit: Texture, added: tuple[type[TiledLighting],
         depth=frame.targets["depth"],
         lit=lit.image(0),
         **uploads.bindings,
+        **(uploads.cones if Effect.SPOT_LIGHTS in frame.needs.effects else {}),
         **bind_geometry(frame),
         **lamps,
     )
