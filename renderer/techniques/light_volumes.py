@@ -44,6 +44,7 @@ from rhi import (
     Device,
     Mesh,
     Program,
+    State,
     StencilBack,
     StencilFront,
     StencilOperation,
@@ -292,6 +293,7 @@ def draw_volumes(
     depth: str = "depth",
     clears: bool,
     is_masked: bool = False,
+    states: tuple[State, ...] = (),
 ) -> None:
     """Draw the volumes of the point or spot lights in view, and add what the shader returns to contents.
 
@@ -299,6 +301,7 @@ def draw_volumes(
         shader: a `lit_variant`, with its `bindings` but those of the volumes.
         targets, depth: the names of the contents. clears: whether they are cleared to 0 first.
         is_masked: whether each light is masked in the stencil buffer; otherwise all are one draw.
+        states: states instead of those that light what is in a volume.
     """
     device, resources = frame.device, frame.resources
     parts, maps = bind_lamp_shadows(frame, [effect])
@@ -317,7 +320,7 @@ def draw_volumes(
             clear=(0.0, 0.0, 0.0, 0.0) if clears else None,
             clear_stencil=None if mask is None else 0,
         ),
-        device.states(DepthWrite.OFF, CullMode.FRONT, behind, BlendFunction.ADDITIVE),
+        device.states(*(states or (DepthWrite.OFF, CullMode.FRONT, behind, BlendFunction.ADDITIVE))),
     ):
         for mesh, rows in list_volumes(frame, effect):
             own["rows"] = device.transient.storage(int, rows.astype(np.int32))
