@@ -1,13 +1,17 @@
-"""The techniques, compared with forward shading: processor time and light evaluations.
+"""The techniques, compared with forward shading and with each other, and what `auto` chooses of them.
 
-Scenes: those of the library as they are, such as `hall`, `city` or `night:lights=1024`; a grid of 64 objects, each with
-its own list of lights, and a floor that is one object, whose list has all of them, with 16 to 512 point lights. All
-techniques render the same frame in each round. A time is that of the processor, over all threads, from the frame's
-update until the device is finished; figures are medians, "x forward" those of the rounds' ratios. "lit", of techniques
-that draw light volumes, is how often a light is evaluated for each pixel with geometry: the samples that pass the tests
-of a light pass.
+Scenes: those of the library as they are, such as `hall`, `city` or `night:lights=1024`; `grid:16` to `grid:128`, 64
+objects with so many point lights, each object with its own list; and `floor:16` to `floor:512`, one object, whose list
+has all of them. `@` and the name of a view or `@path#frame` choose another camera than the path `ground`'s.
 
-    python benchmarks/techniques.py [--backend gl] [--rounds 5] [--size 480x270] [--scenes hall,floor:512,…]
+All techniques render the same frame in each round, and `auto` does, too, after its trial. Times are those of the
+processor, over all threads, and of the clock, from the frame's update until the device is finished; figures are
+medians, "x forward" those of the rounds' ratios. "lights" is how often a light is looked at for each pixel with
+geometry. The last line of a scene says what `auto` has chosen, and the ratio of that technique's time to the least of
+all: `--auto` prints only these, as a table, with the ratio of the time of `auto` to that of the technique.
+
+    python benchmarks/techniques.py [--backend gl] [--rounds 5] [--size 480x270] [--scenes hall,night@crossing,…]
+    python benchmarks/techniques.py --auto [--backend cl] [--size 960x540]
 """
 
 from __future__ import annotations
@@ -15,12 +19,9 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from statistics import median
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -29,10 +30,13 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 os.environ.setdefault("RHI_KERNELS", "optimised")  # what is measured is the speed of a long run
 
 import rhi
-from renderer.content import BUILT_IN, load_scene
+from renderer.content import BUILT_IN, load_scene, parse_camera
+from renderer.measure import Measurement, alternate, format_table, settle
+from renderer.measure.light_evaluations import count_light_evaluations
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene, SceneBuilder, scaling
 from renderer.techniques import (
+    AutoTechnique,
     Clustered,
     ClusteredDeferred,
     Deferred,
@@ -46,9 +50,16 @@ from renderer.techniques import (
     TiledDeferred,
 )
 from renderer.visibility import FrustumCulling
-from rhi import BlendFunction, DepthTest, Device
+from rhi import Device
 
 SCENES: Final = "hall,city,grid:16,grid:128,floor:16,floor:128,floor:512"
+AUTO_SCENES: Final = ",".join(
+    (
+        "hall@overview", "hall@ground#600", "city@overview", "city@ground#600", "night:lights=64@crossing",
+        "night:lights=64@ground#600", "night:lights=1024@crossing", "night:lights=1024@ground#600",
+        "night:lights=4096@crossing", "night:lights=4096@overview", "grid@overview", "grid:count=256,lights=128@field",
+    )
+)  # fmt: skip
 TECHNIQUES: Final[dict[str, Technique]] = {
     "forward": Forward(),
     "deferred": Deferred(),
@@ -63,11 +74,38 @@ TECHNIQUES: Final[dict[str, Technique]] = {
     "tiled_deferred": TiledDeferred(),
     "clustered_deferred": ClusteredDeferred(),
 }
+RIVALS: Final = ("forward", "deferred", "forward_plus", "clustered", "tiled_deferred", "clustered_deferred")
+"""The techniques that `auto` is compared with: each other one draws more than one of these for the same light."""
+_WARM_UPS: Final = 3
+
+
+@dataclass(frozen=True)
+class Result:
+    """What was measured of one scene: times by the names of techniques and "auto"."""
+
+    times: dict[str, Measurement]
+    chosen: str
+
+    def find_fastest(self) -> str:
+        """Return the name of the technique that takes the least time by the clock."""
+        return min((name for name in self.times if name != "auto"), key=lambda name: self.times[name].median)
+
+    def find_ratios(self) -> tuple[float, float, float]:
+        """Return the ratios of the time of the chosen technique to the least of all, by the clock and by the processor,
+        and that of `auto` to the technique that it has chosen, by the processor."""
+        times = {name: one for name, one in self.times.items() if name != "auto"}
+        chosen = times[self.chosen]
+        return (
+            max(chosen.ratio_to(one) for one in times.values()),
+            max(chosen.processor_ratio_to(one) for one in times.values()),
+            self.times["auto"].processor_ratio_to(chosen),
+        )
 
 
 def load(text: str) -> tuple[Scene, Camera]:
     """Return a scene and a camera in it."""
-    name, _, lights = text.partition(":")
+    spec, _, view = text.partition("@")
+    name, _, lights = spec.partition(":")
     random = np.random.default_rng(1)
     if name == "floor":
         builder = SceneBuilder("floor")
@@ -75,67 +113,72 @@ def load(text: str) -> tuple[Scene, Camera]:
         builder.add_objects(node, builder.add_mesh(BUILT_IN["box"]()), builder.add_material())
         scene, camera, half = builder.build(), Camera.look_at((0, 14, 26), (0, 0, 0)), 25.0
     else:
-        scene = load_scene("grid:count=64" if name == "grid" else text)
-        camera, half = scene.paths["ground"].camera(100 if name == "grid" else 300), 6.0
+        is_own = name == "grid" and lights.isdigit()
+        scene, half = load_scene("grid:count=64" if is_own else spec), 6.0
+        camera = scene.paths["ground"].camera(100 if is_own else 300)
+        if view:
+            path, _, frame = view.partition("#")
+            camera = parse_camera(path, scene, int(frame or 0))
     for _ in range(int(lights) if lights.isdigit() else 0):
         x, z = random.uniform(-half, half, 2)
         scene.lights.add_point((x, 1.0, z), 2.5, random.uniform(0.2, 1.0, 3), 1.5)
     return scene, camera
 
 
-def count_lit(renderer: Renderer, camera: Camera) -> float:
-    """Return how often a light is evaluated, for each pixel with geometry."""
-    device, queries, stencil = renderer.device, [], getattr(renderer.technique, "stencil", False)
-    states = device.states
-
-    @contextmanager
-    def counted(*given: Any) -> Iterator[None]:
-        with states(*given):
-            if (DepthTest.OFF if stencil else BlendFunction.ADDITIVE) in given:
-                queries.append(device.occlusion_query())
-                with queries[-1]:
-                    yield
-            else:
-                yield
-
-    class Counting:
-        def __getattr__(self, name: str) -> Any:
-            return counted if name == "states" else getattr(device, name)
-
-    renderer.device = Counting()  # type: ignore[assignment]
-    try:
-        depth = renderer.render(camera).depth.read()
-    finally:
-        renderer.device = device
-    return sum(query.wait() for query in queries) / np.count_nonzero(depth)
+def split_scenes(text: str) -> list[str]:
+    """Split names of scenes at commas, but not at those between options: `grid:count=4,lights=8,hall`."""
+    scenes: list[str] = []
+    for part in text.split(","):
+        if "=" in part.partition("@")[0] and ":" not in part and scenes:
+            scenes[-1] += f",{part}"
+        else:
+            scenes.append(part)
+    return scenes
 
 
-def measure(device: Device, text: str, size: tuple[int, int], rounds: int) -> None:
-    """Print the rows of one scene."""
+def measure(
+    device: Device, text: str, size: tuple[int, int], rounds: int, techniques: dict[str, Technique], *, shows: bool
+) -> Result:
+    """Measure one scene, and print its rows if it `shows` them."""
     scene, camera = load(text)
-    times: dict[str, list[float]] = {name: [] for name in TECHNIQUES}
     with Renderer(device, scene, visibility=FrustumCulling(scene), size=size) as renderer:
-        for number in range(rounds + 3):
-            for name, renderer.technique in TECHNIQUES.items():
-                renderer.render(camera)
-                device.finish()
-                began = time.process_time()
-                renderer.render(camera)
-                device.finish()
-                if number >= 3:
-                    times[name].append(time.process_time() - began)
+        auto = AutoTechnique(scene, device)
+        renderer.technique = auto
+        settle(renderer, camera)
+
+        def draw(_: int) -> None:
+            renderer.render(camera)
+            device.finish()
+
+        def exchange(name: str) -> None:
+            renderer.technique = techniques.get(name, auto)
+            draw(0)
+
+        work = dict.fromkeys([*techniques, "auto"], draw)
+        times = alternate(work, range(rounds), _WARM_UPS, before=exchange)
+        result = Result(times, auto.chosen)
+        if not shows:
+            return result
         needs, _ = renderer.plan(camera)
         print(f"{text}: {len(needs.point_rows)} point and {len(needs.spot_rows)} spot lights in view")
-        for name, renderer.technique in TECHNIQUES.items():
+        pixels = max(int(np.count_nonzero(renderer.render(camera).depth.read())), 1)
+        for name, technique in techniques.items():
+            renderer.technique = technique
             _, plan = renderer.plan(camera)
-            has_volumes = isinstance(renderer.technique, Deferred | LightPrePass | Inferred)
-            lit = f"{count_lit(renderer, camera):8.2f} lit" if has_volumes else ""
-            ratio = median(a / b for a, b in zip(times[name], times["forward"], strict=True))
+            lights = count_light_evaluations(renderer, camera)
             print(
-                f"  {name:26}{1e3 * median(times[name]):8.2f} ms{ratio:8.2f} x forward"
-                f"{plan.count_bytes(size) / (size[0] * size[1]):6.0f} bytes a pixel{lit}",
+                f"  {name:26}{1e3 * times[name].processor_median:8.2f} ms{1e3 * times[name].median:8.2f} by the clock"
+                f"{times[name].processor_ratio_to(times['forward']):8.2f} x forward"
+                f"{plan.count_bytes(size) / (size[0] * size[1]):6.0f} bytes a pixel"
+                f"{'' if lights is None else f'{lights / pixels:8.2f} lights'}",
                 flush=True,
             )
+        by_clock, by_processor, _ = result.find_ratios()
+        print(
+            f"  auto: {auto.chosen}, {by_clock:.2f} x the fastest by the clock ({result.find_fastest()}), "
+            f"{by_processor:.2f} x by the processor"
+        )
+    return result
 
 
 def main() -> None:
@@ -144,12 +187,21 @@ def main() -> None:
     parser.add_argument("--backend", default="gl")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--size", default="480x270")
-    parser.add_argument("--scenes", default=SCENES)
+    parser.add_argument("--scenes")
+    parser.add_argument("--auto", action="store_true")
     given = parser.parse_args()
     width, height = map(int, given.size.split("x"))
+    techniques = {name: TECHNIQUES[name] for name in RIVALS} if given.auto else TECHNIQUES
+    rows: list[list[object]] = []
     with rhi.create_device(given.backend) as device:
-        for text in given.scenes.split(","):
-            measure(device, text, (width, height), given.rounds)
+        if "llvmpipe" in device.capabilities.device and given.auto:
+            techniques = {name: one for name, one in techniques.items() if name != "tiled_deferred"}
+        for text in split_scenes(given.scenes or (AUTO_SCENES if given.auto else SCENES)):
+            result = measure(device, text, (width, height), given.rounds, techniques, shows=not given.auto)
+            rows.append([text, result.chosen, result.find_fastest(), *result.find_ratios()])
+    if given.auto:
+        header = ["scene@view", "auto", "fastest", "auto x fastest", "by the processor", "auto x its technique"]
+        print(format_table(header, rows, markdown=True))
 
 
 if __name__ == "__main__":

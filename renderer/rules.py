@@ -156,6 +156,7 @@ DRAWN_OVER_TWICE: Final = Rule(
 UNWRITTEN: Final = Rule(
     "plan-unwritten", "contents that a pass or the frame needs are written by one of its passes"
 )
+UNKNOWN_CONTENTS: Final = Rule("plan-unknown-contents", "no texture of the frame's plan has these contents")
 PLAN_CIRCLE: Final = Rule("plan-circle", "the passes of a frame don't wait for each other in a circle")
 
 # Techniques

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Collection
 from dataclasses import asdict, fields
 from typing import Final
 
@@ -20,7 +21,7 @@ from renderer.cli.arguments import (
 from renderer.cli.output import show_progress
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import parse_camera
-from renderer.lights.culling import SPHERE_TESTS
+from renderer.lights.culling import CONE_TESTS, SPHERE_TESTS
 from renderer.measure import format_table
 from renderer.measure.light_culling import LightCullingRow, compare_light_culling
 from renderer.renderer import Renderer
@@ -29,14 +30,17 @@ from renderer.visibility import make_visibility
 _NOTES: Final = """\
   python -m renderer compare light-culling hall --lights 4,8,14 --tile 8 --size 1280x720
   python -m renderer compare light-culling hall --lights 14 --tests exact,hybrid,planes --pre-filter both
+  python -m renderer compare light-culling night --lights 1024 --tests exact --cones sphere,tight --depth-mask both
   python -m renderer compare light-culling city --lights 13 --slices 24 --tile 64 --backend cl --json
 
 The scene is drawn once, so that cells end at their tile's nearest and farthest surface; then every test lists the
 lights of the same frame. `pairs` counts the lights on all lists, `over exact` is their number divided by that of the
 pairs that overlap, found in float64, and `missed` counts those that overlap and aren't listed. The lights are chosen
 from all point and spot lights of the scene; of a spot light the sphere around its cone is tested. `tests made` includes
-those of blocks of 8 x 8 tiles. Times are medians, from the upload of the lights until the device is finished."""
-_PRE_FILTERS: Final = {"on": (True,), "off": (False,), "both": (True, False)}
+those of blocks of 8 x 8 tiles. With a test of cones or the depth mask, which drop pairs of which only the spheres
+overlap, `missed` counts lights that aren't listed for a cell with a pixel that they light. Times are medians:
+`collect ms` from the upload of the lights until the lists are finished, `draw ms` of drawing the scene by the lists."""
+_SWITCHES: Final = {"on": (True,), "off": (False,), "both": (True, False)}
 
 
 def _add_arguments(parser: Parser) -> None:
@@ -67,8 +71,21 @@ def _add_arguments(parser: Parser) -> None:
         "--slices", type=parse_count, default=1, metavar="N", help="depth slices of a tile (default: %(default)s)"
     )
     parser.add_argument(
+        "--cones",
+        type=_parse_cones,
+        default=["sphere"],
+        metavar="A,B,…",
+        help=f"tests of spot lights' cones, some of {', '.join(CONE_TESTS)} (default: sphere, which makes none)",
+    )
+    parser.add_argument(
+        "--depth-mask",
+        choices=_SWITCHES,
+        default="off",
+        help="whether 32 slices of a tile's depths are told apart (default: %(default)s)",
+    )
+    parser.add_argument(
         "--pre-filter",
-        choices=_PRE_FILTERS,
+        choices=_SWITCHES,
         default="on",
         help="whether blocks of tiles are tested before tiles (default: %(default)s)",
     )
@@ -94,7 +111,9 @@ def _run(given: argparse.Namespace) -> None:
                 given.tests,
                 tile=given.tile,
                 slices=given.slices,
-                pre_filters=_PRE_FILTERS[given.pre_filter],
+                cones=given.cones,
+                depth_masks=_SWITCHES[given.depth_mask],
+                pre_filters=_SWITCHES[given.pre_filter],
                 rounds=given.rounds,
                 progress=lambda rounds: show_progress(rounds, len(rounds), "collect"),
             )
@@ -124,10 +143,18 @@ def _show(value: object) -> object:
 
 
 def _parse_tests(text: str) -> list[str]:
+    return _parse_names(text, SPHERE_TESTS)
+
+
+def _parse_cones(text: str) -> list[str]:
+    return _parse_names(text, CONE_TESTS)
+
+
+def _parse_names(text: str, known: Collection[str]) -> list[str]:
     names = text.split(",")
     for name in names:
-        if name not in SPHERE_TESTS:
-            raise argparse.ArgumentTypeError(f"{name!r} is not a test; give some of {', '.join(SPHERE_TESTS)}")
+        if name not in known:
+            raise argparse.ArgumentTypeError(f"{name!r} is not a test; give some of {', '.join(known)}")
     return list(dict.fromkeys(names))
 
 

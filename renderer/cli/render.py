@@ -34,11 +34,12 @@ from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import parse_camera
 from renderer.frame import Blending
 from renderer.measure import FrameCost, measure_frame
+from renderer.measure.contents import picture_contents
 from renderer.overlay import Overlay
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import FRAMES_PER_SECOND, Camera, CameraPath, Depth, Orthographic, Perspective, Scene
 from renderer.stereo import Stereo, find_holes
-from renderer.techniques import Particles
+from renderer.techniques import AutoTechnique, Forward, Particles, Technique, Watched
 from renderer.techniques.inspection import INSPECTIONS, Inspection
 from renderer.techniques.light_indexed import count_overflowing
 from renderer.visibility import (
@@ -59,6 +60,7 @@ _NOTES: Final = """\
   python -m renderer render city --backend null --json
   python -m renderer render city --camera ground --frame 600 --frames 120 --overlay
   python -m renderer render hall --show lights
+  python -m renderer render hall --technique deferred --show surface
   python -m renderer render city --camera ground --frame 600 --stereo dubois
   python -m renderer render city --backend null --frames 10 --trace city.zip
   python -m renderer render city --camera ground --frame 600 --frames 120 --record walk.json
@@ -120,8 +122,9 @@ def _add_arguments(parser: Parser) -> None:
     )
     parser.add_argument(
         "--show",
-        choices=INSPECTIONS,
-        help="picture what the frame is made of instead of its light (docs/lighting.md)",
+        metavar="NAME",
+        help=f"picture what the frame is made of instead of its light: {', '.join(INSPECTIONS)}, or a texture of the "
+        "technique's plan, such as surface (see `plan`)",
     )
     parser.add_argument("--output", type=Path, metavar="F.png", help="image to write (default: SCENE.png)")
     parser.add_argument(
@@ -165,7 +168,7 @@ def _run(given: argparse.Namespace) -> None:
         Renderer(
             device,
             scene,
-            technique=make_technique(given, scene, device) if given.show is None else Inspection(given.show),
+            technique=_make_shown(given, scene, device),
             visibility=_make_visibility(given.visibility, scene, device, settings),
             size=given.size,
             blending=Blending(given.blending),
@@ -194,7 +197,11 @@ def _run(given: argparse.Namespace) -> None:
         if device.capabilities.shading:
             overflowing = count_overflowing(result.targets)
             image = prepare_image(given.output or Path(f"{name_of(scene)}.png"))
-            write_image(image, result.image.read())
+            watched = renderer.technique
+            if isinstance(watched, Watched) and watched.texels is not None:
+                write_image(image, picture_contents(given.show, watched.texels))
+            else:
+                write_image(image, result.image.read())
             if given.reproject and given.stereo is not None:
                 holes = _report_holes(result, given.holes)
         else:
@@ -202,6 +209,17 @@ def _run(given: argparse.Namespace) -> None:
         technique = explain_technique(renderer.technique, given)
         report = describe_run(renderer, costs, image, overflowing, technique, holes)
     print(json.dumps(report) if given.json else show_report(report))
+
+
+def _make_shown(given: argparse.Namespace, scene: Scene, device: rhi.Device) -> Technique:
+    """Return the technique that draws what `--show` names. Buffers are those of a technique that doesn't change."""
+    if given.show in INSPECTIONS:
+        return Inspection(given.show)
+    if given.show is None:
+        return make_technique(given, scene, device)
+    if given.technique == AutoTechnique.name:
+        given.technique = Forward.name
+    return Watched(make_technique(given, scene, device), given.show)
 
 
 def _make_visibility(name: str, scene: Scene, device: rhi.Device, settings: Settings) -> VisibilityAlgorithm:

@@ -159,7 +159,7 @@ class SceneResources:
         images: the scene's images as layers; None if there are none.
         objects, places, materials, directional, point, spot, light_rows: the arrays that shaders read; point and spot
             lights are left out if none of them reaches an object.
-        ambient, haze: the constants of the frame.
+        ambient: the constants of ambient light.
         simulator: runs the simulations of what is drawn.
     """
 
@@ -211,7 +211,6 @@ class SceneResources:
         self._fixed_lists: tuple[NDArray[Any], ...] = ()  # those of the objects with fixed bounds
         self._reaching = (False, False)  # whether any point light is on a list, and any spot light
         self.ambient = keep(MirroredValue(device, _ambient(scene)))
-        self.haze = keep(MirroredValue(device, _haze(scene)))
         self._rows: NDArray[Any] = np.zeros(len(objects), shaders.Object.dtype)
         self._rows["material"] = objects.material
         self._places: NDArray[Any] = np.zeros(len(objects), shaders.ObjectPosition.dtype)
@@ -222,6 +221,11 @@ class SceneResources:
         self.is_transparent: NDArray[np.bool_] = np.zeros(len(objects), bool)
         self.is_transparent[self.transparent_rows] = True
         self._transform(np.arange(len(objects)))
+
+    @cached_property
+    def haze(self) -> MirroredValue[shaders.Haze]:
+        """The constants of haze; created on first use, because most scenes have none."""
+        return self._keep(MirroredValue(self._device, _haze(self.scene)))
 
     @cached_property
     def parts(self) -> StorageBuffer[shaders.MeshPart]:
@@ -336,7 +340,8 @@ class SceneResources:
         self.materials.write(scene.materials)
         self.look_from(camera)
         self.ambient.write(_ambient(scene))
-        self.haze.write(_haze(scene))
+        if "haze" in self.__dict__:
+            self.haze.write(_haze(scene))
 
     def look_from(self, camera: Camera, eye: int = 0) -> None:
         """Let lights be relative to the eye of `camera`, one of the `EYES` of a frame. Each eye has point and spot

@@ -31,6 +31,11 @@ class Measurement:
         """Return the median over the rounds of the ratio of this time to the other's in the same round."""
         return median(a / b for a, b in zip(self.seconds, other.seconds, strict=True))
 
+    def processor_ratio_to(self, other: Measurement) -> float:
+        """Return the median over the rounds of the ratio of processor times in the same round."""
+        both = zip(self.processor_seconds, other.processor_seconds, strict=True)
+        return median(a / b for a, b in both)
+
 
 def alternate(
     work: Mapping[str, Callable[[int], object]], rounds: Iterable[int], warm_ups: int = 1,

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.frame.passes import FARTHEST
+from renderer.measure.contents import color_rows
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Floats
@@ -50,13 +51,6 @@ def picture_buffers(device: Device, scene: Scene, camera: Camera, size: tuple[in
     parts = [np.where(seen, part, 0.0) for part in (normals, materials, uv, levels, framed)]
     shown = [image, *(_to_pixels(part) for part in parts)]
     return np.concatenate([np.concatenate(shown[:3], 1), np.concatenate(shown[3:], 1)])
-
-
-def color_rows(rows: NDArray[np.int64]) -> Floats:
-    """Return a colour (…, 3) for each row: neighbours in number are unlike."""
-    hues = rows[..., None] * 0.61803 + np.array([0.0, 1.0 / 3.0, 2.0 / 3.0])
-    colors: Floats = 0.25 + 0.7 * (0.5 + 0.5 * np.cos(2.0 * np.pi * hues))
-    return colors
 
 
 def _to_pixels(colors: Floats) -> Pixels:

@@ -4,17 +4,26 @@
   turn in one process.
 - Kept pairs of a cell and a light are compared with those that overlap, found in float64 on the CPU: from positions in
   float64, and from the depths that the device has drawn. Of a spot light that is the sphere around its cone.
+- A test of cones or a depth mask drops pairs of which only these spheres overlap. Then what is missed are *lit* pairs:
+  those with a pixel of the cell whose surface the light reaches, found from the same depths.
+- With the lists of each test the scene is drawn, too, as forward shading by cells does it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
+from functools import partial
+from statistics import median
+from time import perf_counter
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from renderer import rules
+from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target
 from renderer.lights.culling.cells import CellGrid, block_cell, slice_start
 from renderer.lights.culling.grid import CellLists, LightGrid
 from renderer.lights.culling.sphere_tests import overlaps_exactly, overlaps_planes
@@ -23,7 +32,11 @@ from renderer.measure.alternate import alternate
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Lights
 from renderer.scene.arrays import Floats
-from rhi import Texture
+from renderer.techniques.cell_lists import list_pass
+from renderer.techniques.depth import draw_depth
+from renderer.techniques.forward_plus import draw_listed
+from renderer.techniques.full_screen import find_rays
+from rhi import Device, Texture
 from rhi.errors import refuse
 from rhi.shading import evaluate
 
@@ -35,15 +48,20 @@ class LightCullingRow:
     """The result of a test for a number of lights.
 
     Attributes:
+        cones: the test of spot lights' cones, made where their spheres are kept; "sphere" makes none.
+        depth_mask: whether 32 slices of a tile's depths are told apart.
         pre_filter: whether blocks of 8 × 8 tiles are tested first.
         pairs: number of pairs of a cell and a light that were kept.
         over_exact: `pairs` divided by the number of those that overlap.
-        missed: number of pairs that overlap and weren't kept.
+        missed: number of pairs that overlap and weren't kept; with cones or a mask, of lit pairs that weren't.
         tests_made: number of tests of lights against cells and blocks.
         collect_ms: median time from the upload of the lights until the lists are finished.
+        draw_ms: median time of drawing the scene by the lists, where its depth was drawn before.
     """
 
     test: str
+    cones: str
+    depth_mask: bool
     pre_filter: bool
     lights: int
     pairs: int
@@ -51,6 +69,66 @@ class LightCullingRow:
     missed: int
     tests_made: int
     collect_ms: float
+    draw_ms: float
+
+
+@dataclass(frozen=True, slots=True)
+class ListMaker:
+    """The tests that make lists: the arguments of a `LightGrid`."""
+
+    test: str
+    cones: str
+    depth_mask: bool
+    pre_filter: bool
+
+    def make(self, device: Device, tile: int, slices: int) -> LightGrid:
+        """Return a grid with these tests, which counts them."""
+        return LightGrid(
+            device,
+            tile=tile,
+            slices=slices,
+            sphere_test=self.test,
+            cone_test=self.cones,
+            block_test="planes" if self.pre_filter else "none",
+            depth_mask=self.depth_mask,
+            counted=True,
+        )
+
+
+class ListedForward:
+    """Forward shading by the lists of a grid. Its last pass is timed: the device is finished before and after it.
+
+    Attributes:
+        seconds: the time of the last pass of each frame.
+    """
+
+    name: Final = "listed"
+
+    def __init__(self, kind: Callable[[Device], LightGrid]) -> None:
+        """`kind` makes the grid for a device."""
+        self.seconds: list[float] = []
+        self._kind = kind
+
+    def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
+        """Return a pass that draws depth, one that makes the lists, and one that draws the scene by them."""
+        return (
+            Pass("depth", draw_depth, "lists end at surfaces", writes=(Target("depth", DEPTH_FORMAT),)),
+            list_pass(needs, self._kind, depth="depth"),
+            Pass(
+                "forward",
+                self._draw,
+                "is what is timed",
+                reads=("depth", "light lists"),
+                writes=(Target("image", IMAGE_FORMAT),),
+            ),
+        )
+
+    def _draw(self, frame: Frame) -> None:
+        frame.device.finish()
+        began = perf_counter()
+        draw_listed(frame, self._kind, after_depth=True)
+        frame.device.finish()
+        self.seconds.append(perf_counter() - began)
 
 
 def choose_lights(lights: Lights, count: int) -> Lights:
@@ -78,10 +156,13 @@ def compare_light_culling(
     tile: int,
     slices: int = 1,
     pre_filters: Sequence[bool] = (True,),
+    cones: Sequence[str] = ("sphere",),
+    depth_masks: Sequence[bool] = (False,),
     rounds: int = 5,
     progress: Callable[[range], Iterable[int]] = lambda rounds: rounds,
 ) -> list[LightCullingRow]:
-    """Return a row for each number of lights and each test of spheres, with and without the pre-filter.
+    """Return a row for each number of lights and each combination of tests: of spheres, of cones, with and without the
+    depth mask and the pre-filter. The renderer's scene has other lights meanwhile.
 
     Raises:
         ValidationError `measure-few-lights`: the scene has fewer lights. `measure-no-pictures`: the device draws
@@ -92,54 +173,123 @@ def compare_light_culling(
         refuse(rules.NO_PICTURES, "compare_light_culling", device.backend_name)
     sets = [choose_lights(renderer.scene.lights, count) for count in counts]
     camera = camera.with_aspect(renderer.size[0] / renderer.size[1])
-    depth = renderer.render(camera).depth
-    grids = {
-        (test, is_on): LightGrid(
-            device,
-            tile=tile,
-            slices=slices,
-            sphere_test=test,
-            cone_test="sphere",
-            block_test="planes" if is_on else "none",
-            depth_mask=False,
-            counted=True,
-        )
+    depth = renderer.render(camera).depth.read()
+    makers = [
+        ListMaker(test, cone_test, mask, is_on)
         for test in tests
+        for cone_test in cones
+        for mask in depth_masks
         for is_on in pre_filters
-    }
+    ]
+    grids = {one: one.make(device, tile, slices) for one in makers}
+    drawn = {one: ListedForward(partial(one.make, tile=tile, slices=slices)) for one in makers}
     rows = []
-    for lights in sets:
-        overlap: NDArray[np.bool_] | None = None
-        found = {}
-        for key, grid in grids.items():
-            lists = _collect_all(grid, camera, renderer.size, lights, depth)
-            if overlap is None:
-                overlap = find_overlaps(grid.layout, find_volumes(lights, camera), depth.read())
-            found[key] = lists.pairs, np.count_nonzero(overlap & ~_as_pairs(lists, lights)), lists.tests
-
-        def collect(grid: LightGrid, lights: Lights = lights) -> None:
-            grid.collect(device, camera, renderer.size, lights, depth)
-            device.finish()
-
-        work = {key: (lambda _, grid=grid: collect(grid)) for key, grid in grids.items()}
-        times = alternate({str(key): run for key, run in work.items()}, progress(range(rounds)))
-        overlapping = 1 if overlap is None else max(int(np.count_nonzero(overlap)), 1)
-        for key, (pairs, missed, tests_made) in found.items():
-            rows.append(
-                LightCullingRow(
-                    test=key[0],
-                    pre_filter=key[1],
-                    lights=len(lights.point) + len(lights.spot),
-                    pairs=pairs,
-                    over_exact=round(pairs / overlapping, 4),
-                    missed=int(missed),
-                    tests_made=tests_made or 0,
-                    collect_ms=round(1e3 * times[str(key)].median, 3),
-                )
-            )
-    for grid in grids.values():
-        grid.destroy()
+    before = renderer.scene.lights, renderer.technique
+    try:
+        for lights in sets:
+            renderer.scene.lights = replace_lamps(before[0], lights)
+            rows += _compare_tests(renderer, camera, lights, grids, drawn, depth, progress(range(rounds)))
+    finally:
+        renderer.scene.lights, renderer.technique = before
+        for grid in grids.values():
+            grid.destroy()
     return rows
+
+
+def replace_lamps(lights: Lights, lamps: Lights) -> Lights:
+    """Return lights with the point and spot lights of `lamps`, and the others of `lights`."""
+    made = copy(lights)
+    made.point, made.spot = lamps.point, lamps.spot
+    return made
+
+
+def _compare_tests(
+    renderer: Renderer,
+    camera: Camera,
+    lights: Lights,
+    grids: Mapping[ListMaker, LightGrid],
+    drawn: Mapping[ListMaker, ListedForward],
+    depth: NDArray[np.float32],
+    rounds: Iterable[int],
+) -> list[LightCullingRow]:
+    """Return the rows of all tests for the lights that the renderer's scene has."""
+    device, size = renderer.device, renderer.size
+    renderer.technique = next(iter(drawn.values()))
+    texture = renderer.render(camera).depth
+    overlap: NDArray[np.bool_] | None = None
+    lit: NDArray[np.bool_] | None = None
+    found = {}
+    for one, grid in grids.items():
+        lists = _collect_all(grid, camera, size, lights, texture)
+        pairs = _as_pairs(lists, lights)
+        if overlap is None:
+            overlap = find_overlaps(grid.layout, find_volumes(lights, camera), depth)
+        wanted = overlap
+        if one.depth_mask or one.cones != "sphere":
+            lit = find_lit(grid.layout, camera, lights, depth) if lit is None else lit
+            wanted = lit
+        found[one] = lists.pairs, int(np.count_nonzero(wanted & ~pairs)), lists.tests
+
+    def collect(grid: LightGrid, _: int) -> None:
+        grid.collect(device, camera, size, lights, texture)
+        device.finish()
+
+    def draw(_: int) -> None:
+        renderer.render(camera)
+
+    def exchange(name: str) -> None:
+        renderer.technique = techniques[name]
+
+    numbers = list(rounds)
+    times = alternate({str(one): partial(collect, grid) for one, grid in grids.items()}, numbers)
+    techniques = {str(one): technique for one, technique in drawn.items()}
+    for technique in techniques.values():
+        technique.seconds.clear()
+    alternate(dict.fromkeys(techniques, draw), numbers, 3, before=exchange)
+    overlapping = 1 if overlap is None else max(int(np.count_nonzero(overlap)), 1)
+    return [
+        LightCullingRow(
+            test=one.test,
+            cones=one.cones,
+            depth_mask=one.depth_mask,
+            pre_filter=one.pre_filter,
+            lights=len(lights.point) + len(lights.spot),
+            pairs=pairs,
+            over_exact=round(pairs / overlapping, 4),
+            missed=missed,
+            tests_made=tests_made or 0,
+            collect_ms=round(1e3 * times[str(one)].median, 3),
+            draw_ms=round(1e3 * median(drawn[one].seconds[3:]), 3),
+        )
+        for one, (pairs, missed, tests_made) in found.items()
+    ]
+
+
+def find_lit(grid: CellGrid, camera: Camera, lights: Lights, depth: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Find in float64 which cells (c, l) have a pixel whose surface a light reaches, point lights first: it is within
+    the range and, of a spot light, within the cone."""
+    z = _find_distances(grid, depth)
+    rows, columns = np.nonzero(np.isfinite(z))
+    z = z[rows, columns]
+    rays = find_rays(camera, (depth.shape[1], depth.shape[0]))
+    at = np.stack([columns + 0.5, rows + 0.5, np.ones(len(rows))], axis=1)
+    width = rays.lens.y - rays.lens.w * z
+    across, along, start = (np.asarray(one, np.float64) for one in (rays.across, rays.along, rays.start))
+    places = at @ across.T * width[:, None] + along * z[:, None] + start + camera.position
+    layers = np.arange(grid.count.z + 1)[:, None]
+    starts = evaluate(slice_start, grid, layers, dtype=np.float64).ravel()
+    layer = np.clip(np.searchsorted(starts, z, side="right") - 1, 0, grid.count.z - 1)
+    cell = (layer * grid.count.y + rows // grid.tile) * grid.count.x + columns // grid.tile
+    found = np.zeros((grid.count.x * grid.count.y * grid.count.z, len(lights.point) + len(lights.spot)), bool)
+    for number, light in enumerate([*lights.point, *lights.spot]):
+        away = places - light["position"]
+        squared = np.einsum("ij,ij->i", away, away)
+        reached = np.flatnonzero(squared < np.float64(light["range"]) ** 2 * (1.0 - 1e-6))
+        if number >= len(lights.point):
+            along_axis = away[reached] @ light["direction"].astype(np.float64)
+            reached = reached[along_axis > (np.cos(light["outer"]) + 1e-6) * np.sqrt(squared[reached])]
+        found[cell[reached], number] = True
+    return found
 
 
 def find_overlaps(grid: CellGrid, volumes: LightVolumes, depth: NDArray[np.float32]) -> NDArray[np.bool_]:
@@ -170,14 +320,19 @@ def find_overlaps(grid: CellGrid, volumes: LightVolumes, depth: NDArray[np.float
 def find_surfaces(grid: CellGrid, depth: NDArray[np.float32]) -> tuple[Floats, Floats]:
     """Return the distances (rows, columns) of the nearest and the farthest surface of each tile; where it has none,
     inf and -inf."""
-    below = grid.depth.z - grid.depth.w * depth.astype(np.float64)
-    with np.errstate(divide="ignore"):
-        z = (grid.depth.x - grid.depth.y * depth.astype(np.float64)) / below
-    is_drawn = depth != grid.background
+    z = _find_distances(grid, depth)
     down, across = (np.arange(0, length, grid.tile) for length in depth.shape)
-    near, far = np.where(is_drawn, z, np.inf), np.where(is_drawn, z, -np.inf)
+    near, far = z, np.where(np.isfinite(z), z, -np.inf)
     near = np.minimum.reduceat(np.minimum.reduceat(near, down, 0), across, 1)
     return near, np.maximum.reduceat(np.maximum.reduceat(far, down, 0), across, 1)
+
+
+def _find_distances(grid: CellGrid, depth: NDArray[np.float32]) -> Floats:
+    """Return the distance (h, w) of each pixel's surface along the view, inf where there is none."""
+    below = grid.depth.z - grid.depth.w * depth.astype(np.float64)
+    with np.errstate(divide="ignore"):
+        z: Floats = (grid.depth.x - grid.depth.y * depth.astype(np.float64)) / below
+    return np.where(depth != grid.background, z, np.inf)
 
 
 def _collect_all(

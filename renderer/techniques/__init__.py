@@ -16,6 +16,7 @@ from renderer.techniques.light_indexed import LightIndexed
 from renderer.techniques.light_pre_pass import LightPrePass
 from renderer.techniques.particles import Particles
 from renderer.techniques.technique import Technique
+from renderer.techniques.watched import Watched
 
 TECHNIQUES: Final[dict[str, Callable[[], Technique]]] = {
     one.name: one
@@ -52,4 +53,5 @@ __all__ = [
     "Smoothed",
     "Technique",
     "TiledDeferred",
+    "Watched",
 ]

@@ -7,6 +7,7 @@ looked up elsewhere.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from renderer.frame import Frame, Needs, Pass
@@ -46,7 +47,7 @@ class CellReader(Shader):
         return ivec3(self.light_rows[2 * cell], self.light_rows[2 * cell + 1], self.light_rows[2 * cell + 2])
 
 
-def list_pass(needs: Needs, kind: type[LightGrid], *, depth: str | None = None) -> Pass[Frame]:
+def list_pass(needs: Needs, kind: Callable[[Device], LightGrid], *, depth: str | None = None) -> Pass[Frame]:
     """Return the pass that lists the lights of cells, as the contents `light lists`.
 
     Args:
@@ -62,7 +63,7 @@ def list_pass(needs: Needs, kind: type[LightGrid], *, depth: str | None = None) 
     return Pass("light lists", collect, explain_lamps(needs), reads=reads, writes=("light lists",))
 
 
-def bind_lists(frame: Frame, kind: type[LightGrid]) -> dict[str, Any]:
+def bind_lists(frame: Frame, kind: Callable[[Device], LightGrid]) -> dict[str, Any]:
     """Return the bindings of a `CellReader`, after the lists were made."""
     grid = frame.view.workspace(kind)
     return {"grid": grid.parameters, "light_rows": grid.lists}

@@ -86,7 +86,6 @@ class TiledLighting(GeometryReader, ShadowReceiver):
     grid: Uniform[CellGrid]
     lights: Uniform[LightCounts]
     spheres: Storage[vec4]
-    cones: Storage[Cone]
     depth: Texture2D
     lit: Image2D = image(LIGHT_FORMAT)
     least = shared(uint)
@@ -190,6 +189,7 @@ class TiledPointLights(TiledLighting):
 class TiledSpotLights(TiledLighting):
     """Adds spot lights."""
 
+    cones: Storage[Cone]
     spot_lights: Storage[SpotLight]
 
     def reaches_in_cone(self, spot: int, cell: Cell) -> bool:
@@ -283,6 +283,7 @@ def dispatch_tiles(frame: Frame, lit: Texture, added: tuple[type[TiledLighting],
         depth=frame.targets["depth"],
         lit=lit.image(0),
         **uploads.bindings,
+        **(uploads.cones if Effect.SPOT_LIGHTS in frame.needs.effects else {}),
         **bind_geometry(frame),
         **lamps,
     )

@@ -184,11 +184,11 @@ def bind_surfaces(frame: Frame) -> tuple[list[str], dict[str, Any]]:
 def bind_shading(frame: Frame) -> tuple[list[str], dict[str, Any]]:
     """Return the names of the parts that a `ShadingShader` needs for the frame's effects, and its bindings."""
     resources, effects = frame.resources, frame.needs.effects
-    optional = {
-        Effect.DIRECTIONAL_LIGHTS: ("directional_lights", resources.directional.buffer),
-        Effect.HAZE: ("haze", resources.haze.buffer),
-    }
-    present: dict[str, Any] = dict(binding for effect, binding in optional.items() if effect in effects)
+    present: dict[str, Any] = {}
+    if Effect.DIRECTIONAL_LIGHTS in effects:
+        present["directional_lights"] = resources.directional.buffer
+    if Effect.HAZE in effects:
+        present["haze"] = resources.haze.buffer
     features = [*present, *(["emission"] if Effect.EMISSION in effects else [])]
     if Effect.SUN_SHADOWS in effects:
         parts, maps = resources.workspace(ShadowMaps).bind_sun()

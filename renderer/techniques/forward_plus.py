@@ -9,6 +9,7 @@ Without point and spot lights in view there is nothing to list, and both are pla
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache, partial
 from typing import Any, Final
 
@@ -28,7 +29,7 @@ from renderer.techniques.forward import Forward, bind_lamps, bind_materials, fin
 from renderer.techniques.forward_shader import ForwardShader, forward_variant
 from renderer.techniques.full_screen import bind_rays
 from renderer.techniques.transparency import declare_transparency
-from rhi import DepthFunction, DepthWrite
+from rhi import DepthFunction, DepthWrite, Device
 from rhi.shading import Uniform, dot, ivec3
 
 __rhi_internal__ = True
@@ -110,14 +111,16 @@ def cells_variant(parts: tuple[str, ...], *, has_sun: bool) -> type[ForwardShade
     )
 
 
-def find_listed(frame: Frame, kind: type[LightGrid]) -> tuple[type[ForwardShader], dict[str, Any]]:
+def find_listed(
+    frame: Frame, kind: Callable[[Device], LightGrid]
+) -> tuple[type[ForwardShader], dict[str, Any]]:
     """Return the forward shader that is lit by the lights of cells, and its bindings."""
     (features, bindings), (more, lamps) = bind_materials(frame), bind_lamps(frame)
     shader = cells_variant((*features, *more), has_sun=frame.needs.has_sun)
     return shader, bindings | lamps | bind_lists(frame, kind) | bind_rays(frame)
 
 
-def draw_listed(frame: Frame, kind: type[LightGrid], *, after_depth: bool) -> None:
+def draw_listed(frame: Frame, kind: Callable[[Device], LightGrid], *, after_depth: bool) -> None:
     """Draw the visible objects, lit by the lights of their cells; where depth was drawn before, only what is seen."""
     shader, bindings = find_listed(frame, kind)
     frame.draw_visible(

@@ -6,32 +6,45 @@
   black 0, blue 1 to 7, cyan to 15, green to 31, yellow to 63, red to 127, white 128 and more.
 - `overdraw`: the number of fragments that were drawn to each pixel, one on top of the other, in the same colours: black
   0, blue 1, cyan 2 and 3, green to 7, yellow to 15, red to 31, white 32 and more.
+- `tiles`: the number of lights in the list of each tile of `forward_plus`, in the colours of `lights`.
+- `volumes`: the lit scene, and the volumes of its lights, each in a colour of its own, in front of what they reach.
+
+Other pictures are those of a technique's own buffers (`watched`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from typing import Any, Final
 
-from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target, TechniquePass
+from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target, TechniquePass, find_last
+from renderer.frame.passes import NEARER
+from renderer.lights.culling.cells import CellGrid, cell_index
 from renderer.shaders.lighting import in_range, safe_normalize
 from renderer.shaders.pixels import FullScreen, distance_at, nearness_of, place_pixel
 from renderer.shaders.structs import SurfacePoint, SurfaceVarying
+from renderer.techniques.cell_lists import TileLists, bind_lists, list_pass
 from renderer.techniques.depth import draw_depth
-from renderer.techniques.forward import bind_plain_lamps
+from renderer.techniques.forward import Forward, bind_plain_lamps, list_lamps
 from renderer.techniques.forward_shader import LampShader, MaterialShader, WithPointLights, WithSpotLights
-from renderer.techniques.full_screen import draw_full_screen
+from renderer.techniques.full_screen import bind_rays, draw_full_screen
+from renderer.techniques.light_volumes import VolumeShader, VolumeVarying, draw_volumes, lit_variant
 from renderer.techniques.scene_shader import SceneShader
-from rhi import BlendFunction, Format, State, Texture
+from rhi import BlendFunction, CullMode, DepthWrite, Format, State, Texture
 from rhi.shading import (
     Shader,
+    Storage,
     Texture2D,
+    Uniform,
+    cos,
     fragment_coordinate,
     function,
     ivec2,
     length,
     log2,
     max,
+    mix,
     saturate,
     vec3,
     vec4,
@@ -129,6 +142,29 @@ class Distances(FullScreen):
         return vec4(vec3(shade * shade), 1.0)  # about even to the eye
 
 
+class TileCounts(FullScreen):
+    """Shows the number of lights in each tile's list."""
+
+    grid: Uniform[CellGrid]
+    light_rows: Storage[int]
+
+    def fragment(self) -> vec4:
+        pixel = ivec2(fragment_coordinate().xy)
+        cell = cell_index(self.grid, pixel, 0.0)
+        color = heat_color(float(self.light_rows[2 * cell + 2] - self.light_rows[2 * cell]), 8.0)
+        if pixel.x % self.grid.tile == 0 or pixel.y % self.grid.tile == 0:
+            color = mix(color, vec3(0.2), 0.5)
+        return vec4(color, 1.0)
+
+
+class VolumeColors(VolumeShader):
+    """Shows the volumes of lights."""
+
+    def fragment(self, v: VolumeVarying) -> vec4:
+        turns = 6.2831853 * (0.61803399 * float(v.light) + vec3(0.0, 1.0 / 3.0, 2.0 / 3.0))
+        return vec4(0.03 + 0.025 * cos(turns), 0.0)
+
+
 class Inspection:
     """Draws one of `INSPECTIONS` instead of the lit scene."""
 
@@ -138,7 +174,7 @@ class Inspection:
 
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the passes of the picture."""
-        return INSPECTIONS[self.name]
+        return INSPECTIONS[self.name](needs)
 
 
 @cache
@@ -198,7 +234,7 @@ _IMAGE: Final = Target("image", IMAGE_FORMAT)
 _DEPTH: Final = Target("depth", DEPTH_FORMAT)
 _BECAUSE: Final = "was asked for"
 
-INSPECTIONS: Final[dict[str, tuple[Pass[Frame], ...]]] = {
+_PLAIN: Final[dict[str, tuple[Pass[Frame], ...]]] = {
     "normals": (Pass("normals", _draw_normals, _BECAUSE, writes=(_IMAGE, _DEPTH)),),
     "depth": (
         Pass("depth", draw_depth, "finds the nearest surfaces", writes=(_DEPTH,)),
@@ -215,4 +251,45 @@ INSPECTIONS: Final[dict[str, tuple[Pass[Frame], ...]]] = {
         Pass("overdraw", _show_fragments, _BECAUSE, reads=("fragments",), writes=(_IMAGE,)),
     ),
 }
-"""The passes of each picture."""
+
+
+def _declare_tiles(needs: Needs) -> tuple[Pass[Frame], ...]:
+    depth = Pass("depth", draw_depth, "finds the nearest surfaces", writes=(_DEPTH,))
+    if not list_lamps(needs):
+        return depth, Pass("tiles", _clear_image, "no light is in view", writes=(_IMAGE,))
+    lists = list_pass(needs, TileLists, depth="depth")
+    return depth, lists, Pass("tiles", _show_tiles, _BECAUSE, reads=("light lists",), writes=(_IMAGE,))
+
+
+def _clear_image(frame: Frame) -> None:
+    with frame.device.render_pass(frame.targets["image"], clear=(0.0, 0.0, 0.0, 1.0)):
+        pass
+
+
+def _show_tiles(frame: Frame) -> None:
+    draw_full_screen(frame, TileCounts, frame.targets["image"], bind_lists(frame, TileLists))
+
+
+def _declare_volumes(needs: Needs) -> tuple[Pass[Frame], ...]:
+    passes = Forward().declare(needs)
+    if not list_lamps(needs):
+        return passes
+    last = find_last(passes, "image")
+    shown = Pass("volumes", _show_volumes, _BECAUSE, reads=("depth",), changes={last: "image with volumes"})
+    return *passes, shown
+
+
+def _show_volumes(frame: Frame) -> None:
+    nearer = NEARER[frame.camera.projection.depth]
+    states = (CullMode.NONE, DepthWrite.OFF, nearer, BlendFunction.ADDITIVE)
+    for effect in list_lamps(frame.needs):
+        shader = lit_variant(VolumeColors, effect)
+        draw_volumes(frame, effect, shader, bind_rays(frame), ["image"], clears=False, states=states)
+
+
+INSPECTIONS: Final[dict[str, Callable[[Needs], tuple[Pass[Frame], ...]]]] = {
+    **{name: lambda _, passes=passes: passes for name, passes in _PLAIN.items()},  # type: ignore[misc]
+    "tiles": _declare_tiles,
+    "volumes": _declare_volumes,
+}
+"""The passes of each picture, by what a frame needs."""

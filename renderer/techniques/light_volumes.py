@@ -44,6 +44,7 @@ from rhi import (
     Device,
     Mesh,
     Program,
+    State,
     StencilBack,
     StencilFront,
     StencilOperation,
@@ -198,20 +199,30 @@ def shadowed_variant(shader: type[VolumeShader], *parts: str) -> type[VolumeShad
 
 
 class VolumeMeshes:
-    """What light volumes keep between frames.
-
-    Attributes:
-        sphere, cone: the meshes.
-    """
+    """The meshes of light volumes, each created when it is first drawn."""
 
     def __init__(self, device: Device) -> None:
-        self.sphere = _make_mesh(device, "light spheres", *make_sphere(), cone=0.0)
-        self.cone = _make_mesh(device, "light cones", *make_cone(), cone=1.0)
+        self._device = device
+        self._made: dict[str, Mesh] = {}
+
+    @property
+    def sphere(self) -> Mesh:
+        """The sphere around a light's range."""
+        if "sphere" not in self._made:
+            self._made["sphere"] = _make_mesh(self._device, "light spheres", *make_sphere(), cone=0.0)
+        return self._made["sphere"]
+
+    @property
+    def cone(self) -> Mesh:
+        """The cone of a narrow spot light."""
+        if "cone" not in self._made:
+            self._made["cone"] = _make_mesh(self._device, "light cones", *make_cone(), cone=1.0)
+        return self._made["cone"]
 
     def destroy(self) -> None:
         """Destroy the meshes."""
-        self.sphere.destroy()
-        self.cone.destroy()
+        for mesh in self._made.values():
+            mesh.destroy()
 
 
 def _make_mesh(
@@ -264,7 +275,12 @@ def list_volumes(frame: Frame, effect: Effect) -> list[tuple[Mesh, NDArray[np.in
         return [(meshes.sphere, frame.needs.point_rows)]
     rows = frame.needs.spot_rows
     narrow = frame.resources.scene.lights.spot["outer"][rows] <= WIDEST_CONE
-    return [(mesh, part) for mesh, part in ((meshes.cone, rows[narrow]), (meshes.sphere, rows[~narrow])) if len(part)]
+    volumes = []
+    if narrow.any():
+        volumes.append((meshes.cone, rows[narrow]))
+    if not narrow.all():
+        volumes.append((meshes.sphere, rows[~narrow]))
+    return volumes
 
 
 def draw_volumes(
@@ -277,6 +293,7 @@ def draw_volumes(
     depth: str = "depth",
     clears: bool,
     is_masked: bool = False,
+    states: tuple[State, ...] = (),
 ) -> None:
     """Draw the volumes of the point or spot lights in view, and add what the shader returns to contents.
 
@@ -284,6 +301,7 @@ def draw_volumes(
         shader: a `lit_variant`, with its `bindings` but those of the volumes.
         targets, depth: the names of the contents. clears: whether they are cleared to 0 first.
         is_masked: whether each light is masked in the stencil buffer; otherwise all are one draw.
+        states: states instead of those that light what is in a volume.
     """
     device, resources = frame.device, frame.resources
     parts, maps = bind_lamp_shadows(frame, [effect])
@@ -302,7 +320,7 @@ def draw_volumes(
             clear=(0.0, 0.0, 0.0, 0.0) if clears else None,
             clear_stencil=None if mask is None else 0,
         ),
-        device.states(DepthWrite.OFF, CullMode.FRONT, behind, BlendFunction.ADDITIVE),
+        device.states(*(states or (DepthWrite.OFF, CullMode.FRONT, behind, BlendFunction.ADDITIVE))),
     ):
         for mesh, rows in list_volumes(frame, effect):
             own["rows"] = device.transient.storage(int, rows.astype(np.int32))

@@ -15,6 +15,7 @@ from rhi.contract.backend import (
     PreparesDraws,
     PreparesKernels,
     PreparesQueries,
+    SharesTextures,
 )
 from rhi.contract.blocks import CompressedFormat, decode_blocks
 from rhi.contract.descriptors import (
@@ -197,6 +198,7 @@ __all__ = [
     "ScalarType",
     "Scissor",
     "ShaderError",
+    "SharesTextures",
     "Stage",
     "StageText",
     "StageVarying",

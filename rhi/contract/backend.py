@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Final, Protocol
 
@@ -125,6 +126,8 @@ class Capabilities:
     """Whether samplers can have `Wrap.BORDER`, with any border color."""
     texture_buffer_copies: bool = False
     """Whether textures are copied to and from buffers. Without it, `Texture.read_async` waits for the device."""
+    shares_textures: bool = False
+    """Whether the device stands beside a context of other code, which uses the same textures: `adopt_texture`."""
     compressed_formats: frozenset[CompressedFormat] = frozenset()
     """Block-compressed formats that textures can be stored in. The front end decodes the others."""
     unsupported_formats: frozenset[Format] = frozenset()
@@ -187,7 +190,25 @@ class HoldsContext(Protocol):
         it. Bindings may be lost, since the device binds everything again. Raises what `resume` raises."""
 
     def release_current(self) -> None:
-        """Make the context current on no thread, so that another thread can call `make_current`."""
+        """Make the context current on no thread, so that another thread can call `make_current`. The context of other
+        code that it shares textures with is current instead."""
+
+    def hand_back(self) -> None:
+        """End a frame: make the context of other code that it shares textures with current, and show the image of the
+        latest `Backend.present` there. Do nothing if there is none."""
+
+
+class SharesTextures(Protocol):
+    """Optional part of the contract, for platforms on which other code may use the same textures."""
+
+    def name_texture(self, texture: Id) -> int:
+        """Return the platform's name of a texture."""
+
+    def describe_texture(self, name: int) -> TextureDescriptor | str:
+        """Return what a texture that other code has made is, or why it can't be used."""
+
+    def adopting_texture(self, name: int) -> AbstractContextManager[None]:
+        """Return a block in which a texture that is created is the one of this name. It isn't destroyed with its id."""
 
 
 class DatesTimestamps(Protocol):

@@ -12,6 +12,7 @@ from __future__ import annotations
 import sys
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import wraps
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self, TypeVar, cast, overload
@@ -403,6 +404,41 @@ class Device(Encoder):
                 texture.generate_mipmaps()
         return texture
 
+    @_creates
+    def adopt_texture(self, native: Any, *, label: str = "") -> Texture:
+        """Return a texture that other code has made, for the device to read and to draw to; it stays the other code's.
+
+        Both use the same memory. The other code's device must be the one that this device was created beside
+        (`rhi.create_device("gl", context=…)`).
+
+        Args:
+            native: OpenGL's name of the texture, or an object that has one as `glo`, as those of moderngl.
+
+        Raises:
+            ValidationError: `device-capability` if this device stands alone, `device-argument` for what is no texture
+                of a known format.
+        """
+        check = Arguments("device.adopt_texture", self._core.refuse)
+        sharing = self._core.find_sharing(check.call)
+        name = check.whole("native", getattr(native, "glo", native), 1, (1 << 32) - 1)
+        check.text("label", label)
+        found = sharing.describe_texture(name)
+        if isinstance(found, str):
+            check.fail("native", found, "a texture with one sample, of a format of rhi.Format")
+        with sharing.adopting_texture(name):
+            return Texture(self._core, replace(found, label=label))
+
+    def native_texture(self, texture: Texture) -> int:
+        """Return OpenGL's name of a texture, for the code that this device was created beside.
+
+        Its first row is the top one. It may be used after `device.present`, until the texture is destroyed.
+        """
+        check = Arguments("device.native_texture", self._core.refuse)
+        sharing = self._core.find_sharing(check.call)
+        check.instance("texture", texture, Texture, "a Texture")
+        self._core.check_usable(texture, check.call)
+        return sharing.name_texture(texture.id)
+
     def sampler(self, descriptor: SamplerDescriptor) -> Sampler:
         """Create a sampler, to read textures through: `texture.sampled(sampler)`."""
         self._core.check_open()
@@ -609,7 +645,8 @@ class Device(Encoder):
         """End the frame and show `image`.
 
         Blocks only if the CPU is more than `frames_in_flight` frames ahead. Transient memory of the frame
-        is reused once the GPU has executed the frame.
+        is reused once the GPU has executed the frame. A device that was created beside the context of other code shows
+        the image in its window or framebuffer, and that context is current afterwards (docs/windows.md).
 
         Raises:
             ValidationError: `pass-open` inside a render pass, `scope-open` inside any other scope, whose end would
@@ -632,6 +669,7 @@ class Device(Encoder):
         if len(self._frames) > self._frames_in_flight:
             core.timeline.wait(self._frames.popleft())
             core.timeline.collect()
+        core.hand_back()
 
 
 def _unsupported_states(capabilities: Capabilities) -> dict[type, str]:

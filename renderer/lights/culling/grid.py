@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from renderer.lights.culling.kernels import (
     CollectByMask,
     CollectCounted,
     CollectLights,
+    CollectSpots,
     FindTileDepths,
     FindTileMasks,
     TileDepths,
@@ -160,7 +161,8 @@ class LightGrid:
         self._uploads.write(camera, size, lights)
         self._make_room()
         buffers, blocks = self._buffers, (-(-self.layout.count.x // BLOCK), -(-self.layout.count.y // BLOCK))
-        features, given = self._counted, {name: buffers[name] for name in ("masks", "counts")}
+        features: tuple[type[CollectLights], ...] = self._counted
+        given: dict[str, Any] = {name: buffers[name] for name in ("masks", "counts")}
         uploads = self._uploads.bindings
         if depth is not None:
             features += self._by_depth
@@ -176,8 +178,9 @@ class LightGrid:
             buffers["tests"].write(np.zeros(1, np.uint32))
             given["tests"] = buffers["tests"]
         sphere_test, cone_test, block_test = self._tests
-        if not len(lights.spot):
-            cone_test = CONE_TESTS["sphere"]  # less to compile, and never made
+        if len(lights.spot) and cone_test is not CONE_TESTS["sphere"]:
+            features += (CollectSpots,)
+            given |= self._uploads.cones
         encoder.dispatch(
             self.device.program(collect_variant(sphere_test, cone_test, block_test, features)),
             (*blocks, self.layout.count.z),

@@ -134,7 +134,6 @@ class CollectLights(Shader):
     grid: Uniform[CellGrid]
     lights: Uniform[LightCounts]
     spheres: Storage[vec4]
-    cones: Storage[Cone]
     masks: StorageRW[uint]
     counts: StorageRW[uint]
     kept = shared(uint, _CHUNK)
@@ -205,14 +204,13 @@ class CollectLights(Shader):
     def is_lit_by(self, light: int, cell: Cell, depths: TileDepths) -> bool:
         if not self.reaches(cell, self.spheres[light], depths):
             return False
-        spot = light - WORD * self.lights.point_words
-        return spot < 0 or self.lights_cone(cell, self.cones[spot])
+        return self.reaches_in_cone(light - WORD * self.lights.point_words, cell)
 
     def reaches(self, cell: Cell, sphere: vec4, depths: TileDepths) -> bool:
         return self.overlaps(cell, sphere.xyz, padded_radius(cell, sphere.xyz, sphere.w))
 
-    def lights_cone(self, cell: Cell, cone: Cone) -> bool:
-        return self.overlaps_cone(cell, cone, padded_radius(cell, cone.apex, cone.range) - cone.range)
+    def reaches_in_cone(self, spot: int, cell: Cell) -> bool:
+        return True
 
     def note_tests(self, tests: int, lane: int) -> None:
         return
@@ -224,6 +222,18 @@ class CollectLights(Shader):
     @staticmethod
     def overlaps(cell: Cell, centre: vec3, radius: float) -> bool:
         return True
+
+
+class CollectSpots(CollectLights):
+    """Tests the cones of spot lights whose spheres reach a cell."""
+
+    cones: Storage[Cone]
+
+    def reaches_in_cone(self, spot: int, cell: Cell) -> bool:
+        return spot < 0 or self.lights_cone(cell, self.cones[spot])
+
+    def lights_cone(self, cell: Cell, cone: Cone) -> bool:
+        return self.overlaps_cone(cell, cone, padded_radius(cell, cone.apex, cone.range) - cone.range)
 
     @staticmethod
     def overlaps_cone(cell: Cell, cone: Cone, padding: float) -> bool:

@@ -65,6 +65,7 @@ class LightUploads:
         self.parameters: UniformBuffer[CellGrid] = device.uniform(self.layout)
         self._counts: UniformBuffer[LightCounts] = device.uniform(LightCounts(words=0, point_words=0))
         self._buffers: Final = BufferSet(device, "light volumes")
+        self._bindings: dict[str, Any] = {}
 
     def write(self, camera: Camera, size: tuple[int, int], lights: Lights) -> None:
         """Upload an image's grid, of `size` pixels, and the volumes of all point and spot lights."""
@@ -80,21 +81,22 @@ class LightUploads:
         )
         self.parameters.write(self.layout)
         self._counts.write(LightCounts(words=volumes.words, point_words=volumes.point_words))
-        shapes = {"spheres": (vec4, volumes.spheres.astype(np.float32)), "cones": (Cone, volumes.cones)}
-        for name, (element, rows) in shapes.items():
-            buffer = self._buffers.fit(name, element, round_up(len(rows)))
-            if len(rows):
-                buffer.write(rows)
+        spheres = self._buffers.fit("spheres", vec4, round_up(len(volumes.spheres)))
+        if len(volumes.spheres):
+            spheres.write(volumes.spheres.astype(np.float32))
+        if len(volumes.cones):
+            self._buffers.fit("cones", Cone, round_up(len(volumes.cones))).write(volumes.cones)
+        self._bindings = {"grid": self.parameters, "lights": self._counts, "spheres": spheres}
 
     @property
     def bindings(self) -> dict[str, Any]:
-        """The bindings of shaders that test lights: `grid`, `lights`, `spheres` and `cones`."""
-        return {
-            "grid": self.parameters,
-            "lights": self._counts,
-            "spheres": self._buffers["spheres"],
-            "cones": self._buffers["cones"],
-        }
+        """The bindings of shaders that test lights: `grid`, `lights` and `spheres`."""
+        return self._bindings
+
+    @property
+    def cones(self) -> dict[str, Any]:
+        """The binding `cones` of shaders that test spot lights, of which there must be some."""
+        return {"cones": self._buffers["cones"]}
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""

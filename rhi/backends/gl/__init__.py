@@ -12,31 +12,40 @@ from rhi.errors import DeviceError
 
 if TYPE_CHECKING:
     from rhi.backends.gl.backend import GlBackend
+    from rhi.backends.gl.host import HostContext
 
 __rhi_internal__ = True
 
 __all__ = ["DepthClamp", "create_backend", "find_obstacle"]
 
 
-def create_backend(*, validation: bool = False) -> GlBackend:
+def create_backend(*, validation: bool = False, context: HostContext | None = None) -> GlBackend:
     """Create a backend with its own context.
 
     Args:
         validation: raise the errors that the driver reports as `DeviceError` (`device-debug`). This is slower.
+        context: the context of other code to share textures with and to show pictures in: moderngl's, or `"current"`,
+            the one that is current on this thread. None: the backend stands alone, without a window.
 
     Raises:
         DeviceError: `device-driver` if moderngl, EGL or a driver for GL 4.5 is missing; its tip says what to install.
     """
     from rhi.backends.gl.context import open_context
 
-    context = open_context()
+    shared = None
+    if context is None:
+        opened = open_context()
+    else:
+        from rhi.backends.gl.host import open_shared_context
+
+        opened, shared = open_shared_context(context)
     if validation:
         from rhi.backends.gl.debug import DebugGlBackend
 
-        return DebugGlBackend(context)
+        return DebugGlBackend(opened, shared)
     from rhi.backends.gl.backend import GlBackend
 
-    return GlBackend(context)
+    return GlBackend(opened, shared)
 
 
 def find_obstacle() -> str | None:

@@ -16,6 +16,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from threading import get_ident
 from typing import Any, Final
@@ -28,13 +29,14 @@ from typing_extensions import Buffer as BytesLike
 from rhi.backends.gl import enums
 from rhi.backends.gl.buffers import Buffers
 from rhi.backends.gl.capabilities import query_capabilities
-from rhi.backends.gl.context import make_current_context_query
+from rhi.backends.gl.context import CURRENT_CONTEXT, make_current_context_query
 from rhi.backends.gl.draws import MODES, DrawCalls, Draws
 from rhi.backends.gl.entry_points import EntryPoints
 from rhi.backends.gl.errors import drain_errors
 from rhi.backends.gl.fence import Fence
 from rhi.backends.gl.framebuffers import Framebuffers
 from rhi.backends.gl.heap import keep_freed_memory
+from rhi.backends.gl.host import HostFramebuffer, SharedContext
 from rhi.backends.gl.programs import LinkedProgram, Programs, VertexArrays
 from rhi.backends.gl.queries import Queries
 from rhi.backends.gl.query_sets import GlQuerySet
@@ -53,12 +55,13 @@ from rhi.contract.descriptors import (
     Region,
     SamplerDescriptor,
     TextureDescriptor,
+    TextureKind,
     VertexArrayDescriptor,
 )
 from rhi.contract.formats import ChannelKind
 from rhi.contract.states import AlphaFunction, AlphaReference, AlphaTest, StateChange
-from rhi.errors import DeviceError
-from rhi.errors.rules import DEVICE_CONTEXT
+from rhi.errors import DeviceError, refuse
+from rhi.errors.rules import DEVICE_CONTEXT, TEXTURE_FORMAT
 
 __rhi_internal__ = True
 
@@ -85,15 +88,18 @@ class GlBackend:
         gl: the entry points of GL.
     """
 
-    def __init__(self, context: moderngl.Context) -> None:
-        self._find_current = make_current_context_query(context)
+    def __init__(self, context: moderngl.Context, shared: SharedContext | None = None) -> None:
+        """`shared`: the same context, if it shares objects with that of other code."""
+        function = CURRENT_CONTEXT if shared is None else shared.api.current_context
+        self._find_current = make_current_context_query(context, function)
         self._handle = self._find_current()
         self._is_current = True
         self._interrupted: Callable[[], None] = lambda: None
         self._take_thread()
         self.context = context
         gl = self.gl = EntryPoints(context.mglo._context.load)
-        self._capabilities = query_capabilities(gl, context.version_code, context.extensions)
+        found = query_capabilities(gl, context.version_code, context.extensions)
+        self._capabilities = replace(found, shares_textures=shared is not None)
         if "llvmpipe" in self._capabilities.device:
             keep_freed_memory()
         self._set_conventions()
@@ -108,6 +114,9 @@ class GlBackend:
         self._fence = Fence(gl)
         self._draws = Draws(context, gl, self._arrays, self._buffers)
         self._destroyers: dict[Id, Callable[[Id], None]] = {}
+        self._shared = shared
+        self._host_framebuffer = HostFramebuffer(gl)
+        self._shown: Id = 0
 
         self._program: Id = 0
         self._bound_program: LinkedProgram = None  # type: ignore[assignment]  # nothing draws before bind_program
@@ -132,7 +141,14 @@ class GlBackend:
     def close(self) -> None:
         self._activate()
         self._queries.stop()
+        if self._shared is not None:  # objects that are shared live on
+            for resource in list(self._destroyers):
+                self.destroy(resource)
+            self._draws.release()
+            self._fence.release()
         self.release_current()  # a current context would survive its release
+        if self._shared is not None and self._find_current() == self._shared.host.context:
+            self._host_framebuffer.destroy()
         self.context.release()  # releases all its objects too
 
     # -- the context on its thread -------------------------------------------------------------------------
@@ -196,6 +212,47 @@ class GlBackend:
         if _holders.get(get_ident()) is self:
             del _holders[get_ident()]
         self._is_current = False
+
+    def hand_back(self) -> None:
+        """See `rhi.contract.backend.HoldsContext`."""
+        if self._shared is None:
+            return
+        if not self._is_current:
+            self._activate()
+        shown, self._shown = self._shown, 0
+        if not self._shared.returns:
+            return
+        gl, image = self.gl, self._textures[shown] if shown else None
+        drawn = gl.FenceSync(enums.SYNC_GPU_COMMANDS_COMPLETE, 0)
+        gl.Flush()
+        self.release_current()
+        if self._find_current() == self._shared.host.context:  # else its window is closed
+            gl.WaitSync(drawn, 0, enums.TIMEOUT_IGNORED)
+            if image is not None:
+                window = self._shared.api.measure(self._shared.host)
+                self._host_framebuffer.show(image.name, image.descriptor.size, window)
+            gl.DeleteSync(drawn)
+
+    # -- textures of other code ----------------------------------------------------------------------------
+
+    def name_texture(self, texture: Id) -> int:
+        """See `rhi.contract.backend.SharesTextures`."""
+        return self._textures.names[texture]
+
+    def describe_texture(self, name: int) -> TextureDescriptor | str:
+        """See `rhi.contract.backend.SharesTextures`."""
+        if not self._is_current:
+            self._activate()
+        return self._textures.describe(name)
+
+    @contextmanager
+    def adopting_texture(self, name: int) -> Iterator[None]:
+        """See `rhi.contract.backend.SharesTextures`."""
+        self._textures.adopting = name
+        try:
+            yield
+        finally:
+            self._textures.adopting = 0
 
     def _set_conventions(self) -> None:
         """Set the state that stays the same for the life of the context."""
@@ -627,4 +684,10 @@ class GlBackend:
     def present(self, texture: Id) -> None:
         if not self._is_current:
             self._activate()
+        if self._shared is not None and texture:
+            descriptor = self._textures[texture].descriptor
+            texel = descriptor.format
+            if descriptor.kind is not TextureKind.D2 or descriptor.samples > 1 or texel.is_depth or texel.is_integer:
+                refuse(TEXTURE_FORMAT, "device.present", repr(descriptor), "a 2D image of colors with one sample")
         self.gl.Flush()
+        self._shown = texture

@@ -24,7 +24,7 @@ _EGL: Final = "libEGL.so.1"
 _MAX_EGL_DEVICES: Final = 16
 """Devices to try, in EGL's order, which has hardware before software. The user may lack the rights for the first."""
 _NO_SUCH_DEVICE: Final = "requested device index"
-_CURRENT_CONTEXT: Final = "eglGetCurrentContext"
+CURRENT_CONTEXT: Final = "eglGetCurrentContext"
 
 
 def open_context() -> moderngl.Context:
@@ -53,9 +53,10 @@ def open_context() -> moderngl.Context:
     raise DeviceError(DEVICE_DRIVER, _CALL, given, "EGL and a driver for OpenGL 4.5", _INSTALL_DRIVER)
 
 
-def make_current_context_query(context: moderngl.Context) -> Callable[[], int | None]:
-    """Return EGL's function that returns the address of the context that is current on the calling thread, or None.
+def make_current_context_query(context: moderngl.Context, function: str) -> Callable[[], int | None]:
+    """Return the function of EGL or GLX that returns the address of the context that is current on the calling thread,
+    or None.
 
     A call takes 0.3 µs, since libglvnd asks the system for the process's id each time.
     """
-    return ctypes.PYFUNCTYPE(ctypes.c_void_p)(context.mglo._context.load(_CURRENT_CONTEXT))
+    return ctypes.PYFUNCTYPE(ctypes.c_void_p)(context.mglo._context.load(function))

@@ -22,6 +22,7 @@ from rhi.backends.gl import enums
 from rhi.backends.gl.backend import GlBackend
 from rhi.backends.gl.entry_points import DEBUG_CALLBACK, EntryPoints
 from rhi.backends.gl.errors import NAMES, drain_errors
+from rhi.backends.gl.host import SharedContext
 from rhi.contract.backend import Backend, PreparedQueries
 from rhi.contract.descriptors import Id, Primitive
 from rhi.errors import DeviceError
@@ -74,8 +75,8 @@ class DebugOutput:
 class DebugGlBackend(GlBackend):
     """A `GlBackend` whose methods raise the errors that the driver reports as `DeviceError` (`device-debug`)."""
 
-    def __init__(self, context: moderngl.Context) -> None:
-        super().__init__(context)
+    def __init__(self, context: moderngl.Context, shared: SharedContext | None = None) -> None:
+        super().__init__(context, shared)
         self._debug = DebugOutput(self.gl)
 
     def prepare_uniform(self, buffer: Id) -> Callable[[int, int, int], object]:

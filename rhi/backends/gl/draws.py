@@ -46,6 +46,7 @@ class Draws:
         self._arrays = arrays
         self._buffers = buffers
         self._quads = QuadIndices(context, arrays.check_context)
+        self.release = self._quads.release
 
     def draw(
         self, linked: LinkedProgram, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int,

@@ -117,6 +117,9 @@ class EntryPoints:
     CopyImageSubData: Callable[
         [Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int], None
     ]
+    IsTexture: Callable[[Int], Int]
+    GetTextureParameteriv: Callable[[Int, Int, Reference], None]
+    GetTextureLevelParameteriv: Callable[[Int, Int, Int, Reference], None]
     GenerateTextureMipmap: Callable[[Int], None]
     BindTextureUnit: Callable[[Int, Int], None]
     BindImageTexture: Callable[[Int, Int, Int, Int, Int, Int, Int], None]
@@ -141,6 +144,13 @@ class EntryPoints:
     ClearBufferiv: Callable[[Int, Int, Reference], None]
     ClearBufferuiv: Callable[[Int, Int, Reference], None]
     ClearBufferfi: Callable[[Int, Int, Real, Int], None]
+
+    # in the host's context, which may be older
+    GenFramebuffers: Callable[[Int, Reference], None]
+    FramebufferTexture2D: Callable[[Int, Int, Int, Int, Int], None]
+    BlitFramebuffer: Callable[[Int, Int, Int, Int, Int, Int, Int, Int, Int, Int], None]
+    IsEnabled: Callable[[Int], Int]
+    WaitSync: Callable[[Address, Int, Wide], None]
 
     # programs, vertex arrays, draws
     UseProgram: Callable[[Int], None]

@@ -44,6 +44,11 @@ class Fence:
                 return self._is_signaled(sync, timeout) and self.poll() >= value
         return False  # no such signal is pending
 
+    def release(self) -> None:
+        """Delete the objects of all signals."""
+        while self._pending:
+            self._gl.DeleteSync(self._pending.popleft()[1])
+
     def _is_signaled(self, sync: int | None, timeout: int) -> bool:
         flags = enums.SYNC_FLUSH_COMMANDS_BIT if timeout else 0
         return self._gl.ClientWaitSync(sync, flags, timeout) in _SIGNALED

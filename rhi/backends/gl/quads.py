@@ -26,6 +26,12 @@ class QuadIndices:
         self._buffer: moderngl.Buffer | None = None
         self._capacity = 0
 
+    def release(self) -> None:
+        """Release the buffer."""
+        if self._buffer is not None:
+            self._buffer.release()
+            self._buffer, self._capacity = None, 0
+
     def reserve(self, quads: int) -> int:
         """Return GL's name of a buffer with 32-bit indices for at least `quads` quads. Growth changes the name."""
         if self._buffer is None or quads > self._capacity:

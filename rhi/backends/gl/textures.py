@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from dataclasses import dataclass
 from typing import Final
 
@@ -52,12 +53,15 @@ class Textures:
 
     Attributes:
         names: GL's names, by id.
+        adopting: the name of a texture of other code, which the next one that is created is; 0 for none.
     """
 
     def __init__(self, gl: EntryPoints) -> None:
         self._gl = gl
         self._textures: dict[Id, GlTexture] = {}
         self.names: dict[Id, int] = {}
+        self.adopting = 0
+        self._adopted: set[Id] = set()
         self.set_transfers()
 
     def set_transfers(self) -> None:
@@ -70,9 +74,39 @@ class Textures:
     def __getitem__(self, texture: Id) -> GlTexture:
         return self._textures[texture]
 
+    def describe(self, name: int) -> TextureDescriptor | str:
+        """Return what a texture that other code has made is, or why it can't be used."""
+        gl, value = self._gl, ctypes.c_int()
+
+        def get(parameter: int, level: int = 0) -> int:
+            gl.GetTextureLevelParameteriv(name, level, parameter, ctypes.byref(value))
+            return value.value
+
+        if not gl.IsTexture(name):
+            return f"{name}, the name of no texture that both contexts share"
+        gl.GetTextureParameteriv(name, enums.TEXTURE_TARGET, ctypes.byref(value))
+        target = value.value
+        kind = next((kind for kind, known in _TARGETS.items() if known == target), None)
+        size = get(enums.TEXTURE_WIDTH), get(enums.TEXTURE_HEIGHT)
+        internal = get(enums.TEXTURE_INTERNAL_FORMAT)
+        format = next((one for one, pixel in PIXEL_FORMATS.items() if pixel.internal == internal), None)
+        if kind is None or format is None:
+            return f"a texture of target {target:#06x} and format {internal:#06x}"
+        layers = 6 if kind is TextureKind.CUBE else get(enums.TEXTURE_DEPTH)
+        most = max(*size, layers if kind is TextureKind.D3 else 1).bit_length()
+        levels = next((level for level in range(1, most) if not get(enums.TEXTURE_WIDTH, level)), most)
+        return TextureDescriptor(size, format, kind, layers, levels)
+
     def create(self, texture: Id, descriptor: TextureDescriptor) -> None:
         gl = self._gl
         drain_errors(gl)
+        if self.adopting:
+            self._textures[texture] = GlTexture(
+                self.adopting, _TARGETS[descriptor.kind], descriptor, PIXEL_FORMATS[descriptor.format]
+            )
+            self.names[texture] = self.adopting
+            self._adopted.add(texture)
+            return
         target = enums.TEXTURE_2D_MULTISAMPLE if descriptor.samples > 1 else _TARGETS[descriptor.kind]
         name = gl.create(gl.CreateTextures, target)
         pixel = PIXEL_FORMATS[descriptor.format]
@@ -103,7 +137,11 @@ class Textures:
 
     def destroy(self, texture: Id) -> None:
         del self._textures[texture]
-        self._gl.delete(self._gl.DeleteTextures, self.names.pop(texture))
+        name = self.names.pop(texture)
+        if texture in self._adopted:
+            self._adopted.remove(texture)
+        else:
+            self._gl.delete(self._gl.DeleteTextures, name)
 
     def write(self, texture: Id, level: int, region: Region, data: BytesLike) -> None:
         pixels, gl_texture = np.frombuffer(memoryview(data), np.uint8), self._textures[texture]

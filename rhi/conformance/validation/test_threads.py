@@ -253,6 +253,8 @@ EVERY: dict[str, dict[str, Callable[[Everything], object]]] = {
         "program": lambda e: e.device.program(Unseen),
         "prepare": lambda e: e.device.prepare(e.program),
         "wait": lambda e: e.device.wait(0),
+        "adopt_texture": lambda e: e.device.adopt_texture(1),
+        "native_texture": lambda e: e.device.native_texture(e.texture),
         "occlusion_query": lambda e: e.device.occlusion_query(),
         "query_set": lambda e: e.device.query_set(1),
         "timers": lambda e: e.device.timers,

@@ -19,7 +19,7 @@ from typing import Any, ClassVar, Final, NoReturn, Protocol, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.contract.backend import Backend, ClipsDraws, HoldsContext, PreparesDraws
+from rhi.contract.backend import Backend, ClipsDraws, HoldsContext, PreparesDraws, SharesTextures
 from rhi.contract.descriptors import Id, PassDescriptor, Primitive, SamplerDescriptor, Wrap
 from rhi.contract.queries import list_draws
 from rhi.contract.states import AlphaTest, Scissor, StateChange
@@ -338,6 +338,20 @@ class Core:
         if self._context is not None:
             self._context.release_current()
         self.thread = NO_THREAD
+
+    def hand_back(self) -> None:
+        """Let other code go on that the platform's context shares textures with."""
+        if self._context is not None:
+            self._context.hand_back()
+
+    def find_sharing(self, call: str) -> SharesTextures:
+        """Return the backend as one whose textures other code uses, too; refuse if it isn't one."""
+        self.check_ready()
+        if not self.capabilities.shares_textures:
+            given = f"a {self.capabilities.backend} device that stands alone"
+            tip = 'create it beside a context: rhi.create_device("gl", context=…)'
+            self.refuse(DEVICE_CAPABILITY, call, given, "needs capabilities.shares_textures", tip)
+        return cast("SharesTextures", find_part(self.backend, "adopting_texture"))
 
     def check_usable(self, owner: Owner, call: str) -> None:
         """Refuse a resource that is destroyed, locked, or of another device."""

@@ -12,7 +12,7 @@ from PIL import Image
 import rhi
 from renderer.cli import main
 from renderer.content import load_scene
-from renderer.measure.buffers import color_rows
+from renderer.measure.contents import color_rows
 from renderer.measure.deferred_plus import TECHNIQUES
 from renderer.renderer import Renderer
 from renderer.techniques import Clustered, Forward

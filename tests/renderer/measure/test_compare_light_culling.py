@@ -10,16 +10,25 @@ import pytest
 
 import rhi
 from renderer.cli import main
-from renderer.content import load_scene
+from renderer.content import BUILT_IN, load_scene
 from renderer.lights.culling import SPHERE_TESTS, make_grid
 from renderer.lights.culling.volumes import find_volumes
-from renderer.measure.light_culling import choose_lights, compare_light_culling, find_overlaps, find_surfaces
+from renderer.measure.light_culling import (
+    choose_lights,
+    compare_light_culling,
+    find_lit,
+    find_overlaps,
+    find_surfaces,
+)
 from renderer.renderer import Renderer
-from renderer.scene import Camera, Lights, Perspective
+from renderer.scene import Camera, Lights, Perspective, SceneBuilder, scaling, translation
 from renderer.visibility import NoCulling
 from rhi import ValidationError
 
-ROW = ["test", "pre_filter", "lights", "pairs", "over_exact", "missed", "tests_made", "collect_ms"]
+ROW = [
+    "test", "cones", "depth_mask", "pre_filter", "lights", "pairs", "over_exact", "missed", "tests_made",
+    "collect_ms", "draw_ms",
+]  # fmt: skip
 HALL = "hall:columns=6,rows=2,flags=0,detail=3"
 
 
@@ -42,12 +51,69 @@ def test_a_row_says_what_a_test_keeps_and_costs(capsys: pytest.CaptureFixture[st
         assert list(row) == ROW
         assert row["missed"] == 0
         assert row["collect_ms"] > 0.0
+        assert row["draw_ms"] > 0.0
     of = {(row["lights"], row["test"], row["pre_filter"]): row for row in rows}
     for count in (2, 3):
         assert of[count, "exact", True]["pairs"] == of[count, "exact", False]["pairs"] > 0
         assert of[count, "exact", True]["over_exact"] == pytest.approx(1.0, abs=0.01)
         assert of[count, "planes", False]["pairs"] >= of[count, "exact", False]["pairs"]
         assert of[count, "none", False]["pairs"] == of[count, "none", False]["tests_made"]
+
+
+def test_tests_of_cones_and_the_depth_mask_drop_lights_that_light_no_pixel(gl: rhi.Device) -> None:
+    """A near wall hides the left half of a far one. Of the lights one is at the far wall, one between the walls; one
+    shines at the far wall, and one does so beside the view, into which the sphere around its cone reaches."""
+    builder = SceneBuilder("walls")
+    mesh, material = builder.add_mesh(BUILT_IN["box"]()), builder.add_material()
+    for x, z in ((-10.0, -2.0), (0.0, -40.0)):
+        builder.add_objects(builder.add_node(translation((x, 0, z)) @ scaling((20, 40, 0.1))), mesh, material)
+    builder.lights.add_point((0, 0, -39), 2.0)
+    builder.lights.add_point((0, 0, -20), 2.0)
+    builder.lights.add_spot((0, 0, -38), (0, 0, -1), 4.0, 0.1, 0.3)
+    camera = Camera.look_at((0, 0, 0), (0, 0, -1)).with_aspect(1.0)
+    edge = 40.0 / camera.projection.matrix[0, 0]
+    builder.lights.add_spot((edge + 1.5, 0, -38), (0, 0, -1), 4.0, 0.1, 0.2)
+    scene = builder.build()
+    with Renderer(gl, scene, size=(32, 32), visibility=NoCulling(scene)) as renderer:
+        rows = compare_light_culling(
+            renderer, camera, [4], ["exact"], tile=32, cones=["sphere", "tight"], depth_masks=[False, True], rounds=1
+        )
+    assert [(row.cones, row.depth_mask, row.pairs, row.missed) for row in rows] == [
+        ("sphere", False, 4, 0), ("sphere", True, 3, 0), ("tight", False, 3, 0), ("tight", True, 2, 0),
+    ]  # fmt: skip
+
+
+@pytest.mark.usefixtures("gl")
+def test_tests_of_cones_and_masks_are_named_on_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
+    rows = compare(capsys, "--lights", "4", "--tests", "none", "--cones", "sphere,planes", "--depth-mask", "both")
+    assert [(row["cones"], row["depth_mask"]) for row in rows] == [
+        ("sphere", True), ("sphere", False), ("planes", True), ("planes", False),
+    ]  # fmt: skip
+
+
+def test_the_scene_has_its_own_lights_and_technique_afterwards(gl: rhi.Device) -> None:
+    scene = load_scene(HALL)
+    lights = scene.lights
+    with Renderer(gl, scene, size=(64, 36), visibility=NoCulling(scene)) as renderer:
+        technique = renderer.technique
+        compare_light_culling(renderer, next(iter(scene.views.values())), [2], ["exact"], tile=16, rounds=1)
+        assert scene.lights is lights
+        assert renderer.technique is technique
+
+
+def test_what_lights_a_pixel_is_found_by_range_and_cone() -> None:
+    lens = Perspective(far=50.0)
+    lights, camera = Lights(), Camera.look_at((0, 0, 0), (0, 0, -1), projection=lens)
+    grid = make_grid(lens, (4, 4), 2)
+    depth = np.full((4, 4), (lens.matrix[2, 2] * -10.0 + lens.matrix[2, 3]) / 10.0, np.float32)
+    depth[:2, :2] = 0.0
+    lights.add_point((0, 0, -10), 100.0)
+    lights.add_point((0, 0, -20), 9.9)
+    lights.add_spot((-20, -20, -10), (1, 0, 0), 100.0, 0.1, 0.2)
+    lights.add_spot((0, 0, -5), (0, 0, -1), 100.0, 0.1, 1.5)
+    lights.add_spot((0, 0, -5), (0, 0, 1), 100.0, 0.1, 1.5)
+    found = find_lit(grid, camera, lights, depth)
+    assert found.tolist() == [[False] * 5, *[[True, False, False, True, False]] * 3]
 
 
 def test_a_light_that_is_left_out_is_missed(gl: rhi.Device, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,6 +13,7 @@ from renderer.cli import main
 from renderer.content import BUILT_IN as MESHES
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import Camera, Scene, SceneBuilder, scaling, translation
+from renderer.techniques.cell_lists import TileLists
 from renderer.techniques.inspection import INSPECTIONS, Inspection, heat_color
 from renderer.visibility import NoCulling
 from rhi.shading import evaluate
@@ -80,6 +81,42 @@ def test_colours_of_counts_change_where_they_double() -> None:
     assert colors.tolist() == [
         black, blue, blue, cyan, cyan, green, green, yellow, yellow, red, red, white, white,
     ]  # fmt: skip
+
+
+def test_tiles_have_the_colours_of_their_lists(gl: rhi.Device) -> None:
+    scene = tower(9)
+    scene.lights.add_spot((2, 1, 0), (0, -1, 0), 1.2, 0.2, 0.3)
+    size = (64, 48)
+    with Renderer(
+        gl, scene, technique=Inspection("tiles"), visibility=NoCulling(scene), size=size
+    ) as renderer:
+        picture = renderer.render(scene.views["above"]).image.read()[..., :3]
+        lists = renderer.view.workspace(TileLists).read()
+    counts = (lists.ends - lists.begins).reshape(3, 4)
+    assert {0, 9} <= {*counts.ravel().tolist()} <= {0, 1, 9, 10}
+    expected = {0: (0, 0, 0), 1: BLUE, 9: CYAN, 10: CYAN}
+    for row in range(3):
+        for column in range(4):
+            inside = picture[16 * row + 1 : 16 * row + 16, 16 * column + 1 : 16 * column + 16]
+            assert (inside == expected[counts[row, column]]).all()
+    rows = 16 * np.arange(3)
+    assert not (picture[rows, 1:16] == picture[rows + 1, 1:16]).all(-1).any()  # a line between tiles
+
+
+def test_tiles_without_lights_are_black(gl: rhi.Device) -> None:
+    assert not show(gl, tower(), "tiles")[0].any()
+
+
+def test_volumes_are_seen_in_front_of_what_they_reach(gl: rhi.Device) -> None:
+    scene, unlit = tower(1), tower()
+    for one in (scene, unlit):
+        one.lights.sky = one.lights.ground = (0.2, 0.2, 0.2)
+    scene.lights.point["intensity"] = 0.0
+    shown, plain = (show(gl, one, "volumes")[0].astype(int) for one in (scene, unlit))
+    middle = SIZE[1] // 2, SIZE[0] // 2
+    assert (shown >= plain).all()
+    assert (shown - plain)[middle].max() > 5
+    assert (shown == plain)[1, 1].all()
 
 
 @pytest.mark.usefixtures("gl")

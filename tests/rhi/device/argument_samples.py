@@ -449,6 +449,12 @@ SAMPLES: Final[dict[str, Sample]] = {
     "Device.submit": Sample(
         lambda house, buffers: house.device.submit(buffers), {"buffers": (of("commands"), own(rhi.CommandBuffer))}
     ),
+    "Device.adopt_texture": Sample(
+        method("device", "adopt_texture"), {"native": (1, natural), "label": LABEL}, needs=("shares_textures",)
+    ),
+    "Device.native_texture": Sample(
+        method("device", "native_texture"), {"texture": (of("image"), own(rhi.Texture))}, needs=("shares_textures",)
+    ),
     "Device.texture": Sample(
         method("device", "texture"),
         {

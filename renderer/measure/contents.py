@@ -1,0 +1,71 @@
+"""Pictures of the contents of buffers, whatever they hold, so that people can look at them.
+
+- Colours and light are shown as they are; light beyond 1 is mapped to tones as that of the image.
+- One or two channels of numbers are grey: the least of the picture is black, the greatest white. Where the greatest is
+  more than 100 times the least above 0, equal steps of grey are equal ratios.
+- Normals are decoded and shown as `render --show normals` does.
+- Whole numbers have false colours: equal numbers have the same one.
+
+What a buffer held before stays where no surface was drawn, and is shown, too.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.scene.arrays import Floats
+from renderer.shaders.encodings import decode_normal
+from renderer.shaders.lighting import tone_map
+from rhi.shading import evaluate
+
+__rhi_internal__ = True
+
+Pixels = NDArray[np.uint8]
+
+
+def picture_contents(name: str, texels: NDArray[Any]) -> Pixels:
+    """Return a picture (h, w, 3), sRGB, of what contents of this name hold.
+
+    Args:
+        texels: (h, w) or (h, w, channels), as `Texture.read` returns them.
+    """
+    channels = texels.reshape(*texels.shape[:2], -1)
+    if texels.dtype == np.uint32 and name.split()[-1] in ("surface", "packed"):
+        return _encode(0.5 + 0.5 * evaluate(decode_normal, channels[..., 0]))
+    if texels.dtype == np.uint8 and channels.shape[2] >= 3:
+        return np.ascontiguousarray(channels[..., :3])
+    if texels.dtype.kind in "ui":
+        return np.asarray(255.0 * color_rows(channels[..., 0].astype(np.int64)) + 0.5, np.uint8)
+    values = np.nan_to_num(channels.astype(np.float32), posinf=65504.0)
+    if channels.shape[2] >= 3:
+        light = values[..., :3]
+        return _encode(evaluate(tone_map, light) if light.max(initial=0.0) > 1.0 else light)
+    return _shade(values[..., 0])
+
+
+def _shade(values: NDArray[np.float32]) -> Pixels:
+    """Return numbers as shades of grey, which are even to the eye."""
+    positive = values[values > 0.0]
+    low, high = float(values.min()), float(values.max())
+    if low >= 0.0 and len(positive) and high > 100.0 * positive.min():
+        values = np.log2(np.maximum(values, positive.min()))
+        low, high = float(values.min()), float(values.max())
+    grey = (255.0 * (values - low) / max(high - low, 1e-30) + 0.5).astype(np.uint8)
+    return np.repeat(grey[..., None], 3, axis=2)
+
+
+def color_rows(rows: NDArray[np.int64]) -> Floats:
+    """Return a colour (…, 3) for each row: neighbours in number are unlike."""
+    hues = rows[..., None] * 0.61803 + np.array([0.0, 1.0 / 3.0, 2.0 / 3.0])
+    colors: Floats = 0.25 + 0.7 * (0.5 + 0.5 * np.cos(2.0 * np.pi * hues))
+    return colors
+
+
+def _encode(linear: NDArray[Any]) -> Pixels:
+    """Encode linear colours as sRGB."""
+    x = np.clip(np.nan_to_num(np.asarray(linear, np.float64)), 0.0, 1.0)
+    encoded = np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 1e-9) ** (1 / 2.4) - 0.055)
+    return np.asarray(255.0 * encoded + 0.5, np.uint8)

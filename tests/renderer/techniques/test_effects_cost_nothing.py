@@ -1,0 +1,156 @@
+"""An effect that a scene lacks issues no command, with each technique: no pass, no part of a program, no binding, no
+buffer. All other effects are there, and the scene with all of them shows that the traces would be found."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+import rhi
+from renderer.content import BUILT_IN
+from renderer.frame import Effect
+from renderer.renderer import Renderer
+from renderer.scene import Camera, Scene, SceneBuilder
+from renderer.techniques import TECHNIQUES
+from renderer.visibility import NoCulling
+from rhi import Op
+
+SIZE = (64, 32)
+EYE = Camera.look_at((0, 0, 10), (0, 0, 0))
+
+
+@dataclass(frozen=True)
+class Trace:
+    """What would be seen of an effect: patterns of the labels of buffers and textures, of the programs' text, and of
+    the names of bindings."""
+
+    labels: str
+    text: str
+    bindings: str
+
+
+TRACES = {
+    Effect.DIRECTIONAL_LIGHTS: Trace("directional lights", r"\bDirectionalLight\b", "directional"),
+    Effect.POINT_LIGHTS: Trace("point lights|light spheres", r"\bPointLight\b", "point"),
+    Effect.SPOT_LIGHTS: Trace("spot lights|cones", r"\bSpotLight\b", "spot"),
+    Effect.IMAGES: Trace("images|texture", r"\bsampler2DArray\b|\bdecode_texel\b|\bencode_texel\b", "images"),
+    Effect.EMISSION: Trace("^$", r"\.emission\b", "^$"),
+    Effect.HAZE: Trace("[Hh]aze", r"\bthrough_haze\b|\bHaze\b", "haze"),
+}
+"""The traces of each effect but shadows."""
+
+
+def make(effects: set[Effect]) -> Scene:
+    """Make a box with these effects and no others."""
+    builder = SceneBuilder("box")
+    material = builder.add_material(emission=1.0 if Effect.EMISSION in effects else 0.0)
+    builder.add_objects(builder.add_node(), builder.add_mesh(BUILT_IN["box"]()), material)
+    if Effect.DIRECTIONAL_LIGHTS in effects:
+        builder.lights.add_directional((0, -1, 0))
+    if Effect.POINT_LIGHTS in effects:
+        builder.lights.add_point((0, 2, 0), 4.0)
+    if Effect.SPOT_LIGHTS in effects:
+        builder.lights.add_spot((0, 2, 0), (0, -1, 0), 4.0, 0.3, 0.5)
+    if Effect.IMAGES in effects:
+        builder.add_image(np.zeros((4, 4, 4), np.uint8))
+    if Effect.HAZE in effects:
+        builder.haze = 0.1
+    return builder.build()
+
+
+def find_traces(scene: Scene, name: str, trace: Trace) -> set[str]:
+    """Return which kinds of traces a frame of this technique has."""
+    found = set()
+    with (
+        rhi.create_device("null") as device,
+        Renderer(
+            device, scene, technique=TECHNIQUES[name](), visibility=NoCulling(scene), size=SIZE
+        ) as renderer,
+    ):
+        renderer.render(EYE)
+        for command in device.stream.filter((Op.CREATE_BUFFER, Op.CREATE_TEXTURE)):
+            if re.search(trace.labels, command["descriptor"].label):
+                found.add(f"label {command['descriptor'].label}")
+        for command in device.stream.filter(Op.CREATE_PROGRAM):
+            program = command["descriptor"]
+            for stage in program.stages:
+                found.update(f"text {match}" for match in re.findall(trace.text, program.emit("glsl", stage).text))
+            found.update(f"binding {one.name}" for one in program.bindings if re.search(trace.bindings, one.name))
+    return found
+
+
+@pytest.mark.parametrize("name", TECHNIQUES)
+@pytest.mark.parametrize("effect", TRACES, ids=lambda effect: effect.value)
+def test_what_a_scene_lacks_leaves_no_trace(effect: Effect, name: str) -> None:
+    trace, every = TRACES[effect], set(TRACES)
+    assert not find_traces(make(every - {effect}), name, trace)
+    kinds = {one.partition(" ")[0] for one in find_traces(make(every), name, trace)}
+    assert kinds >= ({"text"} if effect is Effect.EMISSION else {"label", "text", "binding"})
+
+
+LAMPS = "light rows|light grid|light volume|light spheres|light cones|whole target|light indices"
+
+
+@pytest.mark.parametrize("name", ["forward", "forward_multipass", "light_indexed", "forward_plus", "clustered"])
+def test_without_lamps_nothing_of_theirs_is_made(name: str) -> None:
+    lamps = {Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS}
+    trace = Trace(LAMPS, r"\blight_rows\b|\bin_range\b|\bCellGrid\b", "light|grid")
+    assert not find_traces(make(set()), name, trace)
+    assert len(find_traces(make(lamps), name, trace)) > 3
+
+
+NO_PASSES: tuple[list[str], list[str]] = ([], [])
+ADDED: dict[str, tuple[list[str], list[str]]] = {
+    "forward": NO_PASSES,
+    "forward_multipass": (["base", "{}", "resolve"], ["forward"]),
+    "deferred": (["{}"], []),
+    "light_pre_pass": (["normals", "{}", "materials"], ["forward"]),
+    "inferred": (["normals", "shrink", "{}", "materials"], ["forward"]),
+    "light_indexed": (["depth", "light indices"], []),
+    "forward_plus": (["depth", "light lists"], []),
+    "clustered": (["light lists"], []),
+    "tiled_deferred": (["tiles"], []),
+    "clustered_deferred": (["light lists"], []),
+}
+"""The passes that a first lamp adds, and those that they replace; `{}` is the kind of the lamp."""
+
+
+def list_passes(scene: Scene, name: str) -> list[str]:
+    with (
+        rhi.create_device("null") as device,
+        Renderer(
+            device, scene, technique=TECHNIQUES[name](), visibility=NoCulling(scene), size=SIZE
+        ) as renderer,
+    ):
+        renderer.render(EYE)
+        events = [command["text"] for command in device.stream.filter(Op.PUSH_LABEL)]
+        _, plan = renderer.plan(EYE)
+    assert events == [one.name for one in plan.passes]
+    return events
+
+
+@pytest.mark.parametrize("name", ADDED)
+@pytest.mark.parametrize("effect", [Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS], ids=lambda effect: effect.value)
+def test_one_lamp_adds_exactly_its_passes(effect: Effect, name: str) -> None:
+    added, replaced = ([one.format(effect.value) for one in some] for some in ADDED[name])
+    without, lit = list_passes(make(set()), name), list_passes(make({effect}), name)
+    assert [one for one in lit if one not in without] == added
+    assert [one for one in without if one not in lit] == replaced
+    both = list_passes(make({Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS}), name)
+    other = {"point lights", "spot lights"} - {effect.value}
+    assert [one for one in both if one not in lit] == [one for one in both if one in other]
+
+
+@pytest.mark.parametrize("name", TECHNIQUES)
+@pytest.mark.parametrize(
+    "effect",
+    [Effect.DIRECTIONAL_LIGHTS, Effect.IMAGES, Effect.EMISSION, Effect.HAZE],
+    ids=lambda effect: effect.value,
+)
+def test_what_is_no_lamp_adds_no_pass(effect: Effect, name: str) -> None:
+    lamps = {Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS}
+    assert list_passes(make({effect}), name) == list_passes(make(set()), name)
+    assert list_passes(make({effect} | lamps), name) == list_passes(make(lamps), name)

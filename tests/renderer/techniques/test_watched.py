@@ -1,0 +1,93 @@
+"""Buffers of a technique that are read back while a frame is made."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rhi
+from renderer.cli import main
+from renderer.content import BUILT_IN
+from renderer.frame import make_plan
+from renderer.renderer import Renderer
+from renderer.scene import Camera, Scene, SceneBuilder
+from renderer.techniques import Deferred, Forward, Technique, Watched
+from renderer.techniques.watched import list_contents
+from renderer.visibility import NoCulling
+
+SIZE = (24, 16)
+
+
+def boxes() -> Scene:
+    """Make a box between a point light and a spot light."""
+    builder = SceneBuilder("box")
+    builder.add_objects(builder.add_node(), builder.add_mesh(BUILT_IN["box"]()), builder.add_material())
+    builder.lights.add_point((-1.2, 0, 1.2), 4.0, (1, 0, 0), 2.0)
+    builder.lights.add_spot((1.2, 0, 1.2), (-1, 0, -1), 4.0, 0.4, 0.8, (0, 1, 0), 2.0)
+    builder.views["front"] = Camera.look_at((0, 0, 3), (0, 0, 0))
+    return builder.build()
+
+
+def watch(device: rhi.Device, technique: Technique, contents: str) -> Watched:
+    """Draw two frames, and return what was watched."""
+    scene, watched = boxes(), Watched(technique, contents)
+    with Renderer(device, scene, technique=watched, visibility=NoCulling(scene), size=SIZE) as renderer:
+        for _ in range(2):
+            renderer.render(scene.views["front"])
+    return watched
+
+
+def test_contents_are_those_before_a_later_pass_draws_over_them(gl: rhi.Device) -> None:
+    one, both = (watch(gl, Deferred(), name).texels for name in ("light", "light with spot lights"))
+    assert one is not None
+    assert both is not None
+    assert one.shape == both.shape == (*SIZE[::-1], 4)
+    assert one[..., 0].max() > 0.1
+    assert one[..., 1].max() == 0.0  # the spot light is green
+    assert both[..., 1].max() > 0.1
+
+
+def test_the_frame_is_the_same(gl: rhi.Device) -> None:
+    scene = boxes()
+    images = []
+    for technique in (Deferred(), Watched(Deferred(), "surface")):
+        with Renderer(gl, scene, technique=technique, visibility=NoCulling(scene), size=SIZE) as renderer:
+            images.append(renderer.render(scene.views["front"]).image.read())
+    assert (images[0] == images[1]).all()
+
+
+@pytest.mark.parametrize("name", ["lihgt", "light lists", "image samples", ""])
+def test_other_names_are_refused_with_those_of_the_plan(null: rhi.Device, name: str) -> None:
+    with pytest.raises(rhi.ValidationError, match="plan-unknown-contents") as error:
+        watch(null, Deferred(), name)
+    assert "surface, material, depth, light, light with spot lights, image" in str(error.value)
+
+
+def test_contents_of_several_samples_are_not_listed(null: rhi.Device) -> None:
+    scene = boxes()
+    with Renderer(null, scene, visibility=NoCulling(scene), size=SIZE) as renderer:
+        needs, _ = renderer.plan(scene.views["front"])
+    assert list_contents(Forward(4).declare(needs)) == ["depth", "image"]
+    plan = make_plan(list(Watched(Forward(4), "depth").declare(needs)))
+    assert [one.name for one in plan.passes] == ["depth", "forward", "resolve", "read back"]
+
+
+def test_render_pictures_a_buffer(gl: rhi.Device, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    common = ["render", "grid:count=4,lights=2", "--size", "40x30", "--backend", "gl", "--visibility", "frustum"]
+    paths = [tmp_path / f"{name}.png" for name in ("material", "image")]
+    for path in paths:
+        shown = ["--technique", "deferred", "--show", path.stem, "--output", str(path)]
+        assert main([*common, *shown]) == 0
+    assert paths[0].read_bytes() != paths[1].read_bytes()
+    with pytest.raises(SystemExit):
+        main([*common, "--show", "surface"])  # forward shading has none
+    assert "allowed: image, depth" in capsys.readouterr().err
+
+
+def test_a_watched_buffer_is_exact(gl: rhi.Device) -> None:
+    material = watch(gl, Deferred(), "material").texels
+    assert material is not None
+    assert material.dtype == np.uint32
+    assert material[SIZE[1] // 2, SIZE[0] // 2] == 0
