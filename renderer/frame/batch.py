@@ -49,6 +49,23 @@ class FrameBatch:
         self._draws: NDArray[Any] | None = None  # of which the buffer has `_rows`, in this order
         self._rows = np.zeros(0, np.int64)
         self._buffer: Buffer | None = None
+        self._parts: tuple[NDArray[np.int64], bytes, list[NDArray[np.int64]]] | None = None
+
+    def begin_frame(self) -> None:
+        """Forget the order of the last frame's objects."""
+        self._parts = None
+
+    def order(
+        self,
+        rows: NDArray[np.int64],
+        forward: NDArray[np.float64],
+        arrange: Callable[[], list[NDArray[np.int64]]],
+    ) -> list[NDArray[np.int64]]:
+        """Return what `arrange` returns for the objects `rows` and a direction of view, once in a frame."""
+        key, known = forward.tobytes(), self._parts
+        if known is None or known[0] is not rows or known[1] != key:
+            self._parts = known = rows, key, arrange()
+        return known[2]
 
     def execute(
         self,

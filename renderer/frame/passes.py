@@ -251,8 +251,10 @@ class TechniquePass:
             if not len(rows):
                 return
         self.drawn.add_batch(rows)
-        rows = self._sort(rows)
-        parts = [rows[resources.find_winding(rows, mirrored=mirrored)] for mirrored, _ in WINDINGS]
+
+        def arrange() -> list[NDArray[np.int64]]:
+            ordered = self._sort(rows)
+            return [ordered[resources.find_winding(ordered, mirrored=mirrored)] for mirrored, _ in WINDINGS]
 
         def issue(encoder: Encoder, arguments: list[IndirectDraws | None]) -> None:
             with self._begin(encoder, clears=not self.was_opened):
@@ -261,8 +263,9 @@ class TechniquePass:
                         with encoder.states(winding):
                             encoder.draw_indirect(self._program, resources.mesh, draws, **self._bindings)
 
-        view = self._view
-        view.batch.execute(view.commands.next(), self.key, resources.draws, parts, issue)
+        view, batch = self._view, self._view.batch
+        parts = batch.order(rows, view.camera.forward, arrange)
+        batch.execute(view.commands.next(), self.key, resources.draws, parts, issue)
         self.was_opened = True
 
     def draw_conditional(

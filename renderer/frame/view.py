@@ -71,6 +71,8 @@ class View:
         self._camera = camera
         self.around = around or camera
         self.commands.begin_frame()
+        if self._owns_batch:
+            self.batch.begin_frame()
         self._constants.write(_constants(camera.relative_view_projection, camera.position))
 
     def destroy(self) -> None:

@@ -81,7 +81,7 @@ def compare_stereo(
 
     Args:
         scenes: the scene without shadows (False), with them (True), or both.
-        stereos: names of `list_stereos`. frames: those of the path that are drawn.
+        stereos: names of `list_stereos`. frames: those of the path; the one before them is drawn first.
         technique: makes a technique for each way.
     """
     rows = []
@@ -90,7 +90,8 @@ def compare_stereo(
             names = [MONO, *stereos]
             made = {name: _open(device, scene, size, make_stereo(name, rig), technique()) for name in names}
             try:
-                rows += _compare(made, has_shadows, path, progress(frames))
+                rounds = progress(range(1, len(frames) + 1))
+                rows += _compare(made, has_shadows, path, max(frames.start - 1, 0), rounds)
             finally:
                 for one in made.values():
                     one.destroy()
@@ -106,14 +107,15 @@ def _open(
 
 
 def _compare(
-    made: dict[str, Renderer], has_shadows: bool, path: CameraPath, frames: Iterable[int]
+    made: dict[str, Renderer], has_shadows: bool, path: CameraPath, start: int, rounds: Iterable[int]
 ) -> list[StereoRow]:
     results: dict[str, list[tuple[int, int, int]]] = {name: [] for name in made}
 
     def work(name: str) -> Callable[[int], None]:
         renderer = made[name]
 
-        def draw(frame: int) -> None:
+        def draw(number: int) -> None:
+            frame = start + number
             result: FrameResult = renderer.render(path.camera(frame), frame / FRAMES_PER_SECOND)
             renderer.device.finish()
             counted = result.statistics
@@ -121,7 +123,7 @@ def _compare(
 
         return draw
 
-    times = alternate({name: work(name) for name in made}, frames, _SETTLES)
+    times = alternate({name: work(name) for name in made}, rounds, _SETTLES)
     mono, rows = times[MONO], []
     for name, time in times.items():
         counts = list(zip(*results[name][_SETTLES:], strict=True))

@@ -32,6 +32,8 @@ NATURAL_DISTANCE: Final = 0.063
 COMFORTABLE_SHARE: Final = 1.0 / 30.0
 """The share of the image's width that parallax may spread over without strain: a rule of stereographers."""
 _MARGIN: Final = 1e-9  # of what encloses both views: their rounding
+_CORNERS: Final = np.array([(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)])
+_AHEAD: Final = np.array([1.0, 1.0, -1.0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,9 +131,11 @@ class StereoRig:
             return camera
         lens, eyes = camera.projection, self.place_eyes(camera)
         nearest, farthest = (1.0, 0.0) if lens.depth is Depth.REVERSED else (0.0, 1.0)
-        near = np.concatenate([_find_corners(camera, eye, nearest) for eye in eyes])
-        has_far = len(camera.frustum.planes) == 6
-        far = np.concatenate([_find_corners(camera, eye, farthest) for eye in eyes]) if has_far else near
+        end_of_view = _find_distance(lens.matrix, farthest)
+        has_far = bool(np.isfinite(end_of_view))
+        begin_of_view = _find_distance(lens.matrix, nearest)
+        near = np.concatenate([_find_corners(camera, eye, begin_of_view) for eye in eyes])
+        far = np.concatenate([_find_corners(camera, eye, end_of_view) for eye in eyes]) if has_far else near
         widened = 1.0 + _MARGIN
         if _is_parallel(lens):
             ends = np.concatenate([near, far])
@@ -143,7 +147,7 @@ class StereoRig:
             )
         else:
             offsets = np.repeat([eye.position - camera.position for eye in eyes], 4, axis=0) @ camera.rotation.T
-            ahead = near - offsets * (1.0, 1.0, -1.0)
+            ahead = near - offsets * _AHEAD
             if not (ahead[:, 2] > 0.0).all():
                 refuse(rules.BAD_STEREO, "StereoRig.enclose", self, "eyes that see less than a half space")
             half, high = (np.abs(ahead[:, :2]) / ahead[:, 2:]).max(axis=0) * widened
@@ -179,13 +183,21 @@ def measure_parallax(eyes: tuple[Camera, Camera], points: ArrayLike) -> Floats:
     return np.asarray(places[1] - places[0])
 
 
-def _find_corners(camera: Camera, eye: Camera, depth: float) -> Floats:
-    """Return the corners (4, 3) of an eye's image at a clip depth as `camera` sees them: rightwards, upwards, ahead."""
-    ends = (-1.0, 1.0)
-    clip = np.array([(x, y, depth, 1.0) for x in ends for y in ends])
-    points = clip @ np.linalg.inv(eye.projection.matrix).T
-    seen = points[:, :3] / points[:, 3:] @ eye.rotation + (eye.position - camera.position)
-    return np.asarray(seen @ camera.rotation.T * (1.0, 1.0, -1.0))
+def _find_corners(camera: Camera, eye: Camera, distance: float) -> Floats:
+    """Return the corners (4, 3) of what an eye sees at a distance along its view, as `camera` sees them: rightwards,
+    upwards, ahead."""
+    m = eye.projection.matrix
+    clip = _CORNERS * (m[3, 3] - m[3, 2] * distance)
+    points = np.full((4, 3), -distance)
+    points[:, :2] = (clip + m[:2, 2] * distance - m[:2, 3]) / m[[0, 1], [0, 1]]
+    seen = points @ eye.rotation + (eye.position - camera.position)
+    return np.asarray(seen @ camera.rotation.T * _AHEAD)
+
+
+def _find_distance(matrix: Floats, depth: float) -> float:
+    """Return the distance along the view at which a lens gives a clip depth; it may be infinite."""
+    below = float(matrix[2, 2] - matrix[3, 2] * depth)
+    return float(matrix[2, 3] - matrix[3, 3] * depth) / below if below else np.inf
 
 
 def _is_parallel(lens: Projection) -> bool:
