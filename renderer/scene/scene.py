@@ -229,6 +229,10 @@ class SceneBuilder:
         """The number of objects that have been added."""
         return self._object_count
 
+    def mesh_name(self, mesh: int) -> str:
+        """Return the name of a mesh."""
+        return self._mesh_names[mesh]
+
     def mesh_bounds(self, mesh: int) -> MeshBounds:
         """Return the bounds that a mesh was added with, or those of its vertices."""
         return self._bounds[mesh] or self._geometries[mesh].bounds

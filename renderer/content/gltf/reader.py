@@ -10,6 +10,8 @@ So a scene that `save_scene` has written is read back row by row.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +19,14 @@ from renderer.content.assets import share_geometry
 from renderer.content.gltf.accessors import Accessors
 from renderer.content.gltf.animations import find_bounds, make_motion, read_tracks
 from renderer.content.gltf.container import EXTENSIONS, GltfFile
+from renderer.content.gltf.deformations import (
+    Deformations,
+    DeformedMesh,
+    NodeTree,
+    Skeleton,
+    read_deformed,
+    read_skins,
+)
 from renderer.content.gltf.document import JsonObject
 from renderer.content.gltf.extras import Surroundings, is_placed, private, read_surroundings
 from renderer.content.gltf.materials import Materials
@@ -28,8 +38,9 @@ from renderer.content.gltf.nodes import (
     read_camera,
 )
 from renderer.content.gltf.primitives import Primitives
-from renderer.content.gltf.tracks import NodeMotion
+from renderer.content.gltf.tracks import WEIGHTS, NodeMotion, Track
 from renderer.scene.arrays import Floats, Rows
+from renderer.scene.meshes import MeshGeometry
 from renderer.scene.scene import SceneBuilder
 
 __rhi_internal__ = True
@@ -53,6 +64,15 @@ def add_gltf(builder: SceneBuilder, path: str) -> Surroundings | None:
     return reader.surroundings
 
 
+@dataclass(frozen=True, slots=True)
+class _GltfPart:
+    """A primitive of a mesh of the file, its mesh in the scene, and its material or -1."""
+
+    primitive: JsonObject
+    mesh: int
+    material: int
+
+
 class _GltfReader:
     """Adds one file to a builder."""
 
@@ -65,7 +85,8 @@ class _GltfReader:
         self.surroundings = None if held is None else read_surroundings(held)
         self._accessors = Accessors(file)
         self._materials = Materials(file, builder, builder.omissions)
-        self._meshes: list[list[tuple[int, int]]] = []  # of each mesh of the file: meshes, materials or -1
+        self._primitives = Primitives(self._accessors, builder.omissions)
+        self._meshes: list[list[_GltfPart]] = []  # of each mesh of the file
 
     def add_all(self) -> None:
         for name in self._file.names("extensionsUsed"):
@@ -76,7 +97,7 @@ class _GltfReader:
         tracks = read_tracks(self._root, self._accessors, self._omissions)
         worlds = find_worlds(nodes)
         animated = make_motion(nodes, tracks, self._omissions)
-        self._add_nodes(nodes, animated)
+        self._add_nodes(nodes, animated, tracks)
         moving = np.zeros(len(nodes), bool)
         if animated is not None:
             moving[animated[0]] = True
@@ -88,7 +109,7 @@ class _GltfReader:
     def _add_meshes(self) -> None:
         """Add the materials and the meshes of the file, a mesh for each set of accessors."""
         ids = self._materials.add_all()
-        reader = Primitives(self._accessors, self._omissions)
+        reader = self._primitives
         meshes = self._root.children("meshes")
         parts = [
             [primitive for primitive in mesh.children("primitives") if reader.has_triangles(primitive)]
@@ -119,11 +140,19 @@ class _GltfReader:
             for primitive in primitives:
                 material = primitive.index("material", len(ids))
                 if (mesh_id := made.get(reader.key(primitive), -1)) >= 0:
-                    found.append((mesh_id, ids[material] if material >= 0 else -1))
+                    found.append(_GltfPart(primitive, mesh_id, ids[material] if material >= 0 else -1))
             self._meshes.append(found)
 
-    def _add_nodes(self, nodes: list[GltfNode], animated: tuple[Rows, NodeMotion] | None) -> None:
+    def _add_nodes(
+        self,
+        nodes: list[GltfNode],
+        animated: tuple[Rows, NodeMotion] | None,
+        tracks: dict[tuple[int, int], Track],
+    ) -> None:
         """Add nodes, objects and their animations."""
+        tree = NodeTree.make(nodes, animated)
+        skeletons = read_skins(self._root, self._accessors, tree)
+        deformed: list[tuple[int, DeformedMesh]] = []  # objects, and how they change
         moving = set() if animated is None else set(animated[0].tolist())
         dynamic = frozenset(self._private.indices("dynamic", len(self._root.children("nodes"))))
         ids: list[int] = []
@@ -139,17 +168,65 @@ class _GltfReader:
             is_dynamic = row in moving or node.number in dynamic
             ids.append(self._builder.add_node(node.local, above, dynamic=is_dynamic, name=name))
             mesh = node.fields.index("mesh", len(self._meshes))
-            for geometry, material in self._meshes[mesh] if mesh >= 0 else ():
-                material = material if material >= 0 else self._materials.default()
-                objects.append((ids[-1], geometry, material))
+            for part in self._meshes[mesh] if mesh >= 0 else ():
+                change = self._read_deformed(node, part, tracks, skeletons)
+                geometry, at = part.mesh, row
+                if change is not None:
+                    geometry = self._add_deformed(change, self._builder.mesh_name(part.mesh))
+                    at = row if change.skeleton is None else change.skeleton.anchor
+                    if change.is_animated:
+                        deformed.append((len(objects), change))
+                material = part.material if part.material >= 0 else self._materials.default()
+                objects.append((at, geometry, material))
                 if animated is not None and geometry not in bounds:
                     bounds[geometry] = self._builder.mesh_bounds(geometry)
-                if animated is not None:
-                    contents.append((row, bounds[geometry]))
-        self._add_objects(objects)
+                if animated is not None and at >= 0:
+                    contents.append((at, bounds[geometry]))
+        if any(at < 0 for at, _, _ in objects):
+            ids.append(self._builder.add_node(name="skins"))  # for skins without a node above all joints
+        before = self._builder.object_count
+        self._add_objects([(ids[at], geometry, material) for at, geometry, material in objects])
+        if deformed:
+            changes = Deformations([change for _, change in deformed])
+            self._builder.simulate([before + number for number, _ in deformed], changes)
         if animated is not None:
             rows, motion = animated
             self._builder.animate(np.array(ids)[rows], motion, find_bounds(nodes, rows, motion, contents))
+
+    def _read_deformed(
+        self,
+        node: GltfNode,
+        part: _GltfPart,
+        tracks: dict[tuple[int, int], Track],
+        skeletons: list[Skeleton | None],
+    ) -> DeformedMesh | None:
+        """Return how a part of a mesh is deformed at a node, or None if it isn't."""
+        skin = node.fields.index("skin", len(skeletons))
+        skeleton = skeletons[skin] if skin >= 0 else None
+        if skin >= 0 and (skeleton is None or "JOINTS_0" not in part.primitive.child("attributes")):
+            self._omissions.add("skins without joints in the scene or in the mesh", node.fields.where)
+            skeleton = None
+        count = part.primitive.length("targets")
+        if not count and skeleton is None:
+            return None
+        meshes = self._root.children("meshes")
+        mesh = meshes[node.fields.index("mesh", len(meshes))]
+        held = node.fields if "weights" in node.fields else mesh
+        weights = held.reals("weights", count) if "weights" in held else np.zeros(count)
+        track = tracks.get((node.number, WEIGHTS)) if count else None
+        shape = self._primitives.read(part.primitive)
+        if shape is None or (skeleton is None and track is None and not weights.any()):
+            return None
+        return read_deformed(part.primitive, shape, self._accessors, weights, track, skeleton)
+
+    def _add_deformed(self, change: DeformedMesh, name: str) -> int:
+        """Add the mesh of a deformed object as it is at the beginning."""
+        vertices = change.geometry.vertices.copy()
+        made = change.vertices(0.0)
+        for field in made.dtype.names or ():
+            vertices[field] = made[field]
+        geometry = MeshGeometry(vertices, change.geometry.indices)
+        return self._builder.add_mesh(geometry, name, change.bounds() if change.is_animated else None)
 
     def _add_objects(self, objects: list[tuple[int, int, int]]) -> None:
         """Add objects (node, mesh, material), those of a saved scene in their order there."""

@@ -160,7 +160,7 @@ class NodeMotion:
             if track.target == ROTATION:
                 turning = track
             else:
-                values[track.target] = _extremes(track)
+                values[track.target] = extremes(track)
         (moved_low, moved_high), _, (scale_low, scale_high) = values
         products = np.stack([lower * scale_low, lower * scale_high, upper * scale_low, upper * scale_high])
         lower, upper = products.min(0), products.max(0)
@@ -228,7 +228,7 @@ def _controls(track: Track) -> Floats:
     )
 
 
-def _extremes(track: Track) -> tuple[Floats, Floats]:
+def extremes(track: Track) -> tuple[Floats, Floats]:
     """Return bounds (size,) of the values of a track that isn't a rotation: those of keys and control points."""
     points = track.keys
     if track.kind == CUBIC:

@@ -9,6 +9,12 @@ COMPONENTS = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 
 TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 TRIANGLE = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
 
+STRIP = np.array([[x, y, 0] for y in range(5) for x in (0, 1)], np.float32)
+CORNERS = np.array(
+    [[2 * r + a, 2 * r + b, 2 * r + c] for r in range(4) for a, b, c in ((0, 1, 2), (1, 3, 2))], np.uint16
+)
+UP = np.tile(np.float32([[0, 0, 1]]), (len(STRIP), 1))
+
 
 class GltfDocument:
     """A document under construction, and the bytes of its only buffer."""
@@ -93,3 +99,50 @@ def pack_glb(values, data):
     if data:
         chunks += struct.pack("<II", len(data), 0x004E4942) + data
     return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+def turn(degrees, axis=2):
+    """The quaternion of a rotation about an axis."""
+    quaternion = np.zeros(4)
+    quaternion[axis], quaternion[3] = np.sin(np.radians(degrees) / 2), np.cos(np.radians(degrees) / 2)
+    return quaternion
+
+
+def make_skinned(moves=True, root=None):
+    """A strip along y, bent by its second joint at y = 2, in a file whose mesh's own node is to be ignored."""
+    document = GltfDocument(
+        nodes=[
+            {"name": "body", "children": [1, 3], **(root or {})},
+            {"name": "hip", "children": [2]},
+            {"name": "knee", "translation": [0, 2, 0]},
+            {"name": "mesh", "mesh": 0, "skin": 0, "translation": [50, 0, 0]},
+        ]
+    )
+    share = np.clip(STRIP[:, 1] / 4, 0, 1)
+    weights = np.stack([1 - share, share, 0 * share, 0 * share], 1).astype(np.float32)
+    joints = np.tile(np.array([[0, 1, 0, 0]], np.uint8), (len(STRIP), 1))
+    document.mesh(STRIP, CORNERS.ravel(), NORMAL=UP, JOINTS_0=joints, WEIGHTS_0=weights)
+    binds = np.tile(np.eye(4, dtype=np.float32), (2, 1, 1))
+    binds[1, 3, 1] = -2  # column-major: moves by -2 along y
+    document.add("skins", joints=[1, 2], inverseBindMatrices=document.accessor(binds.reshape(2, 16)))
+    if moves:
+        document.animate(2, "rotation", [0, 1, 2], [turn(0), turn(90), turn(0)])
+    return document
+
+
+def make_morphing(track=True, weights=(0.25, 0.0), normals=False):
+    """A triangle with two targets: along x, and along y."""
+    document = GltfDocument(nodes=[{"mesh": 0, "translation": [0, 0, 5]}])
+    document.mesh(NORMAL=UP[:3])
+    shifts = [
+        {"POSITION": document.accessor(np.tile(np.float32([shift]), (3, 1)))}
+        for shift in ((4, 0, 0), (0, 8, 0))
+    ]
+    if normals:
+        shifts[0]["NORMAL"] = document.accessor(np.tile(np.float32([[1, 0, -1]]), (3, 1)))
+    mesh = document.values["meshes"][0]
+    mesh["primitives"][0]["targets"] = shifts
+    mesh["weights"] = list(weights)
+    if track:
+        document.animate(0, "weights", [0, 1, 2], [0, 0, 1, 0.5, 0, 1])
+    return document

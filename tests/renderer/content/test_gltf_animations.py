@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from gltf_documents import GltfDocument
+from gltf_documents import GltfDocument, turn
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -19,12 +19,6 @@ from renderer.content.gltf.tracks import (
 )
 
 REST = (np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]), np.ones((1, 3)))
-
-
-def turn(degrees, axis=2):
-    quaternion = np.zeros(4)
-    quaternion[axis], quaternion[3] = np.sin(np.radians(degrees) / 2), np.cos(np.radians(degrees) / 2)
-    return quaternion
 
 
 def animated(path, times, values, kind="LINEAR", nodes=None):

@@ -5,7 +5,7 @@ from copy import deepcopy
 
 import numpy as np
 import pytest
-from gltf_documents import TRIANGLE, GltfDocument, pack_glb
+from gltf_documents import TRIANGLE, GltfDocument, make_morphing, make_skinned, pack_glb
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -224,8 +224,23 @@ def list_places(value, above=()):
 
 
 QUICK = settings(deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
-DOCUMENT = make_document()
-PLACES = [place for place in list_places(DOCUMENT.values) if place]
+DOCUMENTS = [make_document(), make_skinned(), make_morphing()]
+PLACES = [
+    (number, place)
+    for number, document in enumerate(DOCUMENTS)
+    for place in list_places(document.values)
+    if place
+]
+DAMAGES = st.sampled_from(range(len(DOCUMENTS))).flatmap(
+    lambda number: st.tuples(
+        st.just(DOCUMENTS[number]),
+        st.lists(
+            st.tuples(st.sampled_from([place for one, place in PLACES if one == number]), JUNK),
+            min_size=1,
+            max_size=4,
+        ),
+    )
+)
 
 
 def damage(values, place, junk):
@@ -241,14 +256,12 @@ def damage(values, place, junk):
         held[place[-1]] = deepcopy(junk)
 
 
-def load_damaged(folder, damages, content=None):
+def pack(values, document):
+    return pack_glb({**values, "buffers": [{"byteLength": len(document.data)}]}, bytes(document.data))
+
+
+def load_damaged(folder, content):
     path = folder / "damaged.glb"
-    if content is None:
-        values = deepcopy(DOCUMENT.values)
-        for place, junk in damages:
-            damage(values, place, junk)
-        values["buffers"] = [{"byteLength": len(DOCUMENT.data)}]
-        content = pack_glb(values, bytes(DOCUMENT.data))
     path.write_bytes(content)
     try:
         scene = load_model(str(path))
@@ -256,30 +269,38 @@ def load_damaged(folder, damages, content=None):
         refused = error
     else:
         assert len(scene.objects) > 0
+        scene.check_bounds([0.0, 0.7])
         return
     assert refused.given.startswith(str(path)), refused  # a refusal names the file
 
 
-@settings(QUICK, max_examples=150)
-@given(damages=st.lists(st.tuples(st.sampled_from(PLACES), JUNK), min_size=1, max_size=3))
-def test_a_damaged_document_is_read_or_refused(tmp_path, damages):
-    load_damaged(tmp_path, damages)
+def load_with_damages(folder, case):
+    document, damages = case
+    values = deepcopy(document.values)
+    for place, junk in damages:
+        damage(values, place, junk)
+    load_damaged(folder, pack(values, document))
+
+
+@settings(QUICK, max_examples=200)
+@given(case=DAMAGES)
+def test_a_damaged_document_is_read_or_refused(tmp_path, case):
+    load_with_damages(tmp_path, case)
 
 
 @pytest.mark.nightly
 @settings(QUICK, max_examples=20_000, derandomize=False)
-@given(damages=st.lists(st.tuples(st.sampled_from(PLACES), JUNK), min_size=1, max_size=4))
-def test_thousands_of_damaged_documents_are_read_or_refused(tmp_path, damages):
-    load_damaged(tmp_path, damages)
+@given(case=DAMAGES)
+def test_thousands_of_damaged_documents_are_read_or_refused(tmp_path, case):
+    load_with_damages(tmp_path, case)
 
 
 @settings(QUICK, max_examples=100)
-@given(data=st.data())
-def test_a_file_with_damaged_bytes_is_read_or_refused(tmp_path, data):
-    values = {**DOCUMENT.values, "buffers": [{"byteLength": len(DOCUMENT.data)}]}
-    content = bytearray(pack_glb(values, bytes(DOCUMENT.data)))
+@given(data=st.data(), document=st.sampled_from(DOCUMENTS))
+def test_a_file_with_damaged_bytes_is_read_or_refused(tmp_path, data, document):
+    content = bytearray(pack(document.values, document))
     for at, byte in data.draw(
         st.lists(st.tuples(st.integers(0, len(content) - 1), st.integers(0, 255)), max_size=8)
     ):
         content[at] = byte
-    load_damaged(tmp_path, (), bytes(content))
+    load_damaged(tmp_path, bytes(content))

@@ -1,0 +1,291 @@
+"""Skins and morph targets: meshes whose vertices are computed where they are drawn.
+
+A vertex is its position plus the weighted offsets of the mesh's targets, then the weighted mean of where the joints of
+the skin take it. Vertices of a skin are relative to the nearest node above all joints that never moves, and that is
+where the object is placed; glTF ignores the mesh's own node.
+
+Both have bounds that hold at all times. A skinned vertex lies between the points where its joints take it, so it is
+within the boxes that these sweep; an offset vertex is between the extremes of each weight. Normals are turned with the
+vertices; tangents stay as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.content.gltf.accessors import Accessors
+from renderer.content.gltf.document import JsonObject
+from renderer.content.gltf.nodes import GltfNode
+from renderer.content.gltf.primitives import PrimitiveMesh
+from renderer.content.gltf.tracks import Keys, NodeMotion, Track, extremes
+from renderer.scene.arrays import Floats, Rows
+from renderer.scene.catching_up import Recompute
+from renderer.scene.meshes import VERTEX, MeshBounds, MeshGeometry
+from renderer.scene.transforms import multiply, transform_bounds
+
+__rhi_internal__ = True
+
+_FIRST: Final = np.zeros(1, np.int64)
+_ROUNDING: Final = 2.0**-18  # of the largest coordinate: vertices are computed in float32
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class NodeTree:
+    """The nodes of a file with their motion.
+
+    Attributes:
+        nodes: all nodes, parents first.
+        member: for each node its number in the motion, or -1.
+        motion: the motion of the animated nodes, or None.
+    """
+
+    nodes: list[GltfNode]
+    member: Rows
+    motion: NodeMotion | None
+
+    @classmethod
+    def make(cls, nodes: list[GltfNode], animated: tuple[Rows, NodeMotion] | None) -> NodeTree:
+        """Create the tree of `nodes`, given the rows of those that are animated and their motion."""
+        member = np.full(len(nodes), -1)
+        if animated is not None:
+            member[animated[0]] = np.arange(len(animated[0]))
+        return cls(nodes, member, None if animated is None else animated[1])
+
+    def chain(self, row: int) -> list[int]:
+        """Return a node and all above it, from the root downwards."""
+        found = []
+        while row >= 0:
+            found.append(row)
+            row = self.nodes[row].parent
+        return found[::-1]
+
+    def find_anchor(self, rows: Sequence[int]) -> int:
+        """Return the deepest node that is above or at all `rows` and never moves, or -1."""
+        chains = [self.chain(row) for row in rows]
+        anchor = -1
+        for level in zip(*chains, strict=False):
+            if len(set(level)) > 1 or self.member[level[0]] >= 0:
+                break
+            anchor = level[0]
+        return anchor
+
+    def sweep(self, row: int, anchor: int, box: MeshBounds) -> MeshBounds:
+        """Return a box in the space of `anchor` that holds at all times a box in the space of the node `row`."""
+        while row != anchor:
+            if self.motion is not None and self.member[row] >= 0:
+                box = self.motion.reach(int(self.member[row]), *box)
+            else:
+                low, high = transform_bounds(self.nodes[row].local[None], box[0][None], box[1][None])
+                box = (low[0], high[0])
+            row = self.nodes[row].parent
+        return box
+
+
+class Skeleton:
+    """The joints of a skin: matrices from the mesh, where it was bound, to the space of the `anchor`."""
+
+    def __init__(self, tree: NodeTree, joints: list[int], binds: Floats) -> None:
+        self.tree, self.joints, self.binds = tree, joints, binds
+        self.anchor = tree.find_anchor(joints)
+        below = {row for joint in joints for row in tree.chain(joint)} - set(tree.chain(self.anchor))
+        rows = sorted(below)
+        at = {row: number for number, row in enumerate(rows)}
+        self._parents = [at.get(tree.nodes[row].parent, -1) for row in rows]
+        self._locals = np.array([tree.nodes[row].local for row in rows]).reshape(-1, 4, 4)
+        self._joint_at = [at.get(joint, -1) for joint in joints]  # -1: the anchor itself
+        self._moving: Rows = np.flatnonzero(tree.member[rows] >= 0)
+        self._members: Rows = tree.member[rows][self._moving]
+        self._motion = tree.motion
+        self._seconds = np.nan
+        self._found: Floats = binds
+
+    @property
+    def moves(self) -> bool:
+        """Whether any joint is animated."""
+        return len(self._members) > 0
+
+    def matrices(self, seconds: float) -> Floats:
+        """Return the matrices (j, 4, 4) of all joints at a time."""
+        if seconds == self._seconds:
+            return self._found
+        if self._motion is not None and self.moves:
+            self._motion.set_time(self._members, seconds)
+            self._locals[self._moving] = self._motion.transforms(self._members)
+        worlds = np.zeros((len(self._parents) + 1, 4, 4))
+        worlds[-1] = np.eye(4)
+        for row, parent in enumerate(self._parents):
+            worlds[row] = multiply(worlds[parent], self._locals[row])
+        self._found, self._seconds = multiply(worlds[self._joint_at], self.binds), seconds
+        return self._found
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class DeformedMesh:
+    """A mesh with targets, with a skin, or both.
+
+    Attributes:
+        geometry: the mesh as it stands in the file.
+        offsets: (t, v, 3) of positions and of normals; `weights` (t,) if no track changes them.
+        track: that of the weights, or None.
+        joints, shares: (v, 4), the joints of each vertex and their weights, which add up to 1; None without a skin.
+    """
+
+    geometry: MeshGeometry
+    offsets: NDArray[np.float32]
+    turns: NDArray[np.float32]
+    weights: Floats
+    track: Track | None
+    skeleton: Skeleton | None
+    joints: Rows | None
+    shares: Floats | None
+
+    @property
+    def is_animated(self) -> bool:
+        """Whether it changes with time."""
+        return self.track is not None or (self.skeleton is not None and self.skeleton.moves)
+
+    def vertices(self, seconds: float) -> NDArray[Any]:
+        """Return the vertices (v,) of `VERTEX` at a time."""
+        made = np.zeros(len(self.geometry.vertices), VERTEX)
+        for name in VERTEX.names or ():
+            made[name] = self.geometry.vertices[name]
+        if len(self.weights):
+            weights = self.weights
+            if self.track is not None:
+                weights = Keys([self.track], len(weights)).at(_FIRST, seconds)[0]
+            made["position"] += np.tensordot(weights, self.offsets, 1)
+            made["normal"] += np.tensordot(weights, self.turns, 1)
+        if self.skeleton is not None and self.joints is not None and self.shares is not None:
+            matrices = self.skeleton.matrices(seconds)[:, :3]
+            blend = np.einsum("vk,vkij->vij", self.shares, matrices[self.joints])
+            made["position"] = np.einsum("vij,vj->vi", blend[:, :, :3], made["position"]) + blend[:, :, 3]
+            made["normal"] = np.einsum("vij,vj->vi", blend[:, :, :3], made["normal"])
+        length = np.linalg.norm(made["normal"], axis=1, keepdims=True)
+        made["normal"] = np.where(length > 1e-20, made["normal"] / np.maximum(length, 1e-20), (0.0, 1.0, 0.0))
+        return made
+
+    def bounds(self) -> MeshBounds:
+        """Return a box that holds all vertices at all times."""
+        position = self.geometry.vertices["position"].astype(np.float64)
+        least, most = (self.weights, self.weights) if self.track is None else extremes(self.track)
+        ends = np.stack([least[:, None, None] * self.offsets, most[:, None, None] * self.offsets])
+        low, high = position + ends.min(0).sum(0), position + ends.max(0).sum(0)
+        boxes: list[MeshBounds] = []
+        if self.skeleton is None or self.joints is None or self.shares is None:
+            boxes.append((low.min(0), high.max(0)))
+        else:
+            for number, joint in enumerate(self.skeleton.joints):
+                held = ((self.joints == number) & (self.shares > 0.0)).any(1)
+                if held.any():
+                    corners = low[held].min(0)[None], high[held].max(0)[None]
+                    below, above = transform_bounds(self.skeleton.binds[number][None], *corners)
+                    boxes.append(self.skeleton.tree.sweep(joint, self.skeleton.anchor, (below[0], above[0])))
+        lower, upper = np.min([box[0] for box in boxes], axis=0), np.max([box[1] for box in boxes], axis=0)
+        slack = _ROUNDING * max(float(np.abs([lower, upper]).max()), 1e-30)
+        return lower - slack, upper + slack
+
+
+class Deformations:
+    """The deformed meshes of a file: a simulation for `SceneBuilder.simulate`."""
+
+    catch_up: Final = Recompute()
+
+    def __init__(self, meshes: Sequence[DeformedMesh]) -> None:
+        self.meshes = tuple(meshes)
+        self._seconds = np.zeros(len(meshes))
+
+    def __deepcopy__(self, memo: object) -> Deformations:
+        """Return a copy with times of its own; the meshes never change."""
+        made = copy(self)
+        made._seconds = self._seconds.copy()
+        return made
+
+    def set_time(self, members: Rows, seconds: float) -> None:
+        """Set the time of `members` (j,)."""
+        self._seconds[members] = seconds
+
+    def vertices(self, members: Rows) -> NDArray[Any]:
+        """Return the present vertices of `members` (j,), one after another, of `VERTEX`."""
+        parts = [self.meshes[member].vertices(self._seconds[member]) for member in members.tolist()]
+        return np.concatenate([np.zeros(0, VERTEX), *parts])
+
+
+def read_skins(root: JsonObject, accessors: Accessors, tree: NodeTree) -> list[Skeleton | None]:
+    """Return the skeletons of the file's skins; None for one whose joints aren't in the scene."""
+    row_of = {node.number: row for row, node in enumerate(tree.nodes)}
+    count = len(root.children("nodes"))
+    found: list[Skeleton | None] = []
+    for skin in root.children("skins"):
+        joints = skin.indices("joints", count)
+        if not joints:
+            skin.refuse("joints", "none", "one or more nodes")
+        number = skin.index("inverseBindMatrices", len(accessors))
+        binds = np.tile(np.eye(4), (len(joints), 1, 1))
+        if number >= 0:
+            held = accessors.floats(number, "MAT4").astype(np.float64)
+            if len(held) < len(joints) or not (np.abs(held) <= 1e30).all():
+                accessors.fields[number].refuse("", f"{len(held)} matrices", f"{len(joints)} finite ones")
+            binds = held[: len(joints)].reshape(-1, 4, 4).transpose(0, 2, 1).copy()
+            binds[:, 3] = (0.0, 0.0, 0.0, 1.0)
+        is_here = all(joint in row_of for joint in joints)
+        found.append(Skeleton(tree, [row_of[joint] for joint in joints], binds) if is_here else None)
+    return found
+
+
+def read_deformed(
+    primitive: JsonObject,
+    mesh: PrimitiveMesh,
+    accessors: Accessors,
+    weights: Floats,
+    track: Track | None,
+    skeleton: Skeleton | None,
+) -> DeformedMesh:
+    """Return a primitive as it is deformed at a node.
+
+    Args:
+        weights: those of the targets (t,), as the node or the mesh has them.
+        track: that of the weights, or None.
+        skeleton: that of the node's skin, or None.
+    """
+    targets = primitive.children("targets")
+    if len(weights) not in (0, len(targets)) or (
+        track is not None and track.values.shape[-1] != len(targets)
+    ):
+        primitive.refuse("targets", f"{len(targets)} targets", "as many as weights")
+    offsets = np.zeros((len(targets), len(mesh.rows), 3), np.float32)
+    turns = np.zeros_like(offsets)
+    for number, target in enumerate(targets):
+        for name, changed in (("POSITION", offsets), ("NORMAL", turns)):
+            index = target.index(name, len(accessors))
+            if index >= 0:
+                held = accessors.floats(index, "VEC3")
+                if len(held) <= int(mesh.rows.max()) or not (np.abs(held) <= 1e30).all():
+                    target.refuse(name, f"{len(held)} offsets", "a finite one for each vertex")
+                changed[number] = held[mesh.rows]
+    given = weights if len(weights) else np.zeros(len(targets))
+    joints, shares = (None, None) if skeleton is None else _read_joints(primitive, mesh, accessors, skeleton)
+    return DeformedMesh(mesh.geometry, offsets, turns, given, track, skeleton, joints, shares)
+
+
+def _read_joints(
+    primitive: JsonObject, mesh: PrimitiveMesh, accessors: Accessors, skeleton: Skeleton
+) -> tuple[Rows, Floats]:
+    attributes = primitive.child("attributes")
+    count = len(accessors)
+    joints = accessors.array(attributes.index("JOINTS_0", count, needed=True), "VEC4", "u").astype(np.int64)
+    shares = accessors.floats(attributes.index("WEIGHTS_0", count, needed=True), "VEC4").astype(np.float64)
+    last = int(mesh.rows.max())
+    if len(joints) <= last or len(shares) <= last:
+        attributes.refuse("JOINTS_0", f"{min(len(joints), len(shares))} vertices", f"{last + 1} or more")
+    joints, shares = joints[mesh.rows], np.maximum(np.nan_to_num(shares[mesh.rows]), 0.0)
+    if joints.max() >= len(skeleton.joints):
+        attributes.refuse("JOINTS_0", f"joint {joints.max()}", f"0 to {len(skeleton.joints) - 1}")
+    total = shares.sum(1, keepdims=True)
+    shares = np.where(total > 0.0, shares / np.where(total > 0.0, total, 1.0), (1.0, 0.0, 0.0, 0.0))
+    return joints, shares
