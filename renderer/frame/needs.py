@@ -30,6 +30,17 @@ class Effect(Enum):
     IMAGES = "images"
     EMISSION = "emission"
     HAZE = "haze"
+    METALS = "metals"
+    EMISSIVE_COLORS = "emissive colors"
+    NORMAL_MAPS = "normal maps"
+    ROUGHNESS_MAPS = "roughness maps"
+    OCCLUSION_MAPS = "occlusion maps"
+    EMISSIVE_MAPS = "emissive maps"
+    MASKS = "masks"
+    TWO_SIDES = "two sides"
+    VERTEX_COLORS = "vertex colors"
+    SECOND_UVS = "second uvs"
+    TEXTURE_TRANSFORMS = "texture transforms"
     SUN_SHADOWS = "shadows of directional lights"
     POINT_SHADOWS = "shadows of point lights"
     SPOT_SHADOWS = "shadows of spot lights"
@@ -46,15 +57,26 @@ class Blending(Enum):
 
 
 _NOUNS: Final = {
-    Effect.DIRECTIONAL_LIGHTS: "directional light",
-    Effect.POINT_LIGHTS: "point light",
-    Effect.SPOT_LIGHTS: "spot light",
-    Effect.IMAGES: "image",
-    Effect.EMISSION: "material that emits light",
-    Effect.TRANSPARENCY: "transparent object",
-    Effect.SUN_SHADOWS: "directional light that casts shadows",
-    Effect.POINT_SHADOWS: "point light that casts shadows",
-    Effect.SPOT_SHADOWS: "spot light that casts shadows",
+    Effect.DIRECTIONAL_LIGHTS: ("directional light", "directional lights"),
+    Effect.POINT_LIGHTS: ("point light", "point lights"),
+    Effect.SPOT_LIGHTS: ("spot light", "spot lights"),
+    Effect.IMAGES: ("image", "images"),
+    Effect.EMISSION: ("material that emits light", "materials that emit light"),
+    Effect.METALS: ("metallic-roughness material", "metallic-roughness materials"),
+    Effect.EMISSIVE_COLORS: ("material with an emissive color", "materials with an emissive color"),
+    Effect.NORMAL_MAPS: ("material with a normal map", "materials with a normal map"),
+    Effect.ROUGHNESS_MAPS: ("material with a metallic-roughness map", "materials with a metallic-roughness map"),
+    Effect.OCCLUSION_MAPS: ("material with an occlusion map", "materials with an occlusion map"),
+    Effect.EMISSIVE_MAPS: ("material with an emissive map", "materials with an emissive map"),
+    Effect.MASKS: ("material with a mask", "materials with a mask"),
+    Effect.TWO_SIDES: ("material with two sides", "materials with two sides"),
+    Effect.VERTEX_COLORS: ("mesh with colors", "meshes with colors"),
+    Effect.SECOND_UVS: ("texture with a second uv", "textures with a second uv"),
+    Effect.TEXTURE_TRANSFORMS: ("texture that is transformed or clamped", "textures that are transformed or clamped"),
+    Effect.TRANSPARENCY: ("transparent object", "transparent objects"),
+    Effect.SUN_SHADOWS: ("directional light that casts shadows", "directional lights that cast shadows"),
+    Effect.POINT_SHADOWS: ("point light that casts shadows", "point lights that cast shadows"),
+    Effect.SPOT_SHADOWS: ("spot light that casts shadows", "spot lights that cast shadows"),
 }
 
 
@@ -64,6 +86,7 @@ class Needs:
 
     Attributes:
         effects: those that are needed. counts: of each effect, how many of its causes the scene has.
+        material_count: the number of materials.
         point_rows, spot_rows: the rows of the lights whose light may reach something in view.
         point_casting, spot_casting: those of them that cast shadows; none if no object does.
         transparent_rows: the rows of the transparent objects in view. blending: how they are put together.
@@ -71,6 +94,7 @@ class Needs:
 
     effects: frozenset[Effect]
     counts: dict[Effect, int]
+    material_count: int
     point_rows: Rows
     spot_rows: Rows
     point_casting: Rows
@@ -84,19 +108,23 @@ class Needs:
         return self.counts[Effect.DIRECTIONAL_LIGHTS] == 1
 
     @property
+    def has_both_models(self) -> bool:
+        """Whether some materials are of the metallic-roughness model, and others of the specular one."""
+        return 0 < self.counts[Effect.METALS] < self.material_count
+
+    @property
     def key(self) -> tuple[object, ...]:
         """What a technique's declaration depends on."""
-        return self.effects, self.has_sun, self.blending
+        return self.effects, self.has_sun, self.has_both_models, self.blending
 
     def explain(self, effect: Effect) -> str:
         """Return why the effect is needed or not, such as `3 of 13 point lights reach what is in view`."""
         count = self.counts[effect]
         if effect is Effect.HAZE:
             return "the scene has haze" if count else "the scene has no haze"
-        noun = _NOUNS[effect]
+        noun, plural = _NOUNS[effect]
         if not count:
             return f"the scene has no {noun}"
-        plural = _make_plural(noun)
         reaching = {
             Effect.POINT_LIGHTS: self.point_rows,
             Effect.SPOT_LIGHTS: self.spot_rows,
@@ -142,11 +170,10 @@ def find_needs(
         Effect.DIRECTIONAL_LIGHTS: len(lights.directional),
         Effect.POINT_LIGHTS: len(lights.point),
         Effect.SPOT_LIGHTS: len(lights.spot),
-        Effect.IMAGES: len(scene.images),
-        Effect.EMISSION: int(np.count_nonzero(scene.materials["emission"])),
         Effect.HAZE: int(scene.haze > 0.0),
         Effect.TRANSPARENCY: len(transparent),
         Effect.SUN_SHADOWS: _count_casting(scene, lights.directional),
+        **{Effect(name): count for name, count in scene.count_features().items()},
         Effect.POINT_SHADOWS: _count_casting(scene, lights.point),
         Effect.SPOT_SHADOWS: _count_casting(scene, lights.spot),
     }
@@ -161,14 +188,9 @@ def find_needs(
     }
     hidden = {effect for effect, rows in in_view.items() if not len(rows)}
     effects = frozenset(effect for effect, count in counts.items() if count and effect not in hidden)
-    return Needs(effects, counts, point, spot, point_casting, spot_casting, seen, blending)
-
-
-def _make_plural(noun: str) -> str:
-    """Return the plural of `light that casts`, `material that emits` and the like."""
-    name, that, clause = noun.partition(" that ")
-    verb, space, rest = clause.partition(" ")
-    return f"{name}s{that}{verb.removesuffix('s')}{space}{rest}"
+    return Needs(
+        effects, counts, len(scene.materials), point, spot, point_casting, spot_casting, seen, blending
+    )
 
 
 def _count_casting(scene: Scene, lights: NDArray[Any]) -> int:

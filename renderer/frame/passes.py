@@ -17,7 +17,6 @@ from renderer.frame.view import View
 from renderer.scene import Camera, Depth, Scene
 from renderer.visibility import DeviceList, SceneArrays
 from rhi import (
-    CullMode,
     DepthFunction,
     DepthTest,
     DepthWrite,
@@ -151,7 +150,7 @@ class TechniquePass:
 
         Args:
             clear: the colour of pixels on which nothing is drawn; None keeps what the color targets hold.
-            states: states of the pass, besides back-face culling, and a depth test that passes and writes what is
+            states: states of the pass, besides the faces to cull, and a depth test that passes and writes what is
                 nearer unless they say otherwise.
             clears: whether the depth is cleared.
         """
@@ -165,7 +164,7 @@ class TechniquePass:
         self._color = color
         self._clear = clear
         nearer = NEARER[view.camera.projection.depth]
-        defaults: tuple[State, ...] = (CullMode.BACK, DepthTest.ON, DepthWrite.ON, nearer)
+        defaults: tuple[State, ...] = (resources.cull_mode, DepthTest.ON, DepthWrite.ON, nearer)
         self._states = tuple({type(state): state for state in (*defaults, *states)}.values())
         self._clears = clears
         self.was_opened = False

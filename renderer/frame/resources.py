@@ -1,6 +1,6 @@
 """The buffers of a scene on a device. They are written only where they differ from what the device holds.
 
-- All meshes are one mesh, all images are the layers of one array texture, and per-object data is one row each. So a
+- All meshes are one mesh, all images are layers of a few arrays (`images`), and per-object data is one row each. So a
   whole scene can be one `draw_many`, in which an object's row is the base instance of its draw.
 - An object is a row of two arrays: `places` (32 bytes) has its position and mesh, `objects` (112 bytes) all else.
   Positions are pairs of floats, from which shaders subtract the eye's position: a moved eye changes one constant.
@@ -17,14 +17,14 @@ from typing import Any, Final, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from renderer import rules, shaders
+from renderer.frame.images import SceneImages
 from renderer.lights.lists import list_lights
 from renderer.scene import Camera, Deformed, Scene, Simulator, normal_matrices
 from renderer.visibility import SceneArrays
 from renderer.visibility.boxes.volumes import find_in_view
-from rhi import Device, Format, Mesh, StorageBuffer, Texture, TextureKind, UniformBuffer, refuse
+from rhi import CullMode, Device, Mesh, StorageBuffer, UniformBuffer, refuse
 from rhi.shading import Struct, UniformRange
 
 
@@ -38,8 +38,6 @@ T = TypeVar("T")
 
 EYES: Final = 2
 """The largest number of eyes of a frame."""
-LARGEST_IMAGE = 2048
-"""The largest width and height of images in texels; larger ones are scaled down."""
 
 _GAP: Final = 128
 """Rows to upload that are at most this many bytes apart are uploaded together with those between them: a write takes as
@@ -156,7 +154,7 @@ class SceneResources:
         mesh: all meshes in one. draws: (n,) of `rhi.DRAW`, one for each object.
         mirrored: (n,) bool, whether an object's transform mirrors it, which reverses the winding of its triangles.
         is_transparent: (n,) bool, whether an object is transparent. transparent_rows: the rows of those that are.
-        images: the scene's images as layers; None if there are none.
+        images: the scene's images; None if no material reads any.
         objects, places, materials, directional, point, spot, light_rows: the arrays that shaders read; point and spot
             lights are left out if none of them reaches an object.
         ambient: the constants of ambient light.
@@ -190,8 +188,7 @@ class SceneResources:
             base_vertex=ranges["base_vertex"],
             base_instance=np.arange(len(objects)),
         )
-        images = _make_images(device, scene)
-        self.images: Texture | None = images and self._keep(images)
+        self.images: SceneImages | None = self._keep(SceneImages(device, scene)) if len(scene.textures) else None
         keep = self._keep
         self.objects = keep(MirroredArray(device, shaders.Object, "objects"))
         self.places = keep(MirroredArray(device, shaders.ObjectPosition, "places"))
@@ -296,6 +293,11 @@ class SceneResources:
     def find_in_view(self, camera: Camera, rows: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return those of the objects `rows` whose bounds are not outside the view."""
         return find_in_view(self.scene, camera, rows)
+
+    @property
+    def cull_mode(self) -> CullMode:
+        """The faces to cull. Where some materials have two sides none are, and shaders leave out the others' backs."""
+        return CullMode.NONE if self.scene.count_features()["two sides"] else CullMode.BACK
 
     def has_winding(self, *, mirrored: bool) -> bool:
         """Return whether there are objects of one winding: mirrored ones, or others."""
@@ -433,21 +435,3 @@ def _ambient(scene: Scene) -> shaders.Ambient:
 
 def _haze(scene: Scene) -> shaders.Haze:
     return shaders.Haze(color=scene.background, density=scene.haze)
-
-
-def _make_images(device: Device, scene: Scene) -> Texture | None:
-    """Create a texture with the images of the scene's textures as layers, of the largest one's size. Smaller images are
-    stretched, so that texture coordinates hold."""
-    if not scene.images:
-        return None
-    used = [scene.images[image] for image in scene.textures["image"].tolist()] or scene.images
-    limit = min(LARGEST_IMAGE, device.capabilities.max_texture_size)
-    height, width = np.minimum(np.max([image.shape[:2] for image in used], axis=0), limit).tolist()
-    layers = np.stack([_resize(image, width, height) for image in used])
-    return device.texture(layers, Format.RGBA8_SRGB, kind=TextureKind.D2_ARRAY, levels=None, label="images")
-
-
-def _resize(image: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
-    if image.shape[:2] == (height, width):
-        return image
-    return np.asarray(Image.fromarray(image).resize((width, height), Image.Resampling.LANCZOS))

@@ -39,7 +39,7 @@ from renderer.techniques import (
 )
 from renderer.techniques.cell_lists import CellReader, ClusterLists, TileLists, bind_lists
 from renderer.techniques.deferred_cells import TiledLighting, dispatch_tiles
-from renderer.techniques.forward import bind_surfaces, list_lamps
+from renderer.techniques.forward import list_lamps
 from renderer.techniques.forward_multipass import PointPairs, SpotPairs, draw_pairs
 from renderer.techniques.full_screen import bind_rays, draw_full_screen
 from renderer.techniques.geometry_buffer import SurfaceReader, bind_surface
@@ -47,6 +47,7 @@ from renderer.techniques.light_indexed import INDICES, LIGHT_BITS, LIGHTS_FULL, 
 from renderer.techniques.light_volumes import VolumeShader, VolumeVarying, draw_volumes, lit_variant
 from renderer.techniques.resolve import LIGHT_FORMAT
 from renderer.techniques.scene_shader import SceneShader
+from renderer.techniques.surfaces import bind_surfaces
 from rhi import BlendFunction, DepthFunction, DepthWrite, Format, State
 from rhi.shading import (
     Shader,
@@ -324,8 +325,7 @@ def _count_volumes(frame: Frame, *, stencil: bool, depth: str) -> None:
 
 
 def _count_pairs(frame: Frame) -> None:
-    targets, (_, bindings) = frame.targets, bind_surfaces(frame)
-    bindings.pop("images", None)
+    targets, (_, bindings) = frame.targets, bind_surfaces(frame, ())
     with frame.device.render_pass(targets[EVALUATIONS], clear=(0.0, 0.0, 0.0, 0.0)):
         pass
     for effect in list_lamps(frame.needs):

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer import rules
-from rhi import SamplerDescriptor
+from rhi import SamplerDescriptor, Wrap
 from rhi.errors import refuse
 
 __rhi_internal__ = True
@@ -155,7 +155,7 @@ def make_material(
     rim_strength: float | None = None,
     rim_power: float | None = None,
     texture: int = -1,
-    emission: float = 0.0,
+    emission: float | None = None,
     *,
     metallic: float | None = None,
     roughness: float | None = None,
@@ -174,7 +174,7 @@ def make_material(
 
     With `metallic`, `roughness` or a `metallic_roughness_texture` it is of the metallic-roughness model, in which the
     first two are 1 by default. Otherwise it is of the specular model: `specular_color` (0.04 by default), `shininess`
-    (32), `rim_strength` (0) and `rim_power` (4). The parameters of both can't be mixed.
+    (32), `rim_strength` (0), `rim_power` (4) and `emission` (0). The parameters of both can't be mixed.
 
     Args:
         texture: that of the base colour. Textures are rows of the scene's textures, or -1.
@@ -186,17 +186,23 @@ def make_material(
         "shininess": shininess,
         "rim_strength": rim_strength,
         "rim_power": rim_power,
+        "emission": emission,
     }
     is_metallic = metallic is not None or roughness is not None or metallic_roughness_texture != -1
     mixed = [name for name, value in blinn.items() if value is not None]
     if is_metallic and mixed:
         given = f"{mixed[0]} of the specular model beside the metallic-roughness model"
         refuse(rules.BAD_MATERIAL, "make_material", given, "parameters of one model")
-    defaults = {"specular_color": (0.04, 0.04, 0.04), "shininess": 32.0, "rim_strength": 0.0, "rim_power": 4.0}
+    defaults = {
+        "specular_color": (0.04, 0.04, 0.04),
+        "shininess": 32.0,
+        "rim_strength": 0.0,
+        "rim_power": 4.0,
+        "emission": 0.0,
+    }
     values: dict[str, object] = {
         "base_color": (*base_color, 1.0) if len(base_color) == 3 else tuple(base_color),
         **{name: defaults[name] if value is None else value for name, value in blinn.items()},
-        "emission": emission,
         "emissive": tuple(emissive),
         "metallic": (1.0 if metallic is None else metallic) if is_metallic else 0.0,
         "roughness": 1.0 if roughness is None else roughness,
@@ -259,6 +265,34 @@ class TextureRows:
                 texture.transform,
             )
         return made
+
+
+def count_features(
+    materials: NDArray[Any], textures: NDArray[Any], samplers: Sequence[SamplerDescriptor]
+) -> dict[str, int]:
+    """Return how many materials (k,) have each feature that a scene may lack; of images and second uvs, how many images
+    base colours have, and how many textures are read by a second uv; and how many textures aren't read and repeated as
+    they are."""
+    is_metal = materials["model"] == ShadingModel.METALLIC_ROUGHNESS
+    emits = materials["emissive"].any(axis=1)
+    used = {name: np.unique(materials[name][materials[name] >= 0]) for name in TEXTURES}
+    read = np.unique(np.concatenate(list(used.values())))
+    repeats = np.array([(one.wrap_u, one.wrap_v) == (Wrap.REPEAT, Wrap.REPEAT) for one in samplers], bool)
+    is_plain = (textures["transform"] == np.eye(2, 3)).all(axis=(1, 2)) & repeats[textures["sampler"]]
+    return {
+        "images": len(np.unique(textures["image"][used["texture"]])),
+        "emission": int(np.count_nonzero(materials["emission"])),
+        "metals": int(is_metal.sum()),
+        "emissive colors": int(emits.sum()),
+        "normal maps": int((materials["normal_texture"] >= 0).sum()),
+        "roughness maps": int((is_metal & (materials["metallic_roughness_texture"] >= 0)).sum()),
+        "occlusion maps": int((materials["occlusion_texture"] >= 0).sum()),
+        "emissive maps": int((emits & (materials["emissive_texture"] >= 0)).sum()),
+        "masks": int((materials["alpha_mode"] == AlphaMode.MASK).sum()),
+        "two sides": int((materials["double_sided"] != 0).sum()),
+        "second uvs": int(textures["uv_set"][read].sum()),
+        "texture transforms": int((~is_plain[read]).sum()),
+    }
 
 
 def check_image(image: NDArray[Any]) -> ImagePixels:

@@ -26,6 +26,7 @@ from renderer.scene.materials import (
     TextureMap,
     TextureRows,
     check_image,
+    count_features,
     make_material,
 )
 from renderer.scene.meshes import MeshBounds, Meshes, MeshGeometry
@@ -98,6 +99,7 @@ class Scene:
         self.paths = dict(paths)
         self.omissions = omissions
         self.seconds = 0.0
+        self._features: tuple[bytes, dict[str, int]] = (b"", {})
         self._simulator = self.make_simulator()
         self.update()
         if not self.views:
@@ -123,6 +125,16 @@ class Scene:
         boxes = self.objects.boxes.node
         self.objects.refresh_bounds(self.nodes, np.flatnonzero(moved[boxes] & (boxes >= 0)))
         return np.flatnonzero(moved[self.objects.node])
+
+    def count_features(self) -> Mapping[str, int]:
+        """Return how many materials, images, textures or meshes have each feature that a scene may lack; counted again
+        when the materials have changed."""
+        contents = self.materials.tobytes()
+        if self._features[0] != contents:
+            counts = count_features(self.materials, self.textures, self.samplers)
+            counts["vertex colors"] = len(self.meshes) if "color" in (self.meshes.vertices.dtype.names or ()) else 0
+            self._features = (contents, counts)
+        return self._features[1]
 
     def make_simulator(self) -> Simulator:
         """Create a simulator of the scene, in which nothing has been run yet."""

@@ -36,19 +36,19 @@ def highlight(surface: SurfacePoint, to_light: vec3) -> float:
 
 
 @function
-def reflected_light(surface: SurfacePoint, to_light: vec3, irradiance: vec3) -> vec3:
-    """Return the light that the surface reflects to the eye, of light from the unit direction `to_light`."""
-    facing = dot(surface.normal, to_light)
+def reflected_light(surface: SurfacePoint, light: Incidence) -> vec3:
+    """Return the light that the surface reflects to the eye."""
+    facing = dot(surface.normal, light.direction)
     if facing <= 0.0:
         return vec3(0.0)
-    specular = surface.specular_color * highlight(surface, to_light)
-    return (surface.base_color + specular) * irradiance * facing
+    specular = surface.specular_color * highlight(surface, light.direction)
+    return (surface.base_color + specular) * light.irradiance * facing
 
 
 @function
-def directional_light(surface: SurfacePoint, light: DirectionalLight) -> vec3:
-    """Return the reflected light of a directional light."""
-    return reflected_light(surface, -light.direction, light.color * light.intensity)
+def directional_incidence(light: DirectionalLight) -> Incidence:
+    """Return the light of a directional light that arrives anywhere."""
+    return Incidence(direction=-light.direction, irradiance=light.color * light.intensity)
 
 
 @function
@@ -102,20 +102,6 @@ def spot_incidence(position: vec3, light: SpotLight) -> Incidence:
 
 
 @function
-def point_light(surface: SurfacePoint, light: PointLight) -> vec3:
-    """Return the reflected light of a point light; 0 beyond its range."""
-    incidence = point_incidence(surface.position, light)
-    return reflected_light(surface, incidence.direction, incidence.irradiance)
-
-
-@function
-def spot_light(surface: SurfacePoint, light: SpotLight) -> vec3:
-    """Return the reflected light of a spot light; 0 outside its cone."""
-    incidence = spot_incidence(surface.position, light)
-    return reflected_light(surface, incidence.direction, incidence.irradiance)
-
-
-@function
 def hemisphere(ambient: Ambient, direction: vec3) -> vec3:
     """Return the ambient light from the unit `direction`."""
     return mix(ambient.ground, ambient.sky, 0.5 + 0.5 * direction.y)
@@ -133,7 +119,8 @@ def ambient_light(surface: SurfacePoint, ambient: Ambient, rim_strength: float, 
         grazing = 1.0 - saturate(dot(surface.normal, surface.to_eye))
         mirrored = mirrored + vec3(rim_strength * pow(grazing, rim_power))
     beyond = reflect(-surface.to_eye, surface.normal)
-    return surface.base_color * hemisphere(ambient, surface.normal) + mirrored * hemisphere(ambient, beyond)
+    scattered = surface.base_color * hemisphere(ambient, surface.normal)
+    return (scattered + mirrored * hemisphere(ambient, beyond)) * surface.occlusion
 
 
 @function

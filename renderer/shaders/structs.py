@@ -147,19 +147,60 @@ class Vertex(Struct):
     uv: vec2
 
 
+class SecondUv(Struct):
+    """The second set of texture coordinates of a vertex, where the scene has one."""
+
+    uv2: vec2
+
+
+class Tangent(Struct):
+    """The tangent of a vertex, and the sign of its bitangent, where the scene has normal maps."""
+
+    tangent: vec4
+
+
+class VertexColor(Struct):
+    """The colour of a vertex, where the scene has such colours."""
+
+    color: vec4
+
+
+class TextureUse(Struct):
+    """A texture of the scene: the array and the layer that hold its image, and how it is read.
+
+    Its texture coordinates are those of the set `uv_set`, as (u, v, 1) times `u` and `v`.
+    """
+
+    u: vec3
+    array: int
+    v: vec3
+    layer: float
+    uv_set: int
+
+
 class SurfaceVarying(Struct):
-    """The varyings of the forward shader."""
+    """The varyings of shaders that draw the scene's geometry. What no part of a shader reads isn't interpolated."""
 
     clip: vec4
     position: vec3
     normal: vec3
     uv: vec2
+    uv2: vec2
+    tangent: vec4
+    color: vec4
     material: int
     lights: ivec3
 
 
 class SurfacePoint(Struct):
-    """A point of a surface to be lit; `normal` and `to_eye` are unit vectors."""
+    """A point of a surface to be lit; `normal` and `to_eye` are unit vectors.
+
+    In the specular model, `base_color` is what scatters light and `specular_color` what mirrors it; `shininess` is an
+    exponent. In the metallic-roughness model they are the colours of the same two parts of its equation
+    (`renderer.shaders.metals`), and `shininess` is minus the roughness.
+
+    Of ambient light, `occlusion` reaches the surface; `emissive` multiplies the light that its material emits.
+    """
 
     position: vec3
     normal: vec3
@@ -167,6 +208,8 @@ class SurfacePoint(Struct):
     base_color: vec3
     specular_color: vec3
     shininess: float
+    occlusion: float
+    emissive: vec3
 
 
 class Incidence(Struct):

@@ -17,10 +17,16 @@ from functools import partial
 from typing import Any, Final
 
 from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass
-from renderer.shaders.lighting import reflected_light
 from renderer.shaders.structs import SurfacePoint
 from renderer.techniques.forward import bind_shading, find_forward
-from renderer.techniques.geometry_buffer import GeometryReader, bind_geometry, geometry_pass
+from renderer.techniques.geometry_buffer import (
+    GeometryReader,
+    bind_geometry,
+    find_layout,
+    geometry_pass,
+    list_contents,
+    list_readers,
+)
 from renderer.techniques.light_volumes import (
     BRIGHTEST,
     VolumeShader,
@@ -57,9 +63,8 @@ class LightingShader(VolumeShader, GeometryReader):
         if not self.is_reached(position, v.light):
             return vec4(0.0)
         row = self.material.load(place)
-        surface = self.read_surface(self.materials[int(row.x)], row, texel, position)
-        incidence = self.find_incidence(position, v.light)
-        light = reflected_light(surface, incidence.direction, incidence.irradiance)
+        surface = self.read_surface(row, texel, place, position)
+        light = self.reflect_light(surface, self.find_incidence(position, v.light))
         return vec4(self.unblocked(light, position, surface.normal, v.light), 0.0)
 
 
@@ -72,7 +77,7 @@ class GeometryResolve(ResolveShader, GeometryReader, ShadingShader):
         row = self.material.load(place)
         position = self.find_place(texel, place)
         material = self.materials[int(row.x)]
-        surface = self.read_surface(material, row, texel, position)
+        surface = self.read_surface(row, texel, place, position)
         color = self.shade(surface, material)
         color += self.local_light(surface, place, uint_bits_to_float(texel.y))
         return self.finish(color, position)
@@ -102,7 +107,7 @@ class Deferred:
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the passes `geometry`, `point lights` and `spot lights` if there are any in view, and `resolve`, and
         those of transparent surfaces."""
-        reads = ("surface", "material", "depth")
+        reads = list_contents(needs)
         lights, last = declare_lights(needs, ["light"], reads, partial(light_geometry, stencil=self.stencil))
         return (
             geometry_pass(needs, Format.D32FS8 if self.stencil else DEPTH_FORMAT),
@@ -118,7 +123,7 @@ def light_geometry(
     frame: Frame, *, effect: Effect, targets: Sequence[str], clears: bool, stencil: bool
 ) -> None:
     """Add the light of the point or spot lights in view to the light buffer."""
-    shader = lit_variant(LightingShader, effect, has_images=Effect.IMAGES in frame.needs.effects)
+    shader = lit_variant(LightingShader, effect, list_readers(frame.needs))
     draw_volumes(frame, effect, shader, bind_geometry(frame), targets, clears=clears, is_masked=stencil)
 
 
@@ -134,4 +139,5 @@ def resolve_geometry(
     frame: Frame, base: type[GeometryResolve], parts: Sequence[str], bindings: dict[str, Any]
 ) -> None:
     """Make the image with a shader and parts of it, and their bindings besides those of the geometry buffer."""
-    draw_resolve(frame, base, parts, bindings | bind_geometry(frame), depth=frame.targets["depth"])
+    readers = find_layout(frame.needs).parts
+    draw_resolve(frame, (*readers, base), parts, bindings | bind_geometry(frame), depth=frame.targets["depth"])

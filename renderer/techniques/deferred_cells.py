@@ -20,7 +20,7 @@ from renderer.lights.culling.kernels import LightCounts
 from renderer.lights.culling.sphere_tests import overlaps_hybrid
 from renderer.lights.culling.uploads import LightUploads
 from renderer.lights.culling.volumes import WORD
-from renderer.shaders.lighting import is_near, point_light, spot_light
+from renderer.shaders.lighting import is_near, point_incidence, spot_incidence
 from renderer.shaders.structs import PointLight, SpotLight, SurfacePoint
 from renderer.shadows import SHADOW_PARTS, ShadowReceiver
 from renderer.techniques.cell_lists import CellReader, ClusterLists, bind_lists, list_pass
@@ -28,7 +28,13 @@ from renderer.techniques.deferred import Deferred, GeometryResolve, resolve, res
 from renderer.techniques.forward import bind_lamps, bind_shading, explain_lamps, find_forward, list_lamps
 from renderer.techniques.forward_plus import find_listed
 from renderer.techniques.forward_shader import LampShader
-from renderer.techniques.geometry_buffer import GeometryReader, bind_geometry, geometry_pass
+from renderer.techniques.geometry_buffer import (
+    GeometryReader,
+    bind_geometry,
+    geometry_pass,
+    list_contents,
+    list_readers,
+)
 from renderer.techniques.resolve import LIGHT_FORMAT, resolve_pass
 from renderer.techniques.transparency import declare_transparency
 from rhi import Device, Texture
@@ -66,7 +72,6 @@ TILE: Final = 16
 _GROUP: Final = TILE * TILE
 _CHUNK: Final = 64
 """Number of words of lights that a tile holds at a time."""
-_READS: Final = ("surface", "material", "depth")
 
 
 class LitByLists(CellReader, LampShader, GeometryResolve):
@@ -109,7 +114,7 @@ class TiledLighting(GeometryReader, ShadowReceiver):
             texel = self.surface.load(pixel)
             row = self.material.load(pixel)
         position = self.find_place(texel, pixel)
-        surface = self.read_surface(self.materials[int(row.x)], row, texel, position)
+        surface = self.read_surface(row, texel, pixel, position)
         color = vec3(0.0)
         words = self.lights.words
         for base in range(0, words, _CHUNK):
@@ -183,7 +188,8 @@ class TiledPointLights(TiledLighting):
         light = self.point_lights[row]
         if not is_near(surface.position, light.position, light.range):
             return vec3(0.0)
-        return self.unblocked_point(point_light(surface, light), surface.position, surface.normal, row)
+        reflected = self.reflect_light(surface, point_incidence(surface.position, light))
+        return self.unblocked_point(reflected, surface.position, surface.normal, row)
 
 
 class TiledSpotLights(TiledLighting):
@@ -202,7 +208,8 @@ class TiledSpotLights(TiledLighting):
         light = self.spot_lights[row]
         if not is_near(surface.position, light.position, light.range):
             return vec3(0.0)
-        return self.unblocked_spot(spot_light(surface, light), surface.position, surface.normal, row)
+        reflected = self.reflect_light(surface, spot_incidence(surface.position, light))
+        return self.unblocked_spot(reflected, surface.position, surface.normal, row)
 
 
 class TileUploads(LightUploads):
@@ -221,13 +228,14 @@ class TiledDeferred:
         """Return the passes `geometry`, `tiles` and `resolve`; those of `Deferred` without lights to test."""
         if not list_lamps(needs):
             return Deferred().declare(needs)
+        reads = list_contents(needs)
         return (
             geometry_pass(needs),
-            Pass("tiles", light_tiles, explain_lamps(needs), reads=_READS, writes=(Target("light", LIGHT_FORMAT),)),
+            Pass("tiles", light_tiles, explain_lamps(needs), reads=reads, writes=(Target("light", LIGHT_FORMAT),)),
             resolve_pass(
                 partial(resolve, lights=("light",)),
                 "lights surfaces by what reaches all of them",
-                (*_READS, "light"),
+                (*reads, "light"),
             ),
             *declare_transparency(needs, find_forward),
         )
@@ -242,13 +250,14 @@ class ClusteredDeferred:
         """Return the passes `geometry`, `light lists` and `resolve`; those of `Deferred` without lights to list."""
         if not list_lamps(needs):
             return Deferred().declare(needs)
+        reads = list_contents(needs)
         return (
             geometry_pass(needs),
             list_pass(needs, ClusterLists),
             resolve_pass(
                 light_clusters,
                 "lights surfaces by what reaches all of them and by their clusters' lights",
-                (*_READS, "light lists"),
+                (*reads, "light lists"),
             ),
             *declare_transparency(needs, partial(find_listed, kind=ClusterLists), reads=("light lists",)),
         )
@@ -256,12 +265,13 @@ class ClusteredDeferred:
 
 @cache
 def tiled_variant(
-    parts: tuple[str, ...], added: tuple[type[TiledLighting], ...] = (), *, has_images: bool
+    parts: tuple[str, ...], readers: tuple[type[Shader], ...], added: tuple[type[TiledLighting], ...] = ()
 ) -> type[Shader]:
-    """Return the compute shader for point lights, spot lights or both; bases that are `added` come first."""
+    """Return the compute shader for point lights, spot lights or both, which reads the geometry buffer by `readers`;
+    bases that are `added` come first."""
     known = {"point_lights": TiledPointLights, "spot_lights": TiledSpotLights, **SHADOW_PARTS}
-    bases = (*added, *(known[part] for part in parts))
-    return type("TiledLights", bases, {"__module__": __name__, "has_images": has_images})
+    bases = (*added, *readers, *(known[part] for part in parts))
+    return type("TiledLights", bases, {"__module__": __name__})
 
 
 def light_tiles(frame: Frame) -> None:
@@ -278,7 +288,7 @@ def dispatch_tiles(frame: Frame, lit: Texture, added: tuple[type[TiledLighting],
     lamps.pop("light_rows")
     count = uploads.layout.count
     frame.device.dispatch(
-        frame.device.program(tiled_variant(tuple(parts), added, has_images=Effect.IMAGES in frame.needs.effects)),
+        frame.device.program(tiled_variant(tuple(parts), list_readers(frame.needs), added)),
         (count.x, count.y),
         depth=frame.targets["depth"],
         lit=lit.image(0),

@@ -10,19 +10,21 @@ evaluated afterwards, and lit by its cluster's lights in the same step.
 With `multi_pass`, each material is shaded by draws of its own: `material ids` writes materials as depth, `rectangles`
 finds where each is seen, and `shading` draws the rectangles with a depth test (`material_rectangles`).
 
-So a hidden fragment costs its geometry alone, and textures are read once a pixel.
+So a hidden fragment costs its geometry alone, and textures are read once a pixel. Scenes with what the packed buffer
+has no room for (normal maps and others, transforms of textures, further attributes of vertices) are drawn as by
+`clustered_deferred`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cache, partial
 from typing import Any, Final
 
-from renderer.frame import IMAGE_FORMAT, Effect, Frame, Needs, Pass, Target
+from renderer.frame import IMAGE_FORMAT, Frame, Needs, Pass, Target
 from renderer.shaders.pixels import FullScreen, distance_at, nearness_of, place_pixel
 from renderer.shaders.structs import SurfacePoint
 from renderer.techniques.cell_lists import CellReader, ClusterLists, bind_lists, list_pass
+from renderer.techniques.deferred_cells import ClusteredDeferred
 from renderer.techniques.forward import bind_lamps, bind_shading, find_forward, list_lamps
 from renderer.techniques.forward_plus import find_listed
 from renderer.techniques.forward_shader import PARTS, LampShader
@@ -33,7 +35,7 @@ from renderer.techniques.material_rectangles import (
     ids_pass,
     rectangles_pass,
 )
-from renderer.techniques.packed_geometry import PackedImages, PackedReader, bind_packed, packed_pass
+from renderer.techniques.packed_geometry import PackedReader, bind_packed, can_pack, packed_pass
 from renderer.techniques.scene_shader import ShadingShader, WithSun
 from renderer.techniques.transparency import declare_transparency
 from rhi.shading import Shader, discard, fragment_coordinate, ivec2, vec3, vec4
@@ -82,6 +84,8 @@ class DeferredPlus:
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the passes `geometry`, `light lists` if there are lights to list, and `shading`; with `multi_pass`
         also `material ids` and `rectangles`; and those of transparent surfaces."""
+        if not can_pack(needs):
+            return ClusteredDeferred().declare(needs)
         lists = (list_pass(needs, ClusterLists),) if list_lamps(needs) else ()
         found = (ids_pass(), rectangles_pass()) if self.multi_pass else ()
         reads = ["packed", "depth"]
@@ -103,13 +107,14 @@ class DeferredPlus:
 
     def _shade(self, frame: Frame) -> None:
         (features, bindings), (parts, lamps) = bind_shading(frame), bind_lamps(frame)
-        bindings |= bind_packed(frame) | lamps
+        readers, packed = bind_packed(frame)
+        bindings |= packed | lamps
         if lamps:
             bindings |= bind_lists(frame, ClusterLists)
         shader = shading_variant(
             (*features, *parts),
+            readers,
             has_lamps=bool(lamps),
-            has_images=Effect.IMAGES in frame.needs.effects,
             has_sun=frame.needs.has_sun,
             multi_pass=self.multi_pass,
         )
@@ -122,12 +127,17 @@ class DeferredPlus:
 
 @cache
 def shading_variant(
-    parts: Sequence[str], *, has_lamps: bool, has_images: bool, has_sun: bool, multi_pass: bool
+    parts: tuple[str, ...],
+    readers: tuple[type[Shader], ...],
+    *,
+    has_lamps: bool,
+    has_sun: bool,
+    multi_pass: bool,
 ) -> type[Any]:
-    """Return the shader of the last pass with these of `PARTS`, and only their bindings."""
+    """Return the shader of the last pass with these of `PARTS`, and these that read the buffer."""
     known = PARTS | {"directional_lights": WithSun} if has_sun else PARTS
     bases: list[type[Shader]] = [known[part] for part in dict.fromkeys(parts)]
     bases += [RectangleShader] if multi_pass else []
-    bases += [PackedImages] if has_images else []
+    bases += readers
     bases.append(PackedLamps if has_lamps else PackedShading)
     return type("PackedShading", tuple(bases), {"__module__": __name__})

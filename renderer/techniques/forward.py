@@ -23,6 +23,7 @@ from renderer.frame import (
 from renderer.shadows import ShadowMaps
 from renderer.techniques.depth import draw_depth
 from renderer.techniques.forward_shader import ForwardShader, forward_variant
+from renderer.techniques.surfaces import bind_surfaces, list_models
 from renderer.techniques.transparency import declare_transparency, sorted_pass
 from rhi import Program, Texture
 
@@ -169,18 +170,6 @@ def bind_materials(frame: Frame) -> tuple[list[str], dict[str, Any]]:
     return [*features, *more], bindings | surfaces
 
 
-def bind_surfaces(frame: Frame) -> tuple[list[str], dict[str, Any]]:
-    """Return the names of the parts that a `MaterialShader` needs for the frame's images, and its bindings."""
-    resources = frame.resources
-    images = {"images": resources.images} if Effect.IMAGES in frame.needs.effects else {}
-    return list(images), images | {
-        "view": frame.view.buffer,
-        "objects": resources.objects.buffer,
-        "places": resources.places.buffer,
-        "materials": resources.materials.buffer,
-    }
-
-
 def bind_shading(frame: Frame) -> tuple[list[str], dict[str, Any]]:
     """Return the names of the parts that a `ShadingShader` needs for the frame's effects, and its bindings."""
     resources, effects = frame.resources, frame.needs.effects
@@ -189,8 +178,9 @@ def bind_shading(frame: Frame) -> tuple[list[str], dict[str, Any]]:
         present["directional_lights"] = resources.directional.buffer
     if Effect.HAZE in effects:
         present["haze"] = resources.haze.buffer
-    features = [*present, *(["emission"] if Effect.EMISSION in effects else [])]
+    emitting = {Effect.EMISSION: "emission", Effect.EMISSIVE_COLORS: "emissive_colors"}
+    features = [*present, *(name for effect, name in emitting.items() if effect in effects)]
     if Effect.SUN_SHADOWS in effects:
         parts, maps = resources.workspace(ShadowMaps).bind_sun()
         features, present = [*features, *parts], present | maps
-    return features, present | {"ambient": resources.ambient.buffer}
+    return [*features, *list_models(frame.needs)], present | {"ambient": resources.ambient.buffer}

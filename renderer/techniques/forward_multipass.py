@@ -19,34 +19,31 @@ import numpy as np
 from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target, TechniquePass
 from renderer.frame.passes import WINDINGS
 from renderer.scene.arrays import Rows
-from renderer.shaders.structs import SurfaceVarying, Vertex
-from renderer.shadows import SHADOW_PARTS
+from renderer.shaders.structs import Object, SurfaceVarying
 from renderer.techniques.forward import (
     LAMPS,
     Forward,
     bind_lamp_shadows,
     bind_materials,
     bind_plain_lamps,
-    bind_surfaces,
     find_forward,
     list_lamps,
 )
 from renderer.techniques.forward_shader import (
+    PARTS,
     ForwardShader,
     LampShader,
-    MaterialShader,
     WithPointLights,
     WithSpotLights,
     forward_variant,
 )
 from renderer.techniques.resolve import LIGHT_FORMAT, sum_pass
-from renderer.techniques.scene_shader import Textured
+from renderer.techniques.surfaces import Aspect, MaterialShader, bind_surfaces, list_models
 from renderer.techniques.transparency import declare_transparency
-from rhi import BlendFunction, CullMode, DepthFunction, DepthTest, DepthWrite, Program, State, Texture
+from rhi import BlendFunction, DepthFunction, DepthTest, DepthWrite, Program, State, Texture
 from rhi.shading import Shader, Storage, Struct, instance_index, ivec3, vec3, vec4
 
 _ADDED: Final[tuple[State, ...]] = (
-    CullMode.BACK,
     DepthTest.ON,
     DepthWrite.OFF,
     DepthFunction.EQUAL,
@@ -73,11 +70,12 @@ class PointPairs(MaterialShader, LampShader):
 
     pairs: Storage[Pair]
 
-    def vertex(self, v: Vertex) -> SurfaceVarying:
-        pair = self.pairs[instance_index()]
-        return self.transform(
-            v, pair.object, self.objects[pair.object], ivec3(pair.entry, pair.entry + 1, pair.entry + 1)
-        )
+    def find_object(self) -> int:
+        return self.pairs[instance_index()].object
+
+    def list_lights(self, thing: Object) -> ivec3:
+        entry = self.pairs[instance_index()].entry
+        return ivec3(entry, entry + 1, entry + 1)
 
     def fragment(self, v: SurfaceVarying) -> vec4:
         return vec4(self.lamplight(self.find_surface(v, self.materials[v.material]), v.lights), 0.0)
@@ -86,11 +84,9 @@ class PointPairs(MaterialShader, LampShader):
 class SpotPairs(PointPairs):
     """Adds the light of pairs of an object and one spot light that reaches it."""
 
-    def vertex(self, v: Vertex) -> SurfaceVarying:
-        pair = self.pairs[instance_index()]
-        return self.transform(
-            v, pair.object, self.objects[pair.object], ivec3(pair.entry, pair.entry, pair.entry + 1)
-        )
+    def list_lights(self, thing: Object) -> ivec3:
+        entry = self.pairs[instance_index()].entry
+        return ivec3(entry, entry, entry + 1)
 
 
 class ForwardMultipass:
@@ -132,12 +128,11 @@ def unmapped_variant(parts: tuple[str, ...], *, has_sun: bool) -> type[Shader]:
 
 
 @cache
-def pair_variant(effect: Effect, *shadows: str, has_images: bool) -> type[Shader]:
-    """Return the shader that adds the light of pairs with one kind of lamp, with these parts of shadows."""
+def pair_variant(effect: Effect, parts: tuple[str, ...]) -> type[Shader]:
+    """Return the shader that adds the light of pairs with one kind of lamp, with these of `PARTS`."""
     is_point = effect is Effect.POINT_LIGHTS
     bases = (PointPairs, WithPointLights) if is_point else (SpotPairs, WithSpotLights)
-    added = (SHADOW_PARTS[part] for part in shadows)
-    return type("Pairs", (*added, *bases, *([Textured] if has_images else [])), {"__module__": __name__})
+    return type("Pairs", (*(PARTS[part] for part in parts), *bases), {"__module__": __name__})
 
 
 def _draw_base(frame: Frame) -> None:
@@ -160,9 +155,10 @@ def _draw_base(frame: Frame) -> None:
 
 
 def _add_lamps(frame: Frame, effect: Effect) -> None:
+    parts, bindings = bind_surfaces(frame, (Aspect.COVERAGE, Aspect.COLOR, Aspect.NORMAL, Aspect.METAL))
     shadows, maps = bind_lamp_shadows(frame, [effect])
-    shader = pair_variant(effect, *shadows, has_images=Effect.IMAGES in frame.needs.effects)
-    bindings = bind_surfaces(frame)[1] | bind_plain_lamps(frame, [effect])[1] | maps
+    shader = pair_variant(effect, (*shadows, *parts, *list_models(frame.needs)))
+    bindings |= bind_plain_lamps(frame, [effect])[1] | maps
     draw_pairs(frame, effect, shader, frame.targets["light"], **bindings)
 
 
@@ -184,7 +180,7 @@ def draw_pairs(frame: Frame, effect: Effect, shader: type[Shader], color: Textur
     draws["base_instance"] = np.arange(len(objects))
     program: Program[Any] = device.program(shader)
     bindings["pairs"] = device.transient.storage(Pair, pairs)
-    with device.render_pass(color, frame.targets["depth"]), device.states(*_ADDED):
+    with device.render_pass(color, frame.targets["depth"]), device.states(resources.cull_mode, *_ADDED):
         for mirrored, winding in WINDINGS:
             chosen = draws[resources.find_winding(objects, mirrored=mirrored)]
             if chosen.size:

@@ -9,14 +9,20 @@ from __future__ import annotations
 from functools import cache
 from typing import Final
 
-from renderer.shaders.lighting import in_range, point_light, safe_normalize, spot_light
+from renderer.shaders.lighting import in_range, point_incidence, spot_incidence
 from renderer.shaders.structs import Material, PointLight, SpotLight, SurfacePoint, SurfaceVarying
 from renderer.shadows import ShadowReceiver
-from renderer.techniques.scene_shader import SHADING_PARTS, SceneShader, ShadingShader, Textured, WithSun
+from renderer.techniques.scene_shader import (
+    SHADING_PARTS,
+    ReflectingShader,
+    ShadingShader,
+    WithSun,
+)
+from renderer.techniques.surfaces import SURFACE_PARTS, MaterialShader
 from rhi.shading import Shader, Storage, ivec3, vec3, vec4
 
 
-class LampShader(ShadowReceiver):
+class LampShader(ReflectingShader, ShadowReceiver):
     """The base of shaders that light surfaces by lists of lamps, point and spot lights: without any."""
 
     def lamplight(self, surface: SurfacePoint, lights: ivec3) -> vec3:
@@ -30,22 +36,6 @@ class LampShader(ShadowReceiver):
 
     def spotlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
         return vec3(0.0)
-
-
-class MaterialShader(SceneShader):
-    """The base of shaders that draw the scene's geometry with its materials."""
-
-    materials: Storage[Material]
-
-    def find_surface(self, v: SurfaceVarying, material: Material) -> SurfacePoint:
-        return SurfacePoint(
-            position=v.position,
-            normal=safe_normalize(v.normal),
-            to_eye=safe_normalize(-v.position),
-            base_color=material.base_color.rgb * self.texel(material.texture, v.uv).rgb,
-            specular_color=material.specular_color,
-            shininess=material.shininess,
-        )
 
 
 class ForwardShader(MaterialShader, LampShader, ShadingShader):
@@ -77,7 +67,7 @@ class WithPointLights(LampShader):
         for i in range(begin, end):
             row = self.light_rows[i]
             if in_range(surface, self.point_lights[row].position, self.point_lights[row].range):
-                light = point_light(surface, self.point_lights[row])
+                light = self.reflect_light(surface, point_incidence(surface.position, self.point_lights[row]))
                 color += self.unblocked_point(light, surface.position, surface.normal, row)
         return color
 
@@ -93,14 +83,14 @@ class WithSpotLights(LampShader):
         for i in range(begin, end):
             row = self.light_rows[i]
             if in_range(surface, self.spot_lights[row].position, self.spot_lights[row].range):
-                light = spot_light(surface, self.spot_lights[row])
+                light = self.reflect_light(surface, spot_incidence(surface.position, self.spot_lights[row]))
                 color += self.unblocked_spot(light, surface.position, surface.normal, row)
         return color
 
 
 PARTS: Final[dict[str, type[Shader]]] = {
     **SHADING_PARTS,
-    "images": Textured,
+    **SURFACE_PARTS,
     "point_lights": WithPointLights,
     "spot_lights": WithSpotLights,
 }

@@ -18,7 +18,7 @@ another buffer. What is lit is an exact position of the image, also where the sc
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache, partial
 from typing import Any, Final
 
@@ -26,14 +26,13 @@ from renderer import rules
 from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Effect, Frame, Needs, Pass, Target, TechniquePass
 from renderer.shaders.encodings import decode_normal
 from renderer.shaders.pixels import FullScreen
-from renderer.shaders.structs import SurfacePoint, SurfaceVarying, Vertex
+from renderer.shaders.structs import Object, SurfacePoint, SurfaceVarying
 from renderer.techniques.forward import Forward, bind_materials, find_forward
 from renderer.techniques.forward_shader import ForwardShader, forward_variant
-from renderer.techniques.full_screen import draw_full_screen
+from renderer.techniques.full_screen import bind_rays, draw_full_screen
 from renderer.techniques.geometry_buffer import (
     SURFACE_FORMAT,
     SurfaceReader,
-    bind_scene,
     bind_surface,
     find_shrunk,
 )
@@ -44,10 +43,12 @@ from renderer.techniques.light_pre_pass import (
     bind_terms,
     collect_terms,
     draw_again,
+    list_terms,
     normals_pass,
 )
 from renderer.techniques.light_volumes import BRIGHTEST, declare_lights
 from renderer.techniques.scene_shader import SceneShader
+from renderer.techniques.surfaces import Aspect, bind_surfaces, list_models, surface_variant
 from renderer.techniques.transparency import declare_transparency
 from rhi import DepthFunction, DepthWrite, refuse
 from rhi.shading import (
@@ -63,6 +64,7 @@ from rhi.shading import (
     float_bits_to_uint,
     floor,
     fragment_coordinate,
+    function,
     instance_index,
     ivec2,
     ivec3,
@@ -118,13 +120,30 @@ class ShrinkShader(FullScreen):
         return ShrunkTexels(surface=surface, shininess=self.shininess.load(place).x, depth=depth)
 
 
+class Taps(Struct):
+    """The four texels that a pixel takes its light from, at the corners `first` and `last`, and their weights: of the
+    first, of the one to its right, of the one below, and of the last."""
+
+    first: ivec2
+    last: ivec2
+    weights: vec4
+
+
+@function
+def filter_light(light: Texture2D, taps: Taps) -> vec3:
+    """Return the mean of four texels of light."""
+    sum = min(light.load(taps.first).rgb, BRIGHTEST) * taps.weights.x
+    sum += min(light.load(ivec2(taps.last.x, taps.first.y)).rgb, BRIGHTEST) * taps.weights.y
+    sum += min(light.load(ivec2(taps.first.x, taps.last.y)).rgb, BRIGHTEST) * taps.weights.z
+    return sum + min(light.load(taps.last).rgb, BRIGHTEST) * taps.weights.w
+
+
 class Stippled(SceneShader):
     """Tells the texels of an object. The lists of its lights aren't used; their place in the varyings has the number of
     the texel in each 2 × 2, from 1 to 3."""
 
-    def vertex(self, v: Vertex) -> SurfaceVarying:
-        row = instance_index()
-        return self.transform(v, row, self.objects[row], ivec3(1 + row % _LAYERS))
+    def list_lights(self, thing: Object) -> ivec3:
+        return ivec3(1 + instance_index() % _LAYERS)
 
 
 class StippleShader(Stippled, NormalShader):
@@ -146,6 +165,12 @@ class Inference(ForwardShader, SurfaceReader):
     is_stippled = False
 
     def pointlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
+        taps = self.find_taps(surface, begin)
+        diffuse = filter_light(self.diffuse, taps)
+        return surface.base_color * diffuse + surface.specular_color * filter_light(self.specular, taps)
+
+    def find_taps(self, surface: SurfacePoint, begin: int) -> Taps:
+        """Return the texels that the surface's pixel takes its light from."""
         size = self.surface.size()
         at = fragment_coordinate().xy * vec2(size) / self.rays.size - 0.5
         stride = 1
@@ -157,28 +182,17 @@ class Inference(ForwardShader, SurfaceReader):
         share = at - floor(at)
         first = clamp(ivec2(floor(at)) * stride + offset, ivec2(0), size - 1)
         last = clamp((ivec2(floor(at)) + 1) * stride + offset, ivec2(0), size - 1)
-        right = ivec2(last.x, first.y)
-        below = ivec2(first.x, last.y)
         alike = vec4(
             self.compare(surface, first),
-            self.compare(surface, right),
-            self.compare(surface, below),
+            self.compare(surface, ivec2(last.x, first.y)),
+            self.compare(surface, ivec2(first.x, last.y)),
             self.compare(surface, last),
         )
         across = vec2(1.0 - share.x, share.x)
         weights = vec4(across * (1.0 - share.y), across * share.y) * step(vec4(0.5), alike)
         if dot(weights, vec4(1.0)) < _LEAST:
             weights = alike
-        weights = weights / dot(weights, vec4(1.0))
-        diffuse = min(self.diffuse.load(first).rgb, BRIGHTEST) * weights.x
-        diffuse += min(self.diffuse.load(right).rgb, BRIGHTEST) * weights.y
-        diffuse += min(self.diffuse.load(below).rgb, BRIGHTEST) * weights.z
-        diffuse += min(self.diffuse.load(last).rgb, BRIGHTEST) * weights.w
-        specular = min(self.specular.load(first).rgb, BRIGHTEST) * weights.x
-        specular += min(self.specular.load(right).rgb, BRIGHTEST) * weights.y
-        specular += min(self.specular.load(below).rgb, BRIGHTEST) * weights.z
-        specular += min(self.specular.load(last).rgb, BRIGHTEST) * weights.w
-        return surface.base_color * diffuse + surface.specular_color * specular
+        return Taps(first=first, last=last, weights=weights / dot(weights, vec4(1.0)))
 
     def compare(self, surface: SurfacePoint, place: ivec2) -> float:
         """Return the weight of a texel: 1 if it is of the same surface, or else that of a stranger."""
@@ -187,6 +201,18 @@ class Inference(ForwardShader, SurfaceReader):
         if away > _NEAR_PLANE * length(surface.position) or dot(surface.normal, decode_normal(texel.x)) < _ALIKE:
             return _STRANGER
         return 1.0
+
+
+class MetalInference(Inference):
+    """Adds the light of the term of white."""
+
+    grazing: Texture2D
+
+    def pointlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
+        taps = self.find_taps(surface, begin)
+        light = surface.base_color * filter_light(self.diffuse, taps)
+        light += surface.specular_color * filter_light(self.specular, taps)
+        return light + filter_light(self.grazing, taps)
 
 
 class Inferred:
@@ -209,10 +235,11 @@ class Inferred:
         forward shading; and those of transparent surfaces."""
         stippled = self.stippled and Effect.TRANSPARENCY in needs.effects
         scale, small, lit = self.scale, name_small("small "), name_small("stippled " if stippled else "small ")
-        terms = partial(collect_terms, prefix="stippled " if stippled else "small ")
-        lights, last = declare_lights(needs, ["diffuse", "specular"], lit, terms, scale)
+        collect = partial(collect_terms, prefix="stippled " if stippled else "small ")
+        lights, last = declare_lights(needs, list_terms(needs), lit, collect, scale)
         if not lights:
             return Forward().declare(needs)
+        terms = dict(zip(list_terms(needs), last, strict=True))
         formats = (SURFACE_FORMAT, SHININESS_FORMAT, DEPTH_FORMAT)
         return (
             normals_pass(DEPTH_FORMAT),
@@ -227,14 +254,14 @@ class Inferred:
             *lights,
             Pass(
                 "materials",
-                partial(draw_inferred, surface=lit[0], terms=last),
+                partial(draw_inferred, surface=lit[0], terms=terms),
                 "draws the visible objects, lit by what was collected",
                 reads=("depth", lit[0], *last),
                 writes=(Target("image", IMAGE_FORMAT),),
             ),
             *declare_transparency(
                 needs,
-                partial(find_inferred, surface=lit[0], terms=last, stippled=True) if stippled else find_forward,
+                partial(find_inferred, surface=lit[0], terms=terms, stippled=True) if stippled else find_forward,
                 reads=(lit[0], *last) if stippled else (),
             ),
         )
@@ -256,15 +283,16 @@ def _stipple_pass(needs: Needs, small: Sequence[str], stippled: Sequence[str]) -
 
 
 def _stipple(frame: Frame) -> None:
-    targets, resources = frame.targets, frame.resources
-    surface, shininess, depth = (targets[name] for name in name_small("stippled "))
+    surface, shininess, depth = (frame.targets[name] for name in name_small("stippled "))
+    parts, scene = bind_surfaces(frame, (Aspect.COVERAGE, Aspect.NORMAL, Aspect.METAL))
+    shader = surface_variant(StippleShader, [*list_models(frame.needs), *parts])
     frame.draw_transparent(
         TechniquePass(
             frame.device,
-            resources,
+            frame.resources,
             frame.view,
-            frame.device.program(StippleShader),
-            bind_scene(frame) | {"materials": resources.materials.buffer},
+            frame.device.program(shader),
+            bind_rays(frame) | scene,
             color=[surface, shininess],
             depth=depth,
             clears=False,
@@ -294,28 +322,31 @@ def shrink(frame: Frame) -> None:
 
 @cache
 def inferred_variant(
-    parts: tuple[str, ...], *, has_sun: bool, is_stippled: bool = False
+    parts: tuple[str, ...], *, has_sun: bool, has_metals: bool, is_stippled: bool = False
 ) -> type[ForwardShader]:
     """Return the forward shader with these of `PARTS` that infers the light of point and spot lights."""
-    bases = (*([Stippled] if is_stippled else []), Inference, forward_variant(*parts, has_sun=has_sun))
+    base = MetalInference if has_metals else Inference
+    bases = (*([Stippled] if is_stippled else []), base, forward_variant(*parts, has_sun=has_sun))
     return type("Inferred", bases, {"__module__": __name__, "is_stippled": is_stippled})
 
 
 def find_inferred(
-    frame: Frame, *, surface: str, terms: Sequence[str], stippled: bool = False
+    frame: Frame, *, surface: str, terms: Mapping[str, str], stippled: bool = False
 ) -> tuple[type[ForwardShader], dict[str, Any]]:
-    """Return the forward shader that is lit by the terms, and its bindings.
+    """Return the forward shader that is lit by the terms, the contents of each, and its bindings.
 
     Args:
         surface: the contents with the surfaces that were lit.
         stippled: whether the shader is that of transparent objects.
     """
     features, bindings = bind_materials(frame)
-    shader = inferred_variant(tuple(features), has_sun=frame.needs.has_sun, is_stippled=stippled)
+    shader = inferred_variant(
+        tuple(features), has_sun=frame.needs.has_sun, has_metals="grazing" in terms, is_stippled=stippled
+    )
     return shader, bindings | bind_surface(frame, surface) | bind_terms(frame, terms)
 
 
-def draw_inferred(frame: Frame, *, surface: str, terms: Sequence[str]) -> None:
-    """Draw the visible objects again, lit by the terms."""
+def draw_inferred(frame: Frame, *, surface: str, terms: Mapping[str, str]) -> None:
+    """Draw the visible objects again, lit by the terms: the contents of each."""
     shader, bindings = find_inferred(frame, surface=surface, terms=terms)
     draw_again(frame, frame.device.program(shader), bindings)

@@ -21,19 +21,19 @@ from typing import Any, Final
 from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target, TechniquePass, find_last
 from renderer.frame.passes import NEARER
 from renderer.lights.culling.cells import CellGrid, cell_index
-from renderer.shaders.lighting import in_range, safe_normalize
+from renderer.shaders.lighting import in_range
 from renderer.shaders.pixels import FullScreen, distance_at, nearness_of, place_pixel
 from renderer.shaders.structs import SurfacePoint, SurfaceVarying
 from renderer.techniques.cell_lists import TileLists, bind_lists, list_pass
 from renderer.techniques.depth import draw_depth
 from renderer.techniques.forward import Forward, bind_plain_lamps, list_lamps
-from renderer.techniques.forward_shader import LampShader, MaterialShader, WithPointLights, WithSpotLights
+from renderer.techniques.forward_shader import LampShader, WithPointLights, WithSpotLights
 from renderer.techniques.full_screen import bind_rays, draw_full_screen
 from renderer.techniques.light_volumes import VolumeShader, VolumeVarying, draw_volumes, lit_variant
 from renderer.techniques.scene_shader import SceneShader
+from renderer.techniques.surfaces import Aspect, MaterialShader, bind_surfaces, surface_variant
 from rhi import BlendFunction, CullMode, DepthWrite, Format, State, Texture
 from rhi.shading import (
-    Shader,
     Storage,
     Texture2D,
     Uniform,
@@ -75,7 +75,8 @@ class NormalColors(SceneShader):
     """Shows normals."""
 
     def fragment(self, v: SurfaceVarying) -> vec4:
-        return vec4(safe_normalize(v.normal) * 0.5 + 0.5, 1.0)
+        _ = self.find_texel(v)  # which leaves out what isn't drawn
+        return vec4(self.find_normal(v) * 0.5 + 0.5, 1.0)
 
 
 class CountedLamps(MaterialShader, LampShader):
@@ -114,6 +115,7 @@ class OneFragment(SceneShader):
     """Adds 1 for each fragment."""
 
     def fragment(self, v: SurfaceVarying) -> vec4:
+        _ = self.find_texel(v)  # which leaves out what isn't drawn
         return vec4(1.0)
 
 
@@ -178,28 +180,30 @@ class Inspection:
 
 
 @cache
-def _count_lights(parts: tuple[str, ...]) -> type[Shader]:
+def _count_lights(parts: tuple[str, ...]) -> type[SceneShader]:
     counted = {"point_lights": CountedPoints, "spot_lights": CountedSpots}
     return type("Counts", (*(counted[part] for part in parts), CountedLamps), {"__module__": __name__})
 
 
-def _draw(frame: Frame, shader: type[Shader], color: Texture, *states: State, **bindings: Any) -> None:
-    """Draw the visible objects before black."""
-    resources, targets = frame.resources, frame.targets
-    bindings |= {
-        "view": frame.view.buffer,
-        "objects": resources.objects.buffer,
-        "places": resources.places.buffer,
-    }
+def _draw(
+    frame: Frame,
+    base: type[SceneShader],
+    color: Texture,
+    *states: State,
+    aspects: tuple[Aspect, ...] = (Aspect.COVERAGE,),
+    **bindings: Any,
+) -> None:
+    """Draw the visible objects before black, by a shader that reads these aspects of surfaces."""
+    parts, scene = bind_surfaces(frame, aspects, has_materials=issubclass(base, MaterialShader))
     frame.draw_visible(
         TechniquePass(
             frame.device,
-            resources,
+            frame.resources,
             frame.view,
-            frame.device.program(shader),
-            bindings,
+            frame.device.program(surface_variant(base, parts)),
+            scene | bindings,
             color=color,
-            depth=targets["depth"],
+            depth=frame.targets["depth"],
             clear=(0.0, 0.0, 0.0, 1.0),
             states=states,
         )
@@ -207,13 +211,12 @@ def _draw(frame: Frame, shader: type[Shader], color: Texture, *states: State, **
 
 
 def _draw_normals(frame: Frame) -> None:
-    _draw(frame, NormalColors, frame.targets["image"])
+    _draw(frame, NormalColors, frame.targets["image"], aspects=(Aspect.COVERAGE, Aspect.NORMAL))
 
 
 def _draw_lights(frame: Frame) -> None:
     parts, lamps = bind_plain_lamps(frame)
-    materials = frame.resources.materials.buffer
-    _draw(frame, _count_lights(tuple(parts)), frame.targets["image"], materials=materials, **lamps)
+    _draw(frame, _count_lights(tuple(parts)), frame.targets["image"], **lamps)
 
 
 def _draw_fragments(frame: Frame) -> None:

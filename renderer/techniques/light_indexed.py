@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target, Targets, TechniquePass
 from renderer.lights.rectangles import bound_cones, bound_spheres
-from renderer.shaders.lighting import point_light, safe_normalize, spot_light
+from renderer.shaders.lighting import point_incidence, safe_normalize, spot_incidence
 from renderer.shaders.pixels import PixelRays, distance_at, nearness_of, place_pixel
 from renderer.shaders.structs import SurfacePoint
 from renderer.techniques.depth import draw_depth
@@ -165,7 +165,7 @@ class WithIndexedPointLights(WithPointLights):
         while number > 0:
             row = self.numbered[number - 1]
             if row >= 0:
-                light = point_light(surface, self.point_lights[row])
+                light = self.reflect_light(surface, point_incidence(surface.position, self.point_lights[row]))
                 color += self.unblocked_point(light, surface.position, surface.normal, row)
             packed = packed >> uvec4(LIGHT_BITS)
             number = next_light(packed)
@@ -188,7 +188,7 @@ class WithIndexedSpotLights(WithSpotLights):
         while number > 0:
             row = self.numbered[number - 1]
             if row < 0:
-                light = spot_light(surface, self.spot_lights[~row])
+                light = self.reflect_light(surface, spot_incidence(surface.position, self.spot_lights[~row]))
                 color += self.unblocked_spot(light, surface.position, surface.normal, ~row)
             packed = packed >> uvec4(LIGHT_BITS)
             number = next_light(packed)

@@ -15,23 +15,23 @@ the alpha of the diffuse term, and gets that term's hue. That is right where one
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache, partial
 from typing import Any, Final
 
 from renderer import rules
 from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Effect, Frame, Needs, Pass, Target, TechniquePass
 from renderer.shaders.encodings import decode_normal
-from renderer.shaders.lighting import highlight, safe_normalize
-from renderer.shaders.structs import Material, SurfacePoint, SurfaceVarying
+from renderer.shaders.lighting import safe_normalize
+from renderer.shaders.structs import SurfacePoint, SurfaceVarying
 from renderer.techniques.forward import Forward, bind_materials, find_forward
 from renderer.techniques.forward_shader import ForwardShader, forward_variant
 from renderer.techniques.geometry_buffer import (
     SURFACE_FORMAT,
     SurfaceReader,
     SurfaceShader,
-    bind_scene,
     bind_surface,
+    draw_surfaces,
 )
 from renderer.techniques.light_volumes import (
     BRIGHTEST,
@@ -41,11 +41,12 @@ from renderer.techniques.light_volumes import (
     draw_volumes,
     lit_variant,
 )
+from renderer.techniques.scene_shader import SHADING_PARTS, ReflectingShader
+from renderer.techniques.surfaces import Aspect, MaterialShader, list_models
 from renderer.techniques.transparency import declare_transparency
 from rhi import DepthFunction, DepthWrite, Format, Program, Texture, refuse
 from rhi.shading import (
     Precision,
-    Storage,
     Struct,
     Texture2D,
     dot,
@@ -71,21 +72,36 @@ class NormalTexels(Struct):
     shininess: float
 
 
-class NormalShader(SurfaceShader):
+class NormalShader(MaterialShader, SurfaceShader):
     """Writes normal, distance and shininess."""
 
-    materials: Storage[Material]
-
     def fragment(self, v: SurfaceVarying) -> NormalTexels:
-        shininess = self.materials[v.material].shininess * _SHININESS_SCALE
-        return NormalTexels(surface=self.encode_surface(v), shininess=shininess)
+        _ = self.find_texel(v)  # which leaves out what isn't drawn
+        shininess = self.find_shininess(self.materials[v.material], self.find_metal(v))
+        return NormalTexels(surface=self.encode_surface(v), shininess=shininess * _SHININESS_SCALE)
 
 
 class LightTerms(Struct):
-    """The terms of the lighting equation: irradiance, and what a specular colour of 1 mirrors."""
+    """The terms of the lighting equation: those of a base colour, of a specular colour, and of white, which are the
+    irradiance, and what a specular colour of 1 mirrors; only the metallic-roughness model has the third."""
 
     diffuse: vec4
     specular: vec4
+    grazing: vec4
+
+
+class SpecularTerms(Struct):
+    """The terms of scenes without the metallic-roughness model."""
+
+    diffuse: vec4
+    specular: vec4
+
+
+class PackedMetalTerms(Struct):
+    """The terms of the metallic-roughness model, where the specular one is a luminance."""
+
+    diffuse: vec4
+    grazing: vec4
 
 
 @function
@@ -94,22 +110,23 @@ def luminance(color: vec3) -> float:
     return dot(color, vec3(0.2126, 0.7152, 0.0722))
 
 
-class TermShader(VolumeShader, SurfaceReader):
+class TermShader(VolumeShader, SurfaceReader, ReflectingShader):
     """Collects the terms of lights by their volumes."""
 
     precision = Precision.FAST
 
     shininess: Texture2D
 
-    def fragment(self, v: VolumeVarying) -> LightTerms:
-        return self.collect(v.light, ivec2(fragment_coordinate().xy))
+    def fragment(self, v: VolumeVarying) -> SpecularTerms:
+        terms = self.collect(v.light, ivec2(fragment_coordinate().xy))
+        return SpecularTerms(diffuse=terms.diffuse, specular=terms.specular)
 
     def collect(self, light: int, place: ivec2) -> LightTerms:
         """Return the terms of a light at the surface at a place of the buffers."""
         texel = self.surface.load(place)
         position = self.find_place(texel, place)
         if not self.is_reached(position, light):
-            return LightTerms(diffuse=vec4(0.0), specular=vec4(0.0))
+            return LightTerms(diffuse=vec4(0.0), specular=vec4(0.0), grazing=vec4(0.0))
         incidence = self.find_incidence(position, light)
         surface = SurfacePoint(
             position=position,
@@ -118,13 +135,27 @@ class TermShader(VolumeShader, SurfaceReader):
             base_color=vec3(1.0),
             specular_color=vec3(1.0),
             shininess=self.shininess.load(place).x / _SHININESS_SCALE,
+            occlusion=1.0,
+            emissive=vec3(1.0),
         )
         facing = dot(surface.normal, incidence.direction)
         if facing <= 0.0:
-            return LightTerms(diffuse=vec4(0.0), specular=vec4(0.0))
-        diffuse = self.unblocked(incidence.irradiance * facing, position, surface.normal, light)
-        specular = diffuse * highlight(surface, incidence.direction)
-        return LightTerms(diffuse=vec4(diffuse, luminance(specular)), specular=vec4(specular, 0.0))
+            return LightTerms(diffuse=vec4(0.0), specular=vec4(0.0), grazing=vec4(0.0))
+        terms = self.find_terms(surface, incidence.direction)
+        light_in = self.unblocked(incidence.irradiance * facing, position, surface.normal, light)
+        specular = light_in * terms.y
+        return LightTerms(
+            diffuse=vec4(light_in * terms.x, luminance(specular)),
+            specular=vec4(specular, 0.0),
+            grazing=vec4(light_in * terms.z, 0.0),
+        )
+
+
+class MetalTerms(TermShader):
+    """Collects the terms of lights, that of white among them."""
+
+    def fragment(self, v: VolumeVarying) -> LightTerms:  # type: ignore[override]
+        return self.collect(v.light, ivec2(fragment_coordinate().xy))
 
 
 class PackedTerms(TermShader):
@@ -132,6 +163,14 @@ class PackedTerms(TermShader):
 
     def fragment(self, v: VolumeVarying) -> vec4:  # type: ignore[override]
         return self.collect(v.light, ivec2(fragment_coordinate().xy)).diffuse
+
+
+class PackedMetals(TermShader):
+    """Collects the terms of lights, the specular one as a luminance, and that of white."""
+
+    def fragment(self, v: VolumeVarying) -> PackedMetalTerms:  # type: ignore[override]
+        terms = self.collect(v.light, ivec2(fragment_coordinate().xy))
+        return PackedMetalTerms(diffuse=terms.diffuse, grazing=terms.grazing)
 
 
 class WithTerms(ForwardShader):
@@ -158,6 +197,16 @@ class WithPackedTerms(ForwardShader):
         return surface.base_color * terms.rgb + surface.specular_color * hue * terms.a
 
 
+class WithGrazingTerms(ForwardShader):
+    """Adds the light of the term of white."""
+
+    grazing: Texture2D
+
+    def pointlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
+        grazing = min(self.grazing.load(ivec2(fragment_coordinate().xy)).rgb, BRIGHTEST)
+        return super().pointlight(surface, begin, end) + grazing
+
+
 class LightPrePass:
     """Collects the terms of light before materials complete the equation."""
 
@@ -174,7 +223,7 @@ class LightPrePass:
         """Return the passes `normals`, those of lights in view, and `materials`; without such lights, that of forward
         shading."""
         reads = ("surface", "shininess", "depth")
-        buffers = ["diffuse", "specular"] if self.specular_channels == 3 else ["diffuse"]
+        buffers = list_terms(needs, packed=self.specular_channels == 1)
         lights, last = declare_lights(needs, buffers, reads, partial(collect_terms, stencil=self.stencil))
         if not lights:
             return Forward().declare(needs)
@@ -183,7 +232,7 @@ class LightPrePass:
             *lights,
             Pass(
                 "materials",
-                partial(draw_materials, terms=last),
+                partial(draw_materials, terms=dict(zip(buffers, last, strict=True))),
                 "draws the visible objects, lit by what was collected",
                 reads=("depth", *last),
                 writes=(Target("image", IMAGE_FORMAT),),
@@ -208,18 +257,20 @@ def normals_pass(depth_format: Format) -> Pass[Frame]:
 
 def draw_normals(frame: Frame) -> None:
     """Draw the visible objects: what lights must know of them."""
-    targets, resources = frame.targets, frame.resources
-    frame.draw_visible(
-        TechniquePass(
-            frame.device,
-            resources,
-            frame.view,
-            frame.device.program(NormalShader),
-            bind_scene(frame) | {"materials": resources.materials.buffer},
-            color=[targets["surface"], targets["shininess"]],
-            depth=targets["depth"],
-        )
+    targets = frame.targets
+    draw_surfaces(
+        frame,
+        NormalShader,
+        (Aspect.COVERAGE, Aspect.NORMAL, Aspect.METAL),
+        [targets["surface"], targets["shininess"]],
+        list_models(frame.needs),
     )
+
+
+def list_terms(needs: Needs, *, packed: bool = False) -> list[str]:
+    """Return the names of the terms that are collected."""
+    grazing = ["grazing"] if Effect.METALS in needs.effects else []
+    return ["diffuse", *([] if packed else ["specular"]), *grazing]
 
 
 def collect_terms(
@@ -236,11 +287,14 @@ def collect_terms(
     Args:
         prefix: that of the names of the contents that are lit, if they are shrunk.
     """
-    shader = PackedTerms if len(targets) == 1 else TermShader
+    shaders = {1: PackedTerms, 2: TermShader}
+    if Effect.METALS in frame.needs.effects:
+        shaders = {2: PackedMetals, 3: MetalTerms}
+    models = tuple(SHADING_PARTS[name] for name in list_models(frame.needs))
     draw_volumes(
         frame,
         effect,
-        lit_variant(shader, effect, is_shrunk=bool(prefix)),
+        lit_variant(shaders[len(targets)], effect, models, is_shrunk=bool(prefix)),
         bind_surface(frame, f"{prefix}surface") | {"shininess": frame.targets[f"{prefix}shininess"]},
         targets,
         depth=f"{prefix}depth",
@@ -250,22 +304,23 @@ def collect_terms(
 
 
 @cache
-def materials_variant(parts: tuple[str, ...], *, has_sun: bool, packed: bool) -> type[ForwardShader]:
-    """Return the forward shader with these of `PARTS` that takes the light of point and spot lights from terms."""
-    lit = WithPackedTerms if packed else WithTerms
-    return type("Materials", (lit, forward_variant(*parts, has_sun=has_sun)), {"__module__": __name__})
+def materials_variant(parts: tuple[str, ...], terms: tuple[str, ...], *, has_sun: bool) -> type[ForwardShader]:
+    """Return the forward shader with these of `PARTS` that takes the light of lamps from these terms."""
+    lit = WithTerms if "specular" in terms else WithPackedTerms
+    grazing = [WithGrazingTerms] if "grazing" in terms else []
+    return type("Materials", (*grazing, lit, forward_variant(*parts, has_sun=has_sun)), {"__module__": __name__})
 
 
-def draw_materials(frame: Frame, *, terms: Sequence[str]) -> None:
-    """Draw the visible objects again, lit by the terms."""
+def draw_materials(frame: Frame, *, terms: Mapping[str, str]) -> None:
+    """Draw the visible objects again, lit by the terms: the contents of each."""
     features, bindings = bind_materials(frame)
-    shader = materials_variant(tuple(features), has_sun=frame.needs.has_sun, packed=len(terms) == 1)
+    shader = materials_variant(tuple(features), tuple(terms), has_sun=frame.needs.has_sun)
     draw_again(frame, frame.device.program(shader), bindings | bind_terms(frame, terms))
 
 
-def bind_terms(frame: Frame, terms: Sequence[str]) -> dict[str, Texture]:
-    """Return the bindings of the terms, whose contents have these names."""
-    return {name: frame.targets[term] for name, term in zip(("diffuse", "specular"), terms, strict=False)}
+def bind_terms(frame: Frame, terms: Mapping[str, str]) -> dict[str, Texture]:
+    """Return the bindings of the terms."""
+    return {term: frame.targets[name] for term, name in terms.items()}
 
 
 def draw_again(frame: Frame, program: Program[Any], bindings: dict[str, Any]) -> None:

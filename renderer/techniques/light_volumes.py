@@ -51,6 +51,7 @@ from rhi import (
     StencilTest,
 )
 from rhi.shading import (
+    Shader,
     Storage,
     Struct,
     Uniform,
@@ -186,10 +187,12 @@ VOLUMES: Final[dict[Effect, type[VolumeShader]]] = {
 
 
 @cache
-def lit_variant(base: type[VolumeShader], effect: Effect, **constants: bool) -> type[VolumeShader]:
-    """Return the shader whose fragments are those of `base`, in the volumes of point or spot lights, with these
-    attributes."""
-    return type(base.__name__, (base, VOLUMES[effect]), {"__module__": __name__, **constants})
+def lit_variant(
+    base: type[VolumeShader], effect: Effect, parts: tuple[type[Shader], ...] = (), **constants: bool
+) -> type[VolumeShader]:
+    """Return the shader whose fragments are those of `base`, in the volumes of point or spot lights, with these parts
+    and attributes."""
+    return type(base.__name__, (*parts, base, VOLUMES[effect]), {"__module__": __name__, **constants})
 
 
 @cache

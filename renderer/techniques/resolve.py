@@ -16,7 +16,7 @@ from renderer.techniques.forward_shader import PARTS
 from renderer.techniques.full_screen import draw_full_screen
 from renderer.techniques.scene_shader import FinishShader, WithSun
 from rhi import Format, Texture
-from rhi.shading import Texture2D, discard, fragment_coordinate, ivec2, vec4
+from rhi.shading import Shader, Texture2D, discard, fragment_coordinate, ivec2, vec4
 
 LIGHT_FORMAT: Final = Format.RGBA16F
 """The format of light that is added up."""
@@ -55,7 +55,7 @@ def sum_pass(needs: Needs, light: str) -> Pass[Frame]:
         has_haze = Effect.HAZE in frame.needs.effects
         if has_haze:
             bindings["haze"] = frame.resources.haze.buffer
-        draw_resolve(frame, LightSum, ["haze"] if has_haze else [], bindings)
+        draw_resolve(frame, (LightSum,), ["haze"] if has_haze else [], bindings)
 
     because = "maps the light that was added up to colours"
     if Effect.HAZE in needs.effects:
@@ -65,31 +65,28 @@ def sum_pass(needs: Needs, light: str) -> Pass[Frame]:
 
 @cache
 def resolve_variant(
-    bases: tuple[type[ResolveShader], ...], parts: tuple[str, ...], *, has_sun: bool, has_images: bool
+    bases: tuple[type[Shader], ...], parts: tuple[str, ...], *, has_sun: bool
 ) -> type[ResolveShader]:
     """Return a shader of the pass with these bases and these of `PARTS`, and only their bindings."""
     known = PARTS | {"directional_lights": WithSun} if has_sun else PARTS
     added = tuple(known[part] for part in dict.fromkeys(parts))
-    return type("Resolve", (*added, *bases), {"__module__": __name__, "has_images": has_images})
+    return type("Resolve", (*added, *bases), {"__module__": __name__})
 
 
 def draw_resolve(
     frame: Frame,
-    base: type[ResolveShader],
+    bases: tuple[type[Shader], ...],
     parts: Sequence[str],
     bindings: dict[str, Any],
     *,
     depth: Texture | None = None,
 ) -> None:
-    """Make the image with a shader and parts of it.
+    """Make the image with a shader of these bases, the last of which is a `ResolveShader`, and parts of it.
 
     Args:
         bindings: all but the rays of the frame's view.
         depth: the depth that tells the background; None if the shader discards it.
     """
-    needs = frame.needs
-    shader = resolve_variant(
-        (base,), tuple(parts), has_sun=needs.has_sun, has_images=Effect.IMAGES in needs.effects
-    )
+    shader = resolve_variant(bases, tuple(parts), has_sun=frame.needs.has_sun)
     background = (*frame.resources.scene.background, 1.0)
     draw_full_screen(frame, shader, frame.targets["image"], bindings, depth=depth, clear=background)

@@ -9,11 +9,28 @@ from __future__ import annotations
 
 from typing import Final
 
-from renderer.shaders.lighting import ambient_light, directional_light, through_haze, tone_map
+from renderer.scene import ShadingModel
+from renderer.shaders.lighting import (
+    ambient_light,
+    directional_incidence,
+    highlight,
+    reflected_light,
+    safe_normalize,
+    through_haze,
+    tone_map,
+)
+from renderer.shaders.metals import (
+    ambient_light_of_metal,
+    metal_surface,
+    metal_terms,
+    reflected_by_metal,
+    shininess_of_metal,
+)
 from renderer.shaders.structs import (
     Ambient,
     DirectionalLight,
     Haze,
+    Incidence,
     Material,
     Object,
     ObjectPosition,
@@ -28,7 +45,6 @@ from rhi.shading import (
     Precision,
     Shader,
     Storage,
-    Texture2DArray,
     Uniform,
     instance_index,
     ivec3,
@@ -36,6 +52,8 @@ from rhi.shading import (
     vec3,
     vec4,
 )
+
+_METALLIC: Final = int(ShadingModel.METALLIC_ROUGHNESS)
 
 
 class SceneShader(Shader):
@@ -49,35 +67,115 @@ class SceneShader(Shader):
     places: Storage[ObjectPosition]
 
     def vertex(self, v: Vertex) -> SurfaceVarying:
-        row = instance_index()
-        thing = self.objects[row]
-        return self.transform(v, row, thing, ivec3(thing.lights_begin, thing.points_end, thing.lights_end))
+        return self.transform(v, vec2(0.0), vec4(1.0, 0.0, 0.0, 1.0), vec4(1.0))
 
-    def transform(self, v: Vertex, row: int, thing: Object, lights: ivec3) -> SurfaceVarying:
+    def transform(self, v: Vertex, uv2: vec2, tangent: vec4, color: vec4) -> SurfaceVarying:
+        row = self.find_object()
+        thing = self.objects[row]
         position = thing.linear @ v.position + relative_position(self.places[row], self.view)
         return SurfaceVarying(
             clip=self.view.relative_view_projection @ vec4(position, 1.0),
             position=position,
             normal=thing.normal @ v.normal,
             uv=v.uv,
+            uv2=uv2,
+            tangent=self.turn_tangent(thing, tangent),
+            color=color,
             material=thing.material,
-            lights=lights,
+            lights=self.list_lights(thing),
         )
 
-    def texel(self, image: int, uv: vec2) -> vec4:
+    def turn_tangent(self, thing: Object, tangent: vec4) -> vec4:
+        """Return a tangent of a mesh as it is in the world."""
+        return tangent
+
+    def find_object(self) -> int:
+        """Return the row of the object that is drawn."""
+        return instance_index()
+
+    def list_lights(self, thing: Object) -> ivec3:
+        """Return where the point lights that light the object begin in the light rows, where they end and the spot
+        lights begin, and where those end."""
+        return ivec3(thing.lights_begin, thing.points_end, thing.lights_end)
+
+    def find_texel(self, v: SurfaceVarying) -> vec4:
+        """Return what multiplies the base colour of the fragment's material."""
         return vec4(1.0)
 
+    def find_normal(self, v: SurfaceVarying) -> vec3:
+        """Return the unit normal of the fragment."""
+        return safe_normalize(v.normal)
 
-class Textured(SceneShader):
-    """Adds images: the layers of one texture."""
 
-    images: Texture2DArray
+class ReflectingShader(Shader):
+    """How surfaces reflect light: by the specular model. The other classes with these methods have other models."""
 
-    def texel(self, image: int, uv: vec2) -> vec4:
-        # All fragments of a primitive take the same branch, so the derivatives of uv are defined.
-        if image < 0:
-            return vec4(1.0)
-        return self.images.sample(vec3(uv, float(image)))
+    def with_model(self, surface: SurfacePoint, material: Material, metal: vec2) -> SurfacePoint:
+        """Return a surface as the model needs it, given its base colour, and how metallic and rough it is."""
+        return surface
+
+    def find_shininess(self, material: Material, metal: vec2) -> float:
+        """Return the shininess of such a surface alone."""
+        return material.shininess
+
+    def find_terms(self, surface: SurfacePoint, to_light: vec3) -> vec3:
+        """Return what the surface does with light from a unit direction in front of it: the terms of its base color, of
+        its specular color, and of white."""
+        return vec3(1.0, highlight(surface, to_light), 0.0)
+
+    def reflect_light(self, surface: SurfacePoint, light: Incidence) -> vec3:
+        """Return the light that the surface reflects to the eye."""
+        return reflected_light(surface, light)
+
+    def reflect_ambient(self, surface: SurfacePoint, ambient: Ambient, material: Material) -> vec3:
+        """Return the ambient light that the surface sends to the eye."""
+        return ambient_light(surface, ambient, material.rim_strength, material.rim_power)
+
+
+class WithMetals(ReflectingShader):
+    """All surfaces are of the metallic-roughness model."""
+
+    def with_model(self, surface: SurfacePoint, material: Material, metal: vec2) -> SurfacePoint:
+        return metal_surface(surface, metal.x, metal.y)
+
+    def find_shininess(self, material: Material, metal: vec2) -> float:
+        return shininess_of_metal(metal.y)
+
+    def find_terms(self, surface: SurfacePoint, to_light: vec3) -> vec3:
+        return metal_terms(surface, to_light)
+
+    def reflect_light(self, surface: SurfacePoint, light: Incidence) -> vec3:
+        return reflected_by_metal(surface, light)
+
+    def reflect_ambient(self, surface: SurfacePoint, ambient: Ambient, material: Material) -> vec3:
+        return ambient_light_of_metal(surface, ambient)
+
+
+class WithBothModels(ReflectingShader):
+    """Some surfaces are of the metallic-roughness model: those with a negative `shininess`."""
+
+    def with_model(self, surface: SurfacePoint, material: Material, metal: vec2) -> SurfacePoint:
+        if material.model == _METALLIC:
+            return metal_surface(surface, metal.x, metal.y)
+        return surface
+
+    def find_shininess(self, material: Material, metal: vec2) -> float:
+        return shininess_of_metal(metal.y) if material.model == _METALLIC else material.shininess
+
+    def find_terms(self, surface: SurfacePoint, to_light: vec3) -> vec3:
+        if surface.shininess < 0.0:
+            return metal_terms(surface, to_light)
+        return vec3(1.0, highlight(surface, to_light), 0.0)
+
+    def reflect_light(self, surface: SurfacePoint, light: Incidence) -> vec3:
+        if surface.shininess < 0.0:
+            return reflected_by_metal(surface, light)
+        return reflected_light(surface, light)
+
+    def reflect_ambient(self, surface: SurfacePoint, ambient: Ambient, material: Material) -> vec3:
+        if surface.shininess < 0.0:
+            return ambient_light_of_metal(surface, ambient)
+        return ambient_light(surface, ambient, material.rim_strength, material.rim_power)
 
 
 class FinishShader(Shader):
@@ -93,14 +191,14 @@ class FinishShader(Shader):
         return color
 
 
-class ShadingShader(FinishShader, ShadowReceiver):
-    """Shades a surface, wherever it comes from: ambient light with the rim term."""
+class ShadingShader(FinishShader, ReflectingShader, ShadowReceiver):
+    """Shades a surface, wherever it comes from: ambient light."""
 
     ambient: Uniform[Ambient]
 
     def shade(self, surface: SurfacePoint, material: Material) -> vec3:
         """Return the light of the surface without that of point and spot lights."""
-        color = ambient_light(surface, self.ambient, material.rim_strength, material.rim_power)
+        color = self.reflect_ambient(surface, self.ambient, material)
         color += self.emitted(surface, material)
         return color + self.sunlight(surface)
 
@@ -115,7 +213,14 @@ class WithEmission(ShadingShader):
     """Adds light that materials emit."""
 
     def emitted(self, surface: SurfacePoint, material: Material) -> vec3:
-        return surface.base_color * material.emission
+        return super().emitted(surface, material) + surface.base_color * material.emission
+
+
+class WithEmissiveColors(ShadingShader):
+    """Adds light of a colour of its own that materials emit."""
+
+    def emitted(self, surface: SurfacePoint, material: Material) -> vec3:
+        return super().emitted(surface, material) + material.emissive * surface.emissive
 
 
 class WithDirectionalLights(ShadingShader):
@@ -126,7 +231,7 @@ class WithDirectionalLights(ShadingShader):
     def sunlight(self, surface: SurfacePoint) -> vec3:
         color = vec3(0.0)
         for i in range(len(self.directional_lights)):
-            light = directional_light(surface, self.directional_lights[i])
+            light = self.reflect_light(surface, directional_incidence(self.directional_lights[i]))
             color += self.unblocked_sun(light, surface.position, surface.normal, i)
         return color
 
@@ -138,7 +243,7 @@ class WithSun(ShadingShader):
     directional_lights: Storage[DirectionalLight]
 
     def sunlight(self, surface: SurfacePoint) -> vec3:
-        light = directional_light(surface, self.directional_lights[0])
+        light = self.reflect_light(surface, directional_incidence(self.directional_lights[0]))
         return self.unblocked_sun(light, surface.position, surface.normal, 0)
 
 
@@ -155,6 +260,9 @@ SHADING_PARTS: Final[dict[str, type[Shader]]] = {
     "directional_lights": WithDirectionalLights,
     "haze": WithHaze,
     "emission": WithEmission,
+    "emissive_colors": WithEmissiveColors,
+    "metals": WithMetals,
+    "both_models": WithBothModels,
     **SHADOW_PARTS,
 }
 """The features that can be added to a `ShadingShader`, by the names of their bindings where they have one."""

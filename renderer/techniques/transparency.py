@@ -72,7 +72,7 @@ class TransparentShader(ForwardShader):
 
     def find_opacity(self, v: SurfaceVarying, material: Material) -> float:
         """Return the share of the background that the surface covers."""
-        return saturate(material.base_color.a * self.texel(material.texture, v.uv).a)
+        return saturate(material.base_color.a * self.find_texel(v).a)
 
 
 class WeightedTexels(Struct):

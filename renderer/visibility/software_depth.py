@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 import rhi
-from renderer.scene import Camera, Scene
+from renderer.scene import AlphaMode, Camera, Scene
 from renderer.scene.arrays import Rows
 from renderer.visibility.algorithm import VisibilityStatistics, find_visible_objects
 from renderer.visibility.boxes.bounds import find_near, pad_boxes, squared_distances
@@ -55,7 +55,9 @@ class SoftwareDepth:
         self._scene = scene
         self._frustum = FrustumCulling(scene)
         self._limit = min(occluders, len(scene.objects))
-        self._can_occlude = ~scene.objects.simulated  # those are where the renderer has last drawn them
+        # Simulated objects are where the renderer has last drawn them; others than opaque ones hide only a part.
+        is_opaque = scene.materials["alpha_mode"][scene.objects.material] == AlphaMode.OPAQUE
+        self._can_occlude = ~scene.objects.simulated & is_opaque
         self._device = rhi.create_device(BACKEND)
         self._depth = OccluderDepth(self._device, scene, self._limit, len(scene.objects))
 

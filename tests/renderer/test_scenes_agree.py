@@ -55,7 +55,7 @@ def draw(
     passes = BackendPasses(device, scene, find_path(path, scene).camera(frame), SIZE)
     for level, texels in enumerate(levels or [], 1):
         assert passes.resources.images is not None
-        passes.resources.images.write(texels, level=level)
+        passes.resources.images.textures[0].write(texels, level=level)
     try:
         passes.work(name)(0)
         return passes.targets.image.read().astype(int), passes.targets.depth.read().astype(np.float64)
@@ -66,8 +66,8 @@ def draw(
 def read_levels(device: Device, scene: Scene) -> list[NDArray[Any]]:
     """Read all layers of each mip level below the first, as the device generated them."""
     passes = BackendPasses(device, scene, find_path("ground", scene).camera(0), SIZE)
-    images = passes.resources.images
-    assert images is not None
+    assert passes.resources.images is not None
+    (images,) = passes.resources.images.textures
     levels = [
         np.stack([images.read(level, layer) for layer in range(images.layers)])
         for level in range(1, images.levels)

@@ -39,7 +39,7 @@ PROFILES: Final[Mapping[str, Capabilities]] = {
     "everything": Capabilities(
         backend="null", device="null", driver=f"NumPy {np.__version__}", shading=False, sample_counter=True,
         alpha_test=True, max_anisotropy=16.0, max_shared_bytes=1 << 16, texture_buffer_copies=True,
-        max_point_size=64.0, max_line_width=64.0, wireframe=True,
+        max_point_size=64.0, max_line_width=64.0, wireframe=True, max_storage_slots=16,
     ),
     "gl-4.5": replace(
         _device("gl-4.5"), max_texture_size=16384, max_texture_layers=2048, max_uniform_slots=14, sample_counter=True,

@@ -142,19 +142,36 @@ def words_of_varyings(varyings: tuple[Varying, ...], names: set[str]) -> tuple[S
 
 
 def _fields_read(entry: tree.Function) -> set[str]:
-    """Return the fields of its parameter that an entry reads; all if it reads the parameter as a whole."""
+    """Return the fields of its parameters that an entry reads, itself or in what it passes them to; all if it needs a
+    parameter as a whole."""
     names: set[str] = set()
-    whole = 1 if entry.native else 0
-    for node in tree.walk(entry.body):
-        match node:
-            case tree.Member(base=tree.Read(local=local), name=name) if local in entry.parameters:
-                names.add(name)
-                whole -= 1
-            case tree.Read(local=local) if local in entry.parameters:
-                whole += 1
-    if whole:
-        types = [parameter.type for parameter in entry.parameters]
-        return {field.name for type in types if isinstance(type, StructType) for field in type.fields}
+    pending = [(entry, frozenset(entry.parameters))]
+    seen: set[tuple[int, frozenset[int]]] = set()
+    while pending:
+        function, locals = pending.pop()
+        key = id(function), frozenset(map(id, locals))
+        if key in seen or not locals:
+            continue
+        seen.add(key)
+        whole = 1 if function.native else 0
+        for node in tree.walk(function.body):
+            match node:
+                case tree.Member(base=tree.Read(local=local), name=name) if local in locals:
+                    names.add(name)
+                    whole -= 1
+                case tree.Call(function=callee, arguments=arguments):
+                    passed = [
+                        parameter
+                        for parameter, argument in zip(callee.parameters, arguments, strict=True)
+                        if isinstance(argument, tree.Read) and argument.local in locals
+                    ]
+                    whole -= len(passed)
+                    pending.append((callee, frozenset(passed)))
+                case tree.Read(local=local) if local in locals:
+                    whole += 1
+        if whole:
+            types = [parameter.type for parameter in entry.parameters]
+            return {field.name for type in types if isinstance(type, StructType) for field in type.fields}
     return names
 
 

@@ -22,7 +22,7 @@ COUNTER_BYTES: Final = 8
 
 SLOT_COUNTS: Final = {
     BindingKind.UNIFORM: 12,
-    BindingKind.STORAGE: 8,
+    BindingKind.STORAGE: 16,
     BindingKind.TEXTURE: 16,
     BindingKind.IMAGE: 8,
 }

@@ -1,0 +1,205 @@
+"""The images of a scene on a device: arrays of textures, one for each size and kind of image.
+
+A shader reads all images of a scene in one draw, so images are layers of arrays, whose layers have one size. An image
+becomes a layer of the array of its size; colours (sRGB) and data (linear) have arrays of their own. So they take the
+memory of their texels and mip levels, and no more.
+
+A shader binds each array once for each sampler that reads it, at most `MOST_ARRAYS` in all. If a scene has more sizes,
+arrays are joined, those first that cost the fewest bytes; the smaller images are stretched, so that texture coordinates
+hold. If that would take more than `MOST_MEMORY` times the memory of the images, the layers of joined arrays are made
+smaller instead, and their largest images lose detail.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from renderer.scene import Scene
+from renderer.shaders.structs import TextureUse
+from rhi import (
+    Device,
+    Filter,
+    Format,
+    StorageBuffer,
+    Texture,
+    TextureKind,
+)
+
+__rhi_internal__ = True
+
+MOST_ARRAYS: Final = 8
+"""The most arrays that a shader binds: devices have 16 textures, and techniques read up to 8 of their own."""
+MOST_MEMORY: Final = 1.15
+"""The most memory of arrays, in that of their images with their mip levels."""
+TEXEL_BYTES: Final = 4
+
+Size = tuple[int, int]
+"""Width and height in texels."""
+
+
+@dataclass(frozen=True, slots=True)
+class ImageArray:
+    """An array: the size of its layers, whether they hold colours, and the images that are its layers and the samplers
+    that read it, as indices of the scene."""
+
+    size: Size
+    is_color: bool
+    images: tuple[int, ...]
+    samplers: frozenset[int]
+
+    @property
+    def bytes(self) -> int:
+        """The memory of all layers with their levels."""
+        return len(self.images) * count_bytes(self.size)
+
+
+def count_bytes(size: Size) -> int:
+    """Return the memory of an image with its mip levels."""
+    width, height = size
+    total = 0
+    while True:
+        total += width * height * TEXEL_BYTES
+        if width == height == 1:
+            return total
+        width, height = max(width // 2, 1), max(height // 2, 1)
+
+
+def plan_arrays(
+    sizes: Sequence[Size], uses: Sequence[tuple[int, bool, int]], most: int = MOST_ARRAYS
+) -> list[ImageArray]:
+    """Return the arrays of images with these sizes.
+
+    Args:
+        uses: image, whether it holds colours, and sampler, of each texture.
+        most: the most pairs of an array and a sampler. There must not be more samplers of colours and data than that.
+    """
+    found: dict[tuple[Size, bool], tuple[dict[int, None], set[int]]] = {}
+    for image, is_color, sampler in uses:
+        images, samplers = found.setdefault((sizes[image], is_color), ({}, set()))
+        images[image] = None
+        samplers.add(sampler)
+    arrays = [
+        ImageArray(size, is_color, tuple(images), frozenset(samplers))
+        for (size, is_color), (images, samplers) in found.items()
+    ]
+    wanted = MOST_MEMORY * sum(array.bytes for array in arrays)
+    while sum(len(array.samplers) for array in arrays) > most:
+        pairs = [
+            (_join(one, other), i, j)
+            for i, one in enumerate(arrays)
+            for j, other in enumerate(arrays[:i])
+            if one.is_color == other.is_color
+        ]
+        joined, i, j = min(pairs, key=lambda pair: pair[0].bytes - arrays[pair[1]].bytes - arrays[pair[2]].bytes)
+        arrays[j] = joined
+        del arrays[i]
+    return _shrink(arrays, sizes, wanted)
+
+
+def _join(one: ImageArray, other: ImageArray) -> ImageArray:
+    size = max(one.size[0], other.size[0]), max(one.size[1], other.size[1])
+    images = tuple(dict.fromkeys((*other.images, *one.images)))
+    return ImageArray(size, one.is_color, images, one.samplers | other.samplers)
+
+
+def _shrink(arrays: list[ImageArray], sizes: Sequence[Size], wanted: float) -> list[ImageArray]:
+    """Make layers smaller until all take at most `wanted` bytes, the array first that wastes the most."""
+    while sum(array.bytes for array in arrays) > wanted:
+        waste = [array.bytes - sum(count_bytes(sizes[image]) for image in array.images) for array in arrays]
+        worst = int(np.argmax(waste))
+        width, height = (max(side * 15 // 16, 1) for side in arrays[worst].size)
+        arrays[worst] = replace(arrays[worst], size=(width, height))
+    return arrays
+
+
+class SceneImages:
+    """The images that a scene's textures refer to, on a device.
+
+    Attributes:
+        textures: the arrays. arrays: what a shader binds: each array with a sampler.
+        table: (t,) of `TextureUse`, how each texture of the scene is read. None if the row of a texture is its layer,
+            and texture coordinates are read as they are.
+        bytes: the memory of the arrays. image_bytes: that of the images, each by itself.
+    """
+
+    def __init__(self, device: Device, scene: Scene) -> None:
+        textures, limit = scene.textures, device.capabilities.max_texture_size
+        sizes = [(min(image.shape[1], limit), min(image.shape[0], limit)) for image in scene.images]
+        samplers = _limit_samplers(textures["sampler"].tolist(), textures["is_color"].tolist())
+        uses = [
+            (int(row["image"]), bool(row["is_color"]), sampler)
+            for row, sampler in zip(textures, samplers, strict=True)
+        ]
+        planned = plan_arrays(sizes, uses)
+        self.bytes = sum(array.bytes for array in planned)
+        self.image_bytes = sum(count_bytes(sizes[image]) for image, _ in {use[:2] for use in uses})
+        self.textures = tuple(_make_array(device, scene, array) for array in planned)
+        places = [(array, sampler) for array in range(len(planned)) for sampler in sorted(planned[array].samplers)]
+        self.arrays = tuple(
+            self.textures[array].sampled(scene.samplers[sampler]) for array, sampler in places
+        )
+        table: NDArray[Any] = np.zeros(len(textures), TextureUse.dtype)
+        for row, (image, is_color, sampler) in enumerate(uses):
+            array = next(
+                number
+                for number, one in enumerate(planned)
+                if one.is_color == is_color and image in one.images and sampler in one.samplers
+            )
+            table["array"][row] = places.index((array, sampler))
+            table["layer"][row] = planned[array].images.index(image)
+        table["u"], table["v"] = textures["transform"][:, 0], textures["transform"][:, 1]
+        table["uv_set"] = textures["uv_set"]
+        is_plain = (
+            len(self.arrays) == 1
+            and (table["layer"] == np.arange(len(table))).all()
+            and (textures["transform"] == np.eye(2, 3)).all()
+            and not textures["uv_set"].any()
+        )
+        self.table: StorageBuffer[TextureUse] | None = (
+            None if is_plain else device.storage(TextureUse, table, label="textures")
+        )
+
+    def destroy(self) -> None:
+        """Destroy the textures and the table."""
+        for texture in self.textures:
+            texture.destroy()
+        if self.table is not None:
+            self.table.destroy()
+
+
+def _limit_samplers(samplers: list[int], is_color: list[int]) -> list[int]:
+    """Return the sampler of each texture, where the rarest ones are replaced by the most frequent: half as many for
+    colours and for data as there may be arrays."""
+    kept: dict[int, list[int]] = {}
+    for kind in (0, 1):
+        counts = Counter(sampler for sampler, of in zip(samplers, is_color, strict=True) if of == kind)
+        kept[kind] = [sampler for sampler, _ in counts.most_common(MOST_ARRAYS // 2)]
+    return [
+        sampler if sampler in kept[kind] else kept[kind][0] for sampler, kind in zip(samplers, is_color, strict=True)
+    ]
+
+
+def _make_array(device: Device, scene: Scene, array: ImageArray) -> Texture:
+    nearest = all(scene.samplers[sampler].magnify is Filter.NEAREST for sampler in array.samplers)
+    layers = np.stack([_resize(scene.images[image], array.size, nearest=nearest) for image in array.images])
+    return device.texture(
+        layers,
+        Format.RGBA8_SRGB if array.is_color else Format.RGBA8,
+        kind=TextureKind.D2_ARRAY,
+        levels=None,
+        label="images" if array.is_color else "maps",
+    )
+
+
+def _resize(image: NDArray[np.uint8], size: Size, *, nearest: bool) -> NDArray[np.uint8]:
+    if (image.shape[1], image.shape[0]) == size:
+        return image
+    filter = Image.Resampling.NEAREST if nearest else Image.Resampling.LANCZOS
+    return np.asarray(Image.fromarray(image).resize(size, filter))

@@ -1,0 +1,493 @@
+"""What materials have beside numbers: textures, normal maps, masks, two sides; and vertices with more attributes.
+
+Each class adds one of these to a `SceneShader`. A shader gets only those that its scene has and that it reads
+(`bind_surfaces`): a depth pass reads the alpha of masks, and nothing else.
+
+A texture is read in one of two ways. If all images are in one array, and all are read by texture coordinates as they
+are, a texture's row is its layer. Otherwise a table of textures (`TextureUse`) leads to an array, a layer and the
+transform of texture coordinates. All fragments of a primitive have one material, and so take the same branches: there,
+derivatives of texture coordinates are defined, and a device skips the arrays that aren't read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from enum import Enum
+from functools import cache
+from typing import Any, Final
+
+from renderer.frame import Effect, Frame, Needs
+from renderer.scene import AlphaMode
+from renderer.shaders.lighting import safe_normalize
+from renderer.shaders.structs import (
+    Material,
+    Object,
+    SecondUv,
+    SurfacePoint,
+    SurfaceVarying,
+    Tangent,
+    TextureUse,
+    Vertex,
+    VertexColor,
+)
+from renderer.techniques.scene_shader import SHADING_PARTS, ReflectingShader, SceneShader
+from rhi.shading import (
+    Shader,
+    Storage,
+    Texture2DArray,
+    cross,
+    ddx,
+    ddy,
+    determinant,
+    discard,
+    dot,
+    front_facing,
+    mix,
+    vec2,
+    vec3,
+    vec4,
+)
+
+_MASK: Final = int(AlphaMode.MASK)
+_ROUNDING: Final = 2.0**-16
+"""How far below the cut an alpha may be and still be at it: filtering rounds."""
+_NO_NORMAL: Final = 1e-8
+"""The square of a normal's length, below which it has no direction."""
+
+
+class Aspect(Enum):
+    """What a shader reads of surfaces."""
+
+    COVERAGE = "what is left out: backs, and what masks cut"
+    COLOR = "the base colour"
+    NORMAL = "the normal"
+    METAL = "how metallic and rough they are"
+    AMBIENT = "occlusion and emitted light"
+
+
+class MaterialShader(SceneShader, ReflectingShader):
+    """The base of shaders that draw the scene's geometry with its materials."""
+
+    materials: Storage[Material]
+
+    def find_surface(self, v: SurfaceVarying, material: Material) -> SurfacePoint:
+        surface = SurfacePoint(
+            position=v.position,
+            normal=self.find_normal(v),
+            to_eye=safe_normalize(-v.position),
+            base_color=material.base_color.rgb * self.find_texel(v).rgb,
+            specular_color=material.specular_color,
+            shininess=material.shininess,
+            occlusion=self.find_occlusion(v),
+            emissive=self.find_emissive(v),
+        )
+        return self.with_model(surface, material, self.find_metal(v))
+
+    def find_metal(self, v: SurfaceVarying) -> vec2:
+        """Return how metallic and how rough the fragment is."""
+        material = self.materials[v.material]
+        return vec2(material.metallic, material.roughness)
+
+    def find_occlusion(self, v: SurfaceVarying) -> float:
+        """Return how much of the ambient light reaches the fragment."""
+        return 1.0
+
+    def find_emissive(self, v: SurfaceVarying) -> vec3:
+        """Return what multiplies the emissive colour of the fragment's material."""
+        return vec3(1.0)
+
+
+class ImageShader(Shader):
+    """The base of shaders that read images: the layers of one array."""
+
+    images: Texture2DArray
+
+    def read_array(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
+        """Return a texel of an array, given the changes of texture coordinates to the pixels on the right and below."""
+        return self.images.sample_grad(place, right, below)
+
+
+class TextureShader(SceneShader, ImageShader):
+    """The base of shaders that read textures of the surfaces that they draw."""
+
+    materials: Storage[Material]
+
+    def read_texture(self, texture: int, v: SurfaceVarying) -> vec4:
+        """Return the texel of the texture of this row."""
+        return self.images.sample(vec3(v.uv, float(texture)))
+
+
+class WithTextureTable(TextureShader):
+    """Textures are found by a table.
+
+    Texture coordinates are then numbers of a buffer, from which a fragment that failed a test may have read zeros
+    (llvmpipe), so its neighbours would derive nonsense. Derivatives are those of the varying, transformed alike.
+    """
+
+    textures: Storage[TextureUse]
+
+    def read_texture(self, texture: int, v: SurfaceVarying) -> vec4:
+        use = self.textures[texture]
+        uv = self.find_uv(use.uv_set, v)
+        place = vec3(uv.x, uv.y, 1.0)
+        right = vec3(uv.z, uv.w, 0.0)
+        below = vec3(self.find_uv_below(use.uv_set, v), 0.0)
+        return self.read_array(
+            use.array,
+            vec3(dot(use.u, place), dot(use.v, place), use.layer),
+            vec2(dot(use.u, right), dot(use.v, right)),
+            vec2(dot(use.u, below), dot(use.v, below)),
+        )
+
+    def find_uv(self, uv_set: int, v: SurfaceVarying) -> vec4:
+        """Return texture coordinates, and their change to the next pixel on the right."""
+        return vec4(v.uv, ddx(v.uv))
+
+    def find_uv_below(self, uv_set: int, v: SurfaceVarying) -> vec2:
+        """Return the change of texture coordinates to the next pixel below."""
+        return ddy(v.uv)
+
+
+class WithSecondUv(WithTextureTable):
+    """Some textures are read by the second set of texture coordinates."""
+
+    def find_uv(self, uv_set: int, v: SurfaceVarying) -> vec4:
+        first = vec4(v.uv, ddx(v.uv))
+        second = vec4(v.uv2, ddx(v.uv2))
+        return first if uv_set == 0 else second
+
+    def find_uv_below(self, uv_set: int, v: SurfaceVarying) -> vec2:
+        first = ddy(v.uv)
+        second = ddy(v.uv2)
+        return first if uv_set == 0 else second
+
+
+class WithArray1(ImageShader):
+    """Adds a second array."""
+
+    images_1: Texture2DArray
+
+    def read_array(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
+        if array == 1:
+            return self.images_1.sample_grad(place, right, below)
+        return super().read_array(array, place, right, below)
+
+
+class WithArray2(ImageShader):
+    """Adds a third array."""
+
+    images_2: Texture2DArray
+
+    def read_array(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
+        if array == 2:
+            return self.images_2.sample_grad(place, right, below)
+        return super().read_array(array, place, right, below)
+
+
+class WithArray3(ImageShader):
+    """Adds a fourth array."""
+
+    images_3: Texture2DArray
+
+    def read_array(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
+        if array == 3:
+            return self.images_3.sample_grad(place, right, below)
+        return super().read_array(array, place, right, below)
+
+
+class WithArray4(ImageShader):
+    """Adds a fifth array."""
+
+    images_4: Texture2DArray
+
+    def read_array(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
+        if array == 4:
+            return self.images_4.sample_grad(place, right, below)
+        return super().read_array(array, place, right, below)
+
+
+class WithArray5(ImageShader):
+    """Adds a sixth array."""
+
+    images_5: Texture2DArray
+
+    def read_array(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
+        if array == 5:
+            return self.images_5.sample_grad(place, right, below)
+        return super().read_array(array, place, right, below)
+
+
+class WithArray6(ImageShader):
+    """Adds a seventh array."""
+
+    images_6: Texture2DArray
+
+    def read_array(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
+        if array == 6:
+            return self.images_6.sample_grad(place, right, below)
+        return super().read_array(array, place, right, below)
+
+
+class WithArray7(ImageShader):
+    """Adds an eighth array."""
+
+    images_7: Texture2DArray
+
+    def read_array(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
+        if array == 7:
+            return self.images_7.sample_grad(place, right, below)
+        return super().read_array(array, place, right, below)
+
+
+class WithBaseMaps(TextureShader):
+    """Base colours are multiplied with textures."""
+
+    def find_texel(self, v: SurfaceVarying) -> vec4:
+        texture = self.materials[v.material].texture
+        if texture < 0:
+            return super().find_texel(v)
+        return super().find_texel(v) * self.read_texture(texture, v)
+
+
+class WithVertexColors(SceneShader):
+    """Base colours are multiplied with those of vertices."""
+
+    def find_texel(self, v: SurfaceVarying) -> vec4:
+        return super().find_texel(v) * v.color
+
+
+class WithMasks(SceneShader):
+    """Nothing is drawn where the alpha of a mask is below its cut."""
+
+    materials: Storage[Material]
+
+    def find_texel(self, v: SurfaceVarying) -> vec4:
+        texel = super().find_texel(v)
+        material = self.materials[v.material]
+        if material.alpha_mode == _MASK and material.base_color.a * texel.a < material.alpha_cutoff - _ROUNDING:
+            discard()
+        return texel
+
+
+class WithNormalMaps(TextureShader):
+    """Normals are bent by textures. Where a texture has no direction, they are as they were."""
+
+    def find_normal(self, v: SurfaceVarying) -> vec3:
+        normal = super().find_normal(v)
+        material = self.materials[v.material]
+        if material.normal_texture < 0:
+            return normal
+        texel = self.read_texture(material.normal_texture, v).xyz * 2.0 - 1.0
+        tangent = safe_normalize(v.tangent.xyz)
+        up = cross(normal, tangent) * (-1.0 if v.tangent.w < 0.0 else 1.0)
+        bent = (tangent * texel.x + up * texel.y) * material.normal_scale + normal * texel.z
+        if dot(bent, bent) < _NO_NORMAL:
+            return normal
+        return safe_normalize(bent)
+
+
+class WithTwoSides(SceneShader):
+    """Backs are drawn, with the opposite normal. Those of materials with one side are left out."""
+
+    materials: Storage[Material]
+
+    def find_texel(self, v: SurfaceVarying) -> vec4:
+        texel = super().find_texel(v)
+        if not front_facing() and self.materials[v.material].double_sided == 0:
+            discard()
+        return texel
+
+    def find_normal(self, v: SurfaceVarying) -> vec3:
+        normal = super().find_normal(v)
+        return normal if front_facing() else -normal
+
+
+class WithRoughnessMaps(TextureShader, MaterialShader):
+    """How metallic and rough a surface is comes from textures: blue and green."""
+
+    def find_metal(self, v: SurfaceVarying) -> vec2:
+        texture = self.materials[v.material].metallic_roughness_texture
+        if texture < 0:
+            return super().find_metal(v)
+        return super().find_metal(v) * self.read_texture(texture, v).zy
+
+
+class WithOcclusionMaps(TextureShader, MaterialShader):
+    """How much ambient light reaches a surface comes from textures: red."""
+
+    def find_occlusion(self, v: SurfaceVarying) -> float:
+        material = self.materials[v.material]
+        if material.occlusion_texture < 0:
+            return 1.0
+        return mix(1.0, self.read_texture(material.occlusion_texture, v).x, material.occlusion_strength)
+
+
+class WithEmissiveMaps(TextureShader, MaterialShader):
+    """Emissive colours are multiplied with textures."""
+
+    def find_emissive(self, v: SurfaceVarying) -> vec3:
+        texture = self.materials[v.material].emissive_texture
+        if texture < 0:
+            return vec3(1.0)
+        return self.read_texture(texture, v).rgb
+
+
+class TangentShader(SceneShader):
+    """The base of shaders that read tangents."""
+
+    def turn_tangent(self, thing: Object, tangent: vec4) -> vec4:
+        # A transform that mirrors an object turns its bitangents, but not the product of its normals and tangents.
+        mirrors = determinant(thing.linear) < 0.0
+        return vec4(thing.linear @ tangent.xyz, -tangent.w if mirrors else tangent.w)
+
+
+class WithUv2(SceneShader):
+    """Vertices have a second set of texture coordinates."""
+
+    def vertex(self, v: Vertex, a: SecondUv) -> SurfaceVarying:  # type: ignore[override]
+        return self.transform(v, a.uv2, vec4(1.0, 0.0, 0.0, 1.0), vec4(1.0))
+
+
+class WithTangents(TangentShader):
+    """Vertices have tangents."""
+
+    def vertex(self, v: Vertex, a: Tangent) -> SurfaceVarying:  # type: ignore[override]
+        return self.transform(v, vec2(0.0), a.tangent, vec4(1.0))
+
+
+class WithColors(SceneShader):
+    """Vertices have colours."""
+
+    def vertex(self, v: Vertex, a: VertexColor) -> SurfaceVarying:  # type: ignore[override]
+        return self.transform(v, vec2(0.0), vec4(1.0, 0.0, 0.0, 1.0), a.color)
+
+
+class WithUv2Tangents(TangentShader):
+    """Vertices have a second set of texture coordinates and tangents."""
+
+    def vertex(self, v: Vertex, a: SecondUv, b: Tangent) -> SurfaceVarying:  # type: ignore[override]
+        return self.transform(v, a.uv2, b.tangent, vec4(1.0))
+
+
+class WithUv2Colors(SceneShader):
+    """Vertices have a second set of texture coordinates and colours."""
+
+    def vertex(self, v: Vertex, a: SecondUv, b: VertexColor) -> SurfaceVarying:  # type: ignore[override]
+        return self.transform(v, a.uv2, vec4(1.0, 0.0, 0.0, 1.0), b.color)
+
+
+class WithTangentsColors(TangentShader):
+    """Vertices have tangents and colours."""
+
+    def vertex(self, v: Vertex, a: Tangent, b: VertexColor) -> SurfaceVarying:  # type: ignore[override]
+        return self.transform(v, vec2(0.0), a.tangent, b.color)
+
+
+class WithUv2TangentsColors(TangentShader):
+    """Vertices have all of these."""
+
+    def vertex(self, v: Vertex, a: SecondUv, b: Tangent, c: VertexColor) -> SurfaceVarying:  # type: ignore[override]
+        return self.transform(v, a.uv2, b.tangent, c.color)
+
+
+SURFACE_PARTS: Final[dict[str, type[Shader]]] = {
+    "masks": WithMasks,
+    "two_sides": WithTwoSides,
+    "normal_maps": WithNormalMaps,
+    "roughness_maps": WithRoughnessMaps,
+    "occlusion_maps": WithOcclusionMaps,
+    "emissive_maps": WithEmissiveMaps,
+    "vertex_colors": WithVertexColors,
+    "base_maps": WithBaseMaps,
+    "images_1": WithArray1,
+    "images_2": WithArray2,
+    "images_3": WithArray3,
+    "images_4": WithArray4,
+    "images_5": WithArray5,
+    "images_6": WithArray6,
+    "images_7": WithArray7,
+    "second_uv": WithSecondUv,
+    "textures": WithTextureTable,
+    "uv2": WithUv2,
+    "tangent": WithTangents,
+    "color": WithColors,
+    "uv2_tangent": WithUv2Tangents,
+    "uv2_color": WithUv2Colors,
+    "tangent_color": WithTangentsColors,
+    "uv2_tangent_color": WithUv2TangentsColors,
+}
+"""The parts that can be added to a `SceneShader`, in an order in which they can be bases of one class."""
+
+_ASPECTS: Final[dict[str, tuple[Effect, frozenset[Aspect]]]] = {
+    "masks": (Effect.MASKS, frozenset([Aspect.COVERAGE])),
+    "two_sides": (Effect.TWO_SIDES, frozenset([Aspect.COVERAGE, Aspect.NORMAL])),
+    "normal_maps": (Effect.NORMAL_MAPS, frozenset([Aspect.NORMAL])),
+    "roughness_maps": (Effect.ROUGHNESS_MAPS, frozenset([Aspect.METAL])),
+    "occlusion_maps": (Effect.OCCLUSION_MAPS, frozenset([Aspect.AMBIENT])),
+    "emissive_maps": (Effect.EMISSIVE_MAPS, frozenset([Aspect.AMBIENT])),
+    "vertex_colors": (Effect.VERTEX_COLORS, frozenset([Aspect.COLOR])),
+    "base_maps": (Effect.IMAGES, frozenset([Aspect.COLOR])),
+}
+"""The effects that call for parts, and what they are about."""
+
+
+def bind_surfaces(
+    frame: Frame, aspects: Collection[Aspect] = tuple(Aspect), *, has_materials: bool = True
+) -> tuple[list[str], dict[str, Any]]:
+    """Return the names of the parts by which a `SceneShader` reads these aspects of surfaces, and its bindings.
+
+    Args:
+        has_materials: whether the shader reads materials whatever its parts are.
+    """
+    resources, effects = frame.resources, frame.needs.effects
+    wanted = set(aspects)
+    if Aspect.COVERAGE in wanted and Effect.MASKS in effects:
+        wanted.add(Aspect.COLOR)
+    parts = [name for name, (effect, about) in _ASPECTS.items() if effect in effects and about & wanted]
+    bindings: dict[str, Any] = {
+        "view": frame.view.buffer,
+        "objects": resources.objects.buffer,
+        "places": resources.places.buffer,
+    }
+    attributes = {"tangent": "normal_maps" in parts, "color": "vertex_colors" in parts}
+    if any(issubclass(SURFACE_PARTS[name], TextureShader) for name in parts):
+        arrays, images = bind_images(frame)
+        bindings |= images
+        if "textures" in images:
+            attributes["uv2"] = Effect.SECOND_UVS in effects
+            parts += [*arrays, *(["second_uv"] if attributes["uv2"] else []), "textures"]
+    if has_materials or any(_reads_materials(SURFACE_PARTS[name]) for name in parts):
+        bindings["materials"] = resources.materials.buffer
+    present = [name for name in ("uv2", "tangent", "color") if attributes.get(name)]
+    return [*parts, *(["_".join(present)] if present else [])], bindings
+
+
+def bind_images(frame: Frame) -> tuple[list[str], dict[str, Any]]:
+    """Return the names of the parts that an `ImageShader` needs for the arrays of the scene's images but the first, and
+    its bindings: `textures` is among them if textures are found by a table."""
+    images = frame.resources.images
+    assert images is not None, "a texture is read"
+    names = [f"images_{number}" if number else "images" for number in range(len(images.arrays))]
+    bindings: dict[str, Any] = dict(zip(names, images.arrays, strict=True))
+    return names[1:], bindings | ({} if images.table is None else {"textures": images.table})
+
+
+def _reads_materials(part: type[Shader]) -> bool:
+    return any("materials" in vars(base).get("__annotations__", {}) for base in part.__mro__)
+
+def surface_variant(base: type[SceneShader], parts: Sequence[str]) -> type[Shader]:
+    """Return a shader that draws the scene's geometry, with these of `SHADING_PARTS` and `SURFACE_PARTS`."""
+    known = SHADING_PARTS | SURFACE_PARTS
+    return _combine((*(known[part] for part in parts), base))
+
+
+@cache
+def _combine(bases: tuple[type[Shader], ...]) -> type[Shader]:
+    return type(bases[-1].__name__, bases, {"__module__": __name__})
+
+
+def list_models(needs: Needs) -> list[str]:
+    """Return the names of the parts that a `ReflectingShader` needs for the models of the scene's materials."""
+    if Effect.METALS not in needs.effects:
+        return []
+    return ["both_models" if needs.has_both_models else "metals"]

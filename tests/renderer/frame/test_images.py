@@ -1,0 +1,119 @@
+"""Images by size: few arrays, and little more memory than their texels take."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import rhi
+from renderer.content import BUILT_IN
+from renderer.frame.images import MOST_ARRAYS, MOST_MEMORY, SceneImages, count_bytes, plan_arrays
+from renderer.scene import Scene, SceneBuilder, TextureMap
+from rhi import SamplerDescriptor, Wrap
+
+CLAMPED = SamplerDescriptor(wrap_u=Wrap.CLAMP, wrap_v=Wrap.CLAMP)
+
+
+def scene_of(*sizes: tuple[int, int], **material: object) -> Scene:
+    builder = SceneBuilder("images")
+    images = [builder.add_image(np.zeros((height, width, 4), np.uint8)) for width, height in sizes]
+    mesh, node = builder.add_mesh(BUILT_IN["box"]()), builder.add_node()
+    for image in images:
+        builder.add_objects(node, mesh, builder.add_material(texture=image))
+    return builder.build()
+
+
+def bytes_of(sizes: list[tuple[int, int]]) -> int:
+    return sum(map(count_bytes, sizes))
+
+
+def test_the_bytes_of_an_image_are_those_of_all_its_levels() -> None:
+    assert count_bytes((1, 1)) == 4
+    assert count_bytes((4, 2)) == 4 * (8 + 2 + 1)
+    assert count_bytes((8192, 1)) == 4 * (2 * 8192 - 1)
+
+
+def test_images_of_one_size_are_the_layers_of_one_array() -> None:
+    (array,) = plan_arrays([(8, 8), (8, 8), (8, 8)], [(0, True, 0), (1, True, 0), (2, True, 0), (1, True, 0)])
+    assert array.images == (0, 1, 2)
+
+
+def test_colours_and_data_and_sizes_have_arrays_of_their_own() -> None:
+    sizes = [(8, 8), (16, 8), (1, 1), (8192, 1)]
+    arrays = plan_arrays(sizes, [(0, True, 0), (0, False, 0), (1, True, 0), (2, True, 0), (3, True, 0)])
+    assert [(array.size, array.is_color) for array in arrays] == [
+        ((8, 8), True),
+        ((8, 8), False),
+        ((16, 8), True),
+        ((1, 1), True),
+        ((8192, 1), True),
+    ]
+    assert sum(array.bytes for array in arrays) == bytes_of([*sizes, sizes[0]])
+
+
+def test_a_scene_of_many_sizes_joins_the_smallest_arrays() -> None:
+    sizes = [(1 << k, 1 << k) for k in range(12)]
+    arrays = plan_arrays(sizes, [(image, True, 0) for image in range(12)])
+    assert len(arrays) == MOST_ARRAYS
+    assert (2048, 2048) in {array.size for array in arrays}
+    assert sum(array.bytes for array in arrays) <= 1.001 * bytes_of(sizes)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(st.tuples(st.integers(1, 2048), st.integers(1, 2048)), min_size=1, max_size=24),
+    st.randoms(use_true_random=False),
+)
+def test_arrays_take_little_more_memory_than_their_images(sizes: list[tuple[int, int]], random: object) -> None:
+    uses = [(image, bool(image % 3), image % 2) for image in range(len(sizes))]
+    arrays = plan_arrays(sizes, uses)
+    assert sum(len(array.samplers) for array in arrays) <= MOST_ARRAYS
+    assert sum(array.bytes for array in arrays) <= MOST_MEMORY * bytes_of(sizes) + 4 * len(sizes)
+    for image, is_color, sampler in uses:
+        assert [a for a in arrays if a.is_color == is_color and image in a.images and sampler in a.samplers]
+
+
+def test_the_device_has_the_memory_that_is_counted(null: rhi.Device) -> None:
+    sizes = [(64, 64), (64, 64), (1, 1), (256, 16)]
+    images = SceneImages(null, scene_of(*sizes))
+    assert images.image_bytes == images.bytes == bytes_of(sizes)
+    assert sorted((texture.size, texture.layers) for texture in images.textures) == [
+        ((1, 1), 1),
+        ((64, 64), 2),
+        ((256, 16), 1),
+    ]
+
+
+def test_plain_textures_need_no_table(null: rhi.Device) -> None:
+    assert SceneImages(null, scene_of((8, 8), (8, 8))).table is None
+    assert SceneImages(null, scene_of((8, 8), (16, 8))).table is not None
+
+
+def test_an_image_with_two_samplers_is_there_once(null: rhi.Device) -> None:
+    builder = SceneBuilder("images")
+    image = builder.add_image(np.zeros((8, 8, 4), np.uint8))
+    mesh, node = builder.add_mesh(BUILT_IN["box"]()), builder.add_node()
+    for texture in (TextureMap(image), TextureMap(image, sampler=CLAMPED)):
+        builder.add_objects(node, mesh, builder.add_material(texture=texture))
+    images = SceneImages(null, builder.build())
+    assert len(images.textures) == 1
+    assert len(images.arrays) == 2
+    assert images.bytes == count_bytes((8, 8))
+
+
+def test_rare_samplers_give_way_where_there_are_too_many(null: rhi.Device) -> None:
+    builder = SceneBuilder("images")
+    image = builder.add_image(np.zeros((8, 8, 4), np.uint8))
+    mesh, node = builder.add_mesh(BUILT_IN["box"]()), builder.add_node()
+    for number in range(MOST_ARRAYS + 2):
+        sampler = SamplerDescriptor(max_anisotropy=1.0 + number)
+        builder.add_objects(node, mesh, builder.add_material(texture=TextureMap(image, sampler=sampler)))
+    assert len(SceneImages(null, builder.build()).arrays) == MOST_ARRAYS // 2
+
+
+@pytest.mark.parametrize("size", [(1, 1), (8192, 1)])
+def test_extreme_images_are_drawn(gl: rhi.Device, size: tuple[int, int]) -> None:
+    images = SceneImages(gl, scene_of(size))
+    assert images.textures[0].size == size

@@ -1,0 +1,193 @@
+"""The pixels of materials: the same in all techniques, and what their parameters say."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from material_scene import build_materials, make_noise
+from numpy.typing import NDArray
+
+import rhi
+from renderer.renderer import Renderer
+from renderer.scene import AlphaMode, Camera, Scene, SceneBuilder, TextureMap, make_geometry
+from renderer.techniques import (
+    Clustered,
+    ClusteredDeferred,
+    Deferred,
+    DeferredPlus,
+    Forward,
+    ForwardMultipass,
+    ForwardPlus,
+    Inferred,
+    LightIndexed,
+    LightPrePass,
+    Technique,
+    TiledDeferred,
+)
+from renderer.visibility import NoCulling, make_visibility
+from rhi import Filter, SamplerDescriptor
+
+TECHNIQUES: dict[str, Callable[[], Technique]] = {
+    "forward multipass": ForwardMultipass,
+    "light-indexed": LightIndexed,
+    "forward plus": ForwardPlus,
+    "clustered": Clustered,
+    "deferred": Deferred,
+    "light pre-pass": LightPrePass,
+    "inferred at full size": lambda: Inferred(scale=1.0),
+    "tiled deferred": TiledDeferred,
+    "clustered deferred": ClusteredDeferred,
+    "deferred plus": DeferredPlus,
+}
+SIZE = (120, 90)
+NEAREST = SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, None)
+
+
+def render(
+    device: rhi.Device, scene: Scene, *techniques: Technique, size: tuple[int, int] = SIZE
+) -> list[NDArray[Any]]:
+    """Return the picture (h, w, 3) of each technique."""
+    camera = next(iter(scene.views.values())).with_aspect(size[0] / size[1])
+    images = []
+    with Renderer(device, scene, visibility=NoCulling(scene), size=size) as renderer:
+        for renderer.technique in techniques:
+            images.append(renderer.render(camera).image.read()[..., :3].astype(int))
+    return images
+
+
+def check_techniques(device: rhi.Device, scene: Scene, names: list[str]) -> None:
+    expected, *images = render(device, scene, Forward(), *(TECHNIQUES[name]() for name in names))
+    assert expected.std() > 30.0
+    off = {name: int(np.abs(image - expected).max()) for name, image in zip(names, images, strict=True)}
+    assert max(off.values()) <= 2, off
+
+
+@pytest.mark.parametrize("lamps", [True, False])
+def test_all_techniques_draw_the_same_materials(gl: rhi.Device, lamps: bool) -> None:
+    check_techniques(gl, build_materials(lamps=lamps), list(TECHNIQUES))
+
+
+@pytest.mark.nightly
+def test_all_techniques_draw_the_same_materials_on_each_backend(drawing_device: rhi.Device) -> None:
+    check_techniques(drawing_device, build_materials(), list(TECHNIQUES))
+
+
+def square(**material: Any) -> SceneBuilder:
+    """Make a square that faces the eye and fills the image."""
+    builder = SceneBuilder("square")
+    builder.lights.sky = builder.lights.ground = (0.5, 0.5, 0.5)
+    positions = [(-2, -2, 0), (2, -2, 0), (2, 2, 0), (-2, 2, 0)]
+    images = {name: builder.add_image(value) for name, value in material.items() if isinstance(value, np.ndarray)}
+    geometry = make_geometry(positions, [0, 1, 2, 0, 2, 3], uv=[(0, 1), (1, 1), (1, 0), (0, 0)])
+    builder.add_objects(builder.add_node(), builder.add_mesh(geometry), builder.add_material(**{**material, **images}))
+    builder.views["front"] = Camera.look_at((0, 0, 3), (0, 0, 0))
+    return builder
+
+
+SMALL = (16, 16)
+
+
+def look(device: rhi.Device, builder: SceneBuilder) -> NDArray[Any]:
+    (image,) = render(device, builder.build(), Forward(), size=SMALL)
+    return image
+
+
+@pytest.mark.parametrize(("alpha", "drawn"), [(0.25, True), (0.2499, False), (0.2501, True)])
+def test_a_mask_keeps_what_is_exactly_at_the_cut(gl: rhi.Device, alpha: float, drawn: bool) -> None:
+    mask = square(base_color=(1, 1, 1, alpha), alpha_mode=AlphaMode.MASK, alpha_cutoff=0.25)
+    assert (look(gl, mask) > 60).all() == drawn
+
+
+@pytest.mark.parametrize(("texel", "drawn"), [(63, False), (64, True), (65, True)])
+def test_a_texel_exactly_at_the_cut_is_kept(gl: rhi.Device, texel: int, drawn: bool) -> None:
+    texture = np.full((4, 4, 4), (255, 255, 255, texel), np.uint8)
+    mask = square(base_color=(1, 1, 1), texture=texture, alpha_mode=AlphaMode.MASK, alpha_cutoff=64 / 255)
+    assert (look(gl, mask) > 60).all() == drawn
+
+
+def test_alpha_of_an_opaque_material_means_nothing(gl: rhi.Device) -> None:
+    assert (look(gl, square(base_color=(1, 1, 1, 0.0))) > 60).all()
+
+
+@pytest.mark.parametrize("two_sides", [False, True])
+def test_backs_are_drawn_of_materials_with_two_sides_alone(gl: rhi.Device, two_sides: bool) -> None:
+    builder = square(base_color=(1, 1, 1), double_sided=two_sides)
+    builder.add_material(double_sided=True)  # so that one-sided materials share the scene with two-sided ones
+    builder.lights.add_directional((0, 0, 1), (1, 1, 1), 3.0)  # lights the back
+    builder.views["front"] = Camera.look_at((0, 0, -3), (0, 0, 0))
+    image = look(gl, builder)
+    assert (image > 200).all() if two_sides else (image < 60).all()
+
+
+def test_a_normal_map_without_a_direction_leaves_the_normal(gl: rhi.Device) -> None:
+    grey = np.full((4, 4, 4), 128, np.uint8)
+    plain, mapped = square(roughness=0.5), square(roughness=0.5, normal_texture=grey, normal_scale=0.0)
+    for builder in (plain, mapped):
+        builder.lights.add_directional((0, -1, -1), (1, 1, 1), 1.0)
+    assert np.abs(look(gl, plain) - look(gl, mapped)).max() <= 1
+
+
+@pytest.mark.parametrize(("texel", "towards"), [((255, 128, 128), (-1, 0, 0)), ((128, 255, 128), (0, -1, 0))])
+def test_red_bends_normals_along_u_and_green_up(gl: rhi.Device, texel: Any, towards: Any) -> None:
+    """Light that comes from where the bent normal points to reaches the square, and from the other side doesn't."""
+    texture = np.full((4, 4, 4), (*texel, 255), np.uint8)
+    lit = []
+    for sign in (1.0, -1.0):
+        builder = square(base_color=(1, 1, 1), roughness=1.0, metallic=0.0, normal_texture=texture)
+        builder.lights.sky = builder.lights.ground = (0.0, 0.0, 0.0)
+        builder.lights.add_directional(np.multiply(towards, sign), (1, 1, 1), 1.0)
+        lit.append(look(gl, builder).mean())
+    assert lit[0] > 150
+    assert lit[1] < 10
+
+
+def test_emissive_texels_multiply_the_emissive_color(gl: rhi.Device) -> None:
+    texture = np.full((4, 4, 4), (255, 0, 255, 255), np.uint8)
+    builder = square(base_color=(0, 0, 0), emissive=(0.5, 0.5, 0.0), emissive_texture=texture, specular_color=(0, 0, 0))
+    red, green, blue = look(gl, builder).reshape(-1, 3).max(0)
+    assert red > 150
+    assert green == blue == 0
+
+
+def test_occlusion_darkens_by_its_strength(gl: rhi.Device) -> None:
+    texture = np.zeros((4, 4, 4), np.uint8)
+    seen = [
+        look(gl, square(base_color=(1, 1, 1), roughness=1.0, occlusion_texture=texture, occlusion_strength=s)).mean()
+        for s in (0.0, 0.5, 1.0)
+    ]
+    assert seen[0] > seen[1] > seen[2] == 0.0
+
+
+@pytest.mark.parametrize("uv", [(1000.3, -0.25), (-0.25, 1000.3), (0.3, 0.75)])
+def test_texture_coordinates_beyond_1_repeat(gl: rhi.Device, uv: tuple[float, float]) -> None:
+    """The square shows one texel: that of the fractional parts of its texture coordinates."""
+    texture = make_noise((32, 32), 1)
+    texture = texture[::4, ::4].copy()  # 8 × 8 different texels
+    place = TextureMap(0, scale=(0.0, 0.0), offset=uv, sampler=NEAREST)
+    builder = SceneBuilder("square")
+    builder.add_image(texture)
+    builder.lights.sky = builder.lights.ground = (0.5, 0.5, 0.5)
+    geometry = make_geometry([(-2, -2, 0), (2, -2, 0), (2, 2, 0), (-2, 2, 0)], [0, 1, 2, 0, 2, 3])
+    white = {"base_color": (1, 1, 1), "specular_color": (0, 0, 0)}
+    material = builder.add_material(texture=place, **white)
+    builder.add_objects(builder.add_node(), builder.add_mesh(geometry), material)
+    builder.views["front"] = Camera.look_at((0, 0, 3), (0, 0, 0))
+    column, row = (int(np.floor(x % 1.0 * 8)) for x in uv)
+    alike = np.full((8, 8, 4), texture[row, column], np.uint8)
+    assert np.abs(look(gl, builder) - look(gl, square(texture=alike, **white))).max() <= 1
+
+
+@pytest.mark.parametrize("name", ["frustum", "two_pass", "chc_plus_plus"])
+def test_masks_hide_nothing_behind_their_holes(gl: rhi.Device, name: str) -> None:
+    scene = build_materials(lamps=False)
+    camera = scene.views["front"].with_aspect(SIZE[0] / SIZE[1])
+    images = []
+    for visibility in (NoCulling(scene), make_visibility(name, scene, gl)):
+        with Renderer(gl, scene, visibility=visibility, size=SIZE) as renderer:
+            for _ in range(3):
+                image = renderer.render(camera).image.read()
+            images.append(image)
+    assert np.array_equal(*images)
