@@ -101,8 +101,6 @@ class Frame:
         with scene_pass:
             if seen is not None:
                 seen.drawn.draw_again(scene_pass)
-                if not scene_pass.was_opened:  # as below
-                    scene_pass.open()
                 return
             if not view.visibility.opens_pass:
                 scene_pass.open()

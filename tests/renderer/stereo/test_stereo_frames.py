@@ -73,6 +73,15 @@ def test_each_picture_is_that_of_its_eye_to_the_bit(
     algorithm.destroy()
 
 
+@pytest.mark.parametrize("algorithm", ["frustum", "chc"])
+def test_each_eye_sees_through_glass(gl: rhi.Device, algorithm: str) -> None:
+    scene = load_scene("glass:panes=9,lights=2")
+    visibility = make_visibility(algorithm, scene, gl)
+    with Renderer(gl, scene, visibility=visibility, size=SIZE) as renderer:
+        check_eyes(renderer, scene.views["along"])
+    visibility.destroy()
+
+
 @pytest.mark.nightly
 @pytest.mark.parametrize("scene_name", ["city", "hall"])
 @pytest.mark.parametrize("name", TECHNIQUES)

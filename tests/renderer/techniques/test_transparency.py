@@ -27,8 +27,10 @@ from renderer.scene import (
     scaling,
     translation,
 )
+from renderer.shadows.casters import SceneCasters
 from renderer.techniques import TECHNIQUES, Forward, Inferred, Smoothed, Technique, inferred
-from renderer.visibility import ALGORITHMS, NoCulling, list_algorithms, make_visibility
+from renderer.visibility import ALGORITHMS, NoCulling, TwoPassCulling, list_algorithms, make_visibility
+from renderer.visibility.gpu.occludees import DRAWN, OUTSIDE
 from rhi import DepthWrite, Op
 
 SIZE = (48, 32)
@@ -75,6 +77,8 @@ def render(
         view = camera or next(iter(scene.views.values()))
         return renderer.render(view).image.read()[..., :3].astype(np.int64)
 
+
+WALL: tuple[float, Sequence[float]] = (-3.0, (0.5, 0.5, 0.4))
 
 LAYERS: list[tuple[float, Sequence[float]]] = [
     (1.0, (0.9, 0.2, 0.1, 0.4)),
@@ -248,6 +252,19 @@ def test_every_visibility_algorithm_shows_transparent_objects_and_what_they_cove
     visibility.destroy()
 
 
+def test_the_device_lists_no_transparent_object(gl: rhi.Device) -> None:
+    scene = panes(WALL, (2.0, (0.2, 0.5, 0.9, 0.5))).build()
+    visibility = TwoPassCulling(scene, gl)
+    with Renderer(gl, scene, visibility=visibility, size=SIZE) as renderer:
+        for _ in range(2):
+            renderer.render(FRONT)
+        assert visibility._occludees.marks.read().tolist() == [DRAWN, OUTSIDE]
+        scene.materials["alpha_mode"] = AlphaMode.OPAQUE
+        renderer.render(FRONT)
+        assert visibility._occludees.marks.read().tolist() == [DRAWN, DRAWN]
+    visibility.destroy()
+
+
 @pytest.mark.parametrize("name", ["stop_and_wait", "chc", "chc_plus_plus", "software_depth"])
 def test_a_transparent_object_behind_a_wall_is_culled_where_the_cpu_knows(gl: rhi.Device, name: str) -> None:
     if name not in list_algorithms(gl):
@@ -280,9 +297,6 @@ def count(device: rhi.Device, scene: Scene, blending: Blending = Blending.SORTED
     """Return the number of render passes and of draw calls in a frame."""
     stream, _ = record(device, scene, blending=blending)
     return len(stream.filter(Op.BEGIN_PASS)), len(stream.draws())
-
-
-WALL: tuple[float, Sequence[float]] = (-3.0, (0.5, 0.5, 0.4))
 
 
 @pytest.mark.parametrize("blending", Blending)
@@ -384,6 +398,12 @@ def test_nothing_of_the_last_frame_is_left_where_all_objects_are_transparent(gl:
         renderer.render(FRONT)
         image = renderer.render(aside).image.read()[..., :3].astype(int)
     assert np.abs(image - wanted).max() <= 2
+
+
+def test_transparent_objects_cast_no_shadows() -> None:
+    casters = SceneCasters(panes(WALL, (1.0, (1.0, 1.0, 1.0, 0.5)), (2.0, (1.0, 1.0, 1.0))).build())
+    assert casters.still.tolist() == [0, 2]
+    assert not len(casters.moving)
 
 
 def test_a_frame_says_why_it_has_a_pass_of_transparent_surfaces() -> None:
