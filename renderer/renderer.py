@@ -276,9 +276,11 @@ class Renderer:
         if pair is not None:
             right = Frame(device, pair.view, resources, pair.targets, needs, left)
             frames.append(right)
-            resources.look_from(right.camera, 1)
+            moved = pair.plan(has_layers=bool(self.layers))
+            if moved is None:
+                resources.look_from(right.camera, 1)
             with device.event(pair.view.name):
-                self._run(pair.plan(has_layers=bool(self.layers)) or plan, right)
+                self._run(moved or plan, right)
         after = device.statistics
         for frame in frames:
             for layer in self.layers:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -24,6 +25,7 @@ from renderer.scene import (
     translation,
 )
 from renderer.scene.transforms import multiply
+from renderer.shaders import PointLight
 from renderer.stereo import Stereo, find_holes
 from renderer.visibility import FrustumCulling
 from rhi import Op
@@ -160,6 +162,19 @@ def test_only_the_left_eye_draws_the_scene(null: rhi.Device) -> None:
             passes.append(len(null.stream[before:].filter(Op.BEGIN_PASS)))
     assert draws[0] == 2 * draws[1] > 0
     assert passes == [2, 1], "without layers, no depth is made either"
+
+
+def test_lights_are_not_uploaded_for_an_eye_that_draws_nothing(null: rhi.Device) -> None:
+    scene = load_scene("grid:count=9,lights=16")
+    camera, uploads = next(iter(scene.views.values())), []
+    for moved in (False, True):
+        with Renderer(null, scene, size=SIZE, visibility=FrustumCulling(scene)) as renderer:
+            renderer.stereo = Stereo(RIG, "color", is_reprojected=moved)
+            renderer.render(camera)
+            aside = replace(camera, position=np.add(camera.position, (0.1, 0.0, 0.0)))
+            uploads.append(renderer.render(aside).statistics.upload_bytes)
+    both, one = uploads
+    assert 0 < one <= both - 16 * PointLight.dtype.itemsize
 
 
 def test_eyes_that_are_toed_in_are_refused() -> None:
