@@ -40,6 +40,7 @@ from renderer.techniques import (
     Clustered,
     ClusteredDeferred,
     Deferred,
+    DeferredPlus,
     Forward,
     ForwardMultipass,
     ForwardPlus,
@@ -73,8 +74,11 @@ TECHNIQUES: Final[dict[str, Technique]] = {
     "clustered": Clustered(),
     "tiled_deferred": TiledDeferred(),
     "clustered_deferred": ClusteredDeferred(),
+    "deferred_plus": DeferredPlus(),
 }
-RIVALS: Final = ("forward", "deferred", "forward_plus", "clustered", "tiled_deferred", "clustered_deferred")
+RIVALS: Final = (
+    "forward", "deferred", "forward_plus", "clustered", "tiled_deferred", "clustered_deferred", "deferred_plus",
+)  # fmt: skip
 """The techniques that `auto` is compared with: each other one draws more than one of these for the same light."""
 _WARM_UPS: Final = 3
 
