@@ -266,6 +266,7 @@ EVERY: dict[str, dict[str, Callable[[Everything], object]]] = {
         "dispatch_indirect": lambda e: e.device.dispatch_indirect(e.compute, e.draws, numbers=e.storage),
         "draw": lambda e: e.device.draw(e.program, e.unused),
         "draw_many": lambda e: e.device.draw_many(e.program, e.unused, e.unused.draws()),
+        "draw_clipped": lambda e: e.device.draw_clipped(e.program, e.unused, e.unused.draws(), [(0, 0, 4, 4)]),
         "draw_counted": lambda e: e.device.draw_counted(e.program, e.unused, e.unused.draws(), e.queries),
         "draw_conditional": lambda e: e.device.draw_conditional(e.program, e.unused, e.unused.draws(), e.queries),
         "draw_indirect": lambda e: e.device.draw_indirect(e.program, e.unused, rhi.IndirectDraws(e.draws, 1)),

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import ctypes
+import os
+import subprocess
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import moderngl
@@ -290,3 +294,15 @@ def test_two_devices_beside_one_host(host: Host) -> None:
         seen = other.adopt_texture(one.native_texture(images[0]))
         one.present()
         np.testing.assert_array_equal(seen.read(), images[1].read())
+
+
+@pytest.mark.nightly
+def test_the_kit_passes_beside_another_context() -> None:
+    folders = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+    command = [sys.executable, "-m", "pytest", "-q", "-n", "0", "-p", "no:cacheprovider", "--pyargs", "rhi.conformance"]
+    done = subprocess.run(
+        [*command, "--rhi-backend", "hosted_backend:create"], env=os.environ | {"PYTHONPATH": folders},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout[-3000:]
+    assert "hosted_backend:create" in done.stdout

@@ -72,7 +72,9 @@ def is_other_code(probe):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("way", ["glsl", "one lane", "16 lanes", "16 lanes, fast", "numpy"])
+@pytest.mark.parametrize(
+    "way", ["glsl", pytest.param("one lane", marks=pytest.mark.nightly), "16 lanes", "16 lanes, fast", "numpy"]
+)
 def test_every_builtin_and_operator_keeps_its_stated_error(ways, way):
     with all_built(way):
         wrong = list(filter(None, (excess(ways[way], probe) for probe in PROBES)))
