@@ -41,6 +41,7 @@ class Effect(Enum):
     VERTEX_COLORS = "vertex colors"
     SECOND_UVS = "second uvs"
     TEXTURE_TRANSFORMS = "texture transforms"
+    MIXED_COORDINATES = "mixed coordinates"
     SUN_SHADOWS = "shadows of directional lights"
     POINT_SHADOWS = "shadows of point lights"
     SPOT_SHADOWS = "shadows of spot lights"
@@ -73,6 +74,10 @@ _NOUNS: Final = {
     Effect.VERTEX_COLORS: ("mesh with colors", "meshes with colors"),
     Effect.SECOND_UVS: ("texture with a second uv", "textures with a second uv"),
     Effect.TEXTURE_TRANSFORMS: ("texture that is transformed or clamped", "textures that are transformed or clamped"),
+    Effect.MIXED_COORDINATES: (
+        "material with unlike texture coordinates",
+        "materials with unlike texture coordinates",
+    ),
     Effect.TRANSPARENCY: ("transparent object", "transparent objects"),
     Effect.SUN_SHADOWS: ("directional light that casts shadows", "directional lights that cast shadows"),
     Effect.POINT_SHADOWS: ("point light that casts shadows", "point lights that cast shadows"),

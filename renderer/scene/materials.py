@@ -292,7 +292,21 @@ def count_features(
         "two sides": int((materials["double_sided"] != 0).sum()),
         "second uvs": int(textures["uv_set"][read].sum()),
         "texture transforms": int((~is_plain[read]).sum()),
+        "mixed coordinates": _count_mixed(materials, textures, repeats),
     }
+
+
+def _count_mixed(materials: NDArray[Any], textures: NDArray[Any], repeats: NDArray[np.bool_]) -> int:
+    """Return how many materials (k,) read textures at unlike places, or any that isn't repeated."""
+    mixed = np.zeros(len(materials), bool)
+    rows = np.stack([materials[name] for name in TEXTURES], axis=1)
+    first = rows.max(axis=1)
+    for column in rows.T:
+        read = np.flatnonzero(column >= 0)
+        own, other = textures[column[read]], textures[first[read]]
+        mixed[read] |= own["uv_set"] != other["uv_set"]
+        mixed[read] |= (own["transform"] != other["transform"]).any(axis=(1, 2)) | ~repeats[own["sampler"]]
+    return int(mixed.sum())
 
 
 def check_image(image: NDArray[Any]) -> ImagePixels:

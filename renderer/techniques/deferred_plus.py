@@ -11,7 +11,7 @@ With `multi_pass`, each material is shaded by draws of its own: `material ids` w
 finds where each is seen, and `shading` draws the rectangles with a depth test (`material_rectangles`).
 
 So a hidden fragment costs its geometry alone, and textures are read once a pixel. Scenes with what the packed buffer
-has no room for (normal maps and others, transforms of textures, further attributes of vertices) are drawn as by
+has no room for (transforms of textures, a second set of texture coordinates, colours of vertices) are drawn as by
 `clustered_deferred`.
 """
 
@@ -21,7 +21,7 @@ from functools import cache, partial
 from typing import Any, Final
 
 from renderer.frame import IMAGE_FORMAT, Frame, Needs, Pass, Target
-from renderer.shaders.pixels import FullScreen, distance_at, nearness_of, place_pixel
+from renderer.shaders.pixels import distance_at, nearness_of, place_pixel
 from renderer.shaders.structs import SurfacePoint
 from renderer.techniques.cell_lists import CellReader, ClusterLists, bind_lists, list_pass
 from renderer.techniques.deferred_cells import ClusteredDeferred
@@ -43,20 +43,19 @@ from rhi.shading import Shader, discard, fragment_coordinate, ivec2, vec3, vec4
 __rhi_internal__ = True
 
 
-class PackedShading(PackedReader, ShadingShader, FullScreen):
+class PackedShading(PackedReader, ShadingShader):  # type: ignore[misc]
     """Shades the pixels of the packed geometry buffer."""
 
     def fragment(self) -> vec4:
         place = fragment_coordinate().xy
-        pixel = ivec2(place)
-        nearness = nearness_of(self.rays, self.depth.load(pixel).x)
+        nearness = nearness_of(self.rays, self.depth.load(ivec2(place)).x)
         if nearness == 0.0:
             discard()
         distance = distance_at(self.rays, nearness)
         position = place_pixel(self.rays, place, distance)
-        words = self.packed.load(pixel)
-        material = self.materials[int(words.y & 65535)]
-        surface = self.find_surface(words, material, position)
+        v = self.read_varying(position)
+        material = self.materials[v.material]
+        surface = self.find_surface(v, material)
         color = self.shade(surface, material)
         color += self.local_light(surface, distance)
         return self.finish(color, position)
@@ -65,7 +64,7 @@ class PackedShading(PackedReader, ShadingShader, FullScreen):
         return vec3(0.0)
 
 
-class PackedLamps(CellReader, LampShader, PackedShading):
+class PackedLamps(CellReader, LampShader, PackedShading):  # type: ignore[misc]
     """Adds the lights of clusters."""
 
     def local_light(self, surface: SurfacePoint, distance: float) -> vec3:

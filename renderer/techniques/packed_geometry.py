@@ -2,14 +2,18 @@
 
 | word of `packed` | bits | what it holds |
 |---|---|---|
-| 0 | 32 | the normal, octahedral in 2 × 16 bits |
+| 0 | 32 | the normal, octahedral in 2 × 16 bits; if the scene has normal maps the normal and the tangent |
 | 1 | 16 + 16 | the row of the material; the rest of the change of texture coordinates in y |
 | 2 | 32 | the fractional parts of the texture coordinates |
 | 3 | 24 + 8 | the change of texture coordinates in x; the beginning of that in y |
 
 Its format is RGBA32UI, 16 bytes a pixel; a scene without images has the first two words only, RG32UI. The position
-follows from the depth and the ray of the pixel. No texel is read when geometry is drawn: a texture is filtered
-later, with the derivatives that are stored, so what is hidden costs no texel.
+follows from the depth and the ray of the pixel. Texture coordinates are stored as the material's textures are read, a
+transform applied. Texels are read when geometry is drawn only where masks cut it: a
+texture is filtered later, with the derivatives that are stored, so what is hidden costs no texel.
+
+Materials are evaluated by the parts that draw geometry in other techniques (`surfaces`), given a surface of the buffer
+instead of varyings. Only where texture coordinates and their derivatives come from is another matter.
 
 The encodings are those of `renderer.shaders.encodings`.
 """
@@ -21,21 +25,27 @@ from typing import Any, Final
 from renderer import rules
 from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target, TechniquePass
 from renderer.shaders.encodings import (
+    TangentFrame,
+    away_from_zero,
     decode_change,
+    decode_frame,
     decode_normal,
     decode_uv,
     encode_change,
+    encode_frame,
     encode_normal,
     encode_uv,
 )
 from renderer.shaders.lighting import safe_normalize
-from renderer.shaders.structs import Material, SurfacePoint, SurfaceVarying, TextureUse
-from renderer.techniques.scene_shader import ReflectingShader, SceneShader
+from renderer.shaders.pixels import FullScreen
+from renderer.shaders.structs import Material, SurfaceVarying, TextureUse
+from renderer.techniques.scene_shader import SceneShader
 from renderer.techniques.surfaces import (
     SURFACE_PARTS,
     Aspect,
-    ImageShader,
-    bind_images,
+    MaterialShader,
+    TextureShader,
+    WithTextureTable,
     bind_surfaces,
     surface_variant,
 )
@@ -48,11 +58,17 @@ from rhi.shading import (
     UintTexture2D,
     ddx,
     ddy,
+    dot,
+    fragment_coordinate,
+    ivec2,
+    ivec3,
+    max,
     uint,
     uvec2,
     uvec4,
     vec2,
     vec3,
+    vec4,
 )
 
 __rhi_internal__ = True
@@ -60,16 +76,8 @@ __rhi_internal__ = True
 MOST_MATERIALS: Final = 1 << 16
 """The number of materials that the buffer can tell apart."""
 
-
-_UNPACKED: Final = (
-    Effect.NORMAL_MAPS,
-    Effect.ROUGHNESS_MAPS,
-    Effect.OCCLUSION_MAPS,
-    Effect.EMISSIVE_MAPS,
-    Effect.VERTEX_COLORS,
-    Effect.SECOND_UVS,
-    Effect.TEXTURE_TRANSFORMS,
-)
+_UNPACKED: Final = (Effect.VERTEX_COLORS, Effect.SECOND_UVS, Effect.MIXED_COORDINATES)
+_EVALUATED: Final = (Aspect.COLOR, Aspect.NORMAL, Aspect.METAL, Aspect.AMBIENT)
 
 
 class PlainWords(Struct):
@@ -89,90 +97,143 @@ class PackedShader(SceneShader):
 
     def fragment(self, v: SurfaceVarying) -> PlainWords:
         _ = self.find_texel(v)  # which leaves out what isn't drawn
-        return PlainWords(packed=uvec2(encode_normal(self.find_normal(v)), uint(v.material)))
+        return PlainWords(packed=uvec2(self.encode_directions(v), uint(v.material)))
+
+    def encode_directions(self, v: SurfaceVarying) -> uint:
+        return encode_normal(self.find_normal(v))
 
 
-class PackedTextures(SceneShader):
+class PackedTextures(PackedShader):
     """Writes the packed geometry buffer of a scene with images."""
 
-    def fragment(self, v: SurfaceVarying) -> TexturedWords:
-        x = encode_change(ddx(v.uv))
-        y = encode_change(ddy(v.uv))
+    def fragment(self, v: SurfaceVarying) -> TexturedWords:  # type: ignore[override]
+        x = encode_change(self.place(v, vec3(ddx(v.uv), 0.0)))
+        y = encode_change(self.place(v, vec3(ddy(v.uv), 0.0)))
         _ = self.find_texel(v)  # which leaves out what isn't drawn
         words = uvec4(
-            encode_normal(self.find_normal(v)),
+            self.encode_directions(v),
             uint(v.material) | y >> 8 << 16,
-            encode_uv(v.uv),
+            encode_uv(self.place(v, vec3(v.uv, 1.0))),
             x | y << 24,
         )
         return TexturedWords(packed=words)
 
+    def place(self, v: SurfaceVarying, uv: vec3) -> vec2:
+        """Return texture coordinates (u, v, 1), or changes of them (u, v, 0), as the material's textures are read."""
+        return uv.xy
 
-class PackedReader(ReflectingShader):
-    """The base of shaders that evaluate the materials of the packed geometry buffer."""
+
+class PackedFrames(PackedTextures):
+    """Writes the packed geometry buffer of a scene with normal maps."""
+
+    def encode_directions(self, v: SurfaceVarying) -> uint:
+        # Of a back the bent normal is turned, and so are all vectors that it is made of.
+        normal = self.find_normal(v)
+        turned = away_from_zero(dot(normal, v.normal))
+        tangent = safe_normalize(v.tangent.xyz) * turned
+        return encode_frame(TangentFrame(normal=normal, tangent=tangent, side=away_from_zero(v.tangent.w) * turned))
+
+
+class PlacedTextures(PackedTextures):
+    """Writes texture coordinates as textures are read: all of a material have the same transform."""
+
+    materials: Storage[Material]
+    textures: Storage[TextureUse]
+
+    def place(self, v: SurfaceVarying, uv: vec3) -> vec2:
+        material = self.materials[v.material]
+        maps = max(max(material.texture, material.normal_texture), material.metallic_roughness_texture)
+        row = max(maps, max(material.occlusion_texture, material.emissive_texture))
+        if row < 0:
+            return uv.xy
+        use = self.textures[row]
+        return vec2(dot(use.u, uv), dot(use.v, uv))
+
+
+class PlacedFrames(PlacedTextures, PackedFrames):
+    """Writes both of these."""
+
+
+class PackedReader(FullScreen, MaterialShader):  # type: ignore[misc]  # the vertex stage is FullScreen's
+    """The base of shaders that evaluate the materials of the packed geometry buffer, pixel by pixel."""
 
     packed: UintTexture2D
     depth: Texture2D
-    materials: Storage[Material]
 
-    def find_surface(self, words: uvec4, material: Material, position: vec3) -> SurfacePoint:
-        """Return the surface at `position` whose words were loaded."""
-        surface = SurfacePoint(
+    def read_words(self) -> uvec4:
+        """Return what is stored of the pixel."""
+        return self.packed.load(ivec2(fragment_coordinate().xy))
+
+    def read_varying(self, position: vec3) -> SurfaceVarying:
+        """Return the varyings of the pixel's surface, which is at `position`."""
+        words = self.read_words()
+        frame = self.decode_directions(words.x)
+        return SurfaceVarying(
+            clip=vec4(0.0),
             position=position,
-            normal=decode_normal(words.x),
-            to_eye=safe_normalize(-position),
-            base_color=material.base_color.rgb * self.read_texel(material.texture, words),
-            specular_color=material.specular_color,
-            shininess=material.shininess,
-            occlusion=1.0,
-            emissive=vec3(1.0),
+            normal=frame.normal,
+            uv=decode_uv(words.z),
+            uv2=vec2(0.0),
+            tangent=vec4(frame.tangent, frame.side),
+            color=vec4(1.0),
+            material=int(words.y & 65535),
+            lights=ivec3(0),
         )
-        return self.with_model(surface, material, vec2(material.metallic, material.roughness))
 
-    def read_texel(self, texture: int, words: uvec4) -> vec3:
-        return vec3(1.0)
+    def decode_directions(self, bits: uint) -> TangentFrame:
+        return TangentFrame(normal=decode_normal(bits), tangent=vec3(1.0, 0.0, 0.0), side=1.0)
 
-
-class PackedImages(PackedReader, ImageShader):
-    """Adds images, filtered as they would have been when the geometry was drawn."""
-
-    def read_texel(self, texture: int, words: uvec4) -> vec3:
-        if texture < 0:
-            return vec3(1.0)
+    def find_change(self) -> vec4:
+        """Return the changes of texture coordinates to the next pixel on the right, and to that below."""
+        words = self.read_words()
         x = decode_change(words.w & 0xFFFFFF)
         y = decode_change(words.w >> 24 | words.y >> 16 << 8)
-        return self.read_image(texture, decode_uv(words.z), x, y)
-
-    def read_image(self, texture: int, uv: vec2, right: vec2, below: vec2) -> vec3:
-        """Return the texel of the texture of this row."""
-        return self.images.sample_grad(vec3(uv, float(texture)), right, below).rgb
+        return vec4(x, y)
 
 
-class PackedTable(PackedImages):
-    """Finds textures by a table."""
+class StoredFrames(PackedReader):
+    """Pixels have tangents."""
 
-    textures: Storage[TextureUse]
+    def decode_directions(self, bits: uint) -> TangentFrame:
+        return decode_frame(bits)
 
-    def read_image(self, texture: int, uv: vec2, right: vec2, below: vec2) -> vec3:
+
+class StoredTextures(TextureShader, PackedReader):  # type: ignore[misc]
+    """Textures are filtered as they would have been when the geometry was drawn."""
+
+    def read_texture(self, texture: int, v: SurfaceVarying) -> vec4:
+        change = self.find_change()
+        return self.images.sample_grad(vec3(v.uv, float(texture)), change.xy, change.zw)
+
+
+class StoredTable(WithTextureTable, PackedReader):  # type: ignore[misc]
+    """Likewise, where textures are found by a table."""
+
+    def read_texture(self, texture: int, v: SurfaceVarying) -> vec4:
         use = self.textures[texture]
-        return self.read_array(use.array, vec3(uv, use.layer), right, below).rgb
+        change = self.find_change()
+        return self.read_array(use.array, vec3(v.uv, use.layer), change.xy, change.zw)
 
 
 def can_pack(needs: Needs) -> bool:
-    """Return whether all that the scene's materials read is in the buffer: textures by one set of repeated texture
-    coordinates, and no tangents and colours of vertices."""
+    """Return whether all that the scene's materials read is in the buffer: repeated textures, all of a material at the
+    same place, and no colours of vertices."""
     return needs.effects.isdisjoint(_UNPACKED)
+
+
+def _has_textures(needs: Needs) -> bool:
+    maps = Effect.IMAGES, Effect.NORMAL_MAPS, Effect.ROUGHNESS_MAPS, Effect.OCCLUSION_MAPS, Effect.EMISSIVE_MAPS
+    return not needs.effects.isdisjoint(maps)
 
 
 def packed_pass(needs: Needs) -> Pass[Frame]:
     """Return the pass that draws the packed geometry buffer: `packed` and `depth`."""
-    has_images = Effect.IMAGES in needs.effects
     return Pass(
         "geometry",
         draw_packed,
         "stores the nearest surface of each pixel, without its material",
         writes=(
-            Target("packed", Format.RGBA32UI if has_images else Format.RG32UI),
+            Target("packed", Format.RGBA32UI if _has_textures(needs) else Format.RG32UI),
             Target("depth", DEPTH_FORMAT),
         ),
     )
@@ -180,12 +241,19 @@ def packed_pass(needs: Needs) -> Pass[Frame]:
 
 def draw_packed(frame: Frame) -> None:
     """Draw the visible objects to the packed geometry buffer."""
-    resources = frame.resources
+    resources, effects = frame.resources, frame.needs.effects
     count = len(resources.scene.materials)
     if count > MOST_MATERIALS:
         refuse(rules.MANY_MATERIALS, "render", f"{count:,} materials", f"at most {MOST_MATERIALS:,}")
-    parts, bindings = bind_surfaces(frame, (Aspect.COVERAGE, Aspect.NORMAL), has_materials=False)
-    base = PackedTextures if Effect.IMAGES in frame.needs.effects else PackedShader
+    has_tangents = Effect.NORMAL_MAPS in effects
+    parts, bindings = bind_surfaces(frame, [Aspect.COVERAGE], has_materials=False, has_tangents=has_tangents)
+    base: type[PackedShader] = PackedShader
+    if Effect.TEXTURE_TRANSFORMS in effects:
+        base = PlacedFrames if has_tangents else PlacedTextures
+        assert resources.images is not None, "textures are read"
+        bindings |= {"textures": resources.images.table, "materials": resources.materials.buffer}
+    elif _has_textures(frame.needs):
+        base = PackedFrames if has_tangents else PackedTextures
     frame.draw_visible(
         TechniquePass(
             frame.device,
@@ -200,14 +268,15 @@ def draw_packed(frame: Frame) -> None:
 
 
 def bind_packed(frame: Frame) -> tuple[tuple[type[Shader], ...], dict[str, Any]]:
-    """Return the parts that a `PackedReader` needs for the scene's images, and its bindings."""
-    bindings: dict[str, Any] = {
-        "packed": frame.targets["packed"],
-        "depth": frame.targets["depth"],
-        "materials": frame.resources.materials.buffer,
-    }
-    if Effect.IMAGES not in frame.needs.effects:
-        return (), bindings
-    names, images = bind_images(frame)
-    reader = PackedTable if "textures" in images else PackedImages
-    return (*(SURFACE_PARTS[name] for name in names), reader), bindings | images
+    """Return the parts by which a `PackedReader` evaluates the scene's materials, and its bindings."""
+    names, bindings = bind_surfaces(frame, _EVALUATED)
+    # Which side is seen, and the attributes of vertices, were found when the geometry was drawn.
+    maps = [name for name in names if name != "two_sides" and "vertex" not in vars(SURFACE_PARTS[name])]
+    parts = [SURFACE_PARTS[name] for name in maps]
+    if Effect.NORMAL_MAPS in frame.needs.effects:
+        parts.append(StoredFrames)
+    if "textures" in maps:
+        parts.insert(parts.index(WithTextureTable), StoredTable)
+    elif any(issubclass(part, TextureShader) for part in parts):
+        parts.append(StoredTextures)
+    return tuple(parts), bindings | {"packed": frame.targets["packed"], "depth": frame.targets["depth"]}

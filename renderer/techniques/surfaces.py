@@ -432,12 +432,16 @@ _ASPECTS: Final[dict[str, tuple[Effect, frozenset[Aspect]]]] = {
 
 
 def bind_surfaces(
-    frame: Frame, aspects: Collection[Aspect] = tuple(Aspect), *, has_materials: bool = True
+    frame: Frame,
+    aspects: Collection[Aspect] = tuple(Aspect),
+    *,
+    has_materials: bool = True,
+    has_tangents: bool = False,
 ) -> tuple[list[str], dict[str, Any]]:
     """Return the names of the parts by which a `SceneShader` reads these aspects of surfaces, and its bindings.
 
     Args:
-        has_materials: whether the shader reads materials whatever its parts are.
+        has_materials: whether the shader reads materials whatever its parts are. has_tangents: likewise tangents.
     """
     resources, effects = frame.resources, frame.needs.effects
     wanted = set(aspects)
@@ -449,7 +453,7 @@ def bind_surfaces(
         "objects": resources.objects.buffer,
         "places": resources.places.buffer,
     }
-    attributes = {"tangent": "normal_maps" in parts, "color": "vertex_colors" in parts}
+    attributes = {"tangent": has_tangents or "normal_maps" in parts, "color": "vertex_colors" in parts}
     if any(issubclass(SURFACE_PARTS[name], TextureShader) for name in parts):
         arrays, images = bind_images(frame)
         bindings |= images

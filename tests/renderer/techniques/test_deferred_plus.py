@@ -14,7 +14,7 @@ from renderer import rules
 from renderer.content import BUILT_IN
 from renderer.measure.plans import describe_plan
 from renderer.renderer import Renderer
-from renderer.scene import Camera, Scene, SceneBuilder, make_geometry, scaling, translation
+from renderer.scene import Camera, Scene, SceneBuilder, TextureMap, make_geometry, scaling, translation
 from renderer.techniques import DeferredPlus, Forward
 from renderer.techniques.material_rectangles import MaterialRectangles
 from renderer.techniques.packed_geometry import MOST_MATERIALS, PackedShader, PackedTextures
@@ -236,3 +236,63 @@ def test_the_second_pass_draws_little_and_nothing_is_missing(device: rhi.Device)
     instances = 23 * len(scene.objects)
     assert 0 < first < 0.1 * instances
     assert 0 < second <= 0.03 * instances
+
+
+# materials with maps
+
+
+def painted(builder: SceneBuilder, random: np.random.Generator, low: int, high: int) -> int:
+    """Add an image of 8 × 8 fields."""
+    image = np.full((32, 32, 4), 255, np.uint8)
+    image[..., :3] = np.kron(random.integers(low, high, (8, 8, 3)), np.ones((4, 4, 1)))
+    return builder.add_image(image)
+
+
+def mapped(scale: float, *, unlike: bool = False) -> Scene:
+    """Make things whose materials have all maps, repeated `scale` times, and two sides or one; with `unlike`, normals
+    have another scale."""
+    random = np.random.default_rng(9)
+    builder = SceneBuilder("mapped")
+    rows = []
+    for number in range(4):
+        colors, metals = (painted(builder, random, *limits) for limits in ((80, 255), (60, 255)))
+        bent = painted(builder, random, 100, 156)
+        row = builder.add_material(
+            texture=TextureMap(colors, scale=(scale, scale)),
+            normal_texture=TextureMap(bent, scale=(2.0 if unlike else scale, scale)),
+            metallic_roughness_texture=TextureMap(metals, scale=(scale, scale)),
+            occlusion_texture=TextureMap(colors, scale=(scale, scale)),
+            emissive=(0.1, 0.0, 0.1),
+            double_sided=number % 2 == 1,
+        )
+        rows.append(row)
+    meshes = [builder.add_mesh(BUILT_IN[name]()) for name in ("plane", "sphere")]
+    builder.add_objects(builder.add_node(scaling((30, 1, 30))), meshes[0], rows[0])
+    for number in range(24):
+        place = translation(random.uniform((-7, 0.5, -7), (7, 2.5, 7)))
+        turned = scaling((1.5, 1.5, -1.5) if number % 3 else (1.5, 1.5, 1.5))
+        builder.add_objects(builder.add_node(place @ turned), meshes[1], rows[number % 4])
+    for place in random.uniform((-7, 1, -7), (7, 4, 7), (6, 3)):
+        builder.lights.add_point(place, 7.0, random.uniform(0.3, 1.0, 3), 3.0)
+    return builder.build()
+
+
+@pytest.mark.parametrize("scale", [1.0, 1.7])
+def test_maps_are_evaluated_as_in_forward_shading(drawing_device: rhi.Device, scale: float) -> None:
+    """Normals and tangents have 32 bits, so a sharp highlight may differ: in a pixel of a thousand."""
+    scene, images = mapped(scale), []
+    with Renderer(drawing_device, scene, visibility=NoCulling(scene), size=SIZE) as renderer:
+        for renderer.technique in (Forward(), DeferredPlus(), DeferredPlus(multi_pass=True)):
+            images.append(renderer.render(EYE).image.read().astype(int))
+        assert [one.name for one in renderer.plan(EYE)[1].passes][-1] == "shading"
+    assert np.ptp(images[0][..., :3]) > 100
+    off = np.abs(images[1] - images[0]).max(2)
+    assert (off > 2).mean() <= 0.001
+    assert (images[1] == images[2]).all()
+
+
+def test_coordinates_that_the_buffer_has_no_room_for_are_drawn_with_another_buffer() -> None:
+    for unlike, last in ((False, "shading"), (True, "resolve")):
+        scene = mapped(1.7, unlike=unlike)
+        report = describe_plan(scene, DeferredPlus(), EYE, SIZE)
+        assert report.passes[-1].name == last
