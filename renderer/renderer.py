@@ -209,6 +209,12 @@ class Renderer:
         return self._resources.workspace(ShadowMaps)
 
     @property
+    def image_bytes(self) -> int:
+        """The memory of the scene's images on the device, with their mip levels."""
+        images = self._resources.images
+        return 0 if images is None else images.bytes
+
+    @property
     def simulator(self) -> Simulator:
         """Runs the simulations of what is drawn.
 

@@ -260,6 +260,7 @@ def describe_run(
         "frames": len(costs),
         **technique,
         **summary,
+        "image_bytes": renderer.image_bytes,
         **({} if overflowing is None else {"overflowing_pixels": overflowing}),
         **({} if renderer.stereo is None else _describe_stereo(renderer.stereo)),
         **({} if holes is None else {"holes": holes}),
@@ -295,7 +296,7 @@ def show_report(report: dict[str, Any]) -> str:
     }
     shown.pop("left_out", None)  # stderr has it
     texts = {key: f"{value:,}" if isinstance(value, int) else value for key, value in shown.items()}
-    names = {"uploads_bytes": "bytes uploaded"}
+    names = {"uploads_bytes": "bytes uploaded", "image_bytes": "bytes of images"}
     return "\n".join(
         f"{names.get(key, key.replace('_', ' ')) + ':':<24}{text}" for key, text in texts.items()
     )

@@ -23,7 +23,7 @@ KEYS = [
     "backend", "device", "scene", "size", "frames", "technique", "because", "milliseconds", "triangles",
     "draws", "queries",
     "software_state_changes", "hardware_state_changes", "simulation_steps", "skipped_simulations",
-    "uploads_bytes", "image",
+    "uploads_bytes", "image_bytes", "image",
 ]  # fmt: skip
 CITY = "city:blocks=4"
 
@@ -120,10 +120,16 @@ def test_visibility_changes_what_is_drawn(capsys: pytest.CaptureFixture[str]) ->
     assert draws[0] > draws[1]
 
 
+def test_the_memory_of_images_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_json(capsys, CITY, "--backend", "null")["image_bytes"] > 100_000
+    assert run_json(capsys, "grid:count=4", "--backend", "null")["image_bytes"] == 0
+
+
 def test_without_json_the_same_is_said_in_lines(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["render", CITY, "--backend", "null"]) == 0
     names = [line.partition(":")[0].replace(" ", "_") for line in capsys.readouterr().out.splitlines()]
-    assert names == [{"uploads_bytes": "bytes_uploaded"}.get(key, key) for key in KEYS]
+    said = {"uploads_bytes": "bytes_uploaded", "image_bytes": "bytes_of_images"}
+    assert names == [said.get(key, key) for key in KEYS]
 
 
 def test_the_environment_names_the_backend(
