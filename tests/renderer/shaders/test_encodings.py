@@ -44,7 +44,6 @@ from renderer.shaders.encodings import (
     find_bitangent,
     material_depth,
 )
-from renderer.shaders.pixels import FullScreen
 from rhi.shading import (
     FragmentDepth,
     Shader,
@@ -325,8 +324,12 @@ class MaterialDepth(Struct):
     depth: FragmentDepth
 
 
-class MaterialOfPixel(FullScreen):
+class MaterialOfPixel(Shader):
     """Writes the depth of material x + 256 y."""
+
+    def vertex(self) -> vec4:
+        corner = vertex_index()
+        return vec4(float(corner % 2) * 4.0 - 1.0, float(corner // 2) * 4.0 - 1.0, 0.5, 1.0)
 
     def fragment(self) -> MaterialDepth:
         pixel = ivec2(fragment_coordinate().xy)

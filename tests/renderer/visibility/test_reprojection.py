@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_depth_pyramid import put, reduce_once
+from depth_textures import put_depths
+from test_depth_pyramid import reduce_once
 
 import rhi
 from renderer.scene import Camera, Depth, Orthographic, Perspective
@@ -35,7 +36,7 @@ def reproject(
 ) -> np.ndarray:
     """Reproject the depths (h, w) of the camera `last` to the camera `now`."""
     reprojected = ReprojectedDepth(device)
-    texture = put(device, depths)
+    texture = put_depths(device, depths)
     reprojected.aim(last, texture.size)
     reprojected.keep(device, texture, last.projection.depth)
     reprojected.aim(now, size or texture.size)
