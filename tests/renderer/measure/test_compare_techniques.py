@@ -82,7 +82,7 @@ def test_numbers_are_options_of_the_scene(text: str, objects: int | None, lights
 
 
 @pytest.mark.parametrize(("text", "objects", "lights", "allowed"), [
-    ("city", None, 4, "hall, grid, night, bazaar"), ("hall", 4, None, "grid"), ("a.glb", 1, None, "grid"),
+    ("city", None, 4, "hall, grid, night, bazaar, glass"), ("hall", 4, None, "grid"), ("a.glb", 1, None, "grid"),
 ])  # fmt: skip
 def test_a_scene_that_has_no_such_number_is_refused_and_those_are_named_that_have(
     text: str, objects: int | None, lights: int | None, allowed: str

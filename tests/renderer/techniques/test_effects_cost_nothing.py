@@ -46,7 +46,9 @@ TRACES = {
 def make(effects: set[Effect]) -> Scene:
     """Make a box with these effects and no others."""
     builder = SceneBuilder("box")
-    material = builder.add_material(emission=1.0 if Effect.EMISSION in effects else 0.0)
+    emission = 1.0 if Effect.EMISSION in effects else 0.0
+    image = builder.add_image(np.zeros((4, 4, 4), np.uint8)) if Effect.IMAGES in effects else -1
+    material = builder.add_material(emission=emission, texture=image)
     builder.add_objects(builder.add_node(), builder.add_mesh(BUILT_IN["box"]()), material)
     if Effect.DIRECTIONAL_LIGHTS in effects:
         builder.lights.add_directional((0, -1, 0))
@@ -54,8 +56,6 @@ def make(effects: set[Effect]) -> Scene:
         builder.lights.add_point((0, 2, 0), 4.0)
     if Effect.SPOT_LIGHTS in effects:
         builder.lights.add_spot((0, 2, 0), (0, -1, 0), 4.0, 0.3, 0.5)
-    if Effect.IMAGES in effects:
-        builder.add_image(np.zeros((4, 4, 4), np.uint8))
     if Effect.HAZE in effects:
         builder.haze = 0.1
     return builder.build()
