@@ -279,6 +279,7 @@ class Renderer:
             moved = pair.plan(has_layers=bool(self.layers))
             if moved is None:
                 resources.look_from(right.camera, 1)
+                left.drawn.fetch_lists()
             with device.event(pair.view.name):
                 self._run(moved or plan, right)
         after = device.statistics

@@ -99,6 +99,11 @@ class Drawn:
         conditional = [rows for rows, _, _ in self._conditional]
         return np.concatenate([np.zeros(0, np.int64), *self._batches, *conditional, *lists])
 
+    def fetch_lists(self) -> None:
+        """Read back the lists that the device has made, if any, before the next frame or the other eye makes others."""
+        if self._lists:
+            _ = self.opaque
+
     def draw_again(self, scene_pass: TechniquePass) -> None:
         """Draw the same objects in another pass of the same frame. Rows are one batch, whatever they were before."""
         if len(self._batches) == 1 and not self._conditional and not self._lists:

@@ -114,6 +114,22 @@ def test_each_picture_with_each_algorithm_is_that_of_its_eye(
     algorithm.destroy()
 
 
+@pytest.mark.parametrize("name", ["depth_pyramid", "two_pass"])
+def test_what_both_eyes_see_is_known_where_the_device_lists_it(gl: rhi.Device, hall: Scene, name: str) -> None:
+    """The right eye's lists replace the left one's, which were read before."""
+    if name not in list_algorithms(gl):
+        pytest.skip(f"this device can't run {name}")
+    algorithm = make_visibility(name, hall, gl)
+    with Renderer(gl, hall, size=SIZE, visibility=algorithm) as renderer:
+        camera = hall.paths["ground"].camera(600)
+        alone = set(renderer.render(camera).visible.tolist())
+        renderer.stereo = Stereo(RIG, "side_by_side")
+        both = set(renderer.render(camera).visible.tolist())
+    assert alone
+    assert len(alone - both) <= 0.1 * len(alone)
+    algorithm.destroy()
+
+
 LENSES: Final = {
     "parallel": Orthographic(30.0, near=-5.0, far=300.0),
     "parallel, standard depth": Orthographic(30.0, near=-5.0, far=300.0, depth=Depth.STANDARD),

@@ -124,7 +124,9 @@ def check_all(
     techniques = [Forward(), *(make() for make in TECHNIQUES.values())]
     expected, *images = render_all(device, scene, camera, techniques, size)
     off = {name: np.abs(image - expected).max() for name, image in zip(TECHNIQUES, images, strict=True)}
-    assert max(off.values()) <= 2, off
+    # Deferred+ filters textures by stored derivatives, which are at most 0.3 % off.
+    slack = {name: int(bool(scene.images)) for name in TECHNIQUES if name.startswith("deferred plus")}
+    assert all(most <= 2 + slack.get(name, 0) for name, most in off.items()), off
     return expected
 
 
