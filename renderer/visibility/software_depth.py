@@ -55,9 +55,6 @@ class SoftwareDepth:
         self._scene = scene
         self._frustum = FrustumCulling(scene)
         self._limit = min(occluders, len(scene.objects))
-        # Simulated objects are where the renderer has last drawn them; others than opaque ones hide only a part.
-        is_opaque = scene.materials["alpha_mode"][scene.objects.material] == AlphaMode.OPAQUE
-        self._can_occlude = ~scene.objects.simulated & is_opaque
         self._device = rhi.create_device(BACKEND)
         self._depth = OccluderDepth(self._device, scene, self._limit, len(scene.objects))
 
@@ -91,11 +88,11 @@ class SoftwareDepth:
 
     def choose_occluders(self, camera: Camera, rows: Rows) -> Rows:
         """Return those of the objects `rows` (k,) with the largest surface over squared distance, near ones first."""
-        rows = rows[self._can_occlude[rows]]
-        transparent = self._scene.find_transparent()
-        if len(transparent):
-            rows = np.setdiff1d(rows, transparent)
-        lower, upper = self._scene.objects.lower[rows], self._scene.objects.upper[rows]
+        objects = self._scene.objects
+        # Simulated objects are where the renderer has last drawn them; others than opaque ones hide only a part.
+        is_opaque = self._scene.materials["alpha_mode"][objects.material[rows]] == AlphaMode.OPAQUE
+        rows = rows[is_opaque & ~objects.simulated[rows]]
+        lower, upper = objects.lower[rows], objects.upper[rows]
         extent = np.minimum(upper - lower, 1e100)
         surface = (extent * np.roll(extent, 1, axis=1)).sum(axis=1)
         middle = 0.5 * (lower + upper)
