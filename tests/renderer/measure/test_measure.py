@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from renderer.measure import FrameCost, Measurement, alternate, format_records, format_table
+from renderer.measure import FrameCost, Measurement, alternate, format_records, format_rows, format_table
 from renderer.renderer import FrameStatistics
 
 
@@ -76,3 +76,14 @@ def test_records_are_a_table_with_a_column_for_each_name_or_json() -> None:
     records = [{"name": "a", "count": 5}, {"name": "b", "count": 6}]
     assert format_records(records, as_json=False) == format_table(["name", "count"], [["a", 5], ["b", 6]])
     assert json.loads(format_records(records, as_json=True)) == records
+
+
+def test_rows_have_titles_and_words() -> None:
+    rows = [
+        {"name": "a", "processor_milliseconds": 1.5, "software_state_changes": 3, "is_masked": True, "lights": None},
+        {"name": "b", "processor_milliseconds": 2.5, "software_state_changes": 4, "is_masked": False, "lights": 1024},
+    ]
+    titles = ["name", "processor ms", "software states", "is masked", "lights"]
+    cells = [["a", 1.5, 3, "on", "-"], ["b", 2.5, 4, "off", 1024]]
+    for markdown in (False, True):
+        assert format_rows(rows, markdown=markdown) == format_table(titles, cells, markdown=markdown)
