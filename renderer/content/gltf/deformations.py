@@ -132,7 +132,7 @@ class DeformedMesh:
     Attributes:
         geometry: the mesh as it stands in the file.
         offsets: (t, v, 3) of positions and of normals; `weights` (t,) if no track changes them.
-        track: that of the weights, or None.
+        track: that of the weights, or None. keys: its keys, to be evaluated.
         joints, shares: (v, 4), the joints of each vertex and their weights, which add up to 1; None without a skin.
     """
 
@@ -141,6 +141,7 @@ class DeformedMesh:
     turns: NDArray[np.float32]
     weights: Floats
     track: Track | None
+    keys: Keys | None
     skeleton: Skeleton | None
     joints: Rows | None
     shares: Floats | None
@@ -156,9 +157,7 @@ class DeformedMesh:
         for name in VERTEX.names or ():
             made[name] = self.geometry.vertices[name]
         if len(self.weights):
-            weights = self.weights
-            if self.track is not None:
-                weights = Keys([self.track], len(weights)).at(_FIRST, seconds)[0]
+            weights = self.weights if self.keys is None else self.keys.at(_FIRST, seconds)[0]
             made["position"] += np.tensordot(weights, self.offsets, 1)
             made["normal"] += np.tensordot(weights, self.turns, 1)
         if self.skeleton is not None and self.joints is not None and self.shares is not None:
@@ -269,8 +268,9 @@ def read_deformed(
                     target.refuse(name, f"{len(held)} offsets", "a finite one for each vertex")
                 changed[number] = held[mesh.rows]
     given = weights if len(weights) else np.zeros(len(targets))
+    keys = None if track is None else Keys([track], len(given))
     joints, shares = (None, None) if skeleton is None else _read_joints(primitive, mesh, accessors, skeleton)
-    return DeformedMesh(mesh.geometry, offsets, turns, given, track, skeleton, joints, shares)
+    return DeformedMesh(mesh.geometry, offsets, turns, given, track, keys, skeleton, joints, shares)
 
 
 def _read_joints(
