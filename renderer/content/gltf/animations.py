@@ -41,16 +41,16 @@ _Box = tuple[Floats, Floats]
 def read_tracks(root: JsonObject, accessors: Accessors, omissions: Omissions) -> dict[tuple[int, int], Track]:
     """Return the tracks of all animations that can be played together, by the node's number and the target."""
     tracks: dict[tuple[int, int], Track] = {}
-    count = len(root.children("nodes"))
+    count = root.length("nodes")
     for animation in root.children("animations"):
         played = set(tracks)
         samplers = animation.children("samplers")
         channels = animation.children("channels")
         used = [channel.index("sampler", len(samplers), needed=True) for channel in channels]
-        ends = [
-            accessors.times(samplers[n].index("input", len(accessors), needed=True))[-1] for n in set(used)
-        ]
-        period = float(max(ends, default=0.0))
+        times = {
+            n: accessors.times(samplers[n].index("input", len(accessors), needed=True)) for n in set(used)
+        }
+        period = float(max((held[-1] for held in times.values()), default=0.0))
         for channel, number in zip(channels, used, strict=True):
             target = channel.child("target")
             if "node" not in target:
@@ -67,7 +67,7 @@ def read_tracks(root: JsonObject, accessors: Accessors, omissions: Omissions) ->
             elif key in tracks:
                 channel.refuse("target", f"{path} of nodes[{node}] again", "each once in an animation")
             else:
-                tracks[key] = _read_track(samplers[number], accessors, TARGETS[path], period)
+                tracks[key] = _read_track(samplers[number], accessors, TARGETS[path], times[number], period)
     return tracks
 
 
@@ -132,9 +132,10 @@ def _raise(nodes: list[GltfNode], member: Rows, row: int, box: _Box) -> tuple[in
     return row, box
 
 
-def _read_track(sampler: JsonObject, accessors: Accessors, target: int, period: float) -> Track:
+def _read_track(
+    sampler: JsonObject, accessors: Accessors, target: int, times: Floats, period: float
+) -> Track:
     kind = KINDS[sampler.choice("interpolation", KINDS, "LINEAR")]
-    times = accessors.times(sampler.index("input", len(accessors), needed=True))
     number = sampler.index("output", len(accessors), needed=True)
     types = {ROTATION: "VEC4", WEIGHTS: "SCALAR"}.get(target, "VEC3")
     values = accessors.floats(number, types).astype(np.float64)
