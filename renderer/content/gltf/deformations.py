@@ -218,7 +218,7 @@ class Deformations:
 def read_skins(root: JsonObject, accessors: Accessors, tree: NodeTree) -> list[Skeleton | None]:
     """Return the skeletons of the file's skins; None for one whose joints aren't in the scene."""
     row_of = {node.number: row for row, node in enumerate(tree.nodes)}
-    count = len(root.children("nodes"))
+    count = root.length("nodes")
     found: list[Skeleton | None] = []
     for skin in root.children("skins"):
         joints = skin.indices("joints", count)

@@ -66,8 +66,9 @@ def add_gltf(builder: SceneBuilder, path: str) -> Surroundings | None:
 
 @dataclass(frozen=True, slots=True)
 class _GltfPart:
-    """A primitive of a mesh of the file, its mesh in the scene, and its material or -1."""
+    """A primitive of a mesh `holder` of the file, its mesh in the scene, and its material or -1."""
 
+    holder: JsonObject
     primitive: JsonObject
     mesh: int
     material: int
@@ -135,12 +136,12 @@ class _GltfReader:
                 geometry = shape.geometry
             added.add(id(geometry))
             made[key] = self._builder.add_mesh(geometry, name)
-        for primitives in parts:
+        for mesh, primitives in zip(meshes, parts, strict=True):
             found = []
             for primitive in primitives:
                 material = primitive.index("material", len(ids))
                 if (mesh_id := made.get(reader.key(primitive), -1)) >= 0:
-                    found.append(_GltfPart(primitive, mesh_id, ids[material] if material >= 0 else -1))
+                    found.append(_GltfPart(mesh, primitive, mesh_id, ids[material] if material >= 0 else -1))
             self._meshes.append(found)
 
     def _add_nodes(
@@ -154,7 +155,7 @@ class _GltfReader:
         skeletons = read_skins(self._root, self._accessors, tree)
         deformed: list[tuple[int, DeformedMesh]] = []  # objects, and how they change
         moving = set() if animated is None else set(animated[0].tolist())
-        dynamic = frozenset(self._private.indices("dynamic", len(self._root.children("nodes"))))
+        dynamic = frozenset(self._private.indices("dynamic", self._root.length("nodes")))
         ids: list[int] = []
         objects: list[tuple[int, int, int]] = []
         bounds: dict[int, tuple[Floats, Floats]] = {}
@@ -209,9 +210,7 @@ class _GltfReader:
         count = part.primitive.length("targets")
         if not count and skeleton is None:
             return None
-        meshes = self._root.children("meshes")
-        mesh = meshes[node.fields.index("mesh", len(meshes))]
-        held = node.fields if "weights" in node.fields else mesh
+        held = node.fields if "weights" in node.fields else part.holder
         weights = held.reals("weights", count) if "weights" in held else np.zeros(count)
         track = tracks.get((node.number, WEIGHTS)) if count else None
         shape = self._primitives.read(part.primitive)
