@@ -132,7 +132,7 @@ class TextureMap:
         return np.array([[cosine * x, sine * y, u], [-sine * x, cosine * y, v]], np.float32)
 
 
-_RANGES: Final = {
+RANGES: Final = {
     "base_color": (0.0, 1e4),
     "specular_color": (0.0, 1e4),
     "shininess": (1.0, 1e5),
@@ -146,6 +146,7 @@ _RANGES: Final = {
     "occlusion_strength": (0.0, 1.0),
     "alpha_cutoff": (0.0, 1e4),
 }
+"""The least and the greatest value of each number of a material."""
 
 
 def make_material(
@@ -212,7 +213,7 @@ def make_material(
     }
     material = np.zeros((), MATERIAL)
     for name, value in values.items():
-        low, high = _RANGES[name]
+        low, high = RANGES[name]
         array = np.asarray(value, np.float64)
         if array.shape != MATERIAL[name].shape or not ((array >= low) & (array <= high)).all():
             refuse(rules.BAD_MATERIAL, f"make_material({name}=...)", value, f"{low:g} to {high:g}")
