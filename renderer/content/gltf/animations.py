@@ -1,4 +1,4 @@
-"""Animations of a glTF file as tracks, and the bounds of what they move.
+"""Animations of a glTF file as tracks, and the motion of the nodes that they move.
 
 All animations of a file are played together, each from its beginning when it has ended, as long as no other one before
 it moves the same part of the same node: many exporters write an animation for each object. Others are left out.
@@ -26,7 +26,6 @@ from renderer.content.gltf.tracks import (
 )
 from renderer.scene.arrays import Floats, Rows
 from renderer.scene.omissions import Omissions
-from renderer.scene.transforms import transform_bounds
 
 __rhi_internal__ = True
 
@@ -34,8 +33,6 @@ TARGETS: Final = {"translation": TRANSLATION, "rotation": ROTATION, "scale": SCA
 KINDS: Final = {"LINEAR": LINEAR, "STEP": STEP, "CUBICSPLINE": CUBIC}
 
 _LARGEST: Final = 1e30  # of a key: products of a few don't overflow
-
-_Box = tuple[Floats, Floats]
 
 
 def read_tracks(root: JsonObject, accessors: Accessors, omissions: Omissions) -> dict[tuple[int, int], Track]:
@@ -93,43 +90,6 @@ def make_motion(
     owners = np.repeat(np.arange(len(rows)), [len(chosen[row]) for row in rows])
     listed = [track for row in rows for track in chosen[row]]
     return np.array(rows), NodeMotion(listed, owners, (rest[0], rest[1], rest[2]))
-
-
-def find_bounds(
-    nodes: list[GltfNode], rows: Rows, motion: NodeMotion, contents: list[tuple[int, _Box]]
-) -> _Box:
-    """Return the boxes (k, 3) that hold at all times what is at the animated nodes `rows` (k,), down to the next.
-
-    They are in the space of the first node above that isn't animated. `contents` are boxes, each at a node.
-    """
-    member = np.full(len(nodes), -1)
-    member[rows] = np.arange(len(rows))
-    is_below = np.zeros(len(nodes), bool)  # at or below an animated node
-    for row, node in enumerate(nodes):  # parents come first
-        is_below[row] = member[row] >= 0 or (node.parent >= 0 and is_below[node.parent])
-    held: dict[int, list[_Box]] = {}
-    for row, box in contents:
-        if is_below[row]:
-            at, box = _raise(nodes, member, row, box)
-            held.setdefault(at, []).append(box)
-    lower, upper = np.zeros((len(rows), 3)), np.zeros((len(rows), 3))
-    for row, boxes in held.items():
-        box = (np.min([low for low, _ in boxes], axis=0), np.max([high for _, high in boxes], axis=0))
-        at = row
-        while at >= 0 and is_below[at]:
-            at, box = _raise(nodes, member, at, box)
-            box = motion.reach(int(member[at]), *box)
-            at = nodes[at].parent
-        lower[member[row]], upper[member[row]] = box
-    return lower, upper
-
-
-def _raise(nodes: list[GltfNode], member: Rows, row: int, box: _Box) -> tuple[int, _Box]:
-    """Return the nearest animated node at or above `row`, and the box in its space."""
-    while member[row] < 0:
-        low, high = transform_bounds(nodes[row].local[None], box[0][None], box[1][None])
-        row, box = nodes[row].parent, (low[0], high[0])
-    return row, box
 
 
 def _read_track(

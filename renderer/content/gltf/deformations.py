@@ -42,11 +42,13 @@ class NodeTree:
     Attributes:
         nodes: all nodes, parents first.
         member: for each node its number in the motion, or -1.
+        moves: whether each node is animated, or below one that is.
         motion: the motion of the animated nodes, or None.
     """
 
     nodes: list[GltfNode]
     member: Rows
+    moves: NDArray[np.bool_]
     motion: NodeMotion | None
 
     @classmethod
@@ -55,7 +57,10 @@ class NodeTree:
         member = np.full(len(nodes), -1)
         if animated is not None:
             member[animated[0]] = np.arange(len(animated[0]))
-        return cls(nodes, member, None if animated is None else animated[1])
+        moves = member >= 0
+        for row, node in enumerate(nodes):  # parents come first
+            moves[row] |= node.parent >= 0 and moves[node.parent]
+        return cls(nodes, member, moves, None if animated is None else animated[1])
 
     def chain(self, row: int) -> list[int]:
         """Return a node and all above it, from the root downwards."""
@@ -85,6 +90,28 @@ class NodeTree:
                 box = (low[0], high[0])
             row = self.nodes[row].parent
         return box
+
+    def find_bounds(self, contents: Sequence[tuple[int, MeshBounds]]) -> MeshBounds:
+        """Return the boxes (k, 3) that hold at all times what is at the animated nodes, down to the next ones.
+
+        They are in the space of the first node above that isn't animated. `contents` are boxes, each at a node.
+        """
+        held: dict[int, list[MeshBounds]] = {}
+        for row, box in contents:
+            if self.moves[row]:
+                nearest = row
+                while self.member[nearest] < 0:
+                    nearest = self.nodes[nearest].parent
+                held.setdefault(nearest, []).append(self.sweep(row, nearest, box))
+        count = int(self.member.max()) + 1
+        lower, upper = np.zeros((count, 3)), np.zeros((count, 3))
+        for row, boxes in held.items():
+            above = row
+            while above >= 0 and self.moves[above]:
+                above = self.nodes[above].parent
+            union = (np.min([low for low, _ in boxes], axis=0), np.max([high for _, high in boxes], axis=0))
+            lower[self.member[row]], upper[self.member[row]] = self.sweep(row, above, union)
+        return lower, upper
 
 
 class Skeleton:
