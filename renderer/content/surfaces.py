@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 
+from renderer.content.textures import make_opaque
 from renderer.scene.arrays import Floats
 from renderer.scene.materials import ImagePixels
 
@@ -46,9 +47,9 @@ def paint_surface(kind: str, size: int, seed: int) -> Surface:
     normal = np.stack([slope[0], -slope[1], np.ones_like(height)], axis=-1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     return Surface(
-        _image(bright[..., None] * warm),
-        _image(0.5 + 0.5 * normal),
-        _image(np.stack([np.ones_like(rough), rough, metal], axis=-1)),
+        make_opaque(bright[..., None] * warm),
+        make_opaque(0.5 + 0.5 * normal),
+        make_opaque(np.stack([np.ones_like(rough), rough, metal], axis=-1)),
     )
 
 
@@ -130,9 +131,3 @@ _HEIGHTS: Final = {
     "stone": _stone,
     "grooves": _grooves,
 }
-
-
-def _image(values: Floats) -> ImagePixels:
-    opaque = np.full((*values.shape[:2], 4), 255, np.uint8)
-    opaque[..., :3] = np.clip(np.round(values * 255.0), 0, 255)
-    return opaque
