@@ -12,9 +12,8 @@ from typing import Final
 
 import numpy as np
 
-from renderer.content.textures import make_opaque
 from renderer.scene.arrays import Floats
-from renderer.scene.materials import ImagePixels
+from renderer.scene.materials import ImagePixels, make_opaque
 
 __rhi_internal__ = True
 

@@ -6,8 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from renderer.scene.arrays import Floats
-from renderer.scene.materials import ImagePixels
+from renderer.scene.materials import ImagePixels, make_opaque
 
 __rhi_internal__ = True
 
@@ -130,10 +129,3 @@ def paint_stripes(
     bands = (np.arange(IMAGE_SIZE) * 2 * count // IMAGE_SIZE) % 2 == 0
     column = np.where(bands[:, None], first, second)
     return make_opaque(np.repeat(column[:, None], IMAGE_SIZE, axis=1))
-
-
-def make_opaque(pixels: Floats) -> ImagePixels:
-    """Return values (height, width, 3) from 0 to 1 as an image without transparency."""
-    opaque = np.full((*pixels.shape[:2], 4), 255, np.uint8)
-    opaque[..., :3] = np.clip(np.round(pixels * 255.0), 0, 255)
-    return opaque
