@@ -43,7 +43,7 @@ from rhi.shading import Shader, discard, fragment_coordinate, ivec2, vec3, vec4
 __rhi_internal__ = True
 
 
-class PackedShading(PackedReader, ShadingShader):  # type: ignore[misc]
+class PackedShading(PackedReader, ShadingShader):  # type: ignore[misc]  # as `PackedReader`
     """Shades the pixels of the packed geometry buffer."""
 
     def fragment(self) -> vec4:
@@ -64,7 +64,7 @@ class PackedShading(PackedReader, ShadingShader):  # type: ignore[misc]
         return vec3(0.0)
 
 
-class PackedLamps(CellReader, LampShader, PackedShading):  # type: ignore[misc]
+class PackedLamps(CellReader, LampShader, PackedShading):  # type: ignore[misc]  # as `PackedReader`
     """Adds the lights of clusters."""
 
     def local_light(self, surface: SurfacePoint, distance: float) -> vec3:
