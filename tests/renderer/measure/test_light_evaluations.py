@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import pytest
 
 import rhi
@@ -36,16 +34,6 @@ CASES = [
 """All techniques on gl and cl; their kernels take long to build."""
 
 
-@pytest.fixture(scope="module")
-def device(request: pytest.FixtureRequest) -> Iterator[rhi.Device]:
-    try:
-        made = rhi.create_device(request.param)
-    except rhi.DeviceError as error:
-        pytest.skip(f"no {request.param} device here: {error.given or error.rule.sentence}")
-    with made:
-        yield made
-
-
 def walls(*distances: float, points: int = 0, spots: int = 0, reach: float = 100.0) -> Scene:
     """Make walls that fill the image, at these distances from the eye, and lights a metre before the first one."""
     builder = SceneBuilder("walls")
@@ -69,12 +57,12 @@ def count(
         return count_light_evaluations(renderer, scene.views["eye"])
 
 
-@pytest.mark.parametrize(("device", "name"), CASES, indirect=["device"])
-def test_each_pixel_looks_at_each_light_that_reaches_all_of_them(device: rhi.Device, name: str) -> None:
+@pytest.mark.parametrize(("drawing_device", "name"), CASES, indirect=["drawing_device"])
+def test_each_pixel_looks_at_each_light_that_reaches_all_of_them(drawing_device: rhi.Device, name: str) -> None:
     pixels = SHRUNK if name == "inferred" else PIXELS
-    assert count(device, walls(5.0, points=3), TECHNIQUES[name]()) == 3 * pixels
-    assert count(device, walls(5.0, points=2, spots=3), TECHNIQUES[name]()) == 5 * pixels
-    assert count(device, walls(5.0), TECHNIQUES[name]()) == 0
+    assert count(drawing_device, walls(5.0, points=3), TECHNIQUES[name]()) == 3 * pixels
+    assert count(drawing_device, walls(5.0, points=2, spots=3), TECHNIQUES[name]()) == 5 * pixels
+    assert count(drawing_device, walls(5.0), TECHNIQUES[name]()) == 0
 
 
 @pytest.mark.parametrize("name", TECHNIQUES)
