@@ -341,8 +341,8 @@ class TangentShader(SceneShader):
         return vec4(thing.linear @ tangent.xyz, -tangent.w if mirrors else tangent.w)
 
 
-# The vertex stages of the following parts read more attributes than that of `SceneShader`, which mypy would allow only
-# if a stage were never called as that of its base. None is called at all: a device runs them.
+# The vertex stages of the following parts read more attributes than that of `SceneShader`. To mypy, what overrides a
+# method can be called as that is; but stages aren't called, a device runs them.
 
 
 class WithUv2(SceneShader):
