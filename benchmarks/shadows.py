@@ -8,16 +8,19 @@ cascades are drawn again, and maps of lamps are kept unless their width changes.
 
 from __future__ import annotations
 
-import statistics
 import sys
-import time
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
 import rhi
 from renderer.content import load_scene
+from renderer.measure import alternate
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene
 from renderer.shadows import ShadowFilter, ShadowSettings
@@ -41,31 +44,28 @@ def measure(backend: str, device: rhi.Device, name: str, view: str, rounds: int)
             renderer = scopes.enter_context(Renderer(device, scene, visibility=visibility, size=SIZE))
             renderer.shadows.settings = settings
             renderers[variant] = renderer
-        rest: dict[str, list[float]] = {variant: [] for variant in variants}
-        moves: dict[str, list[float]] = {variant: [] for variant in variants}
         eye = shaded.views[view]
-        for number in range(-WARM_UP, rounds):
-            moved = replace(eye, position=eye.position + np.array((0.4 * number + 0.4, 0.0, 0.1)))
-            for camera, times in ((eye, rest), (moved, moves), (eye, None)):
-                for variant, renderer in renderers.items():
-                    took = draw(device, renderer, camera)
-                    if times is not None and number >= 0:
-                        times[variant].append(took)
+
+        def draw(variant: str, camera: Camera) -> None:
+            renderers[variant].render(camera)
+            device.finish()
+
+        def rest(variant: str, number: int = 0) -> None:
+            draw(variant, eye)
+
+        def move(variant: str, number: int) -> None:
+            step = np.array((0.4 * number + 0.4, 0.0, 0.1))
+            draw(variant, replace(eye, position=eye.position + step))
+
+        resting = alternate({one: partial(rest, one) for one in variants}, range(rounds), WARM_UP)
+        moving = alternate({one: partial(move, one) for one in variants}, range(rounds), WARM_UP, before=rest)
     for variant in variants:
         row = []
-        for times in (rest, moves):
-            ratios = [a / b for a, b in zip(times[variant], times["no shadows"], strict=True)]
-            row.append(f"{1e3 * statistics.median(times[variant]):7.1f} ms {statistics.median(ratios):5.2f} x")
+        for times in (resting, moving):
+            time = times[variant]
+            ratio = time.processor_ratio_to(times["no shadows"])
+            row.append(f"{1e3 * time.processor_median:7.1f} ms {ratio:5.2f} x")
         print(f"{backend}  {name:26}{variant:12}", *row)
-
-
-def draw(device: rhi.Device, renderer: Renderer, camera: Camera) -> float:
-    """Draw a frame; return the processor time of all threads."""
-    device.finish()
-    began = time.process_time()
-    renderer.render(camera)
-    device.finish()
-    return time.process_time() - began
 
 
 if __name__ == "__main__":

@@ -279,7 +279,7 @@ class Renderer:
             moved = pair.plan(has_layers=bool(self.layers))
             if moved is None:
                 resources.look_from(right.camera, 1)
-                left.drawn.fetch_lists()
+                left.drawn.fetch_lists()  # the right eye makes others
             with device.event(pair.view.name):
                 self._run(moved or plan, right)
         after = device.statistics

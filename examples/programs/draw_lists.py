@@ -9,46 +9,22 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from frame import main
+from frame import INTERFACE_VERTEX, Colored, Interface, Pixels, main
 
 import rhi
 from rhi import BlendFunction, CullMode, Filter, SamplerDescriptor
-from rhi.shading import Shader, Struct, Texture2D, Uniform, vec2, vec4
+from rhi.shading import Texture2D, vec4
 
 Color = tuple[int, int, int, int]
 
 
-class Vertex(Struct):
-    position: vec2
-    uv: vec2
-    color: vec4
+class Windows(Interface):
+    """Alpha comes from the atlas."""
 
-
-class Colored(Struct):
-    clip: vec4
-    uv: vec2
-    color: vec4
-
-
-class Screen(Struct):
-    size: vec2
-
-
-class Interface(Shader):
-    """Places pixels in clip space; alpha comes from the atlas."""
-
-    screen: Uniform[Screen]
     atlas: Texture2D
-
-    def vertex(self, v: Vertex) -> Colored:
-        place = v.position / self.screen.size
-        return Colored(clip=vec4(place.x * 2.0 - 1.0, 1.0 - place.y * 2.0, 0.5, 1.0), uv=v.uv, color=v.color)
 
     def fragment(self, v: Colored) -> vec4:
         return vec4(v.color.rgb, v.color.a * self.atlas.sample(v.uv).x)
-
-
-FIELDS = np.dtype([("position", "f4", 2), ("uv", "f4", 2), ("color", "u1", 4)])  # as ImDrawVert: 20 bytes
 
 
 @dataclass
@@ -114,13 +90,13 @@ def make_windows(size: tuple[int, int]) -> DrawList:
 def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
     """Upload the lists and draw each command in its rectangle."""
     lists = make_windows(size)
-    program = device.program(Interface)
+    program = device.program(Windows)
     atlas = device.texture(make_atlas(), rhi.Format.R8)
     smooth = SamplerDescriptor(Filter.LINEAR, Filter.LINEAR, None)
     image = device.texture(size, rhi.Format.RGBA8)
-    screen = device.transient.uniform(Screen(size=size))
+    screen = device.transient.uniform(Pixels(size=size))
     indices = np.array(lists.indices, np.uint16)
-    mesh = device.transient.mesh(program, np.array(lists.vertices, FIELDS), indices)
+    mesh = device.transient.mesh(program, np.array(lists.vertices, INTERFACE_VERTEX), indices)
     firsts, counts, clips = zip(*lists.commands, strict=True)
     with (
         device.render_pass(image, clear=(0.2, 0.25, 0.3, 1)),

@@ -1,4 +1,4 @@
-"""What the programs of this folder share: a command line that saves a picture, a full-screen triangle, and cameras.
+"""What the programs of this folder share: a command line that saves a picture, vertex stages, cameras, and a cube.
 
 Each program is one file with one function, `render(device, size)`, which returns the texture it has drawn.
 
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import rhi
-from rhi.shading import Shader, Struct, mat4, vec2, vec3, vec4, vertex_index
+from rhi.shading import Shader, Struct, Uniform, mat4, vec2, vec3, vec4, vertex_index
 
 
 class Vertex(Struct):
@@ -38,6 +38,41 @@ class Screen(Shader):
     def vertex(self) -> vec4:
         corner = vec2(float(vertex_index() & 1), float(vertex_index() >> 1))
         return vec4(corner * 4.0 - 1.0, 0.5, 1.0)
+
+
+class FlatVertex(Struct):
+    """A corner in the plane, with a place in an atlas and a color."""
+
+    position: vec2
+    uv: vec2
+    color: vec4
+
+
+class Colored(Struct):
+    """What lies between such corners."""
+
+    clip: vec4
+    uv: vec2
+    color: vec4
+
+
+class Pixels(Struct):
+    """The size of the target."""
+
+    size: vec2
+
+
+class Interface(Shader):
+    """The vertex stage of user interfaces: positions are in pixels, from the top left corner."""
+
+    screen: Uniform[Pixels]
+
+    def vertex(self, v: FlatVertex) -> Colored:
+        place = v.position / self.screen.size
+        return Colored(clip=vec4(place.x * 2.0 - 1.0, 1.0 - place.y * 2.0, 0.5, 1.0), uv=v.uv, color=v.color)
+
+
+INTERFACE_VERTEX = np.dtype([("position", "f4", 2), ("uv", "f4", 2), ("color", "u1", 4)])  # as ImDrawVert: 20 bytes
 
 
 def main(render: Callable[[rhi.Device, tuple[int, int]], rhi.Texture]) -> None:

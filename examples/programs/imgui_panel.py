@@ -10,42 +10,19 @@ from itertools import groupby
 from typing import Any
 
 import numpy as np
-from frame import main
+from frame import INTERFACE_VERTEX, Colored, Interface, Pixels, main
 from imgui_bundle import imgui
 from numpy.typing import NDArray
 
 import rhi
 from rhi import BlendFunction, CullMode, Filter, SamplerDescriptor
-from rhi.shading import Shader, Struct, Texture2D, Uniform, vec2, vec4
-
-VERTEX = np.dtype([("position", "f4", 2), ("uv", "f4", 2), ("color", "u1", 4)])
+from rhi.shading import Texture2D, vec4
 
 
-class Corner(Struct):
-    position: vec2
-    uv: vec2
-    color: vec4
+class Windows(Interface):
+    """Multiplies the color with the texture's."""
 
-
-class Colored(Struct):
-    clip: vec4
-    uv: vec2
-    color: vec4
-
-
-class Screen(Struct):
-    size: vec2
-
-
-class Interface(Shader):
-    """Places pixels in clip space, and multiplies the color with the texture's."""
-
-    screen: Uniform[Screen]
     atlas: Texture2D
-
-    def vertex(self, v: Corner) -> Colored:
-        place = v.position / self.screen.size
-        return Colored(clip=vec4(place.x * 2.0 - 1.0, 1.0 - place.y * 2.0, 0.5, 1.0), uv=v.uv, color=v.color)
 
     def fragment(self, v: Colored) -> vec4:
         return v.color * self.atlas.sample(v.uv)
@@ -55,7 +32,7 @@ class ImGuiRenderer:
     """Draws what ImGui wants drawn, and keeps its textures."""
 
     def __init__(self, device: rhi.Device) -> None:
-        self.device, self.program = device, device.program(Interface)
+        self.device, self.program = device, device.program(Windows)
         self.textures: dict[int, rhi.Texture] = {}
         imgui.get_io().backend_flags |= (
             imgui.BackendFlags_.renderer_has_textures.value | imgui.BackendFlags_.renderer_has_vtx_offset.value
@@ -84,7 +61,7 @@ class ImGuiRenderer:
         lists = list(data.cmd_lists)
         if not data.total_idx_count:
             return
-        vertices = np.concatenate([view(each.vtx_buffer, VERTEX) for each in lists])
+        vertices = np.concatenate([view(each.vtx_buffer, INTERFACE_VERTEX) for each in lists])
         indices = np.concatenate([view(each.idx_buffer, np.dtype("u4")) for each in lists])
         rows, first, base = [], 0, 0
         for each in lists:
@@ -95,7 +72,7 @@ class ImGuiRenderer:
                 rows.append((command.get_tex_id(), start, command.elem_count, corner, clip))
             first, base = first + each.idx_buffer.size(), base + each.vtx_buffer.size()
         mesh = self.device.transient.mesh(self.program, vertices, indices)
-        screen = self.device.transient.uniform(Screen(size=tuple(data.display_size)))
+        screen = self.device.transient.uniform(Pixels(size=tuple(data.display_size)))
         smooth = SamplerDescriptor(Filter.LINEAR, Filter.LINEAR, None)
         with self.device.states(BlendFunction.ALPHA, CullMode.NONE):
             for number, run in groupby(rows, lambda row: row[0]):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable, Collection
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -149,21 +150,54 @@ def make_stereo(given: argparse.Namespace, scene: Scene, camera: Camera) -> Ster
     return Stereo(rig, given.stereo, is_swapped=given.swap_eyes, is_reprojected=given.reproject)
 
 
-def add_walk(parser: Parser, what: str) -> None:
-    """Add `--camera-path PATH`, `--frame N` and `--frames N`; `what` is the help of the last."""
+def add_camera(parser: Parser, default: str = "the scene's first view") -> None:
+    """Add `--camera CAMERA`, which is None if it isn't given; `default` says what holds then."""
+    parser.add_argument("--camera", metavar="CAMERA", help=f"{CAMERA_HELP} (default: {default})")
+
+
+def add_frame(parser: Parser, what: str = "first frame of the path", default: int = 0) -> None:
+    """Add `--frame N`; `what` says which frame it is."""
     parser.add_argument(
-        "--camera-path",
-        default="ground",
-        metavar="PATH",
-        help=PATH_HELP,
+        "--frame", type=parse_frame, default=default, metavar="N", help=f"{what} (default: %(default)s)"
     )
+
+
+def add_frames(parser: Parser, default: int, what: str = "number of frames") -> None:
+    """Add `--frames N`; `what` says what it counts."""
+    parser.add_argument(
+        "--frames", type=parse_count, default=default, metavar="N", help=f"{what} (default: %(default)s)"
+    )
+
+
+def add_rounds(parser: Parser, what: str, default: int = 5) -> None:
+    """Add `--rounds N`; `what` says what it counts."""
+    parser.add_argument(
+        "--rounds", type=parse_count, default=default, metavar="N", help=f"{what} (default: %(default)s)"
+    )
+
+
+def add_form(parser: Parser, what: str = "table") -> None:
+    """Add `--json` and `--markdown`, of which one may be given; `what` is what the second one prints."""
+    form = parser.add_mutually_exclusive_group()
+    form.add_argument("--json", action="store_true", help="print the result as JSON")
+    form.add_argument("--markdown", action="store_true", help=f"print the {what} as Markdown")
+
+
+def add_camera_path(parser: Parser) -> None:
+    """Add `--camera-path PATH`."""
+    parser.add_argument("--camera-path", default="ground", metavar="PATH", help=PATH_HELP)
+
+
+def add_walk(parser: Parser, what: str) -> None:
+    """Add `--camera-path PATH`, `--frame N` and `--frames N`; `what` says what the last one counts."""
+    add_camera_path(parser)
     parser.add_argument(
         "--frame",
         type=parse_frame,
         metavar="N",
         help="first frame of the path, at 60 a second (default: the frames lie around the path's middle)",
     )
-    parser.add_argument("--frames", type=parse_count, default=60, metavar="N", help=what)
+    add_frames(parser, 60, what)
 
 
 def add_settings(parser: Parser, what: str = SETTINGS_HELP) -> None:
@@ -211,6 +245,19 @@ def parse_count(text: str) -> int:
     if not (text.isascii() and text.isdigit() and int(text)):
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of 1 or more")
     return int(text)
+
+
+def parse_names(known: Collection[str], what: str) -> Callable[[str], list[str]]:
+    """Return what parses `a,b` as a list of known names, each of them once; `what` ends the error: "is not a test"."""
+
+    def parse(text: str) -> list[str]:
+        names = text.split(",")
+        for name in names:
+            if name not in known:
+                raise argparse.ArgumentTypeError(f"{name!r} {what}; give some of {', '.join(known)}")
+        return list(dict.fromkeys(names))
+
+    return parse
 
 
 def parse_frame(text: str) -> int:

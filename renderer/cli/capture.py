@@ -10,18 +10,18 @@ from typing import Final
 
 import rhi
 from renderer.cli.arguments import (
-    CAMERA_HELP,
     DECIDES,
     add_backend,
+    add_camera,
+    add_frame,
+    add_frames,
     add_scene,
     add_size,
     add_technique,
     make_technique,
     open_scene,
-    parse_count,
-    parse_frame,
 )
-from renderer.cli.output import OutputError, draw_chart, note, show_progress
+from renderer.cli.output import draw_chart, note, prepare_chart, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import parse_camera
 from renderer.measure.capture import CapturedFrame, capture_frames, list_passes, write_frames
@@ -45,13 +45,9 @@ def _add_arguments(parser: Parser) -> None:
     add_backend(parser)
     add_technique(parser, default="forward")
     parser.add_argument("--visibility", choices=ALGORITHMS, default="frustum", help=DECIDES)
-    parser.add_argument("--camera", metavar="CAMERA", help=f"{CAMERA_HELP} (default: the scene's first path)")
-    parser.add_argument(
-        "--frame", type=parse_frame, default=0, metavar="N", help="first frame of the path (default: 0)"
-    )
-    parser.add_argument(
-        "--frames", type=parse_count, default=1000, metavar="N", help="number of frames (default: 1000)"
-    )
+    add_camera(parser, "the scene's first path")
+    add_frame(parser)
+    add_frames(parser, 1000)
     add_size(parser)
     parser.add_argument(
         "--output", type=Path, required=True, metavar="F.csv", help="table of all frames to write"
@@ -61,8 +57,8 @@ def _add_arguments(parser: Parser) -> None:
 
 
 def _run(given: argparse.Namespace) -> None:
-    if given.plot is not None and given.plot.suffix.lower() not in (".svg", ".png", ".pdf"):
-        raise OutputError(f"--plot: {given.plot.name!r} is not the name of a chart; end it with .svg")
+    if given.plot is not None:
+        prepare_chart(given.plot)
     scene = open_scene(given.scene)
     camera = given.camera or next(iter(scene.paths or scene.views))
     shots = [
@@ -86,7 +82,6 @@ def _run(given: argparse.Namespace) -> None:
     write_frames(given.output, frames)
     note(f"wrote {given.output}: {len(frames)} frames")
     if given.plot is not None:
-        given.plot.parent.mkdir(parents=True, exist_ok=True)
         plot_frames(frames, given.plot, f"{given.technique}: {scene.name}")
         note(f"wrote {given.plot}")
     medians = find_medians(frames)

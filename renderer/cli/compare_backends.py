@@ -10,7 +10,15 @@ from typing import Final
 
 import numpy as np
 
-from renderer.cli.arguments import PATH_HELP, add_scene, add_size, open_scene, parse_count, parse_frame
+from renderer.cli.arguments import (
+    add_camera_path,
+    add_rounds,
+    add_scene,
+    add_size,
+    open_scene,
+    parse_frame,
+    parse_names,
+)
 from renderer.cli.output import draw_chart, note, prepare_image, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import find_path
@@ -33,7 +41,7 @@ def _add_arguments(parser: Parser) -> None:
     add_scene(parser)
     parser.add_argument(
         "--passes",
-        type=_parse_passes,
+        type=parse_names(PASSES, "is not a pass"),
         default=["depth", "lit", "queries"],
         metavar="A,B,…",
         help=f"some of {', '.join(PASSES)} (default: depth,lit,queries)",
@@ -45,25 +53,14 @@ def _add_arguments(parser: Parser) -> None:
         metavar="A,B,…",
         help=f"backends to compare with {_BASE} (default: cl)",
     )
-    parser.add_argument(
-        "--camera-path",
-        default="ground",
-        metavar="PATH",
-        help=PATH_HELP,
-    )
+    add_camera_path(parser)
     parser.add_argument(
         "--frame",
         type=parse_frame,
         metavar="N",
         help="frame whose camera is used (default: the path's middle)",
     )
-    parser.add_argument(
-        "--rounds",
-        type=parse_count,
-        default=15,
-        metavar="N",
-        help="rounds of each pass (default: %(default)s)",
-    )
+    add_rounds(parser, "rounds of each pass", 15)
     add_size(parser, (1280, 720), "size of the targets in pixels")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument("--plot", type=Path, metavar="F.png", help="write a chart of the times")
@@ -130,14 +127,6 @@ def plot_backends(rows: list[BackendRow], title: str, path: Path) -> None:
         axes.invert_yaxis()
         axes.margins(x=0.2)
         axes.legend()
-
-
-def _parse_passes(text: str) -> list[str]:
-    names = text.split(",")
-    unknown = [name for name in names if name not in PASSES]
-    if unknown:
-        raise argparse.ArgumentTypeError(f"{unknown[0]!r} is not a pass; give some of {', '.join(PASSES)}")
-    return list(dict.fromkeys(names))
 
 
 COMMAND: Final = Subcommand(

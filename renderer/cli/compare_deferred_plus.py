@@ -11,13 +11,14 @@ from typing import Final
 
 import rhi
 from renderer.cli.arguments import (
-    PATH_HELP,
     add_backend,
+    add_camera_path,
+    add_form,
+    add_frame,
+    add_frames,
     add_scene,
     add_size,
     open_scene,
-    parse_count,
-    parse_frame,
 )
 from renderer.cli.output import note, prepare_image, show_progress, write_image
 from renderer.cli.subcommand import Parser, Subcommand
@@ -41,19 +42,13 @@ pixels` are those that aren't the same without culling. Under OpenCL set RHI_KER
 
 def _add_arguments(parser: Parser) -> None:
     add_scene(parser)
-    parser.add_argument("--camera-path", default="ground", metavar="PATH", help=PATH_HELP)
-    parser.add_argument(
-        "--frame", type=parse_frame, default=0, metavar="N", help="first frame of the path (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--frames", type=parse_count, default=16, metavar="N", help="number of frames (default: %(default)s)"
-    )
+    add_camera_path(parser)
+    add_frame(parser)
+    add_frames(parser, 16)
     add_size(parser)
     add_backend(parser)
     parser.add_argument("--output", type=Path, metavar="F.png", help="write a picture of the buffers and rectangles")
-    form = parser.add_mutually_exclusive_group()
-    form.add_argument("--json", action="store_true", help="print the result as JSON")
-    form.add_argument("--markdown", action="store_true", help="print the tables as Markdown")
+    add_form(parser, "tables")
 
 
 def _run(given: argparse.Namespace) -> None:

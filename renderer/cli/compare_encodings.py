@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 import rhi
-from renderer.cli.arguments import parse_count
+from renderer.cli.arguments import add_form, add_rounds, parse_count
 from renderer.cli.output import draw_chart, note, prepare_image, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.measure import format_table
@@ -33,13 +33,9 @@ def _add_arguments(parser: Parser) -> None:
     parser.add_argument(
         "--count", type=parse_count, default=1 << 14, metavar="N", help="number of values (default: %(default)s)"
     )
-    parser.add_argument(
-        "--rounds", type=parse_count, default=5, metavar="N", help="times each is timed (default: %(default)s)"
-    )
+    add_rounds(parser, "times each is timed")
     parser.add_argument("--plot", type=Path, metavar="FILE", help="write a chart of errors and times")
-    form = parser.add_mutually_exclusive_group()
-    form.add_argument("--json", action="store_true", help="print the result as JSON")
-    form.add_argument("--markdown", action="store_true", help="print the table as Markdown")
+    add_form(parser)
 
 
 def _run(given: argparse.Namespace) -> None:

@@ -4,25 +4,27 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Collection
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from typing import Final
 
 import rhi
 from renderer.cli.arguments import (
-    CAMERA_HELP,
     add_backend,
+    add_camera,
+    add_form,
+    add_frame,
+    add_rounds,
     add_scene,
     add_size,
     open_scene,
     parse_count,
-    parse_frame,
+    parse_names,
 )
 from renderer.cli.output import show_progress
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import parse_camera
 from renderer.lights.culling import CONE_TESTS, SPHERE_TESTS
-from renderer.measure import format_table
+from renderer.measure import format_rows
 from renderer.measure.light_culling import LightCullingRow, compare_light_culling
 from renderer.renderer import Renderer
 from renderer.visibility import make_visibility
@@ -45,10 +47,8 @@ _SWITCHES: Final = {"on": (True,), "off": (False,), "both": (True, False)}
 
 def _add_arguments(parser: Parser) -> None:
     add_scene(parser)
-    parser.add_argument("--camera", metavar="CAMERA", help=f"{CAMERA_HELP} (default: the scene's first view)")
-    parser.add_argument(
-        "--frame", type=parse_frame, default=0, metavar="N", help="frame of a path (default: %(default)s)"
-    )
+    add_camera(parser)
+    add_frame(parser, "frame of a path")
     parser.add_argument(
         "--lights",
         type=lambda text: [parse_count(part) for part in text.split(",")],
@@ -58,7 +58,7 @@ def _add_arguments(parser: Parser) -> None:
     )
     parser.add_argument(
         "--tests",
-        type=_parse_tests,
+        type=parse_names(SPHERE_TESTS, "is not a test"),
         default=list(SPHERE_TESTS),
         metavar="A,B,…",
         help=f"some of {', '.join(SPHERE_TESTS)} (default: all)",
@@ -72,7 +72,7 @@ def _add_arguments(parser: Parser) -> None:
     )
     parser.add_argument(
         "--cones",
-        type=_parse_cones,
+        type=parse_names(CONE_TESTS, "is not a test"),
         default=["sphere"],
         metavar="A,B,…",
         help=f"tests of spot lights' cones, some of {', '.join(CONE_TESTS)} (default: sphere, which makes none)",
@@ -89,13 +89,9 @@ def _add_arguments(parser: Parser) -> None:
         default="on",
         help="whether blocks of tiles are tested before tiles (default: %(default)s)",
     )
-    parser.add_argument(
-        "--rounds", type=parse_count, default=5, metavar="N", help="times each test is timed (default: %(default)s)"
-    )
+    add_rounds(parser, "times each test is timed")
     add_backend(parser)
-    form = parser.add_mutually_exclusive_group()
-    form.add_argument("--json", action="store_true", help="print the result as JSON")
-    form.add_argument("--markdown", action="store_true", help="print the table as Markdown")
+    add_form(parser)
 
 
 def _run(given: argparse.Namespace) -> None:
@@ -133,29 +129,7 @@ def _run(given: argparse.Namespace) -> None:
 
 def show_rows(rows: list[LightCullingRow], *, markdown: bool = False) -> str:
     """Format the rows as a table: aligned text, or Markdown."""
-    names = [field.name for field in fields(LightCullingRow)]
-    cells = [[_show(getattr(row, name)) for name in names] for row in rows]
-    return format_table([name.replace("_", " ") for name in names], cells, markdown=markdown)
-
-
-def _show(value: object) -> object:
-    return value if not isinstance(value, bool) else "on" if value else "off"
-
-
-def _parse_tests(text: str) -> list[str]:
-    return _parse_names(text, SPHERE_TESTS)
-
-
-def _parse_cones(text: str) -> list[str]:
-    return _parse_names(text, CONE_TESTS)
-
-
-def _parse_names(text: str, known: Collection[str]) -> list[str]:
-    names = text.split(",")
-    for name in names:
-        if name not in known:
-            raise argparse.ArgumentTypeError(f"{name!r} is not a test; give some of {', '.join(known)}")
-    return list(dict.fromkeys(names))
+    return format_rows([asdict(row) for row in rows], markdown=markdown)
 
 
 COMMAND: Final = Subcommand(

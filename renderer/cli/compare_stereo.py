@@ -5,23 +5,25 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Iterable
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from typing import Final
 
 import rhi
 from renderer.cli.arguments import (
-    PATH_HELP,
     add_backend,
+    add_camera_path,
+    add_form,
+    add_frame,
+    add_frames,
     add_scene,
-    parse_count,
-    parse_frame,
     parse_length,
+    parse_names,
     parse_size,
 )
 from renderer.cli.output import show_progress
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import find_path, load_scene
-from renderer.measure import format_table
+from renderer.measure import format_rows
 from renderer.measure.stereo import StereoRow, compare_stereo, list_stereos
 from renderer.scene import Scene
 from renderer.stereo import find_rig
@@ -59,7 +61,7 @@ def _add_arguments(parser: Parser) -> None:
     )
     parser.add_argument(
         "--stereo",
-        type=_parse_stereos,
+        type=parse_names(list_stereos(), "is no output"),
         default=list(_DEFAULT),
         metavar="A,B,…",
         help=f"some of {', '.join(list_stereos())} (default: {','.join(_DEFAULT)})",
@@ -73,17 +75,11 @@ def _add_arguments(parser: Parser) -> None:
     parser.add_argument(
         "--convergence", type=parse_length, metavar="M", help="metres to the screen (default: comfortable)"
     )
-    parser.add_argument("--camera-path", default="ground", metavar="PATH", help=PATH_HELP)
-    parser.add_argument(
-        "--frame", type=parse_frame, default=900, metavar="N", help="first frame of the path (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--frames", type=parse_count, default=20, metavar="N", help="number of frames (default: %(default)s)"
-    )
+    add_camera_path(parser)
+    add_frame(parser, default=900)
+    add_frames(parser, 20)
     add_backend(parser)
-    form = parser.add_mutually_exclusive_group()
-    form.add_argument("--json", action="store_true", help="print the result as JSON")
-    form.add_argument("--markdown", action="store_true", help="print the table as Markdown")
+    add_form(parser)
 
 
 def _run(given: argparse.Namespace) -> None:
@@ -141,13 +137,8 @@ def _load(text: str, has_shadows: bool) -> Scene:
 
 def show_rows(rows: list[StereoRow], *, markdown: bool = False) -> str:
     """Format the rows as a table: aligned text, or Markdown."""
-    names = [field.name for field in fields(StereoRow)]
-    header = [name.replace("_", " ").replace("milliseconds", "ms") for name in names]
-    cells = []
-    for row in rows:
-        values = asdict(row) | {"shadows": "on" if row.shadows else "off", "size": "{} × {}".format(*row.size)}
-        cells.append([values[name] for name in names])
-    return format_table(header, cells, markdown=markdown)
+    shown = [asdict(row) | {"size": "{} × {}".format(*row.size)} for row in rows]
+    return format_rows(shown, markdown=markdown)
 
 
 def _parse_switches(text: str) -> list[bool]:
@@ -156,14 +147,6 @@ def _parse_switches(text: str) -> list[bool]:
         if name not in _SWITCH:
             raise argparse.ArgumentTypeError(f"{name!r} is neither off nor on")
     return [_SWITCH[name] for name in dict.fromkeys(names)]
-
-
-def _parse_stereos(text: str) -> list[str]:
-    names = text.split(",")
-    for name in names:
-        if name not in list_stereos():
-            raise argparse.ArgumentTypeError(f"{name!r} is no output; give some of {', '.join(list_stereos())}")
-    return list(dict.fromkeys(names))
 
 
 COMMAND: Final = Subcommand(

@@ -5,15 +5,25 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Iterable
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import Final
 
 import rhi
-from renderer.cli.arguments import CAMERA_HELP, add_backend, add_scene, add_size, parse_count, parse_frame
+from renderer.cli.arguments import (
+    add_backend,
+    add_camera,
+    add_form,
+    add_frame,
+    add_rounds,
+    add_scene,
+    add_size,
+    parse_count,
+    parse_names,
+)
 from renderer.cli.output import draw_chart, note, prepare_image, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
-from renderer.measure import format_table
+from renderer.measure import format_rows
 from renderer.measure.techniques import TechniqueRow, compare_techniques
 from renderer.techniques import TECHNIQUES
 
@@ -47,28 +57,18 @@ def _add_arguments(parser: Parser) -> None:
         )
     parser.add_argument(
         "--techniques",
-        type=_parse_techniques,
+        type=parse_names(TECHNIQUES, "is not a technique"),
         default=list(TECHNIQUES),
         metavar="A,B,…",
         help=f"some of {', '.join(TECHNIQUES)} (default: all)",
     )
-    parser.add_argument("--camera", metavar="CAMERA", help=f"{CAMERA_HELP} (default: the scene's first view)")
-    parser.add_argument(
-        "--frame", type=parse_frame, default=0, metavar="N", help="frame of a path (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--rounds",
-        type=parse_count,
-        default=5,
-        metavar="N",
-        help="times each technique is timed (default: %(default)s)",
-    )
+    add_camera(parser)
+    add_frame(parser, "frame of a path")
+    add_rounds(parser, "times each technique is timed")
     add_size(parser)
     add_backend(parser)
     parser.add_argument("--plot", type=Path, metavar="F.png", help="write a chart of the times")
-    form = parser.add_mutually_exclusive_group()
-    form.add_argument("--json", action="store_true", help="print the result as JSON")
-    form.add_argument("--markdown", action="store_true", help="print the table as Markdown")
+    add_form(parser)
 
 
 def _run(given: argparse.Namespace) -> None:
@@ -109,11 +109,7 @@ def _run(given: argparse.Namespace) -> None:
 
 def show_rows(rows: list[TechniqueRow], *, markdown: bool = False) -> str:
     """Format the rows as a table: aligned text, or Markdown."""
-    names = [field.name for field in fields(TechniqueRow)]
-    header = [name.replace("_", " ").replace("milliseconds", "ms") for name in names]
-    values = [[getattr(row, name) for name in names] for row in rows]
-    cells = [["-" if value is None else value for value in row] for row in values]
-    return format_table(header, cells, markdown=markdown)
+    return format_rows([asdict(row) for row in rows], markdown=markdown)
 
 
 def plot_techniques(rows: list[TechniqueRow], title: str, path: Path) -> None:
@@ -137,14 +133,6 @@ def plot_techniques(rows: list[TechniqueRow], title: str, path: Path) -> None:
             axes.set_ylim(bottom=0.0)
         charts[0].set_ylabel("milliseconds")
         charts[-1].legend(fontsize="x-small")
-
-
-def _parse_techniques(text: str) -> list[str]:
-    names = text.split(",")
-    for name in names:
-        if name not in TECHNIQUES:
-            raise argparse.ArgumentTypeError(f"{name!r} is not a technique; give some of {', '.join(TECHNIQUES)}")
-    return list(dict.fromkeys(names))
 
 
 COMMAND: Final = Subcommand(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Final
 
@@ -12,6 +12,7 @@ import rhi
 from renderer.cli.arguments import (
     QUERY_KINDS,
     add_backend,
+    add_form,
     add_scene,
     add_settings,
     add_size,
@@ -19,11 +20,12 @@ from renderer.cli.arguments import (
     open_scene,
     parse_count,
     parse_frame,
+    parse_names,
 )
 from renderer.cli.output import OutputError, draw_chart, note, prepare_image, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import find_path
-from renderer.measure import format_table
+from renderer.measure import format_rows
 from renderer.measure.visibility import AlgorithmRow, compare_algorithms, list_contenders, list_frames
 from renderer.renderer import Renderer
 from renderer.visibility import ALGORITHMS, Settings, check_algorithm, list_algorithms
@@ -52,11 +54,11 @@ The null device answers no queries. On it `auto` is frustum culling, and algorit
 
 def _add_arguments(parser: Parser) -> None:
     add_scene(parser)
-    add_walk(parser, "number of frames to time (default: %(default)s)")
+    add_walk(parser, "number of frames to time")
     add_backend(parser)
     parser.add_argument(
         "--algorithms",
-        type=_parse_algorithms,
+        type=parse_names(ALGORITHMS, "is not an algorithm"),
         metavar="A,B,…",
         help=f"some of {', '.join(ALGORITHMS)} (default: all that the device can run)",
     )
@@ -95,9 +97,7 @@ def _add_arguments(parser: Parser) -> None:
         metavar="N",
         help="jump to the other half of the path, or back, after every N frames",
     )
-    form = parser.add_mutually_exclusive_group()
-    form.add_argument("--json", action="store_true", help="print the result as JSON")
-    form.add_argument("--markdown", action="store_true", help="print the table as Markdown")
+    add_form(parser)
     parser.add_argument("--plot", type=Path, metavar="F.png", help="write a chart of times and triangles")
 
 
@@ -157,13 +157,11 @@ def _run(given: argparse.Namespace) -> None:
 
 def show_rows(rows: list[AlgorithmRow], *, markdown: bool = False) -> str:
     """Format the rows as a table: aligned text, or Markdown."""
-    names = [field.name for field in fields(AlgorithmRow)]
+    shown = [asdict(row) for row in rows]
     if not any(row.simulation_steps or row.skipped_simulations for row in rows):
-        names = names[:-2]  # nothing is simulated
-    header = [name.replace("_", " ").replace("milliseconds", "ms").replace(" changes", "s") for name in names]
-    values = [[getattr(row, name) for name in names] for row in rows]
-    cells = [["-" if value is None else value for value in row] for row in values]
-    return format_table(header, cells, markdown=markdown)
+        for values in shown:
+            del values["simulation_steps"], values["skipped_simulations"]
+    return format_rows(shown, markdown=markdown)
 
 
 def plot_algorithms(rows: list[AlgorithmRow], title: str, path: Path) -> None:
@@ -183,16 +181,6 @@ def plot_algorithms(rows: list[AlgorithmRow], title: str, path: Path) -> None:
             axes.locator_params(axis="x", nbins=5)
             axes.margins(x=0.3)
             axes.invert_yaxis()
-
-
-def _parse_algorithms(text: str) -> list[str]:
-    names = text.split(",")
-    for name in names:
-        if name not in ALGORITHMS:
-            raise argparse.ArgumentTypeError(
-                f"{name!r} is not an algorithm; give some of {', '.join(ALGORITHMS)}"
-            )
-    return list(dict.fromkeys(names))
 
 
 def _parse_kinds(text: str) -> list[str]:

@@ -16,6 +16,7 @@ from renderer.cli.arguments import (
     CAMERA_HELP,
     DECIDES,
     add_backend,
+    add_frame,
     add_scene,
     add_settings,
     add_size,
@@ -66,9 +67,7 @@ def _add_arguments(parser: Parser) -> None:
         metavar="CAMERA",
         help=f"{CAMERA_HELP} (default: %(default)s)",
     )
-    parser.add_argument(
-        "--frame", type=parse_frame, default=0, metavar="N", help="frame of the path (default: 0)"
-    )
+    add_frame(parser, "frame of the path")
     parser.add_argument(
         "--warm-up",
         type=parse_frame,

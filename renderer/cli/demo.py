@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Final
 
 import rhi
-from renderer.cli.arguments import add_size, open_scene, parse_count
+from renderer.cli.arguments import add_frames, add_size, open_scene
 from renderer.cli.output import name_of, note, prepare_image, show_progress, write_image
 from renderer.cli.subcommand import Parser, Subcommand
-from renderer.measure import Measurement, alternate, format_table
+from renderer.measure import Measurement, alternate, format_table, title_of
 from renderer.renderer import FrameResult, FrameStatistics, Renderer
 from renderer.scene import FRAME_COUNT, FRAMES_PER_SECOND
 from renderer.visibility import make_visibility
@@ -85,13 +85,7 @@ def _add_arguments(parser: Parser) -> None:
         metavar="DIR",
         help="folder for the pictures (default: out)",
     )
-    parser.add_argument(
-        "--frames",
-        type=parse_count,
-        default=9,
-        metavar="N",
-        help="number of frames of each path (default: 9)",
-    )
+    add_frames(parser, 9, "number of frames of each path")
     add_size(parser, what="size of the images in pixels")
 
 
@@ -191,8 +185,8 @@ def tabulate(variants: list[RenderVariant], times: dict[str, Measurement]) -> st
                 *(variant.mean(counter) for counter in counters),
             )
         )
-    names = [counter.replace("_", " ").replace(" changes", "s") for counter in counters]
-    return format_table(["path", "visibility", "backend", "ms", "vs none", *names], rows)
+    titles = [title_of(counter) for counter in counters]
+    return format_table(["path", "visibility", "backend", "ms", "vs none", *titles], rows)
 
 
 COMMAND: Final = Subcommand(

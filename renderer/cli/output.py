@@ -62,6 +62,13 @@ def prepare_image(path: Path) -> Path:
     return path
 
 
+def prepare_chart(path: Path) -> None:
+    """Check that a chart can be written to `path`, before any work is done for it."""
+    if path.suffix.lower() not in (".svg", ".png", ".pdf"):
+        raise OutputError(f"--plot: {path.name!r} is not the name of a chart; end it with .svg")
+    path.parent.mkdir(parents=True, exist_ok=True)
+
+
 def write_image(path: Path, pixels: NDArray[Any]) -> None:
     """Write (height, width, 4) sRGB pixels without their alpha."""
     Image.fromarray(pixels[:, :, :3]).save(path, optimize=True)

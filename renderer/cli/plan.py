@@ -10,16 +10,16 @@ from typing import Final
 
 import rhi
 from renderer.cli.arguments import (
-    CAMERA_HELP,
+    add_camera,
+    add_frame,
     add_scene,
     add_size,
     add_technique,
     explain_technique,
     make_technique,
     open_scene,
-    parse_frame,
 )
-from renderer.cli.output import OutputError, draw_chart, note
+from renderer.cli.output import draw_chart, note, prepare_chart
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import parse_camera
 from renderer.measure import format_table, settle
@@ -44,10 +44,8 @@ with the contents that it holds in turn: dark where they are written, light wher
 def _add_arguments(parser: Parser) -> None:
     add_scene(parser)
     add_technique(parser)
-    parser.add_argument("--camera", metavar="CAMERA", help=f"{CAMERA_HELP} (default: the scene's first view)")
-    parser.add_argument(
-        "--frame", type=parse_frame, default=0, metavar="N", help="frame of the path (default: 0)"
-    )
+    add_camera(parser)
+    add_frame(parser, "frame of the path")
     add_size(parser)
     parser.add_argument(
         "--backend",
@@ -61,14 +59,13 @@ def _add_arguments(parser: Parser) -> None:
 
 
 def _run(given: argparse.Namespace) -> None:
-    if given.plot is not None and given.plot.suffix.lower() not in (".svg", ".png", ".pdf"):
-        raise OutputError(f"--plot: {given.plot.name!r} is not the name of a chart; end it with .svg")
+    if given.plot is not None:
+        prepare_chart(given.plot)
     scene = open_scene(given.scene)
     camera = parse_camera(given.camera or next(iter(scene.views)), scene, given.frame)
     technique, chosen = choose_technique(given, scene, camera)
     report = describe_plan(scene, technique, camera, given.size)
     if given.plot is not None:
-        given.plot.parent.mkdir(parents=True, exist_ok=True)
         plot_plan(report, given.plot, f"{technique.name}: {scene.name}")
         note(f"wrote {given.plot}")
     if given.json:

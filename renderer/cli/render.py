@@ -12,9 +12,11 @@ from typing import Any, Final
 
 import rhi
 from renderer.cli.arguments import (
-    CAMERA_HELP,
     DECIDES,
     add_backend,
+    add_camera,
+    add_frame,
+    add_frames,
     add_queries,
     add_scene,
     add_settings,
@@ -26,8 +28,6 @@ from renderer.cli.arguments import (
     make_stereo,
     make_technique,
     open_scene,
-    parse_count,
-    parse_frame,
 )
 from renderer.cli.output import name_of, note, prepare_image, show_progress, write_image
 from renderer.cli.subcommand import Parser, Subcommand
@@ -85,21 +85,9 @@ def _add_arguments(parser: Parser) -> None:
     )
     add_settings(parser)
     add_queries(parser, "the settings', native")
-    parser.add_argument(
-        "--camera",
-        metavar="CAMERA",
-        help=f"{CAMERA_HELP} (default: the scene's first view)",
-    )
-    parser.add_argument(
-        "--frame",
-        type=parse_frame,
-        default=0,
-        metavar="N",
-        help="first frame of the path, at 60 a second (default: 0)",
-    )
-    parser.add_argument(
-        "--frames", type=parse_count, default=1, metavar="N", help="number of frames to time (default: 1)"
-    )
+    add_camera(parser)
+    add_frame(parser, "first frame of the path, at 60 a second")
+    add_frames(parser, 1, "number of frames to time")
     add_size(parser)
     add_stereo(parser)
     parser.add_argument(

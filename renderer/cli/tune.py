@@ -18,16 +18,16 @@ import rhi
 from renderer.cli.arguments import (
     add_backend,
     add_queries,
+    add_rounds,
     add_scene,
     add_size,
     add_walk,
     open_scene,
-    parse_count,
 )
 from renderer.cli.output import OutputError, draw_chart, note, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import find_path
-from renderer.measure import format_table
+from renderer.measure import format_table, title_of
 from renderer.measure.tuning import ParameterPair, Trial, Walk, find_best, search, space_evenly, try_pairs
 from renderer.scene import CameraPath
 from renderer.visibility import Settings, list_algorithms
@@ -67,7 +67,7 @@ class SerialExecutor(Executor):
 
 def _add_arguments(parser: Parser) -> None:
     add_scene(parser)
-    add_walk(parser, "number of frames that a trial renders (default: %(default)s)")
+    add_walk(parser, "number of frames that a trial renders")
     parser.add_argument(
         "--b", type=_parse_range, default=(1, 100), metavar="LOW:HIGH", help="range of b (default: 1:100)"
     )
@@ -81,13 +81,7 @@ def _add_arguments(parser: Parser) -> None:
         metavar="LOW:HIGH",
         help="range of the leaf size to try with the best pair (default: 1)",
     )
-    parser.add_argument(
-        "--rounds",
-        type=parse_count,
-        default=4,
-        metavar="N",
-        help="rounds of the search, the first of which tries a grid of values (default: %(default)s)",
-    )
+    add_rounds(parser, "rounds of the search, the first of which tries a grid of values", 4)
     parser.add_argument(
         "--executor",
         default="serial",
@@ -245,7 +239,7 @@ def plot_trials(trials: Sequence[Trial], finals: Sequence[Trial], title: str, pa
 
 def _title(name: str) -> str:
     short = {"batch": "b", "persistence": "n", "default_milliseconds": "default ms"}
-    return short.get(name, name.replace("_", " ").replace("milliseconds", "ms").replace(" changes", "s"))
+    return short.get(name, title_of(name))
 
 
 def _parse_range(text: str) -> ParameterPair:

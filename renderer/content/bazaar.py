@@ -196,20 +196,20 @@ def _add_lights(builder: SceneBuilder, rng: np.random.Generator, side: int, coun
         return
     half = 0.5 * side * ROOM - 0.5
     places = rng.uniform((-half, 1.4, -half), (half, _HEIGHT - 0.2, half), (count, 3))
-    hue = 2.0 * np.pi * (rng.random((count, 1)) + np.array([0.0, 1.0, 2.0]) / 3.0)
-    colors = 0.68 + 0.32 * np.cos(hue)
+    colors = _hues(rng.random(count))
     reach = float(np.clip(2.2 * side * ROOM / np.sqrt(count), 2.5, 9.0))
     lights.add_points(places, reach, colors, 0.16 * reach**2)
     bulb = builder.add_mesh(shapes.sphere(8), "bulb")
-    glow = [builder.add_material(base_color=tuple(color), emission=1.6) for color in _hues().tolist()]
+    glows = _hues(np.arange(8) / 8.0)
+    glow = [builder.add_material(base_color=tuple(color), emission=1.6) for color in glows.tolist()]
     nodes = builder.add_nodes(multiply(translation(places), scaling((0.12, 0.12, 0.12))))
-    nearest = np.abs(colors[:, None] - _hues()).sum(-1).argmin(1)
+    nearest = np.abs(colors[:, None] - glows).sum(-1).argmin(1)
     builder.add_objects(nodes, bulb, np.array(glow)[nearest], casts_shadow=False)
 
 
-def _hues() -> Floats:
-    """Return the colours (8, 3) of bulbs."""
-    hue = 2.0 * np.pi * (np.arange(8)[:, None] / 8.0 + np.array([0.0, 1.0, 2.0]) / 3.0)
+def _hues(turns: Floats) -> Floats:
+    """Return the colours (k, 3) of lights at `turns` (k,) of the way around the circle of hues."""
+    hue = 2.0 * np.pi * (turns[:, None] + np.array([0.0, 1.0, 2.0]) / 3.0)
     return np.asarray(0.68 + 0.32 * np.cos(hue))
 
 

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from renderer.scene.arrays import Floats
-from renderer.scene.materials import ImagePixels
+from renderer.scene.materials import ImagePixels, make_opaque
 
 __rhi_internal__ = True
 
@@ -46,9 +46,9 @@ def paint_surface(kind: str, size: int, seed: int) -> Surface:
     normal = np.stack([slope[0], -slope[1], np.ones_like(height)], axis=-1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     return Surface(
-        _image(bright[..., None] * warm),
-        _image(0.5 + 0.5 * normal),
-        _image(np.stack([np.ones_like(rough), rough, metal], axis=-1)),
+        make_opaque(bright[..., None] * warm),
+        make_opaque(0.5 + 0.5 * normal),
+        make_opaque(np.stack([np.ones_like(rough), rough, metal], axis=-1)),
     )
 
 
@@ -130,9 +130,3 @@ _HEIGHTS: Final = {
     "stone": _stone,
     "grooves": _grooves,
 }
-
-
-def _image(values: Floats) -> ImagePixels:
-    opaque = np.full((*values.shape[:2], 4), 255, np.uint8)
-    opaque[..., :3] = np.clip(np.round(values * 255.0), 0, 255)
-    return opaque

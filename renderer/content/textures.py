@@ -6,8 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from renderer.scene.arrays import Floats
-from renderer.scene.materials import ImagePixels
+from renderer.scene.materials import ImagePixels, make_opaque
 
 __rhi_internal__ = True
 
@@ -56,7 +55,7 @@ def paint_facade(style: str, seed: int) -> ImagePixels:
             cell[y0:y1, middle : middle + 2] = 0.55
     shutter = pixels[:_CELL, :_CELL]
     shutter[int(top * _CELL) : int(bottom * _CELL), int(left * _CELL) : int(right * _CELL)] = 0.52
-    return _image(pixels)
+    return make_opaque(pixels)
 
 
 def paint_lit_facade(style: str, seed: int) -> ImagePixels:
@@ -80,7 +79,7 @@ def paint_lit_facade(style: str, seed: int) -> ImagePixels:
                 window[: int(rng.uniform(0.0, 0.5) * len(window))] *= 0.82  # a blind
             window[:, (x1 - x0) // 2] *= 0.4
     pixels[:cell, :cell] = 0.16
-    return _image(pixels)
+    return make_opaque(pixels)
 
 
 _LAMPS: Final = (
@@ -120,7 +119,7 @@ def paint_street(street: float, seed: int) -> ImagePixels:
             & (across * 60 % 1.0 < 0.5)
         )
         pixels[stripes] = 0.72
-    return _image(pixels)
+    return make_opaque(pixels)
 
 
 def paint_stripes(
@@ -129,10 +128,4 @@ def paint_stripes(
     """Paint a flag: `count` pairs of horizontal stripes in two sRGB colours."""
     bands = (np.arange(IMAGE_SIZE) * 2 * count // IMAGE_SIZE) % 2 == 0
     column = np.where(bands[:, None], first, second)
-    return _image(np.repeat(column[:, None], IMAGE_SIZE, axis=1))
-
-
-def _image(pixels: Floats) -> ImagePixels:
-    opaque = np.full((*pixels.shape[:2], 4), 255, np.uint8)
-    opaque[..., :3] = np.clip(np.round(pixels * 255.0), 0, 255)
-    return opaque
+    return make_opaque(np.repeat(column[:, None], IMAGE_SIZE, axis=1))

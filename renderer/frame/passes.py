@@ -3,6 +3,7 @@ drawn."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import ExitStack
 from functools import cached_property
 from types import TracebackType
@@ -52,6 +53,7 @@ class Drawn:
         self._batches: list[NDArray[np.int64]] = []
         self._conditional: list[tuple[NDArray[np.int64], QuerySet, NDArray[np.int64]]] = []
         self._lists: list[tuple[DeviceList, int]] = []
+        self._being_read: list[Callable[[], NDArray[np.int64]]] | None = None
         self._transparent: list[NDArray[np.int64]] = []
 
     @property
@@ -88,6 +90,16 @@ class Drawn:
     @cached_property
     def opaque(self) -> NDArray[np.int64]:
         """The rows of all objects drawn but the transparent ones, in the order of their batches."""
+        lists = self._read_lists() if self._being_read is None else [wait() for wait in self._being_read]
+        conditional = [rows for rows, _, _ in self._conditional]
+        return np.concatenate([np.zeros(0, np.int64), *self._batches, *conditional, *lists])
+
+    def fetch_lists(self) -> None:
+        """Begin to read back the lists that the device has made, if any, so that they are available after others have
+        replaced them. Doesn't wait."""
+        self._being_read = [draws.read_rows_async() for draws, _ in self._lists]
+
+    def _read_lists(self) -> list[NDArray[np.int64]]:
         for draws, generation in self._lists:
             if draws.generation != generation:
                 refuse(
@@ -95,14 +107,7 @@ class Drawn:
                     "FrameResult.visible",
                     f"a list that was replaced {draws.generation - generation} times",
                 )
-        lists = [draws.read_rows() for draws, _ in self._lists]
-        conditional = [rows for rows, _, _ in self._conditional]
-        return np.concatenate([np.zeros(0, np.int64), *self._batches, *conditional, *lists])
-
-    def fetch_lists(self) -> None:
-        """Read back the lists that the device has made, if any, before the next frame or the other eye makes others."""
-        if self._lists:
-            _ = self.opaque
+        return [draws.read_rows() for draws, _ in self._lists]
 
     def draw_again(self, scene_pass: TechniquePass) -> None:
         """Draw the same objects in another pass of the same frame. Rows are one batch, whatever they were before."""

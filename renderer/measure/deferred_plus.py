@@ -13,12 +13,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from statistics import median
-from time import perf_counter, process_time
 from typing import Final
 
 import numpy as np
 
+from renderer.measure.alternate import alternate
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Rows
@@ -115,16 +116,15 @@ def compare_deferred_plus(
             for is_culled, algorithm in ((True, culling[name]), (False, FrustumCulling(scene))):
                 renderer = Renderer(device, scene, technique=make(), visibility=algorithm, size=size)
                 renderers[name, is_culled] = made.enter_context(renderer)
-        for renderer in renderers.values():
-            for _ in range(_SETTLES):
-                renderer.render(cameras[0])
-                device.finish()
-        times = _time_frames(device, renderers, cameras, progress)
+        work = {str(key): partial(_draw, renderer, cameras) for key, renderer in renderers.items()}
+        times = alternate(work, progress(len(cameras)), _SETTLES)
         walk = _walk(device, renderers, culling["deferred+"], cameras, progress)
         in_view = [len(find_visible_rows(scene, camera, size)) for camera in cameras]
-    rows = [
-        StepsRow(*key, *times[key], _find_medians(walk.steps[key]), walk.wrong[key]) for key in renderers
-    ]
+    rows = []
+    for key in renderers:
+        time = times[str(key)]
+        milliseconds, processor = 1e3 * time.median, 1e3 * time.processor_median
+        rows.append(StepsRow(*key, milliseconds, processor, _find_medians(walk.steps[key]), walk.wrong[key]))
     first, second, instances = (float(np.mean(some)) for some in (walk.first, walk.second, in_view))
     steps = _find_medians(walk.culling)
     visible = first + second
@@ -146,26 +146,9 @@ class _WalkFindings:
     second: list[int]
 
 
-def _time_frames(
-    device: Device,
-    renderers: dict[Key, Renderer],
-    cameras: Sequence[Camera],
-    progress: Callable[[int], Iterable[int]],
-) -> dict[Key, tuple[float, float]]:
-    """Return the median time of a frame in milliseconds, by the clock and of the processor."""
-    found: dict[Key, list[tuple[float, float]]] = {key: [] for key in renderers}
-    keys = list(renderers)
-    for number in progress(len(cameras)):
-        start = number % len(keys)
-        for key in keys[start:] + keys[:start]:
-            clock, processor = perf_counter(), process_time()
-            renderers[key].render(cameras[number])
-            device.finish()
-            found[key].append((1e3 * (perf_counter() - clock), 1e3 * (process_time() - processor)))
-    return {
-        key: (median(clock for clock, _ in some), median(processor for _, processor in some))
-        for key, some in found.items()
-    }
+def _draw(renderer: Renderer, cameras: Sequence[Camera], number: int) -> None:
+    renderer.render(cameras[number])
+    renderer.device.finish()
 
 
 def _walk(

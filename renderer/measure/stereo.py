@@ -7,8 +7,7 @@ same frame in the same round, and disturbances of the machine affect all alike.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
-from statistics import median
+from dataclasses import dataclass
 from typing import Final
 
 from renderer import rules
@@ -128,7 +127,6 @@ def _compare(
     for name, time in times.items():
         counts = list(zip(*results[name][_SETTLES:], strict=True))
         draws, maps, uploads = (sum(some) / len(some) for some in counts)
-        processor = replace(time, seconds=time.processor_seconds)
         rows.append(
             StereoRow(
                 stereo=name,
@@ -136,8 +134,8 @@ def _compare(
                 size=made[name].size,
                 milliseconds=round(1e3 * time.median, 3),
                 ratio=round(time.ratio_to(mono), 3),
-                processor_milliseconds=round(1e3 * median(time.processor_seconds), 3),
-                processor_ratio=round(processor.ratio_to(replace(mono, seconds=mono.processor_seconds)), 3),
+                processor_milliseconds=round(1e3 * time.processor_median, 3),
+                processor_ratio=round(time.processor_ratio_to(mono), 3),
                 draws=round(draws, 1),
                 maps_drawn=round(maps, 1),
                 upload_bytes=round(uploads),

@@ -32,6 +32,26 @@ def format_records(records: Sequence[Mapping[str, object]], *, as_json: bool) ->
     return format_table(list(records[0]), [list(record.values()) for record in records])
 
 
+def format_rows(rows: Sequence[Mapping[str, object]], *, markdown: bool = False) -> str:
+    """Format what dataclasses with the same fields hold as a table with a column for each field.
+
+    What is true is "on", what is false "off", and what is None a dash.
+    """
+    cells = [[_as_word(value) for value in row.values()] for row in rows]
+    return format_table([title_of(name) for name in rows[0]], cells, markdown=markdown)
+
+
+def title_of(name: str) -> str:
+    """Return the title of the column of a field: `hardware_state_changes` is "hardware states"."""
+    return name.replace("_", " ").replace("milliseconds", "ms").replace(" changes", "s")
+
+
+def _as_word(value: object) -> object:
+    if isinstance(value, bool):
+        return "on" if value else "off"
+    return "-" if value is None else value
+
+
 def _shown(value: object) -> str:
     if isinstance(value, float):
         return f"{value:,.2f}"

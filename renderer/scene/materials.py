@@ -132,7 +132,7 @@ class TextureMap:
         return np.array([[cosine * x, sine * y, u], [-sine * x, cosine * y, v]], np.float32)
 
 
-_RANGES: Final = {
+RANGES: Final = {
     "base_color": (0.0, 1e4),
     "specular_color": (0.0, 1e4),
     "shininess": (1.0, 1e5),
@@ -146,6 +146,7 @@ _RANGES: Final = {
     "occlusion_strength": (0.0, 1.0),
     "alpha_cutoff": (0.0, 1e4),
 }
+"""The least and the greatest value of each number of a material."""
 
 
 def make_material(
@@ -212,7 +213,7 @@ def make_material(
     }
     material = np.zeros((), MATERIAL)
     for name, value in values.items():
-        low, high = _RANGES[name]
+        low, high = RANGES[name]
         array = np.asarray(value, np.float64)
         if array.shape != MATERIAL[name].shape or not ((array >= low) & (array <= high)).all():
             refuse(rules.BAD_MATERIAL, f"make_material({name}=...)", value, f"{low:g} to {high:g}")
@@ -314,3 +315,10 @@ def check_image(image: NDArray[Any]) -> ImagePixels:
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 4 or not image.size:
         refuse(rules.BAD_IMAGE, "add_image", f"{image.dtype}, shape {image.shape}")
     return np.ascontiguousarray(image)
+
+
+def make_opaque(values: NDArray[np.float64]) -> ImagePixels:
+    """Return values (height, width, 3) from 0 to 1 as the pixels of an image without transparency."""
+    opaque = np.full((*values.shape[:2], 4), 255, np.uint8)
+    opaque[..., :3] = np.clip(np.round(values * 255.0), 0, 255)
+    return opaque

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Final
 
 import numpy as np
@@ -51,6 +52,11 @@ def vertex_format(attributes: Collection[str] = ()) -> np.dtype[Any]:
     unknown = set(attributes) - set(_OPTIONAL)
     if unknown:
         refuse(rules.BAD_MESH, "vertex_format", sorted(unknown), sorted(_OPTIONAL))
+    return _make_format(frozenset(attributes))
+
+
+@cache
+def _make_format(attributes: frozenset[str]) -> np.dtype[Any]:
     return np.dtype([*VERTEX.descr, *((name, *_OPTIONAL[name]) for name in _OPTIONAL if name in attributes)])
 
 

@@ -383,7 +383,9 @@ class SceneBuilder:
         )
         table = np.concatenate(self._objects)
         self._check_simulated(table[:, 1])
-        meshes = Meshes(self._complete_vertices(table), self._mesh_names, self._bounds)
+        materials, textures = np.array(self._materials, MATERIAL), self._textures.make()
+        geometries = self._complete_vertices(table, materials, textures)
+        meshes = Meshes(geometries, self._mesh_names, self._bounds)
         animated = nodes.rows[np.concatenate([np.zeros(0, np.int64), *(ids for ids, _, _ in self._animated)])]
         if len(np.unique(animated)) < len(animated):
             refuse(rules.SHARED_NODE, "animate(nodes=...)", "a node twice")
@@ -414,7 +416,7 @@ class SceneBuilder:
             nodes,
             objects,
             meshes,
-            np.array(self._materials, MATERIAL),
+            materials,
             tuple(self._images),
             self.lights,
             self.views,
@@ -422,15 +424,16 @@ class SceneBuilder:
             self.background,
             self.haze,
             simulated,
-            self._textures.make(),
+            textures,
             tuple(self._textures.samplers),
             omissions=tuple(self.omissions),
         )
 
-    def _complete_vertices(self, table: NDArray[np.int64]) -> list[MeshGeometry]:
-        """Return the meshes with the attributes that the scene's materials read, and no others; `table` (n, 3) has the
-        node, mesh and material of each object."""
-        materials, textures = np.array(self._materials, MATERIAL), self._textures.make()
+    def _complete_vertices(
+        self, table: NDArray[np.int64], materials: NDArray[Any], textures: NDArray[Any]
+    ) -> list[MeshGeometry]:
+        """Return the meshes with the attributes that the scene's materials read, and no others; `table` (n, 4) begins
+        with the node, mesh and material of each object."""
         read = np.unique(np.concatenate([materials[name] for name in TEXTURES]))
         kept = {"color"}
         if textures["uv_set"][read[read >= 0]].any():

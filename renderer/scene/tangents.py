@@ -39,8 +39,9 @@ def add_tangents(geometry: MeshGeometry, uv: str = "uv", *, splits: bool = True)
     places = (vertices[uv] if uv in (vertices.dtype.names or ()) else np.zeros((len(vertices), 2)))[corners]
     along, sign = _triangle_tangents(points, places.astype(np.float64).reshape(-1, 3, 2))
     vertex = _weld(geometry, uv)[corners]
-    sign = _orient_flat(vertex, sign)
-    group = _find_groups(vertex, sign) if splits else corners
+    links = _find_links(vertex)
+    sign = _orient_flat(links, sign)
+    group = _find_groups(links, sign) if splits else corners
     normals = vertices["normal"].astype(np.float64)[corners]
     tangents = _sum_tangents(points, along, normals, group)
     tangents = _fill_missing(tangents, normals, vertex if splits else corners)
@@ -97,9 +98,9 @@ def _find_links(vertex: Rows) -> tuple[Rows, Rows]:
     return np.concatenate([one, following[one]]), np.concatenate([following[other], other])
 
 
-def _orient_flat(vertex: Rows, sign: NDArray[np.int64]) -> NDArray[np.int64]:
+def _orient_flat(links: tuple[Rows, Rows], sign: NDArray[np.int64]) -> NDArray[np.int64]:
     """Give triangles without a tangent the sign of a neighbour, or 1."""
-    one, other = (side // 3 for side in _find_links(vertex))
+    one, other = (side // 3 for side in links)
     sign = sign.copy()
     while True:
         before = sign.copy()
@@ -110,12 +111,12 @@ def _orient_flat(vertex: Rows, sign: NDArray[np.int64]) -> NDArray[np.int64]:
             return np.where(sign == 0, 1, sign)
 
 
-def _find_groups(vertex: Rows, sign: NDArray[np.int64]) -> Rows:
+def _find_groups(links: tuple[Rows, Rows], sign: NDArray[np.int64]) -> Rows:
     """Return the group of each corner: the lowest corner that edges between triangles of its orientation lead to."""
-    one, other = _find_links(vertex)
+    one, other = links
     alike = sign[one // 3] == sign[other // 3]
     one, other = one[alike], other[alike]
-    group = np.arange(len(vertex))
+    group = np.arange(3 * len(sign))
     while True:
         lowest = np.minimum(group[one], group[other])
         before = group.copy()

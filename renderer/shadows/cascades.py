@@ -118,18 +118,18 @@ def fit_cascades(
     centres, radii = (np.stack(some) for some in zip(*spheres, strict=True))
     middle = centres.mean(0)
     radius = (np.linalg.norm(centres - middle, axis=2) + radii).max(0)
+    axes = Camera.look_at((0, 0, 0), direction).rotation
     return [
-        _place(centre, direction, float(one), settings.cascade_size, top)
+        _place(centre, axes, float(one), settings.cascade_size, top)
         for centre, one in zip(middle, radius, strict=True)
     ]
 
 
-def _place(centre: Floats, direction: Floats, radius: float, size: int, top: float) -> Cascade:
+def _place(centre: Floats, axes: Floats, radius: float, size: int, top: float) -> Cascade:
     step = 2.0 ** np.floor(np.log2(radius)) / _STEPS
     radius = float(np.ceil(radius / step * (1.0 + 1e-9)) * step)
     border = min(_BORDER, (size - 1) // 4)
     texel = 2.0 * radius / (size - 2 * border)
-    axes = Camera.look_at((0, 0, 0), direction).rotation
     place = axes @ centre
     place[:2] = np.floor(place[:2] / texel) * texel
     bottom = np.floor((place[2] - radius) / radius) * radius

@@ -50,7 +50,7 @@ class SceneCasters:
         self.moving: Rows = np.flatnonzero(casts & may_move)
         self._scene = scene
         self._lamps: dict[str, tuple[bytes, list[Rows]]] = {}
-        self._turned: dict[bytes, tuple[Floats, Floats]] = {}  # boxes of what can't move, by the light's axes
+        self._turned: dict[int, tuple[bytes, tuple[Floats, Floats]]] = {}  # boxes of what can't move, by the light
 
     def find_in_reach(self, kind: str, lights: NDArray[Any]) -> tuple[list[Rows], list[Rows]]:
         """Return, for each of the lights of one kind, the rows of the casters in its range: those that can't move, and
@@ -65,12 +65,13 @@ class SceneCasters:
         lower, upper = self._scene.objects.lower[rows], self._scene.objects.upper[rows]
         return [rows[some] for some in pair_by_light(*list_lights(lower, upper, positions, ranges), len(positions))]
 
-    def turn(self, axes: Floats) -> LightBoxes:
-        """Return the boxes of all casters along the axes of a light."""
+    def turn(self, row: int, axes: Floats) -> LightBoxes:
+        """Return the boxes of all casters along the axes of the directional light `row`. Those of what can't move are
+        found again only if the light has changed."""
         key = axes.tobytes()
-        if key not in self._turned:
-            self._turned = {key: turn_boxes(self._scene, self.still, axes)}
-        return LightBoxes(self, self._turned[key], turn_boxes(self._scene, self.moving, axes))
+        if row not in self._turned or self._turned[row][0] != key:
+            self._turned[row] = key, turn_boxes(self._scene, self.still, axes)
+        return LightBoxes(self, self._turned[row][1], turn_boxes(self._scene, self.moving, axes))
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -276,7 +276,9 @@ class ShadowMaps:
         self._write_lamps(scene)
 
     def aim(self, camera: Camera) -> None:
-        """Give shaders the places of all maps relative to the eye of `camera`."""
+        """Give shaders the places of the maps of directional lights relative to the eye of `camera`."""
+        if not self._suns:
+            return  # no shader reads them
         maps = []
         for number, (row, cascade, key) in enumerate(self._suns):
             x, y, size = self._maps[key].tile if key is not None else _NO_TILE
@@ -312,7 +314,7 @@ class ShadowMaps:
         for row in rows:
             direction = scene.lights.directional["direction"][row].astype(np.float64)
             axes = Camera.look_at((0, 0, 0), direction).rotation
-            boxes = self._casters.turn(axes)
+            boxes = self._casters.turn(row, axes)
             receivers = turn_boxes(scene, visible, axes)
             for part, cascade in enumerate(fit_cascades(cameras, direction, settings, boxes.top, depth)):
                 key, found = (_SUN, row, part), boxes.find(cascade, receivers)

@@ -55,6 +55,11 @@ class DeviceList(Protocol):
         """Return the rows of the listed objects. Waits for the device."""
         ...
 
+    def read_rows_async(self) -> Callable[[], Rows]:
+        """Begin to read the rows of the listed objects, and return a function that returns them. That waits for the
+        device."""
+        ...
+
 
 class ScenePass(Protocol):
     """The render pass in which a technique draws the scene.

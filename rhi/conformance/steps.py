@@ -66,7 +66,8 @@ STEPS: Final = (
     Step(
         "texture reads",
         ("bind_texture",),
-        ("operation · textured draws", "operation · sampling", "operation · fragments"),
+        ("operation · textured draws", "operation · sampling", "operation · compressed textures",
+         "operation · fragments"),
     ),
     Step(
         "occlusion queries",

@@ -1,4 +1,4 @@
-"""Animations of a glTF file as tracks, and the bounds of what they move.
+"""Animations of a glTF file as tracks, and the motion of the nodes that they move.
 
 All animations of a file are played together, each from its beginning when it has ended, as long as no other one before
 it moves the same part of the same node: many exporters write an animation for each object. Others are left out.
@@ -26,7 +26,6 @@ from renderer.content.gltf.tracks import (
 )
 from renderer.scene.arrays import Floats, Rows
 from renderer.scene.omissions import Omissions
-from renderer.scene.transforms import transform_bounds
 
 __rhi_internal__ = True
 
@@ -35,22 +34,20 @@ KINDS: Final = {"LINEAR": LINEAR, "STEP": STEP, "CUBICSPLINE": CUBIC}
 
 _LARGEST: Final = 1e30  # of a key: products of a few don't overflow
 
-_Box = tuple[Floats, Floats]
-
 
 def read_tracks(root: JsonObject, accessors: Accessors, omissions: Omissions) -> dict[tuple[int, int], Track]:
     """Return the tracks of all animations that can be played together, by the node's number and the target."""
     tracks: dict[tuple[int, int], Track] = {}
-    count = len(root.children("nodes"))
+    count = root.length("nodes")
     for animation in root.children("animations"):
         played = set(tracks)
         samplers = animation.children("samplers")
         channels = animation.children("channels")
         used = [channel.index("sampler", len(samplers), needed=True) for channel in channels]
-        ends = [
-            accessors.times(samplers[n].index("input", len(accessors), needed=True))[-1] for n in set(used)
-        ]
-        period = float(max(ends, default=0.0))
+        times = {
+            n: accessors.times(samplers[n].index("input", len(accessors), needed=True)) for n in set(used)
+        }
+        period = float(max((held[-1] for held in times.values()), default=0.0))
         for channel, number in zip(channels, used, strict=True):
             target = channel.child("target")
             if "node" not in target:
@@ -67,7 +64,7 @@ def read_tracks(root: JsonObject, accessors: Accessors, omissions: Omissions) ->
             elif key in tracks:
                 channel.refuse("target", f"{path} of nodes[{node}] again", "each once in an animation")
             else:
-                tracks[key] = _read_track(samplers[number], accessors, TARGETS[path], period)
+                tracks[key] = _read_track(samplers[number], accessors, TARGETS[path], times[number], period)
     return tracks
 
 
@@ -95,46 +92,10 @@ def make_motion(
     return np.array(rows), NodeMotion(listed, owners, (rest[0], rest[1], rest[2]))
 
 
-def find_bounds(
-    nodes: list[GltfNode], rows: Rows, motion: NodeMotion, contents: list[tuple[int, _Box]]
-) -> _Box:
-    """Return the boxes (k, 3) that hold at all times what is at the animated nodes `rows` (k,), down to the next.
-
-    They are in the space of the first node above that isn't animated. `contents` are boxes, each at a node.
-    """
-    member = np.full(len(nodes), -1)
-    member[rows] = np.arange(len(rows))
-    is_below = np.zeros(len(nodes), bool)  # at or below an animated node
-    for row, node in enumerate(nodes):  # parents come first
-        is_below[row] = member[row] >= 0 or (node.parent >= 0 and is_below[node.parent])
-    held: dict[int, list[_Box]] = {}
-    for row, box in contents:
-        if is_below[row]:
-            at, box = _raise(nodes, member, row, box)
-            held.setdefault(at, []).append(box)
-    lower, upper = np.zeros((len(rows), 3)), np.zeros((len(rows), 3))
-    for row, boxes in held.items():
-        box = (np.min([low for low, _ in boxes], axis=0), np.max([high for _, high in boxes], axis=0))
-        at = row
-        while at >= 0 and is_below[at]:
-            at, box = _raise(nodes, member, at, box)
-            box = motion.reach(int(member[at]), *box)
-            at = nodes[at].parent
-        lower[member[row]], upper[member[row]] = box
-    return lower, upper
-
-
-def _raise(nodes: list[GltfNode], member: Rows, row: int, box: _Box) -> tuple[int, _Box]:
-    """Return the nearest animated node at or above `row`, and the box in its space."""
-    while member[row] < 0:
-        low, high = transform_bounds(nodes[row].local[None], box[0][None], box[1][None])
-        row, box = nodes[row].parent, (low[0], high[0])
-    return row, box
-
-
-def _read_track(sampler: JsonObject, accessors: Accessors, target: int, period: float) -> Track:
+def _read_track(
+    sampler: JsonObject, accessors: Accessors, target: int, times: Floats, period: float
+) -> Track:
     kind = KINDS[sampler.choice("interpolation", KINDS, "LINEAR")]
-    times = accessors.times(sampler.index("input", len(accessors), needed=True))
     number = sampler.index("output", len(accessors), needed=True)
     types = {ROTATION: "VEC4", WEIGHTS: "SCALAR"}.get(target, "VEC3")
     values = accessors.floats(number, types).astype(np.float64)

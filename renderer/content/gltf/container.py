@@ -32,9 +32,9 @@ EXTENSIONS: Final = (
 )
 """The extensions that are read."""
 
-_MAGIC: Final = b"glTF"
-_JSON_CHUNK: Final = 0x4E4F534A
-_BINARY_CHUNK: Final = 0x004E4942
+MAGIC: Final = b"glTF"
+JSON_CHUNK: Final = 0x4E4F534A
+BINARY_CHUNK: Final = 0x004E4942
 
 ByteArray = NDArray[np.uint8]
 
@@ -53,7 +53,7 @@ class GltfFile:
         self._buffers: dict[int, ByteArray] = {}
         self._binary: ByteArray | None = None
         content = _read_bytes(path)
-        text = content.tobytes() if content[:4].tobytes() != _MAGIC else self._split(content)
+        text = content.tobytes() if content[:4].tobytes() != MAGIC else self._split(content)
         try:
             parsed = json.loads(text.decode("utf-8-sig"))
         except (UnicodeDecodeError, json.JSONDecodeError, RecursionError, ValueError) as error:
@@ -139,9 +139,9 @@ class GltfFile:
                 _refuse(self.path, f"a chunk of {length:,} bytes at byte {at:,} of {len(content):,}")
             chunks.append((kind, content[at + 8 : at + 8 + length]))
             at += 8 + length + -length % 4
-        if not chunks or chunks[0][0] != _JSON_CHUNK:
+        if not chunks or chunks[0][0] != JSON_CHUNK:
             _refuse(self.path, "its first chunk isn't JSON")
-        self._binary = next((data for kind, data in chunks[1:2] if kind == _BINARY_CHUNK), None)
+        self._binary = next((data for kind, data in chunks[1:2] if kind == BINARY_CHUNK), None)
         return chunks[0][1].tobytes()
 
     def _check_version(self) -> None:

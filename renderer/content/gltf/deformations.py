@@ -42,11 +42,13 @@ class NodeTree:
     Attributes:
         nodes: all nodes, parents first.
         member: for each node its number in the motion, or -1.
+        moves: whether each node is animated, or below one that is.
         motion: the motion of the animated nodes, or None.
     """
 
     nodes: list[GltfNode]
     member: Rows
+    moves: NDArray[np.bool_]
     motion: NodeMotion | None
 
     @classmethod
@@ -55,7 +57,10 @@ class NodeTree:
         member = np.full(len(nodes), -1)
         if animated is not None:
             member[animated[0]] = np.arange(len(animated[0]))
-        return cls(nodes, member, None if animated is None else animated[1])
+        moves = member >= 0
+        for row, node in enumerate(nodes):  # parents come first
+            moves[row] |= node.parent >= 0 and moves[node.parent]
+        return cls(nodes, member, moves, None if animated is None else animated[1])
 
     def chain(self, row: int) -> list[int]:
         """Return a node and all above it, from the root downwards."""
@@ -85,6 +90,28 @@ class NodeTree:
                 box = (low[0], high[0])
             row = self.nodes[row].parent
         return box
+
+    def find_bounds(self, contents: Sequence[tuple[int, MeshBounds]]) -> MeshBounds:
+        """Return the boxes (k, 3) that hold at all times what is at the animated nodes, down to the next ones.
+
+        They are in the space of the first node above that isn't animated. `contents` are boxes, each at a node.
+        """
+        held: dict[int, list[MeshBounds]] = {}
+        for row, box in contents:
+            if self.moves[row]:
+                nearest = row
+                while self.member[nearest] < 0:
+                    nearest = self.nodes[nearest].parent
+                held.setdefault(nearest, []).append(self.sweep(row, nearest, box))
+        count = int(self.member.max()) + 1
+        lower, upper = np.zeros((count, 3)), np.zeros((count, 3))
+        for row, boxes in held.items():
+            above = row
+            while above >= 0 and self.moves[above]:
+                above = self.nodes[above].parent
+            union = (np.min([low for low, _ in boxes], axis=0), np.max([high for _, high in boxes], axis=0))
+            lower[self.member[row]], upper[self.member[row]] = self.sweep(row, above, union)
+        return lower, upper
 
 
 class Skeleton:
@@ -132,7 +159,7 @@ class DeformedMesh:
     Attributes:
         geometry: the mesh as it stands in the file.
         offsets: (t, v, 3) of positions and of normals; `weights` (t,) if no track changes them.
-        track: that of the weights, or None.
+        track: that of the weights, or None. keys: its keys, to be evaluated.
         joints, shares: (v, 4), the joints of each vertex and their weights, which add up to 1; None without a skin.
     """
 
@@ -141,6 +168,7 @@ class DeformedMesh:
     turns: NDArray[np.float32]
     weights: Floats
     track: Track | None
+    keys: Keys | None
     skeleton: Skeleton | None
     joints: Rows | None
     shares: Floats | None
@@ -156,9 +184,7 @@ class DeformedMesh:
         for name in VERTEX.names or ():
             made[name] = self.geometry.vertices[name]
         if len(self.weights):
-            weights = self.weights
-            if self.track is not None:
-                weights = Keys([self.track], len(weights)).at(_FIRST, seconds)[0]
+            weights = self.weights if self.keys is None else self.keys.at(_FIRST, seconds)[0]
             made["position"] += np.tensordot(weights, self.offsets, 1)
             made["normal"] += np.tensordot(weights, self.turns, 1)
         if self.skeleton is not None and self.joints is not None and self.shares is not None:
@@ -219,7 +245,7 @@ class Deformations:
 def read_skins(root: JsonObject, accessors: Accessors, tree: NodeTree) -> list[Skeleton | None]:
     """Return the skeletons of the file's skins; None for one whose joints aren't in the scene."""
     row_of = {node.number: row for row, node in enumerate(tree.nodes)}
-    count = len(root.children("nodes"))
+    count = root.length("nodes")
     found: list[Skeleton | None] = []
     for skin in root.children("skins"):
         joints = skin.indices("joints", count)
@@ -269,8 +295,9 @@ def read_deformed(
                     target.refuse(name, f"{len(held)} offsets", "a finite one for each vertex")
                 changed[number] = held[mesh.rows]
     given = weights if len(weights) else np.zeros(len(targets))
+    keys = None if track is None else Keys([track], len(given))
     joints, shares = (None, None) if skeleton is None else _read_joints(primitive, mesh, accessors, skeleton)
-    return DeformedMesh(mesh.geometry, offsets, turns, given, track, skeleton, joints, shares)
+    return DeformedMesh(mesh.geometry, offsets, turns, given, track, keys, skeleton, joints, shares)
 
 
 def _read_joints(

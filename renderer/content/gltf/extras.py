@@ -27,13 +27,8 @@ __rhi_internal__ = True
 
 KEY: Final = "rhi"
 PLACED: Final = "placed"
-SPECULAR: Final = {
-    "specular_color": (0.0, 1e4),
-    "shininess": (1.0, 1e5),
-    "rim_strength": (0.0, 1e4),
-    "rim_power": (0.1, 100.0),
-}
-"""The parameters of the specular model, and their ranges."""
+SPECULAR: Final = ("specular_color", "shininess", "rim_strength", "rim_power")
+"""The parameters of the specular model."""
 
 _Color = tuple[float, float, float]
 

@@ -15,7 +15,7 @@ from renderer.content.assets import decode_images
 from renderer.content.gltf.container import GltfFile
 from renderer.content.gltf.document import JsonObject
 from renderer.content.gltf.extras import SPECULAR, private
-from renderer.scene.materials import AlphaMode, TextureMap
+from renderer.scene.materials import RANGES, AlphaMode, TextureMap
 from renderer.scene.omissions import Omissions
 from renderer.scene.scene import SceneBuilder
 from rhi import Filter, SamplerDescriptor, Wrap
@@ -179,8 +179,9 @@ def _restore(
             del restored[name]
         maps.pop("metallic_roughness_texture", None)
         restored["specular_color"] = tuple(_colors(held, "specular_color", 3).tolist())
-        for name, (low, high) in SPECULAR.items():
+        for name in SPECULAR:
             if name != "specular_color":
+                low, high = RANGES[name]
                 restored[name] = held.real(name, low=low, high=high)
     return restored
 

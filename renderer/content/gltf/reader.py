@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from renderer.content.assets import share_geometry
 from renderer.content.gltf.accessors import Accessors
-from renderer.content.gltf.animations import find_bounds, make_motion, read_tracks
+from renderer.content.gltf.animations import make_motion, read_tracks
 from renderer.content.gltf.container import EXTENSIONS, GltfFile
 from renderer.content.gltf.deformations import (
     Deformations,
@@ -38,8 +38,8 @@ from renderer.content.gltf.nodes import (
     read_camera,
 )
 from renderer.content.gltf.primitives import Primitives
-from renderer.content.gltf.tracks import WEIGHTS, NodeMotion, Track
-from renderer.scene.arrays import Floats, Rows
+from renderer.content.gltf.tracks import WEIGHTS, Track
+from renderer.scene.arrays import Floats
 from renderer.scene.meshes import MeshGeometry
 from renderer.scene.scene import SceneBuilder
 
@@ -66,8 +66,9 @@ def add_gltf(builder: SceneBuilder, path: str) -> Surroundings | None:
 
 @dataclass(frozen=True, slots=True)
 class _GltfPart:
-    """A primitive of a mesh of the file, its mesh in the scene, and its material or -1."""
+    """A primitive of a mesh `holder` of the file, its mesh in the scene, and its material or -1."""
 
+    holder: JsonObject
     primitive: JsonObject
     mesh: int
     material: int
@@ -96,15 +97,10 @@ class _GltfReader:
         nodes = list_nodes(self._root, self._omissions)
         tracks = read_tracks(self._root, self._accessors, self._omissions)
         worlds = find_worlds(nodes)
-        animated = make_motion(nodes, tracks, self._omissions)
-        self._add_nodes(nodes, animated, tracks)
-        moving = np.zeros(len(nodes), bool)
-        if animated is not None:
-            moving[animated[0]] = True
-        for row, node in enumerate(nodes):  # parents come first
-            moving[row] |= node.parent >= 0 and moving[node.parent]
-        self._add_cameras(nodes, worlds, moving)
-        self._add_lights(nodes, worlds, moving)
+        tree = NodeTree.make(nodes, make_motion(nodes, tracks, self._omissions))
+        self._add_nodes(tree, tracks)
+        self._add_cameras(nodes, worlds, tree.moves)
+        self._add_lights(nodes, worlds, tree.moves)
 
     def _add_meshes(self) -> None:
         """Add the materials and the meshes of the file, a mesh for each set of accessors."""
@@ -135,37 +131,31 @@ class _GltfReader:
                 geometry = shape.geometry
             added.add(id(geometry))
             made[key] = self._builder.add_mesh(geometry, name)
-        for primitives in parts:
+        for mesh, primitives in zip(meshes, parts, strict=True):
             found = []
             for primitive in primitives:
                 material = primitive.index("material", len(ids))
                 if (mesh_id := made.get(reader.key(primitive), -1)) >= 0:
-                    found.append(_GltfPart(primitive, mesh_id, ids[material] if material >= 0 else -1))
+                    found.append(_GltfPart(mesh, primitive, mesh_id, ids[material] if material >= 0 else -1))
             self._meshes.append(found)
 
-    def _add_nodes(
-        self,
-        nodes: list[GltfNode],
-        animated: tuple[Rows, NodeMotion] | None,
-        tracks: dict[tuple[int, int], Track],
-    ) -> None:
+    def _add_nodes(self, tree: NodeTree, tracks: dict[tuple[int, int], Track]) -> None:
         """Add nodes, objects and their animations."""
-        tree = NodeTree.make(nodes, animated)
         skeletons = read_skins(self._root, self._accessors, tree)
         deformed: list[tuple[int, DeformedMesh]] = []  # objects, and how they change
-        moving = set() if animated is None else set(animated[0].tolist())
-        dynamic = frozenset(self._private.indices("dynamic", len(self._root.children("nodes"))))
+        dynamic = frozenset(self._private.indices("dynamic", self._root.length("nodes")))
         ids: list[int] = []
         objects: list[tuple[int, int, int]] = []
         bounds: dict[int, tuple[Floats, Floats]] = {}
         contents: list[tuple[int, tuple[Floats, Floats]]] = []
-        for row, node in enumerate(nodes):
-            if row not in moving and is_placed(node.fields):
+        for row, node in enumerate(tree.nodes):
+            is_animated = bool(tree.member[row] >= 0)
+            if not is_animated and is_placed(node.fields):
                 ids.append(-1)
                 continue
             above = -1 if node.parent < 0 else ids[node.parent]
             name = node.fields.text("name", "")
-            is_dynamic = row in moving or node.number in dynamic
+            is_dynamic = is_animated or node.number in dynamic
             ids.append(self._builder.add_node(node.local, above, dynamic=is_dynamic, name=name))
             mesh = node.fields.index("mesh", len(self._meshes))
             for part in self._meshes[mesh] if mesh >= 0 else ():
@@ -178,9 +168,9 @@ class _GltfReader:
                         deformed.append((len(objects), change))
                 material = part.material if part.material >= 0 else self._materials.default()
                 objects.append((at, geometry, material))
-                if animated is not None and geometry not in bounds:
+                if tree.motion is not None and geometry not in bounds:
                     bounds[geometry] = self._builder.mesh_bounds(geometry)
-                if animated is not None and at >= 0:
+                if tree.motion is not None and at >= 0:
                     contents.append((at, bounds[geometry]))
         if any(at < 0 for at, _, _ in objects):
             ids.append(self._builder.add_node(name="skins"))  # for skins without a node above all joints
@@ -189,9 +179,9 @@ class _GltfReader:
         if deformed:
             changes = Deformations([change for _, change in deformed])
             self._builder.simulate([before + number for number, _ in deformed], changes)
-        if animated is not None:
-            rows, motion = animated
-            self._builder.animate(np.array(ids)[rows], motion, find_bounds(nodes, rows, motion, contents))
+        if tree.motion is not None:
+            rows = np.flatnonzero(tree.member >= 0)
+            self._builder.animate(np.array(ids)[rows], tree.motion, tree.find_bounds(contents))
 
     def _read_deformed(
         self,
@@ -209,9 +199,7 @@ class _GltfReader:
         count = part.primitive.length("targets")
         if not count and skeleton is None:
             return None
-        meshes = self._root.children("meshes")
-        mesh = meshes[node.fields.index("mesh", len(meshes))]
-        held = node.fields if "weights" in node.fields else mesh
+        held = node.fields if "weights" in node.fields else part.holder
         weights = held.reals("weights", count) if "weights" in held else np.zeros(count)
         track = tracks.get((node.number, WEIGHTS)) if count else None
         shape = self._primitives.read(part.primitive)

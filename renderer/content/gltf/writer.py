@@ -19,6 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer import rules
+from renderer.content.gltf.animations import KINDS
+from renderer.content.gltf.container import BINARY_CHUNK, JSON_CHUNK, MAGIC
 from renderer.content.gltf.extras import KEY, PLACED, SPECULAR, write_surroundings
 from renderer.content.gltf.materials import ALPHA_MODES, MAGNIFY, MINIFY, WRAPS
 from renderer.content.gltf.nodes import CANDELA
@@ -38,7 +40,7 @@ FORMATS: Final = (".glb", ".gltf")
 """The extensions of the files that can be written."""
 
 _PATHS: Final = ("translation", "rotation", "scale")
-_KINDS: Final = ("STEP", "LINEAR", "CUBICSPLINE")
+_KINDS: Final = {kind: name for name, kind in KINDS.items()}
 _MODES: Final = {mode: name for name, mode in ALPHA_MODES.items()}
 _VERTICES, _INDICES = 34962, 34963  # targets of buffer views
 _MAGNIFY: Final = {value: code for code, value in MAGNIFY.items()}
@@ -115,9 +117,9 @@ class _GltfWriter:
         text += b" " * (-len(text) % 4)
         total = 28 + len(text) + len(data)
         with file.open("wb") as out:
-            out.write(struct.pack("<4sII", b"glTF", 2, total))
-            out.write(struct.pack("<II", len(text), 0x4E4F534A) + text)
-            out.write(struct.pack("<II", len(data), 0x004E4942) + data)
+            out.write(struct.pack("<4sII", MAGIC, 2, total))
+            out.write(struct.pack("<II", len(text), JSON_CHUNK) + text)
+            out.write(struct.pack("<II", len(data), BINARY_CHUNK) + data)
 
     def _add(self, name: str, values: dict[str, Any]) -> int:
         held = self._lists.setdefault(name, [])

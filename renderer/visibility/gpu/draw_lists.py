@@ -13,7 +13,8 @@ those marked HIDDEN. The CPU sees neither: it draws both indirectly.
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Callable
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -217,12 +218,31 @@ class IndirectDrawList:
 
     def read_rows(self) -> NDArray[np.int64]:
         """Return the rows of the listed objects, in the order of their draws. Waits for the device."""
-        plain, mirrored = (int(self.totals.read()[0][name]) for name in ("plain", "mirrored"))
-        count = self._occludees.count
-        parts = (self.draws.read(0, plain), self.draws.read(count, mirrored))
-        return np.concatenate([part["base_instance"].astype(np.int64) for part in parts])
+        plain, mirrored = _count_windings(self.totals.read())
+        return _find_rows(self.draws.read(0, plain), self.draws.read(self._occludees.count, mirrored))
+
+    def read_rows_async(self) -> Callable[[], NDArray[np.int64]]:
+        """Begin to read what `read_rows` returns, and return a function that returns it. That waits for the device."""
+        totals, draws, count = self.totals.read_async(), self.draws.read_async(), self._occludees.count
+
+        def wait() -> NDArray[np.int64]:
+            plain, mirrored = _count_windings(totals.result())
+            rows = draws.result()
+            return _find_rows(rows[:plain], rows[count : count + mirrored])
+
+        return wait
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
         for resource in (self.draws, self.totals, self.hidden, self.box_draw, self._keys, self._counts):
             resource.destroy()
+
+
+def _count_windings(totals: NDArray[Any]) -> tuple[int, int]:
+    """Return the numbers of listed objects that aren't mirrored and that are."""
+    return int(totals[0]["plain"]), int(totals[0]["mirrored"])
+
+
+def _find_rows(*parts: NDArray[Any]) -> NDArray[np.int64]:
+    """Return the rows of the objects that parts of a list draw."""
+    return np.concatenate([part["base_instance"].astype(np.int64) for part in parts])

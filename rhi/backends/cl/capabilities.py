@@ -13,7 +13,7 @@ __rhi_internal__ = True
 _MAX_UNIFORM_BYTES: Final = 65536
 _MAX_POINT_SIZE: Final = 1024.0  # MAX_POINT_SIZE in kernels/polygon.cl
 _MAX_LINE_WIDTH: Final = 256.0
-_MAX_STORAGE_SLOTS: Final = 16  # kernels find buffers by address, so any number would do
+MAX_STORAGE_SLOTS: Final = 16  # kernels find buffers by address, so any number would do
 _MAX_TEXTURE_SIZE: Final = 8192  # the largest window position that kernels represent, see kernels/common.cl
 
 
@@ -34,7 +34,7 @@ def query_capabilities(context: ClContext, draws: bool) -> Capabilities:
         max_shared_bytes=int(device.local_mem_size),
         uniform_alignment=grain,
         storage_alignment=grain,
-        max_storage_slots=_MAX_STORAGE_SLOTS,
+        max_storage_slots=MAX_STORAGE_SLOTS,
         max_texture_size=_MAX_TEXTURE_SIZE,
         draws=draws,
         texture_buffer_copies=True,

@@ -37,9 +37,10 @@ def query_capabilities(gl: EntryPoints, version: int, extensions: Container[str]
     samples = _query_samples(gl, [f for f in Format if f not in unrenderable]) & {*range(most_samples + 1)}
     groups = [gl.get_integer(enums.MAX_COMPUTE_WORK_GROUP_SIZE, axis) for axis in range(3)]
     dispatches = [gl.get_integer(enums.MAX_COMPUTE_WORK_GROUP_COUNT, axis) for axis in range(3)]
+    device = gl.GetString(enums.RENDERER).decode()
     return Capabilities(
         backend="gl",
-        device=gl.GetString(enums.RENDERER).decode(),
+        device=device,
         driver="OpenGL " + gl.GetString(enums.VERSION).decode(),
         max_texture_size=gl.get_integer(enums.MAX_TEXTURE_SIZE),
         max_texture_layers=smallest(enums.MAX_ARRAY_TEXTURE_LAYERS, enums.MAX_3D_TEXTURE_SIZE),
@@ -82,7 +83,7 @@ def query_capabilities(gl: EntryPoints, version: int, extensions: Container[str]
         alpha_test=True,
         depth_bias_clamp=has("GL_ARB_polygon_offset_clamp"),
         precise_triangles=False,  # GL promises neither; docs/backends-gl.md has llvmpipe's worst cases
-        precise_clipping=False,  # GL promises it, and llvmpipe keeps it, but NVIDIA's driver doesn't
+        precise_clipping="llvmpipe" in device,  # GL promises it, but NVIDIA's driver doesn't keep it
         unsupported_formats=unsupported,
         unrenderable_formats=unrenderable,
     )  # fmt: skip

@@ -313,15 +313,6 @@ class Writer:
         match node:
             case tree.Declare(local=local, value=value):
                 self.declare(local, value, place)
-            case tree.Assign(target=tree.Index(base=tree.Index(base=matrix, index=row), index=column), value=value) if (
-                isinstance(matrix.type, MatrixType) and _is_bound(matrix) and not isinstance(column, tree.Constant)
-            ):
-                # NVIDIA's compiler refuses to store through an unknown column of a matrix in memory.
-                stored = self.expression(value)
-                with self.lines.braces(f"switch ({self.expression(column)})", self.file, place.line):
-                    for i in range(matrix.type.size):
-                        element = f"{self.expression(matrix)}[{i}][{self.expression(row)}]"
-                        self.line(f"case {i}: {element} = {stored}; break;", place)
             case tree.Assign(target=target, value=value):
                 text = self.expression(value)
                 if tree.has_effect(value) and tree.has_effect(target):
@@ -329,7 +320,7 @@ class Writer:
                     name = self.names.get((node, "value"), "value")
                     self.line(f"{self.type(value.type)} {name} = {text};", place)
                     text = name
-                self.line(f"{self.expression(target)} = {text};", place)
+                self.store(target, text, place)
             case tree.Evaluate(value=value):
                 self.line(f"{self.expression(value)};", place)
             case tree.If():
@@ -352,6 +343,20 @@ class Writer:
                     self.line("break;", place)
             case tree.Return(value=value):
                 self.line(f"return {self.expression(value)};" if value is not None else "return;", place)
+
+    def store(self, target: Expression, value: str, place: SourceSpan) -> None:
+        """Write the assignment of a value."""
+        match target:
+            case tree.Index(base=tree.Index(base=matrix, index=row), index=column) if (
+                isinstance(matrix.type, MatrixType) and _is_bound(matrix) and not isinstance(column, tree.Constant)
+            ):
+                # NVIDIA's compiler refuses to store through an unknown column of a matrix in memory.
+                with self.lines.braces(f"switch ({self.expression(column)})", self.file, place.line):
+                    for i in range(matrix.type.size):
+                        element = f"{self.expression(matrix)}[{i}][{self.expression(row)}]"
+                        self.line(f"case {i}: {element} = {value}; break;", place)
+            case _:
+                self.line(f"{self.expression(target)} = {value};", place)
 
     def declare(self, local: tree.Local, value: Expression | None, place: SourceSpan) -> None:
         """Write the declaration of a local variable."""

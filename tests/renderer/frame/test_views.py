@@ -22,42 +22,22 @@ from renderer.frame import (
 )
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene
-from renderer.shaders import Object, ObjectPosition, Vertex, ViewConstants, relative_position
+from renderer.shaders import ViewConstants
+from renderer.shaders.depth import DepthOnly
 from renderer.techniques import Forward
 from renderer.techniques.forward import bind_forward
 from renderer.visibility import FrustumCulling, list_algorithms, make_visibility
 from rhi import DepthFunction, DepthWrite, Format
 from rhi.backends.null import NullBackend
-from rhi.shading import Shader, Storage, Struct, Uniform, instance_index, vec4
 
 SIZE: Final = (96, 54)
 FRAMES: Final = (600, 601, 602)
 
 
-class DepthVarying(Struct):
-    clip: vec4
-
-
-class PlainDepth(Shader):
-    """Draws depth alone, at the positions of the forward shader."""
-
-    view: Uniform[ViewConstants]
-    objects: Storage[Object]
-    places: Storage[ObjectPosition]
-
-    def vertex(self, v: Vertex) -> DepthVarying:
-        row = instance_index()
-        position = self.objects[row].linear @ v.position + relative_position(self.places[row], self.view)
-        return DepthVarying(clip=self.view.relative_view_projection @ vec4(position, 1.0))
-
-    def fragment(self) -> None:
-        pass
-
-
 def draw_depth(frame: Frame, view: View, depth: rhi.Texture) -> None:
     arrays = frame.resources.list_arrays(view.buffer)
     bindings: dict[str, Any] = {"view": arrays.view, "objects": arrays.objects, "places": arrays.places}
-    program: Any = frame.device.program(PlainDepth)
+    program: Any = frame.device.program(DepthOnly)
     scene_pass = TechniquePass(
         frame.device, frame.resources, view, program, bindings, color=None, depth=depth
     )

@@ -4,6 +4,8 @@ buffer. All other effects are there, and the scene with all of them shows that t
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,20 +63,28 @@ def make(effects: set[Effect]) -> Scene:
     return builder.build()
 
 
-def find_traces(scene: Scene, name: str, trace: Trace) -> set[str]:
-    """Return which kinds of traces a frame of this technique has."""
-    found = set()
+@contextmanager
+def open_renderer(scene: Scene, name: str) -> Iterator[Renderer]:
+    """A renderer that draws with this technique on a null device."""
     with (
         rhi.create_device("null") as device,
         Renderer(
             device, scene, technique=TECHNIQUES[name](), visibility=NoCulling(scene), size=SIZE
         ) as renderer,
     ):
+        yield renderer
+
+
+def find_traces(scene: Scene, name: str, trace: Trace) -> set[str]:
+    """Return which kinds of traces a frame of this technique has."""
+    found = set()
+    with open_renderer(scene, name) as renderer:
         renderer.render(EYE)
-        for command in device.stream.filter((Op.CREATE_BUFFER, Op.CREATE_TEXTURE)):
+        stream = renderer.device.stream
+        for command in stream.filter((Op.CREATE_BUFFER, Op.CREATE_TEXTURE)):
             if re.search(trace.labels, command["descriptor"].label):
                 found.add(f"label {command['descriptor'].label}")
-        for command in device.stream.filter(Op.CREATE_PROGRAM):
+        for command in stream.filter(Op.CREATE_PROGRAM):
             program = command["descriptor"]
             for stage in program.stages:
                 found.update(f"text {match}" for match in re.findall(trace.text, program.emit("glsl", stage).text))
@@ -119,14 +129,9 @@ ADDED: dict[str, tuple[list[str], list[str]]] = {
 
 
 def list_passes(scene: Scene, name: str) -> list[str]:
-    with (
-        rhi.create_device("null") as device,
-        Renderer(
-            device, scene, technique=TECHNIQUES[name](), visibility=NoCulling(scene), size=SIZE
-        ) as renderer,
-    ):
+    with open_renderer(scene, name) as renderer:
         renderer.render(EYE)
-        events = [command["text"] for command in device.stream.filter(Op.PUSH_LABEL)]
+        events = [command["text"] for command in renderer.device.stream.filter(Op.PUSH_LABEL)]
         _, plan = renderer.plan(EYE)
     assert events == [one.name for one in plan.passes]
     return events

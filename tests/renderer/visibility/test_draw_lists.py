@@ -113,6 +113,7 @@ def test_a_device_makes_the_same_lists(device: rhi.Device, count: int, seed: int
     given_arrays = type(arrays)(
         arrays.view, arrays.objects, device.storage(ObjectPosition, places), device.storage(MeshPart, parts)
     )
+    readings = []
     for _ in range(2):  # the second time nothing is VISIBLE any more
         lists.list_draws(device, given_arrays)
         after = {
@@ -121,8 +122,11 @@ def test_a_device_makes_the_same_lists(device: rhi.Device, count: int, seed: int
         }  # fmt: skip
         check(marks, places, boxes, parts, after)
         rows = [expect(marks, places, boxes, mirrored) for mirrored in (False, True)]
-        assert lists.read_rows().tolist() == np.concatenate(rows).tolist()
+        listed = np.concatenate(rows).tolist()
+        assert lists.read_rows().tolist() == listed
+        readings.append((lists.read_rows_async(), listed))
         marks = after["marks"]
+    assert all(wait().tolist() == listed for wait, listed in readings)
     for resource in (occludees, lists, resources, view, given_arrays.places.owner, given_arrays.parts.owner):
         resource.destroy()
 

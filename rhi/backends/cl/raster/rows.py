@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from rhi.backends.cl.capabilities import MAX_STORAGE_SLOTS
 from rhi.contract.descriptors import BindingKind
 
 __rhi_internal__ = True
@@ -22,7 +23,7 @@ COUNTER_BYTES: Final = 8
 
 SLOT_COUNTS: Final = {
     BindingKind.UNIFORM: 12,
-    BindingKind.STORAGE: 16,
+    BindingKind.STORAGE: MAX_STORAGE_SLOTS,
     BindingKind.TEXTURE: 16,
     BindingKind.IMAGE: 8,
 }
