@@ -8,7 +8,7 @@ than one of these wherever they were compared (docs/lighting.md).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Final
 
 from renderer.frame import Frame, Needs, Pass
@@ -119,7 +119,7 @@ class AutoTechnique:
         return f"the fastest in this view, {1e3 * least:.1f} ms a frame; {slower}"
 
 
-def list_candidates(device: Device, needs: Needs, names: Sequence[str] | Mapping[str, object]) -> tuple[list[str], str]:
+def list_candidates(device: Device, needs: Needs, names: Iterable[str]) -> tuple[list[str], str]:
     """Return those of the techniques `names` that are worth a trial on a device in a frame with these needs, and why
     there is only the first one, if so."""
     first, *others = names

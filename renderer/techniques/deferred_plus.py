@@ -27,7 +27,7 @@ from renderer.techniques.cell_lists import CellReader, ClusterLists, bind_lists,
 from renderer.techniques.deferred_cells import ClusteredDeferred
 from renderer.techniques.forward import bind_lamps, bind_shading, find_forward, list_lamps
 from renderer.techniques.forward_plus import find_listed
-from renderer.techniques.forward_shader import PARTS, LampShader
+from renderer.techniques.forward_shader import LampShader, find_parts
 from renderer.techniques.full_screen import draw_full_screen
 from renderer.techniques.material_rectangles import (
     RectangleShader,
@@ -36,14 +36,14 @@ from renderer.techniques.material_rectangles import (
     rectangles_pass,
 )
 from renderer.techniques.packed_geometry import PackedReader, bind_packed, can_pack, packed_pass
-from renderer.techniques.scene_shader import ShadingShader, WithSun
+from renderer.techniques.scene_shader import ShadingShader
 from renderer.techniques.transparency import declare_transparency
 from rhi.shading import Shader, discard, fragment_coordinate, ivec2, vec3, vec4
 
 __rhi_internal__ = True
 
 
-class PackedShading(PackedReader, ShadingShader):  # type: ignore[misc]
+class PackedShading(PackedReader, ShadingShader):  # type: ignore[misc]  # as `PackedReader`
     """Shades the pixels of the packed geometry buffer."""
 
     def fragment(self) -> vec4:
@@ -64,7 +64,7 @@ class PackedShading(PackedReader, ShadingShader):  # type: ignore[misc]
         return vec3(0.0)
 
 
-class PackedLamps(CellReader, LampShader, PackedShading):  # type: ignore[misc]
+class PackedLamps(CellReader, LampShader, PackedShading):  # type: ignore[misc]  # as `PackedReader`
     """Adds the lights of clusters."""
 
     def local_light(self, surface: SurfacePoint, distance: float) -> vec3:
@@ -133,9 +133,8 @@ def shading_variant(
     has_sun: bool,
     multi_pass: bool,
 ) -> type[Any]:
-    """Return the shader of the last pass with these of `PARTS`, and these that read the buffer."""
-    known = PARTS | {"directional_lights": WithSun} if has_sun else PARTS
-    bases: list[type[Shader]] = [known[part] for part in dict.fromkeys(parts)]
+    """Return the shader of the last pass with these parts (`find_parts`), and these that read the buffer."""
+    bases = [*find_parts(parts, has_sun=has_sun)]
     bases += [RectangleShader] if multi_pass else []
     bases += readers
     bases.append(PackedLamps if has_lamps else PackedShading)

@@ -6,6 +6,7 @@ below and in `scene_shader` adds one feature with its binding, and `forward_vari
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import cache
 from typing import Final
 
@@ -97,10 +98,13 @@ PARTS: Final[dict[str, type[Shader]]] = {
 """The features that can be added to the forward shader, by the names of their bindings where they have one."""
 
 
+def find_parts(parts: Iterable[str], *, has_sun: bool) -> tuple[type[Shader], ...]:
+    """Return these of `PARTS`, each once. `has_sun` says that there is exactly one directional light."""
+    known = PARTS | {"directional_lights": WithSun} if has_sun else PARTS
+    return tuple(known[part] for part in dict.fromkeys(parts))
+
+
 @cache
 def forward_variant(*parts: str, has_sun: bool = False) -> type[ForwardShader]:
-    """Return the forward shader with these of `PARTS`, and only their bindings. `has_sun` says that there is exactly
-    one directional light."""
-    known = PARTS | {"directional_lights": WithSun} if has_sun else PARTS
-    bases = tuple(known[part] for part in dict.fromkeys(parts))
-    return type("Forward", (*bases, ForwardShader), {"__module__": __name__})
+    """Return the forward shader with these parts (`find_parts`), and only their bindings."""
+    return type("Forward", (*find_parts(parts, has_sun=has_sun), ForwardShader), {"__module__": __name__})

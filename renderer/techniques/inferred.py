@@ -165,7 +165,10 @@ class Inference(ForwardShader, SurfaceReader):
     is_stippled = False
 
     def pointlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
-        taps = self.find_taps(surface, begin)
+        return self.complete(surface, self.find_taps(surface, begin))
+
+    def complete(self, surface: SurfacePoint, taps: Taps) -> vec3:
+        """Return the light that the surface reflects, by the terms of these texels."""
         diffuse = filter_light(self.diffuse, taps)
         return surface.base_color * diffuse + surface.specular_color * filter_light(self.specular, taps)
 
@@ -208,11 +211,8 @@ class MetalInference(Inference):
 
     grazing: Texture2D
 
-    def pointlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
-        taps = self.find_taps(surface, begin)
-        light = surface.base_color * filter_light(self.diffuse, taps)
-        light += surface.specular_color * filter_light(self.specular, taps)
-        return light + filter_light(self.grazing, taps)
+    def complete(self, surface: SurfacePoint, taps: Taps) -> vec3:
+        return super().complete(surface, taps) + filter_light(self.grazing, taps)
 
 
 class Inferred:

@@ -15,7 +15,7 @@ Other pictures are those of a technique's own buffers (`watched`).
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from typing import Any, Final
 
 from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target, TechniquePass, find_last
@@ -256,6 +256,10 @@ _PLAIN: Final[dict[str, tuple[Pass[Frame], ...]]] = {
 }
 
 
+def _declare_plain(name: str, needs: Needs) -> tuple[Pass[Frame], ...]:
+    return _PLAIN[name]
+
+
 def _declare_tiles(needs: Needs) -> tuple[Pass[Frame], ...]:
     depth = Pass("depth", draw_depth, "finds the nearest surfaces", writes=(_DEPTH,))
     if not list_lamps(needs):
@@ -291,7 +295,7 @@ def _show_volumes(frame: Frame) -> None:
 
 
 INSPECTIONS: Final[dict[str, Callable[[Needs], tuple[Pass[Frame], ...]]]] = {
-    **{name: lambda _, passes=passes: passes for name, passes in _PLAIN.items()},  # type: ignore[misc]
+    **{name: partial(_declare_plain, name) for name in _PLAIN},
     "tiles": _declare_tiles,
     "volumes": _declare_volumes,
 }

@@ -111,15 +111,11 @@ def luminance(color: vec3) -> float:
 
 
 class TermShader(VolumeShader, SurfaceReader, ReflectingShader):
-    """Collects the terms of lights by their volumes."""
+    """The base of shaders that collect the terms of lights by their volumes."""
 
     precision = Precision.FAST
 
     shininess: Texture2D
-
-    def fragment(self, v: VolumeVarying) -> SpecularTerms:
-        terms = self.collect(v.light, ivec2(fragment_coordinate().xy))
-        return SpecularTerms(diffuse=terms.diffuse, specular=terms.specular)
 
     def collect(self, light: int, place: ivec2) -> LightTerms:
         """Return the terms of a light at the surface at a place of the buffers."""
@@ -151,24 +147,32 @@ class TermShader(VolumeShader, SurfaceReader, ReflectingShader):
         )
 
 
+class PlainTerms(TermShader):
+    """Collects the terms of lights but that of white."""
+
+    def fragment(self, v: VolumeVarying) -> SpecularTerms:
+        terms = self.collect(v.light, ivec2(fragment_coordinate().xy))
+        return SpecularTerms(diffuse=terms.diffuse, specular=terms.specular)
+
+
 class MetalTerms(TermShader):
     """Collects the terms of lights, that of white among them."""
 
-    def fragment(self, v: VolumeVarying) -> LightTerms:  # type: ignore[override]
+    def fragment(self, v: VolumeVarying) -> LightTerms:
         return self.collect(v.light, ivec2(fragment_coordinate().xy))
 
 
 class PackedTerms(TermShader):
     """Collects the terms of lights, the specular one as a luminance."""
 
-    def fragment(self, v: VolumeVarying) -> vec4:  # type: ignore[override]
+    def fragment(self, v: VolumeVarying) -> vec4:
         return self.collect(v.light, ivec2(fragment_coordinate().xy)).diffuse
 
 
 class PackedMetals(TermShader):
     """Collects the terms of lights, the specular one as a luminance, and that of white."""
 
-    def fragment(self, v: VolumeVarying) -> PackedMetalTerms:  # type: ignore[override]
+    def fragment(self, v: VolumeVarying) -> PackedMetalTerms:
         terms = self.collect(v.light, ivec2(fragment_coordinate().xy))
         return PackedMetalTerms(diffuse=terms.diffuse, grazing=terms.grazing)
 
@@ -287,7 +291,7 @@ def collect_terms(
     Args:
         prefix: that of the names of the contents that are lit, if they are shrunk.
     """
-    shaders = {1: PackedTerms, 2: TermShader}
+    shaders = {1: PackedTerms, 2: PlainTerms}
     if Effect.METALS in frame.needs.effects:
         shaders = {2: PackedMetals, 3: MetalTerms}
     models = tuple(SHADING_PARTS[name] for name in list_models(frame.needs))

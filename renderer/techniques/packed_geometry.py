@@ -81,7 +81,7 @@ _EVALUATED: Final = (Aspect.COLOR, Aspect.NORMAL, Aspect.METAL, Aspect.AMBIENT)
 
 
 class PlainWords(Struct):
-    """What `PackedShader` writes."""
+    """What `PackedPlain` writes."""
 
     packed: uvec2
 
@@ -93,20 +93,24 @@ class TexturedWords(Struct):
 
 
 class PackedShader(SceneShader):
+    """The base of shaders that write the packed geometry buffer."""
+
+    def encode_directions(self, v: SurfaceVarying) -> uint:
+        return encode_normal(self.find_normal(v))
+
+
+class PackedPlain(PackedShader):
     """Writes the packed geometry buffer of a scene without images."""
 
     def fragment(self, v: SurfaceVarying) -> PlainWords:
         _ = self.find_texel(v)  # which leaves out what isn't drawn
         return PlainWords(packed=uvec2(self.encode_directions(v), uint(v.material)))
 
-    def encode_directions(self, v: SurfaceVarying) -> uint:
-        return encode_normal(self.find_normal(v))
-
 
 class PackedTextures(PackedShader):
     """Writes the packed geometry buffer of a scene with images."""
 
-    def fragment(self, v: SurfaceVarying) -> TexturedWords:  # type: ignore[override]
+    def fragment(self, v: SurfaceVarying) -> TexturedWords:
         x = encode_change(self.place(v, vec3(ddx(v.uv), 0.0)))
         y = encode_change(self.place(v, vec3(ddy(v.uv), 0.0)))
         _ = self.find_texel(v)  # which leaves out what isn't drawn
@@ -154,7 +158,9 @@ class PlacedFrames(PlacedTextures, PackedFrames):
     """Writes both of these."""
 
 
-class PackedReader(FullScreen, MaterialShader):  # type: ignore[misc]  # the vertex stage is FullScreen's
+# Where `PackedReader` is a base, mypy finds two vertex stages of different types: that of `FullScreen`, which it has,
+# and that of `SceneShader`, from which the parts of materials are derived.
+class PackedReader(FullScreen, MaterialShader):  # type: ignore[misc]
     """The base of shaders that evaluate the materials of the packed geometry buffer, pixel by pixel."""
 
     packed: UintTexture2D
@@ -198,7 +204,7 @@ class StoredFrames(PackedReader):
         return decode_frame(bits)
 
 
-class StoredTextures(TextureShader, PackedReader):  # type: ignore[misc]
+class StoredTextures(TextureShader, PackedReader):  # type: ignore[misc]  # as `PackedReader`
     """Textures are filtered as they would have been when the geometry was drawn."""
 
     def read_texture(self, texture: int, v: SurfaceVarying) -> vec4:
@@ -206,7 +212,7 @@ class StoredTextures(TextureShader, PackedReader):  # type: ignore[misc]
         return self.images.sample_grad(vec3(v.uv, float(texture)), change.xy, change.zw)
 
 
-class StoredTable(WithTextureTable, PackedReader):  # type: ignore[misc]
+class StoredTable(WithTextureTable, PackedReader):  # type: ignore[misc]  # as `PackedReader`
     """Likewise, where textures are found by a table."""
 
     def read_texture(self, texture: int, v: SurfaceVarying) -> vec4:
@@ -247,7 +253,7 @@ def draw_packed(frame: Frame) -> None:
         refuse(rules.MANY_MATERIALS, "render", f"{count:,} materials", f"at most {MOST_MATERIALS:,}")
     has_tangents = Effect.NORMAL_MAPS in effects
     parts, bindings = bind_surfaces(frame, [Aspect.COVERAGE], has_materials=False, has_tangents=has_tangents)
-    base: type[PackedShader] = PackedShader
+    base: type[PackedShader] = PackedPlain
     if Effect.TEXTURE_TRANSFORMS in effects:
         base = PlacedFrames if has_tangents else PlacedTextures
         assert resources.images is not None, "textures are read"

@@ -12,9 +12,9 @@ from typing import Any, Final
 
 from renderer.frame import IMAGE_FORMAT, Effect, Frame, Needs, Pass, Target
 from renderer.shaders.pixels import FullScreen, distance_at, nearness_of, place_pixel
-from renderer.techniques.forward_shader import PARTS
+from renderer.techniques.forward_shader import find_parts
 from renderer.techniques.full_screen import draw_full_screen
-from renderer.techniques.scene_shader import FinishShader, WithSun
+from renderer.techniques.scene_shader import FinishShader
 from rhi import Format, Texture
 from rhi.shading import Shader, Texture2D, discard, fragment_coordinate, ivec2, vec4
 
@@ -67,10 +67,8 @@ def sum_pass(needs: Needs, light: str) -> Pass[Frame]:
 def resolve_variant(
     bases: tuple[type[Shader], ...], parts: tuple[str, ...], *, has_sun: bool
 ) -> type[ResolveShader]:
-    """Return a shader of the pass with these bases and these of `PARTS`, and only their bindings."""
-    known = PARTS | {"directional_lights": WithSun} if has_sun else PARTS
-    added = tuple(known[part] for part in dict.fromkeys(parts))
-    return type("Resolve", (*added, *bases), {"__module__": __name__})
+    """Return a shader of the pass with these bases and these parts (`find_parts`), and only their bindings."""
+    return type("Resolve", (*find_parts(parts, has_sun=has_sun), *bases), {"__module__": __name__})
 
 
 def draw_resolve(

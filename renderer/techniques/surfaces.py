@@ -341,6 +341,10 @@ class TangentShader(SceneShader):
         return vec4(thing.linear @ tangent.xyz, -tangent.w if mirrors else tangent.w)
 
 
+# The vertex stages of the following parts read more attributes than that of `SceneShader`. To mypy, what overrides a
+# method can be called as that is; but stages aren't called, a device runs them.
+
+
 class WithUv2(SceneShader):
     """Vertices have a second set of texture coordinates."""
 
@@ -478,6 +482,7 @@ def bind_images(frame: Frame) -> tuple[list[str], dict[str, Any]]:
 
 def _reads_materials(part: type[Shader]) -> bool:
     return any("materials" in vars(base).get("__annotations__", {}) for base in part.__mro__)
+
 
 def surface_variant(base: type[SceneShader], parts: Sequence[str]) -> type[Shader]:
     """Return a shader that draws the scene's geometry, with these of `SHADING_PARTS` and `SURFACE_PARTS`."""

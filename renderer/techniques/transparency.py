@@ -18,7 +18,7 @@ nearest one, as those of clusters do.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache, partial
 from typing import Any, Final
 
@@ -26,7 +26,7 @@ from renderer.frame import Blending, Effect, Frame, Needs, Pass, Target, Techniq
 from renderer.shaders.pixels import FullScreen
 from renderer.shaders.structs import Material, SurfaceVarying
 from renderer.techniques.forward_shader import ForwardShader
-from renderer.techniques.full_screen import draw_full_screen
+from renderer.techniques.full_screen import Color, draw_full_screen
 from rhi import BlendFactor, BlendFunction, DepthWrite, Format, Program
 from rhi.shading import (
     Struct,
@@ -85,7 +85,7 @@ class WeightedTexels(Struct):
 class WeightedShader(TransparentShader):
     """Adds a surface to weighted sums."""
 
-    def fragment(self, v: SurfaceVarying) -> WeightedTexels:  # type: ignore[override]
+    def fragment(self, v: SurfaceVarying) -> WeightedTexels:  # type: ignore[override]  # other targets than the image
         material = self.materials[v.material]
         opacity = self.find_opacity(v, material)
         near = dot(v.position, v.position) / 40000.0  # squared distances in 200 m
@@ -158,34 +158,35 @@ def sorted_pass(
 
 
 @cache
-def transparent_variant(base: tuple[type[ForwardShader], ...], shader: type[TransparentShader]) -> type[ForwardShader]:
-    """Return the shader of transparent surfaces that are lit as the forward shader `base` lights them."""
-    return type("Transparent", (shader, *base), {"__module__": __name__})
+def transparent_variant(bases: tuple[type[ForwardShader], ...]) -> type[ForwardShader]:
+    """Return the shader of transparent surfaces: a `TransparentShader`, lit as the forward shader after it does."""
+    return type("Transparent", bases, {"__module__": __name__})
 
 
 def _draw_sorted(frame: Frame, *, lighting: Lighting, image: str, depth: str) -> None:
-    targets = frame.targets
-    base, bindings = lighting(frame)
-    program: Program[Any] = frame.device.program(transparent_variant((base,), TransparentShader))
-    frame.draw_transparent(
-        TechniquePass(
-            frame.device,
-            frame.resources,
-            frame.view,
-            program,
-            bindings,
-            color=targets[image],
-            depth=targets[depth],
-            states=(DepthWrite.OFF, BlendFunction.PREMULTIPLIED),
-            clears=False,
-        )
-    )
+    _draw(frame, lighting, TransparentShader, [image], depth, BlendFunction.PREMULTIPLIED)
 
 
 def _add_weighted(frame: Frame, *, lighting: Lighting) -> None:
+    clear = (0.0, 0.0, 0.0, 1.0)
+    _draw(frame, lighting, WeightedShader, [COLORS, WEIGHTS], "depth", _SUMS, clear=clear, in_order=False)
+
+
+def _draw(
+    frame: Frame,
+    lighting: Lighting,
+    shader: type[TransparentShader],
+    contents: Sequence[str],
+    depth: str,
+    blending: BlendFunction,
+    *,
+    clear: Color | None = None,
+    in_order: bool = True,
+) -> None:
+    """Draw the transparent objects in view to `contents`, tested against `depth`."""
     targets = frame.targets
     base, bindings = lighting(frame)
-    program: Program[Any] = frame.device.program(transparent_variant((base,), WeightedShader))
+    program: Program[Any] = frame.device.program(transparent_variant((shader, base)))
     frame.draw_transparent(
         TechniquePass(
             frame.device,
@@ -193,13 +194,13 @@ def _add_weighted(frame: Frame, *, lighting: Lighting) -> None:
             frame.view,
             program,
             bindings,
-            color=[targets[COLORS], targets[WEIGHTS]],
-            depth=targets["depth"],
-            clear=(0.0, 0.0, 0.0, 1.0),
-            states=(DepthWrite.OFF, _SUMS),
+            color=[targets[name] for name in contents],
+            depth=targets[depth],
+            clear=clear,
+            states=(DepthWrite.OFF, blending),
             clears=False,
         ),
-        in_order=False,
+        in_order=in_order,
     )
 
 

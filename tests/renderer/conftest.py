@@ -3,10 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
 
 import pytest
 
 import rhi
+
+
+@contextmanager
+def open_device(name: str, **options: Any) -> Iterator[rhi.Device]:
+    """Create a device of a backend; the test is skipped where there is none."""
+    try:
+        device = rhi.create_device(name, **options)
+    except rhi.DeviceError as error:
+        pytest.skip(f"no {name} device here: {error.given or error.rule.sentence}")
+    with device:
+        yield device
 
 
 @pytest.fixture
@@ -18,22 +31,14 @@ def null() -> Iterator[rhi.Device]:
 @pytest.fixture
 def gl() -> Iterator[rhi.Device]:
     """A GL device that records; tests that look at pixels are skipped where there is none."""
-    try:
-        device = rhi.create_device("gl", record=True)
-    except rhi.DeviceError as error:
-        pytest.skip(f"no GL device here: {error.given or error.rule.sentence}")
-    with device:
+    with open_device("gl", record=True) as device:
         yield device
 
 
 @pytest.fixture(scope="module", params=["gl", "cl"])
 def drawing_device(request: pytest.FixtureRequest) -> Iterator[rhi.Device]:
     """A device of each backend that draws, one per module; tests of a backend that isn't here are skipped."""
-    try:
-        device = rhi.create_device(request.param)
-    except rhi.DeviceError as error:
-        pytest.skip(f"no {request.param} device here: {error.given or error.rule.sentence}")
-    with device:
+    with open_device(request.param) as device:
         if not device.capabilities.renders:
             pytest.skip(f"the {request.param} device draws nothing")
         yield device
@@ -42,11 +47,7 @@ def drawing_device(request: pytest.FixtureRequest) -> Iterator[rhi.Device]:
 @pytest.fixture(scope="module", params=["gl", "cl"])
 def device(request: pytest.FixtureRequest) -> Iterator[rhi.Device]:
     """A device of each backend that draws and computes, one per module."""
-    try:
-        made = rhi.create_device(request.param)
-    except rhi.DeviceError as error:
-        pytest.skip(f"no {request.param} device here: {error.given or error.rule.sentence}")
-    with made:
+    with open_device(request.param) as made:
         if not (made.capabilities.renders and made.capabilities.compute):
             pytest.skip(f"the {request.param} device draws nothing")
         yield made

@@ -7,7 +7,6 @@ then checked, so that what nothing refers to isn't read.
 from __future__ import annotations
 
 import base64
-import binascii
 import json
 from pathlib import Path
 from typing import Final, NoReturn
@@ -56,10 +55,10 @@ class GltfFile:
         text = content.tobytes() if content[:4].tobytes() != MAGIC else self._split(content)
         try:
             parsed = json.loads(text.decode("utf-8-sig"))
-        except (UnicodeDecodeError, json.JSONDecodeError, RecursionError, ValueError) as error:
-            _refuse(
-                path, f"its JSON: {error}" if not isinstance(error, RecursionError) else "its JSON: too deep"
-            )
+        except RecursionError:
+            _refuse(path, "its JSON: too deep")
+        except ValueError as error:  # of its encoding, its syntax, or a number
+            _refuse(path, f"its JSON: {error}")
         if not isinstance(parsed, dict):
             _refuse(path, "its JSON isn't an object")
         self.root = JsonObject(path, "", parsed)
@@ -102,7 +101,7 @@ class GltfFile:
                 fields.refuse("uri", header, "data:…;base64,…")
             try:
                 return np.frombuffer(base64.b64decode(data, validate=True), np.uint8)
-            except (binascii.Error, ValueError) as error:
+            except ValueError as error:
                 fields.refuse("uri", f"{header}: {error}", "base64")
         file = self.locate(uri)
         if file is None:

@@ -25,7 +25,6 @@ __rhi_internal__ = True
 
 TRIANGLES: Final = 4
 _STRIP: Final = 5
-_FAN: Final = 6
 _MODES: Final = (
     "points",
     "lines",
@@ -204,9 +203,7 @@ def _list_triangles(corners: NDArray[np.uint32], mode: int) -> NDArray[np.uint32
     if mode == _STRIP:
         odd = first % 2
         return corners[np.stack([first, first + 1 + odd, first + 2 - odd], axis=1)]
-    return (
-        corners[np.stack([first + 1, first + 2, np.zeros_like(first)], axis=1)] if mode == _FAN else corners
-    )
+    return corners[np.stack([first + 1, first + 2, np.zeros_like(first)], axis=1)]
 
 
 def _used_rows(corners: NDArray[np.uint32], count: int) -> tuple[Rows, NDArray[np.uint32]]:

@@ -65,7 +65,6 @@ class LightUploads:
         self.parameters: UniformBuffer[CellGrid] = device.uniform(self.layout)
         self._counts: UniformBuffer[LightCounts] = device.uniform(LightCounts(words=0, point_words=0))
         self._buffers: Final = BufferSet(device, "light volumes")
-        self._bindings: dict[str, Any] = {}
 
     def write(self, camera: Camera, size: tuple[int, int], lights: Lights) -> None:
         """Upload an image's grid, of `size` pixels, and the volumes of all point and spot lights."""
@@ -86,12 +85,11 @@ class LightUploads:
             spheres.write(volumes.spheres.astype(np.float32))
         if len(volumes.cones):
             self._buffers.fit("cones", Cone, round_up(len(volumes.cones))).write(volumes.cones)
-        self._bindings = {"grid": self.parameters, "lights": self._counts, "spheres": spheres}
 
     @property
     def bindings(self) -> dict[str, Any]:
         """The bindings of shaders that test lights: `grid`, `lights` and `spheres`."""
-        return self._bindings
+        return {"grid": self.parameters, "lights": self._counts, "spheres": self._buffers["spheres"]}
 
     @property
     def cones(self) -> dict[str, Any]:

@@ -58,9 +58,7 @@ def count(
 
 
 @pytest.mark.parametrize(("drawing_device", "name"), CASES, indirect=["drawing_device"])
-def test_each_pixel_looks_at_each_light_that_reaches_all_of_them(
-    drawing_device: rhi.Device, name: str
-) -> None:
+def test_each_pixel_looks_at_each_light_that_reaches_all_of_them(drawing_device: rhi.Device, name: str) -> None:
     pixels = SHRUNK if name == "inferred" else PIXELS
     assert count(drawing_device, walls(5.0, points=3), TECHNIQUES[name]()) == 3 * pixels
     assert count(drawing_device, walls(5.0, points=2, spots=3), TECHNIQUES[name]()) == 5 * pixels

@@ -17,7 +17,7 @@ from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene, SceneBuilder, TextureMap, make_geometry, scaling, translation
 from renderer.techniques import DeferredPlus, Forward
 from renderer.techniques.material_rectangles import MaterialRectangles
-from renderer.techniques.packed_geometry import MOST_MATERIALS, PackedShader, PackedTextures
+from renderer.techniques.packed_geometry import MOST_MATERIALS, PackedPlain, PackedTextures
 from renderer.visibility import FrustumCulling, NoCulling, TwoPassCulling
 from rhi import Op
 from rhi.shading import compile_shader
@@ -74,7 +74,7 @@ def test_a_pixel_takes_at_most_16_bytes_and_depth(images: bool) -> None:
     assert geometry.bytes == SIZE[0] * SIZE[1] * ((16 if images else 8) + 4)
 
 
-@pytest.mark.parametrize("shader", [PackedShader, PackedTextures])
+@pytest.mark.parametrize("shader", [PackedPlain, PackedTextures])
 def test_no_texel_and_no_material_is_read_when_geometry_is_drawn(shader: type[Any]) -> None:
     names = {binding.name for binding in compile_shader(shader).bindings}
     assert names == {"view", "objects", "places"}
