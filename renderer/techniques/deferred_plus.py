@@ -11,8 +11,8 @@ With `multi_pass`, each material is shaded by draws of its own: `material ids` w
 finds where each is seen, and `shading` draws the rectangles with a depth test (`material_rectangles`).
 
 So a hidden fragment costs its geometry alone, and textures are read once a pixel. Scenes with what the packed buffer
-has no room for (transforms of textures, a second set of texture coordinates, colours of vertices) are drawn as by
-`clustered_deferred`.
+has no room for (unlike transforms of one material's textures, a second set of texture coordinates, colours of vertices)
+are drawn as by `clustered_deferred`.
 """
 
 from __future__ import annotations
