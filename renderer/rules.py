@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import Final, NoReturn
 
-from rhi.errors import Rule, refuse
+from rhi.errors import RhiError, Rule, refuse
 
 __rhi_internal__ = True
 
@@ -165,6 +165,7 @@ ONE_SAMPLE: Final = Rule(
     "this technique draws one sample per pixel",
     "smooth its image with --fxaa, or use --technique forward",
 )
+UNKNOWN_TECHNIQUE: Final = Rule("technique-unknown-name", "no technique has this name")
 MANY_MATERIALS: Final = Rule(
     "technique-many-materials",
     "a packed geometry buffer holds 16 bits of a pixel's material",
@@ -179,6 +180,18 @@ BAD_SHADOWS: Final = Rule("shadow-settings", "a setting of shadow maps is out of
 FONT_FILE: Final = Rule("canvas-font-file", "the file can't be read as a font")
 FONT_SIZE: Final = Rule("canvas-font-size", "a font's size is out of its range")
 
+# The viewer
+UNKNOWN_COMMAND: Final = Rule(
+    "viewer-unknown-command", "the viewer has no command of this name", "`help` lists them all"
+)
+BAD_ARGUMENT: Final = Rule(
+    "viewer-bad-argument", "a command's argument is not one that it takes", "Tab in the console lists them"
+)
+NO_PICTURE: Final = Rule(
+    "viewer-no-picture", "the device draws nothing, so there is no picture", "choose another one: --backend gl or cl"
+)
+CANNOT_LISTEN: Final = Rule("viewer-cannot-listen", "the port can't be listened to", "choose another one")
+
 # Measurements
 
 NO_IMAGES: Final = Rule("measure-no-images", "the textured pass needs a scene with images")
@@ -189,6 +202,15 @@ FIXED_SCENE: Final = Rule(
     "leave out --objects or --lights: the scene is compared as it is",
 )
 NO_PICTURES: Final = Rule("measure-no-pictures", "a backend that draws no pictures has no passes to time")
+
+
+def describe(error: RhiError) -> str:
+    """Return an error as one line: what is wrong, what was given, what is allowed, a tip and the rule."""
+    allowed = f" (allowed: {error.allowed})" if error.allowed else ""
+    given = f": {error.given}" if error.given else ""
+    tip = f"; {error.tip}" if error.tip else ""
+    line = f"{error.rule.sentence.rstrip('.')}{given}{allowed}{tip} [{error.rule.id}]"
+    return " ".join(line.split())
 
 
 def refuse_name(rule: Rule, call: str, given: str, allowed: Iterable[str]) -> NoReturn:

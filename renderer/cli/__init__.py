@@ -9,6 +9,7 @@ import sys
 from collections.abc import Sequence
 from typing import Final, NoReturn
 
+from renderer import rules
 from renderer.cli import (
     capture,
     compare_backends,
@@ -73,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         given.run(given)
     except RhiError as error:
-        _fail(_in_one_line(error))
+        _fail(rules.describe(error))
     except (OutputError, OSError) as error:
         _fail(str(error))
     except ModuleNotFoundError as error:
@@ -92,13 +93,6 @@ def _join_negative(arguments: list[str]) -> list[str]:
         else:
             joined.append(argument)
     return joined
-
-
-def _in_one_line(error: RhiError) -> str:
-    allowed = f" (allowed: {error.allowed})" if error.allowed else ""
-    given = f": {error.given}" if error.given else ""
-    tip = f"; {error.tip}" if error.tip else ""
-    return f"{error.rule.sentence.rstrip('.')}{given}{allowed}{tip} [{error.rule.id}]"
 
 
 def _fail(message: str) -> NoReturn:
