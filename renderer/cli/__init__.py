@@ -1,4 +1,4 @@
-"""The command line: `python -m renderer render|demo|compare|plan|capture|tune|exam|debug|convert|scenes`.
+"""The command line: `python -m renderer render|view|demo|compare|plan|capture|tune|exam|debug|convert|scenes`.
 
 Results go to stdout, everything else to stderr. Bad input ends in one line, `error: …`, and exit code 2.
 """
@@ -27,6 +27,7 @@ from renderer.cli import (
     render,
     scenes,
     tune,
+    view,
 )
 from renderer.cli.output import OutputError, show_builds
 from renderer.cli.subcommand import Parser, Subcommand, SubcommandGroup
@@ -36,6 +37,7 @@ __all__ = ["COMMANDS", "main"]
 
 COMMANDS: Final[tuple[Subcommand | SubcommandGroup, ...]] = (
     render.COMMAND,
+    view.COMMAND,
     demo.COMMAND,
     SubcommandGroup(
         "compare",
