@@ -24,7 +24,6 @@ from renderer.content import parse_camera
 from renderer.stereo import OUTPUTS
 from renderer.viewer.look import SHADOWS, Look
 from renderer.visibility import ALGORITHMS
-from rhi_screen import CANVASES
 
 _NOTES: Final = """\
   python -m renderer view city
@@ -58,8 +57,9 @@ def _add_arguments(parser: Parser) -> None:
     parser.add_argument("--overlay", action="store_true", help="draw times, counters and the culling over each frame")
     parser.add_argument(
         "--canvas",
-        choices=CANVASES,
-        help="where the picture is shown; page is one in the browser (default: a window)",
+        choices=("window", "qt", "page"),
+        default="window",
+        help="where the picture is shown; page is one in the browser (default: %(default)s)",
     )
     parser.add_argument("--immediate", action="store_true", help="don't wait for the display's refresh")
     parser.add_argument("--script", type=Path, metavar="F", help="commands to run, a line each")
@@ -74,7 +74,7 @@ def _run(given: argparse.Namespace) -> None:
 
     scene = open_scene(given.scene)
     camera = None if given.camera is None else parse_camera(given.camera, scene, given.frame)
-    script = "" if given.script is None else given.script.read_text(encoding="utf-8")
+    script = "" if given.script is None else given.script.read_text(encoding="utf-8", errors="replace")
     look = Look(
         technique=given.technique, samples=given.samples, fxaa=given.fxaa, visibility=given.visibility,
         shadows=given.shadows, overlay=given.overlay, particles=given.particles,
@@ -98,7 +98,8 @@ def _run(given: argparse.Namespace) -> None:
         shown.end_after = given.frames
         shown.run()
         if given.frames is not None:
-            note(stage.counter.describe())
+            worked = f"{1e3 * stage.counter.processor:.1f} ms of processors a frame"
+            note(f"{stage.counter.describe()}   {worked}")
     finally:
         shown.close()
 

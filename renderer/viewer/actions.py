@@ -14,10 +14,10 @@ from renderer.content import find_path, parse_camera
 from renderer.frame import Blending
 from renderer.stereo import OUTPUTS
 from renderer.techniques import TECHNIQUES, AutoTechnique
-from renderer.viewer.commands import Command, Parameter
+from renderer.viewer.commands import Parameter, ViewerCommand
 from renderer.viewer.controllers import Fly, Orbit
 from renderer.viewer.look import SHADOWS
-from renderer.viewer.stage import Stage
+from renderer.viewer.stage import ViewerStage
 from renderer.visibility import list_algorithms
 from rhi.errors import refuse
 
@@ -28,12 +28,12 @@ NEXT: Final = "next"
 _SPEED: Final = 1.5  # how many times as fast a step is
 
 
-def make_commands(stage: Stage) -> Iterable[Command]:
+def make_commands(stage: ViewerStage) -> Iterable[ViewerCommand]:
     """Return the commands of a stage."""
     return [*_looks(stage), *_cameras(stage), *_files(stage)]
 
 
-def _looks(stage: Stage) -> Iterable[Command]:
+def _looks(stage: ViewerStage) -> Iterable[ViewerCommand]:
     """The commands that change what draws the frames."""
     yield _choice(stage, "technique", "draw the scene like this", lambda: [AutoTechnique.name, *TECHNIQUES])
     algorithms = lambda: list_algorithms(stage.renderer.device)  # noqa: E731
@@ -44,14 +44,14 @@ def _looks(stage: Stage) -> Iterable[Command]:
     yield _choice(stage, "blending", "put transparent surfaces together like this", lambda: blendings)
     outputs = {"off": None} | {name: name for name in OUTPUTS}
     yield _choice(stage, "stereo", "draw two eyes and show them like this", lambda: outputs, outputs.__getitem__)
-    samples = {str(count): count for count in (1, 2, 4, 8)}
+    samples = {str(count): count for count in stage.renderer.device.capabilities.sample_counts}
     yield _choice(stage, "samples", "draw samples in each pixel", lambda: samples, samples.__getitem__)
     yield _entry(stage, "fxaa", "smooth edges")
     yield _entry(stage, "overlay", "draw times, counters and the culling over the picture")
     yield _entry(stage, "particles", "draw the drops of fountains as particles")
 
 
-def _cameras(stage: Stage) -> Iterable[Command]:
+def _cameras(stage: ViewerStage) -> Iterable[ViewerCommand]:
     """The commands that move the camera."""
     scene = stage.scene
 
@@ -63,7 +63,7 @@ def _cameras(stage: Stage) -> Iterable[Command]:
         return ""
 
     number = Parameter("FRAME", parse_number, is_optional=True)
-    yield Command(
+    yield ViewerCommand(
         "camera",
         "go to a view, a frame of a path, or x,y,z[,x,y,z]: a place and what to look at",
         camera,
@@ -76,7 +76,7 @@ def _cameras(stage: Stage) -> Iterable[Command]:
         return stage.controller.name
 
     drives = Parameter("HOW", words=lambda: (Fly.name, Orbit.name, NEXT), is_closed=True, is_optional=True)
-    yield Command("drive", "fly freely, or orbit around what was picked or is in the middle", drive, (drives,))
+    yield ViewerCommand("drive", "fly freely, or orbit around what was picked or is in the middle", drive, (drives,))
 
     def speed(text: str | None = None) -> str:
         factor = {"faster": _SPEED, "slower": 1.0 / _SPEED}.get(text or "")
@@ -87,25 +87,25 @@ def _cameras(stage: Stage) -> Iterable[Command]:
         return f"{stage.controller.speed:.3g} m/s"
 
     speeds = Parameter("M/S", words=lambda: ("faster", "slower"), is_optional=True)
-    yield Command("speed", "move this fast, or faster, or slower", speed, (speeds,))
+    yield ViewerCommand("speed", "move this fast, or faster, or slower", speed, (speeds,))
 
     def play(name: str | None = None) -> str:
         stage.play(None if name is None else find_path(name, scene), name or "latest recording")
         return ""
 
     paths = Parameter("PATH", words=lambda: scene.paths, is_optional=True)
-    yield Command("play", "show a path, a recording (.json), or the latest recording", play, (paths,))
+    yield ViewerCommand("play", "show a path, a recording (.json), or the latest recording", play, (paths,))
 
     def time(seconds: float | None = None) -> str:
         if seconds is not None:
             stage.seconds = seconds
         return f"{stage.seconds:.2f} s"
 
-    yield Command("time", "set the scene's time", time, (Parameter("SECONDS", parse_seconds, is_optional=True),))
+    yield ViewerCommand("time", "set the scene's time", time, (Parameter("SECONDS", parse_seconds, is_optional=True),))
     yield _pause(stage)
 
 
-def _files(stage: Stage) -> Iterable[Command]:
+def _files(stage: ViewerStage) -> Iterable[ViewerCommand]:
     """The commands that read and write files."""
 
     def screenshot(path: Path | None = None) -> str:
@@ -117,7 +117,7 @@ def _files(stage: Stage) -> Iterable[Command]:
         return f"wrote {path}"
 
     file = Parameter("FILE", Path, is_optional=True)
-    yield Command("screenshot", "write the picture to a file", screenshot, (file,))
+    yield ViewerCommand("screenshot", "write the picture to a file", screenshot, (file,))
 
     def record(path: Path | None = None) -> str:
         if stage.is_recording:
@@ -128,19 +128,20 @@ def _files(stage: Stage) -> Iterable[Command]:
         stage.record(path)
         return f"recording to {path}"
 
-    yield Command("record", "begin to record the camera, or end it", record, (file,))
-    yield Command("status", "say how fast frames are, and what draws them", lambda: describe_status(stage))
+    yield ViewerCommand("record", "begin to record the camera, or end it", record, (file,))
+    yield ViewerCommand("status", "say how fast frames are, and what draws them", lambda: describe_status(stage))
 
 
-def describe_status(stage: Stage) -> str:
+def describe_status(stage: ViewerStage) -> str:
     """Return a line with the counter, the look, the camera and the scene's time."""
     eye, ahead = stage.camera.position, stage.camera.position + stage.camera.forward
     place = ",".join(f"{value:.6g}" for value in (*eye, *ahead))
-    device = stage.renderer.device.backend_name
-    return f"{stage.counter.describe()}, {stage.look.describe()} on {device}, camera {place}, {stage.seconds:.2f} s"
+    device, worked = stage.renderer.device.backend_name, f"{1e3 * stage.counter.processor:.1f} ms of processors"
+    rate = f"{stage.counter.describe()}, {worked} a frame"
+    return f"{rate}, {stage.look.describe()} on {device}, camera {place}, {stage.seconds:.2f} s"
 
 
-def find_free(stage: Stage, ending: str) -> Path:
+def find_free(stage: ViewerStage, ending: str) -> Path:
     """Return a file's name that isn't taken: the scene's, with a number."""
     name = Path(stage.scene.name.partition(":")[0]).stem or "scene"
     number = 1
@@ -193,12 +194,12 @@ def _after(choices: Iterable[str], present: str) -> str:
 
 
 def _choice(
-    stage: Stage,
+    stage: ViewerStage,
     name: str,
     summary: str,
     words: Callable[[], Iterable[str]],
     parse: Callable[[str], Any] = str,
-) -> Command:
+) -> ViewerCommand:
     """Return a command that sets an entry of the look to one of some words, or to the next one."""
 
     def run(word: str | None = None) -> str:
@@ -210,7 +211,7 @@ def _choice(
         return f"{name} {chosen}"
 
     known = Parameter(name.upper(), words=lambda: [*words(), NEXT], is_closed=True, is_optional=True)
-    return Command(name, summary, run, (known,))
+    return ViewerCommand(name, summary, run, (known,))
 
 
 _ON: Final = {"on": True, "off": False}
@@ -218,7 +219,7 @@ _ON: Final = {"on": True, "off": False}
 
 def switch(
     name: str, summary: str, read: Callable[[], bool], write: Callable[[bool], None], *, is_silent: bool = False
-) -> Command:
+) -> ViewerCommand:
     """Return a command that turns what `read` returns on or off by `write`, or to the other one."""
 
     def run(word: str | None = None) -> str:
@@ -226,15 +227,16 @@ def switch(
         write(on)
         return "" if is_silent else f"{name} {'on' if on else 'off'}"
 
-    return Command(name, summary, run, (Parameter("on|off", words=lambda: _ON, is_closed=True, is_optional=True),))
+    states = Parameter("on|off", words=lambda: _ON, is_closed=True, is_optional=True)
+    return ViewerCommand(name, summary, run, (states,))
 
 
-def _entry(stage: Stage, name: str, summary: str) -> Command:
+def _entry(stage: ViewerStage, name: str, summary: str) -> ViewerCommand:
     """Return the switch of an entry of the look."""
     return switch(name, summary, lambda: getattr(stage.look, name), lambda on: stage.change(**{name: on}))
 
 
-def _pause(stage: Stage) -> Command:
+def _pause(stage: ViewerStage) -> ViewerCommand:
     def write(on: bool) -> None:
         stage.is_paused = on
 

@@ -48,7 +48,7 @@ class Parameter:
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class ViewerCommand:
     """A thing that a viewer can be told.
 
     Attributes:
@@ -71,14 +71,14 @@ class Command:
 class CommandTable:
     """All commands, by name."""
 
-    def __init__(self, commands: Iterable[Command]) -> None:
+    def __init__(self, commands: Iterable[ViewerCommand]) -> None:
         self._commands: Final = {command.name: command for command in commands}
 
-    def __iter__(self) -> Iterator[Command]:
+    def __iter__(self) -> Iterator[ViewerCommand]:
         """Iterate over the commands, in the order of the help."""
         return iter(self._commands.values())
 
-    def __getitem__(self, name: str) -> Command:
+    def __getitem__(self, name: str) -> ViewerCommand:
         """Return the command of this name, or refuse it with the nearest one."""
         if name not in self._commands:
             refuse_word(rules.UNKNOWN_COMMAND, "command", name, self._commands)

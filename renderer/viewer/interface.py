@@ -20,7 +20,7 @@ __rhi_internal__ = True
 _TEXT: Final = srgb("#e8edf2")
 _DIM: Final = srgb("#93a1ae")
 _ERROR: Final = srgb("#ff8a7a")
-_PANEL: Final = srgb("#0a0f14", 0.88)
+_PANEL: Final = srgb("#0a0f14", 0.95)
 _CURSOR: Final = srgb("#57c785")
 _BOX: Final = srgb("#e8b64c")
 _TRIANGLE: Final = srgb("#ffffff")
@@ -61,7 +61,7 @@ class ScreenRectangle:
     height: int
 
 
-class Interface:
+class InterfaceLayer:
     """Draws what is `shown`.
 
     Attributes:

@@ -84,11 +84,13 @@ def enter_boxes(ray: Ray, lower: Floats, upper: Floats) -> Floats:
     """Return the distances (n,) from the ray's origin at which it enters boxes: infinite where it doesn't."""
     with np.errstate(divide="ignore", invalid="ignore"):
         first, second = (lower - ray.origin) / ray.direction, (upper - ray.origin) / ray.direction
-    enter, leave = np.fmin(first, second), np.fmax(first, second)  # a face in the ray's plane is NaN: no limit
-    entry = np.maximum(np.nan_to_num(enter, nan=-np.inf, neginf=-np.inf, posinf=np.inf).max(axis=1), 0.0)
-    exit = np.nan_to_num(leave, nan=np.inf, neginf=-np.inf, posinf=np.inf).min(axis=1)
-    slack = 1e-12 * (1.0 + np.abs(entry))
-    return np.where(entry <= exit + slack, entry, np.inf)
+    along = (lower <= ray.origin) & (ray.origin <= upper)  # decides where the ray is parallel to a pair of faces
+    moves = ray.direction != 0.0
+    enter = np.where(moves, np.minimum(first, second), np.where(along, -np.inf, np.inf)).max(axis=1)
+    leave = np.where(moves, np.maximum(first, second), np.where(along, np.inf, -np.inf)).min(axis=1)
+    enter = np.maximum(enter, 0.0)
+    with np.errstate(invalid="ignore"):
+        return np.where(enter <= leave + 1e-12 * (1.0 + enter), enter, np.inf)
 
 
 def meet_triangles(

@@ -57,7 +57,7 @@ class CameraRecorder:
         )
 
 
-class Replay:
+class CameraReplay:
     """Shows a walk-through from its beginning.
 
     Attributes:

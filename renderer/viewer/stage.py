@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from time import process_time
 from typing import Any, Final
 
 import numpy as np
@@ -24,7 +25,7 @@ from renderer.viewer.counter import FrameCounter
 from renderer.viewer.look import Dresser, Look
 from renderer.viewer.picking import Hit, Ray, find_hit
 from renderer.viewer.reasons import explain_drawn
-from renderer.viewer.recording import LONGEST, CameraRecorder, Replay
+from renderer.viewer.recording import LONGEST, CameraRecorder, CameraReplay
 from renderer.visibility import NoCulling
 from renderer.visibility.boxes.volumes import find_in_view
 from rhi import Device, RhiError
@@ -36,7 +37,7 @@ MOST_STEP: Final = 0.25
 """Seconds by which a frame moves the camera and the scene at most, however long it took."""
 
 
-class Stage:
+class ViewerStage:
     """Draws a scene frame by frame.
 
     Attributes:
@@ -66,7 +67,7 @@ class Stage:
         self.counter = FrameCounter()
         self.seconds = 0.0
         self.is_paused = False
-        self.replay: Replay | None = None
+        self.replay: CameraReplay | None = None
         self.hit: Hit | None = None
         self.told: list[str] = []
         self._say = say
@@ -219,7 +220,7 @@ class Stage:
         path = path or self._latest
         if path is None:
             refuse(rules.BAD_ARGUMENT, "play", "no recording", "a path of the scene, or a walk-through's .json file")
-        self.replay = Replay(path, name)
+        self.replay = CameraReplay(path, name)
 
     # -- frames ----------------------------------------------------------------------------------------------------
 
@@ -242,7 +243,7 @@ class Stage:
             self._recorder[0].add(now, camera)
             if self.recorded >= LONGEST:
                 self._say(self.end_recording(), False)
-        self.counter.add(now)
+        self.counter.add(now, process_time())
         return self._render(camera)
 
     def picture(self) -> NDArray[np.uint8]:

@@ -18,14 +18,14 @@ from renderer import rules
 from renderer.canvas import Font
 from renderer.scene import Camera, Scene
 from renderer.viewer.actions import make_commands, parse_place, parse_seconds, switch
-from renderer.viewer.commands import Command, CommandTable, Parameter
+from renderer.viewer.commands import CommandTable, Parameter, ViewerCommand
 from renderer.viewer.console import Console
 from renderer.viewer.gestures import Event, Gestures
-from renderer.viewer.interface import Interface, Shown
+from renderer.viewer.interface import InterfaceLayer, Shown
 from renderer.viewer.keys import find_line, list_keys
 from renderer.viewer.look import Look
 from renderer.viewer.server import CommandServer
-from renderer.viewer.stage import Stage
+from renderer.viewer.stage import ViewerStage
 from rhi import Device, RhiError, Texture
 from rhi.errors import refuse
 
@@ -60,8 +60,8 @@ class Viewer:
         """`size` is in physical pixels. `camera` is the scene's first view by default."""
         begin = camera or next(iter(scene.views.values()))
         self.clock = clock
-        self._interface = Interface(device, font)
-        self.stage = Stage(device, scene, size, look or Look(), begin, [self._interface], self._say)
+        self._interface = InterfaceLayer(device, font)
+        self.stage = ViewerStage(device, scene, size, look or Look(), begin, [self._interface], self._say)
         self.commands = CommandTable([*make_commands(self.stage), *self._list_own()])
         self.console = Console(self.commands, self.run)
         self.has_keys = False
@@ -178,7 +178,7 @@ class Viewer:
         until = self.clock() + _NOTED
         self._notes.extend((until, line, is_error) for line in text.splitlines()[-_NOTES:])
 
-    def _list_own(self) -> Iterator[Command]:
+    def _list_own(self) -> Iterator[ViewerCommand]:
         """The commands of what isn't the stage's."""
 
         def describe(name: str | None = None) -> str:
@@ -186,21 +186,21 @@ class Viewer:
             return "\n".join(f"{one.usage}: {one.summary}" for one in shown)
 
         names = Parameter("COMMAND", words=lambda: [one.name for one in self.commands], is_optional=True)
-        yield Command("help", "say what a command does, or all of them", describe, (names,))
+        yield ViewerCommand("help", "say what a command does, or all of them", describe, (names,))
 
         def pick(place: tuple[int, int] | None = None) -> str:
             width, height = self.stage.renderer.size
             return self.stage.pick(*(place or self._pointer or (width // 2, height // 2)))
 
         places = (Parameter("X,Y", parse_place, is_optional=True),)
-        yield Command("pick", "say what is at a pixel or under the pointer, and why it is drawn", pick, places)
+        yield ViewerCommand("pick", "say what is at a pixel or under the pointer, and why it is drawn", pick, places)
 
         def clear() -> str:
             self.stage.clear()
             self.has_keys = False
             return ""
 
-        yield Command("clear", "forget what was picked, hide the keys", clear)
+        yield ViewerCommand("clear", "forget what was picked, hide the keys", clear)
 
         def show_keys(on: bool) -> None:
             self.has_keys = on
@@ -213,7 +213,7 @@ class Viewer:
             self._gestures.release()
             return ""
 
-        yield Command("console", "open or close the console", toggle_console)
+        yield ViewerCommand("console", "open or close the console", toggle_console)
 
         def script(path: Path) -> str:
             try:
@@ -230,9 +230,9 @@ class Viewer:
             self.is_over = True
             return ""
 
-        yield Command("script", "run the lines of a file", script, (Parameter("FILE", Path),))
-        yield Command("wait", "let a script wait", wait, (Parameter("SECONDS", parse_seconds),))
-        yield Command("quit", "end the viewer", leave)
+        yield ViewerCommand("script", "run the lines of a file", script, (Parameter("FILE", Path),))
+        yield ViewerCommand("wait", "let a script wait", wait, (Parameter("SECONDS", parse_seconds),))
+        yield ViewerCommand("quit", "end the viewer", leave)
 
     def _run_waiting(self, now: float) -> None:
         """Run what has come over the socket, and the lines of scripts until one waits."""
