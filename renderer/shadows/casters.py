@@ -45,6 +45,7 @@ class SceneCasters:
     def __init__(self, scene: Scene) -> None:
         objects = scene.objects
         may_move, casts = objects.dynamic | objects.simulated, objects.casts_shadow.copy()
+        may_move[list(scene.height_fields)] = True  # their triangles do
         casts[scene.find_transparent()] = False
         self.still: Rows = np.flatnonzero(casts & ~may_move)
         self.moving: Rows = np.flatnonzero(casts & may_move)
