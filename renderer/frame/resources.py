@@ -180,8 +180,9 @@ class SceneResources:
         self.simulator: Simulator = scene.make_simulator()
         self._held = np.zeros(len(scene.objects))  # by object, the state of the vertices on the device
         self._device = device
+        self._material_version = -1  # that of the materials on the device
         meshes, objects = scene.meshes, scene.objects
-        self.mesh: Mesh = self._keep(device.mesh(meshes.vertices, meshes.indices, label=scene.name))
+        self.mesh: Mesh = self._keep(device.mesh(meshes.vertices, meshes.indices, label="meshes"))
         ranges = meshes.ranges[objects.mesh]
         self.draws: NDArray[Any] = self.mesh.draws(
             ranges["first_index"],
@@ -340,8 +341,10 @@ class SceneResources:
         self._transform(following)
         self.objects.write(self._rows, None if self._list_lights() else following)
         self.places.write(self._places, None if self._find_transparent() else following)
-        self.materials.write(scene.materials)
         self.directional.write(scene.lights.directional)
+        if self._material_version != scene.material_version:
+            self.materials.write(scene.materials)
+            self._material_version = scene.material_version
         self.look_from(camera)
         self.ambient.write(_ambient(scene))
         if "haze" in self.__dict__:

@@ -264,6 +264,8 @@ class ShadowMaps:
         if self._scene is not scene or self._used_settings != self.settings:
             self._reset(scene)
         assert self._casters is not None
+        if not np.array_equal(self._casters.transparent, scene.find_transparent()):
+            self._casters = SceneCasters(scene)
         self._reported = []
         self.casters_drawn = 0
         self._frame += 1
