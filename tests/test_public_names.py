@@ -15,8 +15,12 @@ import renderer.techniques
 import renderer.visibility
 import rhi
 import rhi.shading
+import rhi_screen
 
-MODULES = [rhi, rhi.shading, renderer.scene, renderer.visibility, renderer.frame, renderer.techniques, renderer.measure]
+MODULES = [
+    rhi, rhi.shading, rhi_screen,
+    renderer.scene, renderer.visibility, renderer.frame, renderer.techniques, renderer.measure,
+]  # fmt: skip
 
 
 def undocumented(module: ModuleType) -> Iterator[str]:

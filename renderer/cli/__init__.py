@@ -1,4 +1,4 @@
-"""The command line: `python -m renderer render|demo|compare|plan|capture|tune|debug|convert|scenes`.
+"""The command line: `python -m renderer render|demo|compare|plan|capture|tune|exam|debug|convert|scenes`.
 
 Results go to stdout, everything else to stderr. Bad input ends in one line, `error: …`, and exit code 2.
 """
@@ -21,6 +21,7 @@ from renderer.cli import (
     convert,
     debug_visibility,
     demo,
+    exam,
     plan,
     render,
     scenes,
@@ -51,6 +52,7 @@ COMMANDS: Final[tuple[Subcommand | SubcommandGroup, ...]] = (
     plan.COMMAND,
     capture.COMMAND,
     tune.COMMAND,
+    exam.COMMAND,
     SubcommandGroup("debug", "picture what the renderer does", (debug_visibility.COMMAND,)),
     convert.COMMAND,
     scenes.COMMAND,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import json
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
@@ -24,7 +23,7 @@ from renderer.cli.arguments import (
     add_walk,
     open_scene,
 )
-from renderer.cli.output import OutputError, draw_chart, note, show_progress
+from renderer.cli.output import OutputError, draw_chart, note, print_report, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import find_path
 from renderer.measure import format_table, title_of
@@ -151,9 +150,7 @@ def _run(given: argparse.Namespace) -> None:
     settings.save(given.output / "settings.json", **report)
     note(f"wrote trials.csv, trials.png and settings.json to {given.output}")
     if given.json:
-        print(
-            json.dumps({**report, "visibility": asdict(settings), "finals": [asdict(one) for one in finals]})
-        )
+        print_report({**report, "visibility": asdict(settings), "finals": [asdict(one) for one in finals]}, scene)
         return
     names = [field.name for field in fields(Trial)]
     shown = sorted(finals, key=lambda trial: trial.ratio)
