@@ -8,6 +8,7 @@ from types import ModuleType
 
 import pytest
 
+import renderer.accuracy
 import renderer.frame
 import renderer.measure
 import renderer.scene
@@ -16,7 +17,16 @@ import renderer.visibility
 import rhi
 import rhi.shading
 
-MODULES = [rhi, rhi.shading, renderer.scene, renderer.visibility, renderer.frame, renderer.techniques, renderer.measure]
+MODULES = [
+    rhi,
+    rhi.shading,
+    renderer.scene,
+    renderer.visibility,
+    renderer.frame,
+    renderer.techniques,
+    renderer.measure,
+    renderer.accuracy,
+]
 
 
 def undocumented(module: ModuleType) -> Iterator[str]:
