@@ -1,10 +1,9 @@
-"""A window with GLFW: a turning triangle, drawn by gl beside the window's context, or by cl and copied to it.
+"""A turning triangle in a window, drawn by gl beside the window's context, or by cl and copied to it.
 
     pip install "rhi[viewer]"
-    python examples/window.py [--backend cl] [--frames N] [--immediate]
+    python examples/window.py [--backend cl] [--canvas page] [--frames N] [--immediate]
 
-Each frame is drawn in the size that the window has then, so no old picture is ever scaled. A minimised window draws
-nothing and waits for events.
+Dragging turns it, too. The same program runs in a Qt widget, a browser page and a notebook.
 """
 
 from __future__ import annotations
@@ -12,11 +11,13 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from typing import Any
 
 import numpy as np
 
 import rhi
 from rhi.shading import Shader, Struct, Uniform, cos, sin, vec2, vec3, vec4
+from rhi_screen import CANVASES, Screen, open_screen
 
 
 class Corner(Struct):
@@ -48,73 +49,52 @@ class Turning(Shader):
         return vec4(v.color, 1.0)
 
 
-class Screen:
-    """Shows pictures of any device in the window whose context is current."""
+class Demo:
+    """Draws the triangle on a screen; of frames with one size the driver gives the same memory again."""
 
-    def __init__(self, backend: str) -> None:
-        self.shown = rhi.create_device("gl", context="current")
-        self.device = self.shown if backend == "gl" else rhi.create_device(backend)
+    def __init__(self, screen: Screen, frames: int) -> None:
+        self.screen, self.left, self.drawn, self.angle = screen, frames, 0, 0.0
+        rows = np.zeros(3, Corner.dtype)
+        rows["position"] = [(0.0, 0.8), (-0.7, -0.4), (0.7, -0.4)]
+        rows["color"] = np.eye(3)
+        self.program, self.corners = screen.device.program(Turning), screen.device.mesh(rows)
+        screen.canvas.add_event_handler(self.on_move, "pointer_move")
 
-    def show(self, image: rhi.Texture) -> None:
-        self.device.present(image)
-        if self.device is not self.shown:
-            with self.shown.texture(image.read(), image.format) as copy:
-                self.shown.present(copy)
+    def on_move(self, event: dict[str, Any]) -> None:
+        if event["buttons"]:
+            self.angle = event["x"] / 100
 
-    def close(self) -> None:
-        self.device.close()
-        if self.device is not self.shown:
-            self.shown.close()
-
-
-def draw(device: rhi.Device, corners: rhi.Mesh, size: tuple[int, int], angle: float) -> rhi.Texture:
-    """Draw a frame into a new texture; of a size that stays the driver gives the same memory again."""
-    image = device.texture(size, rhi.Format.RGBA8, label="frame")
-    turn = device.transient.uniform(Turn(angle=angle, aspect=size[0] / size[1]))
-    with device.render_pass(image, clear=(0.1, 0.1, 0.15, 1.0)):
-        device.draw(device.program(Turning), corners, turn=turn)
-    return image
+    def draw(self) -> None:
+        """Draw a frame in the size that the canvas has now, and show it."""
+        screen, self.angle, self.drawn = self.screen, self.angle + 0.02, self.drawn + 1
+        width, height = screen.size
+        turn = screen.device.transient.uniform(Turn(angle=self.angle, aspect=width / height))
+        with screen.device.texture((width, height), rhi.Format.RGBA8, label="frame") as image:
+            with screen.device.render_pass(image, clear=(0.1, 0.1, 0.15, 1.0)):
+                screen.device.draw(self.program, self.corners, turn=turn)
+            screen.show(image)
+        if self.drawn == self.left:
+            screen.canvas.close()
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--backend", default="gl", choices=("gl", "cl"))
+    parser.add_argument("--canvas", default="window", choices=sorted(CANVASES))
     parser.add_argument("--frames", type=int, default=0, help="how many; 0: until the window is closed")
     parser.add_argument("--immediate", action="store_true", help="don't wait for the display's refresh")
     options = parser.parse_args()
     try:
-        import glfw
-    except ImportError:
-        sys.exit('GLFW is missing: pip install "rhi[viewer]"')
-    if not glfw.init():
-        sys.exit("no window can be opened: is there a display? (DISPLAY, WAYLAND_DISPLAY)")
-    window = glfw.create_window(480, 320, "rhi", None, None)
-    if not window:
-        sys.exit("no window with OpenGL can be opened: on Debian apt install libgl1-mesa-dri")
-    glfw.make_context_current(window)
-    glfw.swap_interval(0 if options.immediate else 1)
-    screen = Screen(options.backend)
-    rows = np.zeros(3, Corner.dtype)
-    rows["position"] = [(0.0, 0.8), (-0.7, -0.4), (0.7, -0.4)]
-    rows["color"] = np.eye(3)
-    corners = screen.device.mesh(rows)
-    begun, frames = time.perf_counter(), 0
-    while not glfw.window_should_close(window) and (not options.frames or frames < options.frames):
-        glfw.poll_events()
-        if glfw.get_window_attrib(window, glfw.ICONIFIED) or not all(glfw.get_framebuffer_size(window)):
-            glfw.wait_events_timeout(0.5)  # nothing is drawn
-            continue
-        size = glfw.get_framebuffer_size(window)
-        glfw.make_context_current(window)
-        image = draw(screen.device, corners, size, 0.02 * frames)
-        screen.show(image)
-        image.destroy()
-        glfw.swap_buffers(window)
-        frames += 1
-    seconds = time.perf_counter() - begun
-    print(f"{frames} frames, {frames / seconds:.1f} a second")
-    screen.close()
-    glfw.terminate()
+        screen = open_screen(
+            options.backend, canvas=options.canvas, title="rhi, $fps frames a second", size=(480, 320),
+            update_mode="fastest", vsync=not options.immediate,
+        )  # fmt: skip
+    except rhi.DeviceError as error:
+        sys.exit(f"{error.rule.sentence}: {error.given}; {error.tip}")
+    with screen:
+        demo, begun = Demo(screen, options.frames), time.perf_counter()
+        screen.run(demo.draw)
+        print(f"{demo.drawn} frames, {demo.drawn / (time.perf_counter() - begun):.1f} a second")
 
 
 if __name__ == "__main__":

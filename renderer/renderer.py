@@ -29,6 +29,7 @@ from renderer.frame import (
     find_needs,
     make_plan,
 )
+from renderer.frame.images import SceneImages
 from renderer.scene import Camera, Scene, Simulator
 from renderer.shadows import ShadowMaps, shadow_passes
 from renderer.stereo import EyePair, Stereo, fit_picture
@@ -222,10 +223,14 @@ class Renderer:
         return self._resources
 
     @property
+    def images(self) -> SceneImages | None:
+        """The scene's images on the device; None if no material reads any."""
+        return self._resources.images
+
+    @property
     def image_bytes(self) -> int:
         """The memory of the scene's images on the device, with their mip levels."""
-        images = self._resources.images
-        return 0 if images is None else images.bytes
+        return 0 if self.images is None else self.images.bytes
 
     @property
     def simulator(self) -> Simulator:

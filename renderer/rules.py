@@ -190,6 +190,7 @@ FIXED_SCENE: Final = Rule(
 )
 UNKNOWN_KNOB: Final = Rule("accuracy-unknown-knob", "no choice between accuracy and time has this name")
 NO_KNOBS: Final = Rule("accuracy-no-knobs", "none of these knobs matters for this scene and device")
+UNKNOWN_CASE: Final = Rule("exam-unknown-case", "the exam has no case of this number")
 NO_PICTURES: Final = Rule("measure-no-pictures", "a backend that draws no pictures has no passes to time")
 
 

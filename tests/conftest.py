@@ -1,4 +1,4 @@
-"""For all tests: hypothesis profiles, and mypy as tests run it.
+"""For all tests: hypothesis profiles, mypy as tests run it, and a virtual X server.
 
 - `repeatable`, the default: property tests take the same examples in each run, and have no deadline.
 - `exploring`: new examples. `nightly`: new ones, and 20 times as many; `./test.sh --nightly` uses it.
@@ -10,11 +10,12 @@ import gc
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+from screens_kit import Display, open_display
 
 settings.register_profile(
     "repeatable",
@@ -81,3 +82,10 @@ def mypy_strict(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., tuple
         return done.stdout, done.returncode
 
     return run
+
+
+@pytest.fixture(scope="module")
+def display(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Display]:
+    """A virtual X server."""
+    with open_display(tmp_path_factory.mktemp("screen")) as opened:
+        yield opened

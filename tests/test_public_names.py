@@ -16,17 +16,13 @@ import renderer.techniques
 import renderer.visibility
 import rhi
 import rhi.shading
+import rhi_screen
 
 MODULES = [
-    rhi,
-    rhi.shading,
-    renderer.scene,
-    renderer.visibility,
-    renderer.frame,
-    renderer.techniques,
-    renderer.measure,
+    rhi, rhi.shading, rhi_screen,
+    renderer.scene, renderer.visibility, renderer.frame, renderer.techniques, renderer.measure,
     renderer.accuracy,
-]
+]  # fmt: skip
 
 
 def undocumented(module: ModuleType) -> Iterator[str]:

@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("rhi", "renderer")
-FOLDERS = ("rhi", "renderer", "examples", "benchmarks", "tests")
+PACKAGES = ("rhi", "rhi_screen", "renderer")
+FOLDERS = ("rhi", "rhi_screen", "renderer", "examples", "benchmarks", "tests")
 PAGES = [
     ROOT / "README.md",
     *sorted((ROOT / "docs").glob("*.md")),
@@ -30,8 +30,8 @@ PROGRAMS = [
     if path.suffix in (".py", ".pyi")
 ]
 TICKED = re.compile(r"`([^`\n]+)`")
-DOTTED = re.compile(r"(?:rhi|renderer)(?:\.\w+)+")
-FILE = re.compile(r"(?:rhi|renderer|tests|docs|examples|benchmarks|scripts)/[\w./-]*\.(?:py|pyi|cl|md|sh)")
+DOTTED = re.compile(r"(?:rhi_screen|rhi|renderer)(?:\.\w+)+")
+FILE = re.compile(r"(?:rhi_screen|rhi|renderer|tests|docs|examples|benchmarks|scripts)/[\w./-]*\.(?:py|pyi|cl|md|sh)")
 MOVED = "docs/changes.md"  # lists names that are gone, beside those that took their place
 
 

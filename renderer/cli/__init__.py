@@ -1,4 +1,4 @@
-"""The command line: `python -m renderer render|demo|compare|plan|capture|accuracy|tune|debug|convert|scenes`.
+"""The command line: `python -m renderer render|demo|compare|plan|capture|accuracy|tune|exam|debug|convert|scenes`.
 
 Results go to stdout, everything else to stderr. Bad input ends in one line, `error: …`, and exit code 2.
 """
@@ -22,6 +22,7 @@ from renderer.cli import (
     convert,
     debug_visibility,
     demo,
+    exam,
     plan,
     render,
     scenes,
@@ -53,6 +54,7 @@ COMMANDS: Final[tuple[Subcommand | SubcommandGroup, ...]] = (
     capture.COMMAND,
     accuracy.COMMAND,
     tune.COMMAND,
+    exam.COMMAND,
     SubcommandGroup("debug", "picture what the renderer does", (debug_visibility.COMMAND,)),
     convert.COMMAND,
     scenes.COMMAND,

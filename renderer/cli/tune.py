@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import json
 from collections.abc import Sequence
 from concurrent.futures import Executor, as_completed
 from dataclasses import asdict, fields
@@ -22,7 +21,7 @@ from renderer.cli.arguments import (
     open_scene,
 )
 from renderer.cli.executors import add_executor, make_executor
-from renderer.cli.output import OutputError, draw_chart, note, show_progress
+from renderer.cli.output import OutputError, draw_chart, note, print_report, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import find_path
 from renderer.measure import format_table, title_of
@@ -128,9 +127,7 @@ def _run(given: argparse.Namespace) -> None:
     settings.save(given.output / "settings.json", **report)
     note(f"wrote trials.csv, trials.png and settings.json to {given.output}")
     if given.json:
-        print(
-            json.dumps({**report, "visibility": asdict(settings), "finals": [asdict(one) for one in finals]})
-        )
+        print_report({**report, "visibility": asdict(settings), "finals": [asdict(one) for one in finals]}, scene)
         return
     names = [field.name for field in fields(Trial)]
     shown = sorted(finals, key=lambda trial: trial.ratio)

@@ -113,13 +113,14 @@ class MirroredValue(Generic[S]):
 
     def __init__(self, device: Device, value: S) -> None:
         self.buffer: UniformBuffer[S] = device.uniform(value)
-        self._value = value
+        self._bytes = value.to_bytes()
 
     def write(self, value: S) -> None:
-        """Make the buffer hold `value`; it is uploaded if it has changed."""
-        if value != self._value:
+        """Make the buffer hold `value`; it is uploaded if its bytes have changed."""
+        data = value.to_bytes()
+        if data != self._bytes:
             self.buffer.write(value)
-            self._value = value
+            self._bytes = data
 
     def destroy(self) -> None:
         """Destroy the buffer."""
@@ -180,8 +181,9 @@ class SceneResources:
         self.simulator: Simulator = scene.make_simulator()
         self._held = np.zeros(len(scene.objects))  # by object, the state of the vertices on the device
         self._device = device
+        self._material_version = -1  # that of the materials on the device
         meshes, objects = scene.meshes, scene.objects
-        self.mesh: Mesh = self._keep(device.mesh(meshes.vertices, meshes.indices, label=scene.name))
+        self.mesh: Mesh = self._keep(device.mesh(meshes.vertices, meshes.indices, label="meshes"))
         ranges = meshes.ranges[objects.mesh]
         self.draws: NDArray[Any] = self.mesh.draws(
             ranges["first_index"],
@@ -341,7 +343,10 @@ class SceneResources:
         self._transform(following)
         self.objects.write(self._rows, None if self._list_lights() else following)
         self.places.write(self._places, None if self._find_transparent() else following)
-        self.materials.write(scene.materials)
+        self.directional.write(scene.lights.directional)
+        if self._material_version != scene.material_version:
+            self.materials.write(scene.materials)
+            self._material_version = scene.material_version
         self.look_from(camera)
         self.ambient.write(_ambient(scene))
         if "haze" in self.__dict__:
@@ -350,11 +355,11 @@ class SceneResources:
     def look_from(self, camera: Camera, eye: int = 0) -> None:
         """Let lights be relative to the eye of `camera`, one of the `EYES` of a frame. Each eye has point and spot
         lights of its own, which are written only where they have changed."""
-        lights = self.scene.lights.relative_to(camera.position)
         self.point, self.spot = self._lamps[eye]
-        self.directional.write(lights.directional)
-        self.point.write(lights.point if self._reaching[0] else lights.point[:0])
-        self.spot.write(lights.spot if self._reaching[1] else lights.spot[:0])
+        if any(self._reaching):
+            lights = self.scene.lights.relative_to(camera.position)
+            self.point.write(lights.point if self._reaching[0] else lights.point[:0])
+            self.spot.write(lights.spot if self._reaching[1] else lights.spot[:0])
 
     def _find_transparent(self) -> bool:
         """Find the transparent objects, and return whether they are others than in the last frame."""

@@ -31,7 +31,7 @@ BEHIND: Final = {Depth.REVERSED: DepthFunction.LESS, Depth.STANDARD: DepthFuncti
 """The depth function that is passed behind the geometry, and never in front of the background."""
 
 
-class Screen:
+class WholeTarget:
     """What is kept to run shaders for each pixel of a view.
 
     Attributes:
@@ -103,7 +103,7 @@ def find_far(camera: Camera) -> float:
 
 def bind_rays(frame: Frame) -> dict[str, Any]:
     """Return the binding of the rays of the frame's view."""
-    return {"rays": frame.view.workspace(Screen).aim(frame.camera, frame.targets.size)}
+    return {"rays": frame.view.workspace(WholeTarget).aim(frame.camera, frame.targets.size)}
 
 
 def draw_full_screen(
@@ -134,6 +134,6 @@ def draw_full_screen(
         defaults += (DepthTest.ON, BEHIND[frame.camera.projection.depth])
     chosen = {type(state): state for state in (*defaults, *states)}
     program: Any = frame.program(shader)
-    triangle = frame.view.workspace(Screen).triangle
+    triangle = frame.view.workspace(WholeTarget).triangle
     with device.render_pass(color, depth, clear=clear), device.states(*chosen.values()):
         device.draw(program, triangle, **(bind_rays(frame) | bindings))

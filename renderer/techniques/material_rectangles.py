@@ -24,7 +24,7 @@ from renderer.frame import Frame, Pass, Target
 from renderer.frame.resources import MirroredValue
 from renderer.shaders.encodings import material_depth
 from renderer.shaders.pixels import FullScreen
-from renderer.techniques.full_screen import Screen, bind_rays
+from renderer.techniques.full_screen import WholeTarget, bind_rays
 from renderer.techniques.packed_geometry import MOST_MATERIALS
 from rhi import (
     CullMode,
@@ -255,7 +255,7 @@ def draw_ids(frame: Frame) -> None:
     states = CullMode.NONE, DepthTest.ON, DepthWrite.ON, DepthFunction.ALWAYS
     program: Program[Any] = device.program(MaterialIds)
     with device.render_pass(None, targets["material ids"], clear_depth=1.0), device.states(*states):
-        device.draw(program, frame.view.workspace(Screen).triangle, **bindings)
+        device.draw(program, frame.view.workspace(WholeTarget).triangle, **bindings)
 
 
 def rectangles_pass() -> Pass[Frame]:

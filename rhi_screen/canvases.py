@@ -1,0 +1,92 @@
+"""The kinds of canvases by name, and what to install for each.
+
+A canvas is a `BaseRenderCanvas` of rendercanvas: https://rendercanvas.readthedocs.io has its methods and events.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from dataclasses import dataclass
+from typing import Any, Final, TypeAlias
+
+from rhi.errors import DeviceError, refuse
+from rhi_screen.rules import INSTALL, SCREEN_CANVAS, SCREEN_MISSING
+
+__rhi_internal__ = True
+
+Canvas: TypeAlias = Any
+"""A `rendercanvas.BaseRenderCanvas`; rendercanvas has no types that a type checker reads."""
+
+
+@dataclass(frozen=True, slots=True)
+class CanvasKind:
+    """A class of canvases.
+
+    Attributes:
+        module, name: where the class is.
+        needs: a further module without which it doesn't run.
+        install: what makes them importable.
+    """
+
+    module: str
+    name: str = "RenderCanvas"
+    needs: str = "rendercanvas"
+    install: str = INSTALL
+
+    def load(self) -> Any:
+        """Import and return the class.
+
+        Raises:
+            DeviceError: `screen-missing` with what to install.
+        """
+        try:
+            importlib.import_module(self.needs)
+            return getattr(importlib.import_module(self.module), self.name)
+        except ImportError as error:
+            missing = f"{error.name} is missing" if error.name else str(error).splitlines()[0]
+            raise DeviceError(SCREEN_MISSING, "rhi_screen.open_canvas", missing, "", self.install) from error
+
+
+CANVASES: Final = {
+    "window": CanvasKind("rhi_screen.window", "Window"),
+    "qt": CanvasKind("rendercanvas.pyside6", needs="PySide6", install=f"pip install pyside6; {INSTALL}"),
+    "page": CanvasKind("rendercanvas.http", needs="uvicorn"),
+    "jupyter": CanvasKind(
+        "rendercanvas.jupyter", needs="jupyter_rfb", install=f"pip install jupyter_rfb; {INSTALL}"
+    ),
+    "offscreen": CanvasKind("rendercanvas.offscreen"),
+}
+"""All kinds by name."""
+
+
+def open_canvas(
+    kind: str | None = None, *, title: str = "rhi", size: tuple[float, float] = (960, 540), **options: Any
+) -> Canvas:
+    """Open a canvas.
+
+    Args:
+        kind: a name of `CANVASES`; None: "jupyter" in a notebook, else "window".
+        title: may contain `$fps` and `$ms`.
+        size: in logical pixels, (width, height).
+        options: rendercanvas's: `update_mode` ("ondemand", "continuous", "fastest"), `max_fps`, `vsync`.
+
+    Raises:
+        ValidationError: `screen-canvas` if no canvas has this name.
+        DeviceError: `screen-missing`, `screen-display` or `screen-driver`, with what to install.
+    """
+    kind = kind or ("jupyter" if _is_notebook() else "window")
+    if kind not in CANVASES:
+        refuse(SCREEN_CANVAS, f"rhi_screen.open_canvas({kind!r})", kind, ", ".join(CANVASES))
+    return CANVASES[kind].load()(title=title, size=size, **options)
+
+
+def find_loop(canvas: Canvas) -> Any:
+    """Return the loop that runs a canvas, or None if nothing does, as offscreen."""
+    widget: Any = getattr(canvas, "_subwidget", canvas)  # a window around a widget has no group of its own
+    return widget._rc_canvas_group.get_loop()
+
+
+def _is_notebook() -> bool:
+    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+    return getattr(shell, "kernel", None) is not None

@@ -1,0 +1,25 @@
+"""The rules of screens. A rule is an id (stable: tests compare it), a sentence and a tip."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from rhi.errors import Rule
+
+__rhi_internal__ = True
+
+INSTALL: Final = 'pip install "rhi[viewer]"'
+
+SCREEN_MISSING: Final = Rule("screen-missing", "something that this canvas needs is not installed", INSTALL)
+SCREEN_DISPLAY: Final = Rule(
+    "screen-display",
+    "no window can be opened here",
+    'set DISPLAY or WAYLAND_DISPLAY, or take a canvas that needs no display: "page", "jupyter", "offscreen"',
+)
+SCREEN_DRIVER: Final = Rule(
+    "screen-driver", "no window with OpenGL can be opened", "on Debian: apt install libegl1 libgl1-mesa-dri"
+)
+SCREEN_CANVAS: Final = Rule("screen-canvas", "there is no canvas of this name")
+SCREEN_IMAGE: Final = Rule(
+    "screen-image", "a screen shows images of 8-bit colors", "draw or blit to an RGBA8 texture first"
+)

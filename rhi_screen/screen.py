@@ -1,0 +1,141 @@
+"""A screen: a canvas, and the device whose images it shows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, Final, Self
+
+import rhi
+from rhi.errors import refuse
+from rhi_screen.canvases import Canvas, find_loop, open_canvas
+from rhi_screen.rules import SCREEN_IMAGE
+
+__rhi_internal__ = True
+
+SHOWN: Final = (rhi.Format.RGBA8, rhi.Format.RGBA8_SRGB)
+"""Formats of images that every canvas shows, bit for bit."""
+
+
+class Screen:
+    """A canvas with a device whose images it shows. Use it in a `with` block, or call `close`.
+
+    Attributes:
+        canvas: a canvas of rendercanvas: `add_event_handler`, `request_draw`, `get_pixel_ratio` and so on.
+        device: the device.
+    """
+
+    def __init__(self, canvas: Canvas, device: str | rhi.Device = "gl", **options: Any) -> None:
+        """Show images on `canvas`.
+
+        Args:
+            canvas: any canvas of rendercanvas.
+            device: a backend's name: the device is created, and closed with the screen. "gl" in a window draws beside
+                the window's context. Or a device: its images are copied through the CPU, and it stays open.
+            options: `rhi.create_device`'s.
+        """
+        self.canvas = canvas
+        open_beside = getattr(canvas, "open_device", None)
+        self._owned = isinstance(device, str)
+        self._beside = device == "gl" and open_beside is not None
+        if isinstance(device, rhi.Device):
+            self.device = device
+        elif self._beside and open_beside is not None:
+            self.device = open_beside(**options)
+        else:
+            self.device = rhi.create_device(device, **options)
+        self._context = canvas.get_context(canvas.FRAMES if self._beside else "bitmap")
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """The (width, height) in physical pixels that the next image should have; at least 1×1."""
+        width, height = self.canvas.get_physical_size()
+        return max(width, 1), max(height, 1)
+
+    def show(self, image: rhi.Texture) -> None:
+        """End the device's frame and show `image`: call it in the canvas's draw function, once.
+
+        The image is shown opaque, and scaled if the canvas has another size. It may be changed or destroyed afterwards.
+        On a canvas that was closed nothing is shown.
+
+        Raises:
+            ValidationError: `screen-image` if the image isn't a plain 2D texture of `RGBA8` or `RGBA8_SRGB`;
+                what `Device.present` refuses.
+        """
+        if image.format not in SHOWN or image.kind is not rhi.TextureKind.D2 or image.samples > 1:
+            allowed = " or ".join(format.name for format in SHOWN)
+            refuse(SCREEN_IMAGE, "screen.show", repr(image), f"2D, one sample, {allowed}")
+        if self._beside:
+            self.device.present(image)
+            self._context.show_frame()
+            return
+        texels = image.read()
+        self.device.present(image)
+        texels[..., 3] = 255
+        self._context.set_bitmap(texels)
+
+    def run(self, draw: Callable[[], None] | None = None) -> None:
+        """Run the canvas's loop until it is closed; `draw` is called for each frame.
+
+        In a notebook, whose loop runs already, this returns at once. A canvas without a loop, such as offscreen, draws
+        one frame.
+        """
+        self.canvas.request_draw(draw)
+        loop = find_loop(self.canvas)
+        if loop is None:
+            self.canvas.force_draw()
+        else:
+            loop.run()
+
+    def close(self) -> None:
+        """Close the device, if the screen has created it, and the canvas. A second call does nothing."""
+        if self._owned:
+            self.device.close()
+        self.canvas.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._owned:
+            self.device.close(quiet=kind is not None)
+        self.close()
+
+
+def open_screen(
+    device: str | rhi.Device = "gl",
+    *,
+    canvas: str | None = None,
+    title: str = "rhi",
+    size: tuple[float, float] = (960, 540),
+    update_mode: str = "ondemand",
+    max_fps: float = 60.0,
+    vsync: bool = True,
+    **options: Any,
+) -> Screen:
+    """Open a canvas and a device for it.
+
+    Args:
+        device: a backend's name, or a device.
+        canvas: a name of `CANVASES`; None: "jupyter" in a notebook, else "window".
+        title: may contain `$fps` and `$ms`.
+        size: in logical pixels, (width, height).
+        update_mode: "ondemand": frames are drawn after `canvas.request_draw()`, resizes and exposures; "continuous":
+            `max_fps` times a second; "fastest": without a pause.
+        max_fps: the most frames a second, but for "fastest".
+        vsync: whether a window's frames wait for the display's refresh.
+        options: `rhi.create_device`'s.
+
+    Raises:
+        DeviceError: `screen-missing`, `screen-display`, `screen-driver` or `device-driver`, with what to install.
+    """
+    opened = open_canvas(
+        canvas, title=title, size=size, update_mode=update_mode, max_fps=max_fps, vsync=vsync
+    )
+    try:
+        return Screen(opened, device, **options)
+    except BaseException:
+        opened.close()
+        raise

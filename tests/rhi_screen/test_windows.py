@@ -1,0 +1,380 @@
+"""Windows in a virtual X server. What is checked in them runs in a process of its own, which has that display."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import shutil
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+from screens_kit import Display, WindowManager
+
+import rhi
+from rhi import Format
+
+pytest.importorskip("rendercanvas", reason="no rendercanvas: pip install rhi[viewer]")
+
+from rhi_screen import Screen, open_screen
+
+Check = Callable[..., None]
+needs_xdotool = pytest.mark.skipif(
+    shutil.which("xdotool") is None, reason="nothing that moves a pointer: apt install xdotool"
+)
+SIZE = (64, 48)
+
+
+def enter(environment: dict[str, str]) -> None:
+    """Begin the process with the display: from now on its windows open there."""
+    os.environ.update(environment)
+
+
+@contextmanager
+def begin_process(display: Display) -> Iterator[Check]:
+    """Begin a process that has the display, and yield what runs a check there."""
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, context, enter, (display.environment,)) as pool:
+        yield lambda check, *arguments: pool.submit(check, display, *arguments).result(120)
+
+
+@pytest.fixture(scope="module")
+def windows(display: Display) -> Iterator[Check]:
+    """Runs a check in a process that has the display."""
+    with begin_process(display) as run:
+        yield run
+
+
+def play(screen: Screen, steps: Iterator[None]) -> None:
+    """Run the screen's loop; each draw is a step, and the last one closes the window."""
+    errors: list[BaseException] = []
+
+    def draw() -> None:
+        try:
+            next(steps)
+        except StopIteration:
+            screen.canvas.close()
+        except BaseException as error:
+            errors.append(error)
+            screen.canvas.close()
+
+    screen.run(draw)
+    if errors:
+        raise errors[0]
+
+
+def make_image(screen: Screen, seed: int = 1) -> rhi.Texture:
+    """Return an image of noise, as large as the screen."""
+    width, height = screen.size
+    texels = np.random.default_rng(seed).integers(0, 256, (height, width, 4), np.uint8)
+    return screen.device.texture(texels, Format.RGBA8)
+
+
+def shows(display: Display, screen: Screen, image: rhi.Texture) -> bool:
+    """Whether the window's pixels on the screen are, or become without another frame, the image's."""
+    import glfw
+
+    wanted = image.read()[..., :3]
+    for _ in range(100):
+        place = glfw.get_window_pos(screen.canvas._window)
+        seen = display.look(*place, *screen.size)
+        if seen.shape == wanted.shape and (seen == wanted).all():
+            return True
+        time.sleep(0.02)
+    return False
+
+
+def x_window(screen: Screen) -> int:
+    import glfw
+
+    return int(glfw.get_x11_window(screen.canvas._window))
+
+
+def check_pixels(display: Display, backend: str) -> None:
+    with open_screen(backend, size=SIZE, update_mode="fastest") as screen:
+        assert screen.size == SIZE
+
+        def steps() -> Iterator[None]:
+            for seed in range(3):
+                image = make_image(screen, seed)
+                screen.show(image)
+                yield
+                assert shows(display, screen, image), f"frame {seed}"
+                image.destroy()
+
+        play(screen, steps())
+
+
+def check_resize(display: Display, backend: str) -> None:
+    with open_screen(backend, size=SIZE, update_mode="fastest") as screen:
+        told = []
+        screen.canvas.add_event_handler(lambda event: told.append((event["width"], event["height"])), "resize")
+
+        def steps() -> Iterator[None]:
+            for size in ((101, 67), (40, 90), SIZE):
+                screen.canvas.set_logical_size(*size)
+                yield
+                assert screen.size == size, "the next frame has the new size"
+                assert told[-1] == size
+                image = make_image(screen)
+                screen.show(image)
+                yield
+                assert shows(display, screen, image), f"the first picture of {size}"
+
+        play(screen, steps())
+
+
+def check_resize_wakes(_display: Display) -> None:
+    with open_screen("null", size=SIZE) as screen:
+        sizes = []
+
+        def draw() -> None:
+            sizes.append(screen.size)
+            screen.show(make_image(screen))
+            if len(sizes) == 1:
+                screen.canvas.set_logical_size(80, 60)  # nobody requests another draw
+            else:
+                screen.canvas.close()
+
+        screen.run(draw)
+    assert sizes == [SIZE, (80, 60)]
+
+
+def check_events(_display: Display) -> None:
+    with open_screen("null", size=SIZE, update_mode="fastest") as screen:
+        events: list[dict[str, Any]] = []
+        kinds = (
+            "pointer_down", "pointer_up", "pointer_move", "double_click", "wheel", "key_down", "key_up", "char",
+        )  # fmt: skip
+        screen.canvas.add_event_handler(events.append, *kinds)
+        window = str(x_window(screen))
+
+        def tell(*words: str) -> None:
+            subprocess.run(["xdotool", *words], check=True)
+
+        def wait(kind: str) -> Iterator[None]:
+            for _ in range(2000):
+                if any(event["event_type"] == kind for event in events):
+                    return
+                time.sleep(0.002)
+                yield
+            raise AssertionError(f"no {kind}: {events}")
+
+        def find(kind: str) -> dict[str, Any]:
+            return next(event for event in events if event["event_type"] == kind)
+
+        def steps() -> Iterator[None]:
+            yield
+            tell("windowfocus", window)
+            tell("mousemove", "--window", window, "20", "11")
+            yield from wait("pointer_move")
+            assert (events[-1]["x"], events[-1]["y"]) == (20, 11)
+            tell("mousedown", "1")
+            yield from wait("pointer_down")
+            assert (find("pointer_down")["button"], find("pointer_down")["buttons"]) == (1, (1,))
+            tell("mouseup", "1", "click", "1")
+            yield from wait("double_click")
+            yield from wait("pointer_up")
+            assert find("pointer_up")["buttons"] == ()
+            tell("click", "5")
+            yield from wait("wheel")
+            assert (find("wheel")["dy"], find("wheel")["dx"], find("wheel")["x"]) == (100, 0, 20)
+            tell("key", "shift+w")
+            yield from wait("char")
+            yield from wait("key_up")
+            keys = [event["key"] for event in events if event["event_type"] == "key_down"]
+            assert keys == ["Shift", "W"]
+            assert find("char")["data"] == "W"
+            assert find("char")["modifiers"] == ("Shift",)
+            events.clear()
+            tell("key", "Up", "F1", "space")
+            yield from wait("char")
+            assert [e["key"] for e in events if e["event_type"] == "key_down"] == ["ArrowUp", "F1", " "]
+
+        play(screen, steps())
+
+
+def check_density(_display: Display, density: int, ratio: float) -> None:
+    WindowManager().set_density(density)  # GLFW reads it when its first window opens
+    with open_screen("null", size=(60, 40), update_mode="fastest") as screen:
+        assert screen.canvas.get_pixel_ratio() == ratio
+        assert screen.canvas.get_logical_size() == (60, 40)
+        assert screen.size == (60 * ratio, 40 * ratio)
+        moves: list[dict[str, Any]] = []
+        screen.canvas.add_event_handler(moves.append, "pointer_move")
+
+        def steps() -> Iterator[None]:
+            yield
+            for _ in range(1000):
+                place = [str(round(each * ratio)) for each in (30, 12)]
+                subprocess.run(["xdotool", "mousemove", "--window", str(x_window(screen)), *place], check=True)
+                yield
+                if moves:
+                    break
+            assert (moves[-1]["x"], moves[-1]["y"]) == (30, 12)
+
+        play(screen, steps())
+
+
+def check_minimised(_display: Display) -> None:
+    from rhi_screen.window import loop
+
+    manager = WindowManager()
+    with open_screen("null", size=SIZE, update_mode="fastest") as screen:
+        frames, counts = [], []
+
+        def draw() -> None:
+            frames.append(time.perf_counter())
+            screen.show(make_image(screen))
+            if len(frames) == 2:
+                manager.minimise(x_window(screen), True)
+                loop.call_later(0.3, lambda: counts.append(len(frames)))
+                loop.call_later(0.6, restore)
+            if counts and len(frames) > counts[-1] + 1:
+                screen.canvas.close()
+
+        def restore() -> None:
+            counts.append(len(frames))
+            manager.minimise(x_window(screen), False)
+
+        screen.run(draw)
+    assert counts[0] == counts[1], "nothing was drawn"
+    assert len(frames) > counts[1], "it draws again"
+
+
+def check_closing(_display: Display, backend: str) -> None:
+    manager, told = WindowManager(), []
+    with open_screen(backend, size=SIZE, update_mode="fastest") as screen:
+        screen.canvas.add_event_handler(lambda event: told.append(event["event_type"]), "close")
+        image = make_image(screen)
+
+        def steps() -> Iterator[None]:
+            screen.show(image)
+            yield
+            manager.ask_to_close(x_window(screen))
+            for _ in range(1000):
+                screen.show(image)
+                yield
+            raise AssertionError("it stays open")
+
+        play(screen, steps())
+        assert screen.canvas.get_closed()
+        assert told == ["close"]
+        screen.show(image)  # nowhere
+        assert image.read().shape == (48, 64, 4), "the device lives on"
+
+
+def check_two(display: Display) -> None:
+    with open_screen("gl", size=SIZE, update_mode="fastest") as one, open_screen("gl", size=(30, 20)) as other:
+        import glfw
+
+        glfw.set_window_pos(other.canvas._window, 200, 100)
+        other.canvas.set_update_mode("fastest")
+        images = {screen: make_image(screen, seed) for seed, screen in enumerate((one, other))}
+        other.canvas.request_draw(lambda: other.show(images[other]))
+
+        def steps() -> Iterator[None]:
+            for _ in range(5):
+                one.show(images[one])
+                yield
+            for screen, image in images.items():
+                assert shows(display, screen, image), screen.size
+            other.canvas.close()
+
+        play(one, steps())
+
+
+def check_pace(_display: Display, options: dict[str, Any], least: int, most: int) -> None:
+    with open_screen("null", size=SIZE, vsync=False, **options) as screen:
+        times: list[float] = []
+
+        def draw() -> None:
+            times.append(time.perf_counter())
+            if times[-1] - times[0] > 0.5:
+                screen.canvas.close()
+            screen.canvas.request_draw()
+
+        screen.run(draw)
+    assert least <= len(times) - 1 <= most, len(times)
+
+
+def check_many(_display: Display, count: int) -> None:
+    import psutil
+
+    def open_one() -> None:
+        for backend in ("gl", "null"):
+            with open_screen(backend, size=SIZE) as screen:
+                play(screen, iter([screen.show(make_image(screen))]))
+
+    memory = psutil.Process().memory_info
+    for _ in range(5):
+        open_one()
+    before = memory().rss
+    for _ in range(count):
+        open_one()
+    assert (memory().rss - before) / count < 200_000
+
+
+@pytest.mark.parametrize("backend", ["gl", "null"])
+def test_the_windows_pixels_are_the_frames(windows: Check, backend: str) -> None:
+    windows(check_pixels, backend)
+
+
+@pytest.mark.parametrize("backend", ["gl", "null"])
+def test_the_first_frame_after_a_resize_has_the_new_size(windows: Check, backend: str) -> None:
+    windows(check_resize, backend)
+
+
+def test_a_resize_draws_also_if_nobody_asks(windows: Check) -> None:
+    windows(check_resize_wakes)
+
+
+@needs_xdotool
+def test_events_arrive(windows: Check) -> None:
+    windows(check_events)
+
+
+@needs_xdotool
+@pytest.mark.parametrize(("density", "ratio"), [(192, 2.0), pytest.param(144, 1.5, marks=pytest.mark.nightly)])
+def test_a_dense_display_has_more_pixels_than_the_logical_size(
+    display: Display, density: int, ratio: float
+) -> None:
+    with begin_process(display) as run:
+        run(check_density, density, ratio)
+
+
+def test_a_minimised_window_draws_nothing(windows: Check) -> None:
+    windows(check_minimised)
+
+
+@pytest.mark.parametrize("backend", ["gl", "null"])
+def test_a_window_that_is_closed_ends_the_loop(windows: Check, backend: str) -> None:
+    windows(check_closing, backend)
+
+
+def test_two_windows_show_what_their_own_devices_draw(windows: Check) -> None:
+    windows(check_two)
+
+
+@pytest.mark.parametrize(
+    ("options", "least", "most"),
+    [
+        ({"update_mode": "continuous", "max_fps": 20}, 3, 11),
+        ({"update_mode": "ondemand", "max_fps": 20}, 3, 11),
+        ({"update_mode": "fastest"}, 30, 1_000_000),
+    ],
+)
+def test_frames_come_at_the_rate_that_was_asked_for(
+    windows: Check, options: dict[str, Any], least: int, most: int
+) -> None:
+    windows(check_pace, options, least, most)
+
+
+@pytest.mark.nightly
+def test_windows_opened_and_closed_leave_memory_where_it_was(windows: Check) -> None:
+    windows(check_many, 100)
