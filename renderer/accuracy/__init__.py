@@ -1,6 +1,6 @@
 """What accuracy costs in time: all choices between the two, what each loses, and what it saves."""
 
-from renderer.accuracy.jobs import Job, run_jobs
+from renderer.accuracy.jobs import SweepJob, run_jobs
 from renderer.accuracy.knobs import KNOBS, NEUTRAL, Demand, Knob, Truth, Unit, find_knob
 from renderer.accuracy.sweep import KnobReport, Situation, ValueRow, sweep_knob
 
@@ -8,10 +8,10 @@ __all__ = [
     "KNOBS",
     "NEUTRAL",
     "Demand",
-    "Job",
     "Knob",
     "KnobReport",
     "Situation",
+    "SweepJob",
     "Truth",
     "Unit",
     "ValueRow",

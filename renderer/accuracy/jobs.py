@@ -30,7 +30,7 @@ _VERSION: Final = 1
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class SweepJob:
     """The sweep of a knob."""
 
     situation: Situation
@@ -51,7 +51,7 @@ class Job:
 
 
 def run_jobs(
-    jobs: Sequence[Job],
+    jobs: Sequence[SweepJob],
     executor: Executor,
     folder: Path | None,
     progress: Callable[[Iterable[Any], int], Iterable[Any]] = lambda items, total: items,
@@ -66,9 +66,9 @@ def run_jobs(
     """
     known = {} if folder is None else {job: load_report(folder / f"{job.key}.json") for job in jobs}
     left = [job for job in jobs if known.get(job) is None]
-    futures: dict[Job, Future[KnobReport]] = {}
+    futures: dict[SweepJob, Future[KnobReport]] = {}
     for job in progress(left, len(left)):
-        futures[job] = executor.submit(Job.run, job)
+        futures[job] = executor.submit(SweepJob.run, job)
         if folder is not None:
             futures[job].add_done_callback(partial(_keep, folder / f"{job.key}.json"))
     for _ in progress(as_completed(futures.values()), len(left)):

@@ -122,7 +122,7 @@ class KnobReport:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class View:
+class SweepFrame:
     """A frame to draw."""
 
     number: int
@@ -204,7 +204,7 @@ class _Errors:
         self.worst: tuple[int, int, int] | None = None
         self.picture = ""
 
-    def add(self, view: View, errors: Floats, pictures: tuple[Floats, Floats] | None) -> None:
+    def add(self, view: SweepFrame, errors: Floats, pictures: tuple[Floats, Floats] | None) -> None:
         """Add the errors of a view: (h, w), NaN where nothing counts, with the value's picture and the true one; or a
         single number."""
         counted = errors[np.isfinite(errors)]
@@ -292,12 +292,12 @@ class _Bench:
         width, height = self._situation.size
         return find_rig(self._scene, settings.aim(self.list_views()[0].camera).with_aspect(width / height))
 
-    def list_views(self) -> list[View]:
+    def list_views(self) -> list[SweepFrame]:
         """Return the frames to compare."""
         situation, knob = self._situation, self._knob
         return list_views(self._scene, situation, consecutive=knob.remembers)
 
-    def compare(self, view: View) -> Iterator[tuple[str, tuple[Floats, tuple[Floats, Floats] | None]]]:
+    def compare(self, view: SweepFrame) -> Iterator[tuple[str, tuple[Floats, tuple[Floats, Floats] | None]]]:
         """Yield each value with the errors of its frame, and the pictures that they are differences of."""
         if self._knob.unit is Unit.LEVELS:
             yield from self._compare_pictures(view)
@@ -308,11 +308,11 @@ class _Bench:
         else:
             yield from self._compare_triangles(view)
 
-    def _draw(self, value: str, view: View) -> FrameResult:
+    def _draw(self, value: str, view: SweepFrame) -> FrameResult:
         renderer = self._renderers[value]
         return renderer.render(self._settings[value].aim(view.camera), view.seconds)
 
-    def _compare_pictures(self, view: View) -> Iterator[tuple[str, tuple[Floats, tuple[Floats, Floats] | None]]]:
+    def _compare_pictures(self, view: SweepFrame) -> Iterator[tuple[str, tuple[Floats, tuple[Floats, Floats] | None]]]:
         # The truth is read before values are drawn: it may be the renderer of one of them.
         if self._true is None:
             exact = self._shade(view)
@@ -329,11 +329,11 @@ class _Bench:
             errors = np.where(counts, np.abs(shown - true).max(axis=2), np.nan)
             yield value, (errors, (np.where(counts[..., None], true, shown), shown))
 
-    def _shade(self, view: View) -> ExactPicture:
+    def _shade(self, view: SweepFrame) -> ExactPicture:
         value = list(self._renderers)[-1]
         return shade_exactly(self._renderers[value], self._settings[value].aim(view.camera), view.seconds)
 
-    def _compare_depths(self, view: View) -> Iterator[tuple[str, tuple[Floats, None]]]:
+    def _compare_depths(self, view: SweepFrame) -> Iterator[tuple[str, tuple[Floats, None]]]:
         exact = self._shade(view)
         for value in self._renderers:
             depth = self._draw(value, view).depth.read().astype(np.float64)
@@ -343,7 +343,7 @@ class _Bench:
             errors[seen] = 1e6 * np.abs(away[seen] / exact.distances[seen] - 1.0)
             yield value, (errors, None)
 
-    def _compare_lights(self, view: View) -> Iterator[tuple[str, tuple[Floats, None]]]:
+    def _compare_lights(self, view: SweepFrame) -> Iterator[tuple[str, tuple[Floats, None]]]:
         exact = self._shade(view)
         seen = exact.positions[exact.objects >= 0]
         needed = count_reached(self._scene, view.camera, seen)
@@ -352,7 +352,7 @@ class _Bench:
             assert counted is not None
             yield value, (np.array([(counted - needed) / max(len(seen), 1)]), None)
 
-    def _compare_triangles(self, view: View) -> Iterator[tuple[str, tuple[Floats, None]]]:
+    def _compare_triangles(self, view: SweepFrame) -> Iterator[tuple[str, tuple[Floats, None]]]:
         assert self._exact is not None
         results = {value: self._draw(value, view).statistics.triangles for value in self._renderers}
         rows = np.array(sorted(self._exact.find(self._situation.settings.aim(view.camera))), np.int64)
@@ -407,22 +407,22 @@ def _limit(settings: RenderSettings, device: Device) -> RenderSettings:
 
 def list_views(
     scene: Scene, situation: Situation, *, consecutive: bool = False, count: int | None = None
-) -> list[View]:
+) -> list[SweepFrame]:
     """Return frames of the situation's camera: consecutive ones from the middle of its path, or spread over all of it.
     A camera that isn't a path has one."""
     text = situation.camera or ("ground" if "ground" in scene.paths else next(iter(scene.views)))
     wanted = count or situation.views
     if text not in scene.paths and not text.endswith(".json"):
         camera = parse_camera(text, scene)
-        return [View(number, camera) for number in range(wanted)] if consecutive else [View(0, camera)]
+        return [SweepFrame(number, camera) for number in range(wanted)] if consecutive else [SweepFrame(0, camera)]
     path = find_path(text, scene)
     last = len(path) - 1 if situation.last is None else min(situation.last, len(path) - 1)
     first = min(situation.first, last)
     if consecutive:
         begin = max(first, min((first + last) // 2, last - wanted + 1))
-        return [View(number, path.camera(number)) for number in range(begin, min(begin + wanted, last + 1))]
+        return [SweepFrame(number, path.camera(number)) for number in range(begin, min(begin + wanted, last + 1))]
     places = np.linspace(first, last, wanted + 2)[1:-1]  # not the ends, where there may be nothing to see
-    return [View(number, path.camera(number)) for number in dict.fromkeys(int(place) for place in places)]
+    return [SweepFrame(number, path.camera(number)) for number in dict.fromkeys(int(place) for place in places)]
 
 
 def _read_picture(result: FrameResult) -> Floats:

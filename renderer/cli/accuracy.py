@@ -9,7 +9,7 @@ from typing import Final
 
 import rhi
 from renderer import rules
-from renderer.accuracy import KNOBS, Job, KnobReport, Situation, run_jobs
+from renderer.accuracy import KNOBS, KnobReport, Situation, SweepJob, run_jobs
 from renderer.cli.arguments import (
     add_backend,
     add_form,
@@ -69,7 +69,7 @@ def _run(given: argparse.Namespace) -> None:
     situation = Situation(
         given.scene, given.camera, backend, given.size, views=given.views, rounds=given.rounds, settings=settings
     )
-    jobs = [Job(situation, name) for name in dict.fromkeys(given.knob or KNOBS)]
+    jobs = [SweepJob(situation, name) for name in dict.fromkeys(given.knob or KNOBS)]
     with make_executor(given.executor) as executor:
         reports = run_jobs(jobs, executor, None, lambda items, total: show_progress(items, total, "accuracy"))
     for report in reports:
