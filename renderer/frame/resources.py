@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer import rules, shaders
-from renderer.frame.images import SceneImages
+from renderer.frame.images import AS_GIVEN, SceneImages, TextureSettings
 from renderer.lights.lists import list_lights
 from renderer.scene import Camera, Deformed, Scene, Simulator, normal_matrices
 from renderer.visibility import SceneArrays
@@ -178,11 +178,12 @@ class SceneResources:
         simulator: runs the simulations of what is drawn.
     """
 
-    def __init__(self, device: Device, scene: Scene) -> None:
-        """If anything can't be created, nothing is left on the device."""
+    def __init__(self, device: Device, scene: Scene, textures: TextureSettings = AS_GIVEN) -> None:
+        """Upload a scene, whose textures are read as well as these settings say. If anything can't be created, nothing
+        is left on the device."""
         with ExitStack() as made:
             self._made = made
-            self._make(device, scene)
+            self._make(device, scene, textures)
             self._made = made.pop_all()
 
     def _keep(self, resource: R) -> R:
@@ -190,7 +191,7 @@ class SceneResources:
         self._made.callback(resource.destroy)
         return resource
 
-    def _make(self, device: Device, scene: Scene) -> None:
+    def _make(self, device: Device, scene: Scene, textures: TextureSettings) -> None:
         self.scene = scene
         self._workspaces: Workspaces = self._keep(Workspaces(device))
         self.simulator: Simulator = scene.make_simulator()
@@ -208,7 +209,8 @@ class SceneResources:
             base_instance=np.arange(len(objects)),
         )
         self.tessellated_rows: NDArray[np.int64] = np.array(sorted(scene.height_fields), np.int64)
-        self.images: SceneImages | None = self._keep(SceneImages(device, scene)) if len(scene.textures) else None
+        has_images = len(scene.textures) > 0
+        self.images = self._keep(SceneImages(device, scene, textures)) if has_images else None
         keep = self._keep
         self.objects = keep(MirroredArray(device, shaders.Object, "objects"))
         self.places = keep(MirroredArray(device, shaders.ObjectPosition, "places"))
