@@ -1,4 +1,4 @@
-"""The command line: `python -m renderer render|view|demo|compare|plan|capture|tune|exam|debug|convert|scenes`.
+"""The command line: `python -m renderer render|view|demo|compare|plan|capture|accuracy|tune|exam|debug|convert|scenes`.
 
 Results go to stdout, everything else to stderr. Bad input ends in one line, `error: …`, and exit code 2.
 """
@@ -11,6 +11,7 @@ from typing import Final, NoReturn
 
 from renderer import rules
 from renderer.cli import (
+    accuracy,
     capture,
     compare_backends,
     compare_deferred_plus,
@@ -54,6 +55,7 @@ COMMANDS: Final[tuple[Subcommand | SubcommandGroup, ...]] = (
     ),
     plan.COMMAND,
     capture.COMMAND,
+    accuracy.COMMAND,
     tune.COMMAND,
     exam.COMMAND,
     SubcommandGroup("debug", "picture what the renderer does", (debug_visibility.COMMAND,)),

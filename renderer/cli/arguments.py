@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Final
 
 import rhi
-from renderer import rules, techniques
+from renderer import rules
 from renderer.cli.output import note
 from renderer.cli.subcommand import Parser
 from renderer.content import load_scene
 from renderer.scene import Camera, Scene
 from renderer.stereo import OUTPUTS, Stereo, find_rig
-from renderer.techniques import TECHNIQUES, AutoTechnique, Technique
+from renderer.techniques import TECHNIQUES, AutoTechnique, Technique, TechniqueSettings
 from renderer.visibility import Settings
 from rhi import refuse
 
@@ -85,9 +85,7 @@ def add_technique(parser: Parser, default: str = AutoTechnique.name) -> None:
 
 def make_technique(given: argparse.Namespace, scene: Scene, device: rhi.Device) -> Technique:
     """Return the technique that the arguments of `add_technique` describe, for a scene and a device."""
-    return techniques.make_technique(
-        given.technique, scene, device, samples=given.samples, is_smooth=given.fxaa
-    )
+    return TechniqueSettings(given.technique, samples=given.samples, fxaa=given.fxaa).make(scene, device)
 
 
 def explain_technique(technique: Technique, given: argparse.Namespace) -> dict[str, str]:

@@ -19,7 +19,7 @@ from renderer.overlay import Overlay
 from renderer.renderer import Renderer
 from renderer.scene import Camera
 from renderer.stereo import Stereo, find_rig
-from renderer.techniques import AutoTechnique, Forward, Particles, Technique, Watched, make_technique
+from renderer.techniques import AutoTechnique, Forward, Particles, Technique, TechniqueSettings, Watched
 from renderer.techniques.inspection import INSPECTIONS, Inspection
 from renderer.techniques.watched import list_contents
 from renderer.visibility import VisibilityAlgorithm, check_algorithm, make_visibility
@@ -176,7 +176,8 @@ class Dresser:
         renderer, name = self._renderer, look.technique
         if name == AutoTechnique.name and look.show != LIT:
             name = Forward.name
-        return make_technique(name, renderer.scene, renderer.device, samples=look.samples, is_smooth=look.fxaa)
+        settings = TechniqueSettings(name, samples=look.samples, fxaa=look.fxaa)
+        return settings.make(renderer.scene, renderer.device)
 
     def _make_technique(self, look: Look) -> Technique:
         if look.show in INSPECTIONS:
