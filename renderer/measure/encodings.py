@@ -59,7 +59,8 @@ from rhi.shading import (
 )
 
 GROUP: Final = 64
-_TURNS: Final = 64
+TURNS: Final = 64
+"""How often a value is stored and read in a run that is timed."""
 
 
 class StoredValue(Struct):
@@ -290,10 +291,10 @@ def compare_encodings(
         works = {}
         for one in encodings:
             values = one.sample(np.random.default_rng(0), count)
-            errors[one.name].append(one.measure(values, run_round_trip(device, one, values)))
-            works[one.name] = _time_round_trip(device, one, values)
+            errors[one.name].append(one.measure(values, run_round_trip(device, one.shader, values, **one.uniforms)))
+            works[one.name] = time_round_trip(device, one.shader, values, **one.uniforms)
         for name, found in alternate(works, progress(range(rounds))).items():
-            times[name][device.backend_name] = round(1e9 * found.median / count / _TURNS, 2)
+            times[name][device.backend_name] = round(1e9 * found.median / count / TURNS, 2)
     return [
         EncodingRow(
             one.name,
@@ -314,20 +315,22 @@ def pack_values(values: Floats) -> NDArray[Any]:
     return packed
 
 
-def run_round_trip(device: Device, encoding: Encoding, values: Floats) -> Floats:
+def run_round_trip(device: Device, shader: type[RoundTrip], values: Floats, **uniforms: Struct) -> Floats:
     """Return what a device reads of values (k, 8) that it has stored."""
-    buffers = _make_buffers(device, encoding, values, 1)
-    device.dispatch(device.program(encoding.shader), -(-len(values) // GROUP), **buffers)
+    buffers = _make_buffers(device, values, 1, uniforms)
+    device.dispatch(device.program(shader), -(-len(values) // GROUP), **buffers)
     read: Floats = np.ascontiguousarray(buffers["results"].read()).view(np.float32).reshape(-1, 8).astype(np.float64)
     for buffer in buffers.values():
         buffer.destroy()
     return read
 
 
-def _time_round_trip(device: Device, encoding: Encoding, values: Floats) -> Callable[[int], None]:
+def time_round_trip(
+    device: Device, shader: type[RoundTrip], values: Floats, **uniforms: Struct
+) -> Callable[[int], None]:
     """Return a function that stores and reads the values many times, and waits for the device."""
-    buffers = _make_buffers(device, encoding, values, _TURNS)
-    program: Program[Any] = device.program(encoding.shader)
+    buffers = _make_buffers(device, values, TURNS, uniforms)
+    program: Program[Any] = device.program(shader)
 
     def run(_: int) -> None:
         device.dispatch(program, -(-len(values) // GROUP), **buffers)
@@ -336,13 +339,13 @@ def _time_round_trip(device: Device, encoding: Encoding, values: Floats) -> Call
     return run
 
 
-def _make_buffers(device: Device, encoding: Encoding, values: Floats, turns: int) -> dict[str, Any]:
-    """Create what the shader of an encoding binds."""
+def _make_buffers(device: Device, values: Floats, turns: int, uniforms: Mapping[str, Struct]) -> dict[str, Any]:
+    """Create what a `RoundTrip` binds."""
     return {
         "turns": device.uniform(Turns(count=turns)),
         "values": device.storage(StoredValue, pack_values(values)),
         "results": device.storage(StoredValue, len(values)),
-        **{name: device.uniform(value) for name, value in encoding.uniforms.items()},
+        **{name: device.uniform(value) for name, value in uniforms.items()},
     }
 
 
