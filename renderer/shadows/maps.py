@@ -23,7 +23,6 @@ from typing import Any, Final
 import numpy as np
 
 from renderer.frame import Effect, Frame, Needs, Pass
-from renderer.frame.passes import WINDINGS
 from renderer.frame.resources import MirroredValue, SceneResources, split_doubles
 from renderer.lights.lists import list_lights
 from renderer.scene import Camera, Scene
@@ -549,10 +548,10 @@ class ShadowMaps:
                     if clears:
                         with device.states(DepthFunction.ALWAYS, CullMode.NONE):
                             device.draw(device.program(FarDepth), self._triangle)
-                    for mirrored, winding in WINDINGS:
-                        part = rows[resources.find_winding(rows, mirrored=mirrored)]
+                    for number, states in resources.groups:
+                        part = rows[resources.find_group(rows, number)]
                         if part.size:
-                            with device.states(winding):
+                            with device.states(*states):
                                 device.draw_many(
                                     program,
                                     resources.mesh,
