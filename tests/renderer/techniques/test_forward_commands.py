@@ -12,7 +12,10 @@ from renderer.content import BUILT_IN as MESHES
 from renderer.content import load_scene
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Depth, Perspective, Scene, SceneBuilder, scaling, translation
+from renderer.techniques import TECHNIQUES
+from renderer.visibility import NoCulling, make_visibility
 from rhi import Op
+from rhi.backends.null import NullBackend
 
 
 def boxes(*places: tuple[float, float, float], mirrored: int = 0) -> SceneBuilder:
@@ -53,6 +56,64 @@ def test_mirrored_objects_are_a_second_call_of_the_other_winding(null: rhi.Devic
     assert (first["draws"], second["draws"]) == (2, 1)
     assert first.states[rhi.FrontFace] is rhi.FrontFace.COUNTER_CLOCKWISE
     assert second.states[rhi.FrontFace] is rhi.FrontFace.CLOCKWISE
+
+
+def leaves(*, of_each: int = 2) -> SceneBuilder:
+    """Make boxes of all four groups, one after the other, and each of them `of_each` times."""
+    builder = SceneBuilder("leaves")
+    mesh, materials = builder.add_mesh(MESHES["box"]()), [builder.add_material(double_sided=two) for two in (0, 1)]
+    for number in range(4 * of_each):
+        turned = scaling((-1 if number % 2 else 1, 1, 1))
+        node = builder.add_node(translation((number - 2 * of_each, 0, 0)) @ turned)
+        builder.add_objects(node, mesh, materials[number // 2 % 2])
+    builder.views["eye"] = Camera.look_at((0, 0, 20), (0, 0, 0))
+    return builder
+
+
+GROUPS = [
+    (rhi.FrontFace.COUNTER_CLOCKWISE, rhi.CullMode.BACK),
+    (rhi.FrontFace.CLOCKWISE, rhi.CullMode.BACK),
+    (rhi.FrontFace.COUNTER_CLOCKWISE, rhi.CullMode.NONE),
+    (rhi.FrontFace.CLOCKWISE, rhi.CullMode.NONE),
+]
+
+
+def list_groups(draws: rhi.Commands) -> list[tuple[object, object]]:
+    return [(draw.states[rhi.FrontFace], draw.states[rhi.CullMode]) for draw in draws]
+
+
+def test_objects_that_need_other_states_are_a_call_each_and_no_more(null: rhi.Device) -> None:
+    draws = record(null, leaves(of_each=5).build()).draws()
+    assert [draw["draws"] for draw in draws] == [5] * 4
+    assert list_groups(draws) == GROUPS
+
+
+@pytest.mark.parametrize("name", ["chc_plus_plus", "stop_and_wait", "two_pass", "depth_pyramid"])
+def test_every_algorithm_culls_the_backs_of_materials_with_one_side(null: rhi.Device, name: str) -> None:
+    null.backend_as(NullBackend).answer_queries(100)
+    scene = leaves().build()
+    with Renderer(null, scene, visibility=make_visibility(name, scene, null), size=(32, 16)) as renderer:
+        null.stream.clear()
+        renderer.render(scene.views["eye"])
+        found = list_groups(null.stream.draws().filter(where=lambda draw: "materials" in draw.bindings))
+    assert set(found) == set(GROUPS)
+
+
+def test_a_scene_without_two_sides_culls_all_backs(null: rhi.Device) -> None:
+    (draw,) = record(null, boxes((-2, 0, 0), (0, 0, 0)).build()).draws()
+    assert list_groups([draw]) == GROUPS[:1]
+
+
+def test_a_depth_pass_of_materials_with_two_sides_has_no_fragment_to_discard(null: rhi.Device) -> None:
+    builder = leaves()
+    builder.lights.add_point((0, 0, 2), 50.0)
+    scene = builder.build()
+    with Renderer(null, scene, technique=TECHNIQUES["forward_plus"](), visibility=NoCulling(scene)) as renderer:
+        null.stream.clear()
+        renderer.render(scene.views["eye"])
+        depth = null.stream.filter(label="depth").draws()
+        assert len(depth) == 4
+        assert {name for draw in depth for name in draw.bindings} == {"view", "objects", "places"}
 
 
 def test_nothing_in_view_is_a_pass_without_a_draw(null: rhi.Device) -> None:
