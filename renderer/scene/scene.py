@@ -139,6 +139,11 @@ class Scene:
         """A number that grows when a `refresh` finds that materials have changed."""
         return self._features.version
 
+    @property
+    def material_kinds(self) -> Rows:
+        """A number (k,) for each material: those with the same one have the same features, as of the last `refresh`."""
+        return self._features.kinds
+
     def make_simulator(self) -> Simulator:
         """Create a simulator of the scene, in which nothing has been run yet."""
         return Simulator(self.simulated, self.nodes, self.objects, self.meshes)
