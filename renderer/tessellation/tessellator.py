@@ -176,7 +176,7 @@ def tessellation_passes(needs: Needs) -> list[Pass[Frame]]:
 
 
 def _update(frame: Frame) -> None:
-    if frame.first is None and frame.device.capabilities.compute:  # the left eye's frame chooses for both
+    if frame.device.capabilities.compute:  # the second of two eyes asks for the same as the first
         tessellator = frame.resources.workspace(Tessellator)
         tessellator.update(frame.resources, frame.view.around, frame.targets.size[1])
 

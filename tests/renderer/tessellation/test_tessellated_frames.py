@@ -92,8 +92,11 @@ def test_each_technique_chooses_triangles_once_before_all_else(null: rhi.Device,
             chosen = [place for place, one in enumerate(commands) if one == (True, rhi.Op.DISPATCH)]
             assert len(chosen) == field.levels + 2
             draws = [place for place, (_, op) in enumerate(commands) if op is rhi.Op.DRAW_INDIRECT]
-            assert draws
             assert max(chosen) < min(draws)
+            buffers = [command["buffer"] for command in null.stream.filter(rhi.Op.DRAW_INDIRECT)]
+            assert renderer.resources.tessellated_draws.owner.id in buffers
+            if technique in ("forward", "deferred"):  # which have no other indirect draws
+                assert set(buffers) == {renderer.resources.tessellated_draws.owner.id}
 
 
 def test_two_eyes_share_triangles(null: rhi.Device) -> None:
