@@ -130,11 +130,11 @@ def _list_lamp_passes(device: Device, name: str, scene: Scene) -> list[str]:
 
 
 def plan_frames(_: Device) -> Found:
-    """Plan random frames and compare with brute force; refuse a circle; and plan scenes without lights and with one, with
-    each technique on a null device."""
+    """Plan random frames and compare with brute force; refuse a circle; and plan scenes without lights and with one,
+    with each technique on a null device."""
     rng = np.random.default_rng(51)
     faults, dropped, kept = 0, 0, 0
-    for _ in range(COUNT):
+    for _turn in range(COUNT):
         passes = make_passes(rng)
         plan = make_plan(passes)
         faults += count_faults(plan, passes)

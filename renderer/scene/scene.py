@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from renderer import rules
 from renderer.scene.arrays import Floats, Rows
 from renderer.scene.camera import Camera
+from renderer.scene.finite import FiniteArrays, check_finite
 from renderer.scene.lights import Lights
 from renderer.scene.materials import (
     MATERIAL,
@@ -99,6 +100,7 @@ class Scene:
         self.paths = dict(paths)
         self.omissions = omissions
         self.seconds = 0.0
+        self._finite = FiniteArrays()
         self._features: tuple[bytes, dict[str, int]] = (b"", {})
         self._simulator = self.make_simulator()
         self.update()
@@ -111,6 +113,7 @@ class Scene:
         Return the rows of the objects whose transform was computed again. A renderer applies only the animations of
         what it draws.
         """
+        check_finite("Scene.update", seconds=seconds)
         self.seconds = seconds
         self._simulator.begin_frame(seconds)
         self._simulator.pose_all()
@@ -135,6 +138,13 @@ class Scene:
             counts["vertex colors"] = len(self.meshes) if "color" in (self.meshes.vertices.dtype.names or ()) else 0
             self._features = (contents, counts)
         return self._features[1]
+
+    def check_numbers(self, call: str) -> None:
+        """Refuse numbers of lights, materials and the air that aren't finite; they may be written to at any time."""
+        lights = self.lights
+        air = np.array([*lights.sky, *lights.ground, *self.background, self.haze], np.float64)
+        checked = {"directional": lights.directional, "point": lights.point, "spot": lights.spot}
+        self._finite.check(call, {**checked, "materials": self.materials, "sky, ground, background, haze": air})
 
     def make_simulator(self) -> Simulator:
         """Create a simulator of the scene, in which nothing has been run yet."""
@@ -226,6 +236,7 @@ class SceneBuilder:
             return known
         if bounds is not None:
             lower, upper = geometry.bounds
+            check_finite("add_mesh(bounds=...)", lower=bounds[0], upper=bounds[1])
             if not ((bounds[0] <= lower) & (upper <= bounds[1])).all():
                 given = f"{bounds[0]} to {bounds[1]}"
                 refuse(rules.BAD_MESH, "add_mesh(bounds=...)", given, f"at least {lower} to {upper}")
