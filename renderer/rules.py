@@ -37,6 +37,14 @@ BAD_VERTICES: Final = Rule(
 BAD_MESH: Final = Rule(
     "scene-bad-mesh", "a mesh consists of triangles: three indices each, all of existing vertices"
 )
+BAD_HEIGHTS: Final = Rule(
+    "scene-bad-heights", "a height field is a map of finite heights over a rectangle, with a limit of triangles"
+)
+SHARED_HEIGHTS: Final = Rule(
+    "scene-shared-heights",
+    "the triangles of a height field are chosen for one object",
+    "add a mesh for each object: add_height_field",
+)
 BAD_TRANSFORM: Final = Rule(
     "scene-bad-transform", "a transform is a finite, affine 4x4 matrix for column vectors: last row 0 0 0 1"
 )
@@ -175,6 +183,8 @@ MANY_MATERIALS: Final = Rule(
     "a packed geometry buffer holds 16 bits of a pixel's material",
     "use --technique clustered",
 )
+NO_WIREFRAME: Final = Rule("technique-no-wireframe", "this picture needs a device that draws the edges of triangles")
+BAD_EDGE: Final = Rule("tessellation-edge", "edges are split down to a length in pixels")
 BAD_TECHNIQUE: Final = Rule("technique-parameter", "a parameter of a technique is out of its range")
 
 # Shadows
@@ -193,6 +203,8 @@ FIXED_SCENE: Final = Rule(
     "a scene without an option for it can't be compared with another number of objects or lights",
     "leave out --objects or --lights: the scene is compared as it is",
 )
+UNKNOWN_KNOB: Final = Rule("accuracy-unknown-knob", "no choice between accuracy and time has this name")
+NO_KNOBS: Final = Rule("accuracy-no-knobs", "none of these knobs matters for this scene and device")
 UNKNOWN_CASE: Final = Rule("exam-unknown-case", "the exam has no case of this number")
 NO_PICTURES: Final = Rule("measure-no-pictures", "a backend that draws no pictures has no passes to time")
 

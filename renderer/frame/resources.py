@@ -19,13 +19,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer import rules, shaders
-from renderer.frame.images import SceneImages
+from renderer.frame.images import AS_GIVEN, SceneImages, TextureSettings
 from renderer.lights.lists import list_lights
 from renderer.scene import Camera, Deformed, Scene, Simulator, normal_matrices
 from renderer.visibility import SceneArrays
 from renderer.visibility.boxes.volumes import find_in_view
-from rhi import CullMode, Device, Mesh, StorageBuffer, UniformBuffer, refuse
-from rhi.shading import Struct, UniformRange
+from renderer.visibility.gpu.draw_lists import DrawArguments
+from rhi import (
+    DRAW,
+    CullMode,
+    Device,
+    Encoder,
+    IndirectDraws,
+    Mesh,
+    Program,
+    StorageBuffer,
+    UniformBuffer,
+    refuse,
+)
+from rhi.shading import Struct, UniformRange, uint
 
 
 class _Destroyable(Protocol):
@@ -113,13 +125,14 @@ class MirroredValue(Generic[S]):
 
     def __init__(self, device: Device, value: S) -> None:
         self.buffer: UniformBuffer[S] = device.uniform(value)
-        self._value = value
+        self._bytes = value.to_bytes()
 
     def write(self, value: S) -> None:
-        """Make the buffer hold `value`; it is uploaded if it has changed."""
-        if value != self._value:
+        """Make the buffer hold `value`; it is uploaded if its bytes have changed."""
+        data = value.to_bytes()
+        if data != self._bytes:
             self.buffer.write(value)
-            self._value = value
+            self._bytes = data
 
     def destroy(self) -> None:
         """Destroy the buffer."""
@@ -154,6 +167,10 @@ class SceneResources:
         mesh: all meshes in one. draws: (n,) of `rhi.DRAW`, one for each object.
         mirrored: (n,) bool, whether an object's transform mirrors it, which reverses the winding of its triangles.
         is_transparent: (n,) bool, whether an object is transparent. transparent_rows: the rows of those that are.
+        tessellated_rows: the rows of the height fields, ascending. The device chooses their triangles; their `draws`
+            have as many as there can be, of which those that aren't used are empty.
+        tessellations: how often triangles were chosen.
+        indices: the indices of `mesh`, as shaders write them; only in scenes with height fields.
         images: the scene's images; None if no material reads any.
         objects, places, materials, directional, point, spot, light_rows: the arrays that shaders read; point and spot
             lights are left out if none of them reaches an object.
@@ -161,11 +178,12 @@ class SceneResources:
         simulator: runs the simulations of what is drawn.
     """
 
-    def __init__(self, device: Device, scene: Scene) -> None:
-        """If anything can't be created, nothing is left on the device."""
+    def __init__(self, device: Device, scene: Scene, textures: TextureSettings = AS_GIVEN) -> None:
+        """Upload a scene, whose textures are read as well as these settings say. If anything can't be created, nothing
+        is left on the device."""
         with ExitStack() as made:
             self._made = made
-            self._make(device, scene)
+            self._make(device, scene, textures)
             self._made = made.pop_all()
 
     def _keep(self, resource: R) -> R:
@@ -173,14 +191,16 @@ class SceneResources:
         self._made.callback(resource.destroy)
         return resource
 
-    def _make(self, device: Device, scene: Scene) -> None:
+    def _make(self, device: Device, scene: Scene, textures: TextureSettings) -> None:
         self.scene = scene
         self._workspaces: Workspaces = self._keep(Workspaces(device))
         self.simulator: Simulator = scene.make_simulator()
         self._held = np.zeros(len(scene.objects))  # by object, the state of the vertices on the device
         self._device = device
+        self._material_version = -1  # that of the materials on the device
         meshes, objects = scene.meshes, scene.objects
-        self.mesh: Mesh = self._keep(device.mesh(meshes.vertices, meshes.indices, label=scene.name))
+        self.mesh: Mesh = self._make_mesh(device, scene)
+        self.tessellations = 0
         ranges = meshes.ranges[objects.mesh]
         self.draws: NDArray[Any] = self.mesh.draws(
             ranges["first_index"],
@@ -188,7 +208,9 @@ class SceneResources:
             base_vertex=ranges["base_vertex"],
             base_instance=np.arange(len(objects)),
         )
-        self.images: SceneImages | None = self._keep(SceneImages(device, scene)) if len(scene.textures) else None
+        self.tessellated_rows: NDArray[np.int64] = np.array(sorted(scene.height_fields), np.int64)
+        has_images = len(scene.textures) > 0
+        self.images = self._keep(SceneImages(device, scene, textures)) if has_images else None
         keep = self._keep
         self.objects = keep(MirroredArray(device, shaders.Object, "objects"))
         self.places = keep(MirroredArray(device, shaders.ObjectPosition, "places"))
@@ -218,6 +240,48 @@ class SceneResources:
         self.is_transparent: NDArray[np.bool_] = np.zeros(len(objects), bool)
         self.is_transparent[self.transparent_rows] = True
         self._transform(np.arange(len(objects)))
+
+    def _make_mesh(self, device: Device, scene: Scene) -> Mesh:
+        """Make the mesh of all meshes. Indices of height fields are written on the device."""
+        meshes = scene.meshes
+        if not scene.height_fields:
+            return self._keep(device.mesh(meshes.vertices, meshes.indices, label="meshes"))
+        indices = self._keep(device.buffer(meshes.indices, label="indices"))
+        self.indices = device.storage(uint, indices)
+        return self._keep(device.mesh(meshes.vertices, indices, label="meshes"))
+
+    @cached_property
+    def tessellated_draws(self) -> StorageBuffer[DrawArguments]:
+        """The draws of the height fields in the order of their rows, whose number of triangles the device writes."""
+        draws = self.draws[self.tessellated_rows].view(DrawArguments.dtype)
+        return self._keep(self._device.storage(DrawArguments, draws, label="height field draws"))
+
+    def count_triangles(self, rows: NDArray[np.int64]) -> int:
+        """Return the number of triangles of the objects `rows` (k,), of height fields that of the last view. Where
+        there are some, this waits for the device."""
+        own = np.isin(rows, self.tessellated_rows)
+        if not own.any():
+            return self.scene.count_triangles(rows)
+        counts = self.tessellated_draws.read()["count"][np.searchsorted(self.tessellated_rows, rows[own])]
+        return self.scene.count_triangles(rows[~own]) + int(counts.sum()) // 3
+
+    def draw_rows(
+        self, device: Device, program: Program[Any], rows: NDArray[np.int64], bindings: dict[str, Any]
+    ) -> None:
+        """Draw objects in one call, and each height field in one more."""
+        if len(self.tessellated_rows):
+            is_tessellated = np.isin(rows, self.tessellated_rows)
+            for row in rows[is_tessellated].tolist():
+                self.draw_tessellated(device, program, row, bindings)
+            rows = rows[~is_tessellated]
+        if len(rows):
+            device.draw_many(program, self.mesh, self.draws[rows], **bindings)
+
+    def draw_tessellated(self, encoder: Encoder, program: Program[Any], row: int, bindings: dict[str, Any]) -> None:
+        """Draw a height field with as many triangles as the device has chosen."""
+        place = int(np.searchsorted(self.tessellated_rows, row))
+        draw = IndirectDraws(self.tessellated_draws, 1, place * DRAW.itemsize)
+        encoder.draw_indirect(program, self.mesh, draw, **bindings)
 
     @cached_property
     def haze(self) -> MirroredValue[shaders.Haze]:
@@ -339,7 +403,10 @@ class SceneResources:
         self._transform(following)
         self.objects.write(self._rows, None if self._list_lights() else following)
         self.places.write(self._places, None if self._find_transparent() else following)
-        self.materials.write(scene.materials)
+        self.directional.write(scene.lights.directional)
+        if self._material_version != scene.material_version:
+            self.materials.write(scene.materials)
+            self._material_version = scene.material_version
         self.look_from(camera)
         self.ambient.write(_ambient(scene))
         if "haze" in self.__dict__:
@@ -348,11 +415,11 @@ class SceneResources:
     def look_from(self, camera: Camera, eye: int = 0) -> None:
         """Let lights be relative to the eye of `camera`, one of the `EYES` of a frame. Each eye has point and spot
         lights of its own, which are written only where they have changed."""
-        lights = self.scene.lights.relative_to(camera.position)
         self.point, self.spot = self._lamps[eye]
-        self.directional.write(lights.directional)
-        self.point.write(lights.point if self._reaching[0] else lights.point[:0])
-        self.spot.write(lights.spot if self._reaching[1] else lights.spot[:0])
+        if any(self._reaching):
+            lights = self.scene.lights.relative_to(camera.position)
+            self.point.write(lights.point if self._reaching[0] else lights.point[:0])
+            self.spot.write(lights.spot if self._reaching[1] else lights.spot[:0])
 
     def _find_transparent(self) -> bool:
         """Find the transparent objects, and return whether they are others than in the last frame."""

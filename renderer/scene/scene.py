@@ -16,7 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 from renderer import rules
 from renderer.scene.arrays import Floats, Rows
 from renderer.scene.camera import Camera
+from renderer.scene.features import MaterialFeatures
 from renderer.scene.finite import FiniteArrays, check_finite
+from renderer.scene.height_fields import HeightField
 from renderer.scene.lights import Lights
 from renderer.scene.materials import (
     MATERIAL,
@@ -27,7 +29,6 @@ from renderer.scene.materials import (
     TextureMap,
     TextureRows,
     check_image,
-    count_features,
     make_material,
 )
 from renderer.scene.meshes import MeshBounds, Meshes, MeshGeometry
@@ -64,6 +65,7 @@ class Scene:
         seconds: the time of the last update or frame.
         views: named cameras, the first of which is the default. paths: named camera paths.
         omissions: what the file that it was loaded from has and the scene hasn't.
+        height_fields: by the rows of their objects; the triangles of these are chosen for each view.
     """
 
     def __init__(
@@ -83,6 +85,7 @@ class Scene:
         textures: NDArray[Any] | None = None,
         samplers: tuple[SamplerDescriptor, ...] = (),
         omissions: tuple[Omission, ...] = (),
+        height_fields: Mapping[int, HeightField] | None = None,
     ) -> None:
         self.name = name
         self.simulated = simulated
@@ -99,9 +102,12 @@ class Scene:
         self.views = dict(views)
         self.paths = dict(paths)
         self.omissions = omissions
+        self.height_fields: dict[int, HeightField] = dict(height_fields or {})
         self.seconds = 0.0
         self._finite = FiniteArrays()
-        self._features: tuple[bytes, dict[str, int]] = (b"", {})
+        self._features = MaterialFeatures(materials, self.textures, samplers)
+        self._has_colors = "color" in (meshes.vertices.dtype.names or ())
+        self._transparent: tuple[int, Rows] = (-1, np.zeros(0, np.int64))  # as of a version of the materials
         self._simulator = self.make_simulator()
         self.update()
         if not self.views:
@@ -120,8 +126,9 @@ class Scene:
         return self.refresh()
 
     def refresh(self) -> Rows:
-        """Update transforms and bounds to nodes that have moved; return the rows of the objects whose transform was
-        computed again."""
+        """Update transforms and bounds to nodes that have moved, and find materials that have changed; return the rows
+        of the objects whose transform was computed again."""
+        self._features.refresh(self.materials)
         moved = self.nodes.update()
         if not moved.any():
             return np.zeros(0, np.int64)
@@ -130,14 +137,14 @@ class Scene:
         return np.flatnonzero(moved[self.objects.node])
 
     def count_features(self) -> Mapping[str, int]:
-        """Return how many materials, images, textures or meshes have each feature that a scene may lack; counted again
-        when the materials have changed."""
-        contents = self.materials.tobytes()
-        if self._features[0] != contents:
-            counts = count_features(self.materials, self.textures, self.samplers)
-            counts["vertex colors"] = len(self.meshes) if "color" in (self.meshes.vertices.dtype.names or ()) else 0
-            self._features = (contents, counts)
-        return self._features[1]
+        """Return how many materials, images, textures or meshes have each feature that a scene may lack, as of the last
+        `refresh`."""
+        return {**self._features.counts, "vertex colors": len(self.meshes) if self._has_colors else 0}
+
+    @property
+    def material_version(self) -> int:
+        """A number that grows when a `refresh` finds that materials have changed."""
+        return self._features.version
 
     def check_numbers(self, call: str) -> None:
         """Refuse numbers of lights, materials and the air that aren't finite; they may be written to at any time."""
@@ -175,11 +182,13 @@ class Scene:
         return int(self.meshes.triangle_counts[self.objects.mesh[objects]].sum())
 
     def find_transparent(self) -> Rows:
-        """Return the rows of the objects whose materials are blended with what is behind them."""
-        blended = self.materials["alpha_mode"] == AlphaMode.BLEND
-        if not blended.any():
-            return np.zeros(0, np.int64)
-        return np.flatnonzero(blended[self.objects.material])
+        """Return the rows of the objects whose materials are blended with what is behind them, as of the last
+        `refresh`."""
+        if self._transparent[0] != self.material_version:
+            blended = self.materials["alpha_mode"] == AlphaMode.BLEND
+            rows = np.flatnonzero(blended[self.objects.material]) if blended.any() else np.zeros(0, np.int64)
+            self._transparent = self.material_version, rows
+        return self._transparent[1]
 
     def relative_transforms(
         self, eye: ArrayLike, objects: NDArray[np.int64] | None = None
@@ -211,6 +220,7 @@ class SceneBuilder:
         self.omissions = Omissions()
         self._geometries: list[MeshGeometry] = []
         self._bounds: list[MeshBounds | None] = []
+        self._height_fields: dict[int, HeightField] = {}  # by mesh
         self._mesh_names: list[str] = []
         self._materials: list[NDArray[Any]] = []
         self._mesh_ids: dict[int, int] = {}
@@ -246,6 +256,14 @@ class SceneBuilder:
         self._geometries.append(geometry)
         self._mesh_names.append(name)
         return len(self._geometries) - 1
+
+    def add_height_field(self, field: HeightField, name: str = "") -> int:
+        """Add a height field and return the id of its mesh, for one object, whose triangles are chosen for each
+        view."""
+        geometry = field.make_mesh()
+        mesh = self.add_mesh(geometry, name, geometry.bounds)
+        self._height_fields[mesh] = field
+        return mesh
 
     @property
     def object_count(self) -> int:
@@ -382,6 +400,18 @@ class SceneBuilder:
             if self._bounds[mesh[row]] is None:
                 refuse(rules.UNBOUND_MESH, "simulate(objects=...)", f"object {row}")
 
+    def _find_height_fields(self, mesh: NDArray[np.int64]) -> dict[int, HeightField]:
+        """Return the height fields by the rows of their objects, and refuse one that several objects have; `mesh` (n,)
+        is the mesh of each object."""
+        found: dict[int, HeightField] = {}
+        for number, field in self._height_fields.items():
+            rows = np.flatnonzero(mesh == number).tolist()
+            if len(rows) > 1:
+                given = f"objects {rows[0]} and {rows[1]} with mesh {number}"
+                refuse(rules.SHARED_HEIGHTS, "add_objects(meshes=...)", given)
+            found.update((row, field) for row in rows)
+        return found
+
     def build(self) -> Scene:
         """Create the scene. It must have at least one object."""
         if not self._object_count:
@@ -438,6 +468,7 @@ class SceneBuilder:
             textures,
             tuple(self._textures.samplers),
             omissions=tuple(self.omissions),
+            height_fields=self._find_height_fields(table[:, 1]),
         )
 
     def _complete_vertices(
