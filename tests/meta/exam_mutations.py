@@ -53,7 +53,7 @@ class Mutant(MetaPathFinder):
         assert found is not None
         assert found.origin is not None
         text = Path(found.origin).read_text()
-        assert text.count(self.mutation.old) == 1, f"{fullname} has {text.count(self.mutation.old)} × {self.mutation.old!r}"
+        assert text.count(self.mutation.old) == 1, (fullname, self.mutation.old)
         broken = self.folder / Path(found.origin).name
         broken.write_text(text.replace(self.mutation.old, self.mutation.new))
         return importlib.util.spec_from_file_location(fullname, broken, loader=SourceFileLoader(fullname, str(broken)))
