@@ -36,6 +36,7 @@ from renderer.scene.finite import check_finite
 from renderer.shadows import ShadowMaps, shadow_passes
 from renderer.stereo import EyePair, Stereo, fit_picture
 from renderer.techniques import AutoTechnique, Forward, Technique
+from renderer.techniques.depth import bind_depth
 from renderer.tessellation import Tessellator, tessellation_passes
 from renderer.visibility import AutoCulling, VisibilityAlgorithm, VisibilityStatistics, make_visibility
 from rhi import Device, Texture
@@ -375,7 +376,7 @@ class Renderer:
         plan = self._plans.get(needs.key)
         if plan is None:
             plan = self._plans[needs.key] = make_plan(
-                [*tessellation_passes(needs), *shadow_passes(needs), *technique.declare(needs)]
+                [*tessellation_passes(needs), *shadow_passes(needs, bind_depth), *technique.declare(needs)]
             )
         return plan
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.lights.lists import list_lights
-from renderer.scene import Camera, Scene
+from renderer.scene import AlphaMode, Camera, Scene
 from renderer.scene.arrays import Floats, Rows
 from renderer.shadows.cascades import Cascade
 from renderer.shadows.lamps import find_shadow_boxes, pair_by_light
@@ -36,19 +36,21 @@ class Casters:
 
 
 class SceneCasters:
-    """The casters of a scene. Transparent objects cast no shadows.
+    """The casters of a scene. Transparent objects cast no shadows, and masks those of what they leave.
 
     Attributes:
         still, moving: the rows of objects that cast shadows: those that can't move, and those that may.
-        transparent: the rows of the transparent objects.
+        is_masked: (n,) bool, whether an object's material is a mask.
+        coverage: bytes that change when what materials cover does (`find_coverage`).
     """
 
     def __init__(self, scene: Scene) -> None:
         objects = scene.objects
         may_move, casts = objects.dynamic | objects.simulated, objects.casts_shadow.copy()
         may_move[list(scene.height_fields)] = True  # their triangles do
-        self.transparent: Rows = scene.find_transparent()
-        casts[self.transparent] = False
+        self.coverage = find_coverage(scene)
+        self.is_masked: NDArray[np.bool_] = (scene.materials["alpha_mode"] == AlphaMode.MASK)[objects.material]
+        casts[scene.find_transparent()] = False
         self.still: Rows = np.flatnonzero(casts & ~may_move)
         self.moving: Rows = np.flatnonzero(casts & may_move)
         self._scene = scene
@@ -75,6 +77,15 @@ class SceneCasters:
         if row not in self._turned or self._turned[row][0] != key:
             self._turned[row] = key, turn_boxes(self._scene, self.still, axes)
         return LightBoxes(self, self._turned[row][1], turn_boxes(self._scene, self.moving, axes))
+
+
+def find_coverage(scene: Scene) -> bytes:
+    """Return bytes that change when materials are transparent, cut, or drawn from two sides otherwise than before."""
+    materials = scene.materials
+    cut = materials["alpha_mode"] == AlphaMode.MASK
+    covers = [materials["alpha_mode"], materials["double_sided"]]
+    covers += [np.where(cut, values, 0) for values in (materials["alpha_cutoff"], materials["base_color"][:, 3])]
+    return np.stack([*covers, np.where(cut, materials["texture"], -1)]).tobytes()
 
 
 @dataclass(frozen=True, eq=False, slots=True)

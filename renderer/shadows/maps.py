@@ -16,7 +16,7 @@ Maps belong to the frame, not to a view: all views of a frame share them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
@@ -30,7 +30,7 @@ from renderer.scene.arrays import Rows
 from renderer.shaders.depth import DepthOnly
 from renderer.shaders.structs import ViewConstants
 from renderer.shadows.cascades import Cascade, fit_cascades
-from renderer.shadows.casters import Casters, SceneCasters, find_shading, turn_boxes
+from renderer.shadows.casters import Casters, SceneCasters, find_coverage, find_shading, turn_boxes
 from renderer.shadows.lamps import (
     aim_maps,
     choose_width,
@@ -53,6 +53,7 @@ from rhi import (
     Device,
     Filter,
     Format,
+    Program,
     Region,
     SamplerDescriptor,
     Scissor,
@@ -79,6 +80,9 @@ _STEP: Final = 16.0  # metres, by which the depth of what parallel views show is
 _BIAS: Final = (0.1, 0.6)  # texels along the normal: at any angle, and times its sine
 
 _SUN: Final = "directional"
+
+BindDepth = Callable[[Frame], tuple[Program[Any], dict[str, Any]]]
+"""Returns the program that draws depth of a frame's objects, and its bindings."""
 
 MapKey = tuple[str, int, int]
 """The name of a map: the kind of its light, the light's row, and which of its maps it is."""
@@ -198,6 +202,7 @@ class ShadowMaps:
         self._device = device
         self._scene: Scene | None = None
         self._casters: SceneCasters | None = None
+        self._material_version = -1  # of the materials that the maps show
         self._used_settings = self.settings
         self._maps: dict[MapKey, ShadowMap] = {}
         self._tree = TileTree(1)
@@ -256,15 +261,17 @@ class ShadowMaps:
             "lamp_slots": self._slot_texture,
         }
 
-    def update(self, frame: Frame, cameras: Sequence[Camera]) -> None:
-        """Bring all maps that a frame needs up to date, for views of `cameras`."""
+    def update(self, frame: Frame, cameras: Sequence[Camera], bind_depth: BindDepth) -> None:
+        """Bring all maps that a frame needs up to date, for views of `cameras`.
+
+        Args:
+            bind_depth: returns the program that draws what masks leave of objects, and its bindings.
+        """
         resources = frame.resources
         scene = resources.scene
-        if self._scene is not scene or self._used_settings != self.settings:
+        if self._scene is not scene or self._used_settings != self.settings or self._has_other_coverage(scene):
             self._reset(scene)
         assert self._casters is not None
-        if not np.array_equal(self._casters.transparent, scene.find_transparent()):
-            self._casters = SceneCasters(scene)
         self._reported = []
         self.casters_drawn = 0
         self._frame += 1
@@ -274,7 +281,7 @@ class ShadowMaps:
         wanted = self._want_suns(resources, frame.needs, cameras, visible)
         wanted += self._want_lamps(scene, frame.needs, cameras, visible, frame.targets.size)
         self._place({one.key: one.size for one in wanted})
-        self._draw(resources, self._decide(scene, wanted))
+        self._draw(frame, self._decide(scene, wanted), bind_depth)
         self.aim(frame.camera)
         self._write_lamps(scene)
 
@@ -513,11 +520,12 @@ class ShadowMaps:
         one.still, one.moving, one.frame = still, moving, self._frame
         self._report(wanted.key, "drawn", because, wanted)
 
-    def _draw(self, resources: SceneResources, work: MapWork) -> None:
+    def _draw(self, frame: Frame, work: MapWork, bind_depth: BindDepth) -> None:
+        resources = frame.resources
         for _, rows in (*work.fresh, *work.over):
             resources.simulate(rows)
             self.casters_drawn += len(rows)
-        self._draw_maps(resources, work.fresh, clears=True)
+        self._draw_maps(frame, work.fresh, bind_depth, clears=True)
         if work.saved and self._kept is None:
             size = self.atlas.size
             self._kept = self._device.texture(size, Format.D32F, label="shadow maps of what can't move")
@@ -530,17 +538,21 @@ class ShadowMaps:
                 assert target is not None
                 x, y, side = one.tile
                 source.copy_to(target, region=Region(x, y, side, side), x=x, y=y)
-        self._draw_maps(resources, work.over, clears=False)
+        self._draw_maps(frame, work.over, bind_depth, clears=False)
 
     def _draw_maps(
-        self, resources: SceneResources, maps: Sequence[tuple[ShadowMap, Rows]], *, clears: bool
+        self, frame: Frame, maps: Sequence[tuple[ShadowMap, Rows]], bind_depth: BindDepth, *, clears: bool
     ) -> None:
         """Draw objects to the tiles of maps, in one pass."""
         if not maps:
             return
-        device = self._device
-        program: Any = device.program(DepthOnly)
-        objects, places = resources.objects.buffer, resources.places.buffer
+        assert self._casters is not None
+        device, resources, is_masked = self._device, frame.resources, self._casters.is_masked
+        solid: Any = device.program(DepthOnly)
+        buffers = {"objects": resources.objects.buffer, "places": resources.places.buffer}
+        ways: list[tuple[bool, Any, dict[str, Any]]] = [(False, solid, buffers)]
+        if any(is_masked[rows].any() for _, rows in maps):
+            ways.append((True, *bind_depth(frame)))
         faces = CullMode.FRONT if self.settings.back_faces else CullMode.BACK
         with (
             device.render_pass(None, self.atlas),
@@ -552,21 +564,32 @@ class ShadowMaps:
                     if clears:
                         with device.states(DepthFunction.ALWAYS, CullMode.NONE):
                             device.draw(device.program(FarDepth), self._triangle)
-                    bindings = {"view": one.view.buffer, "objects": objects, "places": places}
-                    for number, states in resources.groups:
-                        part = rows[resources.find_group(rows, number)]
-                        if part.size:
-                            with device.states(*states):
-                                resources.draw_rows(device, program, part, bindings)
+                    for masked, program, bindings in ways:
+                        drawn = rows if len(ways) == 1 else rows[is_masked[rows] == masked]
+                        for number, states in resources.groups:
+                            part = drawn[resources.find_group(drawn, number)]
+                            if part.size:
+                                with device.states(*states):
+                                    resources.draw_rows(
+                                        device, program, part, bindings | {"view": one.view.buffer}
+                                    )
 
     def _report(self, key: MapKey, state: str, because: str, wanted: WantedMap | None = None) -> None:
         self._reported.append((key, state, because, wanted))
+
+    def _has_other_coverage(self, scene: Scene) -> bool:
+        """Return whether materials cover something else than what the maps show."""
+        if self._material_version == scene.material_version:
+            return False
+        self._material_version = scene.material_version
+        return self._casters is None or self._casters.coverage != find_coverage(scene)
 
     def _reset(self, scene: Scene) -> None:
         """Begin anew with a scene and the settings."""
         self._forget_all()
         self._destroy_textures()
         self._scene, self._casters = scene, SceneCasters(scene)
+        self._material_version = scene.material_version
         self._used_settings = self.settings
         self._faces.clear()
 
@@ -613,20 +636,24 @@ def _make_report(key: MapKey, state: str, because: str, wanted: WantedMap | None
     return MapReport(name, size, casters, state, because)
 
 
-def shadow_passes(needs: Needs) -> list[Pass[Frame]]:
-    """Return the pass that brings shadow maps up to date, if the frame needs any. Its maps outlive the frame."""
+def shadow_passes(needs: Needs, bind_depth: BindDepth) -> list[Pass[Frame]]:
+    """Return the pass that brings shadow maps up to date, if the frame needs any. Its maps outlive the frame.
+
+    Args:
+        bind_depth: returns the program that draws what masks leave of objects, and its bindings, with any `view`.
+    """
     reasons = [needs.explain(effect) for effect in SHADOW_EFFECTS if effect in needs.effects]
     if not reasons:
         return []
-    return [Pass("shadow maps", _update_maps, "; ".join(reasons), has_side_effects=True)]
 
+    def update_maps(frame: Frame) -> None:
+        maps = frame.resources.workspace(ShadowMaps)
+        if frame.first is None:
+            maps.update(frame, [frame.view.around], bind_depth)
+        else:  # the left eye's frame has drawn them for both
+            maps.aim(frame.camera, 1)
 
-def _update_maps(frame: Frame) -> None:
-    maps = frame.resources.workspace(ShadowMaps)
-    if frame.first is None:
-        maps.update(frame, [frame.view.around])
-    else:  # the left eye's frame has drawn them for both
-        maps.aim(frame.camera, 1)
+    return [Pass("shadow maps", update_maps, "; ".join(reasons), has_side_effects=True)]
 
 
 def describe_state(scene: Scene, rows: Rows, tessellations: int = 0) -> bytes:

@@ -9,6 +9,7 @@ from renderer.shaders.depth import DepthOnly
 from renderer.shaders.structs import SurfaceVarying
 from renderer.techniques.scene_shader import SceneShader
 from renderer.techniques.surfaces import Aspect, bind_surfaces, surface_variant
+from rhi import Program
 
 __rhi_internal__ = True
 
@@ -20,10 +21,15 @@ class PartialDepth(SceneShader):
         _ = self.find_texel(v)  # which leaves out what isn't drawn
 
 
+def bind_depth(frame: Frame) -> tuple[Program[Any], dict[str, Any]]:
+    """Return the program that draws the depth of the scene's objects, of masks what they leave, and its bindings."""
+    parts, bindings = bind_surfaces(frame, (Aspect.COVERAGE,), has_materials=False)
+    return frame.program(surface_variant(PartialDepth, parts) if parts else DepthOnly), bindings
+
+
 def draw_depth(frame: Frame) -> None:
     """Draw the depth of the visible objects to `depth`."""
-    parts, bindings = bind_surfaces(frame, (Aspect.COVERAGE,), has_materials=False)
-    program: Any = frame.program(surface_variant(PartialDepth, parts) if parts else DepthOnly)
+    program, bindings = bind_depth(frame)
     frame.draw_visible(
         TechniquePass(
             frame.device,

@@ -12,7 +12,7 @@ import rhi
 from renderer.content import BUILT_IN, load_scene
 from renderer.frame import Effect
 from renderer.renderer import Renderer
-from renderer.scene import Camera, Perspective, Scene, SceneBuilder, StereoRig, scaling, translation
+from renderer.scene import AlphaMode, Camera, Perspective, Scene, SceneBuilder, StereoRig, scaling, translation
 from renderer.shadows import ShadowFilter, ShadowSettings
 from renderer.stereo import Stereo
 from renderer.techniques import TECHNIQUES
@@ -295,3 +295,39 @@ def test_scenes_cast_shadows_on_request(null: rhi.Device) -> None:
     assert shaded.lights.directional["casts_shadow"].all()
     assert shaded.name == plain.name + ",shadows=1"
     assert np.count_nonzero(~shaded.objects.casts_shadow) > 4  # ground
+
+
+def masked_stage() -> Scene:
+    """Make a scene of a floor, a box with an opaque material, and another one whose material is a mask."""
+    builder = stage()
+    masked = builder.add_material(alpha_mode=AlphaMode.MASK, alpha_cutoff=0.5)
+    builder.add_objects(builder.add_node(translation((2, 2, 0))), builder.add_mesh(BUILT_IN["box"]()), masked)
+    return builder.build()
+
+
+def test_only_masks_are_drawn_to_maps_by_a_program_that_reads_materials(null: rhi.Device) -> None:
+    with make_renderer(null, masked_stage()) as renderer:
+        null.stream.clear()
+        assert draw(renderer)["drawn"] == 2
+        bound = [command.bindings for command in null.stream.draws() if not command.render_pass.colors]
+        drawn = Counter("materials" in names for names in bound if "objects" in names)
+        assert drawn == {False: 2, True: 2}  # one draw of the opaque box and one of the mask, in each cascade
+
+
+@pytest.mark.parametrize("name", ["alpha_mode", "alpha_cutoff", "double_sided"])
+def test_maps_are_drawn_again_if_materials_cover_something_else(null: rhi.Device, name: str) -> None:
+    scene = masked_stage()
+    with make_renderer(null, scene) as renderer:
+        assert draw(renderer)["drawn"] == 2
+        assert draw(renderer)["drawn"] == 0
+        scene.materials[name][-1] = {"alpha_mode": AlphaMode.BLEND, "alpha_cutoff": 0.25, "double_sided": 1}[name]
+        assert draw(renderer)["drawn"] == 2
+
+
+@pytest.mark.parametrize("name", ["base_color", "roughness"])
+def test_maps_are_kept_if_materials_look_otherwise(null: rhi.Device, name: str) -> None:
+    scene = masked_stage()
+    with make_renderer(null, scene) as renderer:
+        draw(renderer)
+        scene.materials[name][0] *= 0.5
+        assert draw(renderer)["drawn"] == 0

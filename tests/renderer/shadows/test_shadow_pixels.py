@@ -16,7 +16,17 @@ from renderer.content import BUILT_IN
 from renderer.exam import CASES
 from renderer.exam.shadows import FLOOR, SETTINGS, find_acne
 from renderer.renderer import Renderer
-from renderer.scene import Camera, Orthographic, Perspective, Scene, SceneBuilder, scaling, translation
+from renderer.scene import (
+    AlphaMode,
+    Camera,
+    Orthographic,
+    Perspective,
+    Scene,
+    SceneBuilder,
+    make_geometry,
+    scaling,
+    translation,
+)
 from renderer.shadows import ShadowFilter, ShadowSettings
 from renderer.shadows.maps import FarDepth
 from renderer.shadows.receiver import FILTERS, ShadowReader
@@ -182,6 +192,50 @@ def test_shadows_touch_their_casters_and_end_within_a_texel(
     sure = on_floor & (blocked.all(0) | ~blocked.any(0))
     assert sure.sum() > 0.9 * on_floor.sum()
     assert np.array_equal(lit.reshape(-1)[sure], ~blocked[0][sure])
+
+
+def leaf_scene(*, turned: bool = False, **material: Any) -> Scene:
+    """Make a sheet of 2 × 2 m, 2 m above a floor. The shadow that a sun throws of it is 2 m to its right. With
+    `turned`, its front is below."""
+    builder = SceneBuilder("leaf")
+    corners = [(-1, 2, 1), (1, 2, 1), (1, 2, -1), (-1, 2, -1)]
+    uv, order = [(0, 1), (1, 1), (1, 0), (0, 0)], [0, 1, 2, 0, 2, 3]
+    sheet = builder.add_mesh(make_geometry(corners, order[::-1] if turned else order, uv=uv))
+    images = {name: builder.add_image(value) for name, value in material.items() if isinstance(value, np.ndarray)}
+    builder.add_objects(builder.add_node(), sheet, builder.add_material(**{**material, **images}))
+    floor = builder.add_node(translation((0, -0.5, 0)) @ scaling((30, 1, 30)))
+    plain = builder.add_material(specular_color=(0, 0, 0))
+    builder.add_objects(floor, builder.add_mesh(BUILT_IN["box"]()), plain, casts_shadow=False)
+    builder.lights.add_directional((1, -1, 0))
+    return builder.build()
+
+
+def find_shadow(device: rhi.Device, scene: Scene) -> tuple[bool, bool]:
+    """Return whether the shadow of the sheet's left half is on the floor, and that of its right half."""
+    above = Camera.look_at((0, 10, 0), (0, 0, 0), (0, 0, -1), Orthographic(height=8.0, aspect=1.0, near=1.0, far=10.5))
+    shown, lit = (render(device, scene, above, settings)[24:40, :, 0] for settings in (SETTINGS, None))
+    halves = [columns < lit[:, :-1][:, :1] for columns in (shown[:, 42:45], shown[:, 51:54])]
+    for half in halves:
+        assert half.all() == half.any()
+    return bool(halves[0].all()), bool(halves[1].all())
+
+
+RIGHT_HALF = np.repeat(np.array([(255, 255, 255, 0), (255, 255, 255, 255)], np.uint8), 8, axis=0)[None].repeat(16, 0)
+CUT = {"alpha_mode": AlphaMode.MASK, "alpha_cutoff": 0.5, "texture": RIGHT_HALF}
+
+
+def test_a_mask_casts_the_shadow_of_what_it_leaves(drawing_device: rhi.Device) -> None:
+    assert find_shadow(drawing_device, leaf_scene(**CUT)) == (False, True)
+
+
+def test_an_opaque_material_casts_the_shadow_of_its_whole_surface(drawing_device: rhi.Device) -> None:
+    assert find_shadow(drawing_device, leaf_scene(texture=RIGHT_HALF)) == (True, True)
+
+
+@pytest.mark.parametrize("two_sides", [False, True])
+def test_what_shows_its_back_to_the_sun_casts_a_shadow_if_it_has_two_sides(gl: rhi.Device, two_sides: bool) -> None:
+    scene = leaf_scene(turned=True, double_sided=two_sides)
+    assert find_shadow(gl, scene) == (two_sides, two_sides)
 
 
 ROOM = 4.0  # half its width
