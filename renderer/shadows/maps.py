@@ -23,8 +23,10 @@ from typing import Any, Final
 import numpy as np
 
 from renderer.frame import Effect, Frame, Needs, Pass
+from renderer.frame.lamps import EYES
+from renderer.frame.mirrors import MirroredValue, split_doubles
 from renderer.frame.passes import WINDINGS
-from renderer.frame.resources import EYES, MirroredValue, SceneResources, split_doubles
+from renderer.frame.resources import SceneResources
 from renderer.lights.lists import list_lights
 from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Rows
