@@ -85,6 +85,25 @@ class _Kind:
             array.destroy()
 
 
+class _Placed:
+    """What an eye's lights were placed by: the version of the lights and where the eye was; and the kernels for it."""
+
+    def __init__(self, device: Device) -> None:
+        self.eye = MirroredValue(device, _place(np.zeros(3)))
+        self.commands = RepeatedCommands(device, "")
+        self.version, self.position = 0, b""
+        self.work: list[tuple[Any, int, dict[str, Any]]] = []
+
+    def issue(self, encoder: Encoder) -> None:
+        """Run the kernels."""
+        for program, groups, bindings in self.work:
+            encoder.dispatch(program, groups, **bindings)
+
+    def destroy(self) -> None:
+        self.commands.forget()
+        self.eye.destroy()
+
+
 class Lamps:
     """All lights of a scene that have a position, on a device."""
 
@@ -98,15 +117,13 @@ class Lamps:
         with ExitStack() as made:
             for kind in self._kinds:
                 made.callback(kind.destroy)
-            self._eyes: list[MirroredValue[ExactPlace]] = []
+            self._placed: list[_Placed] = []
             for _ in range(EYES):
-                self._eyes.append(MirroredValue(device, _place(np.zeros(3))))
-                made.callback(self._eyes[-1].destroy)
+                self._placed.append(_Placed(device))
+                made.callback(self._placed[-1].destroy)
             self._made = made.pop_all()
-        self._commands = tuple(RepeatedCommands(device, "") for _ in range(EYES))
         self._state: tuple[object, ...] = ()  # what the lights were packed from
         self._version = 0
-        self._placed: list[tuple[int, bytes] | None] = [None] * EYES  # by eye: the version, and where it was
 
     def find(self, eye: int) -> tuple[MirroredArray[PointLight], MirroredArray[SpotLight]]:
         """Return the point and the spot lights relative to an eye."""
@@ -129,10 +146,9 @@ class Lamps:
             self._state = state
             self._version += 1
         for eye, position in enumerate(eyes):
-            placed = self._version, position.tobytes()
-            if placed != self._placed[eye]:
-                self._place(eye, position, kinds)
-                self._placed[eye] = placed
+            placed = self._placed[eye]
+            if placed.version != self._version or placed.position != position.tobytes():
+                self._place(eye, placed, position, kinds)
 
     def _pack(self, lights: Lights, kinds: tuple[NDArray[Any], ...]) -> None:
         """Upload the places of all lights, and pack the rest."""
@@ -145,39 +161,41 @@ class Lamps:
                 places["high"], places["low"] = split_doubles(some["position"])
                 kind.places.write(places)
 
-    def _place(self, eye: int, position: Floats, kinds: tuple[NDArray[Any], ...]) -> None:
+    def _place(self, eye: int, placed: _Placed, position: Floats, kinds: tuple[NDArray[Any], ...]) -> None:
         """Make the lights relative to an eye."""
-        for kind, some in zip(self._kinds, kinds, strict=True):
-            if not self._runs:
+        if not self._runs:
+            for kind, some in zip(self._kinds, kinds, strict=True):
                 kind.packed["position"] = some["position"] - position
-            kind.seen[eye].write(kind.packed)
-        lit = [kind for kind in self._kinds if len(kind.packed)]
-        if not self._runs or not lit:
-            return
-        self._eyes[eye].write(_place(position))
-        work: list[tuple[Any, int, dict[str, Any]]] = [
+                kind.seen[eye].write(kind.packed)
+        else:
+            if placed.version != self._version:
+                for kind in self._kinds:
+                    kind.seen[eye].write(kind.packed)
+                placed.work = self._list_work(eye)
+            if placed.work:
+                placed.eye.write(_place(position))
+                key = tuple(one for _, _, bindings in placed.work for one in bindings.values())
+                placed.commands.execute(key, placed.issue)
+        placed.version, placed.position = self._version, position.tobytes()
+
+    def _list_work(self, eye: int) -> list[tuple[Any, int, dict[str, Any]]]:
+        """Return the kernels that place the lights for an eye: programs, numbers of groups, and bindings."""
+        return [
             (
                 self._device.program(kind.shader),
                 -(-len(kind.packed) // _GROUP),
                 {
-                    "eye": self._eyes[eye].buffer,
+                    "eye": self._placed[eye].eye.buffer,
                     "places": kind.places.buffer,
                     "lights": kind.seen[eye].buffer,
                 },
             )
-            for kind in lit
+            for kind in self._kinds
+            if len(kind.packed)
         ]
-
-        def issue(encoder: Encoder) -> None:
-            for program, groups, bindings in work:
-                encoder.dispatch(program, groups, **bindings)
-
-        self._commands[eye].execute(tuple(one for _, _, bindings in work for one in bindings.values()), issue)
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
-        for commands in self._commands:
-            commands.forget()
         self._made.close()
 
 
