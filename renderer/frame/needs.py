@@ -47,6 +47,8 @@ class Effect(Enum):
     SPOT_SHADOWS = "shadows of spot lights"
     TRANSPARENCY = "transparency"
 
+    __hash__ = object.__hash__
+
 
 class Blending(Enum):
     """How transparent surfaces that cover each other are put together."""

@@ -57,7 +57,7 @@ def read_draws(null: rhi.Device, draw: Any) -> NDArray[Any]:
 
 
 def test_mirrored_objects_are_a_second_call_of_the_other_winding(null: rhi.Device) -> None:
-    stream = record(null, boxes((-2, 0, 0), (0, 0, 0), (2, 0, 0), mirrored=1).build())
+    stream = record(null, boxes((-2, 0, 0), (0, 0, 0), (2, 0, 0), mirrored=1).build(), frame=0)
     first, second = stream.draws()
     assert [len(read_draws(null, draw)) for draw in (first, second)] == [2, 1]
     assert (first["draws"], second["draws"]) == (32, 32), "rounded up by draws of nothing"
