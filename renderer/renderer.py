@@ -6,6 +6,7 @@ passes of these effects, and their plan is kept for as long as the effects are t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.frame import (
+    AS_GIVEN,
     Blending,
     Frame,
     Layer,
@@ -23,17 +25,21 @@ from renderer.frame import (
     Plan,
     SceneResources,
     Targets,
+    TextureSettings,
     View,
     find_needs,
     make_plan,
 )
 from renderer.frame.images import SceneImages
 from renderer.scene import Camera, Scene, Simulator
+from renderer.scene.finite import check_finite
 from renderer.shadows import ShadowMaps, shadow_passes
 from renderer.stereo import EyePair, Stereo, fit_picture
 from renderer.techniques import AutoTechnique, Forward, Technique
+from renderer.tessellation import Tessellator, tessellation_passes
 from renderer.visibility import AutoCulling, VisibilityAlgorithm, VisibilityStatistics, make_visibility
 from rhi import Device, Texture
+from rhi.shading import Precision
 
 _COUNTERS: Final = ("queries", "software_state_changes", "hardware_state_changes", "upload_bytes")
 """The device's counters that are part of a frame's statistics."""
@@ -106,8 +112,9 @@ class FrameResult:
 class Renderer:
     """Draws one scene on one device.
 
-    The attributes `technique`, `visibility` and `blending` may be exchanged between any two frames, and `layers`, which
-    are drawn over each frame in their order, changed.
+    The attributes `technique`, `visibility`, `blending` and `precision` may be exchanged between any two frames, and
+    `layers`, which are drawn over each frame in their order, changed. `show` ends a frame with its image: by default it
+    is `Device.present`; a window puts its own in that place.
     """
 
     def __init__(
@@ -119,6 +126,8 @@ class Renderer:
         visibility: VisibilityAlgorithm | None = None,
         size: tuple[int, int] = (960, 540),
         blending: Blending = Blending.SORTED,
+        precision: Precision = Precision.FAST,
+        textures: TextureSettings = AS_GIVEN,
         validation: bool = False,
     ) -> None:
         """Create the targets and upload the scene.
@@ -129,6 +138,8 @@ class Renderer:
             visibility: an algorithm made for `scene`; by default `auto`, which measures which one is the fastest.
             size: (width, height) of the image in pixels.
             blending: how transparent surfaces that cover each other are put together.
+            precision: that of the techniques' shaders; with FAST, of those that don't ask for EXACT themselves.
+            textures: how well the scene's textures are read.
             validation: whether to check samples of what is simulated: each batch has one object whose vertices must be
                 inside its bounds (`scene-left-bounds`).
         """
@@ -136,7 +147,9 @@ class Renderer:
         self.scene = scene
         self.technique: Technique = technique or Forward()
         self.blending = blending
+        self.precision = precision
         self.layers: list[Layer] = []
+        self.show: Callable[[Texture], None] = device.present
         self._own: list[VisibilityAlgorithm] = []
         if visibility is None:
             visibility = make_visibility("auto", scene, device)
@@ -150,7 +163,7 @@ class Renderer:
             made.callback(self._targets.destroy)
             self._view = View(device, "eye", visibility)
             made.callback(self._view.destroy)
-            self._resources = SceneResources(device, scene)
+            self._resources = SceneResources(device, scene, textures)
             self._validation = self.simulator.validation = validation
             made.pop_all()
 
@@ -210,6 +223,16 @@ class Renderer:
         return self._resources.workspace(ShadowMaps)
 
     @property
+    def tessellator(self) -> Tessellator:
+        """What chooses the triangles of height fields; its `settings` may be exchanged between any two frames."""
+        return self._resources.workspace(Tessellator)
+
+    @property
+    def resources(self) -> SceneResources:
+        """The scene on the device."""
+        return self._resources
+
+    @property
     def images(self) -> SceneImages | None:
         """The scene's images on the device; None if no material reads any."""
         return self._resources.images
@@ -266,6 +289,8 @@ class Renderer:
         """Draw a frame; return it and what it needed."""
         device, resources, pair = self.device, self._resources, self._pair
         before = device.statistics
+        check_finite("render", seconds=seconds, position=camera.position, rotation=camera.rotation)
+        self.scene.check_numbers("render")
         around = self._aim(camera)
         self.scene.seconds = seconds
         expected = self.simulator.drawn
@@ -276,11 +301,11 @@ class Renderer:
         resources.expect(around, expected)
         needs = self._find_needs(around)
         plan = self._plan(needs)
-        left = Frame(device, self._view, resources, self._targets, needs)
+        left = Frame(device, self._view, resources, self._targets, needs, precision=self.precision)
         frames = [left]
         self._run(plan, left)
         if pair is not None:
-            right = Frame(device, pair.view, resources, pair.targets, needs, left)
+            right = Frame(device, pair.view, resources, pair.targets, needs, left, self.precision)
             frames.append(right)
             moved = pair.plan(has_layers=bool(self.layers))
             if moved is None:
@@ -296,7 +321,7 @@ class Renderer:
         if pair is not None:
             with device.event("both eyes"):
                 image = pair.show(*frames)
-        device.present(image)
+        self.show(image)
         counters = {name: getattr(after, name) - getattr(before, name) for name in _COUNTERS}
         counters["simulation_steps"] = self.simulator.steps
         counters["skipped_simulations"] = len(self.simulator) - self.simulator.seen
@@ -350,7 +375,9 @@ class Renderer:
             self._planned = technique
         plan = self._plans.get(needs.key)
         if plan is None:
-            plan = self._plans[needs.key] = make_plan([*shadow_passes(needs), *technique.declare(needs)])
+            plan = self._plans[needs.key] = make_plan(
+                [*tessellation_passes(needs), *shadow_passes(needs), *technique.declare(needs)]
+            )
         return plan
 
     def destroy(self) -> None:

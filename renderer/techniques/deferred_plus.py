@@ -24,7 +24,7 @@ from typing import Any, Final
 from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target
 from renderer.shaders.pixels import distance_at, nearness_of, place_pixel
 from renderer.shaders.structs import SurfacePoint
-from renderer.techniques.cell_lists import CellReader, ClusterLists, bind_lists, list_pass
+from renderer.techniques.cell_lists import CLUSTERS, CellReader, bind_lists, list_pass
 from renderer.techniques.deferred_cells import ClusteredDeferred
 from renderer.techniques.forward import bind_lamps, bind_shading, find_forward, list_lamps
 from renderer.techniques.forward_plus import find_listed
@@ -92,7 +92,7 @@ class DeferredPlus:
         also `material ids` and `rectangles`; and those of transparent surfaces."""
         if not can_pack(needs):
             return ClusteredDeferred().declare(needs)
-        lists = (list_pass(needs, ClusterLists),) if list_lamps(needs) else ()
+        lists = (list_pass(needs, CLUSTERS),) if list_lamps(needs) else ()
         found = (ids_pass(), rectangles_pass()) if self.multi_pass else ()
         # A pass can't read the depth that it tests. Rectangles test `material ids`.
         copied = () if self.multi_pass else (Target("depth copy", DEPTH_FORMAT),)
@@ -107,7 +107,7 @@ class DeferredPlus:
             writes=(Target("image", IMAGE_FORMAT), *copied),
         )
         if lists:
-            lit_by_cells = partial(find_listed, kind=ClusterLists)
+            lit_by_cells = partial(find_listed, cells=CLUSTERS)
             transparency = declare_transparency(needs, lit_by_cells, reads=("light lists",))
         else:
             transparency = declare_transparency(needs, find_forward)
@@ -118,7 +118,7 @@ class DeferredPlus:
         readers, packed = bind_packed(frame)
         bindings |= packed | lamps
         if lamps:
-            bindings |= bind_lists(frame, ClusterLists)
+            bindings |= bind_lists(frame, CLUSTERS)
         shader = shading_variant(
             (*features, *parts),
             readers,
