@@ -25,7 +25,6 @@ import numpy as np
 from renderer.frame import Effect, Frame, Needs, Pass
 from renderer.frame.lamps import EYES
 from renderer.frame.mirrors import MirroredValue, split_doubles
-from renderer.frame.passes import WINDINGS
 from renderer.frame.resources import SceneResources
 from renderer.lights.lists import list_lights
 from renderer.scene import Camera, Scene
@@ -556,10 +555,10 @@ class ShadowMaps:
                         with device.states(DepthFunction.ALWAYS, CullMode.NONE):
                             device.draw(device.program(FarDepth), self._triangle)
                     bindings = {"view": one.view.buffer, "objects": objects, "places": places}
-                    for mirrored, winding in WINDINGS:
-                        part = rows[resources.find_winding(rows, mirrored=mirrored)]
+                    for number, states in resources.groups:
+                        part = rows[resources.find_group(rows, number)]
                         if part.size:
-                            with device.states(winding):
+                            with device.states(*states):
                                 resources.draw_rows(device, program, part, bindings)
 
     def _report(self, key: MapKey, state: str, because: str, wanted: WantedMap | None = None) -> None:
