@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.frame import (
+    AS_GIVEN,
     Blending,
     Frame,
     Layer,
@@ -23,16 +24,19 @@ from renderer.frame import (
     Plan,
     SceneResources,
     Targets,
+    TextureSettings,
     View,
     find_needs,
     make_plan,
 )
+from renderer.frame.images import SceneImages
 from renderer.scene import Camera, Scene, Simulator
 from renderer.shadows import ShadowMaps, shadow_passes
 from renderer.stereo import EyePair, Stereo, fit_picture
 from renderer.techniques import AutoTechnique, Forward, Technique
 from renderer.visibility import AutoCulling, VisibilityAlgorithm, VisibilityStatistics, make_visibility
 from rhi import Device, Texture
+from rhi.shading import Precision
 
 _COUNTERS: Final = ("queries", "software_state_changes", "hardware_state_changes", "upload_bytes")
 """The device's counters that are part of a frame's statistics."""
@@ -105,8 +109,8 @@ class FrameResult:
 class Renderer:
     """Draws one scene on one device.
 
-    The attributes `technique`, `visibility` and `blending` may be exchanged between any two frames, and `layers`, which
-    are drawn over each frame in their order, changed.
+    The attributes `technique`, `visibility`, `blending` and `precision` may be exchanged between any two frames, and
+    `layers`, which are drawn over each frame in their order, changed.
     """
 
     def __init__(
@@ -118,6 +122,8 @@ class Renderer:
         visibility: VisibilityAlgorithm | None = None,
         size: tuple[int, int] = (960, 540),
         blending: Blending = Blending.SORTED,
+        precision: Precision = Precision.FAST,
+        textures: TextureSettings = AS_GIVEN,
         validation: bool = False,
     ) -> None:
         """Create the targets and upload the scene.
@@ -128,6 +134,8 @@ class Renderer:
             visibility: an algorithm made for `scene`; by default `auto`, which measures which one is the fastest.
             size: (width, height) of the image in pixels.
             blending: how transparent surfaces that cover each other are put together.
+            precision: that of the techniques' shaders; with FAST, of those that don't ask for EXACT themselves.
+            textures: how well the scene's textures are read.
             validation: whether to check samples of what is simulated: each batch has one object whose vertices must be
                 inside its bounds (`scene-left-bounds`).
         """
@@ -135,6 +143,7 @@ class Renderer:
         self.scene = scene
         self.technique: Technique = technique or Forward()
         self.blending = blending
+        self.precision = precision
         self.layers: list[Layer] = []
         self._own: list[VisibilityAlgorithm] = []
         if visibility is None:
@@ -149,7 +158,7 @@ class Renderer:
             made.callback(self._targets.destroy)
             self._view = View(device, "eye", visibility)
             made.callback(self._view.destroy)
-            self._resources = SceneResources(device, scene)
+            self._resources = SceneResources(device, scene, textures)
             self._validation = self.simulator.validation = validation
             made.pop_all()
 
@@ -209,10 +218,19 @@ class Renderer:
         return self._resources.workspace(ShadowMaps)
 
     @property
+    def resources(self) -> SceneResources:
+        """The scene on the device."""
+        return self._resources
+
+    @property
+    def images(self) -> SceneImages | None:
+        """The scene's images on the device; None if no material reads any."""
+        return self._resources.images
+
+    @property
     def image_bytes(self) -> int:
         """The memory of the scene's images on the device, with their mip levels."""
-        images = self._resources.images
-        return 0 if images is None else images.bytes
+        return 0 if self.images is None else self.images.bytes
 
     @property
     def simulator(self) -> Simulator:
@@ -270,11 +288,11 @@ class Renderer:
         resources.expect(around, expected)
         needs = self._find_needs(around)
         plan = self._plan(needs)
-        left = Frame(device, self._view, resources, self._targets, needs)
+        left = Frame(device, self._view, resources, self._targets, needs, precision=self.precision)
         frames = [left]
         self._run(plan, left)
         if pair is not None:
-            right = Frame(device, pair.view, resources, pair.targets, needs, left)
+            right = Frame(device, pair.view, resources, pair.targets, needs, left, self.precision)
             frames.append(right)
             moved = pair.plan(has_layers=bool(self.layers))
             if moved is None:

@@ -68,6 +68,7 @@ from rhi.contract.states import (
     StencilWriteMask,
     Viewport,
 )
+from rhi.contract.texels import from_srgb, to_srgb
 from rhi.device.command_buffer import CommandBuffer
 from rhi.device.core.containers import FixedQueue, FixedStack
 from rhi.device.core.core import Statistics
@@ -188,6 +189,8 @@ __all__ = [
     "backend_names",
     "convert_projection",
     "create_device",
+    "from_srgb",
     "refuse",
     "report",
+    "to_srgb",
 ]

@@ -8,6 +8,7 @@ from types import ModuleType
 
 import pytest
 
+import renderer.accuracy
 import renderer.frame
 import renderer.measure
 import renderer.scene
@@ -20,6 +21,7 @@ import rhi_screen
 MODULES = [
     rhi, rhi.shading, rhi_screen,
     renderer.scene, renderer.visibility, renderer.frame, renderer.techniques, renderer.measure,
+    renderer.accuracy,
 ]  # fmt: skip
 
 

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from renderer.canvas.font import WHITE, Font
 from renderer.canvas.text import TextLayout, lay_out
-from rhi import BlendFunction, CullMode, DepthTest, DepthWrite, Device, Format, Scissor
+from rhi import BlendFunction, CullMode, DepthTest, DepthWrite, Device, Format, Scissor, from_srgb
 from rhi.shading import (
     Shader,
     Storage,
@@ -96,8 +96,7 @@ class CanvasShader(Shader):
 def srgb(text: str, alpha: float = 1.0) -> NDArray[np.float32]:
     """Return the linear, premultiplied colour (4,) of `#rrggbb` and an alpha of 0 to 1. Don't write to it."""
     encoded = np.frombuffer(bytes.fromhex(text.removeprefix("#")), np.uint8) / 255.0
-    light = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
-    color = np.append(light * alpha, alpha).astype(np.float32)
+    color = np.append(from_srgb(encoded) * alpha, alpha).astype(np.float32)
     color.flags.writeable = False
     return color
 

@@ -1,4 +1,4 @@
-"""The command line: `python -m renderer render|demo|compare|plan|capture|tune|debug|convert|scenes`.
+"""The command line: `python -m renderer render|demo|compare|plan|capture|accuracy|tune|exam|debug|convert|scenes`.
 
 Results go to stdout, everything else to stderr. Bad input ends in one line, `error: …`, and exit code 2.
 """
@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import Final, NoReturn
 
 from renderer.cli import (
+    accuracy,
     capture,
     compare_backends,
     compare_deferred_plus,
@@ -21,6 +22,7 @@ from renderer.cli import (
     convert,
     debug_visibility,
     demo,
+    exam,
     plan,
     render,
     scenes,
@@ -50,7 +52,9 @@ COMMANDS: Final[tuple[Subcommand | SubcommandGroup, ...]] = (
     ),
     plan.COMMAND,
     capture.COMMAND,
+    accuracy.COMMAND,
     tune.COMMAND,
+    exam.COMMAND,
     SubcommandGroup("debug", "picture what the renderer does", (debug_visibility.COMMAND,)),
     convert.COMMAND,
     scenes.COMMAND,

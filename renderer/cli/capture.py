@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from statistics import median
 from typing import Final
@@ -21,7 +20,7 @@ from renderer.cli.arguments import (
     make_technique,
     open_scene,
 )
-from renderer.cli.output import draw_chart, note, prepare_chart, show_progress
+from renderer.cli.output import draw_chart, note, prepare_chart, print_report, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import parse_camera
 from renderer.measure.capture import CapturedFrame, capture_frames, list_passes, write_frames
@@ -86,7 +85,10 @@ def _run(given: argparse.Namespace) -> None:
         note(f"wrote {given.plot}")
     medians = find_medians(frames)
     rows = [[name, *times.values()] for name, times in medians.items()]
-    print(json.dumps(medians) if given.json else format_table(("", "median", "least", "most"), rows))
+    if given.json:
+        print_report(medians, scene)
+    else:
+        print(format_table(("", "median", "least", "most"), rows))
 
 
 def find_medians(frames: list[CapturedFrame]) -> dict[str, dict[str, float]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
@@ -19,7 +18,7 @@ from renderer.cli.arguments import (
     parse_frame,
     parse_names,
 )
-from renderer.cli.output import draw_chart, note, prepare_image, show_progress
+from renderer.cli.output import draw_chart, note, prepare_image, print_report, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import find_path
 from renderer.measure import format_table
@@ -101,7 +100,7 @@ def _run(given: argparse.Namespace) -> None:
         plot_backends(rows, f"{scene.name}, {given.camera_path}, {given.size[0]}×{given.size[1]}", given.plot)
         note(f"wrote {given.plot}")
     if given.json:
-        print(json.dumps(report))
+        print_report(report, scene)
     else:
         cells = [[row.name, row.backend, row.milliseconds, row.speed] for row in rows]
         print(format_table(["pass", "backend", "ms", "ratio to gl"], cells))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
@@ -20,7 +19,7 @@ from renderer.cli.arguments import (
     add_size,
     open_scene,
 )
-from renderer.cli.output import note, prepare_image, show_progress, write_image
+from renderer.cli.output import note, prepare_image, print_report, show_progress, write_image
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import find_path
 from renderer.measure import format_table
@@ -75,7 +74,10 @@ def _run(given: argparse.Namespace) -> None:
             "frames": given.frames,
             "size": list(given.size),
         }
-    print(json.dumps(about | asdict(report)) if given.json else show_report(report, markdown=given.markdown))
+    if given.json:
+        print_report(about | asdict(report), scene)
+    else:
+        print(show_report(report, markdown=given.markdown))
 
 
 def show_report(report: DeferredPlusReport, *, markdown: bool = False) -> str:

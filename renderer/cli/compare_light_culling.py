@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import asdict
 from typing import Final
 
@@ -20,7 +19,7 @@ from renderer.cli.arguments import (
     parse_count,
     parse_names,
 )
-from renderer.cli.output import show_progress
+from renderer.cli.output import print_report, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import parse_camera
 from renderer.lights.culling import CONE_TESTS, SPHERE_TESTS
@@ -124,7 +123,10 @@ def _run(given: argparse.Namespace) -> None:
             "slices": given.slices,
             "rows": [asdict(row) for row in rows],
         }
-    print(json.dumps(report) if given.json else show_rows(rows, markdown=given.markdown))
+    if given.json:
+        print_report(report, scene)
+    else:
+        print(show_rows(rows, markdown=given.markdown))
 
 
 def show_rows(rows: list[LightCullingRow], *, markdown: bool = False) -> str:

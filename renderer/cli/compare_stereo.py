@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Iterable
 from dataclasses import asdict
 from typing import Final
@@ -20,7 +19,7 @@ from renderer.cli.arguments import (
     parse_names,
     parse_size,
 )
-from renderer.cli.output import show_progress
+from renderer.cli.output import print_report, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import find_path, load_scene
 from renderer.measure import format_rows
@@ -121,7 +120,10 @@ def _run(given: argparse.Namespace) -> None:
             "convergence": rig.convergence,
             "rows": [asdict(row) for row in rows],
         }
-    print(json.dumps(report) if given.json else show_rows(rows, markdown=given.markdown))
+    if given.json:
+        print_report(report, scene)
+    else:
+        print(show_rows(rows, markdown=given.markdown))
 
 
 def _load(text: str, has_shadows: bool) -> Scene:

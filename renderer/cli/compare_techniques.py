@@ -130,9 +130,9 @@ def plot_techniques(rows: list[TechniqueRow], title: str, path: Path) -> None:
                 )
             axes.set_title(f"{objects:,} objects" if objects > 1 else "1 object", fontsize="medium")
             axes.set_xlabel("lights")
-            axes.set_ylim(bottom=0.0)
+            axes.set_yscale("log")
         charts[0].set_ylabel("milliseconds")
-        charts[-1].legend(fontsize="x-small")
+        figure.legend(*charts[0].get_legend_handles_labels(), loc="outside right upper", fontsize="x-small")
 
 
 COMMAND: Final = Subcommand(

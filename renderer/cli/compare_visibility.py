@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Final
@@ -22,7 +21,7 @@ from renderer.cli.arguments import (
     parse_frame,
     parse_names,
 )
-from renderer.cli.output import OutputError, draw_chart, note, prepare_image, show_progress
+from renderer.cli.output import OutputError, draw_chart, note, prepare_image, print_report, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import find_path
 from renderer.measure import format_rows
@@ -152,7 +151,10 @@ def _run(given: argparse.Namespace) -> None:
     if given.plot is not None:
         plot_algorithms(rows, f"{scene.name}, {given.camera_path}, {report['device']}", given.plot)
         note(f"wrote {given.plot}")
-    print(json.dumps(report) if given.json else show_rows(rows, markdown=given.markdown))
+    if given.json:
+        print_report(report, scene)
+    else:
+        print(show_rows(rows, markdown=given.markdown))
 
 
 def show_rows(rows: list[AlgorithmRow], *, markdown: bool = False) -> str:

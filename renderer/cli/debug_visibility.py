@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import Final
 
@@ -24,7 +23,7 @@ from renderer.cli.arguments import (
     open_scene,
     parse_frame,
 )
-from renderer.cli.output import OutputError, note, prepare_image
+from renderer.cli.output import OutputError, note, prepare_image, print_report
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import parse_camera
 from renderer.measure.pictures import (
@@ -114,11 +113,8 @@ def _run(given: argparse.Namespace) -> None:
     compose(pictures, counts).save(path, optimize=True)
     note(f"wrote {path}")
     if given.json:
-        print(
-            json.dumps(
-                {"image": str(path)} | {outcome.name.lower(): count for outcome, count in counts.items()}
-            )
-        )
+        numbers = {outcome.name.lower(): count for outcome, count in counts.items()}
+        print_report({"image": str(path)} | numbers, scene)
     else:
         print("\n".join(f"{count:>8,} {MEANINGS[outcome]}" for outcome, count in counts.items()))
 

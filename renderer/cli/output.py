@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -44,6 +46,17 @@ def show_builds() -> None:
     if sys.stderr.isatty() and not logger.handlers:
         logger.addHandler(BuildLine())
         logger.setLevel(logging.INFO)
+
+
+def list_left_out(scene: Scene) -> dict[str, list[dict[str, Any]]]:
+    """Return what the file of a scene has and the scene hasn't as `left_out` of a JSON report; nothing if there is
+    nothing."""
+    return {"left_out": [asdict(one) for one in scene.omissions]} if scene.omissions else {}
+
+
+def print_report(report: Mapping[str, Any], scene: Scene) -> None:
+    """Print a report about a scene as JSON, with what was left out of its file."""
+    print(json.dumps({**report, **list_left_out(scene)}))
 
 
 def name_of(scene: Scene) -> str:

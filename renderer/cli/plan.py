@@ -23,6 +23,7 @@ from renderer.cli.output import draw_chart, note, prepare_chart
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import parse_camera
 from renderer.measure import format_table, settle
+from renderer.measure.memory import MemoryReport
 from renderer.measure.plans import PlanReport, describe_plan
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene
@@ -108,11 +109,23 @@ def show_plan(report: PlanReport) -> str:
             format_table(header, rows),
             shared,
             format_table(("shadow map", "texels", "casters", "is", "because"), maps) if maps else "",
+            show_memory(report.memory),
             f"needed:\n{needed}" if needed else "",
             f"left out:\n{left}" if left else "",
         )
         if part
     )
+
+
+def show_memory(memory: MemoryReport) -> str:
+    """Format what a renderer holds on a device as text."""
+    rows = [(one.name, one.shape, one.count, one.bytes) for one in memory.rows]
+    table = format_table(("in memory", "is", "count", "bytes"), rows)
+    total = f"{memory.bytes:,} bytes"
+    if memory.image_bytes:
+        ratio = memory.image_bytes / memory.single_image_bytes
+        total += f"; of images {memory.image_bytes:,}, {ratio:.3f} times those of single images"
+    return f"{table}\n{total}"
 
 
 def plot_plan(report: PlanReport, path: Path, title: str) -> None:

@@ -6,7 +6,7 @@ import argparse
 import json
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,7 +29,7 @@ from renderer.cli.arguments import (
     make_technique,
     open_scene,
 )
-from renderer.cli.output import name_of, note, prepare_image, show_progress, write_image
+from renderer.cli.output import list_left_out, name_of, note, prepare_image, show_progress, write_image
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import parse_camera
 from renderer.frame import Blending
@@ -253,7 +253,7 @@ def describe_run(
         **({} if renderer.stereo is None else _describe_stereo(renderer.stereo)),
         **({} if holes is None else {"holes": holes}),
         "image": None if image is None else str(image),
-        **({"left_out": [asdict(one) for one in renderer.scene.omissions]} if renderer.scene.omissions else {}),
+        **list_left_out(renderer.scene),
     }
 
 

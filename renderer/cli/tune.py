@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import argparse
 import csv
-import json
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
+from collections.abc import Sequence
+from concurrent.futures import Executor, as_completed
 from dataclasses import asdict, fields
-from importlib import import_module
-from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, Final, ParamSpec, TypeVar
+from typing import Final
 
 import rhi
 from renderer.cli.arguments import (
@@ -24,7 +20,8 @@ from renderer.cli.arguments import (
     add_walk,
     open_scene,
 )
-from renderer.cli.output import OutputError, draw_chart, note, show_progress
+from renderer.cli.executors import add_executor, make_executor
+from renderer.cli.output import OutputError, draw_chart, note, print_report, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import find_path
 from renderer.measure import format_table, title_of
@@ -34,9 +31,6 @@ from renderer.visibility import Settings, list_algorithms
 
 _LEAF_SIZES: Final = 5
 """How many sizes of leaves are tried at most."""
-
-P = ParamSpec("P")
-R = TypeVar("R")
 
 _NOTES: Final = """\
   python -m renderer tune city --camera-path ground --b 1:100 --n 1:40
@@ -50,19 +44,6 @@ pairs are judged by the ratio of the two times, so trials may run at the same ti
 three are then compared in one process. --leaf-size 1:16 then tries the best pair with leaves of 1, 2, 4, 8 and 16
 objects, which are queried and drawn together. `trials.csv`, `trials.png` and `settings.json` are written to DIR;
 `render`, `compare visibility` and `debug visibility` read the last with --settings."""
-
-
-class SerialExecutor(Executor):
-    """An executor that runs each call in this process, when it is submitted."""
-
-    def submit(self, fn: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> Future[R]:
-        """Run the call and return a finished future."""
-        future: Future[R] = Future()
-        try:
-            future.set_result(fn(*args, **kwargs))
-        except Exception as error:
-            future.set_exception(error)
-        return future
 
 
 def _add_arguments(parser: Parser) -> None:
@@ -82,12 +63,7 @@ def _add_arguments(parser: Parser) -> None:
         help="range of the leaf size to try with the best pair (default: 1)",
     )
     add_rounds(parser, "rounds of the search, the first of which tries a grid of values", 4)
-    parser.add_argument(
-        "--executor",
-        default="serial",
-        metavar="E",
-        help="where trials run: serial, processes, processes:N, or dask:ADDRESS of a scheduler (default: %(default)s)",
-    )
+    add_executor(parser, "trials")
     add_queries(parser, "native")
     add_backend(parser)
     add_size(parser)
@@ -151,9 +127,7 @@ def _run(given: argparse.Namespace) -> None:
     settings.save(given.output / "settings.json", **report)
     note(f"wrote trials.csv, trials.png and settings.json to {given.output}")
     if given.json:
-        print(
-            json.dumps({**report, "visibility": asdict(settings), "finals": [asdict(one) for one in finals]})
-        )
+        print_report({**report, "visibility": asdict(settings), "finals": [asdict(one) for one in finals]}, scene)
         return
     names = [field.name for field in fields(Trial)]
     shown = sorted(finals, key=lambda trial: trial.ratio)
@@ -173,33 +147,6 @@ def _try_all(executor: Executor, walk: Walk, pairs: Sequence[ParameterPair]) -> 
     ):  # a serial executor has finished them by now
         pass
     return [trial for future in futures for trial in future.result()]
-
-
-@contextmanager
-def make_executor(text: str) -> Iterator[Executor]:
-    """Yield the executor that `--executor` names."""
-    kind, _, rest = text.partition(":")
-    if kind == "serial" and not rest:
-        yield SerialExecutor()
-    elif kind == "processes" and (not rest or (rest.isascii() and rest.isdigit() and int(rest))):
-        # Fresh processes: a driver's state doesn't survive a fork.
-        with ProcessPoolExecutor(int(rest) if rest else None, mp_context=get_context("spawn")) as pool:
-            yield pool
-    elif kind == "dask" and rest:
-        try:
-            distributed: Any = import_module("distributed")
-        except ModuleNotFoundError:
-            raise OutputError(
-                "--executor: dask is missing; install it with: pip install 'rhi[dask]'"
-            ) from None
-        try:
-            client = distributed.Client(rest, timeout=30)
-        except (OSError, TimeoutError, ValueError) as error:
-            raise OutputError(f"--executor: no scheduler at {rest}: {error}") from None
-        with client:
-            yield client.get_executor()
-    else:
-        raise OutputError(f"--executor: {text!r} is none of serial, processes, processes:N, dask:ADDRESS")
 
 
 def write_trials(path: Path, trials: Sequence[Trial]) -> None:

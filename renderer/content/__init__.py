@@ -4,9 +4,8 @@ scene = load_scene("city:blocks=12,seed=3")
 camera = parse_camera("ground", scene, frame=600).with_aspect(16 / 9)
 """
 
-from renderer.content.gltf import save_scene
 from renderer.content.library import GENERATORS, find_path, load_scene, parse_camera
-from renderer.content.models import add_model, load_model
+from renderer.content.models import add_model, load_model, save_scene
 from renderer.content.shapes import BUILT_IN
 from renderer.content.specs import Generator, Option
 from renderer.content.textures import IMAGE_SIZE

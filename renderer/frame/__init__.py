@@ -1,6 +1,7 @@
 """A frame: the scene on a device, its views, the plan of its passes, and the textures that they draw to."""
 
 from renderer.frame.frame import Frame
+from renderer.frame.images import AS_GIVEN, TextureSettings
 from renderer.frame.layer import Layer
 from renderer.frame.needs import Blending, Effect, Needs, find_needs
 from renderer.frame.passes import Drawn, TechniquePass
@@ -10,6 +11,7 @@ from renderer.frame.targets import DEPTH_FORMAT, IMAGE_FORMAT, Targets
 from renderer.frame.view import View
 
 __all__ = [
+    "AS_GIVEN",
     "DEPTH_FORMAT",
     "IMAGE_FORMAT",
     "OUTPUTS",
@@ -28,6 +30,7 @@ __all__ = [
     "Target",
     "Targets",
     "TechniquePass",
+    "TextureSettings",
     "View",
     "find_last",
     "find_needs",

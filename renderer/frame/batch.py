@@ -2,14 +2,15 @@
 
 An algorithm that knows all visible objects before the first draw draws them in one batch. Which objects these are, and
 their order, changes with the camera; how they are drawn doesn't. So the draws' arguments lie in a buffer, and the
-commands depend only on their number: `none` records them once, `frustum` again when another number of objects is
-visible in two frames in a row. Further passes and the second eye draw the same objects, so they use the same arguments.
+commands depend only on their number, which is rounded up: the rest are draws of nothing. So `none` records them once,
+and `frustum` mostly submits what it has recorded, although a moving camera sees more objects or fewer in each frame.
+Further passes and the second eye draw the same objects, so they use the same arguments.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,9 @@ from renderer.visibility.repeated import RepeatedCommands
 from rhi import DRAW, Buffer, Device, Encoder, IndirectDraws
 
 __rhi_internal__ = True
+
+_STEP: Final = 32
+"""What the number of draws is rounded up to a multiple of. A draw of nothing takes no measurable time."""
 
 
 class BatchCommands:
@@ -47,6 +51,7 @@ class FrameBatch:
     def __init__(self, device: Device) -> None:
         self._device = device
         self._draws: NDArray[Any] | None = None  # of which the buffer has `_rows`, in this order
+        self._with_nothing = np.zeros(0, DRAW)  # the same, and a draw of nothing
         self._rows = np.zeros(0, np.int64)
         self._buffer: Buffer | None = None
         self._parts: tuple[NDArray[np.int64], bytes, list[NDArray[np.int64]]] | None = None
@@ -84,14 +89,16 @@ class FrameBatch:
         """
         if self._buffer is None or draws is not self._draws:
             self.destroy()
-            self._buffer = self._device.buffer(len(draws), DRAW, label="batch")
-            self._draws = draws
-        rows = np.concatenate(parts)
+            self._buffer = self._device.buffer(len(draws) + _STEP * len(parts), DRAW, label="batch")
+            self._draws, self._with_nothing = draws, np.append(draws, np.zeros(1, DRAW))
+        counts = [-(-len(part) // _STEP) * _STEP for part in parts]
+        starts = np.cumsum([0, *counts]).tolist()
+        rows = np.full(starts.pop(), len(draws))
+        for part, start in zip(parts, starts, strict=True):
+            rows[start : start + len(part)] = part
         if not np.array_equal(rows, self._rows):
-            self._buffer.write(draws[rows])
+            self._buffer.write(self._with_nothing[rows])
             self._rows = rows
-        counts = [len(part) for part in parts]
-        starts = np.cumsum([0, *counts[:-1]]).tolist()
         buffer = self._buffer
 
         def issue_batch(encoder: Encoder) -> None:

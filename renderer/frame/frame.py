@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +17,8 @@ from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Rows
 from renderer.visibility import VisibilityAlgorithm, VisibilityStatistics
 from renderer.visibility.boxes.bounds import is_parallel
-from rhi import Device
+from rhi import Device, Program
+from rhi.shading import Precision, Shader
 
 __rhi_internal__ = True
 
@@ -36,6 +39,7 @@ class Frame:
         view: what the image is seen from. resources: the scene on the device, up to date for this view.
         targets: the textures that the passes draw to. needs: the effects that are needed.
         first: the frame of the left eye, drawn before, if this is the right eye's.
+        precision: that of the shaders which are FAST by themselves.
     """
 
     device: Device
@@ -44,6 +48,7 @@ class Frame:
     targets: Targets
     needs: Needs
     first: Frame | None = None
+    precision: Precision = Precision.FAST
     _seen: dict[View, ViewRecord] = field(default_factory=dict)
 
     @property
@@ -67,6 +72,10 @@ class Frame:
         """The cost of finding the objects in the image; None before they were drawn."""
         seen = self._seen.get(self.view)
         return None if seen is None else seen.statistics
+
+    def program(self, shader: type[Shader]) -> Program[Any]:
+        """Return the program of a technique's shader, in the precision of the frame."""
+        return self.device.program(with_precision(shader, self.precision))
 
     def draw_transparent(
         self, scene_pass: TechniquePass, view: View | None = None, *, in_order: bool = True
@@ -118,6 +127,19 @@ class Frame:
             return None
         self._seen[view] = seen
         return seen
+
+
+@cache
+def _make_exact(shader: Any) -> type[Shader]:
+    return type(f"Exact{shader.__name__}", (shader,), {"__module__": __name__, "precision": Precision.EXACT})
+
+
+def with_precision(shader: type[Shader], precision: Precision) -> type[Shader]:
+    """Return a shader in another precision. One that asks for EXACT itself keeps it."""
+    if precision is Precision.FAST or shader.precision is Precision.EXACT:
+        return shader
+    key: Any = shader
+    return _make_exact(key)
 
 
 def sort_back_to_front(scene: Scene, camera: Camera, rows: Rows) -> Rows:

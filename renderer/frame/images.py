@@ -27,6 +27,7 @@ from rhi import (
     Device,
     Filter,
     Format,
+    SamplerDescriptor,
     StorageBuffer,
     Texture,
     TextureKind,
@@ -42,6 +43,36 @@ TEXEL_BYTES: Final = 4
 
 Size = tuple[int, int]
 """Width and height in texels."""
+
+
+@dataclass(frozen=True, slots=True)
+class TextureSettings:
+    """How well textures are read. Their own samplers may ask for less of the first two, and for more anisotropy.
+
+    Attributes:
+        filter: whether texels are mixed with their neighbours.
+        mip: whether mip levels are mixed, or the nearest is read; None for the largest level alone.
+        anisotropy: the most samples along a pixel's longer side, where the device has that: at most its
+            `capabilities.max_anisotropy`.
+    """
+
+    filter: Filter = Filter.LINEAR
+    mip: Filter | None = Filter.LINEAR
+    anisotropy: float = 1.0
+
+    def adjust(self, sampler: SamplerDescriptor, most: float) -> SamplerDescriptor:
+        """Return a texture's sampler as these settings have it, on a device with at most this anisotropy."""
+        minify, magnify, mip = sampler.minify, sampler.magnify, sampler.mip
+        if self.filter is Filter.NEAREST:
+            minify = magnify = Filter.NEAREST
+        if self.mip is None or (self.mip is Filter.NEAREST and mip is not None):
+            mip = self.mip
+        anisotropy = min(max(sampler.max_anisotropy, self.anisotropy), max(most, sampler.max_anisotropy))
+        return replace(sampler, minify=minify, magnify=magnify, mip=mip, max_anisotropy=anisotropy)
+
+
+AS_GIVEN: Final = TextureSettings()
+"""Textures are read as their own samplers ask for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,13 +154,13 @@ class SceneImages:
     """The images that a scene's textures refer to, on a device.
 
     Attributes:
-        textures: the arrays. arrays: what a shader binds: each array with a sampler.
+        textures: the arrays. arrays: what a shader binds: each array with a sampler. samplers: those.
         table: (t,) of `TextureUse`, how each texture of the scene is read. None if the row of a texture is its layer,
             and texture coordinates are read as they are.
         bytes: the memory of the arrays. image_bytes: that of the images, each by itself.
     """
 
-    def __init__(self, device: Device, scene: Scene) -> None:
+    def __init__(self, device: Device, scene: Scene, settings: TextureSettings = AS_GIVEN) -> None:
         textures, limit = scene.textures, device.capabilities.max_texture_size
         sizes = [(min(image.shape[1], limit), min(image.shape[0], limit)) for image in scene.images]
         samplers = _limit_samplers(textures["sampler"].tolist(), textures["is_color"].tolist())
@@ -142,8 +173,10 @@ class SceneImages:
         self.image_bytes = sum(count_bytes(sizes[image]) for image, _ in {use[:2] for use in uses})
         self.textures = tuple(_make_array(device, scene, array) for array in planned)
         places = [(array, sampler) for array in range(len(planned)) for sampler in sorted(planned[array].samplers)]
+        most = device.capabilities.max_anisotropy
+        self.samplers = tuple(settings.adjust(scene.samplers[sampler], most) for _, sampler in places)
         self.arrays = tuple(
-            self.textures[array].sampled(scene.samplers[sampler]) for array, sampler in places
+            self.textures[array].sampled(sampler) for (array, _), sampler in zip(places, self.samplers, strict=True)
         )
         table: NDArray[Any] = np.zeros(len(textures), TextureUse.dtype)
         for row, (image, is_color, sampler) in enumerate(uses):

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer import rules, shaders
-from renderer.frame.images import SceneImages
+from renderer.frame.images import AS_GIVEN, SceneImages, TextureSettings
 from renderer.lights.lists import list_lights
 from renderer.scene import Camera, Deformed, Scene, Simulator, normal_matrices
 from renderer.visibility import SceneArrays
@@ -113,13 +113,14 @@ class MirroredValue(Generic[S]):
 
     def __init__(self, device: Device, value: S) -> None:
         self.buffer: UniformBuffer[S] = device.uniform(value)
-        self._value = value
+        self._bytes = value.to_bytes()
 
     def write(self, value: S) -> None:
-        """Make the buffer hold `value`; it is uploaded if it has changed."""
-        if value != self._value:
+        """Make the buffer hold `value`; it is uploaded if its bytes have changed."""
+        data = value.to_bytes()
+        if data != self._bytes:
             self.buffer.write(value)
-            self._value = value
+            self._bytes = data
 
     def destroy(self) -> None:
         """Destroy the buffer."""
@@ -161,11 +162,12 @@ class SceneResources:
         simulator: runs the simulations of what is drawn.
     """
 
-    def __init__(self, device: Device, scene: Scene) -> None:
-        """If anything can't be created, nothing is left on the device."""
+    def __init__(self, device: Device, scene: Scene, textures: TextureSettings = AS_GIVEN) -> None:
+        """Upload a scene, whose textures are read as well as these settings say. If anything can't be created, nothing
+        is left on the device."""
         with ExitStack() as made:
             self._made = made
-            self._make(device, scene)
+            self._make(device, scene, textures)
             self._made = made.pop_all()
 
     def _keep(self, resource: R) -> R:
@@ -173,14 +175,15 @@ class SceneResources:
         self._made.callback(resource.destroy)
         return resource
 
-    def _make(self, device: Device, scene: Scene) -> None:
+    def _make(self, device: Device, scene: Scene, textures: TextureSettings) -> None:
         self.scene = scene
         self._workspaces: Workspaces = self._keep(Workspaces(device))
         self.simulator: Simulator = scene.make_simulator()
         self._held = np.zeros(len(scene.objects))  # by object, the state of the vertices on the device
         self._device = device
+        self._material_version = -1  # that of the materials on the device
         meshes, objects = scene.meshes, scene.objects
-        self.mesh: Mesh = self._keep(device.mesh(meshes.vertices, meshes.indices, label=scene.name))
+        self.mesh: Mesh = self._keep(device.mesh(meshes.vertices, meshes.indices, label="meshes"))
         ranges = meshes.ranges[objects.mesh]
         self.draws: NDArray[Any] = self.mesh.draws(
             ranges["first_index"],
@@ -188,7 +191,8 @@ class SceneResources:
             base_vertex=ranges["base_vertex"],
             base_instance=np.arange(len(objects)),
         )
-        self.images: SceneImages | None = self._keep(SceneImages(device, scene)) if len(scene.textures) else None
+        has_images = len(scene.textures) > 0
+        self.images = self._keep(SceneImages(device, scene, textures)) if has_images else None
         keep = self._keep
         self.objects = keep(MirroredArray(device, shaders.Object, "objects"))
         self.places = keep(MirroredArray(device, shaders.ObjectPosition, "places"))
@@ -339,7 +343,10 @@ class SceneResources:
         self._transform(following)
         self.objects.write(self._rows, None if self._list_lights() else following)
         self.places.write(self._places, None if self._find_transparent() else following)
-        self.materials.write(scene.materials)
+        self.directional.write(scene.lights.directional)
+        if self._material_version != scene.material_version:
+            self.materials.write(scene.materials)
+            self._material_version = scene.material_version
         self.look_from(camera)
         self.ambient.write(_ambient(scene))
         if "haze" in self.__dict__:
@@ -348,11 +355,11 @@ class SceneResources:
     def look_from(self, camera: Camera, eye: int = 0) -> None:
         """Let lights be relative to the eye of `camera`, one of the `EYES` of a frame. Each eye has point and spot
         lights of its own, which are written only where they have changed."""
-        lights = self.scene.lights.relative_to(camera.position)
         self.point, self.spot = self._lamps[eye]
-        self.directional.write(lights.directional)
-        self.point.write(lights.point if self._reaching[0] else lights.point[:0])
-        self.spot.write(lights.spot if self._reaching[1] else lights.spot[:0])
+        if any(self._reaching):
+            lights = self.scene.lights.relative_to(camera.position)
+            self.point.write(lights.point if self._reaching[0] else lights.point[:0])
+            self.spot.write(lights.spot if self._reaching[1] else lights.spot[:0])
 
     def _find_transparent(self) -> bool:
         """Find the transparent objects, and return whether they are others than in the last frame."""

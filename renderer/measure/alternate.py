@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
 from time import perf_counter, process_time
+from typing import Final
+
+import numpy as np
+
+_RESAMPLES: Final = 2000
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +40,26 @@ class Measurement:
         """Return the median over the rounds of the ratio of processor times in the same round."""
         both = zip(self.processor_seconds, other.processor_seconds, strict=True)
         return median(a / b for a, b in both)
+
+    def ratio_interval(self, other: Measurement) -> tuple[float, float]:
+        """Return the limits between which `ratio_to` is with 95 % confidence."""
+        return find_interval([a / b for a, b in zip(self.seconds, other.seconds, strict=True)])
+
+    def processor_ratio_interval(self, other: Measurement) -> tuple[float, float]:
+        """Return the limits between which `processor_ratio_to` is with 95 % confidence."""
+        both = zip(self.processor_seconds, other.processor_seconds, strict=True)
+        return find_interval([a / b for a, b in both])
+
+
+def find_interval(values: Sequence[float]) -> tuple[float, float]:
+    """Return the limits between which the median of what was sampled is with 95 % confidence.
+
+    It is a bootstrap: the medians of samples drawn from the sample itself, with replacement. The same values have the
+    same limits.
+    """
+    drawn = np.random.default_rng(0).choice(np.asarray(values), (_RESAMPLES, len(values)))
+    low, high = np.quantile(np.median(drawn, axis=1), (0.025, 0.975)).tolist()
+    return low, high
 
 
 def alternate(

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from renderer.scene.arrays import Floats
 from renderer.shaders.encodings import decode_normal
 from renderer.shaders.lighting import tone_map
+from rhi import to_srgb
 from rhi.shading import evaluate
 
 __rhi_internal__ = True
@@ -66,6 +67,5 @@ def color_rows(rows: NDArray[np.int64]) -> Floats:
 
 def _encode(linear: NDArray[Any]) -> Pixels:
     """Encode linear colours as sRGB."""
-    x = np.clip(np.nan_to_num(np.asarray(linear, np.float64)), 0.0, 1.0)
-    encoded = np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 1e-9) ** (1 / 2.4) - 0.055)
+    encoded = to_srgb(np.clip(np.nan_to_num(np.asarray(linear, np.float64)), 0.0, 1.0))
     return np.asarray(255.0 * encoded + 0.5, np.uint8)

@@ -41,7 +41,8 @@ from rhi import Device, Program
 from rhi.shading import Precision, Shader, Storage, StorageRW, Struct, Uniform, global_id, vec4
 
 GROUP: Final = 64
-_TURNS: Final = 64
+TURNS: Final = 64
+"""How often a value is stored and read in a run that is timed."""
 
 
 class StoredValue(Struct):
@@ -210,9 +211,9 @@ def compare_encodings(
         for one in encodings:
             values = one.sample(np.random.default_rng(0), count)
             errors[one.name].append(one.measure(values, run_round_trip(device, one.shader, values)))
-            works[one.name] = _time_round_trip(device, one.shader, values)
+            works[one.name] = time_round_trip(device, one.shader, values)
         for name, found in alternate(works, progress(range(rounds))).items():
-            times[name][device.backend_name] = round(1e9 * found.median / count / _TURNS, 2)
+            times[name][device.backend_name] = round(1e9 * found.median / count / TURNS, 2)
     return [
         EncodingRow(
             one.name,
@@ -245,10 +246,10 @@ def run_round_trip(device: Device, shader: type[RoundTrip], values: Floats) -> F
     return read
 
 
-def _time_round_trip(device: Device, shader: type[RoundTrip], values: Floats) -> Callable[[int], None]:
+def time_round_trip(device: Device, shader: type[RoundTrip], values: Floats) -> Callable[[int], None]:
     """Return a function that stores and reads the values many times, and waits for the device."""
     results = device.storage(StoredValue, len(values))
-    given, turns = device.storage(StoredValue, pack_values(values)), device.uniform(Turns(count=_TURNS))
+    given, turns = device.storage(StoredValue, pack_values(values)), device.uniform(Turns(count=TURNS))
     groups = -(-len(values) // GROUP)
     program: Program[Any] = device.program(shader)
 

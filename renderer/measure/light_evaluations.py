@@ -18,7 +18,6 @@ from typing import Any, Final, cast
 import numpy as np
 
 from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target, TechniquePass
-from renderer.lights.culling.grid import LightGrid
 from renderer.renderer import Renderer
 from renderer.scene import Camera
 from renderer.shaders.pixels import FullScreen, PixelRays, distance_at, nearness_of
@@ -37,7 +36,7 @@ from renderer.techniques import (
     Technique,
     TiledDeferred,
 )
-from renderer.techniques.cell_lists import CellReader, ClusterLists, TileLists, bind_lists
+from renderer.techniques.cell_lists import CLUSTERS, CellReader, LightCells, bind_lists
 from renderer.techniques.deferred_cells import TiledLighting, dispatch_tiles
 from renderer.techniques.forward import list_lamps
 from renderer.techniques.forward_multipass import PointPairs, SpotPairs, draw_pairs
@@ -217,10 +216,10 @@ def find_count(technique: Technique) -> Pass[Frame] | None:
         case Forward(samples=1):
             return _declare(_count_objects, targets=(Target("counted depth", DEPTH_FORMAT),))
         case Clustered():
-            run = partial(_count_cells, kind=ClusterLists, after_depth=False)
+            run = partial(_count_cells, cells=technique.cells, after_depth=False)
             return _declare(run, "light lists", targets=(Target("counted depth", DEPTH_FORMAT),))
         case ForwardPlus():
-            return _declare(partial(_count_cells, kind=TileLists, after_depth=True), "light lists", "depth")
+            return _declare(partial(_count_cells, cells=technique.cells, after_depth=True), "light lists", "depth")
         case LightIndexed():
             return _declare(_count_indices, INDICES, "depth")
         case ClusteredDeferred():
@@ -273,7 +272,7 @@ def _count_fragments(frame: Frame, base: type[Shader], *, after_depth: bool, **b
             frame.device,
             resources,
             frame.view,
-            frame.device.program(_count_kinds(frame, base)),
+            frame.program(_count_kinds(frame, base)),
             own | bindings,
             color=frame.targets[EVALUATIONS],
             depth=frame.targets["depth" if after_depth else "counted depth"],
@@ -288,8 +287,8 @@ def _count_objects(frame: Frame) -> None:
     _count_fragments(frame, ObjectLights, after_depth=False)
 
 
-def _count_cells(frame: Frame, *, kind: type[LightGrid], after_depth: bool) -> None:
-    bindings = bind_rays(frame) | bind_lists(frame, kind)
+def _count_cells(frame: Frame, *, cells: LightCells, after_depth: bool) -> None:
+    bindings = bind_rays(frame) | bind_lists(frame, cells)
     _count_fragments(frame, CellLights, after_depth=after_depth, **bindings)
 
 
@@ -299,7 +298,7 @@ def _count_indices(frame: Frame) -> None:
 
 def _count_pixels(frame: Frame) -> None:
     targets, shader = frame.targets, cast("type[FullScreen]", _count_kinds(frame, PixelLights))
-    bindings = bind_surface(frame) | bind_lists(frame, ClusterLists)
+    bindings = bind_surface(frame) | bind_lists(frame, CLUSTERS)
     draw_full_screen(
         frame, shader, targets[EVALUATIONS], bindings, depth=targets["depth"], clear=(0.0, 0.0, 0.0, 0.0)
     )
@@ -307,7 +306,7 @@ def _count_pixels(frame: Frame) -> None:
 
 def _count_places(frame: Frame) -> None:
     targets, shader = frame.targets, cast("type[FullScreen]", _count_kinds(frame, PlacedLights))
-    bindings = {"depth": targets["depth"]} | bind_lists(frame, ClusterLists)
+    bindings = {"depth": targets["depth"]} | bind_lists(frame, CLUSTERS)
     draw_full_screen(frame, shader, targets[EVALUATIONS], bindings)
 
 

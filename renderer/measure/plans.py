@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import rhi
 from renderer.frame import Effect, Frame, Needs, Pass, Plan
 from renderer.frame.plan import list_names
+from renderer.measure.memory import MemoryReport, describe_memory
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene
 from renderer.shadows import MapReport
@@ -53,8 +54,10 @@ class PlanReport:
 
     Attributes:
         passes: in their order. effects: those that are needed, with the reasons.
-        left_out: effects that aren't needed and passes that were dropped. texture_bytes: the size of all textures.
+        left_out: effects that aren't needed, passes that were dropped, and what the scene's file has and the scene
+            hasn't. texture_bytes: the size of all textures that passes write.
         textures: the contents that each texture holds in turn. shadow_maps: what became of each shadow map.
+        memory: what the renderer holds on the device, the scene included.
     """
 
     passes: list[PassRow]
@@ -63,6 +66,7 @@ class PlanReport:
     textures: list[list[str]]
     texture_bytes: int
     shadow_maps: list[MapReport]
+    memory: MemoryReport
 
 
 def describe_plan(
@@ -80,8 +84,9 @@ def describe_plan(
             needs, plan = renderer.plan(camera)
             counts = _count_by_pass(device, plan)
             maps = renderer.shadows.reports
+            memory = describe_memory(device.stream, renderer.images)
         algorithm.destroy()
-    return _report(needs, plan, size, counts, maps)
+    return _report(scene, needs, plan, size, counts, maps, memory)
 
 
 def _count_by_pass(device: rhi.Device, plan: Plan[Frame]) -> dict[str, Counter[str]]:
@@ -96,11 +101,13 @@ def _count_by_pass(device: rhi.Device, plan: Plan[Frame]) -> dict[str, Counter[s
 
 
 def _report(
+    scene: Scene,
     needs: Needs,
     plan: Plan[Frame],
     size: tuple[int, int],
     counts: Mapping[str, Counter[str]],
     shadow_maps: list[MapReport],
+    memory: MemoryReport,
 ) -> PlanReport:
     by_name = {name: texture for texture in plan.textures for name in texture.names}
 
@@ -122,8 +129,10 @@ def _report(
         left_out=[
             *(LeftOut(e.value, needs.explain(e)) for e in Effect if e not in needs.effects),
             *(LeftOut(one.name, one.because) for one in plan.dropped),
+            *(LeftOut(one.what, f"the file has it, the scene hasn't: {one}") for one in scene.omissions),
         ],
         textures=[list(texture.names) for texture in plan.textures],
         texture_bytes=plan.count_bytes(size),
         shadow_maps=shadow_maps,
+        memory=memory,
     )

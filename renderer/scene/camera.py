@@ -42,7 +42,9 @@ class FrustumPlane(IntEnum):
 
 
 class Projection(Protocol):
-    """The lens of a camera."""
+    """The lens of a camera, an immutable value."""
+
+    def __hash__(self) -> int: ...
 
     @property
     def depth(self) -> Depth:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer import rules
-from rhi import SamplerDescriptor, Wrap
+from rhi import SamplerDescriptor
 from rhi.errors import refuse
 
 __rhi_internal__ = True
@@ -266,48 +266,6 @@ class TextureRows:
                 texture.transform,
             )
         return made
-
-
-def count_features(
-    materials: NDArray[Any], textures: NDArray[Any], samplers: Sequence[SamplerDescriptor]
-) -> dict[str, int]:
-    """Return how many materials (k,) have each feature that a scene may lack; of images and second uvs, how many images
-    base colours have, and how many textures are read by a second uv; and how many textures aren't read and repeated as
-    they are."""
-    is_metal = materials["model"] == ShadingModel.METALLIC_ROUGHNESS
-    emits = materials["emissive"].any(axis=1)
-    used = {name: np.unique(materials[name][materials[name] >= 0]) for name in TEXTURES}
-    read = np.unique(np.concatenate(list(used.values())))
-    repeats = np.array([(one.wrap_u, one.wrap_v) == (Wrap.REPEAT, Wrap.REPEAT) for one in samplers], bool)
-    is_plain = (textures["transform"] == np.eye(2, 3)).all(axis=(1, 2)) & repeats[textures["sampler"]]
-    return {
-        "images": len(np.unique(textures["image"][used["texture"]])),
-        "emission": int(np.count_nonzero(materials["emission"])),
-        "metals": int(is_metal.sum()),
-        "emissive colors": int(emits.sum()),
-        "normal maps": int((materials["normal_texture"] >= 0).sum()),
-        "roughness maps": int((is_metal & (materials["metallic_roughness_texture"] >= 0)).sum()),
-        "occlusion maps": int((materials["occlusion_texture"] >= 0).sum()),
-        "emissive maps": int((emits & (materials["emissive_texture"] >= 0)).sum()),
-        "masks": int((materials["alpha_mode"] == AlphaMode.MASK).sum()),
-        "two sides": int((materials["double_sided"] != 0).sum()),
-        "second uvs": int(textures["uv_set"][read].sum()),
-        "texture transforms": int((~is_plain[read]).sum()),
-        "mixed coordinates": _count_mixed(materials, textures, repeats),
-    }
-
-
-def _count_mixed(materials: NDArray[Any], textures: NDArray[Any], repeats: NDArray[np.bool_]) -> int:
-    """Return how many materials (k,) read textures at unlike places, or any that isn't repeated."""
-    mixed = np.zeros(len(materials), bool)
-    rows = np.stack([materials[name] for name in TEXTURES], axis=1)
-    first = rows.max(axis=1)
-    for column in rows.T:
-        read = np.flatnonzero(column >= 0)
-        own, other = textures[column[read]], textures[first[read]]
-        mixed[read] |= own["uv_set"] != other["uv_set"]
-        mixed[read] |= (own["transform"] != other["transform"]).any(axis=(1, 2)) | ~repeats[own["sampler"]]
-    return int(mixed.sum())
 
 
 def check_image(image: NDArray[Any]) -> ImagePixels:

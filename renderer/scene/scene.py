@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from renderer import rules
 from renderer.scene.arrays import Floats, Rows
 from renderer.scene.camera import Camera
+from renderer.scene.features import MaterialFeatures
 from renderer.scene.lights import Lights
 from renderer.scene.materials import (
     MATERIAL,
@@ -26,7 +27,6 @@ from renderer.scene.materials import (
     TextureMap,
     TextureRows,
     check_image,
-    count_features,
     make_material,
 )
 from renderer.scene.meshes import MeshBounds, Meshes, MeshGeometry
@@ -99,7 +99,9 @@ class Scene:
         self.paths = dict(paths)
         self.omissions = omissions
         self.seconds = 0.0
-        self._features: tuple[bytes, dict[str, int]] = (b"", {})
+        self._features = MaterialFeatures(materials, self.textures, samplers)
+        self._has_colors = "color" in (meshes.vertices.dtype.names or ())
+        self._transparent: tuple[int, Rows] = (-1, np.zeros(0, np.int64))  # as of a version of the materials
         self._simulator = self.make_simulator()
         self.update()
         if not self.views:
@@ -117,8 +119,9 @@ class Scene:
         return self.refresh()
 
     def refresh(self) -> Rows:
-        """Update transforms and bounds to nodes that have moved; return the rows of the objects whose transform was
-        computed again."""
+        """Update transforms and bounds to nodes that have moved, and find materials that have changed; return the rows
+        of the objects whose transform was computed again."""
+        self._features.refresh(self.materials)
         moved = self.nodes.update()
         if not moved.any():
             return np.zeros(0, np.int64)
@@ -127,14 +130,14 @@ class Scene:
         return np.flatnonzero(moved[self.objects.node])
 
     def count_features(self) -> Mapping[str, int]:
-        """Return how many materials, images, textures or meshes have each feature that a scene may lack; counted again
-        when the materials have changed."""
-        contents = self.materials.tobytes()
-        if self._features[0] != contents:
-            counts = count_features(self.materials, self.textures, self.samplers)
-            counts["vertex colors"] = len(self.meshes) if "color" in (self.meshes.vertices.dtype.names or ()) else 0
-            self._features = (contents, counts)
-        return self._features[1]
+        """Return how many materials, images, textures or meshes have each feature that a scene may lack, as of the last
+        `refresh`."""
+        return {**self._features.counts, "vertex colors": len(self.meshes) if self._has_colors else 0}
+
+    @property
+    def material_version(self) -> int:
+        """A number that grows when a `refresh` finds that materials have changed."""
+        return self._features.version
 
     def make_simulator(self) -> Simulator:
         """Create a simulator of the scene, in which nothing has been run yet."""
@@ -165,11 +168,13 @@ class Scene:
         return int(self.meshes.triangle_counts[self.objects.mesh[objects]].sum())
 
     def find_transparent(self) -> Rows:
-        """Return the rows of the objects whose materials are blended with what is behind them."""
-        blended = self.materials["alpha_mode"] == AlphaMode.BLEND
-        if not blended.any():
-            return np.zeros(0, np.int64)
-        return np.flatnonzero(blended[self.objects.material])
+        """Return the rows of the objects whose materials are blended with what is behind them, as of the last
+        `refresh`."""
+        if self._transparent[0] != self.material_version:
+            blended = self.materials["alpha_mode"] == AlphaMode.BLEND
+            rows = np.flatnonzero(blended[self.objects.material]) if blended.any() else np.zeros(0, np.int64)
+            self._transparent = self.material_version, rows
+        return self._transparent[1]
 
     def relative_transforms(
         self, eye: ArrayLike, objects: NDArray[np.int64] | None = None

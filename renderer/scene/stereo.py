@@ -15,6 +15,7 @@ A parallel lens sees what is beside the eye's axis at any distance, so its paral
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -129,7 +130,14 @@ class StereoRig:
         """
         if not self.eye_distance:
             return camera
-        lens, eyes = camera.projection, self.place_eyes(camera)
+        lens, back = _enclose(self, camera.projection)
+        return Camera(camera.position - back * camera.forward, camera.rotation, lens)
+
+    def _enclose_lens(self, lens: Projection) -> tuple[Projection, float]:
+        """Return the lens that sees all that both eyes see, and how far behind the camera it stands: the same wherever
+        the camera is."""
+        camera = Camera(np.zeros(3), np.eye(3), lens)
+        eyes = self.place_eyes(camera)
         nearest, farthest = (1.0, 0.0) if lens.depth is Depth.REVERSED else (0.0, 1.0)
         end_of_view = _find_distance(lens.matrix, farthest)
         has_far = bool(np.isfinite(end_of_view))
@@ -160,7 +168,7 @@ class StereoRig:
                 float(end * widened) if has_far else np.inf,
                 lens.depth,
             )
-        return Camera(camera.position - back * camera.forward, camera.rotation, wide)
+        return wide, float(back)
 
     def find_parallax(self, lens: Projection, distance: ArrayLike) -> Floats:
         """Return how far a point at `distance` along the view is to the right in the right eye's picture of where it is
@@ -170,6 +178,12 @@ class StereoRig:
         if _is_parallel(lens):
             return np.asarray(scale * (z / self.convergence - 1.0))
         return np.asarray(scale * (1.0 / self.convergence - 1.0 / z))
+
+
+@lru_cache(maxsize=16)
+def _enclose(rig: StereoRig, lens: Projection) -> tuple[Projection, float]:
+    """Return what `StereoRig._enclose_lens` does; a rig and a lens mostly stay from frame to frame."""
+    return rig._enclose_lens(lens)
 
 
 def measure_parallax(eyes: tuple[Camera, Camera], points: ArrayLike) -> Floats:

@@ -40,12 +40,14 @@ class SceneCasters:
 
     Attributes:
         still, moving: the rows of objects that cast shadows: those that can't move, and those that may.
+        transparent: the rows of the transparent objects.
     """
 
     def __init__(self, scene: Scene) -> None:
         objects = scene.objects
         may_move, casts = objects.dynamic | objects.simulated, objects.casts_shadow.copy()
-        casts[scene.find_transparent()] = False
+        self.transparent: Rows = scene.find_transparent()
+        casts[self.transparent] = False
         self.still: Rows = np.flatnonzero(casts & ~may_move)
         self.moving: Rows = np.flatnonzero(casts & may_move)
         self._scene = scene

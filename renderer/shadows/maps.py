@@ -24,7 +24,7 @@ import numpy as np
 
 from renderer.frame import Effect, Frame, Needs, Pass
 from renderer.frame.passes import WINDINGS
-from renderer.frame.resources import MirroredValue, SceneResources, split_doubles
+from renderer.frame.resources import EYES, MirroredValue, SceneResources, split_doubles
 from renderer.lights.lists import list_lights
 from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Rows
@@ -212,7 +212,8 @@ class ShadowMaps:
         self._written: tuple[object, ...] = ()  # what the table of lamps was written from
         self._faces: dict[tuple[str, int], LampMaps] = {}
         self._frame = 0
-        self._sun_table = MirroredValue(device, _make_table([], 0.0))
+        self._sun_tables = tuple(MirroredValue(device, _make_table([], 0.0)) for _ in range(EYES))
+        self._eye = 0  # whose table is bound
         self._suns: list[tuple[int, Cascade, MapKey | None]] = []  # the key of those with a map
 
     def count(self, state: str) -> int:
@@ -246,7 +247,7 @@ class ShadowMaps:
     def bind_sun(self) -> tuple[list[str], dict[str, Any]]:
         """Return the names of the parts of the shadows of directional lights, and their bindings."""
         name, bindings = self.bind_filter()
-        return ["sun_shadows", name], bindings | {"suns": self._sun_table.buffer}
+        return ["sun_shadows", name], bindings | {"suns": self._sun_tables[self._eye].buffer}
 
     def bind_lamps(self, kinds: Sequence[str]) -> tuple[list[str], dict[str, Any]]:
         """Return the names of the parts of the shadows of lamps, `point`, `spot` or both, and their bindings."""
@@ -263,6 +264,8 @@ class ShadowMaps:
         if self._scene is not scene or self._used_settings != self.settings:
             self._reset(scene)
         assert self._casters is not None
+        if not np.array_equal(self._casters.transparent, scene.find_transparent()):
+            self._casters = SceneCasters(scene)
         self._reported = []
         self.casters_drawn = 0
         self._frame += 1
@@ -275,8 +278,10 @@ class ShadowMaps:
         self.aim(frame.camera)
         self._write_lamps(scene)
 
-    def aim(self, camera: Camera) -> None:
-        """Give shaders the places of the maps of directional lights relative to the eye of `camera`."""
+    def aim(self, camera: Camera, eye: int = 0) -> None:
+        """Give shaders the places of the maps of directional lights relative to the eye of `camera`, one of the `EYES`
+        of a frame. Each eye has a table of its own, which is written only where it has changed."""
+        self._eye = eye
         if not self._suns:
             return  # no shader reads them
         maps = []
@@ -296,7 +301,7 @@ class ShadowMaps:
                     is_last=int(next_row != row),
                 )
             )
-        self._sun_table.write(_make_table(maps, self.settings.bias))
+        self._sun_tables[eye].write(_make_table(maps, self.settings.bias))
 
     def _want_suns(
         self, resources: SceneResources, needs: Needs, cameras: Sequence[Camera], visible: Rows
@@ -590,7 +595,8 @@ class ShadowMaps:
         """Destroy all resources on the device."""
         self._forget_all()
         self._destroy_textures()
-        self._sun_table.destroy()
+        for table in self._sun_tables:
+            table.destroy()
         self._lamp_table.destroy()
         if self._slot_texture is not None:
             self._slot_texture.destroy()
@@ -626,7 +632,7 @@ def _update_maps(frame: Frame) -> None:
     if frame.first is None:
         maps.update(frame, [frame.view.around])
     else:  # the left eye's frame has drawn them for both
-        maps.aim(frame.camera)
+        maps.aim(frame.camera, 1)
 
 
 def describe_state(scene: Scene, rows: Rows) -> bytes:

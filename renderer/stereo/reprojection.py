@@ -19,14 +19,15 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Pass, Target
+from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Pass, Target, Targets
 from renderer.frame.passes import FARTHEST
 from renderer.frame.resources import MirroredValue
-from renderer.scene import Camera, Depth, measure_parallax
+from renderer.scene import Camera, Depth
 from renderer.shaders.pixels import FullScreen
 from renderer.stereo.words import Words
 from renderer.techniques.full_screen import WholeTarget, bind_rays
-from rhi import CullMode, DepthFunction, DepthTest, DepthWrite, Device
+from renderer.visibility.repeated import RepeatedCommands, clear, copy
+from rhi import CullMode, DepthFunction, DepthTest, DepthWrite, Device, Encoder, StorageBuffer
 from rhi.shading import (
     FragmentDepth,
     Shader,
@@ -47,6 +48,7 @@ from rhi.shading import (
 __rhi_internal__ = True
 
 _ROWS: Final = 16  # of a work-group
+_AHEAD: Final = np.array([(0.0, 0.0, -1.0, 1.0), (0.0, 0.0, -2.0, 1.0)])  # two points before the left eye
 
 
 class Shift(Struct):
@@ -150,22 +152,35 @@ class Reprojector:
         self.depth = Words(device, float)
         self.picture, self.moved = Words(device, uint), Words(device, uint)
         self.depths = Words(device, uint), Words(device, uint)
+        self._commands = RepeatedCommands(device, "")
         self._device = device
 
-    def move(self, size: tuple[int, int], picture: Words[Any], moved: Words[Any]) -> None:
+    def move_picture(self, left: Targets, right: Targets) -> None:
+        """Draw the right eye's picture. The left eye's depth stays in `depth`."""
+        size, sources, image = right.size, (left.depth, left.image), right.image
+        depth, picture, moved = (words.fit(size) for words in (self.depth, self.picture, self.moved))
+
+        def issue(encoder: Encoder) -> None:
+            for source, words in zip(sources, (depth, picture), strict=True):
+                copy(encoder, source, words)
+            self.move(encoder, size, picture, moved)
+            copy(encoder, picture, image)
+
+        self._commands.execute((*sources, depth, picture, moved, image), issue)
+
+    def move(
+        self, encoder: Encoder, size: tuple[int, int], picture: StorageBuffer[Any], moved: StorageBuffer[Any]
+    ) -> None:
         """Move the pixels of `picture` to `moved`, and back to `picture` with all holes filled."""
         device, groups = self._device, -(-size[1] // _ROWS)
-        moved.fit(size).clear()
-        given: dict[str, Any] = {
-            "shift": self.shift.buffer,
-            "picture": picture.buffer,
-            "moved": moved.buffer,
-        }
-        device.dispatch(device.program(MovePixels), groups, **given, depth=self.depth.buffer)
-        device.dispatch(device.program(FillPixels), groups, **given)
+        clear(encoder, moved)
+        given: dict[str, Any] = {"shift": self.shift.buffer, "picture": picture, "moved": moved}
+        encoder.dispatch(device.program(MovePixels), groups, **given, depth=self.depth.buffer)
+        encoder.dispatch(device.program(FillPixels), groups, **given)
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
+        self._commands.forget()
         for one in (self.shift, self.depth, self.picture, self.moved, *self.depths):
             one.destroy()
 
@@ -174,10 +189,12 @@ def find_shift(left: Camera, right: Camera, size: tuple[int, int]) -> Shift:
     """Return how the pixels of a picture of `size` move from one eye to the other. The eyes look in one direction."""
     depth, matrix = left.projection.depth, left.projection.matrix
     near = matrix[2] if depth is Depth.REVERSED else matrix[3] - matrix[2]
-    z = np.array([1.0, 2.0])
-    nearness = (near[3] - near[2] * z) / (matrix[3, 3] - matrix[3, 2] * z)
-    points = left.position + z[:, None] * left.forward
-    first, second = (0.5 * size[0] * measure_parallax((left, right), points)[:, 0]).tolist()
+    nearness = _AHEAD @ near / (_AHEAD @ matrix[3])
+    aside = _AHEAD.copy()  # the same points as the right eye sees them
+    aside[:, :3] += right.rotation @ (left.position - right.position)
+    other = right.projection.matrix
+    parallax = aside @ other[0] / (aside @ other[3]) - _AHEAD @ matrix[0] / (_AHEAD @ matrix[3])
+    first, second = (0.5 * size[0] * parallax).tolist()
     rate = float((second - first) / (nearness[1] - nearness[0]))
     return Shift(size=size, least=first - rate * float(nearness[0]), rate=rate, farthest=FARTHEST[depth])
 
@@ -190,31 +207,24 @@ def find_holes(right: Frame) -> NDArray[np.bool_]:
 
 
 def _move_pixels(frame: Frame) -> None:
-    left, size = _left_of(frame), frame.targets.size
-    kept = frame.view.workspace(Reprojector)
-    kept.shift.write(find_shift(left.camera, frame.camera, size))
-    left.targets.depth.copy_to_buffer(kept.depth.fit(size))
-    left.targets.image.copy_to_buffer(kept.picture.fit(size))
-    kept.move(size, kept.picture, kept.moved)
-    frame.targets.image.copy_from_buffer(kept.picture.buffer)
+    left, kept = _left_of(frame), frame.view.workspace(Reprojector)
+    kept.shift.write(find_shift(left.camera, frame.camera, frame.targets.size))
+    kept.move_picture(left.targets, frame.targets)
 
 
 def _move_depth(frame: Frame) -> None:
     device, size = frame.device, frame.targets.size
     kept = frame.view.workspace(Reprojector)
-    picture, moved = kept.depths
+    picture, moved = (words.fit(size) for words in kept.depths)
     device.dispatch(
-        device.program(EncodeDepth),
-        -(-size[0] * size[1] // 64),
-        depth=kept.depth.buffer,
-        picture=picture.fit(size),
+        device.program(EncodeDepth), -(-size[0] * size[1] // 64), depth=kept.depth.buffer, picture=picture
     )
-    kept.move(size, picture, moved)
+    kept.move(device, size, picture, moved)
     states = (CullMode.NONE, DepthTest.ON, DepthWrite.ON, DepthFunction.ALWAYS)
     program: Any = device.program(TakeDepth)
     triangle = frame.view.workspace(WholeTarget).triangle
     with device.render_pass(None, frame.targets.depth), device.states(*states):
-        given = {"shift": kept.shift.buffer, "picture": picture.buffer}
+        given = {"shift": kept.shift.buffer, "picture": picture}
         device.draw(program, triangle, **bind_rays(frame), **given)
 
 

@@ -1,8 +1,5 @@
 """Techniques: ways to draw a frame. Each is one object, and can be exchanged at run time."""
 
-from collections.abc import Callable
-from typing import Final
-
 from renderer.techniques.auto import AutoTechnique
 from renderer.techniques.deferred import Deferred
 from renderer.techniques.deferred_cells import ClusteredDeferred, TiledDeferred
@@ -15,26 +12,10 @@ from renderer.techniques.inferred import Inferred
 from renderer.techniques.light_indexed import LightIndexed
 from renderer.techniques.light_pre_pass import LightPrePass
 from renderer.techniques.particles import Particles
+from renderer.techniques.settings import TechniqueSettings
+from renderer.techniques.table import TECHNIQUES
 from renderer.techniques.technique import Technique
 from renderer.techniques.watched import Watched
-
-TECHNIQUES: Final[dict[str, Callable[[], Technique]]] = {
-    one.name: one
-    for one in (
-        Forward,
-        ForwardMultipass,
-        Deferred,
-        LightPrePass,
-        Inferred,
-        LightIndexed,
-        ForwardPlus,
-        Clustered,
-        TiledDeferred,
-        ClusteredDeferred,
-        DeferredPlus,
-    )
-}
-"""Constructors of all techniques, by name."""
 
 __all__ = [
     "TECHNIQUES",
@@ -52,6 +33,7 @@ __all__ = [
     "Particles",
     "Smoothed",
     "Technique",
+    "TechniqueSettings",
     "TiledDeferred",
     "Watched",
 ]

@@ -8,7 +8,8 @@ looked up elsewhere.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Final
 
 from renderer.frame import Frame, Needs, Pass
 from renderer.lights.culling.cells import CellGrid, cell_index
@@ -20,18 +21,32 @@ from rhi.shading import Shader, Storage, Uniform, fragment_coordinate, ivec2, iv
 __rhi_internal__ = True
 
 
-class TileLists(LightGrid):
-    """The lists of tiles of 16 × 16 pixels, between the nearest and the farthest surface of each tile."""
+@dataclass(frozen=True, slots=True)
+class LightCells:
+    """Cells of a view whose lights are listed: tiles of the image, divided by depth. It is called with a device to make
+    what a view keeps for them.
 
-    def __init__(self, device: Device) -> None:
-        super().__init__(device, tile=16)
+    Attributes:
+        tile: the width and height of a tile in pixels. slices: into how many parts its depths are divided.
+        sphere_test: the name of the test of lights against cells, of `SPHERE_TESTS`.
+    """
+
+    tile: int
+    slices: int = 1
+    sphere_test: str = "exact"
+
+    def __call__(self, device: Device) -> LightGrid:
+        """Return new lists."""
+        return LightGrid(device, tile=self.tile, slices=self.slices, sphere_test=self.sphere_test)
 
 
-class ClusterLists(LightGrid):
-    """The lists of clusters: tiles of 64 × 64 pixels in 24 depth slices (Olsson, Billeter and Assarsson 2012)."""
+LightLists = Callable[[Device], LightGrid]
+"""What makes the lists of a view: `LightCells`, or another function that is always the same one."""
 
-    def __init__(self, device: Device) -> None:
-        super().__init__(device, tile=64, slices=24)
+TILES: Final = LightCells(16)
+"""Tiles of 16 × 16 pixels, between the nearest and the farthest surface of each."""
+CLUSTERS: Final = LightCells(64, 24)
+"""Clusters: tiles of 64 × 64 pixels in 24 depth slices (Olsson, Billeter and Assarsson 2012)."""
 
 
 class CellReader(Shader):
@@ -47,7 +62,7 @@ class CellReader(Shader):
         return ivec3(self.light_rows[2 * cell], self.light_rows[2 * cell + 1], self.light_rows[2 * cell + 2])
 
 
-def list_pass(needs: Needs, kind: Callable[[Device], LightGrid], *, depth: str | None = None) -> Pass[Frame]:
+def list_pass(needs: Needs, cells: LightLists, *, depth: str | None = None) -> Pass[Frame]:
     """Return the pass that lists the lights of cells, as the contents `light lists`.
 
     Args:
@@ -56,14 +71,14 @@ def list_pass(needs: Needs, kind: Callable[[Device], LightGrid], *, depth: str |
 
     def collect(frame: Frame) -> None:
         texture = None if depth is None else frame.targets[depth]
-        grid = frame.view.workspace(kind)
+        grid = frame.view.workspace(cells)
         grid.collect(frame.device, frame.camera, frame.targets.size, frame.resources.scene.lights, texture)
 
     reads = () if depth is None else (depth,)
     return Pass("light lists", collect, explain_lamps(needs), reads=reads, writes=("light lists",))
 
 
-def bind_lists(frame: Frame, kind: Callable[[Device], LightGrid]) -> dict[str, Any]:
+def bind_lists(frame: Frame, cells: LightLists) -> dict[str, Any]:
     """Return the bindings of a `CellReader`, after the lists were made."""
-    grid = frame.view.workspace(kind)
+    grid = frame.view.workspace(cells)
     return {"grid": grid.parameters, "light_rows": grid.lists}

@@ -23,7 +23,7 @@ from renderer.lights.culling.volumes import WORD
 from renderer.shaders.lighting import is_near, point_incidence, spot_incidence
 from renderer.shaders.structs import PointLight, SpotLight, SurfacePoint
 from renderer.shadows import SHADOW_PARTS, ShadowReceiver
-from renderer.techniques.cell_lists import CellReader, ClusterLists, bind_lists, list_pass
+from renderer.techniques.cell_lists import CLUSTERS, CellReader, bind_lists, list_pass
 from renderer.techniques.deferred import Deferred, GeometryResolve, resolve, resolve_geometry
 from renderer.techniques.forward import bind_lamps, bind_shading, explain_lamps, find_forward, list_lamps
 from renderer.techniques.forward_plus import find_listed
@@ -253,13 +253,13 @@ class ClusteredDeferred:
         reads = list_contents(needs)
         return (
             geometry_pass(needs),
-            list_pass(needs, ClusterLists),
+            list_pass(needs, CLUSTERS),
             resolve_pass(
                 light_clusters,
                 "lights surfaces by what reaches all of them and by their clusters' lights",
                 (*reads, "light lists"),
             ),
-            *declare_transparency(needs, partial(find_listed, kind=ClusterLists), reads=("light lists",)),
+            *declare_transparency(needs, partial(find_listed, cells=CLUSTERS), reads=("light lists",)),
         )
 
 
@@ -288,7 +288,7 @@ def dispatch_tiles(frame: Frame, lit: Texture, added: tuple[type[TiledLighting],
     lamps.pop("light_rows")
     count = uploads.layout.count
     frame.device.dispatch(
-        frame.device.program(tiled_variant(tuple(parts), list_readers(frame.needs), added)),
+        frame.program(tiled_variant(tuple(parts), list_readers(frame.needs), added)),
         (count.x, count.y),
         depth=frame.targets["depth"],
         lit=lit.image(0),
@@ -302,4 +302,4 @@ def dispatch_tiles(frame: Frame, lit: Texture, added: tuple[type[TiledLighting],
 def light_clusters(frame: Frame) -> None:
     """Make the image: shade each pixel of the geometry buffer by the light of everything and of its cluster."""
     (features, bindings), (parts, lamps) = bind_shading(frame), bind_lamps(frame)
-    resolve_geometry(frame, LitByLists, [*features, *parts], bindings | lamps | bind_lists(frame, ClusterLists))
+    resolve_geometry(frame, LitByLists, [*features, *parts], bindings | lamps | bind_lists(frame, CLUSTERS))

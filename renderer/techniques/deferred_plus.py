@@ -5,7 +5,8 @@ evaluated afterwards, and lit by its cluster's lights in the same step.
    `two_pass`, first what the last frame's depth doesn't hide, then what this frame's depth doesn't hide.
 2. `light lists` lists the lights of clusters.
 3. `shading` reads each pixel's surface and material, filters the textures and adds up the light, in one pass over the
-   screen.
+   screen. A depth test leaves out the pixels without a surface, before anything is shaded: a shader that discards them
+   would cost llvmpipe as much as one that lights them. What the test leaves is placed by a copy of the depth.
 
 With `multi_pass`, each material is shaded by draws of its own: `material ids` writes materials as depth, `rectangles`
 finds where each is seen, and `shading` draws the rectangles with a depth test (`material_rectangles`).
@@ -20,10 +21,10 @@ from __future__ import annotations
 from functools import cache, partial
 from typing import Any, Final
 
-from renderer.frame import IMAGE_FORMAT, Frame, Needs, Pass, Target
+from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target
 from renderer.shaders.pixels import distance_at, nearness_of, place_pixel
 from renderer.shaders.structs import SurfacePoint
-from renderer.techniques.cell_lists import CellReader, ClusterLists, bind_lists, list_pass
+from renderer.techniques.cell_lists import CLUSTERS, CellReader, bind_lists, list_pass
 from renderer.techniques.deferred_cells import ClusteredDeferred
 from renderer.techniques.forward import bind_lamps, bind_shading, find_forward, list_lamps
 from renderer.techniques.forward_plus import find_listed
@@ -48,10 +49,7 @@ class PackedShading(PackedReader, ShadingShader):  # type: ignore[misc]  # as `P
 
     def fragment(self) -> vec4:
         place = fragment_coordinate().xy
-        nearness = nearness_of(self.rays, self.depth.load(ivec2(place)).x)
-        if nearness == 0.0:
-            discard()
-        distance = distance_at(self.rays, nearness)
+        distance = distance_at(self.rays, nearness_of(self.rays, self.depth.load(ivec2(place)).x))
         position = place_pixel(self.rays, place, distance)
         v = self.read_varying(position)
         material = self.materials[v.material]
@@ -71,6 +69,15 @@ class PackedLamps(CellReader, LampShader, PackedShading):  # type: ignore[misc] 
         return self.lamplight(surface, self.find_cell_lights(distance))
 
 
+class PackedRectangles(RectangleShader, PackedShading):  # type: ignore[misc]  # as `PackedReader`
+    """Shades the pixels of materials. The depth of the last material is also that of pixels without a surface."""
+
+    def fragment(self) -> vec4:
+        if self.depth.load(ivec2(fragment_coordinate().xy)).x == self.rays.farthest:
+            discard()
+        return super().fragment()
+
+
 class DeferredPlus:
     """Draws geometry without materials, and evaluates the material of each pixel once."""
 
@@ -85,8 +92,10 @@ class DeferredPlus:
         also `material ids` and `rectangles`; and those of transparent surfaces."""
         if not can_pack(needs):
             return ClusteredDeferred().declare(needs)
-        lists = (list_pass(needs, ClusterLists),) if list_lamps(needs) else ()
+        lists = (list_pass(needs, CLUSTERS),) if list_lamps(needs) else ()
         found = (ids_pass(), rectangles_pass()) if self.multi_pass else ()
+        # A pass can't read the depth that it tests. Rectangles test `material ids`.
+        copied = () if self.multi_pass else (Target("depth copy", DEPTH_FORMAT),)
         reads = ["packed", "depth"]
         reads += ["light lists"] if lists else []
         reads += ["material ids", "rectangles"] if self.multi_pass else []
@@ -95,10 +104,10 @@ class DeferredPlus:
             self._shade,
             "evaluates each pixel's material and its light",
             reads=tuple(reads),
-            writes=(Target("image", IMAGE_FORMAT),),
+            writes=(Target("image", IMAGE_FORMAT), *copied),
         )
         if lists:
-            lit_by_cells = partial(find_listed, kind=ClusterLists)
+            lit_by_cells = partial(find_listed, cells=CLUSTERS)
             transparency = declare_transparency(needs, lit_by_cells, reads=("light lists",))
         else:
             transparency = declare_transparency(needs, find_forward)
@@ -109,7 +118,7 @@ class DeferredPlus:
         readers, packed = bind_packed(frame)
         bindings |= packed | lamps
         if lamps:
-            bindings |= bind_lists(frame, ClusterLists)
+            bindings |= bind_lists(frame, CLUSTERS)
         shader = shading_variant(
             (*features, *parts),
             readers,
@@ -120,8 +129,10 @@ class DeferredPlus:
         if self.multi_pass:
             draw_rectangles(frame, shader, bindings)
         else:
-            clear = (*frame.resources.scene.background, 1.0)
-            draw_full_screen(frame, shader, frame.targets["image"], bindings, clear=clear)
+            targets, clear = frame.targets, (*frame.resources.scene.background, 1.0)
+            targets["depth"].copy_to(targets["depth copy"])
+            bindings["depth"] = targets["depth copy"]
+            draw_full_screen(frame, shader, targets["image"], bindings, depth=targets["depth"], clear=clear)
 
 
 @cache
@@ -135,7 +146,7 @@ def shading_variant(
 ) -> type[Any]:
     """Return the shader of the last pass with these parts (`find_parts`), and these that read the buffer."""
     bases = [*find_parts(parts, has_sun=has_sun)]
-    bases += [RectangleShader] if multi_pass else []
+    bases += [PackedRectangles] if multi_pass else []
     bases += readers
     bases.append(PackedLamps if has_lamps else PackedShading)
     return type("PackedShading", tuple(bases), {"__module__": __name__})

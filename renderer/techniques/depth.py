@@ -23,7 +23,7 @@ class PartialDepth(SceneShader):
 def draw_depth(frame: Frame) -> None:
     """Draw the depth of the visible objects to `depth`."""
     parts, bindings = bind_surfaces(frame, (Aspect.COVERAGE,), has_materials=False)
-    program: Any = frame.device.program(surface_variant(PartialDepth, parts) if parts else DepthOnly)
+    program: Any = frame.program(surface_variant(PartialDepth, parts) if parts else DepthOnly)
     frame.draw_visible(
         TechniquePass(
             frame.device,

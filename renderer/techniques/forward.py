@@ -131,7 +131,7 @@ def find_forward(frame: Frame) -> tuple[type[ForwardShader], dict[str, Any]]:
 def bind_forward(frame: Frame) -> tuple[Program[Any], dict[str, Any]]:
     """Return the forward program for the effects that the frame needs, and its bindings."""
     shader, bindings = find_forward(frame)
-    return frame.device.program(shader), bindings
+    return frame.program(shader), bindings
 
 
 def bind_lamps(frame: Frame, effects: Iterable[Effect] = LAMPS) -> tuple[list[str], dict[str, Any]]:

@@ -139,7 +139,7 @@ def _draw_base(frame: Frame) -> None:
     features, bindings = bind_materials(frame)
     bindings.pop("haze", None)  # which is mixed in at the end
     parts = tuple(part for part in features if part != "haze")
-    program: Program[Any] = frame.device.program(unmapped_variant(parts, has_sun=frame.needs.has_sun))
+    program: Program[Any] = frame.program(unmapped_variant(parts, has_sun=frame.needs.has_sun))
     frame.draw_visible(
         TechniquePass(
             frame.device,
@@ -178,7 +178,7 @@ def draw_pairs(frame: Frame, effect: Effect, shader: type[Shader], color: Textur
     pairs["object"], pairs["entry"] = objects, entries
     draws = resources.draws[objects]
     draws["base_instance"] = np.arange(len(objects))
-    program: Program[Any] = device.program(shader)
+    program: Program[Any] = frame.program(shader)
     bindings["pairs"] = device.transient.storage(Pair, pairs)
     with device.render_pass(color, frame.targets["depth"]), device.states(resources.cull_mode, *_ADDED):
         for mirrored, winding in WINDINGS:

@@ -9,18 +9,18 @@ Without point and spot lights in view there is nothing to list, and both are pla
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cache, partial
 from typing import Any, Final
 
 from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target, TechniquePass
-from renderer.lights.culling.grid import LightGrid
 from renderer.shaders.pixels import PixelRays
 from renderer.shaders.structs import SurfaceVarying
 from renderer.techniques.cell_lists import (
+    CLUSTERS,
+    TILES,
     CellReader,
-    ClusterLists,
-    TileLists,
+    LightCells,
+    LightLists,
     bind_lists,
     list_pass,
 )
@@ -29,7 +29,7 @@ from renderer.techniques.forward import Forward, bind_lamps, bind_materials, fin
 from renderer.techniques.forward_shader import ForwardShader, forward_variant
 from renderer.techniques.full_screen import bind_rays
 from renderer.techniques.transparency import declare_transparency
-from rhi import DepthFunction, DepthWrite, Device
+from rhi import DepthFunction, DepthWrite
 from rhi.shading import Uniform, dot, ivec3
 
 __rhi_internal__ = True
@@ -49,6 +49,10 @@ class ForwardPlus:
 
     name: Final = "forward_plus"
 
+    def __init__(self, *, cells: LightCells = TILES) -> None:
+        """Choose the tiles whose lights are listed."""
+        self.cells = cells
+
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the passes `depth`, `light lists` and `forward`; only the last one without lights to list."""
         if not list_lamps(needs):
@@ -60,10 +64,10 @@ class ForwardPlus:
                 "lights are listed for what is seen",
                 writes=(Target("depth", DEPTH_FORMAT),),
             ),
-            list_pass(needs, TileLists, depth="depth"),
+            list_pass(needs, self.cells, depth="depth"),
             Pass(
                 "forward",
-                lambda frame: draw_listed(frame, TileLists, after_depth=True),
+                lambda frame: draw_listed(frame, self.cells, after_depth=True),
                 "draws what is seen, lit by its tile's lights",
                 reads=("depth", "light lists"),
                 writes=(Target("image", IMAGE_FORMAT),),
@@ -78,9 +82,11 @@ class Clustered:
 
     name: Final = "clustered"
 
-    def __init__(self, *, depth_first: bool = False) -> None:
-        """With `depth_first`, a pass of its own draws depth before, so that no hidden fragment is lit."""
+    def __init__(self, *, depth_first: bool = False, cells: LightCells = CLUSTERS) -> None:
+        """Choose the clusters whose lights are listed. With `depth_first`, a pass of its own draws depth before, so
+        that no hidden fragment is lit."""
         self.depth_first = depth_first
+        self.cells = cells
 
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the passes `light lists` and `forward`, and before them `depth` if that is drawn first; only the last
@@ -91,15 +97,15 @@ class Clustered:
         before = (Pass("depth", draw_depth, "no hidden fragment is lit", writes=(depth,)),) if self.depth_first else ()
         return (
             *before,
-            list_pass(needs, ClusterLists),
+            list_pass(needs, self.cells),
             Pass(
                 "forward",
-                lambda frame: draw_listed(frame, ClusterLists, after_depth=self.depth_first),
+                lambda frame: draw_listed(frame, self.cells, after_depth=self.depth_first),
                 "draws the visible objects, lit by their clusters' lights",
                 reads=("depth", "light lists") if before else ("light lists",),
                 writes=(image,) if before else (image, depth),
             ),
-            *declare_transparency(needs, partial(find_listed, kind=ClusterLists), reads=("light lists",)),
+            *declare_transparency(needs, partial(find_listed, cells=self.cells), reads=("light lists",)),
         )
 
 
@@ -112,23 +118,23 @@ def cells_variant(parts: tuple[str, ...], *, has_sun: bool) -> type[ForwardShade
 
 
 def find_listed(
-    frame: Frame, kind: Callable[[Device], LightGrid]
+    frame: Frame, cells: LightLists
 ) -> tuple[type[ForwardShader], dict[str, Any]]:
     """Return the forward shader that is lit by the lights of cells, and its bindings."""
     (features, bindings), (more, lamps) = bind_materials(frame), bind_lamps(frame)
     shader = cells_variant((*features, *more), has_sun=frame.needs.has_sun)
-    return shader, bindings | lamps | bind_lists(frame, kind) | bind_rays(frame)
+    return shader, bindings | lamps | bind_lists(frame, cells) | bind_rays(frame)
 
 
-def draw_listed(frame: Frame, kind: Callable[[Device], LightGrid], *, after_depth: bool) -> None:
+def draw_listed(frame: Frame, cells: LightLists, *, after_depth: bool) -> None:
     """Draw the visible objects, lit by the lights of their cells; where depth was drawn before, only what is seen."""
-    shader, bindings = find_listed(frame, kind)
+    shader, bindings = find_listed(frame, cells)
     frame.draw_visible(
         TechniquePass(
             frame.device,
             frame.resources,
             frame.view,
-            frame.device.program(shader),
+            frame.program(shader),
             bindings,
             color=frame.targets["image"],
             depth=frame.targets["depth"],

@@ -133,7 +133,7 @@ def draw_full_screen(
     else:
         defaults += (DepthTest.ON, BEHIND[frame.camera.projection.depth])
     chosen = {type(state): state for state in (*defaults, *states)}
-    program: Any = device.program(shader)
+    program: Any = frame.program(shader)
     triangle = frame.view.workspace(WholeTarget).triangle
     with device.render_pass(color, depth, clear=clear), device.states(*chosen.values()):
         device.draw(program, triangle, **(bind_rays(frame) | bindings))

@@ -345,7 +345,7 @@ def draw_surfaces(
             frame.device,
             frame.resources,
             frame.view,
-            frame.device.program(surface_variant(base, [*models, *parts])),
+            frame.program(surface_variant(base, [*models, *parts])),
             bind_rays(frame) | scene,
             color=color,
             depth=frame.targets["depth"],

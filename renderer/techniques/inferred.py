@@ -291,7 +291,7 @@ def _stipple(frame: Frame) -> None:
             frame.device,
             frame.resources,
             frame.view,
-            frame.device.program(shader),
+            frame.program(shader),
             bind_rays(frame) | scene,
             color=[surface, shininess],
             depth=depth,
@@ -349,4 +349,4 @@ def find_inferred(
 def draw_inferred(frame: Frame, *, surface: str, terms: Mapping[str, str]) -> None:
     """Draw the visible objects again, lit by the terms: the contents of each."""
     shader, bindings = find_inferred(frame, surface=surface, terms=terms)
-    draw_again(frame, frame.device.program(shader), bindings)
+    draw_again(frame, frame.program(shader), bindings)

@@ -24,7 +24,7 @@ from renderer.lights.culling.cells import CellGrid, cell_index
 from renderer.shaders.lighting import in_range
 from renderer.shaders.pixels import FullScreen, distance_at, nearness_of, place_pixel
 from renderer.shaders.structs import SurfacePoint, SurfaceVarying
-from renderer.techniques.cell_lists import TileLists, bind_lists, list_pass
+from renderer.techniques.cell_lists import TILES, bind_lists, list_pass
 from renderer.techniques.depth import draw_depth
 from renderer.techniques.forward import Forward, bind_plain_lamps, list_lamps
 from renderer.techniques.forward_shader import LampShader, WithPointLights, WithSpotLights
@@ -200,7 +200,7 @@ def _draw(
             frame.device,
             frame.resources,
             frame.view,
-            frame.device.program(surface_variant(base, parts)),
+            frame.program(surface_variant(base, parts)),
             scene | bindings,
             color=color,
             depth=frame.targets["depth"],
@@ -264,7 +264,7 @@ def _declare_tiles(needs: Needs) -> tuple[Pass[Frame], ...]:
     depth = Pass("depth", draw_depth, "finds the nearest surfaces", writes=(_DEPTH,))
     if not list_lamps(needs):
         return depth, Pass("tiles", _clear_image, "no light is in view", writes=(_IMAGE,))
-    lists = list_pass(needs, TileLists, depth="depth")
+    lists = list_pass(needs, TILES, depth="depth")
     return depth, lists, Pass("tiles", _show_tiles, _BECAUSE, reads=("light lists",), writes=(_IMAGE,))
 
 
@@ -274,7 +274,7 @@ def _clear_image(frame: Frame) -> None:
 
 
 def _show_tiles(frame: Frame) -> None:
-    draw_full_screen(frame, TileCounts, frame.targets["image"], bind_lists(frame, TileLists))
+    draw_full_screen(frame, TileCounts, frame.targets["image"], bind_lists(frame, TILES))
 
 
 def _declare_volumes(needs: Needs) -> tuple[Pass[Frame], ...]:

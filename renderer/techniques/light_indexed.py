@@ -313,7 +313,7 @@ def _draw_lit(frame: Frame) -> None:
             frame.device,
             frame.resources,
             frame.view,
-            frame.device.program(shader),
+            frame.program(shader),
             bindings | lamps | indices,
             color=targets["image"],
             depth=targets["depth"],

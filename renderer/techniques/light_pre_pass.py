@@ -319,7 +319,7 @@ def draw_materials(frame: Frame, *, terms: Mapping[str, str]) -> None:
     """Draw the visible objects again, lit by the terms: the contents of each."""
     features, bindings = bind_materials(frame)
     shader = materials_variant(tuple(features), tuple(terms), has_sun=frame.needs.has_sun)
-    draw_again(frame, frame.device.program(shader), bindings | bind_terms(frame, terms))
+    draw_again(frame, frame.program(shader), bindings | bind_terms(frame, terms))
 
 
 def bind_terms(frame: Frame, terms: Mapping[str, str]) -> dict[str, Texture]:

@@ -309,7 +309,7 @@ def draw_volumes(
     device, resources = frame.device, frame.resources
     parts, maps = bind_lamp_shadows(frame, [effect])
     lit: Any = shader
-    program: Program[Any] = device.program(shadowed_variant(lit, *parts) if parts else lit)
+    program: Program[Any] = frame.program(shadowed_variant(lit, *parts) if parts else lit)
     bindings = bindings | maps
     mask: Program[Any] | None = device.program(VOLUMES[effect]) if is_masked else None
     lights = resources.point if effect is Effect.POINT_LIGHTS else resources.spot

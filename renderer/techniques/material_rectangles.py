@@ -278,7 +278,7 @@ def draw_rectangles(frame: Frame, shader: type[RectangleShader], bindings: dict[
     """Make the image: run a shader for the pixels of each material, before the background."""
     device, targets = frame.device, frame.targets
     found = frame.view.workspace(MaterialRectangles)
-    program: Program[Any] = device.program(shader)
+    program: Program[Any] = frame.program(shader)
     states = CullMode.NONE, DepthTest.ON, DepthWrite.OFF, DepthFunction.EQUAL
     clear = (*frame.resources.scene.background, 1.0)
     with device.render_pass(targets["image"], targets["material ids"], clear=clear), device.states(*states):

@@ -265,7 +265,7 @@ def draw_packed(frame: Frame) -> None:
             frame.device,
             resources,
             frame.view,
-            frame.device.program(surface_variant(base, parts)),
+            frame.program(surface_variant(base, parts)),
             bindings,
             color=frame.targets["packed"],
             depth=frame.targets["depth"],

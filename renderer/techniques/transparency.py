@@ -186,7 +186,7 @@ def _draw(
     """Draw the transparent objects in view to `contents`, tested against `depth`."""
     targets = frame.targets
     base, bindings = lighting(frame)
-    program: Program[Any] = frame.device.program(transparent_variant((shader, base)))
+    program: Program[Any] = frame.program(transparent_variant((shader, base)))
     frame.draw_transparent(
         TechniquePass(
             frame.device,

@@ -5,7 +5,6 @@ statistics = visibility.render(camera, scene_pass)      # `scene_pass`: a `Scene
 """
 
 from collections.abc import Callable
-from dataclasses import asdict
 from functools import partial
 from typing import Final
 
@@ -92,7 +91,15 @@ ALGORITHMS: Final[dict[str, Callable[[Scene, Device, Settings], VisibilityAlgori
         threshold=settings.threshold,
         emulated=settings.emulated,
     ),
-    "chc_plus_plus": lambda scene, device, settings: ChcPlusPlus(scene, device, **asdict(settings)),
+    "chc_plus_plus": lambda scene, device, settings: ChcPlusPlus(
+        scene,
+        device,
+        batch=settings.batch,
+        persistence=settings.persistence,
+        leaf_size=settings.leaf_size,
+        threshold=settings.threshold,
+        emulated=settings.emulated,
+    ),
     "conditional": lambda scene, device, settings: ConditionalCulling(
         scene,
         device,
@@ -101,7 +108,7 @@ ALGORITHMS: Final[dict[str, Callable[[Scene, Device, Settings], VisibilityAlgori
         threshold=settings.threshold,
         emulated=settings.emulated,
     ),
-    "software_depth": lambda scene, _device, _settings: SoftwareDepth(scene),
+    "software_depth": lambda scene, _device, settings: SoftwareDepth(scene, occluders=settings.occluders),
     "depth_pyramid": lambda scene, device, _settings: DepthPyramidCulling(scene, device),
     "two_pass": lambda scene, device, _settings: TwoPassCulling(scene, device),
     "auto": lambda scene, device, settings: AutoCulling(

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from rhi import CommandBuffer, Device, Encoder, StorageBuffer
+from rhi import CommandBuffer, Device, Encoder, Region, StorageBuffer, Texture
 
 __rhi_internal__ = True
 
@@ -54,3 +54,32 @@ def clear(encoder: Encoder, buffer: StorageBuffer[Any]) -> None:
         encoder.clear(buffer)
     else:
         buffer.clear()
+
+
+def copy(
+    encoder: Encoder,
+    source: Texture | StorageBuffer[Any],
+    target: Texture | StorageBuffer[Any],
+    *,
+    region: Region | None = None,
+    x: int = 0,
+    y: int = 0,
+) -> None:
+    """Copy a region (None: all) of a texture to (x, y) of another one, or a whole texture to a buffer or from it, in
+    order with the commands of a device or of a command buffer."""
+    commands = encoder if isinstance(encoder, CommandBuffer) else None
+    if isinstance(source, Texture) and isinstance(target, Texture):
+        if commands is None:
+            source.copy_to(target, region=region, x=x, y=y)
+        else:
+            commands.copy_texture(source, target, region=region, x=x, y=y)
+    elif isinstance(source, Texture) and isinstance(target, StorageBuffer):
+        if commands is None:
+            source.copy_to_buffer(target)
+        else:
+            commands.copy_texture_to_buffer(source, target)
+    elif isinstance(source, StorageBuffer) and isinstance(target, Texture):
+        if commands is None:
+            target.copy_from_buffer(source)
+        else:
+            commands.copy_buffer_to_texture(source, target)

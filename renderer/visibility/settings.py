@@ -20,7 +20,7 @@ __rhi_internal__ = True
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """The parameters of the algorithms that use occlusion queries; each uses those that it has.
+    """The parameters of the algorithms; each uses those that it has.
 
     Attributes:
         batch: number of hidden nodes that are gathered before they are queried, the thesis's b; 1 or more.
@@ -29,6 +29,7 @@ class Settings:
         threshold: a box that passes at most this many samples counts as hidden; 0 or more. Above 0 images may differ.
         emulated: whether occlusion queries are emulated by two counters and a fence (thesis 4.4.2), as they are in any
             case on a device without its own. Conditional culling can't use emulated ones.
+        occluders: the largest number of objects that software occlusion draws; 1 or more.
     """
 
     batch: int = 50
@@ -36,9 +37,10 @@ class Settings:
     leaf_size: int = 1
     threshold: int = 0
     emulated: bool = False
+    occluders: int = 64
 
     def __post_init__(self) -> None:
-        for name, least in (("batch", 1), ("persistence", 1), ("leaf_size", 1), ("threshold", 0)):
+        for name, least in (("batch", 1), ("persistence", 1), ("leaf_size", 1), ("threshold", 0), ("occluders", 1)):
             value = getattr(self, name)
             if type(value) is not int or value < least:
                 refuse(

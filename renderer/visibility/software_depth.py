@@ -29,7 +29,6 @@ __rhi_internal__ = True
 
 BACKEND: Final = "cl"
 """The backend of the device that occluders are drawn on."""
-OCCLUDERS: Final = 64
 _SMALLEST: Final = 0.005
 """The least solid angle of an occluder in steradians, roughly: 0.5 % of a view of 60°."""
 
@@ -49,7 +48,7 @@ class SoftwareDepth:
 
     opens_pass: Final = True
 
-    def __init__(self, scene: Scene, *, occluders: int = OCCLUDERS) -> None:
+    def __init__(self, scene: Scene, *, occluders: int = 64) -> None:
         """At most `occluders` objects are drawn as occluders. Raises `DeviceError` where there is no OpenCL
         device."""
         self._scene = scene

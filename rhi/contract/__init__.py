@@ -116,7 +116,7 @@ from rhi.contract.states import (
     Viewport,
     default_values,
 )
-from rhi.contract.texels import decode, encode, from_srgb, halve, pack, unpack
+from rhi.contract.texels import decode, encode, from_srgb, halve, pack, to_srgb, unpack
 from rhi.errors import DeviceError, RhiError, Rule, ShaderError, ValidationError, refuse, rules
 
 __all__ = [
@@ -242,5 +242,6 @@ __all__ = [
     "scalar_places",
     "shape_of",
     "stride_of",
+    "to_srgb",
     "unpack",
 ]

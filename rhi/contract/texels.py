@@ -38,7 +38,7 @@ def encode(format: Format, values: NDArray[np.float64]) -> NDArray[np.generic]:
         return (np.rint(depths * steps) / steps if steps else depths).astype(np.float32)
     if kind is ChannelKind.SRGB:
         values = values.copy()
-        values[..., :3] = _to_srgb(np.clip(values[..., :3], 0.0, 1.0))
+        values[..., :3] = to_srgb(np.clip(values[..., :3], 0.0, 1.0))
     limits = _limits(format)
     if format.is_integer:
         scaled = values
@@ -164,7 +164,8 @@ def _limits(format: Format) -> np.iinfo[Any]:
     return np.iinfo(integer)
 
 
-def _to_srgb(linear: NDArray[np.float64]) -> NDArray[np.float64]:
+def to_srgb(linear: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the gamma-encoded values of linear light; both are 0 to 1 (IEC 61966-2-1)."""
     return np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 

@@ -65,7 +65,8 @@ def test_a_moved_eye_uploads_the_view_and_nothing_for_objects(null: rhi.Device, 
         view = ViewConstants.uniform_dtype.itemsize
         elsewhere = replace(camera, position=camera.position + np.array([1.0, 2.0, 3.0]))
         moved = renderer.render(elsewhere).statistics
-    assert moved.upload_bytes == view + lights + moved.draws * rhi.DRAW.itemsize
+    draws = -(-moved.draws // 32) * 32  # the rest are of nothing
+    assert moved.upload_bytes == view + lights + draws * rhi.DRAW.itemsize
 
 
 def test_moving_objects_are_uploaded_and_the_others_are_not(null: rhi.Device) -> None:

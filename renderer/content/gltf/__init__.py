@@ -1,13 +1,13 @@
 """glTF 2.0: reading files into a scene under construction, and writing scenes.
 
 add_gltf(builder, "model.glb")
-save_scene(scene, "scene.glb")
+write_gltf(scene, "scene.glb")
 """
 
 from renderer.content.gltf.extras import Surroundings
 from renderer.content.gltf.reader import add_gltf
-from renderer.content.gltf.writer import save_scene
+from renderer.content.gltf.writer import write_gltf
 
 __rhi_internal__ = True
 
-__all__ = ["Surroundings", "add_gltf", "save_scene"]
+__all__ = ["Surroundings", "add_gltf", "write_gltf"]

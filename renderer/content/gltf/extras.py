@@ -51,6 +51,12 @@ def private(fields: JsonObject) -> JsonObject | None:
     return JsonObject(fields.file, f"{fields.where}.extras.{KEY}", found) if isinstance(found, dict) else None
 
 
+def find_own_name(primitive: JsonObject, name: str) -> str:
+    """Return the name of a primitive: that in its extras, where exporters write any JSON, or else `name`."""
+    held = primitive.values.get("extras")
+    return str(held.get("name", name)) if isinstance(held, dict) else name
+
+
 def is_placed(fields: JsonObject) -> bool:
     """Return whether a node only holds a light or a camera that `save_scene` has placed."""
     held = private(fields)

@@ -28,7 +28,7 @@ from renderer.content.gltf.deformations import (
     read_skins,
 )
 from renderer.content.gltf.document import JsonObject
-from renderer.content.gltf.extras import Surroundings, is_placed, private, read_surroundings
+from renderer.content.gltf.extras import Surroundings, find_own_name, is_placed, private, read_surroundings
 from renderer.content.gltf.materials import Materials
 from renderer.content.gltf.nodes import (
     GltfNode,
@@ -117,8 +117,7 @@ class _GltfReader:
             for primitive in primitives:
                 attributes = primitive.child("attributes")
                 first = attributes.index("POSITION", len(self._accessors))
-                own = primitive.child("extras").values.get("name", name)
-                firsts.setdefault(reader.key(primitive), (first, number, primitive, str(own)))
+                firsts.setdefault(reader.key(primitive), (first, number, primitive, find_own_name(primitive, name)))
         made: dict[object, int] = {}
         is_saved = self.surroundings is not None  # then equal meshes were several in the scene, and stay so
         added: set[int] = set()

@@ -52,15 +52,8 @@ _SLOTS: Final = {
 }
 
 
-def save_scene(scene: Scene, path: str | Path) -> tuple[Omission, ...]:
-    """Write a scene as glTF: `.glb`, or `.gltf` with a `.bin` beside it. Return what the file can't hold.
-
-    `load_model` reads the same scene from it: the same rows of nodes, objects, meshes, materials, images, lights, and
-    the same views and paths. Animations that were read from glTF are written; other simulations are left out, and what
-    they move is written as it is now.
-
-    Refused: `scene-unknown-format`.
-    """
+def write_gltf(scene: Scene, path: str | Path) -> tuple[Omission, ...]:
+    """Write a scene to a file, and return what the file can't hold; see `renderer.content.save_scene`."""
     file = Path(path)
     if file.suffix.lower() not in FORMATS:
         refuse(

@@ -226,7 +226,8 @@ def test_an_empty_model_is_refused(capsys: pytest.CaptureFixture[str], here: Pat
     assert "scene-empty-model" in capsys.readouterr().err
 
 
-def test_what_a_file_has_and_the_scene_has_not_is_listed(capsys: pytest.CaptureFixture[str], here: Path) -> None:
+def write_lines(path: Path) -> dict[str, object]:
+    """Write a model file with a triangle, and lines that aren't read; return how these are listed."""
     triangle = base64.b64encode(struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0)).decode()
     document = {
         "asset": {"version": "2.0"},
@@ -236,12 +237,37 @@ def test_what_a_file_has_and_the_scene_has_not_is_listed(capsys: pytest.CaptureF
         "bufferViews": [{"buffer": 0, "byteLength": 36}],
         "buffers": [{"byteLength": 36, "uri": f"data:application/octet-stream;base64,{triangle}"}],
     }
-    (here / "lines.gltf").write_text(json.dumps(document))
-    main(["render", "lines.gltf", "--backend", "null", "--json"])
+    path.write_text(json.dumps(document))
+    return {"what": "lines", "count": 1, "where": "meshes[0].primitives[1]"}
+
+
+@pytest.mark.parametrize("command", [
+    ["render", "lines.gltf"],
+    ["capture", "lines.gltf", "--frames", "1", "--output", "lines.csv"],
+    ["compare", "visibility", "lines.gltf", "--camera-path", "sky", "--frames", "1", "--algorithms", "none"],
+])  # fmt: skip
+def test_what_a_file_has_and_the_scene_has_not_is_listed(
+    capsys: pytest.CaptureFixture[str], here: Path, command: list[str]
+) -> None:
+    listed = write_lines(here / "lines.gltf")
+    main([*command, "--backend", "null", "--size", "64x36", "--json"])
     output = capsys.readouterr()
     assert "left out: lines (meshes[0].primitives[1])" in output.err.splitlines()
-    listed = {"what": "lines", "count": 1, "where": "meshes[0].primitives[1]"}
     assert json.loads(output.out)["left_out"] == [listed]
+
+
+def test_a_plan_lists_it_beside_the_effects_that_a_frame_lacks(
+    capsys: pytest.CaptureFixture[str], here: Path
+) -> None:
+    write_lines(here / "lines.gltf")
+    main(["plan", "lines.gltf", "--json"])
+    because = {one["name"]: one["because"] for one in json.loads(capsys.readouterr().out)["left_out"]}
+    assert because["lines"] == "the file has it, the scene hasn't: lines (meshes[0].primitives[1])"
+    assert because["haze"] == "the scene has no haze"
+
+
+def test_a_report_about_a_whole_scene_lists_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "left_out" not in run_json(capsys, CITY, "--backend", "null")
 
 
 def test_a_scene_is_converted_and_looks_the_same(capsys: pytest.CaptureFixture[str], here: Path) -> None:

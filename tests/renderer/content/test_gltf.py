@@ -45,6 +45,17 @@ def with_image(pixels=((((255, 0, 0, 255),),)), **material):
     return document
 
 
+@pytest.mark.parametrize("extras", ["by hand", 7, True, None, [1, 2], {"name": 5}, {"other": 1}])
+def test_extras_are_any_json(tmp_path, extras):
+    document = GltfDocument(nodes=[{"mesh": 0}], meshes=[])
+    document.mesh()
+    mesh, node = document.values["meshes"][0], document.values["nodes"][0]
+    mesh |= {"name": "stone", "extras": extras}
+    mesh["primitives"][0]["extras"] = node["extras"] = extras
+    scene = load(document, tmp_path)
+    assert scene.meshes.names == ("5" if isinstance(extras, dict) and "name" in extras else "stone",)
+
+
 # -- containers ----------------------------------------------------------------------------------------------------
 
 

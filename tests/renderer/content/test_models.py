@@ -1,6 +1,8 @@
 """Model files: what is read from them, and what is refused."""
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -227,3 +229,8 @@ def test_a_nan_in_gltf_is_refused(tmp_path):
 def test_a_face_that_names_a_missing_vertex_is_refused(tmp_path):
     (tmp_path / "bad.ply").write_text(PLY.format(faces=1, vertices="0 0 0\n1 0 0\n0 1 0\n3 0 1 7"))
     assert refusal(tmp_path / "bad.ply") == "scene-unreadable-model"
+
+
+def test_scenes_without_files_import_no_reader_of_files() -> None:
+    program = "import sys, renderer.content; print(*{'renderer.content.gltf', 'trimesh'} & {*sys.modules})"
+    assert subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout == "\n"

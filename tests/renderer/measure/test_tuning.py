@@ -19,8 +19,8 @@ from PIL import Image
 
 import rhi
 from renderer.cli import main
+from renderer.cli.executors import make_executor
 from renderer.cli.output import OutputError
-from renderer.cli.tune import make_executor
 from renderer.content import load_scene
 from renderer.measure.tuning import ParameterPair, Trial, Walk, find_best, search, try_pairs
 from renderer.visibility import Settings
@@ -167,7 +167,7 @@ class Counter(Executor):
 @pytest.mark.usefixtures("gl")
 def test_any_executor_runs_the_trials(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     counter = Counter()
-    monkeypatch.setattr("renderer.cli.tune.SerialExecutor", lambda: counter)
+    monkeypatch.setattr("renderer.cli.executors.SerialExecutor", lambda: counter)
     assert main([*COMMAND, "--rounds", "1"]) == 0
     assert counter.ran == [try_pairs] * 5  # four, and those that decide against each other
 
@@ -236,7 +236,7 @@ def test_without_dask_its_executor_says_what_to_install(monkeypatch: pytest.Monk
     def missing(name: str) -> None:
         raise ModuleNotFoundError(name)
 
-    monkeypatch.setattr("renderer.cli.tune.import_module", missing)
+    monkeypatch.setattr("renderer.cli.executors.import_module", missing)
     with pytest.raises(OutputError, match=r"rhi\[dask\]"), make_executor("dask:tcp://nowhere:1"):
         pass
 

@@ -28,7 +28,13 @@ from renderer.scene.transforms import multiply
 from renderer.shaders import PointLight, ViewConstants
 from renderer.stereo import Stereo
 from renderer.techniques import TECHNIQUES, Particles
-from renderer.visibility import FrustumCulling, VisibilityAlgorithm, list_algorithms, make_visibility
+from renderer.visibility import (
+    FrustumCulling,
+    NoCulling,
+    VisibilityAlgorithm,
+    list_algorithms,
+    make_visibility,
+)
 from rhi import Op
 
 SIZE: Final = (96, 54)
@@ -100,7 +106,9 @@ def test_each_picture_of_each_technique_is_that_of_its_eye(
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("scene_name", ["city", "hall"])
-@pytest.mark.parametrize("name", ["none", "stop_and_wait", "conditional", "depth_pyramid", "two_pass", "auto"])
+@pytest.mark.parametrize(
+    "name", ["none", "stop_and_wait", "conditional", "depth_pyramid", "two_pass", "auto"]
+)
 def test_each_picture_with_each_algorithm_is_that_of_its_eye(
     drawing_device: rhi.Device, request: pytest.FixtureRequest, scene_name: str, name: str
 ) -> None:
@@ -115,7 +123,9 @@ def test_each_picture_with_each_algorithm_is_that_of_its_eye(
 
 
 @pytest.mark.parametrize("name", ["depth_pyramid", "two_pass"])
-def test_what_both_eyes_see_is_known_where_the_device_lists_it(gl: rhi.Device, hall: Scene, name: str) -> None:
+def test_what_both_eyes_see_is_known_where_the_device_lists_it(
+    gl: rhi.Device, hall: Scene, name: str
+) -> None:
     """The right eye's lists replace the left one's, which were read before."""
     if name not in list_algorithms(gl):
         pytest.skip(f"this device can't run {name}")
@@ -179,7 +189,9 @@ class Counted(FrustumCulling):
         return super().render(camera, scene_pass)
 
 
-def count(null: rhi.Device, scene: Scene, stereo: Stereo | None, technique: str = "forward") -> dict[str, Any]:
+def count(
+    null: rhi.Device, scene: Scene, stereo: Stereo | None, technique: str = "forward"
+) -> dict[str, Any]:
     """Return what the frames of a walk cost, after the first ones."""
     algorithm = Counted(scene)
     with Renderer(
@@ -205,7 +217,7 @@ def count(null: rhi.Device, scene: Scene, stereo: Stereo | None, technique: str 
 def test_both_eyes_are_culled_once_and_upload_once(null: rhi.Device, city: Scene) -> None:
     one, two = (count(null, city, stereo) for stereo in (None, Stereo(StereoRig(0.065, 3.0), "grey")))
     assert one["asked"] == two["asked"] == 4
-    assert two["passes"] == 3 * one["passes"], "each eye, and the image of both"
+    assert two["passes"] == 2 * one["passes"], "each eye; no pass shows both"
     for alone, both in zip(one["visible"], two["visible"], strict=True):
         assert np.isin(alone, both).all()
         assert len(both) <= 1.1 * len(alone)
@@ -247,7 +259,9 @@ def test_simulations_run_once_for_both_eyes(null: rhi.Device, hall: Scene, techn
     assert two["steps"] == one["steps"] > 0
 
 
-def test_a_second_frame_of_eyes_that_stay_uploads_nothing(null: rhi.Device, city: Scene) -> None:
+@pytest.mark.parametrize("name", ["city:blocks=6", "city:blocks=6,shadows=1"])
+def test_a_second_frame_of_eyes_that_stay_uploads_nothing(null: rhi.Device, name: str) -> None:
+    city = load_scene(name)
     with Renderer(null, city, size=SIZE, visibility=FrustumCulling(city)) as renderer:
         renderer.stereo = Stereo(RIG)
         camera = city.paths["ground"].camera(600)
@@ -256,14 +270,30 @@ def test_a_second_frame_of_eyes_that_stay_uploads_nothing(null: rhi.Device, city
     assert second.upload_bytes == third.upload_bytes == 0
 
 
-def test_commands_of_eyes_that_stay_are_recorded_once(null: rhi.Device, city: Scene) -> None:
+@pytest.mark.parametrize("output", ["side_by_side", "color", "dubois"])
+def test_commands_of_eyes_that_stay_are_recorded_once(null: rhi.Device, city: Scene, output: str) -> None:
     with Renderer(null, city, size=SIZE, visibility=FrustumCulling(city)) as renderer:
-        renderer.stereo = Stereo(RIG, "side_by_side")
+        renderer.stereo = Stereo(RIG, output)
         camera = city.paths["ground"].camera(600)
         recorded = []
         for _ in range(4):
             before = null.statistics.recorded_commands
             renderer.render(camera, 10.0)
+            recorded.append(null.statistics.recorded_commands - before)
+    assert recorded[1] > recorded[0] == recorded[2] == recorded[3] == 0
+
+
+@pytest.mark.parametrize("output", ["side_by_side", "color", "dubois"])
+def test_the_image_of_both_eyes_is_made_by_commands_that_are_only_submitted(
+    null: rhi.Device, city: Scene, output: str
+) -> None:
+    """Where eyes move but see no other number of objects, nothing is recorded again."""
+    with Renderer(null, city, size=SIZE, visibility=NoCulling(city)) as renderer:
+        renderer.stereo = Stereo(RIG, output)
+        recorded = []
+        for frame in range(4):
+            before = null.statistics.recorded_commands
+            renderer.render(city.paths["ground"].camera(600 + frame), 10.0)
             recorded.append(null.statistics.recorded_commands - before)
     assert recorded[1] > recorded[0] == recorded[2] == recorded[3] == 0
 
@@ -317,6 +347,6 @@ def test_shadow_maps_are_drawn_once_for_both_eyes(null: rhi.Device) -> None:
             passes.append(len(null.stream[before:].filter(Op.BEGIN_PASS)))
             maps.append(renderer.shadows.count("drawn"))
             casters.append(renderer.shadows.casters_drawn)
-    assert passes == [2, 4], "one for the maps; then one for each eye, and the image of both"
+    assert passes == [2, 3], "one for the maps; then one for each eye"
     assert maps[0] == maps[1] > 0, "the second eye doesn't ask for maps"
     assert casters[0] <= casters[1] <= 1.1 * casters[0]

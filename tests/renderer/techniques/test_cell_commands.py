@@ -19,7 +19,7 @@ from renderer.techniques import (
     Technique,
     TiledDeferred,
 )
-from renderer.techniques.cell_lists import ClusterLists
+from renderer.techniques.cell_lists import CLUSTERS
 from renderer.visibility import NoCulling
 from rhi import Op
 
@@ -114,5 +114,5 @@ def test_clusters_have_room_for_64_lights_each_at_first(null: rhi.Device) -> Non
     scene = box(1)
     with Renderer(null, scene, technique=Clustered(), visibility=NoCulling(scene), size=SIZE) as renderer:
         renderer.render(scene.views["eye"])
-        grid = renderer._view.workspace(ClusterLists)
+        grid = renderer._view.workspace(CLUSTERS)
         assert grid.capacity == 64 * grid.cells

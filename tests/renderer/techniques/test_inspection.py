@@ -13,7 +13,7 @@ from renderer.cli import main
 from renderer.content import BUILT_IN as MESHES
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import Camera, Scene, SceneBuilder, scaling, translation
-from renderer.techniques.cell_lists import TileLists
+from renderer.techniques.cell_lists import TILES
 from renderer.techniques.inspection import INSPECTIONS, Inspection, heat_color
 from renderer.visibility import NoCulling
 from rhi.shading import evaluate
@@ -91,7 +91,7 @@ def test_tiles_have_the_colours_of_their_lists(gl: rhi.Device) -> None:
         gl, scene, technique=Inspection("tiles"), visibility=NoCulling(scene), size=size
     ) as renderer:
         picture = renderer.render(scene.views["above"]).image.read()[..., :3]
-        lists = renderer.view.workspace(TileLists).read()
+        lists = renderer.view.workspace(TILES).read()
     counts = (lists.ends - lists.begins).reshape(3, 4)
     assert {0, 9} <= {*counts.ravel().tolist()} <= {0, 1, 9, 10}
     expected = {0: (0, 0, 0), 1: BLUE, 9: CYAN, 10: CYAN}

@@ -406,6 +406,19 @@ def test_transparent_objects_cast_no_shadows() -> None:
     assert not len(casters.moving)
 
 
+def test_a_material_that_becomes_transparent_casts_no_shadow_from_then_on(null: rhi.Device) -> None:
+    builder = panes(WALL, (1.0, (1.0, 1.0, 1.0)))
+    builder.lights.add_directional((0.0, 0.0, -1.0), (1.0, 1.0, 1.0), 1.0, casts_shadow=True)
+    scene = builder.build()
+    with Renderer(null, scene, visibility=NoCulling(scene), size=SIZE) as renderer:
+        cast = []
+        for mode in (AlphaMode.OPAQUE, AlphaMode.BLEND, AlphaMode.OPAQUE):
+            scene.materials["alpha_mode"][1] = mode
+            renderer.render(FRONT)
+            cast.append({report.casters for report in renderer.shadows.reports})
+    assert cast == [{2}, {1}, {2}]
+
+
 def test_a_frame_says_why_it_has_a_pass_of_transparent_surfaces() -> None:
     builder = panes(WALL, (1.0, (1.0, 1.0, 1.0, 0.5)))
     add_pane(builder, 20.0, (1.0, 1.0, 1.0, 0.5))

@@ -2,27 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import strategies as st
 
 import rhi
-from renderer.content.shapes import box, sphere
-from renderer.renderer import FrameResult, Renderer
+from renderer.exam.late import delay_methods
+from renderer.exam.scenes import ORIGIN as ORIGIN
+from renderer.exam.scenes import SIZE as SIZE
+from renderer.exam.scenes import WALL as WALL
+from renderer.exam.scenes import Shots as Shots
+from renderer.exam.scenes import Uncut as Uncut
+from renderer.exam.scenes import count_wrong_pixels as count_wrong_pixels
+from renderer.exam.scenes import draw_with as draw_with
+from renderer.exam.scenes import look as look
+from renderer.exam.scenes import make_boxes as make_boxes
+from renderer.exam.scenes import walk as walk
+from renderer.renderer import FrameResult
 from renderer.scene import Camera, Orthographic, Perspective, Scene
-from renderer.scene.scene import SceneBuilder
-from renderer.scene.transforms import multiply, rotation, scaling, translation
-from renderer.visibility import NoCulling, VisibilityAlgorithm
+from renderer.scene.transforms import rotation
 from renderer.visibility.boxes.forest import Forest
 from renderer.visibility.gpu.depth_pyramid import CompareBoxes
 from renderer.visibility.gpu.occludees import DRAWN, HIDDEN, VISIBLE, MarkBoxes, MarkListedBoxes
 from renderer.visibility.gpu.reprojection import WriteDepth
 from renderer.visibility.queries.box_queries import QueryBoxShader
-from rhi import OcclusionQuery, QuerySet
 from rhi.backends.null import Draw, NullBackend
 
 WAITING = ("stop_and_wait", "chc", "chc_plus_plus")
@@ -31,39 +37,6 @@ OCCLUSION = (*WAITING, "conditional")
 """The algorithms that ask the device."""
 DEVICE = ("depth_pyramid", "two_pass")
 """The algorithms that run on the device."""
-
-
-def make_boxes(
-    places: object,
-    sizes: object,
-    motion: Callable[[float], object] | None = None,
-    moving: Collection[int] = (),
-    name: str = "boxes",
-    turns: object = None,
-) -> Scene:
-    """Boxes and spheres in turn, each of a colour of its own, at `places` (k, 3) with `sizes` (k, 3).
-
-    `moving` ones go along `motion`: seconds to an offset (3,). `turns` are rotations (k, 4, 4).
-    """
-    places, sizes = np.asarray(places, float).reshape(-1, 3), np.asarray(sizes, float).reshape(-1, 3)
-    builder = SceneBuilder(name)
-    meshes = [builder.add_mesh(box()), builder.add_mesh(sphere(8))]
-    stretched = scaling(sizes) if turns is None else multiply(turns, scaling(sizes))
-    local = multiply(translation(places), stretched)
-    dynamic = np.isin(np.arange(len(places)), list(moving))
-    nodes = builder.add_nodes(local, dynamic=dynamic)
-    colors = np.random.default_rng(3).uniform(0.1, 1.0, (len(places), 4))
-    materials = [builder.add_material(base_color=tuple(color)) for color in colors]
-    builder.add_objects(nodes, [meshes[row % 2] for row in range(len(places))], materials)
-    if motion is not None:
-        rows = np.flatnonzero(dynamic)
-
-        def move(seconds: float) -> np.ndarray:
-            return multiply(translation(places[rows] + np.asarray(motion(seconds))), stretched[rows])
-
-        builder.animate(nodes[rows], move)
-    builder.lights.add_directional((-0.4, -1.0, -0.3), (1.0, 1.0, 1.0), 1.5)
-    return builder.build()
 
 
 @st.composite
@@ -95,14 +68,6 @@ def cameras(draw: st.DrawFn) -> Camera:
     else:
         lens = Orthographic(draw(st.floats(2.0, 20.0)), near=draw(st.sampled_from([-5.0, 0.0])), far=40.0)
     return Camera.look_at(eye, aim, projection=lens)
-
-
-def draw_with(
-    renderer: Renderer, algorithm: VisibilityAlgorithm, camera: Camera, seconds: float = 0.0
-) -> FrameResult:
-    """Render one frame with this algorithm."""
-    renderer.visibility = algorithm
-    return renderer.render(camera, seconds)
 
 
 @dataclass
@@ -184,165 +149,8 @@ def visible(result: FrameResult) -> set[int]:
     return set(rows)
 
 
-Shots = list[tuple[Camera, float]]
-"""Cameras and times, frame by frame."""
-
-
-class Uncut:
-    """The frames of a scene without culling, drawn once, with which any number of algorithms are compared."""
-
-    def __init__(
-        self, device: rhi.Device, scene: Scene, shots: Shots, size: tuple[int, int] = (97, 55)
-    ) -> None:
-        self.scene, self.shots = scene, shots
-        self._renderer = Renderer(device, scene, size=size)
-        self._expected = self._draw(NoCulling(scene))
-
-    def _draw(self, algorithm: VisibilityAlgorithm) -> list[np.ndarray]:
-        return [draw_with(self._renderer, algorithm, *shot).image.read() for shot in self.shots]
-
-    def count_wrong_pixels(self, algorithm: VisibilityAlgorithm) -> list[int]:
-        """Count the pixels of each frame that differ."""
-        pairs = zip(self._draw(algorithm), self._expected, strict=True)
-        return [int((given != expected).any(2).sum()) for given, expected in pairs]
-
-    def destroy(self) -> None:
-        self._renderer.destroy()
-
-
-def count_wrong_pixels(
-    device: rhi.Device,
-    scene: Scene,
-    algorithm: VisibilityAlgorithm,
-    shots: Shots,
-    size: tuple[int, int] = (97, 55),
-) -> list[int]:
-    """Count the pixels of each frame that differ from no culling."""
-    uncut = Uncut(device, scene, shots, size)
-    wrong = uncut.count_wrong_pixels(algorithm)
-    uncut.destroy()
-    return wrong
-
-
 def delay_answers(monkeypatch: pytest.MonkeyPatch, looks: int) -> None:
-    """Let every query and query set be looked at (`is_finished`) so many times before its answer is there, and no more
-    often, as quick or slow as the GPU may be; waiting for it always helps."""
-    left: dict[int, int] = {}
-
-    def delay(kind: type, begins: str) -> None:
-        begin, read, wait = (getattr(kind, name) for name in (begins, "_read", "wait"))
-
-        def begin_late(query: Any, *arguments: object) -> object:
-            left[query.id] = looks
-            return begin(query, *arguments)
-
-        def read_late(query: Any) -> object:
-            left[query.id] -= 1
-            answer = None
-            while left[query.id] < 0 and answer is None:
-                answer = read(query)
-            return answer
-
-        def wait_late(query: Any) -> object:
-            left[query.id] = 0
-            return wait(query)
-
-        for name, late in ((begins, begin_late), ("_read", read_late), ("wait", wait_late)):
-            monkeypatch.setattr(kind, name, late)
-
-    delay(OcclusionQuery, "begin")
-    delay(QuerySet, "draw")
-
-
-SIZE = (97, 55)
-ORIGIN = (0.0, 0.0, 0.0)
-WALL = (0.0, 0.0, -5.0)
-
-
-def look(eye: object, aim: object, **lens: float) -> Camera:
-    """Create a perspective camera."""
-    return Camera.look_at(eye, aim, projection=Perspective(**lens))
-
-
-def walk(scene: Scene, path: str, frames: Iterable[int]) -> Shots:
-    """Return the cameras of these frames of a path, and their times."""
-    return [(scene.paths[path].camera(frame), frame / 60) for frame in frames]
-
-
-def _make_grey_boxes(places: object, sizes: object) -> Scene:
-    scene = make_boxes(places, sizes)
-    scene.materials["base_color"] = 0.5
-    scene.objects.mesh[:] = 0
-    return scene
-
-
-_TOUCH = [0.25 * (1.0 + ulps * 2.0**-52) for ulps in (-1, 0, 1)]
-
-HARD_CASES = {
-    "camera 1.5 near from a corner, at 60°": (
-        make_boxes([(0.0, 0.0, 0.0), (0.0, 0.0, -6.0)], [(2.0, 2.0, 2.0), (1.0, 1.0, 1.0)]),
-        look((1.1, 1.1, 1.05), (-2.0, -2.0, -1.0), near=0.1),
-    ),
-    "camera inside a box": (
-        make_boxes([ORIGIN, (0.0, 0.0, -0.5)], [(4.0, 4.0, 4.0), (0.5, 0.5, 0.5)]),
-        look((0.0, 0.0, 1.0), (0.0, 0.0, -1.0), near=0.1),
-    ),
-    "everything visible": (
-        make_boxes([(x, y, -9.0) for x in (-2, 0, 2) for y in (-2, 0, 2)], [(0.9, 0.9, 0.9)] * 9),
-        look(ORIGIN, WALL),
-    ),
-    "everything hidden but a wall": (
-        make_boxes(
-            [WALL, *((x, y, -9.0) for x in (-1, 0, 1) for y in (-1, 0, 1))],
-            [(30.0, 30.0, 0.1)] + [(0.5, 0.5, 0.5)] * 9,
-        ),
-        look(ORIGIN, WALL),
-    ),
-    "boxes without thickness": (
-        make_boxes([WALL, (1.0, 0.0, -6.0), (0.0, 3.0, -5.5)], [(3.0, 3.0, 0.0), (3.0, 0.0, 3.0), (0.0, 3.0, 3.0)]),
-        look(ORIGIN, WALL),
-    ),
-    "one object": (
-        make_boxes([WALL], [(1.0, 1.0, 1.0)]),
-        look(ORIGIN, WALL),
-    ),
-    "corner where w is 0": (
-        make_boxes([(2.0, 0.0, 0.0), (0.0, 0.0, -4.0)], [(2.0, 2.0, 0.0), (1.0, 1.0, 1.0)]),
-        look(ORIGIN, WALL, fov=2.2, near=0.1),
-    ),
-    "corners where w is negative": (
-        make_boxes([(3.0, 0.0, 0.0), (2.5, 0.0, -6.0)], [(2.0, 2.0, 30.0), (3.0, 1.0, 1.0)]),
-        look(ORIGIN, WALL, fov=2.2, near=0.1),
-    ),
-    "spheres that touch the near plane, to an ulp": (
-        make_boxes(
-            [(9.0, 9.0, -9.0)] + [(0.5 * (x - 1), 0.0, -0.1 - r) for x, r in enumerate(_TOUCH)] + [(0.0, 0.0, -4.0)],
-            [(1.0, 1.0, 1.0)] + [(2.0 * r,) * 3 for r in _TOUCH] + [(9.0, 9.0, 1.0)],
-        ),
-        look(ORIGIN, WALL, fov=2.0, near=0.1),
-    ),
-    "slit of a pixel": (
-        make_boxes(
-            [(-5.03, 0.0, -5.0), (5.03, 0.0, -5.0), (0.0, 0.0, -20.0)],
-            [(10.0, 9.0, 1.0), (10.0, 9.0, 1.0), (6.0, 6.0, 6.0)],
-        ),
-        look(ORIGIN, WALL),
-    ),
-    "two faces in one plane": (
-        # Of one colour: which of the two shows where both are is up to the order of draws.
-        _make_grey_boxes([WALL, WALL], [(1.0, 1.0, 1.0), (4.0, 0.5, 1.0)]),
-        look(ORIGIN, WALL),
-    ),
-    "far from the world's origin": (
-        make_boxes([(1e6, 0.0, -1e6), (1e6 + 0.3, 0.0, -1e6 - 3.0)], [(1.0, 1.0, 1.0), (1.0, 1.0, 1.0)]),
-        look((1e6, 0.0, 5.0 - 1e6), (1e6, 0.0, -1e6)),
-    ),
-    "a parallel projection whose near plane cuts boxes": (
-        make_boxes(
-            [(0.0, 0.0, 0.5), (1.0, 0.2, -4.0), (1.0, 0.0, -9.0)],
-            [(1.0, 1.0, 2.0), (1.5, 1.5, 1.0), (1.2, 1.2, 1.0)],
-        ),
-        Camera.look_at(ORIGIN, WALL, projection=Orthographic(6.0, near=0.0, far=40.0)),
-    ),
-}  # fmt: skip
-"""A scene, and from where it is looked at."""
+    """Let every query and query set be looked at (`is_finished`) so many times before its answer is there, until the
+    test ends."""
+    for kind, name, method in delay_methods(looks):
+        monkeypatch.setattr(kind, name, method)

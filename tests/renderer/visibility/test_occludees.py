@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from occlusion_scenes import HARD_CASES, cameras, look, make_boxes, scenes
+from occlusion_scenes import cameras, look, make_boxes, scenes
 from test_device_culling import mirrored_boxes
 
 import rhi
+from renderer.exam.scenes import make_views
 from renderer.frame import SceneResources, View
 from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene
 from renderer.visibility import NoCulling
@@ -85,9 +86,9 @@ def test_mirrored_and_skewed_boxes_are_too(device: rhi.Device, depth: Depth) -> 
     assert (marks == HIDDEN).sum() > 20
 
 
-@pytest.mark.parametrize("case", HARD_CASES)
+@pytest.mark.parametrize("case", make_views())
 def test_boxes_of_hard_cases_are_too(device: rhi.Device, case: str) -> None:
-    check(device, *HARD_CASES[case])
+    check(device, *make_views()[case])
 
 
 def test_a_box_behind_the_eye_or_beside_the_view_is_outside(device: rhi.Device) -> None:

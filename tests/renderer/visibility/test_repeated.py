@@ -21,9 +21,9 @@ from rhi.backends.null import Activity, CostModel, Lane, NullBackend, SimulatedB
 CAMERA = look((0.0, 0.0, 30.0), ORIGIN, near=0.1)
 
 
-def make_cloud() -> Scene:
+def make_cloud(count: int = 60) -> Scene:
     rng = np.random.default_rng(7)
-    return make_boxes(rng.uniform(-6.0, 6.0, (60, 3)), rng.uniform(0.1, 0.8, (60, 3)))
+    return make_boxes(rng.uniform(-6.0, 6.0, (count, 3)), rng.uniform(0.1, 0.8, (count, 3)))
 
 
 # -- repeated commands -------------------------------------------------------------------------------------
@@ -185,12 +185,40 @@ def test_drawing_everything_is_recorded_once_however_camera_and_objects_move(nul
 
 
 def test_what_the_frustum_leaves_is_recorded_when_its_number_comes_again(null: rhi.Device) -> None:
-    scene = make_cloud()
-    near = [look((0.0, 0.0, 4.0 + distance), ORIGIN, near=0.1) for distance in range(5)]
+    scene = make_cloud(400)
+    near = [look((0.0, 0.0, 1.0 + distance), ORIGIN, near=0.1) for distance in range(5)]
     with Renderer(null, scene, visibility=make_visibility("frustum", scene, null)) as renderer:
-        assert len({len(renderer.render(camera).visible) for camera in near}) == 5
+        assert len({len(renderer.render(camera).visible) // 32 for camera in near}) == 5
     counts = count_recorded(null, scene, "frustum", [*near, near[-1], near[-1], near[0], near[0]])
     assert [count > 0 for count in counts] == [False] * 5 + [True, False, False, True]
+
+
+def test_a_few_objects_more_or_fewer_in_view_record_nothing(null: rhi.Device) -> None:
+    scene = make_cloud(400)
+    near = [look((0.0, 0.0, distance), ORIGIN, near=0.1) for distance in (2.0, 2.5, 2.2, 2.6, 3.0, 2.0)]
+    with Renderer(null, scene, visibility=make_visibility("frustum", scene, null)) as renderer:
+        drawn = [len(renderer.render(camera).visible) for camera in near]
+    assert all(96 < count <= 128 for count in (*drawn[:4], drawn[5]))
+    assert len(set(drawn)) > 3
+    assert drawn[4] > 128, "the control: it takes another number of draws"
+    counts = count_recorded(null, scene, "frustum", near)
+    assert [count > 0 for count in counts] == [False, True, False, False, False, False]
+
+
+def test_draws_that_make_up_the_number_are_of_nothing(null: rhi.Device) -> None:
+    scene = make_cloud(400)
+    camera = look((0.0, 0.0, 3.0), ORIGIN, near=0.1)
+    with Renderer(null, scene, visibility=make_visibility("frustum", scene, null)) as renderer:
+        nearer = look((0.0, 0.0, 2.0), ORIGIN, near=0.1)
+        for eye in (camera, nearer):  # what the larger number left behind isn't drawn
+            visible = renderer.render(eye).visible
+            (command,) = null.stream.filter(Op.DRAW_INDIRECT)[-1:]
+            (buffer,) = [one for one in [renderer.view.batch._buffer] if one is not None]
+            draws = buffer.read()[: command.values[4]]
+            assert len(draws) == -(-len(visible) // 32) * 32
+            assert sorted(draws["base_instance"][: len(visible)].tolist()) == visible.tolist()
+            assert (draws["instances"][: len(visible)] == 1).all()
+            assert not draws["instances"][len(visible) :].any()
 
 
 @pytest.mark.parametrize("depth", Depth)

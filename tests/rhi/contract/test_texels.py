@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import rhi
 from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, ChannelKind, Format
 from rhi.contract.texels import decode, encode, halve, pack, unpack
 
@@ -216,3 +217,11 @@ def test_a_level_of_a_packed_format_is_averaged_by_channel(format):
     (texel,) = decode(format, halve(format, encode(format, values), 1)).reshape(1, -1)
     np.testing.assert_allclose(texel, 0.5, atol=2 / 3 - 0.5)
     np.testing.assert_allclose(texel[:3], 0.5, atol=1 / 1023)
+
+
+def test_srgb_is_a_curve_and_back() -> None:
+    """0.04045 is where the straight part ends, and half of the light is 188 of 255."""
+    encoded = np.array([0.0, 0.02, 0.04045, 0.0405, 0.5, 1.0])
+    assert rhi.to_srgb(rhi.from_srgb(encoded)) == pytest.approx(encoded, abs=1e-7)
+    assert rhi.from_srgb(np.array([0.04045])) == pytest.approx([0.04045 / 12.92])
+    assert np.rint(255 * rhi.to_srgb(np.array([0.5]))).tolist() == [188]

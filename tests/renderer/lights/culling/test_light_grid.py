@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
-from culling_cases import OffAxis, distances, find_corners
 from depth_textures import put_depths
 
 import rhi
+from renderer.exam.cell_pairs import OffAxis, distances, find_corners
 from renderer.lights.culling.cells import CellGrid, slice_start
 from renderer.lights.culling.cone_tests import bounding_sphere
 from renderer.lights.culling.grid import CellLists, LightGrid

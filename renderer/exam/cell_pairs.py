@@ -1,16 +1,21 @@
-"""Cells, lights and references for the tests of light culling: nothing here is computed as the shaders do."""
+"""Cells, spheres, and references for both: nothing here is computed as the shaders of light culling do."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cache, cached_property
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from renderer.lights.culling.cells import CellGrid, block_cell
 from renderer.lights.culling.projections import make_grid
 from renderer.scene import Depth, Orthographic, Perspective, Projection
+from renderer.scene.arrays import Floats
 from rhi.shading import evaluate
+
+__rhi_internal__ = True
 
 
 @dataclass(frozen=True)
@@ -22,15 +27,18 @@ class OffAxis:
 
     @property
     def depth(self) -> Depth:
+        """The direction of depth."""
         return self.lens.depth
 
     @property
-    def matrix(self) -> np.ndarray:
+    def matrix(self) -> Floats:
+        """The matrix (4, 4) float64 from view space to clip space."""
         m = self.lens.matrix
         m[:2, 2] = self.shift
         return m
 
     def with_aspect(self, aspect: float) -> OffAxis:
+        """Return the same lens for an image of width / height = `aspect`."""
         return OffAxis(self.shift, self.lens.with_aspect(aspect))
 
 
@@ -46,11 +54,14 @@ REACH = 150.0
 
 
 def make_test_grid(lens: str, size: tuple[int, int] = (1366, 768), tile: int = 8, slices: int = 1) -> CellGrid:
+    """Make the grid of a lens by its name."""
     projection = LENSES[lens].with_aspect(size[0] / size[1])
     return make_grid(projection, size, tile, slices=slices, reach=REACH)
 
 
-def choose_cells(grid: CellGrid, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def choose_cells(
+    grid: CellGrid, count: int, rng: np.random.Generator
+) -> tuple[NDArray[np.int32], Floats, Floats]:
     """Choose tiles (n, 2) and depths from near to far: shallow ones, flat ones, and the whole depth of the view."""
     tiles = np.column_stack([rng.integers(0, (grid.count.x, grid.count.y)[axis], count) for axis in range(2)])
     near = grid.near + (grid.far - grid.near) * rng.random(count) ** 3 * 0.9
@@ -60,8 +71,8 @@ def choose_cells(grid: CellGrid, count: int, rng: np.random.Generator) -> tuple[
 
 
 def find_corners(
-    projection: Projection, grid: CellGrid, tiles: np.ndarray, near: np.ndarray, far: np.ndarray
-) -> np.ndarray:
+    projection: Projection, grid: CellGrid, tiles: NDArray[np.int32], near: Floats, far: Floats
+) -> Floats:
     """Compute the corners (n, 8, 3) in eye space with the inverse of the projection; right is bit 0, top 1, far 2."""
     inverse = np.linalg.inv(projection.matrix)
     count, size = len(tiles), np.array([grid.size.x, grid.size.y])
@@ -84,7 +95,7 @@ def find_corners(
 _FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
 
 
-def distances(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
+def distances(corners: Floats, points: Floats) -> Floats:
     """Compute the distance of points (n, 3) from hexahedra (n, 8, 3): 0 inside, otherwise the least one from the sides
     and the faces."""
     found = np.full(len(points), np.inf)
@@ -120,20 +131,23 @@ class Pairs:
     """Pairs of a cell and a sphere of one lens, with their exact distances."""
 
     grid: CellGrid
-    tiles: np.ndarray
-    near: np.ndarray
-    far: np.ndarray
-    corners: np.ndarray
-    centres: np.ndarray
-    radii: np.ndarray
-    distances: np.ndarray
+    tiles: NDArray[np.int32]
+    near: Floats
+    far: Floats
+    corners: Floats
+    centres: Floats
+    radii: Floats
+    distances: Floats
 
     @cached_property
-    def cells(self) -> np.ndarray:
-        return evaluate(block_cell, self.grid, self.tiles, 1, self.near, self.far, dtype=np.float64)
+    def cells(self) -> NDArray[Any]:
+        """The cells as shaders have them, in float64."""
+        cells: NDArray[Any] = evaluate(block_cell, self.grid, self.tiles, 1, self.near, self.far, dtype=np.float64)
+        return cells
 
     @cached_property
-    def overlap(self) -> np.ndarray:
+    def overlap(self) -> NDArray[np.bool_]:
+        """Whether each pair overlaps."""
         return self.distances <= self.radii
 
 

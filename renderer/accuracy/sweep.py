@@ -1,0 +1,499 @@
+"""The sweep of a knob: what each of its values loses, and what a frame of it costs.
+
+All values draw the same frames in turn in one process. Errors are found first: each frame of each value is compared
+with the truth of the knob. Then frames are timed, alternately, and a value's time is a ratio to that of the most
+accurate value in the same round; the median of the rounds' ratios is given with its 95 % confidence interval.
+
+A knob whose frames depend on earlier ones draws consecutive frames of the path. The others draw frames that are spread
+over all of it.
+"""
+
+from __future__ import annotations
+
+import io
+from base64 import b64encode
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+import rhi
+from renderer.accuracy.float64 import ExactPicture, decode_levels, encode_levels, shade_exactly
+from renderer.accuracy.knobs import Demand, Knob, Unit, find_knob
+from renderer.content import find_path, load_scene, parse_camera
+from renderer.measure.alternate import Measurement, alternate
+from renderer.measure.encodings import ENCODINGS, TURNS, run_round_trip, time_round_trip
+from renderer.measure.exact import ExactVisibility
+from renderer.measure.frames import settle
+from renderer.measure.light_evaluations import count_light_evaluations
+from renderer.renderer import FrameResult, Renderer
+from renderer.scene import FRAMES_PER_SECOND, Camera, Orthographic, Perspective, Scene, StereoRig
+from renderer.scene.arrays import Floats
+from renderer.settings import RenderSettings
+from renderer.stereo import find_rig
+from renderer.visibility import find_obstacle
+from rhi import Device
+
+__rhi_internal__ = True
+
+_CROP: Final = (112, 63)
+"""Width and height of the part of a picture that shows its worst pixel."""
+_VALUES: Final = 1 << 14
+"""Vectors that an encoding is measured with."""
+_HISTORY: Final = 6
+"""Frames that are drawn before the first that counts, where frames depend on earlier ones."""
+
+
+@dataclass(frozen=True, slots=True)
+class Situation:
+    """What a sweep draws. It is small enough to be sent to other machines, which load the scene themselves.
+
+    Attributes:
+        scene, camera: their texts. backend: its name, None for the machine's choice.
+        size: (width, height) of the image in pixels.
+        views: the number of frames that are compared. rounds: the number that are timed.
+        settings: those that knobs change.
+        first, last: the frames of a path among which views are spread; `last` may be None for its end.
+    """
+
+    scene: str
+    camera: str = ""
+    backend: str | None = None
+    size: tuple[int, int] = (480, 270)
+    views: int = 3
+    rounds: int = 15
+    settings: RenderSettings = field(default_factory=RenderSettings)
+    first: int = 0
+    last: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ValueRow:
+    """What a value of a knob loses and costs.
+
+    Attributes:
+        max_error, mean_error: in the knob's unit: over all pixels of all views with a surface, or over the views.
+        worst: the frame, x and y of the pixel with the greatest error, None if there are no pixels to compare.
+        milliseconds, processor_milliseconds: median times of a frame, by the clock and of the processor in all threads;
+            nanoseconds for each vector, of encodings.
+        ratio, low, high: to the most accurate value, by the clock, with the ends of the 95 % confidence interval.
+        processor_ratio, processor_low, processor_high: the same by the processor.
+    """
+
+    knob: str
+    value: str
+    is_default: bool
+    unit: str
+    max_error: float
+    mean_error: float
+    worst: tuple[int, int, int] | None
+    milliseconds: float
+    ratio: float
+    low: float
+    high: float
+    processor_milliseconds: float
+    processor_ratio: float
+    processor_low: float
+    processor_high: float
+
+
+@dataclass(frozen=True, slots=True)
+class KnobReport:
+    """The rows of a knob's values, the least accurate first.
+
+    Attributes:
+        left_out: why values that the device lacks aren't there, or why there are none at all.
+        truth_ratio: the time of the truth in that of the most accurate value, if it is a picture of the renderer.
+        pictures: by value, the place of the worst pixel as PNG in base64: the truth, the value, and their difference.
+    """
+
+    knob: str
+    backend: str
+    device: str
+    rows: tuple[ValueRow, ...]
+    left_out: dict[str, str] = field(default_factory=dict)
+    truth_ratio: float | None = None
+    pictures: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SweepFrame:
+    """A frame to draw."""
+
+    number: int
+    camera: Camera
+
+    @property
+    def seconds(self) -> float:
+        """The time of the frame."""
+        return self.number / FRAMES_PER_SECOND
+
+
+def sweep_knob(situation: Situation, name: str) -> KnobReport:
+    """Measure all values of a knob, on a device of its own."""
+    knob = find_knob(name, "sweep_knob")
+    with rhi.create_device(situation.backend) as device:
+        if knob.unit.is_encoding:
+            return _sweep_encodings(situation, knob, device)
+        scene = load_scene(situation.scene)
+        lack = prepare_scene(scene, knob)
+        report = partial(KnobReport, knob.name, device.backend_name, device.capabilities.device)
+        if lack is not None:
+            return report((), dict.fromkeys(knob.values, lack))
+        left_out = {
+            value: lack for value in knob.values if (lack := find_lack(device, knob.set(situation.settings, value)))
+        }
+        values = [value for value in knob.values if value not in left_out]
+        if not values:
+            return report((), left_out)
+        with _Bench(device, scene, situation, knob, values) as bench:
+            errors = {value: _Errors(knob.unit) for value in values}
+            for view in bench.list_views():
+                for value, error in bench.compare(view):
+                    errors[value].add(view, *error)
+            times, truth_ratio = bench.time()
+        rows = [
+            _make_row(knob, value, times[value], times[values[-1]], *errors[value].summarize(), errors[value].worst)
+            for value in values
+        ]
+        pictures = {value: error.picture for value, error in errors.items() if error.picture}
+        return report(tuple(rows), left_out, truth_ratio, pictures)
+
+
+def prepare_scene(scene: Scene, knob: Knob) -> str | None:
+    """Give a scene what the knob needs if it can be given: shadows. Return what it lacks, None for nothing."""
+    match knob.demand:
+        case Demand.SHADOWS:
+            scene.lights.cast_shadows()
+            has = len(scene.lights.directional) + len(scene.lights.point) + len(scene.lights.spot)
+        case Demand.TRANSPARENCY:
+            has = len(scene.find_transparent())
+        case Demand.IMAGES:
+            has = len(scene.textures)
+        case Demand.LAMPS:
+            has = len(scene.lights.point) + len(scene.lights.spot)
+        case _:
+            return None
+    return None if has else f"the scene lacks {knob.demand.value}"
+
+
+def find_lack(device: Device, settings: RenderSettings) -> str | None:
+    """Return what a device lacks for settings, None for nothing."""
+    can = device.capabilities
+    if not can.renders:
+        return "it draws nothing"
+    if settings.technique.samples not in can.sample_counts:
+        return f"the device has no {settings.technique.samples} samples a pixel"
+    if settings.textures.anisotropy > can.max_anisotropy:
+        return f"the device has no anisotropy of {settings.textures.anisotropy:g}"
+    return find_obstacle(settings.algorithm, device)
+
+
+class _Errors:
+    """The errors of a value, view by view."""
+
+    def __init__(self, unit: Unit) -> None:
+        self._unit = unit
+        self._sums: list[tuple[float, int]] = []
+        self._greatest = -1.0
+        self.worst: tuple[int, int, int] | None = None
+        self.picture = ""
+
+    def add(self, view: SweepFrame, errors: Floats, pictures: tuple[Floats, Floats] | None) -> None:
+        """Add the errors of a view: (h, w), NaN where nothing counts, with the value's picture and the true one; or a
+        single number."""
+        counted = errors[np.isfinite(errors)]
+        if not counted.size:
+            return
+        self._sums.append((float(counted.sum()), counted.size))
+        greatest = float(counted.max())
+        if greatest <= self._greatest:
+            return
+        self._greatest = greatest
+        if self._unit.is_per_pixel:
+            y, x = (int(i) for i in np.unravel_index(np.nanargmax(errors), errors.shape))
+            self.worst = view.number, x, y
+            if pictures is not None and greatest >= 1.0:
+                self.picture = crop_worst(*pictures, x, y)
+
+    def summarize(self) -> tuple[float, float]:
+        """Return the greatest error and the mean one."""
+        if not self._sums:
+            return 0.0, 0.0
+        total, count = (sum(some) for some in zip(*self._sums, strict=True))
+        return self._greatest, total / count
+
+
+def _make_row(
+    knob: Knob, value: str, time: Measurement, base: Measurement, greatest: float, mean: float,
+    worst: tuple[int, int, int] | None, scale: float = 1e3,
+) -> ValueRow:  # fmt: skip
+    low, high = time.ratio_interval(base)
+    processor_low, processor_high = time.processor_ratio_interval(base)
+    numbers = (low, high, processor_low, processor_high, time.ratio_to(base), time.processor_ratio_to(base))
+    low, high, processor_low, processor_high, ratio, processor_ratio = (round(number, 4) for number in numbers)
+    return ValueRow(
+        knob.name, value, value == knob.default, knob.unit.value, float(f"{greatest:.5g}"), float(f"{mean:.5g}"),
+        worst, float(f"{scale * time.median:.4g}"), ratio, low, high, float(f"{scale * time.processor_median:.4g}"),
+        processor_ratio, processor_low, processor_high,
+    )  # fmt: skip
+
+
+class _Bench:
+    """The renderers of all values of a knob, and what judges them."""
+
+    def __init__(
+        self, device: Device, scene: Scene, situation: Situation, knob: Knob, values: Sequence[str]
+    ) -> None:
+        self._device, self._scene, self._situation, self._knob = device, scene, situation, knob
+        self._settings = {value: knob.set(situation.settings, value) for value in values}
+        best = self._settings[values[-1]]
+        self._true_settings = best.change_all(knob.truth.changes)
+        self._stack = ExitStack()
+        rig = self._find_rig(best)
+        opened = self._stack.enter_context
+        try:
+            self._renderers = {
+                value: opened(settings.open(device, scene, situation.size, rig))
+                for value, settings in self._settings.items()
+            }
+            self._true: Renderer | None = None
+            self._exact: ExactVisibility | None = None
+            truth = knob.truth
+            if knob.unit is Unit.OVERDRAW:
+                self._exact = ExactVisibility(device, scene, situation.size)
+                self._stack.callback(self._exact.destroy)
+            elif knob.unit is Unit.LEVELS and not truth.is_float64:
+                known = [value for value, settings in self._settings.items() if settings == self._true_settings]
+                if known and truth.scale == 1:
+                    self._true = self._renderers[known[0]]
+                else:
+                    width, height = situation.size
+                    size = width * truth.scale, height * truth.scale
+                    self._true = opened(_limit(self._true_settings, device).open(device, scene, size, rig))
+        except BaseException:
+            self._stack.close()
+            raise
+
+    def __enter__(self) -> _Bench:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    def _find_rig(self, settings: RenderSettings) -> StereoRig | None:
+        if self._knob.demand is not Demand.STEREO:
+            return None
+        width, height = self._situation.size
+        return find_rig(self._scene, settings.aim(self.list_views()[0].camera).with_aspect(width / height))
+
+    def list_views(self) -> list[SweepFrame]:
+        """Return the frames to compare."""
+        situation, knob = self._situation, self._knob
+        return list_views(self._scene, situation, consecutive=knob.remembers)
+
+    def compare(self, view: SweepFrame) -> Iterator[tuple[str, tuple[Floats, tuple[Floats, Floats] | None]]]:
+        """Yield each value with the errors of its frame, and the pictures that they are differences of."""
+        if self._knob.unit is Unit.LEVELS:
+            yield from self._compare_pictures(view)
+        elif self._knob.unit is Unit.DEPTH:
+            yield from self._compare_depths(view)
+        elif self._knob.unit is Unit.LIGHTS:
+            yield from self._compare_lights(view)
+        else:
+            yield from self._compare_triangles(view)
+
+    def _draw(self, value: str, view: SweepFrame) -> FrameResult:
+        renderer = self._renderers[value]
+        return renderer.render(self._settings[value].aim(view.camera), view.seconds)
+
+    def _compare_pictures(self, view: SweepFrame) -> Iterator[tuple[str, tuple[Floats, tuple[Floats, Floats] | None]]]:
+        # The truth is read before values are drawn: it may be the renderer of one of them.
+        if self._true is None:
+            exact = self._shade(view)
+            true, counts = exact.levels, exact.objects >= 0
+        else:
+            result = self._true.render(self._true_settings.aim(view.camera), view.seconds)
+            true = shrink_picture(_read_picture(result), self._knob.truth.scale)
+            counts = np.ones(true.shape[:2], bool)
+        for value, renderer in self._renderers.items():
+            if renderer is self._true and self._knob.remembers:
+                yield value, (np.zeros(true.shape[:2]), None)  # drawn already: another time would be another frame
+                continue
+            shown = _read_picture(self._draw(value, view))
+            errors = np.where(counts, np.abs(shown - true).max(axis=2), np.nan)
+            yield value, (errors, (np.where(counts[..., None], true, shown), shown))
+
+    def _shade(self, view: SweepFrame) -> ExactPicture:
+        value = list(self._renderers)[-1]
+        return shade_exactly(self._renderers[value], self._settings[value].aim(view.camera), view.seconds)
+
+    def _compare_depths(self, view: SweepFrame) -> Iterator[tuple[str, tuple[Floats, None]]]:
+        exact = self._shade(view)
+        for value in self._renderers:
+            depth = self._draw(value, view).depth.read().astype(np.float64)
+            away = find_distances(self._settings[value].aim(view.camera), depth)
+            errors = np.full(depth.shape, np.nan)
+            seen = exact.objects >= 0
+            errors[seen] = 1e6 * np.abs(away[seen] / exact.distances[seen] - 1.0)
+            yield value, (errors, None)
+
+    def _compare_lights(self, view: SweepFrame) -> Iterator[tuple[str, tuple[Floats, None]]]:
+        exact = self._shade(view)
+        seen = exact.positions[exact.objects >= 0]
+        needed = count_reached(self._scene, view.camera, seen)
+        for value, renderer in self._renderers.items():
+            counted = count_light_evaluations(renderer, self._settings[value].aim(view.camera))
+            assert counted is not None
+            yield value, (np.array([(counted - needed) / max(len(seen), 1)]), None)
+
+    def _compare_triangles(self, view: SweepFrame) -> Iterator[tuple[str, tuple[Floats, None]]]:
+        assert self._exact is not None
+        results = {value: self._draw(value, view).statistics.triangles for value in self._renderers}
+        rows = np.array(sorted(self._exact.find(self._situation.settings.aim(view.camera))), np.int64)
+        seen = self._scene.count_triangles(rows) if len(rows) else 0
+        for value, triangles in results.items():
+            yield value, (np.array([100.0 * (triangles / max(seen, 1) - 1.0)]), None)
+
+    def time(self) -> tuple[dict[str, Measurement], float | None]:
+        """Time frames of all values, and of the truth if it is a picture of a renderer of its own; return the latter's
+        time in that of the most accurate value."""
+        situation = self._situation
+        views = list_views(
+            self._scene, situation, consecutive=self._knob.remembers, count=situation.rounds + _HISTORY
+        )
+        if not self._knob.remembers:
+            views = views[: situation.views] or views
+        renderers = dict(self._renderers)
+        settings = dict(self._settings)
+        has_truth = self._true is not None and self._true not in renderers.values()
+        if self._true is not None and has_truth:
+            renderers[_TRUTH], settings[_TRUTH] = self._true, self._true_settings
+        for name, renderer in renderers.items():
+            settle(renderer, settings[name].aim(views[0].camera), views[0].seconds)
+
+        def draw(name: str, number: int) -> None:
+            view = views[number % len(views)]
+            renderers[name].render(settings[name].aim(view.camera), view.seconds)
+            self._device.finish()
+
+        work: dict[str, Callable[[int], object]] = {name: partial(draw, name) for name in renderers}
+        warm_ups = 2
+        if self._knob.remembers:
+            for number in range(_HISTORY):
+                for one in work.values():
+                    one(number)
+            times = alternate(work, range(_HISTORY, _HISTORY + situation.rounds), 0)
+        else:
+            times = alternate(work, range(situation.rounds), warm_ups)
+        truth = times.pop(_TRUTH, None)
+        best = times[list(times)[-1]]
+        return times, None if truth is None else round(truth.ratio_to(best), 2)
+
+
+_TRUTH: Final = "truth"
+
+
+def _limit(settings: RenderSettings, device: Device) -> RenderSettings:
+    """Return the settings of a truth with no more anisotropy than the device has."""
+    most = min(settings.textures.anisotropy, device.capabilities.max_anisotropy)
+    return settings.change("textures.anisotropy", most)
+
+
+def list_views(
+    scene: Scene, situation: Situation, *, consecutive: bool = False, count: int | None = None
+) -> list[SweepFrame]:
+    """Return frames of the situation's camera: consecutive ones from the middle of its path, or spread over all of it.
+    A camera that isn't a path has one."""
+    text = situation.camera or ("ground" if "ground" in scene.paths else next(iter(scene.views)))
+    wanted = count or situation.views
+    if text not in scene.paths and not text.endswith(".json"):
+        camera = parse_camera(text, scene)
+        return [SweepFrame(number, camera) for number in range(wanted)] if consecutive else [SweepFrame(0, camera)]
+    path = find_path(text, scene)
+    last = len(path) - 1 if situation.last is None else min(situation.last, len(path) - 1)
+    first = min(situation.first, last)
+    if consecutive:
+        begin = max(first, min((first + last) // 2, last - wanted + 1))
+        return [SweepFrame(number, path.camera(number)) for number in range(begin, min(begin + wanted, last + 1))]
+    places = np.linspace(first, last, wanted + 2)[1:-1]  # not the ends, where there may be nothing to see
+    return [SweepFrame(number, path.camera(number)) for number in dict.fromkeys(int(place) for place in places)]
+
+
+def _read_picture(result: FrameResult) -> Floats:
+    """Return the picture of a frame, of two eyes the second one's: (h, w, 3) in levels."""
+    return np.asarray(result.pictures[-1].read()[..., :3], np.float64)
+
+
+def shrink_picture(levels: Floats, scale: int) -> Floats:
+    """Return a picture (h, w, 3) in which `scale` × `scale` pixels are one: the mean of their light, in levels."""
+    if scale == 1:
+        return levels
+    height, width = (side // scale for side in levels.shape[:2])
+    light = decode_levels(levels).reshape(height, scale, width, scale, 3).mean(axis=(1, 3))
+    return encode_levels(light)
+
+
+def find_distances(camera: Camera, depth: Floats) -> Floats:
+    """Return the distances from the plane of the eye that depths lead back to."""
+    lens = camera.projection
+    assert isinstance(lens, Perspective | Orthographic)
+    matrix = lens.matrix
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray((matrix[2, 3] - depth * matrix[3, 3]) / (matrix[2, 2] - depth * matrix[3, 2]))
+
+
+def count_reached(scene: Scene, camera: Camera, positions: Floats) -> int:
+    """Return the number of pairs of a position (k, 3), relative to the eye, and a point or spot light that reaches it:
+    in whose range, and in whose cone it is."""
+    total = 0
+    for lights in (scene.lights.point, scene.lights.spot):
+        for light in lights:
+            away = positions - (light["position"] - camera.position)
+            squares = np.einsum("ij,ij->i", away, away)
+            reached = squares <= float(light["range"]) ** 2
+            if lights is scene.lights.spot:
+                reached &= away @ light["direction"] >= np.cos(float(light["outer"])) * np.sqrt(squares)
+            total += int(np.count_nonzero(reached))
+    return total
+
+
+def crop_worst(true: Floats, shown: Floats, x: int, y: int) -> str:
+    """Return the place around a pixel as PNG in base64: the truth, the value's picture, and four times the
+    difference."""
+    (width, height), (rows, columns) = _CROP, true.shape[:2]
+    left = min(max(x - width // 2, 0), max(columns - width, 0))
+    top = min(max(y - height // 2, 0), max(rows - height, 0))
+    part = slice(top, top + height), slice(left, left + width)
+    difference = np.abs(shown[part] - true[part]).max(axis=2, keepdims=True).repeat(3, axis=2)
+    panels: NDArray[Any] = np.concatenate([true[part], shown[part], 4.0 * difference], axis=1)
+    file = io.BytesIO()
+    Image.fromarray(np.clip(np.round(panels), 0, 255).astype(np.uint8)).save(file, "PNG", optimize=True)
+    return b64encode(file.getvalue()).decode()
+
+
+def _sweep_encodings(situation: Situation, knob: Knob, device: Device) -> KnobReport:
+    """Measure encodings: what they lose of random vectors, and the time to store and read one."""
+    known = {one.name: one for one in ENCODINGS}
+    chosen = {value: known[name] for value, name in knob.values.items()}
+    report = partial(KnobReport, knob.name, device.backend_name, device.capabilities.device)
+    if not device.capabilities.compute or not device.capabilities.renders:
+        return report((), dict.fromkeys(knob.values, "it computes nothing"))
+    errors, work = {}, {}
+    for value, one in chosen.items():
+        vectors = one.sample(np.random.default_rng(0), _VALUES)
+        errors[value] = one.measure(vectors, run_round_trip(device, one.shader, vectors))
+        work[value] = time_round_trip(device, one.shader, vectors)
+    times = alternate(work, range(situation.rounds), 2)
+    base = times[list(times)[-1]]
+    rows = [
+        _make_row(knob, value, times[value], base, float(errors[value].max()), float(errors[value].mean()), None,
+                  1e9 / _VALUES / TURNS)
+        for value in chosen
+    ]  # fmt: skip
+    return report(tuple(rows))

@@ -1,0 +1,165 @@
+"""`exam`: the hard cases, measured on each backend."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Final
+
+import rhi
+from renderer.cli.arguments import add_form
+from renderer.cli.output import note, prepare_image, show_progress, write_image
+from renderer.cli.subcommand import Parser, Subcommand
+from renderer.exam import CASES, Case, ExamRow, examine, find_cases
+from renderer.exam.pictures import join_pictures
+from renderer.measure import format_table
+
+_NOTES: Final = """\
+  python -m renderer exam
+  python -m renderer exam --backend numpy --json
+  python -m renderer exam --case 13 --case 21
+  python -m renderer exam --show 21 --backend cl --output case21.png
+
+Each case has a reference, and a tolerance with its reason, which --show prints. What a device lacks is declared in
+its capabilities; a case that needs it doesn't apply, and isn't passed. A case that raises an error has failed. The exit
+code is 1 if a case has failed on some backend."""
+
+
+def _add_arguments(parser: Parser) -> None:
+    parser.add_argument(
+        "--backend",
+        action="append",
+        metavar="NAME",
+        help="a registered backend; may be repeated (default: gl, cl and null, as far as they work here)",
+    )
+    parser.add_argument(
+        "--case", action="append", type=int, default=[], metavar="N", help="only this case; may be repeated"
+    )
+    parser.add_argument("--long", action="store_true", help="also the cases that take minutes")
+    parser.add_argument("--show", type=int, metavar="N", help="print all numbers of one case")
+    parser.add_argument(
+        "--output", type=Path, metavar="F.png", help="with --show: where its pictures go (default: none is written)"
+    )
+    add_form(parser)
+
+
+def _run(given: argparse.Namespace) -> None:
+    if given.output is not None:
+        prepare_image(given.output)
+    with ExitStack() as made:
+        devices = [made.enter_context(device) for device in _open_devices(given.backend)]
+        if given.show is not None:
+            (case,) = find_cases([given.show])
+            has_failed = _show(case, devices, given.output, as_json=given.json)
+        else:
+            cases = find_cases(given.case, are_long=given.long)
+            rows = [
+                row
+                for device in devices
+                for row in show_progress(examine(device, cases), len(cases), device.backend_name)
+            ]
+            has_failed = any(row.passed is False for row in rows)
+            print(_format(rows, as_json=given.json, markdown=given.markdown))
+    if has_failed:
+        sys.exit(1)
+
+
+def _open_devices(names: Sequence[str] | None) -> list[rhi.Device]:
+    if names:
+        return [rhi.create_device(name) for name in names]
+    devices = []
+    for name in ("gl", "cl", "null"):
+        try:
+            devices.append(rhi.create_device(name))
+        except rhi.DeviceError as error:
+            note(f"{name} is left out: {error.given or error.rule.sentence}")
+    return devices
+
+
+def _format(rows: Sequence[ExamRow], *, as_json: bool, markdown: bool) -> str:
+    if as_json:
+        return json.dumps([row.as_record() for row in rows])
+    return show_rows(rows, markdown=markdown)
+
+
+def show_rows(rows: Sequence[ExamRow], *, markdown: bool = False) -> str:
+    """Format the rows as a table with a line for each case and a column for each backend, and a line of the counts."""
+    backends = list(dict.fromkeys(row.backend for row in rows))
+    lines: dict[int, dict[str, ExamRow]] = {}
+    for row in rows:
+        lines.setdefault(row.case, {})[row.backend] = row
+    header = ["case", "about", "reference", "tolerance", *backends]
+    cells: list[list[object]] = []
+    for number, found in lines.items():
+        first = next(iter(found.values()))
+        tolerance = f"{first.tolerance:.3g} {first.unit}"
+        results = [_describe(found[name]) if name in found else "" for name in backends]
+        cells.append([str(number), first.about, first.reference, tolerance, *results])
+    counts = []
+    for name in backends:
+        own = [row.passed for row in rows if row.backend == name]
+        applied = len(own) - own.count(None)
+        counts.append(f"{name}: {own.count(True)} of {applied} passed, {own.count(None)} not applicable")
+    table = format_table(header, cells, markdown=markdown)
+    return f"{table}\n\n{'; '.join(counts)}"
+
+
+def _describe(row: ExamRow) -> str:
+    if row.passed is None:
+        return row.remark
+    error = "" if row.error is None else f"{row.error:.3g}"
+    if row.passed:
+        return error
+    return f"FAILED: {'; '.join(part for part in (error, row.remark) if part)}"
+
+
+def _show(case: Case, devices: Sequence[rhi.Device], output: Path | None, *, as_json: bool) -> bool:
+    """Print what a case is about and what it finds on each device; write its pictures."""
+    report: dict[str, object] = {
+        "case": case.number,
+        "about": case.about,
+        "reference": case.reference,
+        "tolerance": f"{case.tolerance:g} {case.unit}",
+        "why": case.why,
+    }
+    pictures, has_failed = {}, False
+    for device in devices:
+        lack = case.find_lack(device.capabilities)
+        if lack is not None:
+            report[device.backend_name] = {"needs": lack}
+            continue
+        found = case.measure(device)
+        passed = case.judge(found)
+        has_failed |= not passed
+        report[device.backend_name] = {
+            "error": float(found.error), "passed": passed, **found.numbers, **found.holds,
+        }  # fmt: skip
+        if output is not None:
+            shown = found.pictures()
+            pictures.update({f"{device.backend_name}: {title}": picture for title, picture in shown.items()})
+    print(json.dumps(report, default=str) if as_json else _list_report(report))
+    if pictures and output is not None:
+        write_image(output, join_pictures(pictures))
+        note(f"wrote {output}: {', '.join(pictures)}")
+    elif output is not None:
+        note(f"case {case.number} has numbers only, no pictures")
+    return has_failed
+
+
+def _list_report(report: dict[str, object]) -> str:
+    lines = []
+    for name, value in report.items():
+        if isinstance(value, dict):
+            lines += ["", f"{name}:", *(f"  {title}: {number}" for title, number in value.items())]
+        else:
+            lines.append(f"{name}: {value}")
+    return "\n".join(lines)
+
+
+COMMAND: Final = Subcommand(
+    "exam", f"examine backends in {len(CASES)} hard cases", _add_arguments, _run, _NOTES
+)

@@ -1,0 +1,317 @@
+"""Scenes of boxes, cameras, and frames without culling to compare with: what cases of visibility are made of.
+
+`IMAGES` are scenes and cameras in which a visibility algorithm goes wrong easily. Every algorithm takes them all, and
+so does the next one that is registered.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from renderer.content import load_scene
+from renderer.content.shapes import box, sphere
+from renderer.renderer import FrameResult, Renderer
+from renderer.scene import Camera, Orthographic, Perspective, Scene, SceneBuilder
+from renderer.scene.arrays import Floats
+from renderer.scene.transforms import multiply, scaling, translation
+from renderer.visibility import NoCulling, VisibilityAlgorithm
+from rhi import Device
+
+__rhi_internal__ = True
+
+SIZE: Final = (97, 55)
+ORIGIN: Final = (0.0, 0.0, 0.0)
+WALL: Final = (0.0, 0.0, -5.0)
+
+Shots = list[tuple[Camera, float]]
+"""Cameras and times, frame by frame."""
+
+
+def make_boxes(
+    places: ArrayLike,
+    sizes: ArrayLike,
+    motion: Callable[[float], ArrayLike] | None = None,
+    moving: Collection[int] = (),
+    name: str = "boxes",
+    turns: Floats | None = None,
+) -> Scene:
+    """Make boxes and spheres in turn, each of a colour of its own, at `places` (k, 3) with `sizes` (k, 3).
+
+    `moving` ones go along `motion`: seconds to an offset (3,). `turns` are rotations (k, 4, 4).
+    """
+    places, sizes = (np.asarray(some, float).reshape(-1, 3) for some in (places, sizes))
+    builder = SceneBuilder(name)
+    meshes = [builder.add_mesh(box()), builder.add_mesh(sphere(8))]
+    stretched = scaling(sizes) if turns is None else multiply(turns, scaling(sizes))
+    local = multiply(translation(places), stretched)
+    dynamic = np.isin(np.arange(len(places)), list(moving))
+    nodes = builder.add_nodes(local, dynamic=dynamic)
+    colors = np.random.default_rng(3).uniform(0.1, 1.0, (len(places), 4))
+    materials = [builder.add_material(base_color=tuple(color)) for color in colors]
+    builder.add_objects(nodes, [meshes[row % 2] for row in range(len(places))], materials)
+    if motion is not None:
+        rows, where = np.flatnonzero(dynamic), motion
+
+        def move(seconds: float) -> Floats:
+            return multiply(translation(places[rows] + np.asarray(where(seconds))), stretched[rows])
+
+        builder.animate(nodes[rows], move)
+    builder.lights.add_directional((-0.4, -1.0, -0.3), (1.0, 1.0, 1.0), 1.5)
+    return builder.build()
+
+
+def look(eye: ArrayLike, aim: ArrayLike, **lens: Any) -> Camera:
+    """Create a perspective camera."""
+    return Camera.look_at(eye, aim, projection=Perspective(**lens))
+
+
+def walk(scene: Scene, path: str, frames: Iterable[int]) -> Shots:
+    """Return the cameras of these frames of a path, and their times."""
+    return [(scene.paths[path].camera(frame), frame / 60) for frame in frames]
+
+
+def draw_with(
+    renderer: Renderer, algorithm: VisibilityAlgorithm, camera: Camera, seconds: float = 0.0
+) -> FrameResult:
+    """Render one frame with this algorithm."""
+    renderer.visibility = algorithm
+    return renderer.render(camera, seconds)
+
+
+class Uncut:
+    """The frames of a scene without culling, drawn once, with which any number of algorithms are compared."""
+
+    def __init__(self, device: Device, scene: Scene, shots: Shots, size: tuple[int, int] = SIZE) -> None:
+        self.scene, self.shots = scene, shots
+        self._renderer = Renderer(device, scene, size=size)
+        self.frames = self.draw(NoCulling(scene))
+
+    def draw(self, algorithm: VisibilityAlgorithm) -> list[NDArray[np.uint8]]:
+        """Return the frames that an algorithm gives."""
+        return [draw_with(self._renderer, algorithm, *shot).image.read() for shot in self.shots]
+
+    def count_wrong_pixels(self, algorithm: VisibilityAlgorithm) -> list[int]:
+        """Count the pixels of each frame that differ."""
+        pairs = zip(self.draw(algorithm), self.frames, strict=True)
+        return [int((given != expected).any(2).sum()) for given, expected in pairs]
+
+    def destroy(self) -> None:
+        """Destroy the resources on the device."""
+        self._renderer.destroy()
+
+
+def count_wrong_pixels(
+    device: Device,
+    scene: Scene,
+    algorithm: VisibilityAlgorithm,
+    shots: Shots,
+    size: tuple[int, int] = SIZE,
+) -> list[int]:
+    """Count the pixels of each frame that differ from no culling."""
+    uncut = Uncut(device, scene, shots, size)
+    wrong = uncut.count_wrong_pixels(algorithm)
+    uncut.destroy()
+    return wrong
+
+
+def _make_grey_boxes(places: ArrayLike, sizes: ArrayLike) -> Scene:
+    scene = make_boxes(places, sizes)
+    scene.materials["base_color"] = 0.5
+    scene.objects.mesh[:] = 0
+    return scene
+
+
+_TOUCH: Final = [0.25 * (1.0 + ulps * 2.0**-52) for ulps in (-1, 0, 1)]
+
+
+@cache
+def make_views() -> dict[str, tuple[Scene, Camera]]:
+    """Make scenes of a few boxes, each with the camera that looks at it."""
+    return {
+        "camera 1.5 near from a corner, at 60°": (
+            make_boxes([(0.0, 0.0, 0.0), (0.0, 0.0, -6.0)], [(2.0, 2.0, 2.0), (1.0, 1.0, 1.0)]),
+            look((1.1, 1.1, 1.05), (-2.0, -2.0, -1.0), near=0.1),
+        ),
+        "camera inside a box": (
+            make_boxes([ORIGIN, (0.0, 0.0, -0.5)], [(4.0, 4.0, 4.0), (0.5, 0.5, 0.5)]),
+            look((0.0, 0.0, 1.0), (0.0, 0.0, -1.0), near=0.1),
+        ),
+        "everything visible": (
+            make_boxes([(x, y, -9.0) for x in (-2, 0, 2) for y in (-2, 0, 2)], [(0.9, 0.9, 0.9)] * 9),
+            look(ORIGIN, WALL),
+        ),
+        "everything hidden but a wall": (
+            make_boxes(
+                [WALL, *((x, y, -9.0) for x in (-1, 0, 1) for y in (-1, 0, 1))],
+                [(30.0, 30.0, 0.1)] + [(0.5, 0.5, 0.5)] * 9,
+            ),
+            look(ORIGIN, WALL),
+        ),
+        "boxes without thickness": (
+            make_boxes(
+                [WALL, (1.0, 0.0, -6.0), (0.0, 3.0, -5.5)], [(3.0, 3.0, 0.0), (3.0, 0.0, 3.0), (0.0, 3.0, 3.0)]
+            ),
+            look(ORIGIN, WALL),
+        ),
+        "one object": (
+            make_boxes([WALL], [(1.0, 1.0, 1.0)]),
+            look(ORIGIN, WALL),
+        ),
+        "corner where w is 0": (
+            make_boxes([(2.0, 0.0, 0.0), (0.0, 0.0, -4.0)], [(2.0, 2.0, 0.0), (1.0, 1.0, 1.0)]),
+            look(ORIGIN, WALL, fov=2.2, near=0.1),
+        ),
+        "corners where w is negative": (
+            make_boxes([(3.0, 0.0, 0.0), (2.5, 0.0, -6.0)], [(2.0, 2.0, 30.0), (3.0, 1.0, 1.0)]),
+            look(ORIGIN, WALL, fov=2.2, near=0.1),
+        ),
+        "spheres that touch the near plane, to an ulp": (
+            make_boxes(
+                [(9.0, 9.0, -9.0)]
+                + [(0.5 * (x - 1), 0.0, -0.1 - r) for x, r in enumerate(_TOUCH)]
+                + [(0.0, 0.0, -4.0)],
+                [(1.0, 1.0, 1.0)] + [(2.0 * r,) * 3 for r in _TOUCH] + [(9.0, 9.0, 1.0)],
+            ),
+            look(ORIGIN, WALL, fov=2.0, near=0.1),
+        ),
+        "slit of a pixel": (
+            make_boxes(
+                [(-5.03, 0.0, -5.0), (5.03, 0.0, -5.0), (0.0, 0.0, -20.0)],
+                [(10.0, 9.0, 1.0), (10.0, 9.0, 1.0), (6.0, 6.0, 6.0)],
+            ),
+            look(ORIGIN, WALL),
+        ),
+        "two faces in one plane": (
+            # Of one colour: which of the two shows where both are is up to the order of draws.
+            _make_grey_boxes([WALL, WALL], [(1.0, 1.0, 1.0), (4.0, 0.5, 1.0)]),
+            look(ORIGIN, WALL),
+        ),
+        "far from the world's origin": (
+            make_boxes([(1e6, 0.0, -1e6), (1e6 + 0.3, 0.0, -1e6 - 3.0)], [(1.0, 1.0, 1.0), (1.0, 1.0, 1.0)]),
+            look((1e6, 0.0, 5.0 - 1e6), (1e6, 0.0, -1e6)),
+        ),
+        "a parallel projection whose near plane cuts boxes": (
+            make_boxes(
+                [(0.0, 0.0, 0.5), (1.0, 0.2, -4.0), (1.0, 0.0, -9.0)],
+                [(1.0, 1.0, 2.0), (1.5, 1.5, 1.0), (1.2, 1.2, 1.0)],
+            ),
+            Camera.look_at(ORIGIN, WALL, projection=Orthographic(6.0, near=0.0, far=40.0)),
+        ),
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class CullingImage:
+    """What is looked at, from where, frame by frame; `number` is that of its case."""
+
+    number: int
+    scene: Callable[[], Scene]
+    shots: Callable[[Scene], Shots]
+    size: tuple[int, int] = SIZE
+
+
+@cache
+def make_city() -> Scene:
+    """Make a small city."""
+    return load_scene("city:blocks=8,detail=2")
+
+
+def along(path: str, *frames: int) -> Callable[[Scene], Shots]:
+    """Return a function that finds the cameras of these frames of a path."""
+    return lambda scene: walk(scene, path, frames)
+
+
+def teleport(scene: Scene) -> Shots:
+    """Jump to and fro between two paths."""
+    return [
+        (scene.paths[path].camera(frame), 0.0)
+        for frame in (0, 900, 1799)
+        for path in ("ground", "sky", "ground")
+    ]
+
+
+def _stay(title: str) -> Callable[[Scene], Shots]:
+    """Return this view, the opposite one, and this one again."""
+
+    def list_shots(_: Scene) -> Shots:
+        camera = make_views()[title][1]
+        behind = Camera.look_at(camera.position, camera.position - camera.forward, projection=camera.projection)
+        return [(one, 0.0) for one in (camera, camera, behind, camera, camera)]
+
+    return list_shots
+
+
+def _fly_past(_: Scene) -> Shots:
+    """Move forward past what was in view, so that it is behind the eye in the next frame."""
+    return [
+        (look((0.0, 0.0, z), (0.0, 0.0, z - 1.0), near=0.1), 0.0) for z in (8.0, 6.0, 1.0, -1.5, -6.0, 8.0)
+    ]
+
+
+def _slide(_: Scene) -> Shots:
+    """Move sideways a little in each frame, so that hidden objects appear at an edge."""
+    return [(look((x, 0.0, 0.0), (x, 0.0, -1.0), near=0.1), 0.0) for x in np.linspace(-0.4, 0.4, 9).tolist()]
+
+
+def _make_hole() -> Scene:
+    places = [
+        *((x, 0.0, -5.0) for x in (-5.2, 5.2)),
+        *((0.0, y, -6.2) for y in (-5.2, 5.2)),
+        (0.1, 0.15, -40.0),
+        (9.0, 9.0, -60.0),
+    ]
+    walls = [(10.0, 20.0, 1.0)] * 2 + [(10.0, 10.0, 1.0)] * 2
+    return make_boxes(places, [*walls, (1.0, 1.0, 1.0), (9.0, 9.0, 9.0)])
+
+
+def _make_speck() -> Scene:
+    return make_boxes(
+        [(0.01, 0.01, -30.0), (3.0, 0.0, -40.0), (0.4, 0.0, -8.0)],
+        [(0.3, 0.3, 0.3), (0.2, 9.0, 0.2), (0.05, 0.05, 0.05)],
+    )
+
+
+def _make_passed() -> Scene:
+    return make_boxes(
+        [(0.8, 0.0, 4.0), (-1.0, 0.0, 0.0), (0.5, 0.0, -3.0), (0.0, 0.0, -12.0)],
+        [*[(1.0, 1.0, 1.0)] * 3, (8.0, 8.0, 1.0)],
+    )
+
+
+def _show(number: int, title: str) -> CullingImage:
+    return CullingImage(number, lambda: make_views()[title][0], _stay(title))
+
+
+_NUMBERS: Final = {
+    "camera 1.5 near from a corner, at 60°": 2,
+    "camera inside a box": 3,
+    "everything visible": 7,
+    "everything hidden but a wall": 7,
+    "boxes without thickness": 10,
+    "one object": 11,
+    "corner where w is 0": 13,
+    "corners where w is negative": 13,
+    "spheres that touch the near plane, to an ulp": 14,
+    "slit of a pixel": 16,
+    "two faces in one plane": 21,
+    "far from the world's origin": 52,
+    "a parallel projection whose near plane cuts boxes": 53,
+}
+
+IMAGES: Final[dict[str, CullingImage]] = {title: _show(number, title) for title, number in _NUMBERS.items()} | {
+    "teleports": CullingImage(4, make_city, teleport),
+    "1023 by 767 pixels": CullingImage(15, make_city, along("ground", 600, 606), (1023, 767)),
+    "sky through a hole in a wall": CullingImage(17, _make_hole, _slide),
+    "box under a pixel": CullingImage(18, _make_speck, _slide),
+    "what was seen is behind the camera": CullingImage(19, _make_passed, _fly_past),
+    "one pixel": CullingImage(20, make_city, along("ground", 600, 608, 616), (1, 1)),
+    "17 by 9 pixels": CullingImage(20, make_city, along("ground", 600, 608, 616), (17, 9)),
+    "130 by 67 pixels": CullingImage(20, make_city, along("sky", 600, 608, 616), (130, 67)),
+}
+"""Scenes, cameras and sizes in which culling must not show."""

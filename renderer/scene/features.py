@@ -1,0 +1,133 @@
+"""The features that materials have, counted once and again where materials change.
+
+What a scene lacks is neither in its shaders nor bound, so every frame asks which features there are. Materials are a
+plain array that anybody may write to: changes are found by comparing, once a frame, and only the materials that have
+changed are examined again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.scene.arrays import Rows
+from renderer.scene.materials import TEXTURES, AlphaMode, ShadingModel
+from rhi import SamplerDescriptor, Wrap
+
+__rhi_internal__ = True
+
+_Words = NDArray[np.uint64]
+
+_FEATURES: Final = (
+    "emission",
+    "metals",
+    "emissive colors",
+    "normal maps",
+    "roughness maps",
+    "occlusion maps",
+    "emissive maps",
+    "masks",
+    "two sides",
+    "mixed coordinates",
+)
+"""The features that a material has or lacks by itself."""
+
+
+class MaterialFeatures:
+    """What the materials of a scene have, as of the last `refresh`.
+
+    Attributes:
+        counts: how many materials have each feature that a scene may lack; `images`, how many images base colours have;
+            `second uvs`, how many textures are read by a second uv; and `texture transforms`, how many aren't read and
+            repeated as they are.
+        version: a number that grows when materials have changed.
+    """
+
+    def __init__(
+        self, materials: NDArray[Any], textures: NDArray[Any], samplers: Sequence[SamplerDescriptor]
+    ) -> None:
+        self._textures = textures
+        self._repeats = np.array([(one.wrap_u, one.wrap_v) == (Wrap.REPEAT, Wrap.REPEAT) for one in samplers], bool)
+        plain = (textures["transform"] == np.eye(2, 3)).all(axis=(1, 2)) & self._repeats[textures["sampler"]]
+        self._is_transformed: NDArray[np.bool_] = ~plain
+        self._known = materials.copy()
+        self._flags = self._examine(materials)
+        self._totals = self._flags.sum(axis=0)
+        self._base_reads, self._reads = self._count_reads(materials)
+        self.version = 0
+        self.counts: Mapping[str, int] = self._count()
+
+    def refresh(self, materials: NDArray[Any]) -> None:
+        """Bring the counts up to date with `materials` (k,)."""
+        words, known = _view_words(materials), _view_words(self._known)
+        if np.array_equal(words, known):
+            return
+        rows: Rows = np.flatnonzero((words != known).any(axis=1))
+        changed, flags = materials[rows], self._examine(materials[rows])
+        self._totals += flags.sum(axis=0) - self._flags[rows].sum(axis=0)
+        for reads, before, after in zip(
+            (self._base_reads, self._reads),
+            self._count_reads(self._known[rows]),
+            self._count_reads(changed),
+            strict=True,
+        ):
+            reads += after - before
+        self._flags[rows], self._known[rows] = flags, changed
+        self.version += 1
+        self.counts = self._count()
+
+    def _examine(self, materials: NDArray[Any]) -> NDArray[np.bool_]:
+        """Return which of the materials (k,) have which of `_FEATURES`, (k, features)."""
+        is_metal = materials["model"] == ShadingModel.METALLIC_ROUGHNESS
+        emits = materials["emissive"].any(axis=1)
+        has = {name: materials[name] >= 0 for name in TEXTURES}
+        columns = {
+            "emission": materials["emission"] != 0,
+            "metals": is_metal,
+            "emissive colors": emits,
+            "normal maps": has["normal_texture"],
+            "roughness maps": is_metal & has["metallic_roughness_texture"],
+            "occlusion maps": has["occlusion_texture"],
+            "emissive maps": emits & has["emissive_texture"],
+            "masks": materials["alpha_mode"] == AlphaMode.MASK,
+            "two sides": materials["double_sided"] != 0,
+            "mixed coordinates": self._find_mixed(materials),
+        }
+        return np.stack([columns[name] for name in _FEATURES], axis=1)
+
+    def _find_mixed(self, materials: NDArray[Any]) -> NDArray[np.bool_]:
+        """Return which materials (k,) read textures at unlike places, or any that isn't repeated."""
+        mixed, textures = np.zeros(len(materials), bool), self._textures
+        rows = np.stack([materials[name] for name in TEXTURES], axis=1)
+        first = rows.max(axis=1)
+        for column in rows.T:
+            read = np.flatnonzero(column >= 0)
+            own, other = textures[column[read]], textures[first[read]]
+            mixed[read] |= own["uv_set"] != other["uv_set"]
+            mixed[read] |= (own["transform"] != other["transform"]).any(axis=(1, 2))
+            mixed[read] |= ~self._repeats[own["sampler"]]
+        return mixed
+
+    def _count_reads(self, materials: NDArray[Any]) -> tuple[Rows, Rows]:
+        """Return how many of the materials have each texture (t,) as a base colour, and at all."""
+        by_use = [
+            np.bincount(materials[name][materials[name] >= 0], minlength=len(self._textures)) for name in TEXTURES
+        ]
+        return by_use[list(TEXTURES).index("texture")], np.sum(by_use, axis=0)
+
+    def _count(self) -> dict[str, int]:
+        is_read = self._reads > 0
+        return {
+            "images": len(np.unique(self._textures["image"][self._base_reads > 0])),
+            **dict(zip(_FEATURES, self._totals.tolist(), strict=True)),
+            "second uvs": int(self._textures["uv_set"][is_read].sum()),
+            "texture transforms": int((self._is_transformed & is_read).sum()),
+        }
+
+
+def _view_words(materials: NDArray[Any]) -> _Words:
+    """Return the bytes of materials (k,), eight at a time, (k, words)."""
+    return np.ascontiguousarray(materials).view(np.uint64).reshape(len(materials), -1)

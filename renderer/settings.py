@@ -1,0 +1,168 @@
+"""Everything that decides how a scene is drawn, in one value: the settings objects of the renderer's parts.
+
+Nothing is set here that isn't set there. What this adds is a file that keeps all of them, and the renderer that has
+them. A file may lack any part, and any setting of a part: those have their defaults.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from enum import Enum
+from pathlib import Path
+from typing import Any, Final, Self, get_args, get_type_hints
+
+from renderer import rules
+from renderer.frame import Blending, TextureSettings
+from renderer.renderer import Renderer
+from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene, StereoRig
+from renderer.shadows import ShadowSettings
+from renderer.stereo import Stereo
+from renderer.techniques import TechniqueSettings
+from renderer.visibility import Settings, check_algorithm, make_visibility
+from rhi import Device, RhiError, refuse
+from rhi.shading import Precision
+
+__rhi_internal__ = True
+
+
+@dataclass(frozen=True, slots=True)
+class RenderSettings:
+    """How a scene is drawn.
+
+    Attributes:
+        technique: what lights surfaces. algorithm: the name of what finds visible objects. visibility: its parameters.
+        shadows: the choices of shadow maps. textures: how well textures are read.
+        blending: how transparent surfaces that cover each other are put together.
+        precision: that of the techniques' shaders. depth: the direction of depth.
+        reprojects: whether a second eye's picture is made from the first one's.
+    """
+
+    technique: TechniqueSettings = field(default_factory=TechniqueSettings)
+    algorithm: str = "auto"
+    visibility: Settings = field(default_factory=Settings)
+    shadows: ShadowSettings = field(default_factory=ShadowSettings)
+    textures: TextureSettings = field(default_factory=TextureSettings)
+    blending: Blending = Blending.SORTED
+    precision: Precision = Precision.FAST
+    depth: Depth = Depth.REVERSED
+    reprojects: bool = False
+
+    def get(self, path: str) -> Any:
+        """Return a setting by its path, such as `shadows.cascades`."""
+        value: Any = self
+        for name in path.split("."):
+            value = getattr(value, name)
+        return value
+
+    def change(self, path: str, value: Any) -> Self:
+        """Return settings of which one is another, by its path."""
+        changed: Self = _change(self, path.split("."), value)
+        return changed
+
+    def change_all(self, changes: Mapping[str, Any]) -> Self:
+        """Return settings of which some are others, by their paths; settings that limit each other come first."""
+        settings = self
+        for path, value in changes.items():
+            settings = settings.change(path, value)
+        return settings
+
+    def aim(self, camera: Camera) -> Camera:
+        """Return a camera with the direction of depth that is set."""
+        lens = camera.projection
+        assert isinstance(lens, Perspective | Orthographic)
+        return camera.with_projection(replace(lens, depth=self.depth))
+
+    @contextmanager
+    def open(
+        self, device: Device, scene: Scene, size: tuple[int, int], rig: StereoRig | None = None
+    ) -> Iterator[Renderer]:
+        """Yield a renderer that has these settings, and destroy it at the end. With a rig it draws two eyes, side by
+        side. Cameras must be aimed (`aim`)."""
+        check_algorithm(self.algorithm, device, "RenderSettings.open")
+        visibility = make_visibility(self.algorithm, scene, device, self.visibility)
+        try:
+            with Renderer(
+                device,
+                scene,
+                technique=self.technique.make(scene, device),
+                visibility=visibility,
+                size=size,
+                blending=self.blending,
+                precision=self.precision,
+                textures=self.textures,
+            ) as renderer:
+                renderer.shadows.settings = self.shadows
+                if rig is not None:
+                    renderer.stereo = Stereo(rig, "side_by_side", is_reprojected=self.reprojects)
+                yield renderer
+        finally:
+            visibility.destroy()
+
+    def save(self, path: Path, **found: Any) -> None:
+        """Write the settings as JSON. `found` is written too, to say how they were found; `load` ignores it."""
+        parts = {one.name: to_plain(getattr(self, one.name)) for one in fields(self)}
+        path.write_text(json.dumps({_FORMAT: parts, "visibility": parts.pop("visibility"), **found}, indent=2) + "\n")
+
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        """Read a file that `save` or `python -m renderer tune` has written.
+
+        Raises:
+            ValidationError: `visibility-bad-settings` if the file holds no settings, or the rule that one of them
+                breaks.
+            OSError: the file can't be read.
+        """
+        call = f"RenderSettings.load({str(path)!r})"
+        try:
+            found = json.loads(path.read_text())
+            parts = {**found.get(_FORMAT, {}), **({"visibility": found["visibility"]} if "visibility" in found else {})}
+            if not parts:
+                refuse(rules.BAD_SETTINGS, call, f"neither {_FORMAT} nor visibility")
+            settings: Self = from_plain(cls, parts, call)
+        except RhiError:
+            raise
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            refuse(rules.BAD_SETTINGS, call, f"{type(error).__name__}: {error}")
+        return settings
+
+
+_FORMAT: Final = "rendering"
+"""The part of a file that has all settings but those of `visibility`, which files of `tune` have, too."""
+
+
+def _change(part: Any, names: list[str], value: Any) -> Any:
+    if len(names) > 1:
+        value = _change(getattr(part, names[0]), names[1:], value)
+    return replace(part, **{names[0]: value})
+
+
+def to_plain(value: Any) -> Any:
+    """Return settings as JSON has them: objects by their fields, and choices by their values."""
+    if isinstance(value, Enum):
+        return value.value
+    if is_dataclass(value):
+        return {one.name: to_plain(getattr(value, one.name)) for one in fields(value)}
+    return value
+
+
+def from_plain(kind: Any, value: Any, call: str) -> Any:
+    """Return settings of a type from what `to_plain` has made of them; what is missing has its default."""
+    some = [one for one in get_args(kind) if one is not type(None)]
+    if some:
+        return None if value is None else from_plain(some[0], value, call)
+    if isinstance(kind, type) and issubclass(kind, Enum):
+        return kind(value)
+    if not (isinstance(kind, type) and is_dataclass(kind)):
+        if not isinstance(value, kind) and not (kind is float and type(value) is int):
+            refuse(rules.BAD_SETTINGS, call, repr(value), f"a {kind.__name__}")
+        return value
+    if not isinstance(value, Mapping):
+        refuse(rules.BAD_SETTINGS, call, repr(value), f"the settings of {kind.__name__} by name")
+    hints = get_type_hints(kind)
+    for name in value:
+        if name not in hints:
+            rules.refuse_name(rules.BAD_SETTINGS, call, name, hints)
+    return kind(**{name: from_plain(hints[name], one, call) for name, one in value.items()})

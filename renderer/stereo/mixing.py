@@ -1,0 +1,159 @@
+"""Two pictures made into one, pixel by pixel: bits are chosen from both, or the colours of both are mixed.
+
+Pixels are words of four bytes that kernels read from buffers, so that no texture is sampled and no target blended.
+`MixColors` decodes colours by a table of the 256 levels, and encodes them by a table of the level that is nearest to
+each of 8,192 steps of light. Where levels are nearest to each other, in the dark, a step is 0.4 of them. So a mixed
+colour is at most one level from that of exact arithmetic, and a grey keeps its level.
+"""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from typing import Any, Final
+
+import numpy as np
+
+from renderer.stereo.outputs import ANAGLYPHS
+from renderer.stereo.words import Words
+from renderer.visibility.repeated import RepeatedCommands, copy
+from rhi import Device, Encoder, Texture
+from rhi.shading import (
+    Shader,
+    Storage,
+    StorageRW,
+    Struct,
+    Uniform,
+    clamp,
+    global_id,
+    ivec2,
+    mat3,
+    uint,
+    vec3,
+)
+
+__rhi_internal__ = True
+
+_GROUP: Final = 64
+_STEPS: Final = 8192
+
+_RED: Final = 0xFF0000FF  # the first byte, and alpha
+_CHOICES: Final = {"color": (_RED, _RED), "interlaced": (0xFFFFFFFF, 0)}
+"""The outputs that only choose bits of both pictures: those of the left one's pixels in even and in odd rows."""
+
+MIXED: Final = frozenset({*ANAGLYPHS, *_CHOICES})
+"""The outputs whose image is made pixel by pixel."""
+
+
+class Mixture(Struct):
+    """How two pictures of `size` are mixed: the bits of each pixel that are the left one's, in even and in odd rows; or
+    the matrices of both."""
+
+    size: ivec2
+    even: uint
+    odd: uint
+    left: mat3
+    right: mat3
+
+
+class ChooseBits(Shader):
+    """Takes some bits of each pixel from one picture, and the others from a second one."""
+
+    work_group = (_GROUP,)
+    mixture: Uniform[Mixture]
+    left: Storage[uint]
+    right: StorageRW[uint]
+
+    def compute(self) -> None:
+        x = global_id().x
+        y = global_id().y
+        if x < self.mixture.size.x:
+            i = y * self.mixture.size.x + x
+            chosen = self.mixture.odd if y % 2 == 1 else self.mixture.even
+            self.right[i] = (self.left[i] & chosen) | (self.right[i] & ~chosen)
+
+
+class MixColors(Shader):
+    """Mixes the colours of two pictures in linear light."""
+
+    work_group = (_GROUP,)
+    mixture: Uniform[Mixture]
+    light: Storage[float]
+    levels: Storage[uint]
+    left: Storage[uint]
+    right: StorageRW[uint]
+
+    def compute(self) -> None:
+        x = global_id().x
+        y = global_id().y
+        if x < self.mixture.size.x:
+            i = y * self.mixture.size.x + x
+            color = self.mixture.left @ self.decode(self.left[i]) + self.mixture.right @ self.decode(
+                self.right[i]
+            )
+            step = clamp(color * float(_STEPS - 1) + 0.5, 0.5, float(_STEPS) - 0.5)
+            red = self.levels[int(step.x)]
+            green = self.levels[int(step.y)]
+            blue = self.levels[int(step.z)]
+            self.right[i] = red | green << 8 | blue << 16 | uint(0xFF000000)
+
+    def decode(self, pixel: uint) -> vec3:
+        red = int(pixel & uint(255))
+        green = int(pixel >> 8 & uint(255))
+        blue = int(pixel >> 16 & uint(255))
+        return vec3(self.light[red], self.light[green], self.light[blue])
+
+
+class Mixer:
+    """What is kept to make an image of two pictures, pixel by pixel."""
+
+    def __init__(self, device: Device) -> None:
+        zeros = np.zeros((3, 3))
+        with ExitStack() as made:
+            nothing = Mixture(size=(0, 0), even=0, odd=0, left=zeros, right=zeros)
+            self._mixture = made.enter_context(device.uniform(nothing))
+            encoded, light = np.arange(256) / 255.0, np.arange(_STEPS) / (_STEPS - 1.0)
+            decoded = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+            levels = 255.0 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1.0 / 2.4) - 0.055)
+            self._light = made.enter_context(device.storage(float, decoded.astype(np.float32), label="light"))
+            self._levels = made.enter_context(
+                device.storage(uint, np.round(levels).astype(np.uint32), label="levels")
+            )
+            self._left, self._right = Words(device, uint), Words(device, uint)
+            made.callback(self._left.destroy)
+            made.callback(self._right.destroy)
+            self._commands = RepeatedCommands(device, "")
+            self._device = device
+            self._mixed: tuple[str, tuple[int, int]] | None = None  # what the mixture is of
+            self._made = made.pop_all()
+
+    def mix(self, output: str, left: Texture, right: Texture, image: Texture) -> None:
+        """Write both pictures to `image`, as one of the `MIXED` outputs shows them."""
+        size = image.size
+        if self._mixed != (output, size):
+            even, odd = _CHOICES.get(output, (0, 0))
+            of_left, of_right = ANAGLYPHS.get(output, np.zeros((2, 3, 3)))
+            self._mixture.write(Mixture(size=size, even=even, odd=odd, left=of_left, right=of_right))
+            self._mixed = output, size
+        given: dict[str, Any] = {
+            "mixture": self._mixture,
+            "left": self._left.fit(size),
+            "right": self._right.fit(size),
+        }
+        shader: type[Shader] = ChooseBits
+        if output not in _CHOICES:
+            shader = MixColors
+            given |= {"light": self._light, "levels": self._levels}
+        program: Any = self._device.program(shader)
+
+        def issue(encoder: Encoder) -> None:
+            copy(encoder, left, given["left"])
+            copy(encoder, right, given["right"])
+            encoder.dispatch(program, (-(-size[0] // _GROUP), size[1]), **given)
+            copy(encoder, given["right"], image)
+
+        self._commands.execute((program, left, right, image, *given.values()), issue)
+
+    def destroy(self) -> None:
+        """Destroy the resources on the device."""
+        self._commands.forget()
+        self._made.close()

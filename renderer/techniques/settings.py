@@ -1,0 +1,78 @@
+"""The choice of a technique, with the parameters of all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Final
+
+from renderer import rules
+from renderer.scene import Scene
+from renderer.techniques.auto import CANDIDATES, AutoTechnique
+from renderer.techniques.cell_lists import CLUSTERS, TILES, LightCells
+from renderer.techniques.forward import Forward
+from renderer.techniques.forward_plus import Clustered, ForwardPlus
+from renderer.techniques.fxaa import Smoothed
+from renderer.techniques.inferred import Inferred
+from renderer.techniques.light_pre_pass import LightPrePass
+from renderer.techniques.table import TECHNIQUES
+from renderer.techniques.technique import Technique
+from rhi import Device, refuse
+
+__rhi_internal__ = True
+
+
+@dataclass(frozen=True, slots=True)
+class TechniqueSettings:
+    """Which technique draws, and the parameters of the techniques; each uses those that it has.
+
+    Attributes:
+        name: of `TECHNIQUES`, or `auto`.
+        samples: samples per pixel. With more than one, only `forward` draws, and `auto` is `forward`.
+        fxaa: whether the edges of the image are smoothed.
+        tiles: the tiles of `forward_plus`. clusters: those of `clustered`.
+        scale: the size of the light buffers of `inferred`, in that of the image. stippled: whether it draws transparent
+            surfaces to them, too.
+        specular_channels: 1 or 3, of `light_pre_pass`.
+    """
+
+    name: str = AutoTechnique.name
+    samples: int = 1
+    fxaa: bool = False
+    tiles: LightCells = TILES
+    clusters: LightCells = CLUSTERS
+    scale: float = 0.6
+    stippled: bool = True
+    specular_channels: int = 3
+
+    def __post_init__(self) -> None:
+        if self.name not in (AutoTechnique.name, *TECHNIQUES):
+            rules.refuse_name(
+                rules.BAD_TECHNIQUE, "TechniqueSettings(name=...)", self.name, [AutoTechnique.name, *TECHNIQUES]
+            )
+        if type(self.samples) is not int or self.samples < 1:
+            refuse(rules.BAD_TECHNIQUE, "TechniqueSettings(samples=...)", self.samples, "a whole number of 1 or more")
+        if self.samples > 1 and self.name not in (AutoTechnique.name, Forward.name):
+            refuse(rules.ONE_SAMPLE, "TechniqueSettings", f"{self.name} with samples={self.samples}")
+
+    def make(self, scene: Scene, device: Device) -> Technique:
+        """Return the technique for a scene and a device."""
+        if self.samples == 1 and self.name == AutoTechnique.name:
+            return AutoTechnique(scene, device, {name: partial(self._make, name) for name in CANDIDATES})
+        return self._make(Forward.name if self.samples > 1 else self.name)
+
+    def _make(self, name: str) -> Technique:
+        make = _MAKERS.get(name)
+        technique = TECHNIQUES[name]() if make is None else make(self)
+        return Smoothed(technique) if self.fxaa else technique
+
+
+_MAKERS: Final[Mapping[str, Callable[[TechniqueSettings], Technique]]] = {
+    Forward.name: lambda given: Forward(given.samples),
+    ForwardPlus.name: lambda given: ForwardPlus(cells=given.tiles),
+    Clustered.name: lambda given: Clustered(cells=given.clusters),
+    Inferred.name: lambda given: Inferred(scale=given.scale, stippled=given.stippled),
+    LightPrePass.name: lambda given: LightPrePass(specular_channels=given.specular_channels),
+}
+"""What makes the techniques that have parameters."""

@@ -1,0 +1,111 @@
+"""The features of materials, counted again where materials change."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from renderer.content import BUILT_IN
+from renderer.scene import TEXTURE, AlphaMode, Scene, SceneBuilder, TextureMap, make_material
+from renderer.scene.features import MaterialFeatures
+from rhi import SamplerDescriptor, Wrap
+
+SAMPLERS = (SamplerDescriptor(), SamplerDescriptor(wrap_u=Wrap.CLAMP))
+COUNT = 7
+
+
+def make_textures() -> np.ndarray[Any, Any]:
+    """Make four textures of three images: plain, by the second uv, transformed, and clamped."""
+    textures = np.zeros(4, TEXTURE)
+    textures["image"] = 0, 1, 2, 2
+    textures["transform"] = np.eye(2, 3)
+    textures["uv_set"][1] = 1
+    textures["transform"][2, 0, 0] = 2.0
+    textures["sampler"][3] = 1
+    return textures
+
+
+def count_from_scratch(materials: np.ndarray[Any, Any]) -> dict[str, int]:
+    return dict(MaterialFeatures(materials, make_textures(), SAMPLERS).counts)
+
+
+CHANGES = st.tuples(
+    st.integers(0, COUNT - 1),
+    st.sampled_from(
+        [
+            ("base_color", 0.5), ("emission", 0.0), ("emission", 1.0), ("emissive", 0.0), ("emissive", 2.0),
+            ("texture", -1), ("texture", 0), ("texture", 1), ("normal_texture", 2), ("normal_texture", -1),
+            ("metallic_roughness_texture", 3), ("occlusion_texture", 1), ("emissive_texture", 0),
+            ("model", 0), ("model", 1), ("alpha_mode", 0), ("alpha_mode", 1), ("double_sided", 0),
+            ("double_sided", 1),
+        ]
+    ),
+)  # fmt: skip
+
+
+@given(st.lists(st.lists(CHANGES, max_size=5), max_size=4))
+def test_what_is_counted_after_changes_is_what_is_counted_from_scratch(steps: list[list[tuple[int, Any]]]) -> None:
+    materials = np.array([make_material()] * COUNT)
+    features = MaterialFeatures(materials, make_textures(), SAMPLERS)
+    for changes in steps:
+        for row, (name, value) in changes:
+            materials[name][row] = value
+        features.refresh(materials)
+        assert features.counts == count_from_scratch(materials)
+
+
+def test_a_version_is_another_only_when_materials_have_changed() -> None:
+    materials = np.array([make_material()] * COUNT)
+    features = MaterialFeatures(materials, make_textures(), SAMPLERS)
+    versions = []
+    for strength in (0.0, 1.0, 1.0, 2.0):
+        materials["emission"][3] = strength
+        features.refresh(materials)
+        versions.append(features.version)
+    assert versions == [0, 1, 1, 2]
+
+
+def test_only_materials_that_have_changed_are_examined(monkeypatch: pytest.MonkeyPatch) -> None:
+    examined: list[int] = []
+    examine = MaterialFeatures._examine
+
+    def note(self: MaterialFeatures, materials: np.ndarray[Any, Any]) -> Any:
+        examined.append(len(materials))
+        return examine(self, materials)
+
+    monkeypatch.setattr(MaterialFeatures, "_examine", note)
+    materials = np.array([make_material()] * 65_536)
+    features = MaterialFeatures(materials, make_textures(), SAMPLERS)
+    features.refresh(materials)
+    materials["alpha_mode"][[3, 65_535]] = AlphaMode.MASK
+    features.refresh(materials)
+    assert examined == [65_536, 2]
+    assert features.counts["masks"] == 2
+
+
+def build(**material: Any) -> Scene:
+    builder = SceneBuilder("box")
+    builder.add_image(np.full((4, 4, 4), 128, np.uint8))
+    mesh = builder.add_mesh(BUILT_IN["box"]())
+    builder.add_objects(builder.add_node(), mesh, builder.add_material(**material))
+    return builder.build()
+
+
+def test_a_scene_counts_again_when_it_is_refreshed() -> None:
+    scene = build(texture=TextureMap(0, uv_set=1))
+    assert (scene.count_features()["second uvs"], scene.count_features()["images"]) == (1, 1)
+    scene.materials["texture"] = -1
+    scene.refresh()
+    assert (scene.count_features()["second uvs"], scene.count_features()["images"]) == (0, 0)
+
+
+def test_a_scene_finds_transparent_objects_again_when_it_is_refreshed() -> None:
+    scene = build()
+    assert scene.find_transparent().tolist() == []
+    scene.materials["alpha_mode"] = AlphaMode.BLEND
+    scene.refresh()
+    assert scene.find_transparent().tolist() == [0]

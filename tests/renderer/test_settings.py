@@ -1,0 +1,146 @@
+"""All settings in one value: their file, and the renderer that has them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import rhi
+from renderer.content import load_scene
+from renderer.frame import Blending, TextureSettings
+from renderer.scene import Depth, StereoRig
+from renderer.settings import RenderSettings
+from renderer.shadows import ShadowFilter, ShadowSettings
+from renderer.techniques import TECHNIQUES, Clustered, Forward, Inferred, TechniqueSettings
+from renderer.techniques.cell_lists import LightCells
+from renderer.visibility import ChcPlusPlus, FrustumCulling, Settings
+from rhi import Filter, SamplerDescriptor
+from rhi.shading import Precision, Shader
+from tests.renderer.conftest import open_device
+
+OTHERS = RenderSettings(
+    TechniqueSettings("clustered", fxaa=True, clusters=LightCells(32, 7, "hybrid"), scale=0.5, stippled=False),
+    "frustum",
+    Settings(batch=7, threshold=3),
+    ShadowSettings(ShadowFilter.HARD, cascades=2, bias=0.5),
+    TextureSettings(Filter.NEAREST, None, 4.0),
+    Blending.WEIGHTED,
+    Precision.EXACT,
+    Depth.STANDARD,
+    True,
+)
+
+
+def test_a_file_keeps_all_settings(tmp_path: Path) -> None:
+    OTHERS.save(tmp_path / "s.json", ratio=0.5)
+    assert RenderSettings.load(tmp_path / "s.json") == OTHERS
+    assert Settings.load(tmp_path / "s.json") == OTHERS.visibility  # commands that only cull read it, too
+
+
+def test_what_a_file_lacks_has_its_default(tmp_path: Path) -> None:
+    Settings(batch=9).save(tmp_path / "tuned.json")
+    assert RenderSettings.load(tmp_path / "tuned.json") == RenderSettings(visibility=Settings(batch=9))
+    (tmp_path / "s.json").write_text(json.dumps({"rendering": {"shadows": {"cascades": 3}, "textures": {"mip": None}}}))
+    assert RenderSettings.load(tmp_path / "s.json") == RenderSettings(
+        shadows=ShadowSettings(cascades=3), textures=TextureSettings(mip=None)
+    )
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[]",
+        "{}",
+        '{"rendering": {"shadow": {}}}',
+        '{"rendering": {"shadows": {"filter": "soft"}}}',
+        '{"rendering": {"shadows": {"cascades": "4"}}}',
+        '{"rendering": {"precision": 1}}',
+        '{"rendering": {"shadows": [4]}}',
+    ],
+)
+def test_a_file_without_settings_is_refused(text: str, tmp_path: Path) -> None:
+    (tmp_path / "s.json").write_text(text)
+    with pytest.raises(rhi.ValidationError, match="visibility-bad-settings"):
+        RenderSettings.load(tmp_path / "s.json")
+
+
+def test_a_setting_out_of_its_range_is_refused_by_its_own_rule(tmp_path: Path) -> None:
+    (tmp_path / "s.json").write_text('{"rendering": {"shadows": {"cascades": 9}}}')
+    with pytest.raises(rhi.ValidationError, match="shadow-settings"):
+        RenderSettings.load(tmp_path / "s.json")
+    with pytest.raises(rhi.ValidationError, match="technique-parameter"):
+        TechniqueSettings("forwards")
+    with pytest.raises(rhi.ValidationError, match="technique-one-sample"):
+        TechniqueSettings("deferred", samples=4)
+
+
+def test_settings_change_by_their_paths() -> None:
+    changed = RenderSettings().change_all({"shadows.cascades": 2, "technique.clusters.slices": 8})
+    assert (changed.get("shadows.cascades"), changed.technique.clusters) == (2, LightCells(64, 8))
+    assert changed.change("shadows.cascades", 4).change("technique.clusters.slices", 24) == RenderSettings()
+
+
+def test_a_renderer_has_the_settings(null: rhi.Device) -> None:
+    scene = load_scene("city:blocks=2,shadows=1")
+    with OTHERS.open(null, scene, (16, 16), StereoRig()) as renderer:
+        camera = OTHERS.aim(next(iter(scene.views.values())))
+        result = renderer.render(camera)
+        assert renderer.shadows.settings is OTHERS.shadows
+        assert isinstance(renderer.visibility, FrustumCulling)
+        assert (renderer.blending, renderer.precision) == (Blending.WEIGHTED, Precision.EXACT)
+        assert renderer.stereo is not None
+        assert renderer.stereo.is_reprojected
+        assert camera.projection.depth is Depth.STANDARD
+        assert len(result.pictures) == 2
+
+
+def test_techniques_have_the_settings_that_are_theirs(null: rhi.Device) -> None:
+    scene = load_scene("grid:count=1")
+    settings = TechniqueSettings("clustered", clusters=LightCells(32), scale=0.25, stippled=False)
+    clustered, inferred = settings.make(scene, null), RenderSettings(settings).change("technique.name", "inferred")
+    made = inferred.technique.make(scene, null)
+    assert isinstance(clustered, Clustered)
+    assert clustered.cells == LightCells(32)
+    assert isinstance(made, Inferred)
+    assert (made.scale, made.stippled) == (0.25, False)
+    sampled = TechniqueSettings(samples=4).make(scene, null)
+    assert isinstance(sampled, Forward)
+    assert sampled.samples == 4
+
+
+def test_an_algorithm_has_the_settings() -> None:
+    settings = RenderSettings(algorithm="chc_plus_plus", visibility=Settings(batch=3))
+    with open_device("gl") as device, settings.open(device, load_scene("grid:count=1"), (8, 8)) as renderer:
+        assert isinstance(renderer.visibility, ChcPlusPlus)
+
+
+def test_textures_are_read_no_better_than_the_settings_say() -> None:
+    plain, best = SamplerDescriptor(), SamplerDescriptor(max_anisotropy=8.0)
+    pixels = SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, None)
+    assert [TextureSettings().adjust(one, 16.0) for one in (plain, best, pixels)] == [plain, best, pixels]
+    flat = TextureSettings(mip=None)
+    assert flat.adjust(plain, 16.0) == SamplerDescriptor(mip=None)
+    nearest = TextureSettings(Filter.NEAREST, Filter.NEAREST)
+    assert nearest.adjust(plain, 16.0) == SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, Filter.NEAREST)
+    assert nearest.adjust(pixels, 16.0) == pixels  # without levels it stays
+    sharp = TextureSettings(anisotropy=4.0)
+    assert sharp.adjust(plain, 16.0).max_anisotropy == 4.0
+    assert sharp.adjust(plain, 2.0).max_anisotropy == 2.0  # as the device can
+    assert sharp.adjust(best, 16.0).max_anisotropy == 8.0
+
+
+@pytest.mark.parametrize("precision", Precision)
+@pytest.mark.parametrize("name", TECHNIQUES)
+def test_all_shaders_of_a_technique_have_the_precision(
+    name: str, precision: Precision, null: rhi.Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, used = load_scene("hall"), list[type[Shader]]()
+    program = null.program
+    monkeypatch.setattr(null, "program", lambda shader: used.append(shader) or program(shader))
+    settings = RenderSettings(TechniqueSettings(name), "frustum", precision=precision)
+    with settings.open(null, scene, (16, 16)) as renderer:
+        renderer.render(next(iter(scene.views.values())))
+    fast = [shader.__name__ for shader in used if shader.precision is Precision.FAST]
+    assert bool(fast) is (precision is Precision.FAST)
