@@ -34,6 +34,7 @@ from renderer.scene import Camera, Scene, Simulator
 from renderer.shadows import ShadowMaps, shadow_passes
 from renderer.stereo import EyePair, Stereo, fit_picture
 from renderer.techniques import AutoTechnique, Forward, Technique
+from renderer.tessellation import Tessellator, tessellation_passes
 from renderer.visibility import AutoCulling, VisibilityAlgorithm, VisibilityStatistics, make_visibility
 from rhi import Device, Texture
 from rhi.shading import Precision
@@ -218,6 +219,11 @@ class Renderer:
         return self._resources.workspace(ShadowMaps)
 
     @property
+    def tessellator(self) -> Tessellator:
+        """What chooses the triangles of height fields; its `edge_pixels` may be changed between any two frames."""
+        return self._resources.workspace(Tessellator)
+
+    @property
     def resources(self) -> SceneResources:
         """The scene on the device."""
         return self._resources
@@ -362,7 +368,9 @@ class Renderer:
             self._planned = technique
         plan = self._plans.get(needs.key)
         if plan is None:
-            plan = self._plans[needs.key] = make_plan([*shadow_passes(needs), *technique.declare(needs)])
+            plan = self._plans[needs.key] = make_plan(
+                [*tessellation_passes(needs), *shadow_passes(needs), *technique.declare(needs)]
+            )
         return plan
 
     def destroy(self) -> None:

@@ -37,6 +37,14 @@ BAD_VERTICES: Final = Rule(
 BAD_MESH: Final = Rule(
     "scene-bad-mesh", "a mesh consists of triangles: three indices each, all of existing vertices"
 )
+BAD_HEIGHTS: Final = Rule(
+    "scene-bad-heights", "a height field is a map of finite heights over a rectangle, with a limit of triangles"
+)
+SHARED_HEIGHTS: Final = Rule(
+    "scene-shared-heights",
+    "the triangles of a height field are chosen for one object",
+    "add a mesh for each object: add_height_field",
+)
 BAD_TRANSFORM: Final = Rule(
     "scene-bad-transform", "a transform is a finite, affine 4x4 matrix for column vectors: last row 0 0 0 1"
 )
@@ -170,6 +178,8 @@ MANY_MATERIALS: Final = Rule(
     "a packed geometry buffer holds 16 bits of a pixel's material",
     "use --technique clustered",
 )
+NO_WIREFRAME: Final = Rule("technique-no-wireframe", "this picture needs a device that draws the edges of triangles")
+BAD_EDGE: Final = Rule("tessellation-edge", "edges are split down to a length in pixels")
 BAD_TECHNIQUE: Final = Rule("technique-parameter", "a parameter of a technique is out of its range")
 
 # Shadows

@@ -28,6 +28,7 @@ from renderer.cli.arguments import (
     make_stereo,
     make_technique,
     open_scene,
+    parse_length,
 )
 from renderer.cli.output import list_left_out, name_of, note, prepare_image, show_progress, write_image
 from renderer.cli.subcommand import Parser, Subcommand
@@ -109,6 +110,12 @@ def _add_arguments(parser: Parser) -> None:
         help="transparent surfaces are drawn back to front, or averaged in any order (default: %(default)s)",
     )
     parser.add_argument(
+        "--edge-pixels",
+        type=parse_length,
+        metavar="N",
+        help="length in pixels that edges of height fields are split down to (default: 8)",
+    )
+    parser.add_argument(
         "--show",
         metavar="NAME",
         help=f"picture what the frame is made of instead of its light: {', '.join(INSPECTIONS)}, or a texture of the "
@@ -164,6 +171,8 @@ def _run(given: argparse.Namespace) -> None:
         ExitStack() as layers,
     ):
         renderer.stereo = make_stereo(given, scene, cameras[0].with_aspect(given.size[0] / given.size[1]))
+        if given.edge_pixels is not None:
+            renderer.tessellator.edge_pixels = given.edge_pixels
         if given.particles:
             renderer.layers.append(Particles(device))
         if given.overlay:
