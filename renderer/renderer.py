@@ -6,6 +6,7 @@ passes of these effects, and their plan is kept for as long as the effects are t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cached_property
@@ -111,7 +112,8 @@ class Renderer:
     """Draws one scene on one device.
 
     The attributes `technique`, `visibility`, `blending` and `precision` may be exchanged between any two frames, and
-    `layers`, which are drawn over each frame in their order, changed.
+    `layers`, which are drawn over each frame in their order, changed. `show` ends a frame with its image: by default it
+    is `Device.present`; a window puts its own in that place.
     """
 
     def __init__(
@@ -146,6 +148,7 @@ class Renderer:
         self.blending = blending
         self.precision = precision
         self.layers: list[Layer] = []
+        self.show: Callable[[Texture], None] = device.present
         self._own: list[VisibilityAlgorithm] = []
         if visibility is None:
             visibility = make_visibility("auto", scene, device)
@@ -314,7 +317,7 @@ class Renderer:
         if pair is not None:
             with device.event("both eyes"):
                 image = pair.show(*frames)
-        device.present(image)
+        self.show(image)
         counters = {name: getattr(after, name) - getattr(before, name) for name in _COUNTERS}
         counters["simulation_steps"] = self.simulator.steps
         counters["skipped_simulations"] = len(self.simulator) - self.simulator.seen

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import Final, NoReturn
 
-from rhi.errors import Rule, refuse
+from rhi.errors import RhiError, Rule, refuse
 
 __rhi_internal__ = True
 
@@ -189,6 +189,18 @@ BAD_SHADOWS: Final = Rule("shadow-settings", "a setting of shadow maps is out of
 FONT_FILE: Final = Rule("canvas-font-file", "the file can't be read as a font")
 FONT_SIZE: Final = Rule("canvas-font-size", "a font's size is out of its range")
 
+# The viewer
+UNKNOWN_COMMAND: Final = Rule(
+    "viewer-unknown-command", "the viewer has no command of this name", "`help` lists them all"
+)
+BAD_ARGUMENT: Final = Rule(
+    "viewer-bad-argument", "a command's argument is not one that it takes", "Tab in the console lists them"
+)
+NO_PICTURE: Final = Rule(
+    "viewer-no-picture", "the device draws nothing, so there is no picture", "choose another one: --backend gl or cl"
+)
+CANNOT_LISTEN: Final = Rule("viewer-cannot-listen", "the port can't be listened to", "choose another one")
+
 # Measurements
 
 NO_IMAGES: Final = Rule("measure-no-images", "the textured pass needs a scene with images")
@@ -202,6 +214,15 @@ UNKNOWN_KNOB: Final = Rule("accuracy-unknown-knob", "no choice between accuracy 
 NO_KNOBS: Final = Rule("accuracy-no-knobs", "none of these knobs matters for this scene and device")
 UNKNOWN_CASE: Final = Rule("exam-unknown-case", "the exam has no case of this number")
 NO_PICTURES: Final = Rule("measure-no-pictures", "a backend that draws no pictures has no passes to time")
+
+
+def describe(error: RhiError) -> str:
+    """Return an error as one line: what is wrong, what was given, what is allowed, a tip and the rule."""
+    allowed = f" (allowed: {error.allowed})" if error.allowed else ""
+    given = f": {error.given}" if error.given else ""
+    tip = f"; {error.tip}" if error.tip else ""
+    line = f"{error.rule.sentence.rstrip('.')}{given}{allowed}{tip} [{error.rule.id}]"
+    return " ".join(line.split())
 
 
 def refuse_name(rule: Rule, call: str, given: str, allowed: Iterable[str]) -> NoReturn:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Collection
-from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -15,8 +14,7 @@ from renderer.cli.subcommand import Parser
 from renderer.content import load_scene
 from renderer.scene import Camera, Scene
 from renderer.stereo import OUTPUTS, Stereo, find_rig
-from renderer.techniques import TECHNIQUES, AutoTechnique, Forward, Smoothed, Technique
-from renderer.techniques.auto import CANDIDATES
+from renderer.techniques import TECHNIQUES, AutoTechnique, Technique, TechniqueSettings
 from renderer.visibility import Settings
 from rhi import refuse
 
@@ -87,16 +85,7 @@ def add_technique(parser: Parser, default: str = AutoTechnique.name) -> None:
 
 def make_technique(given: argparse.Namespace, scene: Scene, device: rhi.Device) -> Technique:
     """Return the technique that the arguments of `add_technique` describe, for a scene and a device."""
-
-    def make(name: str) -> Technique:
-        technique = Forward(given.samples) if given.samples > 1 else TECHNIQUES[name]()
-        return Smoothed(technique) if given.fxaa else technique
-
-    if given.samples > 1 and given.technique not in (AutoTechnique.name, Forward.name):
-        refuse(rules.ONE_SAMPLE, "render", f"{given.technique} with --samples {given.samples}")
-    if given.technique != AutoTechnique.name or given.samples > 1:
-        return make(given.technique)
-    return AutoTechnique(scene, device, {name: partial(make, name) for name in CANDIDATES})
+    return TechniqueSettings(given.technique, samples=given.samples, fxaa=given.fxaa).make(scene, device)
 
 
 def explain_technique(technique: Technique, given: argparse.Namespace) -> dict[str, str]:
