@@ -32,6 +32,7 @@ from renderer.frame import (
 )
 from renderer.frame.images import SceneImages
 from renderer.scene import Camera, Scene, Simulator
+from renderer.scene.finite import check_finite
 from renderer.shadows import ShadowMaps, shadow_passes
 from renderer.stereo import EyePair, Stereo, fit_picture
 from renderer.techniques import AutoTechnique, Forward, Technique
@@ -288,6 +289,8 @@ class Renderer:
         """Draw a frame; return it and what it needed."""
         device, resources, pair = self.device, self._resources, self._pair
         before = device.statistics
+        check_finite("render", seconds=seconds, position=camera.position, rotation=camera.rotation)
+        self.scene.check_numbers("render")
         around = self._aim(camera)
         self.scene.seconds = seconds
         expected = self.simulator.drawn

@@ -54,6 +54,11 @@ BAD_IMAGE: Final = Rule(
     "scene-bad-image", "an image is an array of shape (height, width, 4), uint8, not empty"
 )
 BAD_LIGHT: Final = Rule("scene-bad-light", "a light's value is out of its range")
+NOT_FINITE: Final = Rule(
+    "scene-not-finite",
+    "the numbers of a scene, a camera and a time are finite",
+    "look for a division by 0, or a logarithm, where the value comes from",
+)
 STATIC_NODE: Final = Rule(
     "scene-static-node",
     "a static node can't be moved",

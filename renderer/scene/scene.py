@@ -17,6 +17,7 @@ from renderer import rules
 from renderer.scene.arrays import Floats, Rows
 from renderer.scene.camera import Camera
 from renderer.scene.features import MaterialFeatures
+from renderer.scene.finite import FiniteArrays, check_finite
 from renderer.scene.height_fields import HeightField
 from renderer.scene.lights import Lights
 from renderer.scene.materials import (
@@ -103,6 +104,7 @@ class Scene:
         self.omissions = omissions
         self.height_fields: dict[int, HeightField] = dict(height_fields or {})
         self.seconds = 0.0
+        self._finite = FiniteArrays()
         self._features = MaterialFeatures(materials, self.textures, samplers)
         self._has_colors = "color" in (meshes.vertices.dtype.names or ())
         self._transparent: tuple[int, Rows] = (-1, np.zeros(0, np.int64))  # as of a version of the materials
@@ -117,6 +119,7 @@ class Scene:
         Return the rows of the objects whose transform was computed again. A renderer applies only the animations of
         what it draws.
         """
+        check_finite("Scene.update", seconds=seconds)
         self.seconds = seconds
         self._simulator.begin_frame(seconds)
         self._simulator.pose_all()
@@ -142,6 +145,13 @@ class Scene:
     def material_version(self) -> int:
         """A number that grows when a `refresh` finds that materials have changed."""
         return self._features.version
+
+    def check_numbers(self, call: str) -> None:
+        """Refuse numbers of lights, materials and the air that aren't finite; they may be written to at any time."""
+        lights = self.lights
+        air = np.array([*lights.sky, *lights.ground, *self.background, self.haze], np.float64)
+        checked = {"directional": lights.directional, "point": lights.point, "spot": lights.spot}
+        self._finite.check(call, {**checked, "materials": self.materials, "sky, ground, background, haze": air})
 
     def make_simulator(self) -> Simulator:
         """Create a simulator of the scene, in which nothing has been run yet."""
@@ -236,6 +246,7 @@ class SceneBuilder:
             return known
         if bounds is not None:
             lower, upper = geometry.bounds
+            check_finite("add_mesh(bounds=...)", lower=bounds[0], upper=bounds[1])
             if not ((bounds[0] <= lower) & (upper <= bounds[1])).all():
                 given = f"{bounds[0]} to {bounds[1]}"
                 refuse(rules.BAD_MESH, "add_mesh(bounds=...)", given, f"at least {lower} to {upper}")
