@@ -28,7 +28,6 @@ from renderer.cli.arguments import (
     make_stereo,
     make_technique,
     open_scene,
-    parse_length,
 )
 from renderer.cli.output import list_left_out, name_of, note, prepare_image, show_progress, write_image
 from renderer.cli.subcommand import Parser, Subcommand
@@ -43,6 +42,7 @@ from renderer.stereo import Stereo, find_holes
 from renderer.techniques import AutoTechnique, Forward, Particles, Technique, Watched
 from renderer.techniques.inspection import INSPECTIONS, Inspection
 from renderer.techniques.light_indexed import count_overflowing
+from renderer.tessellation import TessellationSettings
 from renderer.visibility import (
     ALGORITHMS,
     Settings,
@@ -111,7 +111,7 @@ def _add_arguments(parser: Parser) -> None:
     )
     parser.add_argument(
         "--edge-pixels",
-        type=parse_length,
+        type=float,
         metavar="N",
         help="length in pixels that edges of height fields are split down to (default: 8)",
     )
@@ -172,7 +172,7 @@ def _run(given: argparse.Namespace) -> None:
     ):
         renderer.stereo = make_stereo(given, scene, cameras[0].with_aspect(given.size[0] / given.size[1]))
         if given.edge_pixels is not None:
-            renderer.tessellator.edge_pixels = given.edge_pixels
+            renderer.tessellator.settings = TessellationSettings(given.edge_pixels)
         if given.particles:
             renderer.layers.append(Particles(device))
         if given.overlay:
