@@ -140,6 +140,6 @@ def test_ten_thousand_frames_of_random_input_keep_no_frame(
         pytest.skip(f"no {backend} device here: {error.given}")
     with device:
         play(device, "hall:fountains=1", 10_000, 2, lambda: blocks.append(count_blocks())).close()
-    # Programs that are first used in the second half stay, at some thousand blocks each, and caches of states fill up to
-    # their limits: 130,000 on null. A frame that is kept would be thousands.
+    # Programs that are first used in the second half stay, at some thousand blocks each, and caches of states fill up
+    # to their limits: 130,000 on null. A frame that is kept would be thousands.
     assert blocks[1] - blocks[0] < 200_000
