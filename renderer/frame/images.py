@@ -155,6 +155,8 @@ class SceneImages:
 
     Attributes:
         textures: the arrays. arrays: what a shader binds: each array with a sampler. samplers: those.
+        colors, data: the arrays of colours, which come first, and of data. A texture's row of the table has its place
+            among those of its kind: a shader compares it with no others.
         table: (t,) of `TextureUse`, how each texture of the scene is read. None if the row of a texture is its layer,
             and texture coordinates are read as they are.
         bytes: the memory of the arrays. image_bytes: that of the images, each by itself.
@@ -168,7 +170,7 @@ class SceneImages:
             (int(row["image"]), bool(row["is_color"]), sampler)
             for row, sampler in zip(textures, samplers, strict=True)
         ]
-        planned = plan_arrays(sizes, uses)
+        planned = sorted(plan_arrays(sizes, uses), key=lambda array: not array.is_color)
         self.bytes = sum(array.bytes for array in planned)
         self.image_bytes = sum(count_bytes(sizes[image]) for image, _ in {use[:2] for use in uses})
         self.textures = tuple(_make_array(device, scene, array) for array in planned)
@@ -178,6 +180,8 @@ class SceneImages:
         self.arrays = tuple(
             self.textures[array].sampled(sampler) for (array, _), sampler in zip(places, self.samplers, strict=True)
         )
+        color_count = sum(planned[array].is_color for array, _ in places)
+        self.colors, self.data = self.arrays[:color_count], self.arrays[color_count:]
         table: NDArray[Any] = np.zeros(len(textures), TextureUse.dtype)
         for row, (image, is_color, sampler) in enumerate(uses):
             array = next(
@@ -185,7 +189,7 @@ class SceneImages:
                 for number, one in enumerate(planned)
                 if one.is_color == is_color and image in one.images and sampler in one.samplers
             )
-            table["array"][row] = places.index((array, sampler))
+            table["array"][row] = places.index((array, sampler)) - (0 if is_color else color_count)
             table["layer"][row] = planned[array].images.index(image)
         table["u"], table["v"] = textures["transform"][:, 0], textures["transform"][:, 1]
         table["uv_set"] = textures["uv_set"]

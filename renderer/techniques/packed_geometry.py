@@ -43,9 +43,10 @@ from renderer.techniques.scene_shader import SceneShader
 from renderer.techniques.surfaces import (
     SURFACE_PARTS,
     Aspect,
+    ColorShader,
+    DataShader,
     MaterialShader,
-    TextureShader,
-    WithTextureTable,
+    TableShader,
     bind_surfaces,
     surface_variant,
 )
@@ -204,21 +205,33 @@ class StoredFrames(PackedReader):
         return decode_frame(bits)
 
 
-class StoredTextures(TextureShader, PackedReader):  # type: ignore[misc]  # as `PackedReader`
-    """Textures are filtered as they would have been when the geometry was drawn."""
+class StoredColors(ColorShader, PackedReader):  # type: ignore[misc]  # as `PackedReader`
+    """Textures of colours are filtered as they would have been when the geometry was drawn."""
 
-    def read_texture(self, texture: int, v: SurfaceVarying) -> vec4:
+    def read_color(self, texture: int, v: SurfaceVarying) -> vec4:
         change = self.find_change()
         return self.images.sample_grad(vec3(v.uv, float(texture)), change.xy, change.zw)
 
 
-class StoredTable(WithTextureTable, PackedReader):  # type: ignore[misc]  # as `PackedReader`
-    """Likewise, where textures are found by a table."""
+class StoredData(DataShader, PackedReader):  # type: ignore[misc]  # as `PackedReader`
+    """Likewise textures of data."""
 
-    def read_texture(self, texture: int, v: SurfaceVarying) -> vec4:
-        use = self.textures[texture]
+    def read_data(self, texture: int, v: SurfaceVarying) -> vec4:
         change = self.find_change()
-        return self.read_array(use.array, vec3(v.uv, use.layer), change.xy, change.zw)
+        return self.maps.sample_grad(vec3(v.uv, float(texture)), change.xy, change.zw)
+
+
+class StoredTable(TableShader, PackedReader):  # type: ignore[misc]  # as `PackedReader`
+    """Likewise, where textures are found by a table: they are stored as a texture is read."""
+
+    def place_texture(self, use: TextureUse, v: SurfaceVarying) -> vec3:
+        return vec3(v.uv, use.layer)
+
+    def change_right(self, use: TextureUse, v: SurfaceVarying) -> vec2:
+        return self.find_change().xy
+
+    def change_below(self, use: TextureUse, v: SurfaceVarying) -> vec2:
+        return self.find_change().zw
 
 
 def can_pack(needs: Needs) -> bool:
@@ -282,8 +295,10 @@ def bind_packed(frame: Frame) -> tuple[tuple[type[Shader], ...], dict[str, Any]]
     parts = [SURFACE_PARTS[name] for name in maps]
     if Effect.NORMAL_MAPS in frame.needs.effects:
         parts.append(StoredFrames)
-    if "textures" in maps:
-        parts.insert(parts.index(WithTextureTable), StoredTable)
-    elif any(issubclass(part, TextureShader) for part in parts):
-        parts.append(StoredTextures)
+    if "textures" in bindings:
+        parts.append(StoredTable)
+    elif any(issubclass(part, ColorShader) for part in parts):
+        parts.append(StoredColors)
+    elif any(issubclass(part, DataShader) for part in parts):
+        parts.append(StoredData)
     return tuple(parts), bindings | {"packed": frame.targets["packed"], "depth": frame.targets["depth"]}

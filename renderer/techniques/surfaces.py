@@ -6,7 +6,9 @@ Each class adds one of these to a `SceneShader`. A shader gets only those that i
 A texture is read in one of two ways. If all images are in one array, and all are read by texture coordinates as they
 are, a texture's row is its layer. Otherwise a table of textures (`TextureUse`) leads to an array, a layer and the
 transform of texture coordinates. All fragments of a primitive have one material, and so take the same branches: there,
-derivatives of texture coordinates are defined, and a device skips the arrays that aren't read.
+derivatives of texture coordinates are defined, and a device skips the arrays that aren't read. llvmpipe doesn't: it
+samples each array that a texture might be in. So colours are looked for in the arrays of colours alone (`images`), and
+data, such as normals, in those of data (`maps`).
 """
 
 from __future__ import annotations
@@ -99,28 +101,48 @@ class MaterialShader(SceneShader, ReflectingShader):
         return vec3(1.0)
 
 
-class ImageShader(Shader):
-    """The base of shaders that read images: the layers of one array."""
+class ColorReader(Shader):
+    """The base of shaders that read images of colours: the layers of one array."""
 
     images: Texture2DArray
 
-    def read_array(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
+    def read_images(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
         """Return a texel of an array, given the changes of texture coordinates to the pixels on the right and below."""
         return self.images.sample_grad(place, right, below)
 
 
-class TextureShader(SceneShader, ImageShader):
-    """The base of shaders that read textures of the surfaces that they draw."""
+class DataReader(Shader):
+    """The base of shaders that read images of data, normals for example: the layers of one array."""
+
+    maps: Texture2DArray
+
+    def read_maps(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
+        """Return a texel of an array, given the changes of texture coordinates to the pixels on the right and below."""
+        return self.maps.sample_grad(place, right, below)
+
+
+class ColorShader(SceneShader, ColorReader):
+    """The base of shaders that read textures of colours of the surfaces that they draw."""
 
     materials: Storage[Material]
 
-    def read_texture(self, texture: int, v: SurfaceVarying) -> vec4:
+    def read_color(self, texture: int, v: SurfaceVarying) -> vec4:
         """Return the texel of the texture of this row."""
         return self.images.sample(vec3(v.uv, float(texture)))
 
 
-class WithTextureTable(TextureShader):
-    """Textures are found by a table.
+class DataShader(SceneShader, DataReader):
+    """The base of shaders that read textures of data of the surfaces that they draw."""
+
+    materials: Storage[Material]
+
+    def read_data(self, texture: int, v: SurfaceVarying) -> vec4:
+        """Return the texel of the texture of this row."""
+        return self.maps.sample(vec3(v.uv, float(texture)))
+
+
+class TableShader(SceneShader):
+    """The base of shaders that find textures by a table.
 
     Texture coordinates are then numbers of a buffer, from which a fragment that failed a test may have read zeros
     (llvmpipe), so its neighbours would derive nonsense. Derivatives are those of the varying, transformed alike.
@@ -128,34 +150,63 @@ class WithTextureTable(TextureShader):
 
     textures: Storage[TextureUse]
 
-    def read_texture(self, texture: int, v: SurfaceVarying) -> vec4:
-        use = self.textures[texture]
-        uv = self.find_uv(use.uv_set, v)
-        place = vec3(uv.x, uv.y, 1.0)
-        right = vec3(uv.z, uv.w, 0.0)
-        below = vec3(self.find_uv_below(use.uv_set, v), 0.0)
-        return self.read_array(
-            use.array,
-            vec3(dot(use.u, place), dot(use.v, place), use.layer),
-            vec2(dot(use.u, right), dot(use.v, right)),
-            vec2(dot(use.u, below), dot(use.v, below)),
-        )
+    def place_texture(self, use: TextureUse, v: SurfaceVarying) -> vec3:
+        """Return the texture coordinates and the layer at which a texture is read."""
+        place = vec3(self.find_uv(use.uv_set, v), 1.0)
+        return vec3(dot(use.u, place), dot(use.v, place), use.layer)
 
-    def find_uv(self, uv_set: int, v: SurfaceVarying) -> vec4:
-        """Return texture coordinates, and their change to the next pixel on the right."""
-        return vec4(v.uv, ddx(v.uv))
+    def change_right(self, use: TextureUse, v: SurfaceVarying) -> vec2:
+        """Return the change of texture coordinates to the next pixel on the right."""
+        right = vec3(self.find_uv_right(use.uv_set, v), 0.0)
+        return vec2(dot(use.u, right), dot(use.v, right))
+
+    def change_below(self, use: TextureUse, v: SurfaceVarying) -> vec2:
+        """Return the change of texture coordinates to the next pixel below."""
+        below = vec3(self.find_uv_below(use.uv_set, v), 0.0)
+        return vec2(dot(use.u, below), dot(use.v, below))
+
+    def find_uv(self, uv_set: int, v: SurfaceVarying) -> vec2:
+        """Return a set of texture coordinates."""
+        return v.uv
+
+    def find_uv_right(self, uv_set: int, v: SurfaceVarying) -> vec2:
+        """Return the change of a set to the next pixel on the right."""
+        return ddx(v.uv)
 
     def find_uv_below(self, uv_set: int, v: SurfaceVarying) -> vec2:
-        """Return the change of texture coordinates to the next pixel below."""
+        """Return the change of a set to the next pixel below."""
         return ddy(v.uv)
 
 
-class WithSecondUv(WithTextureTable):
+class WithColorTable(TableShader, ColorShader):
+    """Textures of colours are found by a table."""
+
+    def read_color(self, texture: int, v: SurfaceVarying) -> vec4:
+        use = self.textures[texture]
+        right = self.change_right(use, v)
+        below = self.change_below(use, v)
+        return self.read_images(use.array, self.place_texture(use, v), right, below)
+
+
+class WithDataTable(TableShader, DataShader):
+    """Textures of data are found by a table."""
+
+    def read_data(self, texture: int, v: SurfaceVarying) -> vec4:
+        use = self.textures[texture]
+        right = self.change_right(use, v)
+        below = self.change_below(use, v)
+        return self.read_maps(use.array, self.place_texture(use, v), right, below)
+
+
+class WithSecondUv(TableShader):
     """Some textures are read by the second set of texture coordinates."""
 
-    def find_uv(self, uv_set: int, v: SurfaceVarying) -> vec4:
-        first = vec4(v.uv, ddx(v.uv))
-        second = vec4(v.uv2, ddx(v.uv2))
+    def find_uv(self, uv_set: int, v: SurfaceVarying) -> vec2:
+        return v.uv if uv_set == 0 else v.uv2
+
+    def find_uv_right(self, uv_set: int, v: SurfaceVarying) -> vec2:
+        first = ddx(v.uv)
+        second = ddx(v.uv2)
         return first if uv_set == 0 else second
 
     def find_uv_below(self, uv_set: int, v: SurfaceVarying) -> vec2:
@@ -164,91 +215,168 @@ class WithSecondUv(WithTextureTable):
         return first if uv_set == 0 else second
 
 
-class WithArray1(ImageShader):
-    """Adds a second array."""
+class WithImages1(ColorReader):
+    """Adds a second array of colours."""
 
     images_1: Texture2DArray
 
-    def read_array(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
+    def read_images(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
         if array == 1:
             return self.images_1.sample_grad(place, right, below)
-        return super().read_array(array, place, right, below)
+        return super().read_images(array, place, right, below)
 
 
-class WithArray2(ImageShader):
-    """Adds a third array."""
+class WithImages2(ColorReader):
+    """Adds a third array of colours."""
 
     images_2: Texture2DArray
 
-    def read_array(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
+    def read_images(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
         if array == 2:
             return self.images_2.sample_grad(place, right, below)
-        return super().read_array(array, place, right, below)
+        return super().read_images(array, place, right, below)
 
 
-class WithArray3(ImageShader):
-    """Adds a fourth array."""
+class WithImages3(ColorReader):
+    """Adds a fourth array of colours."""
 
     images_3: Texture2DArray
 
-    def read_array(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
+    def read_images(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
         if array == 3:
             return self.images_3.sample_grad(place, right, below)
-        return super().read_array(array, place, right, below)
+        return super().read_images(array, place, right, below)
 
 
-class WithArray4(ImageShader):
-    """Adds a fifth array."""
+class WithImages4(ColorReader):
+    """Adds a fifth array of colours."""
 
     images_4: Texture2DArray
 
-    def read_array(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
+    def read_images(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
         if array == 4:
             return self.images_4.sample_grad(place, right, below)
-        return super().read_array(array, place, right, below)
+        return super().read_images(array, place, right, below)
 
 
-class WithArray5(ImageShader):
-    """Adds a sixth array."""
+class WithImages5(ColorReader):
+    """Adds a sixth array of colours."""
 
     images_5: Texture2DArray
 
-    def read_array(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
+    def read_images(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
         if array == 5:
             return self.images_5.sample_grad(place, right, below)
-        return super().read_array(array, place, right, below)
+        return super().read_images(array, place, right, below)
 
 
-class WithArray6(ImageShader):
-    """Adds a seventh array."""
+class WithImages6(ColorReader):
+    """Adds a seventh array of colours."""
 
     images_6: Texture2DArray
 
-    def read_array(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
+    def read_images(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
         if array == 6:
             return self.images_6.sample_grad(place, right, below)
-        return super().read_array(array, place, right, below)
+        return super().read_images(array, place, right, below)
 
 
-class WithArray7(ImageShader):
-    """Adds an eighth array."""
+class WithImages7(ColorReader):
+    """Adds an eighth array of colours."""
 
     images_7: Texture2DArray
 
-    def read_array(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
+    def read_images(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
         if array == 7:
             return self.images_7.sample_grad(place, right, below)
-        return super().read_array(array, place, right, below)
+        return super().read_images(array, place, right, below)
 
 
-class WithBaseMaps(TextureShader):
+class WithMaps1(DataReader):
+    """Adds a second array of data."""
+
+    maps_1: Texture2DArray
+
+    def read_maps(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
+        if array == 1:
+            return self.maps_1.sample_grad(place, right, below)
+        return super().read_maps(array, place, right, below)
+
+
+class WithMaps2(DataReader):
+    """Adds a third array of data."""
+
+    maps_2: Texture2DArray
+
+    def read_maps(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
+        if array == 2:
+            return self.maps_2.sample_grad(place, right, below)
+        return super().read_maps(array, place, right, below)
+
+
+class WithMaps3(DataReader):
+    """Adds a fourth array of data."""
+
+    maps_3: Texture2DArray
+
+    def read_maps(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
+        if array == 3:
+            return self.maps_3.sample_grad(place, right, below)
+        return super().read_maps(array, place, right, below)
+
+
+class WithMaps4(DataReader):
+    """Adds a fifth array of data."""
+
+    maps_4: Texture2DArray
+
+    def read_maps(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
+        if array == 4:
+            return self.maps_4.sample_grad(place, right, below)
+        return super().read_maps(array, place, right, below)
+
+
+class WithMaps5(DataReader):
+    """Adds a sixth array of data."""
+
+    maps_5: Texture2DArray
+
+    def read_maps(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
+        if array == 5:
+            return self.maps_5.sample_grad(place, right, below)
+        return super().read_maps(array, place, right, below)
+
+
+class WithMaps6(DataReader):
+    """Adds a seventh array of data."""
+
+    maps_6: Texture2DArray
+
+    def read_maps(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
+        if array == 6:
+            return self.maps_6.sample_grad(place, right, below)
+        return super().read_maps(array, place, right, below)
+
+
+class WithMaps7(DataReader):
+    """Adds an eighth array of data."""
+
+    maps_7: Texture2DArray
+
+    def read_maps(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
+        if array == 7:
+            return self.maps_7.sample_grad(place, right, below)
+        return super().read_maps(array, place, right, below)
+
+
+class WithBaseMaps(ColorShader):
     """Base colours are multiplied with textures."""
 
     def find_texel(self, v: SurfaceVarying) -> vec4:
         texture = self.materials[v.material].texture
         if texture < 0:
             return super().find_texel(v)
-        return super().find_texel(v) * self.read_texture(texture, v)
+        return super().find_texel(v) * self.read_color(texture, v)
 
 
 class WithVertexColors(SceneShader):
@@ -271,7 +399,7 @@ class WithMasks(SceneShader):
         return texel
 
 
-class WithNormalMaps(TextureShader):
+class WithNormalMaps(DataShader):
     """Normals are bent by textures. Where a texture has no direction, they are as they were."""
 
     def find_normal(self, v: SurfaceVarying) -> vec3:
@@ -279,7 +407,7 @@ class WithNormalMaps(TextureShader):
         material = self.materials[v.material]
         if material.normal_texture < 0:
             return normal
-        texel = self.read_texture(material.normal_texture, v).xyz * 2.0 - 1.0
+        texel = self.read_data(material.normal_texture, v).xyz * 2.0 - 1.0
         tangent = safe_normalize(v.tangent.xyz)
         up = cross(normal, tangent) * (-1.0 if v.tangent.w < 0.0 else 1.0)
         bent = (tangent * texel.x + up * texel.y) * material.normal_scale + normal * texel.z
@@ -296,34 +424,34 @@ class WithTwoSides(SceneShader):
         return normal if front_facing() else -normal
 
 
-class WithRoughnessMaps(TextureShader, MaterialShader):
+class WithRoughnessMaps(DataShader, MaterialShader):
     """How metallic and rough a surface is comes from textures: blue and green."""
 
     def find_metal(self, v: SurfaceVarying) -> vec2:
         texture = self.materials[v.material].metallic_roughness_texture
         if texture < 0:
             return super().find_metal(v)
-        return super().find_metal(v) * self.read_texture(texture, v).zy
+        return super().find_metal(v) * self.read_data(texture, v).zy
 
 
-class WithOcclusionMaps(TextureShader, MaterialShader):
+class WithOcclusionMaps(DataShader, MaterialShader):
     """How much ambient light reaches a surface comes from textures: red."""
 
     def find_occlusion(self, v: SurfaceVarying) -> float:
         material = self.materials[v.material]
         if material.occlusion_texture < 0:
             return 1.0
-        return mix(1.0, self.read_texture(material.occlusion_texture, v).x, material.occlusion_strength)
+        return mix(1.0, self.read_data(material.occlusion_texture, v).x, material.occlusion_strength)
 
 
-class WithEmissiveMaps(TextureShader, MaterialShader):
+class WithEmissiveMaps(ColorShader, MaterialShader):
     """Emissive colours are multiplied with textures."""
 
     def find_emissive(self, v: SurfaceVarying) -> vec3:
         texture = self.materials[v.material].emissive_texture
         if texture < 0:
             return vec3(1.0)
-        return self.read_texture(texture, v).rgb
+        return self.read_color(texture, v).rgb
 
 
 class TangentShader(SceneShader):
@@ -397,15 +525,23 @@ SURFACE_PARTS: Final[dict[str, type[Shader]]] = {
     "emissive_maps": WithEmissiveMaps,
     "vertex_colors": WithVertexColors,
     "base_maps": WithBaseMaps,
-    "images_1": WithArray1,
-    "images_2": WithArray2,
-    "images_3": WithArray3,
-    "images_4": WithArray4,
-    "images_5": WithArray5,
-    "images_6": WithArray6,
-    "images_7": WithArray7,
+    "images_1": WithImages1,
+    "images_2": WithImages2,
+    "images_3": WithImages3,
+    "images_4": WithImages4,
+    "images_5": WithImages5,
+    "images_6": WithImages6,
+    "images_7": WithImages7,
+    "maps_1": WithMaps1,
+    "maps_2": WithMaps2,
+    "maps_3": WithMaps3,
+    "maps_4": WithMaps4,
+    "maps_5": WithMaps5,
+    "maps_6": WithMaps6,
+    "maps_7": WithMaps7,
     "second_uv": WithSecondUv,
-    "textures": WithTextureTable,
+    "images_table": WithColorTable,
+    "maps_table": WithDataTable,
     "uv2": WithUv2,
     "tangent": WithTangents,
     "color": WithColors,
@@ -415,6 +551,9 @@ SURFACE_PARTS: Final[dict[str, type[Shader]]] = {
     "uv2_tangent_color": WithUv2TangentsColors,
 }
 """The parts that can be added to a `SceneShader`, in an order in which they can be bases of one class."""
+
+_KINDS: Final[dict[str, type[Shader]]] = {"images": ColorShader, "maps": DataShader}
+"""The kinds of arrays of images, and the bases of the shaders that read them."""
 
 _ASPECTS: Final[dict[str, tuple[Effect, frozenset[Aspect]]]] = {
     "masks": (Effect.MASKS, frozenset([Aspect.COVERAGE])),
@@ -452,26 +591,37 @@ def bind_surfaces(
         "places": resources.places.buffer,
     }
     attributes = {"tangent": has_tangents or "normal_maps" in parts, "color": "vertex_colors" in parts}
-    if any(issubclass(SURFACE_PARTS[name], TextureShader) for name in parts):
-        arrays, images = bind_images(frame)
-        bindings |= images
+    kinds = [
+        kind
+        for kind, base in _KINDS.items()
+        if any(issubclass(SURFACE_PARTS[name], base) for name in parts)
+    ]
+    if kinds:
+        arrays, images = bind_images(frame, kinds)
+        parts, bindings = [*parts, *arrays], bindings | images
         if "textures" in images:
             attributes["uv2"] = Effect.SECOND_UVS in effects
-            parts += [*arrays, *(["second_uv"] if attributes["uv2"] else []), "textures"]
+            parts += ["second_uv"] if attributes["uv2"] else []
+            parts += [f"{kind}_table" for kind in kinds]
     if has_materials or any(_reads_materials(SURFACE_PARTS[name]) for name in parts):
         bindings["materials"] = resources.materials.buffer
     present = [name for name in ("uv2", "tangent", "color") if attributes.get(name)]
     return [*parts, *(["_".join(present)] if present else [])], bindings
 
 
-def bind_images(frame: Frame) -> tuple[list[str], dict[str, Any]]:
-    """Return the names of the parts that an `ImageShader` needs for the arrays of the scene's images but the first, and
-    its bindings: `textures` is among them if textures are found by a table."""
+def bind_images(frame: Frame, kinds: Sequence[str] = tuple(_KINDS)) -> tuple[list[str], dict[str, Any]]:
+    """Return the names of the parts that a `ColorReader`, a `DataReader` or both need for the arrays of the scene's
+    images but the first of each kind, and its bindings: `textures` is among them if textures are found by a table."""
     images = frame.resources.images
     assert images is not None, "a texture is read"
-    names = [f"images_{number}" if number else "images" for number in range(len(images.arrays))]
-    bindings: dict[str, Any] = dict(zip(names, images.arrays, strict=True))
-    return names[1:], bindings | ({} if images.table is None else {"textures": images.table})
+    parts: list[str] = []
+    bindings: dict[str, Any] = {}
+    for kind in kinds:
+        arrays = images.colors if kind == "images" else images.data
+        names = [f"{kind}_{number}" if number else kind for number in range(len(arrays))]
+        parts += names[1:]
+        bindings |= dict(zip(names, arrays, strict=True))
+    return parts, bindings | ({} if images.table is None else {"textures": images.table})
 
 
 def _reads_materials(part: type[Shader]) -> bool:

@@ -10,8 +10,11 @@ from hypothesis import strategies as st
 import rhi
 from renderer.content import BUILT_IN
 from renderer.frame.images import MOST_ARRAYS, MOST_MEMORY, SceneImages, count_bytes, plan_arrays
-from renderer.scene import Scene, SceneBuilder, TextureMap
-from rhi import SamplerDescriptor, Wrap
+from renderer.renderer import Renderer
+from renderer.scene import AlphaMode, Scene, SceneBuilder, TextureMap
+from renderer.techniques import ForwardPlus
+from renderer.visibility import NoCulling
+from rhi import Op, SamplerDescriptor, Wrap
 
 CLAMPED = SamplerDescriptor(wrap_u=Wrap.CLAMP, wrap_v=Wrap.CLAMP)
 
@@ -111,6 +114,28 @@ def test_rare_samplers_give_way_where_there_are_too_many(null: rhi.Device) -> No
         sampler = SamplerDescriptor(max_anisotropy=1.0 + number)
         builder.add_objects(node, mesh, builder.add_material(texture=TextureMap(image, sampler=sampler)))
     assert len(SceneImages(null, builder.build()).arrays) == MOST_ARRAYS // 2
+
+
+def test_colors_and_data_are_in_arrays_of_their_own_that_passes_read_alone(null: rhi.Device) -> None:
+    """A depth pass reads masks: colours, and no normals."""
+    builder = SceneBuilder("images")
+    mesh, node = builder.add_mesh(BUILT_IN["box"]()), builder.add_node()
+    for size in (8, 16):
+        normal, color = (builder.add_image(np.zeros((size, size, 4), np.uint8)) for _ in range(2))
+        material = builder.add_material(texture=color, normal_texture=normal, alpha_mode=AlphaMode.MASK)
+        builder.add_objects(node, mesh, material)
+    builder.lights.add_point((0, 0, 2), 5.0)  # without one, no depth is drawn first
+    scene = builder.build()
+    images = SceneImages(null, scene)
+    assert (len(images.colors), len(images.data)) == (2, 2)
+    assert images.table is not None
+    places = images.table.read()["array"][scene.materials["texture"]].tolist()
+    assert places == images.table.read()["array"][scene.materials["normal_texture"]].tolist() == [0, 1]
+    with Renderer(null, scene, technique=ForwardPlus(), visibility=NoCulling(scene), size=(8, 8)) as renderer:
+        renderer.render(scene.views["overview"])
+    names = [{one.name for one in c["descriptor"].bindings} for c in null.stream.filter(Op.CREATE_PROGRAM)]
+    reading = [name & {"images", "images_1", "maps", "maps_1"} for name in names if "images" in name]
+    assert reading == [{"images", "images_1"}, {"images", "images_1", "maps", "maps_1"}]
 
 
 @pytest.mark.parametrize("size", [(1, 1), (8192, 1)])
