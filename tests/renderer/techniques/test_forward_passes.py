@@ -217,13 +217,18 @@ def record(device: rhi.Device, scene: Scene, technique: Technique) -> rhi.Comman
     return device.stream
 
 
+def round_up(count: int) -> int:
+    """Return the number of draws of a batch of objects: the last ones draw nothing."""
+    return -(-count // 32) * 32
+
+
 def test_all_pairs_of_objects_and_point_lights_are_one_call(null: rhi.Device) -> None:
     scene = lamps(6).build()
     base, added, _ = record(null, scene, ForwardMultipass()).draws()
     lists, lights = scene.objects, scene.lights.point
     away = lights["position"] - np.clip(lights["position"], lists.lower[:, None], lists.upper[:, None])
     reached = (away**2).sum(-1) < lights["range"].astype(float) ** 2
-    assert base["draws"] == len(lists)
+    assert base["draws"] == round_up(len(lists))
     assert added["draws"] == reached.sum()
     assert added.states[rhi.DepthFunction] is rhi.DepthFunction.EQUAL
     assert added.states[rhi.BlendFunction][0] == rhi.BlendFunction.ADDITIVE
@@ -247,7 +252,7 @@ def test_a_lights_objects_are_drawn_together(null: rhi.Device) -> None:
 def test_all_lights_are_packed_by_one_draw(null: rhi.Device) -> None:
     depth, packed, lit = record(null, lamps(6, 3).build(), LightIndexed()).draws()
     assert packed["instances"] == 9
-    assert depth["draws"] == lit["draws"] == 26
+    assert depth["draws"] == lit["draws"] == round_up(26)
     assert lit.states[rhi.DepthFunction] is rhi.DepthFunction.EQUAL
 
 
