@@ -59,7 +59,7 @@ class Demand(Enum):
     IMAGES = "an image"
     LAMPS = "a point or spot light"
     STEREO = "a second eye"
-    HEIGHT_FIELDS = "a height field"
+    HEIGHT_FIELDS = "a height field whose limit holds all of its triangles"
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +149,7 @@ IN_RANGE: Final = Truth("the lights that reach each pixel, in float64")
 SEEN: Final = Truth("the objects of which a pixel is seen")
 FAR_SHADOWS: Final = Truth("shadows up to 1 km, with as fine maps", {**FINE_MAPS.changes, "shadows.distance": 1000.0})
 SORTED: Final = Truth("sorted by distance", {"blending": Blending.SORTED})
-FINEST: Final = Truth("all triangles of the ground, up to its limit", {"tessellation.edge_pixels": 0.25})
+FINEST: Final = Truth("all triangles of the ground in view", {"tessellation.edge_pixels": 0.01})
 SECOND_EYE: Final = Truth("the second eye drawn", {"reprojects": False})
 VECTORS: Final = Truth("the vectors in float64")
 

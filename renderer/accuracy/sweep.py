@@ -178,7 +178,7 @@ def prepare_scene(scene: Scene, knob: Knob) -> str | None:
         case Demand.LAMPS:
             has = len(scene.lights.point) + len(scene.lights.spot)
         case Demand.HEIGHT_FIELDS:
-            has = len(scene.height_fields)
+            has = sum(field.limit == field.count for field in scene.height_fields.values())
         case _:
             return None
     return None if has else f"the scene lacks {knob.demand.value}"

@@ -57,6 +57,11 @@ class HeightField:
         return 2 * (len(self.heights) - 1).bit_length() - 2
 
     @property
+    def count(self) -> int:
+        """The number of all triangles, if none is left out."""
+        return 2 << self.levels
+
+    @property
     def steps(self) -> tuple[float, float]:
         """The distances between neighbours along x and z."""
         n = len(self.heights) - 1
