@@ -308,7 +308,7 @@ def check_many(_display: Display, count: int) -> None:
 
     def open_one() -> None:
         for backend in ("gl", "null"):
-            with open_screen(backend, size=SIZE) as screen:
+            with open_screen(backend, size=SIZE, update_mode="fastest") as screen:
                 play(screen, iter([screen.show(make_image(screen))]))
 
     memory = psutil.Process().memory_info
