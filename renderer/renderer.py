@@ -6,6 +6,7 @@ passes of these effects, and their plan is kept for as long as the effects are t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cached_property
@@ -31,9 +32,11 @@ from renderer.frame import (
 )
 from renderer.frame.images import SceneImages
 from renderer.scene import Camera, Scene, Simulator
+from renderer.scene.finite import check_finite
 from renderer.shadows import ShadowMaps, shadow_passes
 from renderer.stereo import EyePair, Stereo, fit_picture
 from renderer.techniques import AutoTechnique, Forward, Technique
+from renderer.tessellation import Tessellator, tessellation_passes
 from renderer.visibility import AutoCulling, VisibilityAlgorithm, VisibilityStatistics, make_visibility
 from rhi import Device, Texture
 from rhi.shading import Precision
@@ -110,7 +113,8 @@ class Renderer:
     """Draws one scene on one device.
 
     The attributes `technique`, `visibility`, `blending` and `precision` may be exchanged between any two frames, and
-    `layers`, which are drawn over each frame in their order, changed.
+    `layers`, which are drawn over each frame in their order, changed. `show` ends a frame with its image: by default it
+    is `Device.present`; a window puts its own in that place.
     """
 
     def __init__(
@@ -145,6 +149,7 @@ class Renderer:
         self.blending = blending
         self.precision = precision
         self.layers: list[Layer] = []
+        self.show: Callable[[Texture], None] = device.present
         self._own: list[VisibilityAlgorithm] = []
         if visibility is None:
             visibility = make_visibility("auto", scene, device)
@@ -218,6 +223,11 @@ class Renderer:
         return self._resources.workspace(ShadowMaps)
 
     @property
+    def tessellator(self) -> Tessellator:
+        """What chooses the triangles of height fields; its `edge_pixels` may be changed between any two frames."""
+        return self._resources.workspace(Tessellator)
+
+    @property
     def resources(self) -> SceneResources:
         """The scene on the device."""
         return self._resources
@@ -279,6 +289,8 @@ class Renderer:
         """Draw a frame; return it and what it needed."""
         device, resources, pair = self.device, self._resources, self._pair
         before = device.statistics
+        check_finite("render", seconds=seconds, position=camera.position, rotation=camera.rotation)
+        self.scene.check_numbers("render")
         around = self._aim(camera)
         self.scene.seconds = seconds
         expected = self.simulator.drawn
@@ -308,7 +320,7 @@ class Renderer:
         if pair is not None:
             with device.event("both eyes"):
                 image = pair.show(*frames)
-        device.present(image)
+        self.show(image)
         counters = {name: getattr(after, name) - getattr(before, name) for name in _COUNTERS}
         counters["simulation_steps"] = self.simulator.steps
         counters["skipped_simulations"] = len(self.simulator) - self.simulator.seen
@@ -362,7 +374,9 @@ class Renderer:
             self._planned = technique
         plan = self._plans.get(needs.key)
         if plan is None:
-            plan = self._plans[needs.key] = make_plan([*shadow_passes(needs), *technique.declare(needs)])
+            plan = self._plans[needs.key] = make_plan(
+                [*tessellation_passes(needs), *shadow_passes(needs), *technique.declare(needs)]
+            )
         return plan
 
     def destroy(self) -> None:

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import Final, NoReturn
 
-from rhi.errors import Rule, refuse
+from rhi.errors import RhiError, Rule, refuse
 
 __rhi_internal__ = True
 
@@ -37,6 +37,14 @@ BAD_VERTICES: Final = Rule(
 BAD_MESH: Final = Rule(
     "scene-bad-mesh", "a mesh consists of triangles: three indices each, all of existing vertices"
 )
+BAD_HEIGHTS: Final = Rule(
+    "scene-bad-heights", "a height field is a map of finite heights over a rectangle, with a limit of triangles"
+)
+SHARED_HEIGHTS: Final = Rule(
+    "scene-shared-heights",
+    "the triangles of a height field are chosen for one object",
+    "add a mesh for each object: add_height_field",
+)
 BAD_TRANSFORM: Final = Rule(
     "scene-bad-transform", "a transform is a finite, affine 4x4 matrix for column vectors: last row 0 0 0 1"
 )
@@ -46,6 +54,11 @@ BAD_IMAGE: Final = Rule(
     "scene-bad-image", "an image is an array of shape (height, width, 4), uint8, not empty"
 )
 BAD_LIGHT: Final = Rule("scene-bad-light", "a light's value is out of its range")
+NOT_FINITE: Final = Rule(
+    "scene-not-finite",
+    "the numbers of a scene, a camera and a time are finite",
+    "look for a division by 0, or a logarithm, where the value comes from",
+)
 STATIC_NODE: Final = Rule(
     "scene-static-node",
     "a static node can't be moved",
@@ -170,6 +183,8 @@ MANY_MATERIALS: Final = Rule(
     "a packed geometry buffer holds 16 bits of a pixel's material",
     "use --technique clustered",
 )
+NO_WIREFRAME: Final = Rule("technique-no-wireframe", "this picture needs a device that draws the edges of triangles")
+BAD_EDGE: Final = Rule("tessellation-edge", "edges are split down to a length in pixels")
 BAD_TECHNIQUE: Final = Rule("technique-parameter", "a parameter of a technique is out of its range")
 
 # Shadows
@@ -178,6 +193,18 @@ BAD_SHADOWS: Final = Rule("shadow-settings", "a setting of shadow maps is out of
 # The canvas
 FONT_FILE: Final = Rule("canvas-font-file", "the file can't be read as a font")
 FONT_SIZE: Final = Rule("canvas-font-size", "a font's size is out of its range")
+
+# The viewer
+UNKNOWN_COMMAND: Final = Rule(
+    "viewer-unknown-command", "the viewer has no command of this name", "`help` lists them all"
+)
+BAD_ARGUMENT: Final = Rule(
+    "viewer-bad-argument", "a command's argument is not one that it takes", "Tab in the console lists them"
+)
+NO_PICTURE: Final = Rule(
+    "viewer-no-picture", "the device draws nothing, so there is no picture", "choose another one: --backend gl or cl"
+)
+CANNOT_LISTEN: Final = Rule("viewer-cannot-listen", "the port can't be listened to", "choose another one")
 
 # Measurements
 
@@ -195,6 +222,15 @@ OUT_OF_REACH: Final = Rule(
 NO_KNOBS: Final = Rule("accuracy-no-knobs", "none of these knobs matters for this scene and device")
 UNKNOWN_CASE: Final = Rule("exam-unknown-case", "the exam has no case of this number")
 NO_PICTURES: Final = Rule("measure-no-pictures", "a backend that draws no pictures has no passes to time")
+
+
+def describe(error: RhiError) -> str:
+    """Return an error as one line: what is wrong, what was given, what is allowed, a tip and the rule."""
+    allowed = f" (allowed: {error.allowed})" if error.allowed else ""
+    given = f": {error.given}" if error.given else ""
+    tip = f"; {error.tip}" if error.tip else ""
+    line = f"{error.rule.sentence.rstrip('.')}{given}{allowed}{tip} [{error.rule.id}]"
+    return " ".join(line.split())
 
 
 def refuse_name(rule: Rule, call: str, given: str, allowed: Iterable[str]) -> NoReturn:

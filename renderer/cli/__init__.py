@@ -1,4 +1,4 @@
-"""The command line: `python -m renderer render|demo|compare|plan|capture|accuracy|tune|exam|debug|convert|scenes`.
+"""The command line: `python -m renderer render|view|demo|compare|plan|capture|accuracy|tune|exam|debug|convert|scenes`.
 
 Results go to stdout, everything else to stderr. Bad input ends in one line, `error: …`, and exit code 2.
 """
@@ -9,6 +9,7 @@ import sys
 from collections.abc import Sequence
 from typing import Final, NoReturn
 
+from renderer import rules
 from renderer.cli import (
     accuracy,
     capture,
@@ -27,6 +28,7 @@ from renderer.cli import (
     render,
     scenes,
     tune,
+    view,
 )
 from renderer.cli.output import OutputError, show_builds
 from renderer.cli.subcommand import Parser, Subcommand, SubcommandGroup
@@ -36,6 +38,7 @@ __all__ = ["COMMANDS", "main"]
 
 COMMANDS: Final[tuple[Subcommand | SubcommandGroup, ...]] = (
     render.COMMAND,
+    view.COMMAND,
     demo.COMMAND,
     SubcommandGroup(
         "compare",
@@ -77,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         given.run(given)
     except RhiError as error:
-        _fail(_in_one_line(error))
+        _fail(rules.describe(error))
     except (OutputError, OSError) as error:
         _fail(str(error))
     except ModuleNotFoundError as error:
@@ -96,13 +99,6 @@ def _join_negative(arguments: list[str]) -> list[str]:
         else:
             joined.append(argument)
     return joined
-
-
-def _in_one_line(error: RhiError) -> str:
-    allowed = f" (allowed: {error.allowed})" if error.allowed else ""
-    given = f": {error.given}" if error.given else ""
-    tip = f"; {error.tip}" if error.tip else ""
-    return f"{error.rule.sentence.rstrip('.')}{given}{allowed}{tip} [{error.rule.id}]"
 
 
 def _fail(message: str) -> NoReturn:

@@ -25,7 +25,7 @@ from renderer.accuracy import (
 from renderer.cli.output import draw_chart
 
 _LEAST: Final = 1e-3
-"""Errors are drawn on a scale of equal ratios from here on; below it, down to 0, on one of equal steps."""
+"""Where some error is 0, errors are drawn on a scale of equal ratios from here on, and below it of equal steps."""
 _ENLARGED: Final = 3  # pictures in files
 
 _STYLE: Final = """
@@ -90,8 +90,11 @@ def draw_group(axes: Any, reports: Sequence[KnobReport], title: str) -> None:
                 row.value, (row.processor_ratio, row.mean_error), (3, 3), textcoords="offset points", fontsize=6,
                 color=color,
             )  # fmt: skip
-    axes.set_yscale("symlog", linthresh=_LEAST)
-    axes.set_ylim(bottom=0.0)
+    if min(row.mean_error for report in reports for row in report.rows) > 0.0:
+        axes.set_yscale("log")
+    else:
+        axes.set_yscale("symlog", linthresh=_LEAST)
+        axes.set_ylim(bottom=0.0)
     axes.axvline(1.0, color="grey", linewidth=0.5)
     axes.set(xlabel="processor time, most accurate value = 1", ylabel=title)
     axes.legend(fontsize="x-small")

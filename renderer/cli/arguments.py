@@ -87,7 +87,7 @@ def add_technique(parser: Parser, default: str = AutoTechnique.name) -> None:
 
 def make_technique(given: argparse.Namespace, scene: Scene, device: rhi.Device) -> Technique:
     """Return the technique that the arguments of `add_technique` describe, for a scene and a device."""
-    return TechniqueSettings(given.technique, given.samples, given.fxaa).make(scene, device)
+    return TechniqueSettings(given.technique, samples=given.samples, fxaa=given.fxaa).make(scene, device)
 
 
 def explain_technique(technique: Technique, given: argparse.Namespace) -> dict[str, str]:

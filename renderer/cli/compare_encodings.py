@@ -23,7 +23,8 @@ _NOTES: Final = """\
 
 Each device stores and reads random values. Errors are those against the values in float64: for directions the angle,
 for derivatives the difference of the vectors in percent of their length, for texture coordinates millionths of a
-repetition. Times are for encoding and decoding one value, on all cores together; they are medians."""
+repetition, for positions millionths of the distance along the view, or pixels beside their place in the image. Times
+are for encoding and decoding one value, on all cores together; they are medians."""
 
 
 def _add_arguments(parser: Parser) -> None:

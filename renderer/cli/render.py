@@ -27,6 +27,7 @@ from renderer.cli.arguments import (
     make_stereo,
     merge_settings,
     open_scene,
+    parse_length,
 )
 from renderer.cli.output import list_left_out, name_of, note, prepare_image, show_progress, write_image
 from renderer.cli.subcommand import Parser, Subcommand
@@ -100,6 +101,12 @@ def _add_arguments(parser: Parser) -> None:
         help="transparent surfaces are drawn back to front, or averaged in any order (default: the settings', sorted)",
     )
     parser.add_argument(
+        "--edge-pixels",
+        type=parse_length,
+        metavar="N",
+        help="length in pixels that edges of height fields are split down to (default: 8)",
+    )
+    parser.add_argument(
         "--show",
         metavar="NAME",
         help=f"picture what the frame is made of instead of its light: {', '.join(INSPECTIONS)}, or a texture of the "
@@ -148,6 +155,8 @@ def _run(given: argparse.Namespace) -> None:
         ExitStack() as layers,
     ):
         renderer.stereo = make_stereo(given, scene, cameras[0].with_aspect(given.size[0] / given.size[1]))
+        if given.edge_pixels is not None:
+            renderer.tessellator.edge_pixels = given.edge_pixels
         if given.particles:
             renderer.layers.append(Particles(device))
         if given.overlay:

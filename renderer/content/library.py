@@ -19,6 +19,7 @@ from renderer.content.hall import HALL
 from renderer.content.models import FORMATS, load_model
 from renderer.content.night import NIGHT
 from renderer.content.specs import Generator
+from renderer.content.terrain import TERRAIN
 from renderer.scene.camera import Camera
 from renderer.scene.paths import CameraPath
 from renderer.scene.scene import Scene
@@ -27,7 +28,7 @@ from rhi.errors import refuse
 __rhi_internal__ = True
 
 GENERATORS: Final[dict[str, Generator]] = {
-    generator.name: generator for generator in (CITY, HALL, GRID, NIGHT, BAZAAR, GLASS)
+    generator.name: generator for generator in (CITY, HALL, GRID, NIGHT, BAZAAR, GLASS, TERRAIN)
 }
 """All scene generators by name."""
 

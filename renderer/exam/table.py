@@ -6,15 +6,16 @@ from collections.abc import Sequence
 from typing import Final
 
 from renderer import rules
-from renderer.exam import lights, visibility
+from renderer.exam import encodings, inputs, lights, limits, places, plans, shadows, stereo, visibility
 from renderer.exam.case import Case
 from rhi import refuse
 
 __rhi_internal__ = True
 
+_SUBJECTS: Final = (visibility, lights, encodings, places, stereo, shadows, plans, inputs, limits)
 CASES: Final[dict[int, Case]] = {
     case.number: case
-    for case in sorted((*visibility.CASES, *lights.CASES), key=lambda case: case.number)
+    for case in sorted((case for subject in _SUBJECTS for case in subject.CASES), key=lambda case: case.number)
 }
 """All cases, in the order of their numbers."""
 

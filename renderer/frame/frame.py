@@ -65,7 +65,7 @@ class Frame:
     def drawn(self) -> Drawn:
         """The objects in the image, once they have been drawn."""
         seen = self._seen.get(self.view)
-        return Drawn(self.resources.scene) if seen is None else seen.drawn
+        return Drawn(self.resources) if seen is None else seen.drawn
 
     @property
     def statistics(self) -> VisibilityStatistics | None:

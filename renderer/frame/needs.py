@@ -46,6 +46,7 @@ class Effect(Enum):
     POINT_SHADOWS = "shadows of point lights"
     SPOT_SHADOWS = "shadows of spot lights"
     TRANSPARENCY = "transparency"
+    HEIGHT_FIELDS = "height fields"
 
 
 class Blending(Enum):
@@ -79,6 +80,7 @@ _NOUNS: Final = {
         "materials with unlike texture coordinates",
     ),
     Effect.TRANSPARENCY: ("transparent object", "transparent objects"),
+    Effect.HEIGHT_FIELDS: ("height field", "height fields"),
     Effect.SUN_SHADOWS: ("directional light that casts shadows", "directional lights that cast shadows"),
     Effect.POINT_SHADOWS: ("point light that casts shadows", "point lights that cast shadows"),
     Effect.SPOT_SHADOWS: ("spot light that casts shadows", "spot lights that cast shadows"),
@@ -177,6 +179,7 @@ def find_needs(
         Effect.SPOT_LIGHTS: len(lights.spot),
         Effect.HAZE: int(scene.haze > 0.0),
         Effect.TRANSPARENCY: len(transparent),
+        Effect.HEIGHT_FIELDS: len(scene.height_fields),
         Effect.SUN_SHADOWS: _count_casting(scene, lights.directional),
         **{Effect(name): count for name, count in scene.count_features().items()},
         Effect.POINT_SHADOWS: _count_casting(scene, lights.point),

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from renderer import rules
 from renderer.frame.resources import SceneResources
 from renderer.frame.view import View
-from renderer.scene import Camera, Depth, Scene
+from renderer.scene import Camera, Depth
 from renderer.visibility import DeviceList, SceneArrays
 from rhi import (
     DepthFunction,
@@ -48,8 +48,8 @@ class Drawn:
     makes another one.
     """
 
-    def __init__(self, scene: Scene) -> None:
-        self._scene = scene
+    def __init__(self, resources: SceneResources) -> None:
+        self._resources = resources
         self._batches: list[NDArray[np.int64]] = []
         self._conditional: list[tuple[NDArray[np.int64], QuerySet, NDArray[np.int64]]] = []
         self._lists: list[tuple[DeviceList, int]] = []
@@ -124,7 +124,7 @@ class Drawn:
     @cached_property
     def triangles(self) -> int:
         """The number of triangles of all objects drawn."""
-        return self._scene.count_triangles(self.rows)
+        return self._resources.count_triangles(self.rows)
 
 
 class TechniquePass:
@@ -165,7 +165,7 @@ class TechniquePass:
             clears: whether the depth is cleared.
         """
         self.depth = depth
-        self.drawn = Drawn(resources.scene)
+        self.drawn = Drawn(resources)
         self._device = device
         self._resources = resources
         self._view = view
@@ -245,9 +245,7 @@ class TechniquePass:
             part = rows[resources.find_winding(rows, mirrored=mirrored)]
             if part.size:
                 with self._device.states(winding):
-                    self._device.draw_many(
-                        self._program, resources.mesh, resources.draws[part], **self._bindings
-                    )
+                    resources.draw_rows(self._device, self._program, part, self._bindings)
 
     def draw_alone(self, rows: NDArray[np.int64]) -> None:
         """Draw the objects `rows` (k,) in a pass of their own. The commands are recorded when they come again, and then
@@ -260,9 +258,14 @@ class TechniquePass:
             if not len(rows):
                 return
         self.drawn.add_batch(rows)
+        tessellated = resources.tessellated_rows
+        others = rows
+        if len(tessellated):
+            is_tessellated = np.isin(rows, tessellated)
+            tessellated, others = rows[is_tessellated], rows[~is_tessellated]
 
         def arrange() -> list[NDArray[np.int64]]:
-            ordered = self._sort(rows)
+            ordered = self._sort(others)
             return [ordered[resources.find_winding(ordered, mirrored=mirrored)] for mirrored, _ in WINDINGS]
 
         def issue(encoder: Encoder, arguments: list[IndirectDraws | None]) -> None:
@@ -271,10 +274,14 @@ class TechniquePass:
                     if draws is not None:
                         with encoder.states(winding):
                             encoder.draw_indirect(self._program, resources.mesh, draws, **self._bindings)
+                for row in tessellated.tolist():
+                    with encoder.states(WINDINGS[int(resources.mirrored[row])][1]):
+                        resources.draw_tessellated(encoder, self._program, row, self._bindings)
 
         view, batch = self._view, self._view.batch
         parts = batch.order(rows, view.camera.forward, arrange)
-        batch.execute(view.commands.next(), self.key, resources.draws, parts, issue)
+        key = (*self.key, *tessellated.tolist(), *resources.mirrored[tessellated].tolist())
+        batch.execute(view.commands.next(), key, resources.draws, parts, issue)
         self.was_opened = True
 
     def draw_conditional(

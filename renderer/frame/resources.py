@@ -24,8 +24,20 @@ from renderer.lights.lists import list_lights
 from renderer.scene import Camera, Deformed, Scene, Simulator, normal_matrices
 from renderer.visibility import SceneArrays
 from renderer.visibility.boxes.volumes import find_in_view
-from rhi import CullMode, Device, Mesh, StorageBuffer, UniformBuffer, refuse
-from rhi.shading import Struct, UniformRange
+from renderer.visibility.gpu.draw_lists import DrawArguments
+from rhi import (
+    DRAW,
+    CullMode,
+    Device,
+    Encoder,
+    IndirectDraws,
+    Mesh,
+    Program,
+    StorageBuffer,
+    UniformBuffer,
+    refuse,
+)
+from rhi.shading import Struct, UniformRange, uint
 
 
 class _Destroyable(Protocol):
@@ -155,6 +167,10 @@ class SceneResources:
         mesh: all meshes in one. draws: (n,) of `rhi.DRAW`, one for each object.
         mirrored: (n,) bool, whether an object's transform mirrors it, which reverses the winding of its triangles.
         is_transparent: (n,) bool, whether an object is transparent. transparent_rows: the rows of those that are.
+        tessellated_rows: the rows of the height fields, ascending. The device chooses their triangles; their `draws`
+            have as many as there can be, of which those that aren't used are empty.
+        tessellations: how often triangles were chosen.
+        indices: the indices of `mesh`, as shaders write them; only in scenes with height fields.
         images: the scene's images; None if no material reads any.
         objects, places, materials, directional, point, spot, light_rows: the arrays that shaders read; point and spot
             lights are left out if none of them reaches an object.
@@ -183,7 +199,8 @@ class SceneResources:
         self._device = device
         self._material_version = -1  # that of the materials on the device
         meshes, objects = scene.meshes, scene.objects
-        self.mesh: Mesh = self._keep(device.mesh(meshes.vertices, meshes.indices, label="meshes"))
+        self.mesh: Mesh = self._make_mesh(device, scene)
+        self.tessellations = 0
         ranges = meshes.ranges[objects.mesh]
         self.draws: NDArray[Any] = self.mesh.draws(
             ranges["first_index"],
@@ -191,6 +208,7 @@ class SceneResources:
             base_vertex=ranges["base_vertex"],
             base_instance=np.arange(len(objects)),
         )
+        self.tessellated_rows: NDArray[np.int64] = np.array(sorted(scene.height_fields), np.int64)
         has_images = len(scene.textures) > 0
         self.images = self._keep(SceneImages(device, scene, textures)) if has_images else None
         keep = self._keep
@@ -222,6 +240,48 @@ class SceneResources:
         self.is_transparent: NDArray[np.bool_] = np.zeros(len(objects), bool)
         self.is_transparent[self.transparent_rows] = True
         self._transform(np.arange(len(objects)))
+
+    def _make_mesh(self, device: Device, scene: Scene) -> Mesh:
+        """Make the mesh of all meshes. Indices of height fields are written on the device."""
+        meshes = scene.meshes
+        if not scene.height_fields:
+            return self._keep(device.mesh(meshes.vertices, meshes.indices, label="meshes"))
+        indices = self._keep(device.buffer(meshes.indices, label="indices"))
+        self.indices = device.storage(uint, indices)
+        return self._keep(device.mesh(meshes.vertices, indices, label="meshes"))
+
+    @cached_property
+    def tessellated_draws(self) -> StorageBuffer[DrawArguments]:
+        """The draws of the height fields in the order of their rows, whose number of triangles the device writes."""
+        draws = self.draws[self.tessellated_rows].view(DrawArguments.dtype)
+        return self._keep(self._device.storage(DrawArguments, draws, label="height field draws"))
+
+    def count_triangles(self, rows: NDArray[np.int64]) -> int:
+        """Return the number of triangles of the objects `rows` (k,), of height fields that of the last view. Where
+        there are some, this waits for the device."""
+        own = np.isin(rows, self.tessellated_rows)
+        if not own.any():
+            return self.scene.count_triangles(rows)
+        counts = self.tessellated_draws.read()["count"][np.searchsorted(self.tessellated_rows, rows[own])]
+        return self.scene.count_triangles(rows[~own]) + int(counts.sum()) // 3
+
+    def draw_rows(
+        self, device: Device, program: Program[Any], rows: NDArray[np.int64], bindings: dict[str, Any]
+    ) -> None:
+        """Draw objects in one call, and each height field in one more."""
+        if len(self.tessellated_rows):
+            is_tessellated = np.isin(rows, self.tessellated_rows)
+            for row in rows[is_tessellated].tolist():
+                self.draw_tessellated(device, program, row, bindings)
+            rows = rows[~is_tessellated]
+        if len(rows):
+            device.draw_many(program, self.mesh, self.draws[rows], **bindings)
+
+    def draw_tessellated(self, encoder: Encoder, program: Program[Any], row: int, bindings: dict[str, Any]) -> None:
+        """Draw a height field with as many triangles as the device has chosen."""
+        place = int(np.searchsorted(self.tessellated_rows, row))
+        draw = IndirectDraws(self.tessellated_draws, 1, place * DRAW.itemsize)
+        encoder.draw_indirect(program, self.mesh, draw, **bindings)
 
     @cached_property
     def haze(self) -> MirroredValue[shaders.Haze]:

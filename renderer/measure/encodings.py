@@ -6,8 +6,8 @@ and many times in a loop for the time. The loop can't be shortened: each turn be
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -22,6 +22,7 @@ from renderer.measure.published_encodings import (
     encode_octahedral_truncated,
     encode_tangent_frame,
 )
+from renderer.scene import Camera, Depth, Perspective
 from renderer.scene.arrays import Floats
 from renderer.shaders.encodings import (
     TangentFrame,
@@ -37,8 +38,25 @@ from renderer.shaders.encodings import (
     encode_octahedral_best,
     encode_uv,
 )
+from renderer.shaders.pixels import PixelRays, distance_at, nearness_of, place_pixel
+from renderer.techniques.full_screen import find_rays
 from rhi import Device, Program
-from rhi.shading import Precision, Shader, Storage, StorageRW, Struct, Uniform, global_id, vec4
+from rhi.shading import (
+    Precision,
+    Shader,
+    Storage,
+    StorageRW,
+    Struct,
+    Uniform,
+    dot,
+    global_id,
+    mat4,
+    vec3,
+    vec4,
+)
+from rhi.shading import (
+    round as round_to_whole,
+)
 
 GROUP: Final = 64
 TURNS: Final = 64
@@ -158,6 +176,67 @@ class StoredPlace(RoundTrip):
         return StoredValue(first=vec4(decode_uv(encode_uv(value.first.xy)), 0.0, 0.0), second=value.second)
 
 
+class StoredPosition(RoundTrip):
+    """Stores how far along the view something is at a pixel as the depth of a float, and finds its position by the ray
+    of the pixel. A value is the pixel, the distance, and the position that was read."""
+
+    is_reversed = True
+    steps = 0.0
+    """The last of the whole numbers that the depth is stored as; 0 for a float."""
+
+    rays: Uniform[PixelRays]
+
+    def store(self, value: StoredValue) -> StoredValue:
+        depth = self.find_depth(value.first.z)
+        distance = distance_at(self.rays, nearness_of(self.rays, depth))
+        position = place_pixel(self.rays, value.first.xy, distance)
+        along = dot(position, self.rays.forward)
+        return StoredValue(first=vec4(value.first.xy, along, 0.0), second=vec4(position, 0.0))
+
+    def find_depth(self, distance: float) -> float:
+        """Return the depth of a distance as a target holds it."""
+        lens = self.rays.lens
+        depth = (lens.x - lens.z * distance) / (lens.y - lens.w * distance)
+        if not self.is_reversed:
+            depth = 1.0 - depth
+        if self.steps > 0.0:
+            depth = round_to_whole(depth * self.steps) / self.steps
+        return depth
+
+
+class StandardPosition(StoredPosition):
+    """Likewise, with the far plane at 1."""
+
+    is_reversed = False
+
+
+class StandardPosition24(StandardPosition):
+    """Likewise, as a whole number of 24 bits."""
+
+    steps = float(2**24 - 1)
+
+
+class WorldMatrix(Struct):
+    """The way back from clip coordinates to the world."""
+
+    inverse: mat4
+    eye: vec3
+
+
+class PositionByMatrix(StoredPosition):
+    """Stores depth likewise, and finds the position in the world by a matrix."""
+
+    world: Uniform[WorldMatrix]
+
+    def store(self, value: StoredValue) -> StoredValue:
+        depth = self.find_depth(value.first.z)
+        place = value.first.xy / self.rays.size * 2.0 - 1.0
+        found = self.world.inverse @ vec4(place.x, -place.y, depth, 1.0)
+        position = found.xyz / found.w - self.world.eye
+        along = dot(position, self.rays.forward)
+        return StoredValue(first=vec4(value.first.xy, along, 0.0), second=vec4(position, 0.0))
+
+
 @dataclass(frozen=True)
 class Encoding:
     """An encoding to compare.
@@ -166,6 +245,7 @@ class Encoding:
         stores: what it stores. bits: how many bits that takes.
         shader: stores and reads it. sample: makes `count` (k, 8) values. measure: finds the error of each, given the
             values and what was read, in `unit`.
+        uniforms: what the shader has besides values, by binding.
     """
 
     name: str
@@ -175,6 +255,7 @@ class Encoding:
     sample: Callable[[np.random.Generator, int], Floats]
     measure: Callable[[Floats, Floats], Floats]
     unit: str
+    uniforms: Mapping[str, Struct] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,8 +291,8 @@ def compare_encodings(
         works = {}
         for one in encodings:
             values = one.sample(np.random.default_rng(0), count)
-            errors[one.name].append(one.measure(values, run_round_trip(device, one.shader, values)))
-            works[one.name] = time_round_trip(device, one.shader, values)
+            errors[one.name].append(one.measure(values, run_round_trip(device, one.shader, values, **one.uniforms)))
+            works[one.name] = time_round_trip(device, one.shader, values, **one.uniforms)
         for name, found in alternate(works, progress(range(rounds))).items():
             times[name][device.backend_name] = round(1e9 * found.median / count / TURNS, 2)
     return [
@@ -234,30 +315,38 @@ def pack_values(values: Floats) -> NDArray[Any]:
     return packed
 
 
-def run_round_trip(device: Device, shader: type[RoundTrip], values: Floats) -> Floats:
+def run_round_trip(device: Device, shader: type[RoundTrip], values: Floats, **uniforms: Struct) -> Floats:
     """Return what a device reads of values (k, 8) that it has stored."""
-    results = device.storage(StoredValue, len(values))
-    given, turns = device.storage(StoredValue, pack_values(values)), device.uniform(Turns(count=1))
-    groups = -(-len(values) // GROUP)
-    device.dispatch(device.program(shader), groups, turns=turns, values=given, results=results)
-    read: Floats = np.ascontiguousarray(results.read()).view(np.float32).reshape(-1, 8).astype(np.float64)
-    for buffer in (results, given, turns):
+    buffers = _make_buffers(device, values, 1, uniforms)
+    device.dispatch(device.program(shader), -(-len(values) // GROUP), **buffers)
+    read: Floats = np.ascontiguousarray(buffers["results"].read()).view(np.float32).reshape(-1, 8).astype(np.float64)
+    for buffer in buffers.values():
         buffer.destroy()
     return read
 
 
-def time_round_trip(device: Device, shader: type[RoundTrip], values: Floats) -> Callable[[int], None]:
+def time_round_trip(
+    device: Device, shader: type[RoundTrip], values: Floats, **uniforms: Struct
+) -> Callable[[int], None]:
     """Return a function that stores and reads the values many times, and waits for the device."""
-    results = device.storage(StoredValue, len(values))
-    given, turns = device.storage(StoredValue, pack_values(values)), device.uniform(Turns(count=TURNS))
-    groups = -(-len(values) // GROUP)
+    buffers = _make_buffers(device, values, TURNS, uniforms)
     program: Program[Any] = device.program(shader)
 
     def run(_: int) -> None:
-        device.dispatch(program, groups, turns=turns, values=given, results=results)
+        device.dispatch(program, -(-len(values) // GROUP), **buffers)
         device.finish()
 
     return run
+
+
+def _make_buffers(device: Device, values: Floats, turns: int, uniforms: Mapping[str, Struct]) -> dict[str, Any]:
+    """Create what a `RoundTrip` binds."""
+    return {
+        "turns": device.uniform(Turns(count=turns)),
+        "values": device.storage(StoredValue, pack_values(values)),
+        "results": device.storage(StoredValue, len(values)),
+        **{name: device.uniform(value) for name, value in uniforms.items()},
+    }
 
 
 def find_degrees(given: Floats, read: Floats) -> Floats:
@@ -311,6 +400,51 @@ def find_offset(given: Floats, read: Floats) -> Floats:
     return errors
 
 
+SIZE: Final = (1280, 720)
+"""The size in pixels of the image that positions are stored of."""
+
+
+def make_camera(depth: Depth) -> Camera:
+    """Return the camera of positions, two thousand kilometres from the origin of the world."""
+    lens = Perspective(near=0.1, far=1e4, depth=depth)
+    return Camera.look_at((1e6, 50.0, -2e6), (1e6 + 3.0, 49.0, -2e6 + 5.0), projection=lens)
+
+
+def sample_pixels(rng: np.random.Generator, count: int) -> Floats:
+    """Return (k, 8) random pixels and distances along the view, as many near as far, exact in float32."""
+    pixels, distances = rng.uniform(0.0, SIZE, (count, 2)), np.geomspace(0.2, 9000.0, count)
+    values = np.concatenate([pixels, distances[:, None], np.zeros((count, 5))], axis=1)
+    return values.astype(np.float32).astype(np.float64)
+
+
+def find_depth_errors(given: Floats, read: Floats) -> Floats:
+    """Return the errors of distances along the view, in millionths of them."""
+    along = read[:, 4:7] @ make_camera(Depth.REVERSED).forward
+    errors: Floats = 1e6 * np.abs(along / given[:, 2] - 1.0)
+    return errors
+
+
+def find_pixel_errors(given: Floats, read: Floats) -> Floats:
+    """Return how many pixels what was read is beside what was given, in the image."""
+    camera = make_camera(Depth.REVERSED)
+    seen = read[:, 4:7] @ camera.rotation.T
+    clip = np.concatenate([seen, np.ones((len(seen), 1))], axis=1) @ camera.projection.matrix.T
+    place = (0.5 + clip[:, :2] / clip[:, 3:] * (0.5, -0.5)) * SIZE
+    errors: Floats = np.abs(place - given[:, :2]).max(1)
+    return errors
+
+
+def _positions(
+    name: str, bits: int, shader: type[RoundTrip], measure: Callable[[Floats, Floats], Floats], unit: str
+) -> Encoding:
+    camera = make_camera(Depth.STANDARD if issubclass(shader, StandardPosition) else Depth.REVERSED)
+    uniforms: dict[str, Struct] = {"rays": find_rays(camera, SIZE)}
+    if issubclass(shader, PositionByMatrix):
+        inverse = np.linalg.inv(camera.view_projection)
+        uniforms["world"] = WorldMatrix(inverse=inverse, eye=camera.position)
+    return Encoding(f"position by {name}", "position", bits, shader, sample_pixels, measure, unit, uniforms)
+
+
 def _normals(name: str, bits: int, base: type[RoundedNormal]) -> Encoding:
     shader = type(base.__name__, (base,), {"__module__": __name__, "bits": bits})
     return Encoding(
@@ -361,5 +495,11 @@ ENCODINGS: Final = (
         "derivatives by their ways around a square", "derivatives", 48, StoredChanges, sample_changes, find_turned, "%"
     ),
     Encoding("fractional parts", "texture coordinates", 32, StoredPlace, sample_places, find_offset, "10⁻⁶"),
+    _positions("a ray, D32F reversed", 32, StoredPosition, find_depth_errors, "10⁻⁶"),
+    _positions("a ray, D32F", 32, StandardPosition, find_depth_errors, "10⁻⁶"),
+    _positions("a ray, D24", 24, StandardPosition24, find_depth_errors, "10⁻⁶"),
+    _positions("a ray, D32F reversed, in the image", 32, StoredPosition, find_pixel_errors, "pixels"),
+    _positions("the world's matrix, D32F reversed", 32, PositionByMatrix, find_depth_errors, "10⁻⁶"),
+    _positions("the world's matrix, in the image", 32, PositionByMatrix, find_pixel_errors, "pixels"),
 )
 """The encodings to compare, in the order of the table."""

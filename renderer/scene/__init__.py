@@ -7,6 +7,7 @@ moved = scene.update(seconds=10.0)
 
 from renderer.scene.camera import Camera, Depth, Frustum, FrustumPlane, Orthographic, Perspective, Projection
 from renderer.scene.catching_up import CatchUp, Leap, Leaping, Recompute, Stepped, Stepwise, Timed
+from renderer.scene.height_fields import HeightField, make_height_field
 from renderer.scene.lights import (
     DIRECTIONAL,
     POINT,
@@ -80,6 +81,7 @@ __all__ = [
     "Frustum",
     "FrustumPlane",
     "FunctionOfTime",
+    "HeightField",
     "ImagePixels",
     "Leap",
     "Leaping",
@@ -110,6 +112,7 @@ __all__ = [
     "Timed",
     "list_attributes",
     "make_geometry",
+    "make_height_field",
     "make_material",
     "make_path",
     "measure_parallax",

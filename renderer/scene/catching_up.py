@@ -23,6 +23,7 @@ from rhi.errors import refuse
 __rhi_internal__ = True
 
 _EARLY: Final = 1e-6  # of a step: a time that rounding has put just before a step counts as the step
+_ROUNDED: Final = 2.0**-51  # of the number, which after years is more: time, interval and ratio are rounded
 
 
 class Timed(Protocol):
@@ -56,6 +57,12 @@ class Leaping(Stepped, Protocol):
     def leap(self, members: Rows, numbers: Rows, counts: Rows) -> None:
         """Advance `members` (j,) by `counts` (j,) intervals, each to its step of `numbers` (j,)."""
         ...
+
+
+def _count_steps(seconds: float, interval: float) -> float:
+    """Return the number of whole steps in a time."""
+    number = seconds / interval
+    return float(int(number + max(_EARLY, number * _ROUNDED)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +116,7 @@ class Stepwise:
 
     def target(self, simulation: Stepped, seconds: float) -> float:
         """Return the number of the step that members are to reach in a frame at `seconds`."""
-        return float(int(seconds / simulation.interval + _EARLY))
+        return _count_steps(seconds, simulation.interval)
 
     def advance(
         self, simulation: Stepped, members: Rows, reached: Floats, target: float, left: int
@@ -151,7 +158,7 @@ class Leap:
 
     def target(self, simulation: Leaping, seconds: float) -> float:
         """Return the number of the step that members are to reach in a frame at `seconds`."""
-        return float(int(seconds / simulation.interval + _EARLY))
+        return _count_steps(seconds, simulation.interval)
 
     def advance(
         self, simulation: Leaping, members: Rows, reached: Floats, target: float, left: int

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 from renderer import rules
 from renderer.scene.arrays import Floats
 from renderer.scene.camera import Camera, Depth, Orthographic, Perspective, Projection
+from renderer.scene.finite import check_finite
 from rhi.errors import RhiError, refuse
 
 __rhi_internal__ = True
@@ -65,6 +66,8 @@ class CameraPath:
         """
         if not cameras:
             refuse(rules.BAD_WALK, "CameraPath.record", "no camera", "one or more")
+        for row, camera in enumerate(cameras):
+            check_finite(f"CameraPath.record(cameras[{row}])", position=camera.position, rotation=camera.rotation)
         return cls(
             np.array([camera.position for camera in cameras]),
             np.array([camera.position + camera.forward for camera in cameras]),

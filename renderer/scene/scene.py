@@ -17,6 +17,8 @@ from renderer import rules
 from renderer.scene.arrays import Floats, Rows
 from renderer.scene.camera import Camera
 from renderer.scene.features import MaterialFeatures
+from renderer.scene.finite import FiniteArrays, check_finite
+from renderer.scene.height_fields import HeightField
 from renderer.scene.lights import Lights
 from renderer.scene.materials import (
     MATERIAL,
@@ -63,6 +65,7 @@ class Scene:
         seconds: the time of the last update or frame.
         views: named cameras, the first of which is the default. paths: named camera paths.
         omissions: what the file that it was loaded from has and the scene hasn't.
+        height_fields: by the rows of their objects; the triangles of these are chosen for each view.
     """
 
     def __init__(
@@ -82,6 +85,7 @@ class Scene:
         textures: NDArray[Any] | None = None,
         samplers: tuple[SamplerDescriptor, ...] = (),
         omissions: tuple[Omission, ...] = (),
+        height_fields: Mapping[int, HeightField] | None = None,
     ) -> None:
         self.name = name
         self.simulated = simulated
@@ -98,7 +102,9 @@ class Scene:
         self.views = dict(views)
         self.paths = dict(paths)
         self.omissions = omissions
+        self.height_fields: dict[int, HeightField] = dict(height_fields or {})
         self.seconds = 0.0
+        self._finite = FiniteArrays()
         self._features = MaterialFeatures(materials, self.textures, samplers)
         self._has_colors = "color" in (meshes.vertices.dtype.names or ())
         self._transparent: tuple[int, Rows] = (-1, np.zeros(0, np.int64))  # as of a version of the materials
@@ -113,6 +119,7 @@ class Scene:
         Return the rows of the objects whose transform was computed again. A renderer applies only the animations of
         what it draws.
         """
+        check_finite("Scene.update", seconds=seconds)
         self.seconds = seconds
         self._simulator.begin_frame(seconds)
         self._simulator.pose_all()
@@ -138,6 +145,13 @@ class Scene:
     def material_version(self) -> int:
         """A number that grows when a `refresh` finds that materials have changed."""
         return self._features.version
+
+    def check_numbers(self, call: str) -> None:
+        """Refuse numbers of lights, materials and the air that aren't finite; they may be written to at any time."""
+        lights = self.lights
+        air = np.array([*lights.sky, *lights.ground, *self.background, self.haze], np.float64)
+        checked = {"directional": lights.directional, "point": lights.point, "spot": lights.spot}
+        self._finite.check(call, {**checked, "materials": self.materials, "sky, ground, background, haze": air})
 
     def make_simulator(self) -> Simulator:
         """Create a simulator of the scene, in which nothing has been run yet."""
@@ -206,6 +220,7 @@ class SceneBuilder:
         self.omissions = Omissions()
         self._geometries: list[MeshGeometry] = []
         self._bounds: list[MeshBounds | None] = []
+        self._height_fields: dict[int, HeightField] = {}  # by mesh
         self._mesh_names: list[str] = []
         self._materials: list[NDArray[Any]] = []
         self._mesh_ids: dict[int, int] = {}
@@ -231,6 +246,7 @@ class SceneBuilder:
             return known
         if bounds is not None:
             lower, upper = geometry.bounds
+            check_finite("add_mesh(bounds=...)", lower=bounds[0], upper=bounds[1])
             if not ((bounds[0] <= lower) & (upper <= bounds[1])).all():
                 given = f"{bounds[0]} to {bounds[1]}"
                 refuse(rules.BAD_MESH, "add_mesh(bounds=...)", given, f"at least {lower} to {upper}")
@@ -240,6 +256,14 @@ class SceneBuilder:
         self._geometries.append(geometry)
         self._mesh_names.append(name)
         return len(self._geometries) - 1
+
+    def add_height_field(self, field: HeightField, name: str = "") -> int:
+        """Add a height field and return the id of its mesh, for one object, whose triangles are chosen for each
+        view."""
+        geometry = field.make_mesh()
+        mesh = self.add_mesh(geometry, name, geometry.bounds)
+        self._height_fields[mesh] = field
+        return mesh
 
     @property
     def object_count(self) -> int:
@@ -376,6 +400,18 @@ class SceneBuilder:
             if self._bounds[mesh[row]] is None:
                 refuse(rules.UNBOUND_MESH, "simulate(objects=...)", f"object {row}")
 
+    def _find_height_fields(self, mesh: NDArray[np.int64]) -> dict[int, HeightField]:
+        """Return the height fields by the rows of their objects, and refuse one that several objects have; `mesh` (n,)
+        is the mesh of each object."""
+        found: dict[int, HeightField] = {}
+        for number, field in self._height_fields.items():
+            rows = np.flatnonzero(mesh == number).tolist()
+            if len(rows) > 1:
+                given = f"objects {rows[0]} and {rows[1]} with mesh {number}"
+                refuse(rules.SHARED_HEIGHTS, "add_objects(meshes=...)", given)
+            found.update((row, field) for row in rows)
+        return found
+
     def build(self) -> Scene:
         """Create the scene. It must have at least one object."""
         if not self._object_count:
@@ -432,6 +468,7 @@ class SceneBuilder:
             textures,
             tuple(self._textures.samplers),
             omissions=tuple(self.omissions),
+            height_fields=self._find_height_fields(table[:, 1]),
         )
 
     def _complete_vertices(

@@ -270,14 +270,11 @@ class Simulator:
         """Refuse the simulation of an object that has left its bounds. It must be as of the frame's time."""
         objects, meshes = self._objects, self._meshes
         part = meshes.ranges[objects.mesh[row]]
-        slot = int(self._slot_of[row])
-        if slot < 0:
+        vertices = self.find_vertices(row)
+        if vertices is None:
             used = meshes.indices[part["first_index"] :][: part["index_count"]] + part["base_vertex"]
-            points = meshes.vertices["position"][used]
-        else:
-            which = int(self._which[slot])
-            simulation: Any = self.simulations[which]
-            points = simulation.vertices(np.array([slot - self._first[which]]))["position"]
+            vertices = meshes.vertices[used]
+        points = vertices["position"]
         world = self._nodes.world[objects.node[row]]
         points = points @ world[:3, :3].T + world[:3, 3]
         lower, upper = objects.lower[row], objects.upper[row]
@@ -287,6 +284,16 @@ class Simulator:
                 f"object {row} from {_show(points.min(0))} to {_show(points.max(0))} at {self.seconds:g} s"
             )
             refuse(rules.LEFT_BOUNDS, "Simulator.check_bounds", given, f"{_show(lower)} to {_show(upper)}")
+
+    def find_vertices(self, row: int) -> NDArray[Any] | None:
+        """Return the vertices of an object as of its last step; None if they are always those of its mesh."""
+        slot = int(self._slot_of[row])
+        if slot < 0:
+            return None
+        which = int(self._which[slot])
+        simulation: Any = self.simulations[which]
+        found: NDArray[Any] = simulation.vertices(np.array([slot - self._first[which]]))
+        return found
 
     def _begin_counts(self) -> None:
         self.steps = 0

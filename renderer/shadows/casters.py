@@ -46,6 +46,7 @@ class SceneCasters:
     def __init__(self, scene: Scene) -> None:
         objects = scene.objects
         may_move, casts = objects.dynamic | objects.simulated, objects.casts_shadow.copy()
+        may_move[list(scene.height_fields)] = True  # their triangles do
         self.transparent: Rows = scene.find_transparent()
         casts[self.transparent] = False
         self.still: Rows = np.flatnonzero(casts & ~may_move)

@@ -269,6 +269,7 @@ class ShadowMaps:
         self._reported = []
         self.casters_drawn = 0
         self._frame += 1
+        self._tessellations = resources.tessellations
         seen = [resources.find_in_view(camera, np.arange(len(scene.objects))) for camera in cameras]
         visible = np.unique(np.concatenate(seen))
         wanted = self._want_suns(resources, frame.needs, cameras, visible)
@@ -473,7 +474,7 @@ class ShadowMaps:
         work, late = MapWork(), list[tuple[int, WantedMap, bytes]]()
         for each in wanted:
             one = self._maps[each.key]
-            moving = describe_state(scene, each.casters.moving)
+            moving = describe_state(scene, each.casters.moving, self._tessellations)
             is_far = each.size <= self.settings.far_size and each.key[0] != _SUN
             if one.still == each.still and one.moving == moving:
                 self._report(each.key, "kept", "nothing in it has moved", each)
@@ -552,18 +553,12 @@ class ShadowMaps:
                     if clears:
                         with device.states(DepthFunction.ALWAYS, CullMode.NONE):
                             device.draw(device.program(FarDepth), self._triangle)
+                    bindings = {"view": one.view.buffer, "objects": objects, "places": places}
                     for mirrored, winding in WINDINGS:
                         part = rows[resources.find_winding(rows, mirrored=mirrored)]
                         if part.size:
                             with device.states(winding):
-                                device.draw_many(
-                                    program,
-                                    resources.mesh,
-                                    resources.draws[part],
-                                    view=one.view.buffer,
-                                    objects=objects,
-                                    places=places,
-                                )
+                                resources.draw_rows(device, program, part, bindings)
 
     def _report(self, key: MapKey, state: str, because: str, wanted: WantedMap | None = None) -> None:
         self._reported.append((key, state, because, wanted))
@@ -635,13 +630,15 @@ def _update_maps(frame: Frame) -> None:
         maps.aim(frame.camera, 1)
 
 
-def describe_state(scene: Scene, rows: Rows) -> bytes:
-    """Return bytes that change when one of the objects `rows` moves; those that are simulated always do."""
+def describe_state(scene: Scene, rows: Rows, tessellations: int = 0) -> bytes:
+    """Return bytes that change when one of the objects `rows` moves; those that are simulated always do. Height fields
+    do if the triangles are chosen again: `tessellations` says how often they were."""
     if not len(rows):
         return b""
     objects = scene.objects
     seconds = np.float64(scene.seconds).tobytes() if objects.simulated[rows].any() else b""
-    return rows.tobytes() + scene.nodes.world[objects.node[rows]].tobytes() + seconds
+    chosen = np.int64(tessellations).tobytes() if np.isin(list(scene.height_fields), rows).any() else b""
+    return rows.tobytes() + scene.nodes.world[objects.node[rows]].tobytes() + seconds + chosen
 
 
 def _find_depth(scene: Scene, camera: Camera) -> tuple[float, float]:

@@ -7,6 +7,7 @@
 - `overdraw`: the number of fragments that were drawn to each pixel, one on top of the other, in the same colours: black
   0, blue 1, cyan 2 and 3, green to 7, yellow to 15, red to 31, white 32 and more.
 - `tiles`: the number of lights in the list of each tile of `forward_plus`, in the colours of `lights`.
+- `tessellation`: the lit scene, and the edges of the triangles of its height fields, or of all if it has none.
 - `volumes`: the lit scene, and the volumes of its lights, each in a colour of its own, in front of what they reach.
 
 Other pictures are those of a technique's own buffers (`watched`).
@@ -18,12 +19,13 @@ from collections.abc import Callable
 from functools import cache, partial
 from typing import Any, Final
 
+from renderer import rules
 from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target, TechniquePass, find_last
 from renderer.frame.passes import NEARER
 from renderer.lights.culling.cells import CellGrid, cell_index
 from renderer.shaders.lighting import in_range
 from renderer.shaders.pixels import FullScreen, distance_at, nearness_of, place_pixel
-from renderer.shaders.structs import SurfacePoint, SurfaceVarying
+from renderer.shaders.structs import SurfacePoint, SurfaceVarying, Vertex
 from renderer.techniques.cell_lists import TILES, bind_lists, list_pass
 from renderer.techniques.depth import draw_depth
 from renderer.techniques.forward import Forward, bind_plain_lamps, list_lamps
@@ -32,7 +34,7 @@ from renderer.techniques.full_screen import bind_rays, draw_full_screen
 from renderer.techniques.light_volumes import VolumeShader, VolumeVarying, draw_volumes, lit_variant
 from renderer.techniques.scene_shader import SceneShader
 from renderer.techniques.surfaces import Aspect, MaterialShader, bind_surfaces, surface_variant
-from rhi import BlendFunction, CullMode, DepthWrite, Format, State, Texture
+from rhi import BlendFunction, CullMode, DepthWrite, Format, PolygonMode, State, Texture, refuse
 from rhi.shading import (
     Storage,
     Texture2D,
@@ -46,6 +48,7 @@ from rhi.shading import (
     max,
     mix,
     saturate,
+    vec2,
     vec3,
     vec4,
 )
@@ -77,6 +80,19 @@ class NormalColors(SceneShader):
     def fragment(self, v: SurfaceVarying) -> vec4:
         _ = self.find_texel(v)  # which leaves out what isn't drawn
         return vec4(self.find_normal(v) * 0.5 + 0.5, 1.0)
+
+
+class EdgeColors(SceneShader):
+    """Shows the edges of triangles, a thousandth nearer than they are."""
+
+    def transform(self, v: Vertex, uv2: vec2, tangent: vec4, color: vec4) -> SurfaceVarying:
+        result = super().transform(v, uv2, tangent, color)
+        result.clip = self.view.relative_view_projection @ vec4(0.999 * result.position, 1.0)
+        return result
+
+    def fragment(self, v: SurfaceVarying) -> vec4:
+        _ = self.find_texel(v)  # which leaves out what isn't drawn
+        return vec4(0.0, 0.0, 0.0, 1.0)
 
 
 class CountedLamps(MaterialShader, LampShader):
@@ -294,8 +310,39 @@ def _show_volumes(frame: Frame) -> None:
         draw_volumes(frame, effect, shader, bind_rays(frame), ["image"], clears=False, states=states)
 
 
+def _declare_edges(needs: Needs) -> tuple[Pass[Frame], ...]:
+    passes = Forward().declare(needs)
+    last, depth = find_last(passes, "image"), find_last(passes, "depth")
+    changes = {last: "image with edges", depth: "depth with edges"}
+    return *passes, Pass("edges", _draw_edges, _BECAUSE, changes=changes)
+
+
+def _draw_edges(frame: Frame) -> None:
+    if not frame.device.capabilities.wireframe:
+        refuse(rules.NO_WIREFRAME, "Inspection('tessellation')", f"a {frame.device.backend_name} device")
+    parts, bindings = bind_surfaces(frame, (Aspect.COVERAGE,), has_materials=False)
+    scene_pass = TechniquePass(
+        frame.device,
+        frame.resources,
+        frame.view,
+        frame.device.program(surface_variant(EdgeColors, parts)),
+        bindings,
+        color=frame.targets["image"],
+        depth=frame.targets["depth"],
+        clears=False,
+        states=(PolygonMode.LINE, DepthWrite.OFF),
+    )
+    fields = frame.resources.tessellated_rows
+    if len(fields):
+        with scene_pass:
+            scene_pass.draw(frame.resources.find_in_view(frame.camera, fields))
+    else:
+        frame.draw_visible(scene_pass)
+
+
 INSPECTIONS: Final[dict[str, Callable[[Needs], tuple[Pass[Frame], ...]]]] = {
     **{name: partial(_declare_plain, name) for name in _PLAIN},
+    "tessellation": _declare_edges,
     "tiles": _declare_tiles,
     "volumes": _declare_volumes,
 }

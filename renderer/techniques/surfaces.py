@@ -51,8 +51,9 @@ from rhi.shading import (
 _MASK: Final = int(AlphaMode.MASK)
 _ROUNDING: Final = 2.0**-16
 """How far below the cut an alpha may be and still be at it: filtering rounds."""
-_NO_NORMAL: Final = 1e-8
-"""The square of a normal's length, below which it has no direction."""
+_NO_NORMAL: Final = 5e-5
+"""The square of a normal's length, below which it has no direction. No number of 8 bits means 0: a vector of length 0
+is stored as 127 or 128, 1/255 beside it along each axis, and a diagonal would be made of that."""
 
 
 class Aspect(Enum):

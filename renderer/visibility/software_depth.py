@@ -88,9 +88,11 @@ class SoftwareDepth:
     def choose_occluders(self, camera: Camera, rows: Rows) -> Rows:
         """Return those of the objects `rows` (k,) with the largest surface over squared distance, near ones first."""
         objects = self._scene.objects
-        # Simulated objects are where the renderer has last drawn them; others than opaque ones hide only a part.
+        # Simulated objects are where the renderer has last drawn them, the triangles of height fields aren't those that
+        # it draws, and others than opaque ones hide only a part.
         is_opaque = self._scene.materials["alpha_mode"][objects.material[rows]] == AlphaMode.OPAQUE
-        rows = rows[is_opaque & ~objects.simulated[rows]]
+        is_fixed = ~(objects.simulated[rows] | np.isin(rows, list(self._scene.height_fields)))
+        rows = rows[is_opaque & is_fixed]
         lower, upper = objects.lower[rows], objects.upper[rows]
         extent = np.minimum(upper - lower, 1e100)
         surface = (extent * np.roll(extent, 1, axis=1)).sum(axis=1)

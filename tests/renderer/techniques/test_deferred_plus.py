@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,16 @@ from renderer import rules
 from renderer.content import BUILT_IN
 from renderer.measure.plans import describe_plan
 from renderer.renderer import Renderer
-from renderer.scene import Camera, Scene, SceneBuilder, TextureMap, make_geometry, scaling, translation
+from renderer.scene import (
+    AlphaMode,
+    Camera,
+    Scene,
+    SceneBuilder,
+    TextureMap,
+    make_geometry,
+    scaling,
+    translation,
+)
 from renderer.techniques import DeferredPlus, Forward
 from renderer.techniques.deferred_plus import shading_variant
 from renderer.techniques.material_rectangles import MaterialRectangles
@@ -207,20 +216,25 @@ def test_pixels_without_a_surface_are_left_out_before_they_are_shaded(null: rhi.
     assert "discard" not in compile_shader(shader).emit("glsl", Stage.FRAGMENT).text
 
 
-def test_the_last_material_of_all_is_shaded(gl: rhi.Device) -> None:
-    """Material 65,535 has the depth of the background, which isn't shaded for that."""
-    scene = scatter(1, images=False, unused=0)
-    scene.materials = np.repeat(scene.materials[:1], MOST_MATERIALS)
+def test_all_65536_materials_are_those_of_forward_shading(gl: rhi.Device) -> None:
+    """Also the last one, which has the depth of the background: that isn't shaded for it."""
+    random, parts = np.random.default_rng(12), vars(scatter(1, images=False))
+    materials = np.repeat(parts["materials"], MOST_MATERIALS)
+    materials["base_color"][:, :3] = random.uniform(0.1, 1.0, (MOST_MATERIALS, 3))
+    parts = {name: parts[name] for name in signature(Scene).parameters} | {"materials": materials}
+    scene = Scene(**parts)
+    rows = scene.objects.material
+    rows[:] = random.integers(0, MOST_MATERIALS, len(rows))
+    rows[:2] = MOST_MATERIALS - 1, 0  # the floor, and a box
     images = []
-    for row in (0, 65535):
-        scene.objects.material[:] = row
-        found = draw(gl, scene, multi_pass=True)
-        images.append(found["image"])
-        assert set(found["rectangles"][:, 0].tolist()) >= {row}
-    images.append(draw(gl, scene, multi_pass=False)["image"])
-    assert (images[0] == images[1]).all()
+    with Renderer(gl, scene, visibility=NoCulling(scene), size=SIZE) as renderer:
+        for renderer.technique in (Forward(), DeferredPlus(), DeferredPlus(multi_pass=True)):
+            images.append(renderer.render(EYE).image.read().astype(int))
+        found = renderer.view.workspace(MaterialRectangles).read()
+    assert np.abs(images[1] - images[0]).max() <= 2
     assert (images[2] == images[1]).all()
-    assert Counter(map(tuple, images[0].reshape(-1, 4).tolist())).most_common(1)[0][1] < SIZE[0] * SIZE[1]
+    assert {0, MOST_MATERIALS - 1} <= set(found[:, 0].tolist()) <= {*rows.tolist(), MOST_MATERIALS - 1}
+    assert len(np.unique(images[0].reshape(-1, 4), axis=0)) > 100
 
 
 def test_the_list_has_room_for_each_material_in_each_tile(null: rhi.Device) -> None:
@@ -329,6 +343,79 @@ def test_normals_that_are_not_filtered_are_those_of_forward_shading(drawing_devi
             images.append(renderer.render(EYE).image.read().astype(int))
     assert np.ptp(images[0][..., :3]) > 100
     assert 0 < np.abs(images[1] - images[0]).max() <= 2
+
+
+SQUARE = [(0, 1), (1, 1), (1, 0), (0, 0)]
+ODD_SQUARES: dict[str, tuple[list[tuple[float, float]], dict[str, Any]]] = {
+    "a map with texels without a direction": (SQUARE, {"normal_texture": "grey"}),
+    "a mirrored texture": ([(1, 1), (0, 1), (0, 0), (1, 0)], {"normal_texture": "bumps"}),
+    "a texture of no extent": ([(0.3, 0.3)] * 4, {"normal_texture": "bumps"}),
+    "a texture of no height": ([(0, 0), (1, 0), (1, 0), (0, 0)], {"normal_texture": "bumps"}),
+    "far from 0": ([(u + 1000.3, v - 0.25) for u, v in SQUARE], {"texture": "colors"}),
+    "a single texel": (SQUARE, {"texture": "texel", "normal_texture": "flat"}),
+    "a line of texels": (SQUARE, {"texture": "line"}),
+    "a mirror": (SQUARE, {"texture": "colors", "metallic": 1.0, "roughness": 0.0}),
+    "a mask at its cut": (SQUARE, {"texture": "holes", "alpha_mode": AlphaMode.MASK, "alpha_cutoff": 64 / 255}),
+}
+
+
+def odd_squares() -> Scene:
+    """Make a square of each of these, before a dark wall."""
+    random = np.random.default_rng(3)
+    builder = SceneBuilder("odd squares")
+    colors = np.kron(random.integers(60, 255, (4, 4, 4)), np.ones((8, 8, 1))).astype(np.uint8)
+    bumps = np.kron(random.integers(100, 156, (4, 4, 4)), np.ones((8, 8, 1))).astype(np.uint8)
+    bumps[..., 2] = 220
+    grey, holes = bumps.copy(), colors.copy()
+    grey[:16] = 128
+    holes[..., 3] = np.arange(61, 69).repeat(4)  # the cut, and both sides of it
+    given = {
+        "colors": colors,
+        "bumps": bumps,
+        "grey": grey,
+        "holes": holes,
+        "texel": np.full((1, 1, 4), (90, 200, 120, 255), np.uint8),
+        "flat": np.full((1, 1, 4), (150, 100, 220, 255), np.uint8),
+        "line": random.integers(0, 256, (1, 8, 4), np.uint8).repeat(1024, axis=1),
+    }
+    images = {name: builder.add_image(image) for name, image in given.items()}
+    corners = np.array([(-0.95, -0.95, 0), (0.95, -0.95, 0), (0.95, 0.95, 0), (-0.95, 0.95, 0)])
+    for number, (uv, values) in enumerate(ODD_SQUARES.values()):
+        maps = {name: images.get(value, value) for name, value in values.items()}
+        material = builder.add_material(**{"roughness": 0.4, **maps})
+        mesh = builder.add_mesh(make_geometry(corners, [0, 1, 2, 0, 2, 3], uv=uv))
+        place = translation((2.0 * (number % 3) - 2.0, 2.0 - 2.0 * (number // 3), 0.0))
+        builder.add_objects(builder.add_node(place), mesh, material)
+    builder.lights.sky = builder.lights.ground = (0.3, 0.3, 0.35)
+    builder.lights.add_directional((-0.5, -0.7, -0.6), (1, 0.95, 0.9), 1.2)
+    for place in random.uniform((-3, -3, 0.6), (3, 3, 1.5), (6, 3)):
+        builder.lights.add_point(place, 3.0, random.uniform(0.2, 1, 3), 1.5)
+    return builder.build()
+
+
+def check_odd_squares(device: rhi.Device) -> None:
+    scene, images = odd_squares(), []
+    camera = Camera.look_at((0, 0, 6.5), (0, 0, 0)).with_aspect(1.0)
+    with Renderer(device, scene, visibility=NoCulling(scene), size=(96, 96)) as renderer:
+        for renderer.technique in (Forward(), DeferredPlus()):
+            images.append(renderer.render(camera).image.read().astype(int))
+        assert [one.name for one in renderer.plan(camera)[1].passes][-1] == "shading"
+    off = np.abs(images[1] - images[0]).max(2)
+    assert (off > 3).mean() <= (0.001 if device.backend_name == "gl" else 0.0)  # as above
+    squares = [images[0][y : y + 20, x : x + 20, :3] for y in (10, 38, 66) for x in (10, 38, 66)]
+    contrasts = dict(zip(ODD_SQUARES, (np.ptp(one.reshape(-1, 3), axis=0).max() for one in squares), strict=True))
+    assert min(contrasts.values()) > 10, contrasts
+    hole = (squares[-1] == images[0][0, 0, :3]).all(2)
+    assert 0.2 < hole.mean() < 0.6, "3 of 8 columns are below the cut"
+
+
+def test_odd_squares_are_those_of_forward_shading(gl: rhi.Device) -> None:
+    check_odd_squares(gl)
+
+
+@pytest.mark.nightly
+def test_odd_squares_are_those_of_forward_shading_on_each_backend(drawing_device: rhi.Device) -> None:
+    check_odd_squares(drawing_device)
 
 
 def test_coordinates_that_the_buffer_has_no_room_for_are_drawn_with_another_buffer() -> None:

@@ -102,12 +102,15 @@ def test_backs_are_drawn_of_materials_with_two_sides_alone(gl: rhi.Device, two_s
     assert (image > 200).all() if two_sides else (image < 60).all()
 
 
-def test_a_normal_map_without_a_direction_leaves_the_normal(gl: rhi.Device) -> None:
-    grey = np.full((4, 4, 4), 128, np.uint8)
-    plain, mapped = square(roughness=0.5), square(roughness=0.5, normal_texture=grey, normal_scale=0.0)
-    for builder in (plain, mapped):
+@pytest.mark.parametrize(("texel", "bends"), [((127, 127, 127), False), ((128,) * 3, False), ((131, 128, 128), True)])
+def test_a_normal_map_without_a_direction_leaves_the_normal(gl: rhi.Device, texel: Any, bends: bool) -> None:
+    texture = np.full((4, 4, 4), (*texel, 255), np.uint8)
+    images = []
+    for maps in ({}, {"normal_texture": texture}):
+        builder = square(roughness=0.5, **maps)
         builder.lights.add_directional((0, -1, -1), (1, 1, 1), 1.0)
-    assert np.abs(look(gl, plain) - look(gl, mapped)).max() <= 1
+        images.append(look(gl, builder))
+    assert (np.abs(images[0] - images[1]).max() > 10) == bends
 
 
 @pytest.mark.parametrize(("texel", "towards"), [((255, 128, 128), (-1, 0, 0)), ((128, 255, 128), (0, -1, 0))])

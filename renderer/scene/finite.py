@@ -1,0 +1,47 @@
+"""The check that numbers are finite, where users may write any number into arrays and fields.
+
+A NaN in one light would be the colour of every pixel that it reaches, and one in a camera would hide the scene, both
+without a word. So what may be assigned is checked when it is used, and refused before anything else has happened.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from renderer import rules
+from rhi.errors import refuse
+
+__rhi_internal__ = True
+
+
+def check_finite(call: str, **values: ArrayLike) -> None:
+    """Refuse values that aren't finite: `scene-not-finite`."""
+    for name, value in values.items():
+        if not np.isfinite(value).all():
+            refuse(rules.NOT_FINITE, f"{call}: {name}", value, "finite numbers")
+
+
+class FiniteArrays:
+    """Remembers structured arrays and numbers that were checked, and checks them again when they have changed."""
+
+    def __init__(self) -> None:
+        self._checked: dict[str, bytes] = {}
+
+    def check(self, call: str, given: Mapping[str, NDArray[Any]]) -> None:
+        """Refuse arrays of numbers, or of structs of them, that aren't finite, by the name and row of the first."""
+        for name, array in given.items():
+            contents = array.tobytes()
+            if self._checked.get(name) == contents:
+                continue
+            for field in array.dtype.names or ("",):
+                part = array[field] if field else array
+                if part.dtype.kind != "f" or np.isfinite(part).all():
+                    continue
+                row = int(np.flatnonzero(~np.isfinite(part).reshape(len(part), -1).all(1))[0])
+                where = f"{name}[{row}]" + (f"[{field!r}]" if field else "")
+                refuse(rules.NOT_FINITE, f"{call}: {where}", part[row], "finite numbers")
+            self._checked[name] = contents

@@ -1,0 +1,5 @@
+"""Adaptive tessellation: the triangles of height fields, chosen on the device for each view."""
+
+from renderer.tessellation.tessellator import Tessellation, Tessellator, tessellation_passes
+
+__all__ = ["Tessellation", "Tessellator", "tessellation_passes"]

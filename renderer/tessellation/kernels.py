@@ -1,0 +1,259 @@
+"""The shaders that choose a field's triangles: two roots are bisected level by level.
+
+A triangle that is to be split is three vertices of the grid: the ends of its longest edge and the apex opposite. A
+vertex is row · 2^16 + column, so the middle of an edge is half the sum of its ends. `Begin` makes the roots, `Bisect`
+splits the triangles of one level and passes on the children that are split, too, and writes the others to the mesh.
+`Finish` tells the draws how many there are.
+
+Whether an edge is split depends on nothing but its middle (`EdgeTest`), so both triangles at the edge agree.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from renderer.shaders import MeshPart
+from renderer.visibility.gpu.draw_lists import DrawArguments
+from rhi.shading import (
+    Array,
+    Shader,
+    Storage,
+    StorageRW,
+    Struct,
+    Uniform,
+    array,
+    atomic_add,
+    barrier,
+    function,
+    global_id,
+    group_count,
+    local_index,
+    uint,
+    vec2,
+    vec3,
+    vec4,
+)
+
+__rhi_internal__ = True
+
+GROUP: Final = 64
+"""Number of triangles per work-group."""
+MOST_LEVELS: Final = 24
+
+SPLIT: Final = 0
+"""Where the numbers of triangles begin that each level splits."""
+KEPT: Final = MOST_LEVELS
+"""Where the numbers of triangles begin that each level writes to the mesh."""
+IS_CUT: Final = 2 * MOST_LEVELS
+"""Where it is noted that the limit was reached."""
+BEFORE: Final = IS_CUT + 1
+"""Where the number of indices before is kept."""
+COUNTERS: Final = BEFORE + 1
+
+
+class GridVertex(Struct):
+    """A vertex of a height field: its height, and the length and the reach of `HeightField.bounds`."""
+
+    height: float
+    length: float
+    reach: float
+
+
+class FieldShape(Struct):
+    """What never changes of a field: the position of vertex 0, the steps of the grid, its side in vertices, the number
+    of levels, the limit of triangles, the place of its first index, and the rows of its mesh and of its draw."""
+
+    corner: vec2
+    steps: vec2
+    side: int
+    levels: int
+    limit: int
+    first: int
+    mesh: int
+    draw: int
+
+
+class FieldView(Struct):
+    """A view in the space of a field, where reaches and lengths are as they are.
+
+    What has n · p >= d is inside a plane (n, d) of `planes`. With a lens, `is_lens` is 1, `depth` is the plane through
+    the eye, and an edge is as long on screen as is wanted if it is its distance from that plane, divided by `scale`.
+    With a parallel lens, `is_lens` is 0, that length is 1 / `scale` everywhere. `unseen` is the scale for what is not
+    in view, by the distance from the `eye`, whose square is multiplied by `squeeze`.
+    """
+
+    depth: vec4
+    eye: vec3
+    scale: float
+    unseen: float
+    squeeze: float
+    is_lens: float
+    planes: Array[vec4] = array(vec4, 6)
+
+
+class Level(Struct):
+    """Which level is split."""
+
+    number: int
+
+
+@function
+def along(n: vec3, p: vec3) -> float:
+    """Return a dot product, rounded in the same order everywhere."""
+    return n.x * p.x + n.y * p.y + n.z * p.z
+
+
+class EdgeTest(Shader):
+    """Decides which edges are split."""
+
+    shape: Uniform[FieldShape]
+    view: Uniform[FieldView]
+    grid: Storage[GridVertex]
+
+    def is_split(self, left: uint, right: uint) -> bool:
+        """Return whether an edge is: it is long on screen and in view, or close enough to the eye otherwise."""
+        middle = (left + right) >> uint(1)
+        row = int(middle >> uint(16))
+        column = int(middle & uint(65535))
+        vertex = self.grid[row * self.shape.side + column]
+        x = self.shape.corner.x + self.shape.steps.x * float(column)
+        z = self.shape.corner.y + self.shape.steps.y * float(row)
+        p = vec3(x, vertex.height, z)
+        depth = along(self.view.depth.xyz, p) - self.view.is_lens * vertex.reach
+        is_wanted = depth - vertex.length * self.view.scale <= self.view.depth.w
+        for i in range(6):
+            plane = self.view.planes[i]
+            is_wanted = is_wanted and along(plane.xyz, p) + vertex.reach >= plane.w
+        away = p - self.view.eye
+        lens = self.view.is_lens
+        near = vertex.length * self.view.unseen + lens * vertex.reach
+        return is_wanted or lens * self.view.squeeze * along(away, away) + (1.0 - lens) <= near * near
+
+
+class Begin(EdgeTest):
+    """Begins with the two halves of the field. There is one group."""
+
+    work_group = (GROUP,)
+    counters: StorageRW[uint]
+    split: StorageRW[uint]
+    indices: StorageRW[uint]
+    draws: Storage[DrawArguments]
+
+    def compute(self) -> None:
+        lane = local_index()
+        if lane < COUNTERS:
+            self.counters[lane] = self.draws[self.shape.draw].count if lane == BEFORE else uint(0)
+        barrier()
+        if lane < 2:
+            n = self.shape.side - 1
+            near = 65536 * n
+            left = uint(0 if lane == 0 else near + n)
+            apex = uint(near if lane == 0 else n)
+            right = uint(near + n if lane == 0 else 0)
+            if self.shape.levels > 0 and self.is_split(left, right):
+                self.split[3 * lane] = left
+                self.split[3 * lane + 1] = apex
+                self.split[3 * lane + 2] = right
+                if lane == 0:
+                    self.counters[SPLIT] = uint(2)
+            else:
+                first = self.shape.first + 3 * lane
+                last = self.shape.side * self.shape.side - 1
+                self.indices[first] = uint(0 if lane == 0 else last)
+                self.indices[first + 1] = uint(last - n if lane == 0 else n)
+                self.indices[first + 2] = uint(last if lane == 0 else 0)
+                if lane == 0:
+                    self.counters[KEPT] = uint(2)
+
+
+class Bisect(EdgeTest):
+    """Splits the triangles of a level, unless there would be more than the limit: then they are kept, all of them, so
+    that the mesh is one that a smaller number of levels gives."""
+
+    work_group = (GROUP,)
+    level: Uniform[Level]
+    split: Storage[uint]
+    children: StorageRW[uint]
+    counters: StorageRW[uint]
+    indices: StorageRW[uint]
+
+    def compute(self) -> None:
+        level = self.level.number
+        count = int(self.counters[SPLIT + level])
+        written = 0
+        for earlier in range(level):
+            written += int(self.counters[KEPT + earlier])
+        if level == 0 and count == 0:
+            return  # `Begin` has kept the roots
+        is_cut = written + 2 * count > self.shape.limit
+        is_last = level + 1 == self.shape.levels
+        triangle = global_id().x
+        while triangle < count:
+            left = self.split[3 * triangle]
+            apex = self.split[3 * triangle + 1]
+            right = self.split[3 * triangle + 2]
+            if is_cut:
+                self.counters[IS_CUT] = uint(1)
+                self.keep(written + int(atomic_add(self.counters[KEPT + level], uint(1))), left, apex, right)
+            else:
+                middle = (left + right) >> uint(1)
+                goes_left = not is_last and self.is_split(apex, left)
+                goes_right = not is_last and self.is_split(right, apex)
+                deeper = int(goes_left) + int(goes_right)
+                place = 0
+                if deeper > 0:
+                    place = int(atomic_add(self.counters[SPLIT + level + 1], uint(deeper)))
+                kept = 0
+                if deeper < 2:
+                    kept = written + int(atomic_add(self.counters[KEPT + level], uint(2 - deeper)))
+                if goes_left:
+                    self.pass_on(place, apex, middle, left)
+                    place += 1
+                else:
+                    self.keep(kept, apex, middle, left)
+                    kept += 1
+                if goes_right:
+                    self.pass_on(place, right, middle, apex)
+                else:
+                    self.keep(kept, right, middle, apex)
+            triangle += group_count().x * GROUP
+
+    def pass_on(self, place: int, left: uint, apex: uint, right: uint) -> None:
+        """Note a triangle that the next level splits."""
+        self.children[3 * place] = left
+        self.children[3 * place + 1] = apex
+        self.children[3 * place + 2] = right
+
+    def keep(self, place: int, left: uint, apex: uint, right: uint) -> None:
+        """Write a triangle to the mesh."""
+        at = self.shape.first + 3 * place
+        self.indices[at] = self.index(left)
+        self.indices[at + 1] = self.index(apex)
+        self.indices[at + 2] = self.index(right)
+
+    def index(self, vertex: uint) -> uint:
+        """Return the place of a vertex in the mesh."""
+        return (vertex >> uint(16)) * uint(self.shape.side) + (vertex & uint(65535))
+
+
+class Finish(Shader):
+    """Writes the number of triangles to the draws, and empty triangles over what is left of those before."""
+
+    work_group = (GROUP,)
+    shape: Uniform[FieldShape]
+    counters: Storage[uint]
+    indices: StorageRW[uint]
+    draws: StorageRW[DrawArguments]
+    parts: StorageRW[MeshPart]
+
+    def compute(self) -> None:
+        count = 0
+        for level in range(MOST_LEVELS):
+            count += 3 * int(self.counters[KEPT + level])
+        place = count + global_id().x
+        while place < int(self.counters[BEFORE]):
+            self.indices[self.shape.first + place] = uint(0)
+            place += group_count().x * GROUP
+        if global_id().x == 0:
+            self.draws[self.shape.draw].count = uint(count)
+            self.parts[self.shape.mesh].count = uint(count)

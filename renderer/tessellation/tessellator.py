@@ -1,0 +1,249 @@
+"""Chooses the triangles of a scene's height fields for the view of a frame, before its first pass.
+
+The triangles are written over the indices of the field's mesh, so that all techniques, visibility algorithms and shadow
+maps draw them as they draw any mesh. Nothing depends on earlier frames: after any move of the camera the triangles are
+those of the new view at once. While the view stays the same nothing is issued.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from renderer import rules
+from renderer.frame import Effect, Frame, Needs, Pass, SceneResources
+from renderer.scene import Camera, HeightField
+from renderer.scene.arrays import Floats
+from renderer.tessellation.kernels import (
+    COUNTERS,
+    GROUP,
+    IS_CUT,
+    KEPT,
+    MOST_LEVELS,
+    Begin,
+    Bisect,
+    FieldShape,
+    FieldView,
+    Finish,
+    GridVertex,
+    Level,
+)
+from renderer.visibility.boxes.bounds import is_parallel
+from renderer.visibility.repeated import RepeatedCommands
+from rhi import Device, Encoder, Readback, refuse
+from rhi.shading import uint
+
+__rhi_internal__ = True
+
+_UNSEEN: Final = 8.0
+"""Edges outside the view may be this many times as long: they only cast shadows, and are there when the eye turns."""
+_GROUPS: Final = 64
+"""The largest number of work-groups of a dispatch, each of which takes every such group of triangles."""
+
+
+class Tessellation:
+    """The triangles of one height field on one device.
+
+    Attributes:
+        field: the height field. row: the row of its object.
+        cuts: how many of the views so far needed more triangles than the field's limit, as far as is known without
+            waiting. Their triangles are those of as many levels as fit.
+    """
+
+    def __init__(self, device: Device, resources: SceneResources, row: int) -> None:
+        scene = resources.scene
+        self.field: HeightField = scene.height_fields[row]
+        self.row = row
+        self.cuts = 0
+        self._device = device
+        self._resources = resources
+        mesh, steps = int(scene.objects.mesh[row]), self.field.steps
+        side, size = len(self.field.heights), self.field.size
+        self._shape = device.uniform(
+            FieldShape(
+                corner=(-0.5 * size[0], -0.5 * size[1]),
+                steps=steps,
+                side=side,
+                levels=self.field.levels,
+                limit=self.field.limit,
+                first=int(scene.meshes.ranges["first_index"][mesh]),
+                mesh=mesh,
+                draw=int(np.searchsorted(resources.tessellated_rows, row)),
+            )
+        )
+        length, reach = self.field.bounds
+        grid: Any = np.zeros(side * side, GridVertex.dtype)
+        grid["height"] = self.field.heights.reshape(-1)
+        for name, values in (("length", length), ("reach", reach)):
+            grid[name] = np.nextafter(values.reshape(-1).astype(np.float32), np.float32(np.inf))
+        self._grid = device.storage(GridVertex, grid, label="height field")
+        self._counters = device.storage(uint, COUNTERS, label="triangle counts")
+        self._split = [device.storage(uint, 3 * self.field.limit, label="triangles to split") for _ in range(2)]
+        self._levels = [device.uniform(Level(number=number)) for number in range(self.field.levels)]
+        self._view: FieldView | None = None
+        self._constants = device.uniform(_no_view())
+        self._repeated = RepeatedCommands(device, "tessellation")
+        self._pending: Readback | None = None
+
+    def update(self, camera: Camera, edge_pixels: float, height: int) -> None:
+        """Choose the triangles for a view in an image of `height` pixels; see `Tessellator`."""
+        self._learn()
+        node = self._resources.scene.objects.node[self.row]
+        view = view_field(self._resources.scene.nodes.world[node], camera, edge_pixels, height)
+        if view == self._view:
+            return
+        self._view = view
+        self._constants.write(view)
+        self._repeated.execute((), self._issue)
+        self._resources.tessellations += 1
+        if self._pending is None:
+            self._pending = self._counters.read_async(IS_CUT, 1)
+
+    def _learn(self) -> None:
+        if self._pending is not None and self._pending.done:
+            self.cuts += int(self._pending.result()[0])
+            self._pending = None
+
+    def _issue(self, encoder: Encoder) -> None:
+        device, resources = self._device, self._resources
+        shared: dict[str, Any] = {"shape": self._shape, "counters": self._counters, "indices": resources.indices}
+        test: dict[str, Any] = {"view": self._constants, "grid": self._grid}
+        encoder.dispatch(
+            device.program(Begin), 1, split=self._split[0], draws=resources.tessellated_draws, **shared, **test
+        )
+        for number, level in enumerate(self._levels):
+            most = min(2 << number, self.field.limit)
+            encoder.dispatch(
+                device.program(Bisect),
+                min(-(-most // GROUP), _GROUPS),
+                level=level,
+                split=self._split[number % 2],
+                children=self._split[1 - number % 2],
+                **shared,
+                **test,
+            )
+        encoder.dispatch(
+            device.program(Finish), _GROUPS, draws=resources.tessellated_draws, parts=resources.parts, **shared
+        )
+
+    def read_count(self) -> int:
+        """Return the number of triangles of the last view. Waits for the device."""
+        counts = self._counters.read(KEPT, MOST_LEVELS)
+        return int(counts.sum())
+
+    def destroy(self) -> None:
+        """Destroy the resources on the device."""
+        self._repeated.forget()
+        for resource in (self._shape, self._grid, self._counters, self._constants, *self._split, *self._levels):
+            resource.destroy()
+
+
+class Tessellator:
+    """The height fields of a scene on one device; `Renderer.tessellator` is the one of a renderer.
+
+    Attributes:
+        fields: the height fields, as they are drawn; none before the first frame.
+    """
+
+    def __init__(self, device: Device) -> None:
+        self._edge_pixels = 8.0
+        self.fields: list[Tessellation] = []
+        self._device = device
+
+    @property
+    def edge_pixels(self) -> float:
+        """The length in pixels that edges are split down to, where the heights are fine enough: the setting of accuracy
+        and cost. Half of it gives up to four times as many triangles.
+
+        In the middle of the image no edge is longer. Off the middle, at an angle a to the camera's direction, it is at
+        most 1 / cos(a) times as long.
+        """
+        return self._edge_pixels
+
+    @edge_pixels.setter
+    def edge_pixels(self, edge_pixels: float) -> None:
+        if not 0.0 < edge_pixels < np.inf:
+            refuse(rules.BAD_EDGE, "Tessellator.edge_pixels", edge_pixels, "above 0, finite")
+        self._edge_pixels = float(edge_pixels)
+
+    def update(self, resources: SceneResources, camera: Camera, height: int) -> None:
+        """Choose the triangles for what `camera` sees in an image of `height` pixels."""
+        if not self.fields:
+            rows = resources.scene.height_fields
+            self.fields = [Tessellation(self._device, resources, row) for row in rows]
+        for field in self.fields:
+            field.update(camera, self._edge_pixels, height)
+
+    def destroy(self) -> None:
+        """Destroy the resources on the device."""
+        for field in self.fields:
+            field.destroy()
+        self.fields = []
+
+
+def tessellation_passes(needs: Needs) -> list[Pass[Frame]]:
+    """Return the pass that chooses triangles, if the scene has a height field."""
+    effect = Effect.HEIGHT_FIELDS
+    if effect not in needs.effects:
+        return []
+    return [Pass("tessellation", _update, needs.explain(effect), has_side_effects=True)]
+
+
+def _update(frame: Frame) -> None:
+    if frame.first is None and frame.device.capabilities.compute:  # the left eye's frame chooses for both
+        tessellator = frame.resources.workspace(Tessellator)
+        tessellator.update(frame.resources, frame.view.around, frame.targets.size[1])
+
+
+def view_field(world: Floats, camera: Camera, edge_pixels: float, height: int) -> FieldView:
+    """Return a view in the space of a height field.
+
+    Args:
+        world: the transform (4, 4) of the field.
+    """
+    linear = world[:3, :3]
+    most, _, least = np.linalg.svd(linear, compute_uv=False).tolist()
+    if least <= 1e-9 * most:
+        return _no_view()
+    offset = world[:3, 3] - camera.position
+    scale = 0.5 * height * float(camera.projection.matrix[1, 1]) / edge_pixels
+    planes = camera.frustum.planes
+    ends = planes[:, 3] + planes[:, :3] @ camera.position
+    inside = np.zeros((6, 4), np.float32)
+    inside[:, 3] = -1.0
+    inside[: len(planes), :3] = planes[:, :3] @ linear / most
+    inside[: len(planes), 3] = -(planes[:, :3] @ offset + ends) / most
+    if is_parallel(camera):
+        return FieldView(
+            depth=(0.0, 0.0, 0.0, -1.0),
+            eye=(0.0, 0.0, 0.0),
+            scale=scale * most,
+            unseen=scale * most / _UNSEEN,
+            squeeze=0.0,
+            is_lens=0.0,
+            planes=inside,
+        )
+    depth = np.append(camera.forward @ linear, -camera.forward @ offset) / most
+    return FieldView(
+        depth=depth,
+        eye=np.linalg.solve(linear, -offset),
+        scale=scale,
+        unseen=scale / _UNSEEN,
+        squeeze=(least / most) ** 2,
+        is_lens=1.0,
+        planes=inside,
+    )
+
+
+def _no_view() -> FieldView:
+    """Return a view that splits nothing."""
+    return FieldView(
+        depth=(0.0, 0.0, 0.0, -1.0),
+        eye=(0.0, 0.0, 0.0),
+        scale=0.0,
+        unseen=0.0,
+        squeeze=0.0,
+        is_lens=0.0,
+        planes=np.zeros((6, 4), np.float32),
+    )

@@ -1,0 +1,13 @@
+"""The viewer: a scene in a window or a notebook, with a camera that is moved, and commands that switch what draws it.
+
+viewer = Viewer(device, scene)
+viewer.handle(event)           # of rendercanvas
+image = viewer.draw()
+"""
+
+from renderer.viewer.look import Look
+from renderer.viewer.viewer import Viewer
+
+__rhi_internal__ = True
+
+__all__ = ["Look", "Viewer"]

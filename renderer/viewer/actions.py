@@ -1,0 +1,243 @@
+"""The commands of a stage: what draws it, where the camera is, and what is written to files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from math import inf
+from pathlib import Path
+from typing import Any, Final
+
+from PIL import Image
+
+from renderer import rules
+from renderer.content import find_path, parse_camera
+from renderer.frame import Blending
+from renderer.stereo import OUTPUTS
+from renderer.techniques import TECHNIQUES, AutoTechnique
+from renderer.viewer.commands import Parameter, ViewerCommand
+from renderer.viewer.controllers import Fly, Orbit
+from renderer.viewer.look import SHADOWS
+from renderer.viewer.stage import ViewerStage
+from renderer.visibility import list_algorithms
+from rhi.errors import refuse
+
+__rhi_internal__ = True
+
+NEXT: Final = "next"
+"""The word for the choice after the present one."""
+_SPEED: Final = 1.5  # how many times as fast a step is
+
+
+def make_commands(stage: ViewerStage) -> Iterable[ViewerCommand]:
+    """Return the commands of a stage."""
+    return [*_looks(stage), *_cameras(stage), *_files(stage)]
+
+
+def _looks(stage: ViewerStage) -> Iterable[ViewerCommand]:
+    """The commands that change what draws the frames."""
+    yield _choice(stage, "technique", "draw the scene like this", lambda: [AutoTechnique.name, *TECHNIQUES])
+    algorithms = lambda: list_algorithms(stage.renderer.device)  # noqa: E731
+    yield _choice(stage, "visibility", "let this decide which objects are drawn", algorithms)
+    yield _choice(stage, "show", "show the image, or what the frame is made of", stage.list_contents)
+    yield _choice(stage, "shadows", "let the scene decide which lights cast shadows, or all, or none", lambda: SHADOWS)
+    blendings = [one.value for one in Blending]
+    yield _choice(stage, "blending", "put transparent surfaces together like this", lambda: blendings)
+    outputs = {"off": None} | {name: name for name in OUTPUTS}
+    yield _choice(stage, "stereo", "draw two eyes and show them like this", lambda: outputs, outputs.__getitem__)
+    samples = {str(count): count for count in stage.renderer.device.capabilities.sample_counts}
+    yield _choice(stage, "samples", "draw samples in each pixel", lambda: samples, samples.__getitem__)
+    yield _entry(stage, "fxaa", "smooth edges")
+    yield _entry(stage, "overlay", "draw times, counters and the culling over the picture")
+    yield _entry(stage, "particles", "draw the drops of fountains as particles")
+
+
+def _cameras(stage: ViewerStage) -> Iterable[ViewerCommand]:
+    """The commands that move the camera."""
+    scene = stage.scene
+
+    def places() -> Sequence[str]:
+        return [*scene.views, *scene.paths]
+
+    def camera(name: str, frame: int = 0) -> str:
+        stage.camera = parse_camera(name, scene, frame)
+        return ""
+
+    number = Parameter("FRAME", parse_number, is_optional=True)
+    yield ViewerCommand(
+        "camera",
+        "go to a view, a frame of a path, or x,y,z[,x,y,z]: a place and what to look at",
+        camera,
+        (Parameter("CAMERA", words=places), number),
+    )
+
+    def drive(name: str = NEXT) -> str:
+        names = (Fly.name, Orbit.name)
+        stage.drive(_after(names, stage.controller.name) if name == NEXT else name)
+        return stage.controller.name
+
+    drives = Parameter("HOW", words=lambda: (Fly.name, Orbit.name, NEXT), is_closed=True, is_optional=True)
+    yield ViewerCommand("drive", "fly freely, or orbit around what was picked or is in the middle", drive, (drives,))
+
+    def speed(text: str | None = None) -> str:
+        factor = {"faster": _SPEED, "slower": 1.0 / _SPEED}.get(text or "")
+        if factor is not None:
+            stage.controller.speed = min(max(stage.controller.speed * factor, 1e-6), 1e9)
+        elif text is not None:
+            stage.controller.speed = _read("speed", text, parse_positive)
+        return f"{stage.controller.speed:.3g} m/s"
+
+    speeds = Parameter("M/S", words=lambda: ("faster", "slower"), is_optional=True)
+    yield ViewerCommand("speed", "move this fast, or faster, or slower", speed, (speeds,))
+
+    def play(name: str | None = None) -> str:
+        stage.play(None if name is None else find_path(name, scene), name or "latest recording")
+        return ""
+
+    paths = Parameter("PATH", words=lambda: scene.paths, is_optional=True)
+    yield ViewerCommand("play", "show a path, a recording (.json), or the latest recording", play, (paths,))
+
+    def time(seconds: float | None = None) -> str:
+        if seconds is not None:
+            stage.seconds = seconds
+        return f"{stage.seconds:.2f} s"
+
+    yield ViewerCommand("time", "set the scene's time", time, (Parameter("SECONDS", parse_seconds, is_optional=True),))
+    yield _pause(stage)
+
+
+def _files(stage: ViewerStage) -> Iterable[ViewerCommand]:
+    """The commands that read and write files."""
+
+    def screenshot(path: Path | None = None) -> str:
+        path = path or find_free(stage, ".png")
+        if path.suffix.lower() not in Image.registered_extensions():
+            refuse(rules.BAD_ARGUMENT, "screenshot", path.name, "a name that ends with .png")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(stage.picture()[:, :, :3]).save(path)
+        return f"wrote {path}"
+
+    file = Parameter("FILE", Path, is_optional=True)
+    yield ViewerCommand("screenshot", "write the picture to a file", screenshot, (file,))
+
+    def record(path: Path | None = None) -> str:
+        if stage.is_recording:
+            return stage.end_recording()
+        path = path or find_free(stage, ".json")
+        if path.suffix.lower() != ".json":
+            refuse(rules.BAD_ARGUMENT, "record", path.name, "a name that ends with .json")
+        stage.record(path)
+        return f"recording to {path}"
+
+    yield ViewerCommand("record", "begin to record the camera, or end it", record, (file,))
+    yield ViewerCommand("status", "say how fast frames are, and what draws them", lambda: describe_status(stage))
+
+
+def describe_status(stage: ViewerStage) -> str:
+    """Return a line with the counter, the look, the camera and the scene's time."""
+    eye, ahead = stage.camera.position, stage.camera.position + stage.camera.forward
+    place = ",".join(f"{value:.6g}" for value in (*eye, *ahead))
+    device, worked = stage.renderer.device.backend_name, f"{1e3 * stage.counter.processor:.1f} ms of processors"
+    rate = f"{stage.counter.describe()}, {worked} a frame"
+    return f"{rate}, {stage.look.describe()} on {device}, camera {place}, {stage.seconds:.2f} s"
+
+
+def find_free(stage: ViewerStage, ending: str) -> Path:
+    """Return a file's name that isn't taken: the scene's, with a number."""
+    name = Path(stage.scene.name.partition(":")[0]).stem or "scene"
+    number = 1
+    while (path := Path(f"{name}-{number:03}{ending}")).exists():
+        number += 1
+    return path
+
+
+def parse_number(text: str) -> int:
+    """Parse a whole number of 0 or more."""
+    value = int(text)
+    if value < 0:
+        raise ValueError(text)
+    return value
+
+
+def parse_place(text: str) -> tuple[int, int]:
+    """Parse `480,270` as a pixel."""
+    x, y = text.split(",")
+    return parse_number(x), parse_number(y)
+
+
+def parse_seconds(text: str) -> float:
+    """Parse a finite number of 0 or more."""
+    value = float(text)
+    if not 0.0 <= value < inf:
+        raise ValueError(text)
+    return value
+
+
+def parse_positive(text: str) -> float:
+    """Parse a finite number above 0."""
+    value = parse_seconds(text)
+    if not value:
+        raise ValueError(text)
+    return value
+
+
+def _read(call: str, text: str, parse: Callable[[str], Any]) -> Any:
+    try:
+        return parse(text)
+    except ValueError:
+        refuse(rules.BAD_ARGUMENT, call, text, "a number above 0")
+
+
+def _after(choices: Iterable[str], present: str) -> str:
+    """Return the choice after the present one."""
+    known = list(choices)
+    return known[(known.index(present) + 1) % len(known)] if present in known else known[0]
+
+
+def _choice(
+    stage: ViewerStage,
+    name: str,
+    summary: str,
+    words: Callable[[], Iterable[str]],
+    parse: Callable[[str], Any] = str,
+) -> ViewerCommand:
+    """Return a command that sets an entry of the look to one of some words, or to the next one."""
+
+    def run(word: str | None = None) -> str:
+        present = str(getattr(stage.look, name) or "off")
+        if word is None:
+            return present
+        chosen = _after(words(), present) if word == NEXT else word
+        stage.change(**{name: parse(chosen)})
+        return f"{name} {chosen}"
+
+    known = Parameter(name.upper(), words=lambda: [*words(), NEXT], is_closed=True, is_optional=True)
+    return ViewerCommand(name, summary, run, (known,))
+
+
+_ON: Final = {"on": True, "off": False}
+
+
+def switch(
+    name: str, summary: str, read: Callable[[], bool], write: Callable[[bool], None], *, is_silent: bool = False
+) -> ViewerCommand:
+    """Return a command that turns what `read` returns on or off by `write`, or to the other one."""
+
+    def run(word: str | None = None) -> str:
+        on = not read() if word is None else _ON[word]
+        write(on)
+        return "" if is_silent else f"{name} {'on' if on else 'off'}"
+
+    states = Parameter("on|off", words=lambda: _ON, is_closed=True, is_optional=True)
+    return ViewerCommand(name, summary, run, (states,))
+
+
+def _entry(stage: ViewerStage, name: str, summary: str) -> ViewerCommand:
+    """Return the switch of an entry of the look."""
+    return switch(name, summary, lambda: getattr(stage.look, name), lambda on: stage.change(**{name: on}))
+
+
+def _pause(stage: ViewerStage) -> ViewerCommand:
+    def write(on: bool) -> None:
+        stage.is_paused = on
+
+    return switch("pause", "stop the scene's time, or let it go on", lambda: stage.is_paused, write)

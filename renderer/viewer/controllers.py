@@ -1,0 +1,260 @@
+"""Controllers: they turn gestures and held keys into cameras, flying freely or circling a point.
+
+A controller knows no events: it is turned by angles, dragged by parts of the image's height, zoomed by notches, and
+pushed along its axes for some seconds. Positions and angles are float64. Motion depends on time and not on frames: the
+speed approaches what the keys ask for exponentially, and the way is that speed's integral, so a second in one step ends
+where a second in sixty steps does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from math import atan2, cos, exp, hypot, pi, sin
+from typing import Final, Protocol
+
+import numpy as np
+
+from renderer.scene import Camera, Orthographic, Perspective, Scene
+from renderer.scene.arrays import Floats
+from renderer.scene.camera import Projection
+
+__rhi_internal__ = True
+
+NOTCH: Final = 1.15
+"""How much nearer a notch of the wheel brings, as a ratio of distances."""
+FAST: Final = 4.0
+"""How many times as fast motion is with Shift."""
+
+_RATE: Final = 12.0  # a second: how quickly the speed approaches what the keys ask for
+_TURN: Final = 1.6  # radians a second, by keys
+_REST: Final = 1e-3  # of the full speed: below it, motion has ended
+_LEAST: Final = 1e-6  # metres of an orbit
+_DIVISIONS: Final = 25.0  # of the scene's size, which are flown through in as many seconds
+
+
+def find_speed(scene: Scene) -> float:
+    """Return a speed in metres a second that suits a scene: it crosses nine tenths of the objects in 25 seconds, so
+    that one large plane around them doesn't count."""
+    middles = 0.5 * (scene.objects.lower + scene.objects.upper)
+    low, high = np.percentile(middles, (5.0, 95.0), axis=0)
+    size = float(np.linalg.norm(high - low)) or float(np.linalg.norm(scene.bounds[1] - scene.bounds[0]))
+    return max(size / _DIVISIONS, _LEAST)
+
+
+@dataclass(slots=True)
+class Heading:
+    """A direction of view without roll: `yaw` to the left around +Y, `pitch` upwards, in radians."""
+
+    yaw: float = 0.0
+    pitch: float = 0.0
+
+    @classmethod
+    def of(cls, camera: Camera) -> Heading:
+        """Return where a camera looks. Looking straight up or down, its up direction is that of the yaw."""
+        x, y, z = camera.forward.tolist()
+        if hypot(x, z) > 1e-9:
+            return cls(atan2(-x, -z), atan2(y, hypot(x, z)))
+        up = -np.sign(y) * camera.rotation[1]
+        return cls(atan2(-up[0], -up[2]), float(np.sign(y)) * pi / 2)
+
+    def turn(self, left: float, up: float) -> None:
+        """Turn by angles; the pitch stays between straight down and straight up."""
+        self.yaw = (self.yaw + left + pi) % (2.0 * pi) - pi
+        self.pitch = min(max(self.pitch + up, -pi / 2), pi / 2)
+
+    @property
+    def rotation(self) -> Floats:
+        """The camera's rotation (3, 3): rows are right, up, back."""
+        s, c, t, d = sin(self.yaw), cos(self.yaw), sin(self.pitch), cos(self.pitch)
+        return np.array([(c, 0.0, -s), (s * t, d, c * t), (s * d, -t, c * d)])
+
+
+@dataclass(slots=True)
+class Glide:
+    """A speed (3,) that approaches the one that is asked for, and the way it goes meanwhile."""
+
+    speed: Floats = field(default_factory=lambda: np.zeros(3))
+
+    def advance(self, wanted: Floats, seconds: float) -> Floats:
+        """Return the way (3,) of some seconds in which `wanted` (3,) is asked for."""
+        kept = exp(-_RATE * seconds)
+        gap = self.speed - wanted
+        way = wanted * seconds + gap * ((1.0 - kept) / _RATE)
+        self.speed = wanted + gap * kept
+        if not wanted.any() and float(np.abs(self.speed).max()) < _REST:
+            self.speed = np.zeros(3)
+        return np.asarray(way)
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether there is any speed left."""
+        return bool(self.speed.any())
+
+
+class Controller(Protocol):
+    """A way to move a camera.
+
+    Attributes:
+        name: the word for it in commands. speed: metres a second at which keys move.
+    """
+
+    name: str
+    speed: float
+
+    @property
+    def camera(self) -> Camera:
+        """The camera as of now."""
+        ...
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether it still glides."""
+        ...
+
+    @property
+    def angle(self) -> float:
+        """The angle in radians by which dragging all over the image's height turns."""
+        ...
+
+    def turn(self, left: float, up: float) -> None:
+        """Turn the view by angles in radians."""
+        ...
+
+    def drag(self, right: float, up: float) -> None:
+        """Move what is seen by parts of the image's height, as if it were held."""
+        ...
+
+    def zoom(self, notches: float) -> None:
+        """Go nearer, or with a negative number away."""
+        ...
+
+    def advance(self, push: Floats, turn: Floats, seconds: float) -> None:
+        """Move for some seconds.
+
+        Args:
+            push: (3,) how keys push to the right, up and back, each from -1 to 1, more with Shift.
+            turn: (3,) how they turn to the left and up; the third is unused.
+        """
+        ...
+
+
+class Fly:
+    """Flies freely: keys move along the axes of the view, dragging turns it."""
+
+    name = "fly"
+
+    def __init__(self, camera: Camera, speed: float) -> None:
+        self.speed = speed
+        self._position: Floats = np.array(camera.position, np.float64)
+        self._heading = Heading.of(camera)
+        self._lens = camera.projection
+        self._move, self._swing = Glide(), Glide()
+
+    @property
+    def camera(self) -> Camera:
+        """The camera as of now."""
+        return Camera(self._position.copy(), self._heading.rotation, self._lens)
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether it still glides."""
+        return self._move.is_moving or self._swing.is_moving
+
+    @property
+    def angle(self) -> float:
+        """The angle between the image's top and bottom; with a parallel lens, that of a usual lens."""
+        return self._lens.fov if isinstance(self._lens, Perspective) else pi / 3
+
+    def turn(self, left: float, up: float) -> None:
+        """Turn the view by angles in radians."""
+        self._heading.turn(left, up)
+
+    def drag(self, right: float, up: float) -> None:
+        """Move sideways and up or down, by parts of a second's way."""
+        self._go(np.array((-right, -up, 0.0)) * self.speed)
+
+    def zoom(self, notches: float) -> None:
+        """Go ahead a quarter of a second's way for each notch; a parallel lens shows less."""
+        if isinstance(self._lens, Orthographic):
+            self._lens = zoom_lens(self._lens, notches)
+        else:
+            self._go(np.array((0.0, 0.0, -0.25 * notches)) * self.speed)
+
+    def advance(self, push: Floats, turn: Floats, seconds: float) -> None:
+        """Move for some seconds."""
+        left, up, _ = (_TURN * self._swing.advance(turn, seconds)).tolist()
+        self._heading.turn(left, up)
+        self._go(self._move.advance(push, seconds) * self.speed)
+
+    def _go(self, way: Floats) -> None:
+        self._position = self._position + way @ self._heading.rotation
+
+
+class Orbit:
+    """Circles a point at a distance: dragging turns the view around it, the wheel goes nearer."""
+
+    name = "orbit"
+
+    def __init__(self, camera: Camera, target: Floats, speed: float) -> None:
+        """`target` (3,) is the point in the middle; the camera keeps its place and turns towards it."""
+        self.speed = speed
+        away = camera.position - target
+        self.target: Floats = np.array(target, np.float64)
+        self.distance = max(float(np.linalg.norm(away)), _LEAST)
+        aimed = Camera.look_at(camera.position, target) if (away != 0.0).any() else camera
+        self._heading = Heading.of(aimed)
+        self._lens = camera.projection
+        self._move, self._swing = Glide(), Glide()
+
+    @property
+    def camera(self) -> Camera:
+        """The camera as of now."""
+        rotation = self._heading.rotation
+        return Camera(self.target + self.distance * rotation[2], rotation, self._lens)
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether it still glides."""
+        return self._move.is_moving or self._swing.is_moving
+
+    @property
+    def angle(self) -> float:
+        """Half a turn."""
+        return pi
+
+    def turn(self, left: float, up: float) -> None:
+        """Turn around the point."""
+        self._heading.turn(left, up)
+
+    def drag(self, right: float, up: float) -> None:
+        """Move the point with what is seen: it stays below the pointer."""
+        high = image_height(self._lens, self.distance)
+        self.target = self.target + np.array((-right, -up, 0.0)) * high @ self._heading.rotation
+
+    def zoom(self, notches: float) -> None:
+        """Go nearer by a ratio; a parallel lens shows less."""
+        self.distance = max(self.distance * NOTCH**-notches, _LEAST)
+        self._lens = zoom_lens(self._lens, notches)
+
+    def advance(self, push: Floats, turn: Floats, seconds: float) -> None:
+        """Move for some seconds: keys to the side and up turn around the point, those ahead go nearer."""
+        around = np.array((turn[0] + push[0], turn[1] + push[1], 0.0))
+        left, up, _ = (_TURN * self._swing.advance(around, seconds)).tolist()
+        self._heading.turn(left, -up)
+        ahead = -float(self._move.advance(np.array((0.0, 0.0, push[2])), seconds)[2])
+        if ahead:
+            self.zoom(8.0 * ahead)
+
+
+def zoom_lens(lens: Projection, notches: float) -> Projection:
+    """Return the lens that shows less after some notches of the wheel; one with perspective stays as it is."""
+    return replace(lens, height=lens.height * NOTCH**-notches) if isinstance(lens, Orthographic) else lens
+
+
+def image_height(lens: Projection, distance: float) -> float:
+    """Return how many metres the image is high at a distance from the eye."""
+    if isinstance(lens, Orthographic):
+        return lens.height
+    assert isinstance(lens, Perspective)
+    return 2.0 * distance * float(np.tan(0.5 * lens.fov))
+

@@ -1,0 +1,182 @@
+"""The interface: a layer that draws what the viewer says over its frames, in text and lines."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from textwrap import wrap
+from typing import Final
+
+import numpy as np
+
+from renderer.canvas import Canvas, Font, srgb
+from renderer.frame import Frame
+from renderer.scene import Camera
+from renderer.scene.arrays import Floats
+from rhi import Device
+
+__rhi_internal__ = True
+
+_TEXT: Final = srgb("#e8edf2")
+_DIM: Final = srgb("#93a1ae")
+_ERROR: Final = srgb("#ff8a7a")
+_PANEL: Final = srgb("#0a0f14", 0.95)
+_CURSOR: Final = srgb("#57c785")
+_BOX: Final = srgb("#e8b64c")
+_TRIANGLE: Final = srgb("#ffffff")
+_PAD: Final = 8
+_ROWS: Final = 16  # of the console
+_EDGES: Final = [(a, b) for a in range(8) for b in range(8) if a < b and (a ^ b).bit_count() == 1]
+
+
+@dataclass(slots=True)
+class Shown:
+    """What the interface shows in the next frame.
+
+    Attributes:
+        corner: a line at the top in the middle. notes: lines at the bottom left, each with whether it is an error.
+        help: rows of keys and what they do, or None. console: the lines of the console, or None if it is closed.
+        line, cursor, choices: its line, where that is edited, and the words that could follow.
+        box: (8, 3) corners of a box in the world, numbered by bits. triangle: (3, 3), a triangle there.
+    """
+
+    corner: str = ""
+    notes: Sequence[tuple[str, bool]] = ()
+    help: Sequence[tuple[str, str]] | None = None
+    console: Sequence[tuple[str, bool]] | None = None
+    line: str = ""
+    cursor: int = 0
+    choices: Sequence[str] = ()
+    box: Floats | None = None
+    triangle: Floats | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ScreenRectangle:
+    """A rectangle of the image, in pixels."""
+
+    x: int
+    y: int
+    width: int
+    height: int
+
+
+class InterfaceLayer:
+    """Draws what is `shown`.
+
+    Attributes:
+        shown: what the next frame shows; replace it between frames. scale: pixels of a texel of the text.
+        is_hidden: whether nothing is drawn.
+    """
+
+    def __init__(self, device: Device, font: Font | None = None) -> None:
+        self._canvas = Canvas(device, font or Font.load())
+        self.shown = Shown()
+        self.scale = 1
+        self.is_hidden = False
+
+    def render(self, device: Device, frame: Frame) -> None:
+        """Draw to the frame's image, of each eye."""
+        if self.is_hidden:
+            return
+        canvas, image = self._canvas, frame.targets.image
+        width, height = image.size
+        shown = self.shown
+        self._mark(frame.camera, (width, height))
+        if shown.corner:
+            wide = canvas.measure(shown.corner, self.scale)[0]
+            self._add_text((width - wide) // 2, _PAD * self.scale, [(shown.corner, False)])
+        bottom = height - _PAD * self.scale
+        if shown.console is not None:
+            self._add_console(ScreenRectangle(0, 0, width, bottom))
+        elif shown.notes and shown.help is None:
+            notes = self._wrap(shown.notes, width - 4 * _PAD * self.scale)
+            self._add_text(2 * _PAD * self.scale, bottom - self._row * len(notes) - _PAD * self.scale, notes)
+        if shown.help is not None:
+            self._add_help(width, height)
+        if not len(canvas):
+            return
+        with device.event("interface"), device.render_pass(image):
+            canvas.draw(image.size)
+
+    def destroy(self) -> None:
+        """Destroy the resources on the device."""
+        self._canvas.destroy()
+
+    @property
+    def _row(self) -> int:
+        return self._canvas.font.line_height * self.scale
+
+    def _add_text(self, x: int, y: int, lines: Sequence[tuple[str, bool]]) -> None:
+        """Add lines on a panel; the text's top left is at (x, y)."""
+        canvas, scale, pad = self._canvas, self.scale, _PAD * self.scale
+        wide = max(canvas.measure(text, scale)[0] for text, _ in lines)
+        canvas.rect(x - pad, y - pad // 2, wide + 2 * pad, self._row * len(lines) + pad, _PANEL)
+        for number, (text, is_error) in enumerate(lines):
+            canvas.text(x, y + number * self._row, text, _ERROR if is_error else _TEXT, scale)
+
+    def _wrap(self, lines: Sequence[tuple[str, bool]], width: int) -> list[tuple[str, bool]]:
+        """Return the lines broken to a width in pixels, about: a character is as wide as an n."""
+        most = max(width // self._canvas.measure("n", self.scale)[0], 1)
+        return [(part, is_error) for text, is_error in lines for part in wrap(text, most) or [""]]
+
+    def _add_help(self, width: int, height: int) -> None:
+        canvas, scale, pad = self._canvas, self.scale, _PAD * self.scale
+        rows = self.shown.help or ()
+        keys, texts = ("\n".join(column) for column in zip(*rows, strict=True))
+        left, right = canvas.measure(keys, scale)[0], canvas.measure(texts, scale)[0]
+        wide, high = left + right + 2 * pad, self._row * len(rows)
+        x, y = max((width - wide) // 2, pad), max((height - high) // 2, pad)
+        canvas.rect(x - pad, y - pad, wide + 2 * pad, high + 2 * pad, _PANEL)
+        canvas.text(x, y, keys, _TEXT, scale)
+        canvas.text(x + left + 2 * pad, y, texts, _DIM, scale)
+
+    def _add_console(self, box: ScreenRectangle) -> None:
+        canvas, scale, pad, row = self._canvas, self.scale, _PAD * self.scale, self._row
+        shown = self.shown
+        lines = [*(shown.console or ()), ("  ".join(shown.choices), False)] if shown.choices else shown.console or ()
+        lines = self._wrap(lines, box.width - 2 * pad)
+        room = max(min(_ROWS, (box.height - 2 * pad) // row - 1), 0)
+        lines = lines[max(len(lines) - room, 0) :]
+        top = box.y + box.height - row * (len(lines) + 1) - pad
+        canvas.rect(box.x, top - pad, box.width, row * (len(lines) + 1) + 2 * pad, _PANEL)
+        for number, (text, is_error) in enumerate(lines):
+            canvas.text(box.x + pad, top + number * row, text, _ERROR if is_error else _DIM, scale)
+        below = top + len(lines) * row
+        canvas.text(box.x + pad, below, f"> {shown.line}", _TEXT, scale)
+        before = canvas.measure(f"> {shown.line[: shown.cursor]}", scale)[0]
+        canvas.rect(box.x + pad + before, below, 2 * scale, row, _CURSOR)
+
+    def _mark(self, camera: Camera, size: tuple[int, int]) -> None:
+        """Add the edges of the box and of the triangle, as the camera sees them."""
+        for points, edges, color in (
+            (self.shown.box, _EDGES, _BOX),
+            (self.shown.triangle, [(0, 1), (1, 2), (2, 0)], _TRIANGLE),
+        ):
+            if points is not None:
+                lines = project_lines(camera, size, points[np.array(edges)])
+                if len(lines):
+                    self._canvas.lines(lines, color, 2.0 * self.scale)
+
+
+def project_lines(camera: Camera, size: tuple[int, int], lines: Floats) -> Floats:
+    """Return the lines (k, 2, 2), in pixels, as which lines (n, 2, 3) in the world are seen. They are cut off where
+    they are nearer than the lens sees, or out of the image by more than its size."""
+    ends = (lines - camera.position) @ camera.rotation.T
+    clip = np.concatenate([ends, np.ones((*ends.shape[:2], 1))], axis=2) @ camera.projection.matrix.T
+    w = clip[..., 3:]
+    nearest = getattr(camera.projection, "near", 0.0)
+    inside = np.concatenate([3.0 * w - clip[..., :2], 3.0 * w + clip[..., :2], -ends[..., 2:] - nearest], axis=2)
+    begin, end = np.zeros(len(lines)), np.ones(len(lines))
+    for number in range(inside.shape[2]):  # Liang and Barsky, 1984
+        first, last = inside[:, 0, number], inside[:, 1, number]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            at = first / (first - last)
+        begin = np.where((first < 0.0) & (last >= 0.0), np.maximum(begin, at), begin)
+        end = np.where((first >= 0.0) & (last < 0.0), np.minimum(end, at), end)
+        end = np.where((first < 0.0) & (last < 0.0), -1.0, end)
+    kept = begin < end
+    parts = np.stack([begin, end], axis=1)[kept][:, :, None]
+    cut = clip[kept][:, :1] + parts * (clip[kept][:, 1:] - clip[kept][:, :1])
+    places = cut[..., :2] / np.maximum(cut[..., 3:], 1e-12)
+    return np.asarray((places * (0.5, -0.5) + 0.5) * size)

@@ -1,0 +1,128 @@
+"""Commands over a socket of this computer, only if they are asked for.
+
+Each line that comes is run, and answered by a line: `ok` or `error:`, and what there is to say. Nothing else is open to
+others: it is bound to the loopback address. A connection whose first line is no command is closed, so that a page in a
+browser, whose requests begin with other words, can't run any.
+"""
+
+from __future__ import annotations
+
+import selectors
+import socket
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+from renderer import rules
+from rhi.errors import DeviceError
+
+__rhi_internal__ = True
+
+ADDRESS: Final = "127.0.0.1"
+_LONGEST: Final = 4096  # bytes of a line
+_MOST: Final = 8  # connections
+
+Answer = Callable[[str], tuple[str, bool]]
+"""Runs a line, and returns what there is to say and whether it is an error."""
+
+
+@dataclass(slots=True)
+class Connection:
+    """A connection: what came of its next line, and whether any was run."""
+
+    socket: socket.socket
+    begun: bytes = b""
+    has_run: bool = False
+
+
+class CommandServer:
+    """Listens on a port; `poll` runs what has come, and never waits.
+
+    Attributes:
+        port: the port; if 0 was asked for, the one that was free.
+    """
+
+    def __init__(self, port: int, answer: Answer) -> None:
+        """Listen.
+
+        Raises:
+            DeviceError: `viewer-cannot-listen`.
+        """
+        self._answer = answer
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        self._connections: dict[int, Connection] = {}
+        try:
+            self._socket.bind((ADDRESS, port))
+            self._socket.listen()
+        except (OSError, OverflowError) as error:
+            self._socket.close()
+            raise DeviceError(rules.CANNOT_LISTEN, "listen", f"{port}: {error}") from None
+        self._socket.setblocking(False)
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._socket, selectors.EVENT_READ)
+        self.port: int = self._socket.getsockname()[1]
+
+    def poll(self) -> int:
+        """Run the lines that have come, and return how many there were."""
+        count = 0
+        for key, _ in self._selector.select(0):
+            if key.fileobj is self._socket:
+                self._accept()
+            else:
+                count += self._receive(self._connections[key.fd])
+        return count
+
+    def close(self) -> None:
+        """End all connections, and listen no more."""
+        for connection in list(self._connections.values()):
+            self._drop(connection)
+        self._selector.close()
+        self._socket.close()
+
+    def _accept(self) -> None:
+        try:
+            made, _ = self._socket.accept()
+        except OSError:  # it has gone again
+            return
+        if len(self._connections) == _MOST:
+            made.close()
+            return
+        made.setblocking(False)
+        self._connections[made.fileno()] = Connection(made)
+        self._selector.register(made, selectors.EVENT_READ)
+
+    def _receive(self, connection: Connection) -> int:
+        try:
+            data = connection.socket.recv(_LONGEST)
+        except BlockingIOError:
+            return 0
+        except OSError:
+            data = b""
+        if not data:
+            self._drop(connection)
+            return 0
+        *lines, connection.begun = (connection.begun + data).split(b"\n")
+        for number, line in enumerate(lines):
+            said, is_error = self._answer(line.decode("utf-8", "replace"))
+            said = f"error: {said}" if is_error else f"ok {said}".rstrip()
+            if not self._send(connection, " ".join(said.split())) or (is_error and not connection.has_run):
+                self._drop(connection)
+                return number + 1
+            connection.has_run = True
+        if len(connection.begun) > _LONGEST:
+            self._drop(connection)
+        return len(lines)
+
+    def _send(self, connection: Connection, line: str) -> bool:
+        """Send a line; whoever doesn't read is dropped."""
+        try:
+            connection.socket.sendall(line.encode() + b"\n")
+        except OSError:
+            return False
+        return True
+
+    def _drop(self, connection: Connection) -> None:
+        self._connections.pop(connection.socket.fileno(), None)
+        self._selector.unregister(connection.socket)
+        connection.socket.close()

@@ -1,0 +1,127 @@
+"""A viewer on a screen: in a window, a notebook, a browser page.
+
+Frames are drawn only while something moves, and after each event. While lines may come over a socket, ten a second
+are drawn at least.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import Any, Final
+
+from renderer.content import load_scene
+from renderer.scene import Camera, Scene
+from renderer.viewer.gestures import Event
+from renderer.viewer.look import Look
+from renderer.viewer.viewer import Viewer
+from rhi_screen import Screen, open_screen
+
+__rhi_internal__ = True
+
+_LISTENING: Final = 10.0  # frames a second
+
+
+class ViewerScreen:
+    """A viewer and the screen that it is shown on.
+
+    Attributes:
+        viewer, screen: these. frames: how many frames were shown. end_after: how many there are to be, None for no end.
+    """
+
+    def __init__(self, viewer: Viewer, screen: Screen) -> None:
+        """Draw `viewer` to `screen`, whose device it has, and hand it the events of the screen's canvas."""
+        self.viewer = viewer
+        self.screen = screen
+        self.frames = 0
+        self.end_after: int | None = None
+        self._is_closed = False
+        viewer.stage.renderer.show = screen.show
+        screen.canvas.add_event_handler(self._handle, "*")
+        screen.canvas.request_draw(self.draw)
+
+    def run(self) -> None:
+        """Run the screen's loop until its canvas is closed."""
+        self.screen.run(self.draw)
+
+    def listen(self, port: int) -> int:
+        """Run the lines that come over a socket (`Viewer.listen`); return the port."""
+        port = self.viewer.listen(port)
+        self.screen.canvas.set_update_mode("ondemand", min_fps=_LISTENING)
+        return port
+
+    def draw(self) -> None:
+        """Draw and show a frame; the canvas calls this."""
+        viewer, canvas = self.viewer, self.screen.canvas
+        viewer.resize(self.screen.size, canvas.get_pixel_ratio())
+        viewer.draw()
+        self.frames += 1
+        if viewer.is_over or self.frames == self.end_after:
+            canvas.close()
+        elif viewer.is_moving or self.end_after is not None:
+            canvas.request_draw()
+
+    def close(self) -> None:
+        """Destroy the viewer and close the screen. A second call does nothing."""
+        if not self._is_closed:
+            self._is_closed = True
+            self.viewer.close()
+            self.screen.close()
+
+    def _handle(self, event: Event) -> None:
+        self.viewer.handle(event)
+        if event["event_type"] not in _SILENT:
+            self.screen.canvas.request_draw()
+
+
+_SILENT: Final = frozenset({"before_draw", "animate", "close", "pointer_enter"})
+
+
+def open_viewer(
+    scene: Scene | str,
+    backend: str | None = None,
+    *,
+    canvas: str | None = None,
+    size: tuple[int, int] = (960, 540),
+    look: Look | None = None,
+    camera: Camera | None = None,
+    **options: Any,
+) -> ViewerScreen:
+    """Open a screen that shows a scene.
+
+    Args:
+        scene: a scene, or the text that names one.
+        backend: by default `RHI_BACKEND`, or `gl`.
+        canvas: one of `rhi_screen.CANVASES`; by default a widget in a notebook, and else a window.
+        size: in logical pixels. look, camera: what the viewer begins with.
+        options: those of `rhi_screen.open_screen`.
+
+    Raises:
+        DeviceError: what is missing, and what to install.
+    """
+    if isinstance(scene, str):
+        scene = load_scene(scene)
+    backend = backend or os.environ.get("RHI_BACKEND") or "gl"
+    screen = open_screen(backend, canvas=canvas, title=f"{scene.name} - $fps frames/s", size=size, **options)
+    try:
+        viewer = Viewer(screen.device, scene, size=screen.size, look=look, camera=camera)
+    except BaseException:
+        screen.close()
+        raise
+    return ViewerScreen(viewer, screen)
+
+
+def view(scene: Scene | str, backend: str | None = None, **options: Any) -> Any:
+    """Show a scene: in a notebook return the widget, else open a window and return when it is closed.
+
+    The arguments are those of `open_viewer`. The device lives as long as the widget.
+    """
+    shown = open_viewer(scene, backend, **options)
+    canvas = shown.screen.canvas
+    if type(canvas).__name__ == "JupyterRenderCanvas":
+        canvas.add_event_handler(lambda _: shown.close(), "close")
+        return canvas
+    try:
+        shown.run()
+    finally:
+        shown.close()
+    return None

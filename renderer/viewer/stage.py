@@ -1,0 +1,292 @@
+"""The stage: a scene that is drawn as a look says, from a camera that is moved, with what was picked and recorded.
+
+It knows no events and no words; `renderer.viewer.actions` has the commands for what it can do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from time import process_time
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer import rules
+from renderer.frame import Layer
+from renderer.renderer import FrameResult, Renderer
+from renderer.scene import Camera, CameraPath, Scene
+from renderer.scene.arrays import Floats
+from renderer.stereo import fit_picture
+from renderer.viewer.controllers import Controller, Fly, Orbit, find_speed
+from renderer.viewer.counter import FrameCounter
+from renderer.viewer.look import Dresser, Look
+from renderer.viewer.picking import Hit, Ray, find_hit
+from renderer.viewer.reasons import explain_drawn
+from renderer.viewer.recording import LONGEST, CameraRecorder, CameraReplay
+from renderer.visibility import NoCulling
+from renderer.visibility.boxes.volumes import find_in_view
+from rhi import Device, RhiError
+from rhi.errors import refuse
+
+__rhi_internal__ = True
+
+MOST_STEP: Final = 0.25
+"""Seconds by which a frame moves the camera and the scene at most, however long it took."""
+
+
+class ViewerStage:
+    """Draws a scene frame by frame.
+
+    Attributes:
+        scene, renderer: what is shown, and what draws it. layers: what is drawn over each frame, but not to pictures.
+        controller: what moves the camera while nothing is replayed. counter: counts frames.
+        seconds: the scene's time. is_paused: whether that stands still.
+        replay: the walk-through that is shown, if any. hit, told: what was picked, and lines about it.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        scene: Scene,
+        size: tuple[int, int],
+        look: Look,
+        camera: Camera,
+        layers: Sequence[Layer],
+        say: Callable[[str, bool], None],
+    ) -> None:
+        """`say` is told what happens without being asked for, and whether that is an error."""
+        self.scene = scene
+        self.layers = tuple(layers)
+        self.renderer = Renderer(device, scene, visibility=NoCulling(scene), size=size)
+        self._dresser = Dresser(self.renderer, look, self.layers)
+        self._good = look
+        self.controller: Controller = Fly(camera, find_speed(scene))
+        self.counter = FrameCounter()
+        self.seconds = 0.0
+        self.is_paused = False
+        self.replay: CameraReplay | None = None
+        self.hit: Hit | None = None
+        self.told: list[str] = []
+        self._say = say
+        self._latest: CameraPath | None = None
+        self._recorder: tuple[CameraRecorder, Path] | None = None
+        self._result: FrameResult | None = None
+        self._seen_by = self._fit(camera)
+        self._is_animated = len(self.renderer.simulator.simulations) > 0
+
+    # -- the camera ------------------------------------------------------------------------------------------------
+
+    @property
+    def camera(self) -> Camera:
+        """The camera as of now. Setting it ends a replay."""
+        return self.controller.camera if self.replay is None else self.replay.camera
+
+    @camera.setter
+    def camera(self, camera: Camera) -> None:
+        self.replay = None
+        speed = self.controller.speed
+        if isinstance(self.controller, Orbit):
+            ahead = camera.position + self.controller.distance * camera.forward
+            self.controller = Orbit(camera, ahead, speed)
+        else:
+            self.controller = Fly(camera, speed)
+
+    def drive(self, name: str) -> None:
+        """Fly or orbit from here. An orbit is around what was picked, or what is in the middle of the image, or the
+        scene."""
+        camera, speed = self.camera, self.controller.speed
+        self.replay = None
+        if name == Fly.name:
+            self.controller = Fly(camera, speed)
+        else:
+            self.controller = Orbit(camera, self._find_middle(), speed)
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether the next frame's picture may be another one."""
+        return (
+            self.controller.is_moving
+            or self.replay is not None
+            or self._recorder is not None
+            or (self._is_animated and not self.is_paused)
+            or self.renderer.is_trying
+            or self.look.overlay
+        )
+
+    # -- the look --------------------------------------------------------------------------------------------------
+
+    @property
+    def look(self) -> Look:
+        """What draws the frames."""
+        return self._dresser.look
+
+    def change(self, **changes: Any) -> None:
+        """Change entries of the look. If the device or a technique refuses, it stays as it was.
+
+        Raises:
+            ValidationError: what refuses says why.
+        """
+        self._dresser.wear(replace(self.look, **changes), self.camera)
+
+    def list_contents(self) -> list[str]:
+        """Return what can be shown of a frame."""
+        return self._dresser.list_contents(self.camera)
+
+    # -- picking ---------------------------------------------------------------------------------------------------
+
+    def pick(self, x: int, y: int) -> str:
+        """Pick what the latest frame shows at a pixel, and return what it is."""
+        self.hit = self._cast(x, y)
+        if self.hit is None:
+            self.told = []
+            return f"nothing at {x}, {y}"
+        row, scene = self.hit.row, self.scene
+        mesh = int(scene.objects.mesh[row])
+        triangles = int(scene.meshes.triangle_counts[mesh])
+        name = scene.nodes.names[scene.objects.node[row]] or "object"
+        because = explain_drawn(self.renderer.visibility, scene, self._seen_by, row)
+        self.told = [
+            f"{name} [{row}], mesh {scene.meshes.names[mesh] or mesh}: {triangles:,} triangles, "
+            f"{self.hit.distance:.2f} m away, triangle {self.hit.triangle}",
+            f"drawn: {because}",
+        ]
+        return "\n".join(self.told)
+
+    def clear(self) -> None:
+        """Forget what was picked."""
+        self.hit = None
+        self.told = []
+
+    def find_box(self) -> Floats | None:
+        """Return the corners (8, 3) of the box of what was picked, numbered by bits; it holds the object at all
+        times."""
+        if self.hit is None:
+            return None
+        boxes, row = self.scene.objects.boxes, self.hit.row
+        ends = boxes.lower[row], boxes.upper[row]
+        corners = np.array([[ends[number >> axis & 1][axis] for axis in range(3)] for number in range(8)])
+        world = boxes.place(self.scene.nodes, np.array([row]))[0]
+        return np.asarray(corners @ world[:3, :3].T + world[:3, 3])
+
+    def _cast(self, x: int, y: int) -> Hit | None:
+        camera, size, look = self._seen_by, self.renderer.size, self.look
+        if look.stereo is not None:
+            size = fit_picture(look.stereo, size)
+            x, y = x % size[0], y % size[1]
+        rows = find_in_view(self.scene, camera, np.arange(len(self.scene.objects)))
+        if self._result is not None:
+            rows = np.intersect1d(rows, self._result.visible)
+        return find_hit(self.scene, self.renderer.simulator, Ray.through(camera, size, x, y), rows)
+
+    def _find_middle(self) -> Floats:
+        width, height = self.renderer.size
+        hit = self.hit or self._cast(width // 2, height // 2)
+        lower, upper = self.scene.bounds
+        return 0.5 * (lower + upper) if hit is None else hit.point
+
+    # -- recording -------------------------------------------------------------------------------------------------
+
+    @property
+    def is_recording(self) -> bool:
+        """Whether the cameras of frames are noted."""
+        return self._recorder is not None
+
+    @property
+    def recorded(self) -> float:
+        """The seconds that were recorded so far."""
+        return 0.0 if self._recorder is None else self._recorder[0].seconds
+
+    def record(self, path: Path) -> None:
+        """Begin to note the camera of each frame; `end_recording` writes them to `path`."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._recorder = CameraRecorder(), path
+
+    def end_recording(self) -> str:
+        """Write the recording, if there is one, and return what was written."""
+        if self._recorder is None:
+            return ""
+        (recorder, path), self._recorder = self._recorder, None
+        if not len(recorder):
+            return "nothing was recorded"
+        self._latest = recorder.make_path()
+        self._latest.save(path)
+        return f"wrote {path}: {len(self._latest)} frames, {recorder.seconds:.1f} s"
+
+    def play(self, path: CameraPath | None, name: str) -> None:
+        """Show a walk-through, or the latest recording."""
+        path = path or self._latest
+        if path is None:
+            refuse(rules.BAD_ARGUMENT, "play", "no recording", "a path of the scene, or a walk-through's .json file")
+        self.replay = CameraReplay(path, name)
+
+    # -- frames ----------------------------------------------------------------------------------------------------
+
+    def move(self, push: Floats, turn: Floats, seconds: float) -> None:
+        """Let time pass for the scene and the camera, which keys push and turn (`Controller.advance`)."""
+        step = min(max(seconds, 0.0), MOST_STEP)
+        if not self.is_paused:
+            self.seconds += step
+        if self.replay is None:
+            self.controller.advance(push, turn, step)
+        elif self.replay.is_over:
+            self.camera = self.replay.camera
+        else:
+            self.replay.seconds += step
+
+    def draw(self, now: float) -> FrameResult:
+        """Draw a frame at the clock's time `now`."""
+        camera = self.camera
+        if self._recorder is not None:
+            self._recorder[0].add(now, camera)
+            if self.recorded >= LONGEST:
+                self._say(self.end_recording(), False)
+        self.counter.add(now, process_time())
+        return self._render(camera)
+
+    def picture(self) -> NDArray[np.uint8]:
+        """Draw the latest frame again without the layers, and return its pixels (height, width, 4), sRGB.
+
+        Raises:
+            ValidationError: `viewer-no-picture` if the device draws nothing.
+        """
+        renderer = self.renderer
+        if not renderer.device.capabilities.shading:
+            refuse(rules.NO_PICTURE, "screenshot", f"the {renderer.device.backend_name} device")
+        show, layers = renderer.show, list(renderer.layers)
+        renderer.show = renderer.device.present
+        renderer.layers[:] = [one for one in layers if one not in self.layers]
+        try:
+            pixels: NDArray[np.uint8] = renderer.render(self.camera, self.seconds).image.read()
+        finally:
+            renderer.show, renderer.layers[:] = show, layers
+        return pixels
+
+    def close(self) -> None:
+        """Destroy all resources on the device. A recording that runs is written."""
+        self.end_recording()
+        self._dresser.destroy()
+        self.renderer.destroy()
+
+    def _fit(self, camera: Camera) -> Camera:
+        width, height = self.renderer.size
+        return camera.with_aspect(width / height)
+
+    def _render(self, camera: Camera) -> FrameResult:
+        """Draw a frame. If something refuses the look, the last one that was drawn is worn, or the plain one."""
+        fallbacks = [Look(), self._good]
+        while True:
+            try:
+                self._result = self.renderer.render(camera, self.seconds)
+            except RhiError as error:
+                fallbacks = [one for one in fallbacks if one != self.look]
+                if not fallbacks:
+                    raise
+                self._say(rules.describe(error), True)
+                self._dresser.wear(fallbacks.pop(), camera)
+                continue
+            self._good = self.look
+            self._seen_by = self._fit(camera)
+            return self._result

@@ -1,0 +1,88 @@
+"""Faults of the renderer, one or more for each case of the exam, and a run of the exam against each of them.
+
+A mutation replaces a piece of a module's text before the module is imported, so that Python code and shaders can be
+broken alike. `python exam_mutations.py` prints a line of JSON: for each case and mutation whether it was seen, and the
+error. With numbers of cases it tries only those.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import multiprocessing
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Mutation:
+    """A fault: in `module` the text `old`, which occurs once, is replaced by `new`."""
+
+    cases: tuple[int, ...]
+    fault: str
+    module: str
+    old: str
+    new: str
+    backend: str = "gl"
+
+
+CULLING = "renderer.lights.culling"
+BOUNDS = "renderer.visibility.boxes.bounds"
+MUTATIONS: tuple[Mutation, ...] = ()
+
+
+class Mutant(MetaPathFinder):
+    """Imports one module with a piece of its text replaced."""
+
+    def __init__(self, mutation: Mutation, folder: Path) -> None:
+        self.mutation, self.folder = mutation, folder
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        if fullname != self.mutation.module:
+            return None
+        found = PathFinder.find_spec(fullname, path)
+        assert found is not None
+        assert found.origin is not None
+        text = Path(found.origin).read_text()
+        assert text.count(self.mutation.old) == 1, (fullname, self.mutation.old)
+        broken = self.folder / Path(found.origin).name
+        broken.write_text(text.replace(self.mutation.old, self.mutation.new))
+        return importlib.util.spec_from_file_location(fullname, broken, loader=SourceFileLoader(fullname, str(broken)))
+
+
+def examine_mutant(mutation: Mutation) -> dict[int, dict[str, Any]]:
+    """Return how the cases of a mutation fail; in a process in which the renderer wasn't imported yet."""
+    with tempfile.TemporaryDirectory() as folder:
+        sys.meta_path.insert(0, Mutant(mutation, Path(folder)))
+        import rhi
+        from renderer.exam import CASES, examine
+
+        with rhi.create_device(mutation.backend) as device:
+            rows = list(examine(device, [CASES[number] for number in mutation.cases]))
+    return {row.case: {"seen": row.passed is False, "error": str(row.error), "remark": row.remark} for row in rows}
+
+
+def try_mutations(mutations: Sequence[Mutation]) -> list[dict[str, Any]]:
+    """Try each mutation in a process of its own, and list the results."""
+    spawn = multiprocessing.get_context("spawn")
+    results = []
+    for mutation in mutations:
+        with spawn.Pool(1) as pool:
+            found = pool.apply(examine_mutant, (mutation,))
+        results += [{"case": number, "fault": mutation.fault, **row} for number, row in found.items()]
+    return results
+
+
+if __name__ == "__main__":
+    numbers = set(map(int, sys.argv[1:]))
+    chosen = [one for one in MUTATIONS if not numbers or numbers & set(one.cases)]
+    print(json.dumps(try_mutations(chosen), indent=1))

@@ -1,0 +1,446 @@
+"""The viewer: events in, pictures out, with a clock that the tests set."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rhi
+from renderer.canvas import Canvas
+from renderer.content import load_scene, parse_camera
+from renderer.renderer import Renderer
+from renderer.scene import CameraPath, Scene
+from renderer.stereo import OUTPUTS
+from renderer.techniques import TECHNIQUES, AutoTechnique
+from renderer.viewer import Look, Viewer
+from renderer.viewer.keys import KEYS, list_cameras
+from rhi import Op
+
+SIZE = (64, 48)
+FRAME = 1.0 / 60.0
+
+
+class Clock:
+    """A clock that is set by hand."""
+
+    def __init__(self) -> None:
+        self.time = 5.0
+
+    def __call__(self) -> float:
+        return self.time
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return load_scene("grid:count=9")
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def viewer(null: rhi.Device, scene: Scene, clock: Clock) -> Iterator[Viewer]:
+    made = Viewer(null, scene, size=SIZE, clock=clock)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def draw(viewer: Viewer, clock: Clock) -> Callable[[int], None]:
+    def draw(frames: int = 1) -> None:
+        for _ in range(frames):
+            clock.time += FRAME
+            viewer.draw()
+
+    return draw
+
+
+def press(viewer: Viewer, *keys: str, hold: bool = False, modifiers: tuple[str, ...] = ()) -> None:
+    for key in keys:
+        viewer.handle({"event_type": "key_down", "key": key, "modifiers": modifiers})
+        if not hold:
+            viewer.handle({"event_type": "key_up", "key": key, "modifiers": modifiers})
+
+
+def drag(viewer: Viewer, x: float, y: float) -> None:
+    event: dict[str, Any] = {"x": 10, "y": 10, "button": 1, "buttons": (1,), "modifiers": (), "touches": {}}
+    viewer.handle(event | {"event_type": "pointer_down"})
+    viewer.handle(event | {"event_type": "pointer_move", "x": 10 + x, "y": 10 + y})
+    viewer.handle(event | {"event_type": "pointer_up", "x": 10 + x, "y": 10 + y, "buttons": ()})
+
+
+# -- input and picture ---------------------------------------------------------------------------------------------
+
+
+def test_an_event_is_in_the_picture_of_the_next_frame(
+    viewer: Viewer, draw: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[np.ndarray] = []
+    render = Renderer.render
+
+    def note(renderer: Renderer, camera: Any, seconds: float = 0.0) -> Any:
+        seen.append(camera.forward)
+        return render(renderer, camera, seconds)
+
+    monkeypatch.setattr(Renderer, "render", note)
+    draw(2)
+    drag(viewer, 20, 0)
+    draw(2)
+    assert np.allclose(seen[0], seen[1])
+    assert not np.allclose(seen[1], seen[2])
+    assert np.allclose(seen[2], seen[3])
+
+
+def test_a_held_key_moves_until_it_is_released(viewer: Viewer, draw: Callable[..., None]) -> None:
+    before = viewer.stage.camera.position
+    press(viewer, "w", hold=True)
+    assert viewer.is_moving
+    draw(30)
+    there = viewer.stage.camera.position
+    assert (there - before) @ viewer.stage.camera.forward > 0.0
+    viewer.handle({"event_type": "key_up", "key": "w", "modifiers": ()})
+    draw(90)
+    assert not viewer.is_moving
+    assert np.linalg.norm(viewer.stage.camera.position - there) < np.linalg.norm(there - before)
+
+
+def test_a_pause_without_frames_moves_nothing(viewer: Viewer, draw: Callable[..., None], clock: Clock) -> None:
+    draw()
+    before = viewer.stage.camera.position
+    clock.time += 100.0
+    press(viewer, "w", hold=True)
+    draw()
+    assert np.linalg.norm(viewer.stage.camera.position - before) < viewer.stage.controller.speed * FRAME
+
+
+def test_a_frame_that_takes_long_moves_no_farther_than_a_quarter_of_a_second(
+    viewer: Viewer, draw: Callable[..., None], clock: Clock
+) -> None:
+    press(viewer, "w", hold=True)
+    before = viewer.stage.camera.position
+    clock.time += 100.0
+    draw()
+    assert np.linalg.norm(viewer.stage.camera.position - before) < 0.25 * viewer.stage.controller.speed
+
+
+@pytest.mark.parametrize("number", range(3))
+def test_number_keys_go_to_the_scene_s_cameras(viewer: Viewer, draw: Callable[..., None], number: int) -> None:
+    drag(viewer, 20, 5)
+    name = list_cameras(viewer.stage.scene)[number].partition(" ")[2]
+    press(viewer, str(number + 1))
+    draw()
+    wanted = parse_camera(name, viewer.stage.scene, 1)  # of a path: the frame after the first 60th of a second
+    assert np.allclose(viewer.stage.camera.position, wanted.position, atol=1e-9)
+
+
+def test_a_path_is_shown_in_real_time_until_the_camera_is_moved(viewer: Viewer, draw: Callable[..., None]) -> None:
+    path = viewer.stage.scene.paths["ground"]
+    viewer.run("play ground")
+    draw(120)
+    assert viewer.stage.replay is not None
+    assert np.allclose(viewer.stage.camera.position, path.camera(120).position, atol=1e-6)
+    press(viewer, "s", hold=True)
+    assert viewer.stage.replay is None
+    assert np.allclose(viewer.stage.camera.position, path.camera(120).position, atol=1e-6)
+
+
+def test_the_size_of_the_next_frame_is_that_of_the_canvas(viewer: Viewer, draw: Callable[..., None]) -> None:
+    viewer.resize((32, 20), 2.0)
+    assert viewer.draw().size == (32, 20)
+
+
+# -- commands ------------------------------------------------------------------------------------------------------
+
+
+def test_every_key_runs_a_command_that_there_is(viewer: Viewer, draw: Callable[..., None]) -> None:
+    names = {command.name for command in viewer.commands}
+    assert {line.split()[0] for line, _ in KEYS.values()} <= names
+    assert {line.split()[0] for line in list_cameras(viewer.stage.scene)} <= names
+
+
+@pytest.mark.parametrize("name", [AutoTechnique.name, *TECHNIQUES])
+def test_every_technique_can_be_chosen(viewer: Viewer, draw: Callable[..., None], name: str) -> None:
+    said, is_error = viewer.run(f"technique {name}")
+    draw(2)
+    assert (viewer.stage.look.technique, is_error, said) == (name, False, f"technique {name}")
+    assert viewer.stage.renderer.technique.name == name
+
+
+@pytest.mark.parametrize("key", ["technique", "visibility", "show", "shadows", "blending", "stereo", "samples"])
+def test_next_goes_round_through_all_choices(
+    viewer: Viewer, draw: Callable[..., None], key: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("renderer.viewer.actions.list_algorithms", lambda device: ["none", "frustum"])  # others build
+    viewer.run("technique forward")
+    begin = getattr(viewer.stage.look, key)
+    seen = []
+    for _ in range(40):
+        said, is_error = viewer.run(f"{key} next")
+        assert not is_error, said
+        draw()
+        seen.append(getattr(viewer.stage.look, key))
+        if seen[-1] == begin:
+            break
+    assert seen[-1] == begin
+    assert len(set(seen)) == len(seen)
+    if key == "stereo":
+        assert set(seen) == {*OUTPUTS, None}
+
+
+@pytest.mark.parametrize("key", ["fxaa", "overlay", "particles"])
+def test_a_switch_turns_on_and_off(viewer: Viewer, draw: Callable[..., None], key: str) -> None:
+    for line, on in ((key, True), (key, False), (f"{key} on", True), (f"{key} on", True), (f"{key} off", False)):
+        assert viewer.run(line) == (f"{key} {'on' if on else 'off'}", False)
+        draw()
+        assert getattr(viewer.stage.look, key) is on
+
+
+def test_shadows_are_those_of_the_scene_again(null: rhi.Device, clock: Clock) -> None:
+    city = load_scene("city:blocks=3")
+    city.lights.directional["casts_shadow"] = True
+    made = Viewer(null, city, size=SIZE, clock=clock)
+    casts = [city.lights.directional["casts_shadow"].tolist(), city.lights.point["casts_shadow"].tolist()]
+    for word, wanted in (("off", 0), ("all", 1)):
+        made.run(f"shadows {word}")
+        assert city.lights.directional["casts_shadow"].tolist() == [wanted]
+        assert set(city.lights.point["casts_shadow"].tolist()) <= {bool(wanted)}
+    made.run("shadows scene")
+    assert [city.lights.directional["casts_shadow"].tolist(), city.lights.point["casts_shadow"].tolist()] == casts
+    made.close()
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("technique defered", "did you mean deferred"),
+        ("visibility chc", "viewer-bad-argument"),  # the null device has no queries
+        ("technique deferred; quit", "viewer-bad-argument"),
+        ("samples 3", "viewer-bad-argument"),
+        ("camera nowhere", "camera-unknown-name"),
+        ("speed -1", "a number above 0"),
+        ("time inf", "viewer-bad-argument"),
+        ("pick 3", "viewer-bad-argument"),
+        ("play", "no recording"),
+        ("play missing.json", "No such file"),
+        ("script missing.txt", "No such file"),
+        ("screenshot x.png", "viewer-no-picture"),
+        ("screenshot x.tiff2", "ends with .png"),
+        ("record walk.csv", "ends with .json"),
+    ],
+)
+def test_a_fault_is_said_in_a_line_and_changes_nothing(
+    viewer: Viewer, draw: Callable[..., None], line: str, says: str
+) -> None:
+    look, camera = viewer.stage.look, viewer.stage.camera
+    said, is_error = viewer.run(line)
+    assert is_error
+    assert says in said
+    assert "\n" not in said
+    draw()
+    assert viewer.stage.look == look
+    assert (viewer.stage.camera.position == camera.position).all()
+
+
+def test_samples_that_a_technique_lacks_are_refused(viewer: Viewer, draw: Callable[..., None]) -> None:
+    viewer.run("technique deferred")
+    said, is_error = viewer.run("samples 4")
+    assert is_error
+    assert "technique-one-sample" in said
+    draw()
+    assert viewer.stage.look == Look(technique="deferred")
+
+
+def test_a_look_that_cannot_be_drawn_gives_way_to_the_last_one(
+    viewer: Viewer, draw: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    viewer.run("technique clustered")
+    draw()
+    plain = Renderer.render
+
+    def fail(renderer: Renderer, camera: Any, seconds: float = 0.0) -> Any:
+        if renderer.technique.name == "inferred":
+            from renderer import rules
+
+            rhi.refuse(rules.MANY_MATERIALS, "render", "70,000")
+        return plain(renderer, camera, seconds)
+
+    monkeypatch.setattr(Renderer, "render", fail)
+    viewer.run("technique inferred")
+    draw()
+    assert viewer.stage.look.technique == "clustered"
+    assert any("technique-many-materials" in line and is_error for line, is_error in viewer.console.lines)
+
+
+def test_a_script_runs_its_lines_and_waits(viewer: Viewer, draw: Callable[..., None], tmp_path: Path) -> None:
+    script = tmp_path / "tour.txt"
+    script.write_text("# a tour\ntechnique deferred\n\nwait 0.5\nvisibility none\nquit\ntechnique forward\n")
+    viewer.run(f"script {script}")
+    draw()
+    assert (viewer.stage.look.technique, viewer.stage.look.visibility) == ("deferred", "frustum")
+    draw(28)
+    assert viewer.stage.look.visibility == "frustum"
+    draw(5)
+    assert (viewer.stage.look.visibility, viewer.is_over, viewer.stage.look.technique) == ("none", True, "deferred")
+
+
+def test_a_script_that_runs_itself_ends_nothing(viewer: Viewer, draw: Callable[..., None], tmp_path: Path) -> None:
+    script = tmp_path / "loop.txt"
+    script.write_text(f"time 1\nscript {script}\n" + "time 2\n" * 400)
+    viewer.run(f"script {script}")
+    draw(40)
+    assert any("at most 10000" in line for line, _ in viewer.console.lines) or viewer.is_moving
+
+
+# -- the console ---------------------------------------------------------------------------------------------------
+
+
+def test_the_console_takes_the_keys_and_gives_them_back(viewer: Viewer, draw: Callable[..., None]) -> None:
+    press(viewer, "w", hold=True)
+    press(viewer, "F2")
+    for key in "time 7":
+        press(viewer, key)
+    draw()
+    assert viewer.console.text == "time 7"
+    press(viewer, "Enter")
+    assert viewer.stage.seconds == 7.0
+    press(viewer, "F2")
+    press(viewer, "t")
+    assert viewer.stage.look.technique != "forward"
+    draw(60)
+    assert not viewer._gestures.is_held
+
+
+def test_a_character_event_tells_which_character_a_key_is(viewer: Viewer) -> None:
+    press(viewer, "`")
+    viewer.handle({"event_type": "key_down", "key": "1", "modifiers": ("Shift",)})
+    viewer.handle({"event_type": "char", "data": "!", "modifiers": ("Shift",)})
+    viewer.handle({"event_type": "key_up", "key": "1", "modifiers": ("Shift",)})
+    assert viewer.console.text == "!"
+    press(viewer, "a")  # and where there is none, the key's name does
+    viewer.draw()
+    assert viewer.console.text == "!a"
+
+
+def test_a_chord_is_not_typed(viewer: Viewer) -> None:
+    press(viewer, "F2")
+    press(viewer, "c", modifiers=("Control",))
+    press(viewer, "Shift")
+    viewer.draw()
+    assert viewer.console.text == ""
+
+
+# -- picking, pictures, recordings ---------------------------------------------------------------------------------
+
+
+def test_a_click_picks_what_is_there_and_a_drag_does_not(viewer: Viewer, draw: Callable[..., None]) -> None:
+    viewer.stage.camera = parse_camera("0,9,0.1,0,0,0", viewer.stage.scene)
+    viewer.run("visibility none")
+    draw()
+    drag(viewer, 9, 0)
+    assert viewer.stage.hit is None
+    press(viewer, "1")
+    draw()
+    middle = {"x": 32, "y": 24, "button": 1, "buttons": (1,), "modifiers": (), "touches": {}}
+    viewer.handle(middle | {"event_type": "pointer_down"})
+    viewer.handle(middle | {"event_type": "pointer_up", "buttons": ()})
+    picked = viewer.stage.hit
+    assert picked is not None
+    assert viewer.stage.told[0].endswith(f"triangle {picked.triangle}")
+    assert f"{picked.distance:.2f} m away" in viewer.stage.told[0]
+    assert viewer.stage.told[1] == "drawn: everything is drawn"
+    press(viewer, "Escape")
+    assert viewer.stage.hit is None
+
+
+def test_an_orbit_is_around_what_was_picked(viewer: Viewer, draw: Callable[..., None]) -> None:
+    draw()
+    viewer.run("pick 32,24")
+    assert viewer.stage.hit is not None
+    press(viewer, "c")
+    point = viewer.stage.hit.point
+    distance = np.linalg.norm(viewer.stage.camera.position - point)
+    drag(viewer, 15, 7)
+    assert np.linalg.norm(viewer.stage.camera.position - point) == pytest.approx(distance)
+    press(viewer, "c")
+    assert viewer.stage.controller.name == "fly"
+
+
+def test_a_recording_can_be_rendered_and_replayed(viewer: Viewer, draw: Callable[..., None], tmp_path: Path) -> None:
+    file = tmp_path / "walks" / "walk.json"
+    viewer.run(f"record {file}")
+    press(viewer, "d", hold=True)
+    draw(31)
+    end = viewer.stage.camera
+    assert "31 frames" in viewer.run("record")[0]
+    path = CameraPath.load(file)
+    assert len(path) == 31
+    assert np.allclose(path.camera(30).position, end.position, atol=1e-6)
+    assert (parse_camera(str(file), viewer.stage.scene, 30).position == path.camera(30).position).all()
+    viewer.handle({"event_type": "key_up", "key": "d", "modifiers": ()})
+    press(viewer, "1", "p")
+    assert viewer.stage.camera.position == pytest.approx(path.camera(0).position)
+
+
+def test_a_recording_that_runs_is_written_at_the_end(
+    null: rhi.Device, scene: Scene, clock: Clock, tmp_path: Path
+) -> None:
+    made = Viewer(null, scene, size=SIZE, clock=clock)
+    made.run(f"record {tmp_path / 'walk.json'}")
+    made.draw()
+    made.close()
+    assert len(CameraPath.load(tmp_path / "walk.json")) == 1
+
+
+def test_the_interface_shows_what_it_is_told(
+    viewer: Viewer, draw: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    texts: list[str] = []
+    plain = Canvas.text
+
+    def note(canvas: Canvas, x: float, y: float, text: str, *rest: Any) -> tuple[int, int]:
+        texts.append(text)
+        return plain(canvas, x, y, text, *rest)
+
+    monkeypatch.setattr(Canvas, "text", note)
+    viewer.resize((960, 540))
+    draw(61)
+    assert texts[-1].startswith("60 frames/s   16.7 ms   forward, frustum")
+    press(viewer, "F1")
+    texts.clear()
+    draw()
+    assert any("the next technique" in text for text in texts)
+    press(viewer, "F1", "F2", "h", "e")
+    texts.clear()
+    draw()
+    assert "> he" in texts
+    press(viewer, "F2")
+    viewer.run("nonsense")
+    texts.clear()
+    draw()
+    assert any("no command of this name: nonsense" in text for text in texts)
+    draw(60 * 5)
+    texts.clear()
+    draw()
+    assert len(texts) == 1  # the counter: what was said is gone
+
+
+def test_closing_leaves_nothing_on_the_device(null: rhi.Device, scene: Scene, clock: Clock) -> None:
+    made = Viewer(null, scene, size=SIZE, clock=clock)
+    for line in ("overlay", "technique deferred", "stereo dubois", "particles", "show normals", "visibility none"):
+        assert made.run(line)[1] is False
+        made.draw()
+    made.close()
+    null.finish()
+    found = null.stream.filter(
+        (Op.CREATE_TEXTURE, Op.CREATE_BUFFER, Op.CREATE_VERTEX_ARRAY),
+        where=lambda c: getattr(c["descriptor"], "usage", None) is not rhi.BufferUsage.STREAM,
+    )
+    gone = {command.values[0] for command in null.stream.filter(Op.DESTROY)}
+    assert len(found) > 20
+    assert [str(command) for command in found if command.values[0] not in gone] == []
