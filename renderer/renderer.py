@@ -224,7 +224,7 @@ class Renderer:
 
     @property
     def tessellator(self) -> Tessellator:
-        """What chooses the triangles of height fields; its `edge_pixels` may be changed between any two frames."""
+        """What chooses the triangles of height fields; its `settings` may be exchanged between any two frames."""
         return self._resources.workspace(Tessellator)
 
     @property

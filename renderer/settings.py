@@ -21,6 +21,7 @@ from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene, Ster
 from renderer.shadows import ShadowSettings
 from renderer.stereo import Stereo
 from renderer.techniques import Technique, TechniqueSettings
+from renderer.tessellation import TessellationSettings
 from renderer.visibility import Settings, check_algorithm, make_visibility
 from rhi import Device, RhiError, refuse
 from rhi.shading import Precision
@@ -35,6 +36,7 @@ class RenderSettings:
     Attributes:
         technique: what lights surfaces. algorithm: the name of what finds visible objects. visibility: its parameters.
         shadows: the choices of shadow maps. textures: how well textures are read.
+        tessellation: how small the triangles of height fields are.
         blending: how transparent surfaces that cover each other are put together.
         precision: that of the techniques' shaders. depth: the direction of depth.
         reprojects: whether a second eye's picture is made from the first one's.
@@ -45,6 +47,7 @@ class RenderSettings:
     visibility: Settings = field(default_factory=Settings)
     shadows: ShadowSettings = field(default_factory=ShadowSettings)
     textures: TextureSettings = field(default_factory=TextureSettings)
+    tessellation: TessellationSettings = field(default_factory=TessellationSettings)
     blending: Blending = Blending.SORTED
     precision: Precision = Precision.FAST
     depth: Depth = Depth.REVERSED
@@ -103,6 +106,7 @@ class RenderSettings:
                 textures=self.textures,
             ) as renderer:
                 renderer.shadows.settings = self.shadows
+                renderer.tessellator.settings = self.tessellation
                 if rig is not None:
                     renderer.stereo = Stereo(rig, "side_by_side", is_reprojected=self.reprojects)
                 yield renderer
@@ -115,6 +119,7 @@ class RenderSettings:
         renderer.technique = self.technique.make(renderer.scene, renderer.device)
         renderer.blending, renderer.precision = self.blending, self.precision
         renderer.shadows.settings = self.shadows
+        renderer.tessellator.settings = self.tessellation
 
     def save(self, path: Path, **found: Any) -> None:
         """Write the settings as JSON. `found` is written too, to say how they were found; `load` ignores it."""

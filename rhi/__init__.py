@@ -14,7 +14,7 @@ Drivers are loaded when a device is created, not when this package is imported.
 """
 
 from rhi.commands.recorder import Recorder
-from rhi.commands.stream import Command, CommandStream, Op, Refusal
+from rhi.commands.stream import Command, Commands, CommandStream, Op, Refusal
 from rhi.contract.backend import Backend, Capabilities
 from rhi.contract.blocks import CompressedFormat
 from rhi.contract.clip_space import convert_projection
@@ -114,6 +114,7 @@ __all__ = [
     "Command",
     "CommandBuffer",
     "CommandStream",
+    "Commands",
     "Comparison",
     "CompressedFormat",
     "CullMode",

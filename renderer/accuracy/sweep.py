@@ -179,6 +179,8 @@ def prepare_scene(scene: Scene, knob: Knob) -> str | None:
             has = len(scene.textures)
         case Demand.LAMPS:
             has = len(scene.lights.point) + len(scene.lights.spot)
+        case Demand.HEIGHT_FIELDS:
+            has = len(scene.height_fields)
         case _:
             return None
     return None if has else f"the scene lacks {knob.demand.value}"

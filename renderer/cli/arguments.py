@@ -203,8 +203,8 @@ def load_settings(given: argparse.Namespace) -> RenderSettings:
 
 def merge_settings(given: argparse.Namespace) -> RenderSettings:
     """Return the settings in the file that `--settings` names, or the defaults, with what other arguments say instead:
-    those of `add_technique`, `--visibility`, `--queries`, `--depth`, `--blending` and `--reproject`, None where they
-    aren't given. Those of `add_technique` then hold what is merged."""
+    those of `add_technique`, `--visibility`, `--queries`, `--depth`, `--blending`, `--edge-pixels` and `--reproject`,
+    None where they aren't given. Those of `add_technique` then hold what is merged."""
     settings = load_settings(given)
     of_technique = {"name": given.technique, "samples": given.samples, "fxaa": given.fxaa or None}
     chosen = {name: value for name, value in of_technique.items() if value is not None}
@@ -217,6 +217,7 @@ def merge_settings(given: argparse.Namespace) -> RenderSettings:
         "depth": None if given.depth is None else Depth(given.depth),
         "blending": None if given.blending is None else Blending(given.blending),
         "reprojects": given.reproject or None,
+        "tessellation.edge_pixels": given.edge_pixels,
     }
     return settings.change_all({path: value for path, value in changes.items() if value is not None})
 

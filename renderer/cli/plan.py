@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import asdict
+from dataclasses import asdict, astuple
 from pathlib import Path
 from typing import Final
 
@@ -92,6 +92,9 @@ def choose_technique(
 def show_plan(report: PlanReport) -> str:
     """Format the plan as text."""
     header = ("pass", "reads", "writes", "bytes", "draws", "dispatches", "because")
+    changed = ("pass", "programs", "bindings", "meshes", "states", "draws")
+    changes = [(one.name, *astuple(one.changes), one.draws) for one in report.passes]
+    orders = [astuple(one) for one in report.orders]
     rows = [
         (
             one.name, ", ".join(one.reads), ", ".join(one.writes), one.bytes, one.draws, one.dispatches,
@@ -108,6 +111,8 @@ def show_plan(report: PlanReport) -> str:
         for part in (
             format_table(header, rows),
             shared,
+            format_table(changed, changes),
+            format_table(("objects of a pass", "programs", "materials", "meshes", "draws"), orders),
             format_table(("shadow map", "texels", "casters", "is", "because"), maps) if maps else "",
             show_memory(report.memory),
             f"needed:\n{needed}" if needed else "",

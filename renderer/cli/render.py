@@ -27,7 +27,6 @@ from renderer.cli.arguments import (
     make_stereo,
     merge_settings,
     open_scene,
-    parse_length,
 )
 from renderer.cli.output import list_left_out, name_of, note, prepare_image, show_progress, write_image
 from renderer.cli.subcommand import Parser, Subcommand
@@ -102,9 +101,9 @@ def _add_arguments(parser: Parser) -> None:
     )
     parser.add_argument(
         "--edge-pixels",
-        type=parse_length,
+        type=float,
         metavar="N",
-        help="length in pixels that edges of height fields are split down to (default: 8)",
+        help="length in pixels that edges of height fields are split down to (default: the settings', 8)",
     )
     parser.add_argument(
         "--show",
@@ -155,8 +154,6 @@ def _run(given: argparse.Namespace) -> None:
         ExitStack() as layers,
     ):
         renderer.stereo = make_stereo(given, scene, cameras[0].with_aspect(given.size[0] / given.size[1]))
-        if given.edge_pixels is not None:
-            renderer.tessellator.edge_pixels = given.edge_pixels
         if given.particles:
             renderer.layers.append(Particles(device))
         if given.overlay:

@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from renderer.shaders import DRAW_LISTS
 from renderer.visibility.repeated import RepeatedCommands
 from rhi import DRAW, Buffer, Device, Encoder, IndirectDraws
 
@@ -89,7 +90,7 @@ class FrameBatch:
         """
         if self._buffer is None or draws is not self._draws:
             self.destroy()
-            self._buffer = self._device.buffer(len(draws) + _STEP * len(parts), DRAW, label="batch")
+            self._buffer = self._device.buffer(len(draws) + _STEP * DRAW_LISTS, DRAW, label="batch")
             self._draws, self._with_nothing = draws, np.append(draws, np.zeros(1, DRAW))
         counts = [-(-len(part) // _STEP) * _STEP for part in parts]
         starts = np.cumsum([0, *counts]).tolist()

@@ -85,7 +85,7 @@ class Frame:
 
         Args:
             in_order: whether they are drawn back to front, by the distances of their boxes' centres. Otherwise it is in
-                as few calls as there are windings.
+                as few calls as there are groups.
         """
         view = view or self.view
         seen = self._seen.get(view)
@@ -94,7 +94,7 @@ class Frame:
         if in_order:
             rows = sort_back_to_front(self.resources.scene, view.camera, rows)
         else:
-            rows = rows[np.argsort(self.resources.mirrored[rows], kind="stable")]
+            rows = rows[np.argsort(self.resources.group[rows], kind="stable")]
         with scene_pass:
             scene_pass.draw_in_order(rows)
 

@@ -13,17 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer import rules
-from renderer.frame.resources import SceneResources
+from renderer.frame.resources import DRAW_GROUPS, SceneResources
 from renderer.frame.view import View
 from renderer.scene import Camera, Depth
 from renderer.visibility import DeviceList, SceneArrays
 from rhi import (
+    CullMode,
     DepthFunction,
     DepthTest,
     DepthWrite,
     Device,
     Encoder,
-    FrontFace,
     IndirectDraws,
     Program,
     QuerySet,
@@ -36,9 +36,6 @@ FARTHEST: Final = {Depth.REVERSED: 0.0, Depth.STANDARD: 1.0}
 """The depth to clear to."""
 NEARER: Final = {Depth.REVERSED: DepthFunction.GREATER, Depth.STANDARD: DepthFunction.LESS}
 """The depth function that nearer fragments pass."""
-
-WINDINGS: Final = ((False, FrontFace.COUNTER_CLOCKWISE), (True, FrontFace.CLOCKWISE))
-"""Whether objects are mirrored, and the winding of their triangles."""
 
 
 class Drawn:
@@ -135,8 +132,8 @@ class TechniquePass:
 
     The pass may be closed and opened again; its targets are cleared when it is first opened. The rows of a batch are
     drawn in one call, front to back, because near objects hide what is drawn after them. They are sorted by the depth
-    of their boxes' farthest corners, so that objects on a wide ground are drawn before the ground. Objects whose
-    transform mirrors them need the other winding, and another call.
+    of their boxes' farthest corners, so that objects on a wide ground are drawn before the ground. Each group of
+    objects that needs other states (`DRAW_GROUPS`) takes a call.
 
     Attributes:
         depth: the depth target. drawn: the objects drawn. was_opened: whether the pass has ever been open.
@@ -160,8 +157,8 @@ class TechniquePass:
 
         Args:
             clear: the colour of pixels on which nothing is drawn; None keeps what the color targets hold.
-            states: states of the pass, besides the faces to cull, and a depth test that passes and writes what is
-                nearer unless they say otherwise.
+            states: states of the pass, besides the faces to cull, which each group has, and a depth test that passes
+                and writes what is nearer unless they say otherwise.
             clears: whether the depth is cleared.
         """
         self.depth = depth
@@ -174,7 +171,7 @@ class TechniquePass:
         self._color = color
         self._clear = clear
         nearer = NEARER[view.camera.projection.depth]
-        defaults: tuple[State, ...] = (resources.cull_mode, DepthTest.ON, DepthWrite.ON, nearer)
+        defaults: tuple[State, ...] = (CullMode.BACK, DepthTest.ON, DepthWrite.ON, nearer)
         self._states = tuple({type(state): state for state in (*defaults, *states)}.values())
         self._clears = clears
         self.was_opened = False
@@ -202,6 +199,7 @@ class TechniquePass:
             self._clear,
             self._clears,
             *self._states,
+            self._resources.groups,
             self.was_opened,
         )
 
@@ -241,10 +239,10 @@ class TechniquePass:
             rows = rows[self._set_transparent_aside(rows)]
         self.drawn.add_batch(rows)
         rows = self._sort(rows)
-        for mirrored, winding in WINDINGS:
-            part = rows[resources.find_winding(rows, mirrored=mirrored)]
+        for number, states in resources.groups:
+            part = rows[resources.find_group(rows, number)]
             if part.size:
-                with self._device.states(winding):
+                with self._device.states(*states):
                     resources.draw_rows(self._device, self._program, part, self._bindings)
 
     def draw_alone(self, rows: NDArray[np.int64]) -> None:
@@ -266,16 +264,16 @@ class TechniquePass:
 
         def arrange() -> list[NDArray[np.int64]]:
             ordered = self._sort(others)
-            return [ordered[resources.find_winding(ordered, mirrored=mirrored)] for mirrored, _ in WINDINGS]
+            return [ordered[resources.find_group(ordered, number)] for number, _ in resources.groups]
 
         def issue(encoder: Encoder, arguments: list[IndirectDraws | None]) -> None:
             with self._begin(encoder, clears=not self.was_opened):
-                for (_, winding), draws in zip(WINDINGS, arguments, strict=True):
+                for (_, states), draws in zip(resources.groups, arguments, strict=True):
                     if draws is not None:
-                        with encoder.states(winding):
+                        with encoder.states(*states):
                             encoder.draw_indirect(self._program, resources.mesh, draws, **self._bindings)
                 for row in tessellated.tolist():
-                    with encoder.states(WINDINGS[int(resources.mirrored[row])][1]):
+                    with encoder.states(*DRAW_GROUPS[resources.group[row]]):
                         resources.draw_tessellated(encoder, self._program, row, self._bindings)
 
         view, batch = self._view, self._view.batch
@@ -296,11 +294,11 @@ class TechniquePass:
         self.drawn.add_conditional(rows, queries, answers)
         order = np.lexsort((self._find_farthest(rows), answers))
         rows, answers = rows[order], answers[order]
-        for mirrored, winding in WINDINGS:
-            chosen = resources.find_winding(rows, mirrored=mirrored)
+        for number, states in resources.groups:
+            chosen = resources.find_group(rows, number)
             part = rows[chosen]
             if part.size:
-                with self._device.states(winding):
+                with self._device.states(*states):
                     self._device.draw_conditional(
                         self._program,
                         resources.mesh,
@@ -311,14 +309,14 @@ class TechniquePass:
                     )
 
     def draw_in_order(self, rows: NDArray[np.int64]) -> None:
-        """Draw the objects `rows` (k,) in this order, transparent ones as well. Neighbours of one winding are drawn in
+        """Draw the objects `rows` (k,) in this order, transparent ones as well. Neighbours of one group are drawn in
         one call."""
         resources = self._begin_batch(rows)
-        mirrored = resources.mirrored[rows]
-        ends = [*(np.flatnonzero(mirrored[1:] != mirrored[:-1]) + 1).tolist(), len(rows)]
+        group = resources.group[rows]
+        ends = [*(np.flatnonzero(group[1:] != group[:-1]) + 1).tolist(), len(rows)]
         begin = 0
         for end in ends:
-            with self._device.states(WINDINGS[int(mirrored[begin])][1]):
+            with self._device.states(*DRAW_GROUPS[group[begin]]):
                 self._device.draw_many(
                     self._program, resources.mesh, resources.draws[rows[begin:end]], **self._bindings
                 )
@@ -362,15 +360,11 @@ class TechniquePass:
     def draw_list(self, encoder: Encoder, draws: DeviceList, *, first: bool) -> None:
         """Draw the objects that the device has listed, in a pass of their own."""
         with self._begin(encoder, clears=first and self._clears_list):
-            for mirrored, winding in WINDINGS:
-                if self._resources.has_winding(mirrored=mirrored):
-                    with encoder.states(winding):
-                        encoder.draw_indirect(
-                            self._program,
-                            self._resources.mesh,
-                            draws.arguments(mirrored=mirrored),
-                            **self._bindings,
-                        )
+            for number, states in self._resources.groups:
+                with encoder.states(*states):
+                    encoder.draw_indirect(
+                        self._program, self._resources.mesh, draws.arguments(number), **self._bindings
+                    )
 
     def draw_lists(self, lists: list[DeviceList]) -> None:
         """Draw the objects of lists that the device has made earlier in this frame."""

@@ -30,9 +30,11 @@ from rhi import (
     CullMode,
     Device,
     Encoder,
+    FrontFace,
     IndirectDraws,
     Mesh,
     Program,
+    State,
     StorageBuffer,
     UniformBuffer,
     refuse,
@@ -50,6 +52,15 @@ T = TypeVar("T")
 
 EYES: Final = 2
 """The largest number of eyes of a frame."""
+
+DRAW_GROUPS: Final[tuple[tuple[State, ...], ...]] = (
+    (FrontFace.COUNTER_CLOCKWISE,),
+    (FrontFace.CLOCKWISE,),
+    (FrontFace.COUNTER_CLOCKWISE, CullMode.NONE),
+    (FrontFace.CLOCKWISE, CullMode.NONE),
+)
+"""The states by which each group of objects is drawn, beside those of a pass, which culls backs. A transform that
+mirrors objects reverses the winding of their triangles, and of materials with two sides no faces are culled."""
 
 _GAP: Final = 128
 """Rows to upload that are at most this many bytes apart are uploaded together with those between them: a write takes as
@@ -166,6 +177,8 @@ class SceneResources:
     Attributes:
         mesh: all meshes in one. draws: (n,) of `rhi.DRAW`, one for each object.
         mirrored: (n,) bool, whether an object's transform mirrors it, which reverses the winding of its triangles.
+        group: (n,) the number of each object's group: objects of one group are drawn with the same states.
+        groups: the groups that have objects: their numbers, and their states, those of `DRAW_GROUPS`.
         is_transparent: (n,) bool, whether an object is transparent. transparent_rows: the rows of those that are.
         tessellated_rows: the rows of the height fields, ascending. The device chooses their triangles; their `draws`
             have as many as there can be, of which those that aren't used are empty.
@@ -235,10 +248,12 @@ class SceneResources:
         self._places: NDArray[Any] = np.zeros(len(objects), shaders.ObjectPosition.dtype)
         self._places["mesh"] = objects.mesh
         self.mirrored: NDArray[np.bool_] = np.zeros(len(objects), bool)
-        self._windings = (False, False)  # whether some object isn't mirrored, and whether some is
-        self.transparent_rows: NDArray[np.int64] = scene.find_transparent()
+        self.transparent_rows: NDArray[np.int64] = np.zeros(0, np.int64)
         self.is_transparent: NDArray[np.bool_] = np.zeros(len(objects), bool)
-        self.is_transparent[self.transparent_rows] = True
+        self._has_two_sides: NDArray[np.bool_] = np.zeros(len(objects), bool)
+        self.group: NDArray[np.int32] = np.zeros(len(objects), np.int32)
+        self.groups: tuple[tuple[int, tuple[State, ...]], ...] = ((0, DRAW_GROUPS[0]),)
+        self._follow_materials()
         self._transform(np.arange(len(objects)))
 
     def _make_mesh(self, device: Device, scene: Scene) -> Mesh:
@@ -358,21 +373,10 @@ class SceneResources:
         """Return those of the objects `rows` whose bounds are not outside the view."""
         return find_in_view(self.scene, camera, rows)
 
-    @property
-    def cull_mode(self) -> CullMode:
-        """The faces to cull. Where some materials have two sides none are, and shaders leave out the others' backs."""
-        return CullMode.NONE if self.scene.count_features()["two sides"] else CullMode.BACK
-
-    def has_winding(self, *, mirrored: bool) -> bool:
-        """Return whether there are objects of one winding: mirrored ones, or others."""
-        return self._windings[mirrored]
-
-    def find_winding(self, rows: NDArray[np.int64], *, mirrored: bool) -> slice | NDArray[np.bool_]:
-        """Return the index of those of `rows` whose objects are mirrored, or of those that aren't. In a scene with
-        only one winding this takes no test."""
-        if not self.has_winding(mirrored=mirrored):
-            return slice(0)
-        return self.mirrored[rows] == mirrored if self.has_winding(mirrored=not mirrored) else slice(None)
+    def find_group(self, rows: NDArray[np.int64], number: int) -> slice | NDArray[np.bool_]:
+        """Return the index of those of `rows` whose objects are in a group. In a scene with one group this takes no
+        test."""
+        return slice(None) if len(self.groups) == 1 else self.group[rows] == number
 
     def pair_lights(
         self, rows: NDArray[np.int64], lights: NDArray[np.int64], *, spots: bool
@@ -402,11 +406,12 @@ class SceneResources:
         following = scene.objects.following_rows  # others that move are simulated before they are drawn
         self._transform(following)
         self.objects.write(self._rows, None if self._list_lights() else following)
-        self.places.write(self._places, None if self._find_transparent() else following)
         self.directional.write(scene.lights.directional)
-        if self._material_version != scene.material_version:
-            self.materials.write(scene.materials)
+        has_changed = self._material_version != scene.material_version
+        if has_changed:
             self._material_version = scene.material_version
+            self.materials.write(scene.materials)
+        self.places.write(self._places, None if has_changed and self._follow_materials() else following)
         self.look_from(camera)
         self.ambient.write(_ambient(scene))
         if "haze" in self.__dict__:
@@ -421,16 +426,24 @@ class SceneResources:
             self.point.write(lights.point if self._reaching[0] else lights.point[:0])
             self.spot.write(lights.spot if self._reaching[1] else lights.spot[:0])
 
-    def _find_transparent(self) -> bool:
-        """Find the transparent objects, and return whether they are others than in the last frame."""
-        rows = self.scene.find_transparent()
-        if np.array_equal(rows, self.transparent_rows):
+    def _follow_materials(self) -> bool:
+        """Find the objects that are transparent and those with two sides, and return whether they are others than
+        before."""
+        scene = self.scene
+        rows, two_sided = scene.find_transparent(), scene.materials["double_sided"][scene.objects.material] != 0
+        if np.array_equal(rows, self.transparent_rows) and np.array_equal(two_sided, self._has_two_sides):
             return False
-        self.transparent_rows = rows
+        self.transparent_rows, self._has_two_sides = rows, two_sided
         self.is_transparent[:] = False
         self.is_transparent[rows] = True
-        self._places["draw_list"] = np.where(self.is_transparent, -1, self.mirrored)
+        self._group_all()
+        self._places["draw_list"] = np.where(self.is_transparent, -1, self.group)
         return True
+
+    def _group_all(self) -> None:
+        """Divide the objects into groups."""
+        self.group = self.mirrored + 2 * self._has_two_sides.astype(np.int32)
+        self.groups = tuple((number, DRAW_GROUPS[number]) for number in np.unique(self.group).tolist())
 
     def _transform(self, rows: NDArray[np.int64]) -> None:
         """Update the rows of the arrays that hold the transforms of the objects `rows`."""
@@ -444,12 +457,12 @@ class SceneResources:
         part["normal"][:, :, :3] = normal / np.where(largest > 0.0, largest, 1.0)
         self._rows[rows] = part
         mirrored = np.linalg.det(world[:, :3, :3]) < 0.0
-        if not any(self._windings) or (mirrored != self.mirrored[rows]).any():
+        if (mirrored != self.mirrored[rows]).any():
             self.mirrored[rows] = mirrored
-            self._windings = (bool((~self.mirrored).any()), bool(self.mirrored.any()))
+            self._group_all()
         place = self._places[rows]
         place["high"], place["low"] = split_doubles(world[:, :3, 3])
-        place["draw_list"] = np.where(self.is_transparent[rows], -1, self.mirrored[rows])
+        place["draw_list"] = np.where(self.is_transparent[rows], -1, self.group[rows])
         self._places[rows] = place
 
     def _list_lights(self) -> bool:

@@ -5,20 +5,20 @@ Commands are counted on a null device, which records the same ones that another 
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import rhi
 from renderer.frame import Effect, Frame, Needs, Pass, Plan
 from renderer.frame.plan import list_names
+from renderer.measure.draw_order import Changes, OrderRow, compare_orders, count_changes
 from renderer.measure.memory import MemoryReport, describe_memory
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene
 from renderer.shadows import MapReport
 from renderer.techniques import Technique
 from renderer.visibility import make_visibility
-from rhi import Op
+from rhi import Commands, Op
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +29,7 @@ class PassRow:
         because: why the frame has the pass.
         reads, writes: names of contents; what is drawn over is in both lists.
         bytes: size of the textures that are written. draws, dispatches: numbers of commands.
+        changes: what changes between the draws.
     """
 
     name: str
@@ -38,6 +39,7 @@ class PassRow:
     bytes: int
     draws: int
     dispatches: int
+    changes: Changes
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +60,7 @@ class PlanReport:
             hasn't. texture_bytes: the size of all textures that passes write.
         textures: the contents that each texture holds in turn. shadow_maps: what became of each shadow map.
         memory: what the renderer holds on the device, the scene included.
+        orders: what changes between the objects of the first pass over the scene's geometry, drawn in several orders.
     """
 
     passes: list[PassRow]
@@ -67,6 +70,7 @@ class PlanReport:
     texture_bytes: int
     shadow_maps: list[MapReport]
     memory: MemoryReport
+    orders: list[OrderRow]
 
 
 def describe_plan(
@@ -80,24 +84,29 @@ def describe_plan(
     with rhi.create_device("null") as device:
         algorithm = make_visibility(visibility, scene, device)
         with Renderer(device, scene, technique=technique, visibility=algorithm, size=size) as renderer:
-            renderer.render(camera)
+            drawn = renderer.render(camera).frames[0].drawn.opaque
             needs, plan = renderer.plan(camera)
-            counts = _count_by_pass(device, plan)
+            commands = _divide_by_pass(device, plan)
+            orders = compare_orders(scene, camera, drawn, _find_geometry(commands))
             maps = renderer.shadows.reports
             memory = describe_memory(device.stream, renderer.images)
         algorithm.destroy()
-    return _report(scene, needs, plan, size, counts, maps, memory)
+    return _report(scene, needs, plan, size, commands, maps, memory, orders)
 
 
-def _count_by_pass(device: rhi.Device, plan: Plan[Frame]) -> dict[str, Counter[str]]:
-    """Return the numbers of draws and dispatches by the name of the pass."""
-    counts: dict[str, Counter[str]] = {one.name: Counter() for one in plan.passes}
-    dispatches = device.stream.filter((Op.DISPATCH, Op.DISPATCH_INDIRECT))
-    for kind, commands in (("draws", device.stream.draws()), ("dispatches", dispatches)):
-        for command in commands:
-            if command.labels and command.labels[0] in counts:
-                counts[command.labels[0]][kind] += 1
-    return counts
+def _divide_by_pass(device: rhi.Device, plan: Plan[Frame]) -> dict[str, Commands]:
+    """Return the commands of each pass by its name."""
+    return {one.name: _filter_pass(device.stream, one.name) for one in plan.passes}
+
+
+def _filter_pass(commands: Commands, name: str) -> Commands:
+    return commands.filter(where=lambda command: command.labels[:1] == (name,))
+
+
+def _find_geometry(commands: Mapping[str, Commands]) -> Commands:
+    """Return the draws of the scene's objects in the first pass that draws them."""
+    found = (some.draws().filter(where=lambda draw: "places" in draw.bindings) for some in commands.values())
+    return next((draws for draws in found if len(draws)), next(iter(commands.values()))[:0])
 
 
 def _report(
@@ -105,9 +114,10 @@ def _report(
     needs: Needs,
     plan: Plan[Frame],
     size: tuple[int, int],
-    counts: Mapping[str, Counter[str]],
+    commands: Mapping[str, Commands],
     shadow_maps: list[MapReport],
     memory: MemoryReport,
+    orders: list[OrderRow],
 ) -> PlanReport:
     by_name = {name: texture for texture in plan.textures for name in texture.names}
 
@@ -119,8 +129,9 @@ def _report(
             reads=[*one.reads, *one.changes, *(f"{name} of the last frame" for name in one.reads_last)],
             writes=written,
             bytes=sum(by_name[name].count_bytes(size) for name in written if name in by_name),
-            draws=counts[one.name]["draws"],
-            dispatches=counts[one.name]["dispatches"],
+            draws=len(commands[one.name].draws()),
+            dispatches=len(commands[one.name].filter((Op.DISPATCH, Op.DISPATCH_INDIRECT))),
+            changes=count_changes(commands[one.name]),
         )
 
     return PlanReport(
@@ -135,4 +146,5 @@ def _report(
         texture_bytes=plan.count_bytes(size),
         shadow_maps=shadow_maps,
         memory=memory,
+        orders=orders,
     )

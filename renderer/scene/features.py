@@ -60,6 +60,11 @@ class MaterialFeatures:
         self.version = 0
         self.counts: Mapping[str, int] = self._count()
 
+    @property
+    def kinds(self) -> Rows:
+        """A number (k,) for each material: those with the same one have the same features."""
+        return np.unique(self._flags, axis=0, return_inverse=True)[1].reshape(-1)
+
     def refresh(self, materials: NDArray[Any]) -> None:
         """Bring the counts up to date with `materials` (k,)."""
         words, known = _view_words(materials), _view_words(self._known)

@@ -146,6 +146,11 @@ class Scene:
         """A number that grows when a `refresh` finds that materials have changed."""
         return self._features.version
 
+    @property
+    def material_kinds(self) -> Rows:
+        """A number (k,) for each material: those with the same one have the same features, as of the last `refresh`."""
+        return self._features.kinds
+
     def check_numbers(self, call: str) -> None:
         """Refuse numbers of lights, materials and the air that aren't finite; they may be written to at any time."""
         lights = self.lights

@@ -12,6 +12,7 @@ from renderer.shaders.lighting import (
     tone_map,
 )
 from renderer.shaders.structs import (
+    DRAW_LISTS,
     Ambient,
     DirectionalLight,
     Haze,
@@ -30,6 +31,7 @@ from renderer.shaders.structs import (
 )
 
 __all__ = [
+    "DRAW_LISTS",
     "Ambient",
     "DirectionalLight",
     "Haze",

@@ -7,6 +7,8 @@ std430 layout, so that the array is uploaded unchanged.
 
 from __future__ import annotations
 
+from typing import Final
+
 from rhi.shading import Struct, function, ivec3, mat3, mat4, uint, vec2, vec3, vec4
 
 
@@ -51,12 +53,17 @@ class Object(Struct):
     lights_end: int
 
 
+DRAW_LISTS: Final = 4
+"""The parts of a list of draws: objects of one part are drawn with the same states."""
+
+
 class ObjectPosition(Struct):
     """An object's world position, `high` + `low` (two floats for each double), and its mesh.
 
-    `draw_list` is the list of draws that it is on where the device makes lists: 0, or 1 if its transform mirrors it,
-    which reverses the winding of its triangles. It is -1 if the object is transparent: those are not on a list, since
-    they hide nothing and are drawn in an order of their own.
+    `draw_list` is the part of a list of draws that it is in where the device makes lists, one of `DRAW_LISTS`: the sum
+    of 1 if its transform mirrors it, which reverses the winding of its triangles, and 2 if its material has two sides.
+    It is -1 if the object is transparent: those are not on a list, since they hide nothing and are drawn in an order of
+    their own.
     """
 
     high: vec3

@@ -23,7 +23,6 @@ from typing import Any, Final
 import numpy as np
 
 from renderer.frame import Effect, Frame, Needs, Pass
-from renderer.frame.passes import WINDINGS
 from renderer.frame.resources import EYES, MirroredValue, SceneResources, split_doubles
 from renderer.lights.lists import list_lights
 from renderer.scene import Camera, Scene
@@ -554,10 +553,10 @@ class ShadowMaps:
                         with device.states(DepthFunction.ALWAYS, CullMode.NONE):
                             device.draw(device.program(FarDepth), self._triangle)
                     bindings = {"view": one.view.buffer, "objects": objects, "places": places}
-                    for mirrored, winding in WINDINGS:
-                        part = rows[resources.find_winding(rows, mirrored=mirrored)]
+                    for number, states in resources.groups:
+                        part = rows[resources.find_group(rows, number)]
                         if part.size:
-                            with device.states(winding):
+                            with device.states(*states):
                                 resources.draw_rows(device, program, part, bindings)
 
     def _report(self, key: MapKey, state: str, because: str, wanted: WantedMap | None = None) -> None:

@@ -17,7 +17,6 @@ from typing import Any, Final
 import numpy as np
 
 from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target, TechniquePass
-from renderer.frame.passes import WINDINGS
 from renderer.scene.arrays import Rows
 from renderer.shaders.structs import Object, SurfaceVarying
 from renderer.techniques.forward import (
@@ -40,7 +39,7 @@ from renderer.techniques.forward_shader import (
 from renderer.techniques.resolve import LIGHT_FORMAT, sum_pass
 from renderer.techniques.surfaces import Aspect, MaterialShader, bind_surfaces, list_models
 from renderer.techniques.transparency import declare_transparency
-from rhi import BlendFunction, DepthFunction, DepthTest, DepthWrite, Program, State, Texture
+from rhi import BlendFunction, CullMode, DepthFunction, DepthTest, DepthWrite, Program, State, Texture
 from rhi.shading import Shader, Storage, Struct, instance_index, ivec3, vec3, vec4
 
 _ADDED: Final[tuple[State, ...]] = (
@@ -180,11 +179,11 @@ def draw_pairs(frame: Frame, effect: Effect, shader: type[Shader], color: Textur
     draws["base_instance"] = np.arange(len(objects))
     program: Program[Any] = frame.program(shader)
     bindings["pairs"] = device.transient.storage(Pair, pairs)
-    with device.render_pass(color, frame.targets["depth"]), device.states(resources.cull_mode, *_ADDED):
-        for mirrored, winding in WINDINGS:
-            chosen = draws[resources.find_winding(objects, mirrored=mirrored)]
+    with device.render_pass(color, frame.targets["depth"]), device.states(CullMode.BACK, *_ADDED):
+        for number, states in resources.groups:
+            chosen = draws[resources.find_group(objects, number)]
             if chosen.size:
-                with device.states(winding):
+                with device.states(*states):
                     device.draw_many(program, resources.mesh, chosen, **bindings)
 
 

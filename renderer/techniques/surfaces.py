@@ -59,7 +59,7 @@ is stored as 127 or 128, 1/255 beside it along each axis, and a diagonal would b
 class Aspect(Enum):
     """What a shader reads of surfaces."""
 
-    COVERAGE = "what is left out: backs, and what masks cut"
+    COVERAGE = "what masks cut out"
     COLOR = "the base colour"
     NORMAL = "the normal"
     METAL = "how metallic and rough they are"
@@ -288,15 +288,7 @@ class WithNormalMaps(TextureShader):
 
 
 class WithTwoSides(SceneShader):
-    """Backs are drawn, with the opposite normal. Those of materials with one side are left out."""
-
-    materials: Storage[Material]
-
-    def find_texel(self, v: SurfaceVarying) -> vec4:
-        texel = super().find_texel(v)
-        if not front_facing() and self.materials[v.material].double_sided == 0:
-            discard()
-        return texel
+    """Backs have the opposite normal. They are drawn of materials with two sides only (`DRAW_GROUPS`)."""
 
     def find_normal(self, v: SurfaceVarying) -> vec3:
         normal = super().find_normal(v)
@@ -425,7 +417,7 @@ SURFACE_PARTS: Final[dict[str, type[Shader]]] = {
 
 _ASPECTS: Final[dict[str, tuple[Effect, frozenset[Aspect]]]] = {
     "masks": (Effect.MASKS, frozenset([Aspect.COVERAGE])),
-    "two_sides": (Effect.TWO_SIDES, frozenset([Aspect.COVERAGE, Aspect.NORMAL])),
+    "two_sides": (Effect.TWO_SIDES, frozenset([Aspect.NORMAL])),
     "normal_maps": (Effect.NORMAL_MAPS, frozenset([Aspect.NORMAL])),
     "roughness_maps": (Effect.ROUGHNESS_MAPS, frozenset([Aspect.METAL])),
     "occlusion_maps": (Effect.OCCLUSION_MAPS, frozenset([Aspect.AMBIENT])),

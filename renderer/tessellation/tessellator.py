@@ -11,7 +11,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from renderer import rules
 from renderer.frame import Effect, Frame, Needs, Pass, SceneResources
 from renderer.scene import Camera, HeightField
 from renderer.scene.arrays import Floats
@@ -29,9 +28,10 @@ from renderer.tessellation.kernels import (
     GridVertex,
     Level,
 )
+from renderer.tessellation.settings import TessellationSettings
 from renderer.visibility.boxes.bounds import is_parallel
 from renderer.visibility.repeated import RepeatedCommands
-from rhi import Device, Encoder, Readback, refuse
+from rhi import Device, Encoder, Readback
 from rhi.shading import uint
 
 __rhi_internal__ = True
@@ -86,11 +86,11 @@ class Tessellation:
         self._repeated = RepeatedCommands(device, "tessellation")
         self._pending: Readback | None = None
 
-    def update(self, camera: Camera, edge_pixels: float, height: int) -> None:
+    def update(self, camera: Camera, settings: TessellationSettings, height: int) -> None:
         """Choose the triangles for a view in an image of `height` pixels; see `Tessellator`."""
         self._learn()
         node = self._resources.scene.objects.node[self.row]
-        view = view_field(self._resources.scene.nodes.world[node], camera, edge_pixels, height)
+        view = view_field(self._resources.scene.nodes.world[node], camera, settings, height)
         if view == self._view:
             return
         self._view = view
@@ -143,29 +143,14 @@ class Tessellator:
     """The height fields of a scene on one device; `Renderer.tessellator` is the one of a renderer.
 
     Attributes:
+        settings: how small triangles are; they may be exchanged between any two frames.
         fields: the height fields, as they are drawn; none before the first frame.
     """
 
     def __init__(self, device: Device) -> None:
-        self._edge_pixels = 8.0
+        self.settings = TessellationSettings()
         self.fields: list[Tessellation] = []
         self._device = device
-
-    @property
-    def edge_pixels(self) -> float:
-        """The length in pixels that edges are split down to, where the heights are fine enough: the setting of accuracy
-        and cost. Half of it gives up to four times as many triangles.
-
-        In the middle of the image no edge is longer. Off the middle, at an angle a to the camera's direction, it is at
-        most 1 / cos(a) times as long.
-        """
-        return self._edge_pixels
-
-    @edge_pixels.setter
-    def edge_pixels(self, edge_pixels: float) -> None:
-        if not 0.0 < edge_pixels < np.inf:
-            refuse(rules.BAD_EDGE, "Tessellator.edge_pixels", edge_pixels, "above 0, finite")
-        self._edge_pixels = float(edge_pixels)
 
     def update(self, resources: SceneResources, camera: Camera, height: int) -> None:
         """Choose the triangles for what `camera` sees in an image of `height` pixels."""
@@ -173,7 +158,7 @@ class Tessellator:
             rows = resources.scene.height_fields
             self.fields = [Tessellation(self._device, resources, row) for row in rows]
         for field in self.fields:
-            field.update(camera, self._edge_pixels, height)
+            field.update(camera, self.settings, height)
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
@@ -191,12 +176,12 @@ def tessellation_passes(needs: Needs) -> list[Pass[Frame]]:
 
 
 def _update(frame: Frame) -> None:
-    if frame.first is None and frame.device.capabilities.compute:  # the left eye's frame chooses for both
+    if frame.device.capabilities.compute:  # the second of two eyes asks for the same as the first
         tessellator = frame.resources.workspace(Tessellator)
         tessellator.update(frame.resources, frame.view.around, frame.targets.size[1])
 
 
-def view_field(world: Floats, camera: Camera, edge_pixels: float, height: int) -> FieldView:
+def view_field(world: Floats, camera: Camera, settings: TessellationSettings, height: int) -> FieldView:
     """Return a view in the space of a height field.
 
     Args:
@@ -207,7 +192,7 @@ def view_field(world: Floats, camera: Camera, edge_pixels: float, height: int) -
     if least <= 1e-9 * most:
         return _no_view()
     offset = world[:3, 3] - camera.position
-    scale = 0.5 * height * float(camera.projection.matrix[1, 1]) / edge_pixels
+    scale = 0.5 * height * float(camera.projection.matrix[1, 1]) / settings.edge_pixels
     planes = camera.frustum.planes
     ends = planes[:, 3] + planes[:, :3] @ camera.position
     inside = np.zeros((6, 4), np.float32)

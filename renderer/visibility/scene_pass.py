@@ -47,8 +47,8 @@ class DeviceList(Protocol):
 
     generation: int
 
-    def arguments(self, *, mirrored: bool) -> IndirectDraws:
-        """Return the draws of the objects of one winding: those that are mirrored, or those that aren't."""
+    def arguments(self, part: int) -> IndirectDraws:
+        """Return the draws of the objects whose `ObjectPosition.draw_list` is `part`."""
         ...
 
     def read_rows(self) -> Rows:

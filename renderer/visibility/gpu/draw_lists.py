@@ -3,12 +3,13 @@
 Each object has a mark. `IndirectDrawList.list_draws` gathers the draws of the objects marked VISIBLE and the rows of
 those marked HIDDEN. The CPU sees neither: it draws both indirectly.
 
-- The list is made by one pass of a counting sort: by winding, then by the depth of the farthest corner in half
+- The list is made by one pass of a counting sort: by part, then by the depth of the farthest corner in half
   octaves, near first. Within a half octave rows keep their order. So the same marks give the same list, and objects
   near the eye are drawn first, for the benefit of early depth tests.
-- There are no atomics: each group counts its 64 keys and ranks them in shared memory, one group computes the prefix
-  sums, and each row is written to its position.
-- Each winding has a part of its own, because the front face is a render state, which the device can't choose.
+- There are no atomics: each group counts and ranks the keys of its 64 rows in shared memory, one group computes the
+  prefix sums, and each row is written to its position.
+- Objects that are drawn with other states (their winding, the faces to cull) are in a part of their own, because the
+  device can't choose states: `DRAW_LISTS` parts, of which a scene uses few.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.shaders import MeshPart, ObjectPosition
+from renderer.shaders import DRAW_LISTS, MeshPart, ObjectPosition
 from renderer.shaders.prefix_sum import PrefixSum
 from renderer.visibility.gpu.occludees import DRAWN, GROUP, HIDDEN, VISIBLE, Occludee, Occludees
 from renderer.visibility.repeated import clear
@@ -47,8 +48,10 @@ __rhi_internal__ = True
 
 _BUCKETS: Final = 31
 """Number of distance classes: up to 1/8 m, then a half octave each up to 4 km, then all beyond."""
-_HIDDEN_KEY: Final = 2 * _BUCKETS
-_NO_KEY: Final = 63
+_HIDDEN_KEY: Final = DRAW_LISTS * _BUCKETS
+_NO_KEY: Final = 2 * GROUP - 1
+KEYS: Final = 2 * GROUP
+"""Number of keys. Each of a group's lanes counts two of them."""
 
 
 class DrawArguments(Struct):
@@ -62,11 +65,16 @@ class DrawArguments(Struct):
 
 
 class ListCounts(Struct):
-    """The numbers of draws of objects that aren't mirrored, of draws of mirrored ones, and of hidden rows."""
+    """The numbers of draws of each part, and of hidden rows."""
 
-    plain: uint
-    mirrored: uint
+    first: uint
+    second: uint
+    third: uint
+    fourth: uint
     hidden: uint
+
+
+_PARTS: Final = ("first", "second", "third", "fourth")
 
 
 class CountKeys(Shader):
@@ -97,14 +105,19 @@ class CountKeys(Shader):
         barrier()
         rank = 0
         count = uint(0)
+        count_beyond = uint(0)
         for other in range(GROUP):
-            if self.in_group[other] == uint(lane):
+            found = self.in_group[other]
+            if found == uint(lane):
                 count += 1
-            if other < lane and self.in_group[other] == uint(key):
+            if found == uint(lane + GROUP):
+                count_beyond += 1
+            if other < lane and found == uint(key):
                 rank += 1
         if row < len(self.marks):
-            self.keys[row] = uint(key + GROUP * rank)
+            self.keys[row] = uint(key + KEYS * rank)
         self.counts[lane * group_count().x + group_id().x] = count
+        self.counts[(lane + GROUP) * group_count().x + group_id().x] = count_beyond
 
 
 class WriteDraws(Shader):
@@ -123,18 +136,23 @@ class WriteDraws(Shader):
     def compute(self) -> None:
         row = global_id().x
         groups = group_count().x
-        mirrored = self.sums[_BUCKETS * groups]
         hidden = self.sums[_HIDDEN_KEY * groups]
         if row == 0:
             count = self.sums[_NO_KEY * groups] - hidden
-            self.totals[0] = ListCounts(plain=mirrored, mirrored=hidden - mirrored, hidden=count)
+            second = self.sums[_BUCKETS * groups]
+            third = self.sums[2 * _BUCKETS * groups]
+            fourth = self.sums[3 * _BUCKETS * groups]
+            self.totals[0] = ListCounts(
+                first=second, second=third - second, third=fourth - third, fourth=hidden - fourth, hidden=count
+            )
             self.boxes[0].instances = count
         if row < len(self.keys):
             packed = int(self.keys[row])
-            key = packed % GROUP
-            place = self.sums[key * groups + group_id().x] + uint(packed // GROUP)
+            key = packed % KEYS
+            place = self.sums[key * groups + group_id().x] + uint(packed // KEYS)
             if key < _HIDDEN_KEY:
-                at = int(place) if key < _BUCKETS else int(place - mirrored) + len(self.keys)
+                number = key // _BUCKETS
+                at = int(place - self.sums[number * _BUCKETS * groups]) + number * len(self.keys)
                 part = self.parts[self.places[row].mesh]
                 self.listed[at] = DrawArguments(
                     count=part.count,
@@ -151,7 +169,7 @@ class IndirectDrawList:
     """A list of draws that the device makes: a `DeviceList`.
 
     Attributes:
-        draws: (2 n,) of `rhi.DRAW`: from 0 on the objects that aren't mirrored, from n on those that are.
+        draws: (4 n,) of `rhi.DRAW`: part i, the objects whose `ObjectPosition.draw_list` is i, from n i on.
         totals: (1,) of `ListCounts`.
         hidden: (n,) rows of the hidden objects. box_draw: a draw of as many boxes.
         generation: how often the list was renewed.
@@ -160,14 +178,14 @@ class IndirectDrawList:
     def __init__(self, device: Device, occludees: Occludees) -> None:
         count = occludees.count
         self.generation = 0
-        self.draws = device.storage(DrawArguments, 2 * count, label="listed draws")
+        self.draws = device.storage(DrawArguments, DRAW_LISTS * count, label="listed draws")
         self.totals = device.storage(ListCounts, 1, label="list counts")
         self.hidden = device.storage(uint, count, label="hidden rows")
         self.box_draw = device.storage(DrawArguments, occludees.cube.draws(instances=0), label="box draw")
         self._device = device
         self._occludees = occludees
         self._keys = device.storage(uint, count, label="keys")
-        self._counts = device.storage(uint, GROUP * occludees.groups, label="key counts")
+        self._counts = device.storage(uint, KEYS * occludees.groups, label="key counts")
         self._count_keys = device.program(CountKeys)
         self._add_counts = device.program(PrefixSum)
         self._write_draws = device.program(WriteDraws)
@@ -204,31 +222,31 @@ class IndirectDrawList:
             boxes=self.box_draw,
         )
 
-    def arguments(self, *, mirrored: bool) -> IndirectDraws:
-        """Return the draws of one winding, for `device.draw_indirect`."""
-        count, size = self._occludees.count, DRAW.itemsize
+    def arguments(self, part: int) -> IndirectDraws:
+        """Return the draws of one part, for `device.draw_indirect`."""
+        count = self._occludees.count
         counted = self._device.capabilities.indirect_count
         return IndirectDraws(
             self.draws,
             count,
-            offset=count * size if mirrored else 0,
+            offset=part * count * DRAW.itemsize,
             count=self.totals if counted else None,
-            count_offset=4 if mirrored and counted else 0,
+            count_offset=4 * part if counted else 0,
         )
 
     def read_rows(self) -> NDArray[np.int64]:
         """Return the rows of the listed objects, in the order of their draws. Waits for the device."""
-        plain, mirrored = _count_windings(self.totals.read())
-        return _find_rows(self.draws.read(0, plain), self.draws.read(self._occludees.count, mirrored))
+        count = self._occludees.count
+        sizes = _count_parts(self.totals.read())
+        return _find_rows([self.draws.read(count * part, size) for part, size in enumerate(sizes) if size])
 
     def read_rows_async(self) -> Callable[[], NDArray[np.int64]]:
         """Begin to read what `read_rows` returns, and return a function that returns it. That waits for the device."""
         totals, draws, count = self.totals.read_async(), self.draws.read_async(), self._occludees.count
 
         def wait() -> NDArray[np.int64]:
-            plain, mirrored = _count_windings(totals.result())
-            rows = draws.result()
-            return _find_rows(rows[:plain], rows[count : count + mirrored])
+            rows, sizes = draws.result(), _count_parts(totals.result())
+            return _find_rows([rows[count * part : count * part + size] for part, size in enumerate(sizes)])
 
         return wait
 
@@ -238,11 +256,11 @@ class IndirectDrawList:
             resource.destroy()
 
 
-def _count_windings(totals: NDArray[Any]) -> tuple[int, int]:
-    """Return the numbers of listed objects that aren't mirrored and that are."""
-    return int(totals[0]["plain"]), int(totals[0]["mirrored"])
+def _count_parts(totals: NDArray[Any]) -> list[int]:
+    """Return the number of listed objects of each part."""
+    return [int(totals[0][name]) for name in _PARTS]
 
 
-def _find_rows(*parts: NDArray[Any]) -> NDArray[np.int64]:
+def _find_rows(parts: list[NDArray[Any]]) -> NDArray[np.int64]:
     """Return the rows of the objects that parts of a list draw."""
-    return np.concatenate([part["base_instance"].astype(np.int64) for part in parts])
+    return np.concatenate([np.zeros(0, np.int64), *(part["base_instance"].astype(np.int64) for part in parts)])

@@ -12,6 +12,7 @@ import pytest
 
 import rhi
 from renderer.accuracy import KNOBS, NEUTRAL, Knob
+from renderer.accuracy.knobs import Demand
 from renderer.content import load_scene
 from renderer.measure.encodings import ENCODINGS
 from renderer.scene import StereoRig
@@ -96,7 +97,8 @@ def watch_reads(settings: RenderSettings, path: str) -> Iterator[list[str]]:
 def test_a_frame_reads_what_a_knob_sets(knob: Knob) -> None:
     settings = knob.set(RenderSettings(), next(iter(knob.values)))
     null = settings.algorithm in ("none", "frustum")
-    scene = load_scene("city:blocks=2,shadows=1" if "shadow" in knob.name else "hall")
+    ground = "terrain:cells=8,trees=0" if knob.demand is Demand.HEIGHT_FIELDS else "hall"
+    scene = load_scene("city:blocks=2,shadows=1" if "shadow" in knob.name else ground)
     with (
         open_device("null" if null else "gl") as device,
         watch_reads(settings, knob.path) as reads,

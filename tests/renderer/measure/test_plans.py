@@ -9,7 +9,7 @@ import rhi
 from renderer.content import BUILT_IN, load_scene
 from renderer.measure.memory import describe_memory
 from renderer.measure.plans import describe_plan
-from renderer.scene import MATERIAL, Camera, SceneBuilder, scaling, translation
+from renderer.scene import MATERIAL, Camera, Scene, SceneBuilder, scaling, translation
 from renderer.techniques import Forward
 
 
@@ -57,6 +57,33 @@ def test_what_was_destroyed_is_not_in_memory() -> None:
         rows = describe_memory(device.stream, None).rows
     assert [(one.name, one.bytes) for one in rows if one.name in ("48", "64")] == [("48", 48)]
     assert kept.size == 48
+
+
+def checkered(*, two_sides: bool = False) -> Scene:
+    """Make sixteen objects in a row of four materials and two meshes in turn; a half of the materials are metals, and
+    the fourth may have two sides."""
+    builder = SceneBuilder("checkered")
+    meshes = [builder.add_mesh(BUILT_IN[name]()) for name in ("box", "sphere")]
+    shared = [{}, {"roughness": 0.5}, {"shininess": 9.0}, {"roughness": 0.1, "double_sided": two_sides}]
+    materials = [builder.add_material(**values) for values in shared]
+    for i in range(16):
+        builder.add_objects(builder.add_node(translation((i - 8, 0, 0))), meshes[i // 4 % 2], materials[i % 4])
+    return builder.build()
+
+
+@pytest.mark.parametrize(("two_sides", "kinds", "draws"), [(False, 2, 1), (True, 3, 2)])
+def test_the_report_counts_what_changes_between_objects(two_sides: bool, kinds: int, draws: int) -> None:
+    """Four materials, each with two meshes; in a group of its own, one with two sides is drawn by a second draw."""
+    camera = Camera.look_at((-40, 0, 40), (0, 0, 0))
+    report = describe_plan(checkered(two_sides=two_sides), Forward(), camera, (64, 36))
+    rows = {one.order: (one.programs, one.materials, one.meshes, one.draws) for one in report.orders}
+    listed, near, sorted_, drawn = rows.values()
+    assert listed == near == (16, 16, 4, 16)
+    assert sorted_ == (kinds, 4, 8, 16)
+    assert drawn == (1, 1, 1, draws)
+    (one,) = report.passes
+    assert (one.changes.programs, one.changes.meshes) == (1, 1)
+    assert one.changes.bindings == 5  # the view, objects, places, materials and ambient light
 
 
 @pytest.mark.parametrize(("mirrored", "draws"), [(1, 1), (-1, 2)])

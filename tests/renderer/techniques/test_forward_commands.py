@@ -12,7 +12,10 @@ from renderer.content import BUILT_IN as MESHES
 from renderer.content import load_scene
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Depth, Perspective, Scene, SceneBuilder, scaling, translation
+from renderer.techniques import TECHNIQUES
+from renderer.visibility import NoCulling, make_visibility
 from rhi import Op
+from rhi.backends.null import NullBackend
 
 
 def boxes(*places: tuple[float, float, float], mirrored: int = 0) -> SceneBuilder:
@@ -41,6 +44,13 @@ def count(stream: rhi.CommandStream, op: Op) -> int:
     return len(stream.filter(op))
 
 
+def list_rows(stream: rhi.CommandStream, draw: rhi.Command) -> list[int]:
+    """Return the rows of the objects that an indirect draw draws, without the draws of nothing that fill it up."""
+    written = [c for c in stream.filter(Op.WRITE_BUFFER) if c["buffer"] == draw["buffer"]]
+    draws = np.frombuffer(written[-1]["data"], rhi.DRAW)[draw["offset"] // rhi.DRAW.itemsize :][: draw["draws"]]
+    return draws["base_instance"][draws["instances"] > 0].tolist()
+
+
 def test_a_whole_scene_is_one_draw_call(null: rhi.Device) -> None:
     stream = record(null, load_scene("city:blocks=6"))
     assert len(stream.draws()) == 1
@@ -48,11 +58,71 @@ def test_a_whole_scene_is_one_draw_call(null: rhi.Device) -> None:
 
 
 def test_mirrored_objects_are_a_second_call_of_the_other_winding(null: rhi.Device) -> None:
-    stream = record(null, boxes((-2, 0, 0), (0, 0, 0), (2, 0, 0), mirrored=1).build())
+    stream = record(null, boxes((-2, 0, 0), (0, 0, 0), (2, 0, 0), mirrored=1).build(), frame=0)
     first, second = stream.draws()
-    assert (first["draws"], second["draws"]) == (2, 1)
+    assert (sorted(list_rows(stream, first)), list_rows(stream, second)) == ([1, 2], [0])
     assert first.states[rhi.FrontFace] is rhi.FrontFace.COUNTER_CLOCKWISE
     assert second.states[rhi.FrontFace] is rhi.FrontFace.CLOCKWISE
+
+
+def leaves(*, of_each: int = 2) -> SceneBuilder:
+    """Make boxes of all four groups, one after the other, and each of them `of_each` times."""
+    builder = SceneBuilder("leaves")
+    mesh, materials = builder.add_mesh(MESHES["box"]()), [builder.add_material(double_sided=two) for two in (0, 1)]
+    for number in range(4 * of_each):
+        turned = scaling((-1 if number % 2 else 1, 1, 1))
+        node = builder.add_node(translation((number - 2 * of_each, 0, 0)) @ turned)
+        builder.add_objects(node, mesh, materials[number // 2 % 2])
+    builder.views["eye"] = Camera.look_at((0, 0, 20), (0, 0, 0))
+    return builder
+
+
+GROUPS = [
+    (rhi.FrontFace.COUNTER_CLOCKWISE, rhi.CullMode.BACK),
+    (rhi.FrontFace.CLOCKWISE, rhi.CullMode.BACK),
+    (rhi.FrontFace.COUNTER_CLOCKWISE, rhi.CullMode.NONE),
+    (rhi.FrontFace.CLOCKWISE, rhi.CullMode.NONE),
+]
+
+
+def list_groups(draws: rhi.Commands) -> list[tuple[object, object]]:
+    return [(draw.states[rhi.FrontFace], draw.states[rhi.CullMode]) for draw in draws]
+
+
+def test_objects_that_need_other_states_are_a_call_each_and_no_more(null: rhi.Device) -> None:
+    stream = record(null, leaves(of_each=5).build(), frame=0)
+    draws = stream.draws()
+    rows = [sorted(list_rows(stream, draw)) for draw in draws]
+    assert rows == [list(range(group, 20, 4)) for group in range(4)]
+    assert list_groups(draws) == GROUPS
+
+
+@pytest.mark.parametrize("name", ["chc_plus_plus", "stop_and_wait", "two_pass", "depth_pyramid"])
+def test_every_algorithm_culls_the_backs_of_materials_with_one_side(null: rhi.Device, name: str) -> None:
+    null.backend_as(NullBackend).answer_queries(100)
+    scene = leaves().build()
+    with Renderer(null, scene, visibility=make_visibility(name, scene, null), size=(32, 16)) as renderer:
+        null.stream.clear()
+        renderer.render(scene.views["eye"])
+        found = list_groups(null.stream.draws().filter(where=lambda draw: "materials" in draw.bindings))
+    assert set(found) == set(GROUPS)
+
+
+def test_a_scene_without_two_sides_culls_all_backs(null: rhi.Device) -> None:
+    (draw,) = record(null, boxes((-2, 0, 0), (0, 0, 0)).build()).draws()
+    assert list_groups([draw]) == GROUPS[:1]
+
+
+def test_a_depth_pass_of_materials_with_two_sides_has_no_fragment_to_discard(null: rhi.Device) -> None:
+    builder = leaves()
+    builder.lights.add_point((0, 0, 2), 50.0)
+    scene = builder.build()
+    with Renderer(null, scene, technique=TECHNIQUES["forward_plus"](), visibility=NoCulling(scene)) as renderer:
+        null.stream.clear()
+        renderer.render(scene.views["eye"])
+        depth = null.stream.filter(label="depth").draws()
+        assert len(depth) == 4
+        assert {name for draw in depth for name in draw.bindings} == {"view", "objects", "places"}
 
 
 def test_nothing_in_view_is_a_pass_without_a_draw(null: rhi.Device) -> None:
@@ -65,9 +135,8 @@ def test_nothing_in_view_is_a_pass_without_a_draw(null: rhi.Device) -> None:
 def test_objects_are_drawn_front_to_back(null: rhi.Device) -> None:
     scene = boxes((0, 0, -4), (0, 0, 4), (0, 0, 0)).build()
     (draw,) = record(null, scene, frame=0).draws()
-    written = [c for c in null.stream.filter(Op.WRITE_BUFFER) if c["buffer"] == draw["buffer"]]
-    draws = np.frombuffer(written[-1]["data"], rhi.DRAW)
-    assert [scene.nodes.world[scene.objects.node[row], 2, 3] for row in draws["base_instance"]] == [4, 0, -4]
+    rows = list_rows(null.stream, draw)
+    assert [scene.nodes.world[scene.objects.node[row], 2, 3] for row in rows] == [4, 0, -4]
 
 
 def test_what_stands_on_a_wide_ground_is_drawn_before_it(null: rhi.Device) -> None:
@@ -77,8 +146,7 @@ def test_what_stands_on_a_wide_ground_is_drawn_before_it(null: rhi.Device) -> No
     builder.add_objects(ground, 0, 0)
     scene = builder.build()
     (draw,) = record(null, scene, frame=0).draws()
-    written = [c for c in null.stream.filter(Op.WRITE_BUFFER) if c["buffer"] == draw["buffer"]]
-    assert np.frombuffer(written[-1]["data"], rhi.DRAW)["base_instance"].tolist() == [0, 1]
+    assert list_rows(null.stream, draw) == [0, 1]
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 import rhi
 from renderer.renderer import Renderer
 from renderer.scene import AlphaMode, Camera, Scene, SceneBuilder, TextureMap, make_geometry
-from renderer.techniques import TECHNIQUES, Forward, Inferred, Technique
+from renderer.techniques import TECHNIQUES, Deferred, Forward, Inferred, Technique
 from renderer.visibility import NoCulling, make_visibility
 from rhi import Filter, SamplerDescriptor
 
@@ -100,6 +100,19 @@ def test_backs_are_drawn_of_materials_with_two_sides_alone(gl: rhi.Device, two_s
     builder.views["front"] = Camera.look_at((0, 0, -3), (0, 0, 0))
     image = look(gl, builder)
     assert (image > 200).all() if two_sides else (image < 60).all()
+
+
+@pytest.mark.parametrize("technique", [Forward, Deferred])
+def test_a_material_that_gets_a_second_side_shows_its_back_from_then_on(gl: rhi.Device, technique: Any) -> None:
+    builder = square(base_color=(1, 1, 1))
+    builder.lights.add_directional((0, 0, 1), (1, 1, 1), 3.0)  # lights the back
+    behind, scene = Camera.look_at((0, 0, -3), (0, 0, 0)), builder.build()
+    with Renderer(gl, scene, technique=technique(), visibility=NoCulling(scene), size=SMALL) as renderer:
+        seen = []
+        for sides in (0, 1, 0):
+            scene.materials["double_sided"] = sides
+            seen.append(bool((renderer.render(behind).image.read()[..., :3] > 200).all()))
+    assert seen == [False, True, False]
 
 
 @pytest.mark.parametrize(("texel", "bends"), [((127, 127, 127), False), ((128,) * 3, False), ((131, 128, 128), True)])

@@ -23,7 +23,7 @@ from renderer.content import load_scene
 from renderer.frame import SceneResources
 from renderer.renderer import Renderer
 from renderer.scene import Camera, HeightField, Perspective, Scene, make_height_field, scaling, translation
-from renderer.tessellation import Tessellation, Tessellator
+from renderer.tessellation import Tessellation, TessellationSettings, Tessellator
 from renderer.tessellation.tessellator import view_field
 from renderer.visibility import make_visibility
 from rhi import ValidationError
@@ -33,7 +33,7 @@ CAMERAS = list_cameras()
 
 def choose(field: HeightField, camera: Camera, edge_pixels: float = 6.0) -> tuple[NDArray[np.int64], bool]:
     """Return the reference's triangles (k, 3) of a field at the origin, and whether its limit is reached."""
-    keys, is_cut = find_keys(field, view_field(np.eye(4), camera, edge_pixels, HEIGHT))
+    keys, is_cut = find_keys(field, view_field(np.eye(4), camera, TessellationSettings(edge_pixels), HEIGHT))
     return decode(keys, len(field.heights)), is_cut
 
 
@@ -74,8 +74,8 @@ def test_without_reaches_that_hold_each_other_there_are_cracks(monkeypatch: pyte
     monkeypatch.setitem(field.__dict__, "bounds", (length, 0.0 * reach))
     with pytest.raises(AssertionError):
         for camera in CAMERAS.values():
-            keys, _ = find_keys(field, view_field(np.eye(4), camera, 6.0, HEIGHT))
-            wanted = is_wanted(field, view_field(np.eye(4), camera, 6.0, HEIGHT))
+            keys, _ = find_keys(field, view_field(np.eye(4), camera, TessellationSettings(6.0), HEIGHT))
+            wanted = is_wanted(field, view_field(np.eye(4), camera, TessellationSettings(6.0), HEIGHT))
             assert wanted.any()
             check_conforming(decode(keys, len(field.heights)), len(field.heights))
 
@@ -126,7 +126,7 @@ def test_a_device_chooses_the_reference_s_keys(device: rhi.Device) -> None:
         moved = Camera(0.5 * camera.position + (1e5, 300.0, -2e5), camera.rotation, camera.projection)
         tessellator.update(resources, moved, HEIGHT)
         one = tessellator.fields[0]
-        keys, _ = find_keys(field, view_field(local, moved, 8.0, HEIGHT))
+        keys, _ = find_keys(field, view_field(local, moved, TessellationSettings(), HEIGHT))
         wanted = decode(keys, len(field.heights))
         assert (read_triangles(resources, one) == wanted[np.lexsort(wanted.T)]).all()
         after = resources.indices.read().reshape(-1, 3)[len(wanted) : field.limit]
@@ -141,7 +141,7 @@ def test_a_device_chooses_the_reference_s_keys(device: rhi.Device) -> None:
 def test_a_device_keeps_the_limit_and_counts_the_cut_views(device: rhi.Device) -> None:
     field = make_hills(limit=256)
     resources, tessellator = SceneResources(device, make_scene(field)), Tessellator(device)
-    tessellator.edge_pixels = 1.0
+    tessellator.settings = TessellationSettings(1.0)
     for height in (400, 401):  # the second one learns of the first
         tessellator.update(resources, CAMERAS["straight down"], height)
         device.finish()
@@ -209,9 +209,8 @@ def test_a_scene_without_a_field_dispatches_nothing(null: rhi.Device) -> None:
 
 
 @pytest.mark.parametrize("edge_pixels", [0.0, -1.0, float("nan"), float("inf")])
-def test_a_length_that_is_none_is_refused(null: rhi.Device, edge_pixels: float) -> None:
-    tessellator = Tessellator(null)
+def test_a_length_that_is_none_is_refused(edge_pixels: float) -> None:
     with pytest.raises(ValidationError) as refused:
-        tessellator.edge_pixels = edge_pixels
+        TessellationSettings(edge_pixels)
     assert refused.value.rule.id == "tessellation-edge"
-    assert tessellator.edge_pixels == 8.0
+    assert TessellationSettings(1e-3).edge_pixels == 1e-3

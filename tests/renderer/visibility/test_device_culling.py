@@ -31,7 +31,7 @@ import rhi
 from renderer.content import load_scene
 from renderer.content.shapes import box
 from renderer.renderer import Renderer
-from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene
+from renderer.scene import Camera, Depth, MeshGeometry, Orthographic, Perspective, Scene
 from renderer.scene.scene import SceneBuilder
 from renderer.visibility import (
     AutoCulling,
@@ -160,10 +160,12 @@ def test_random_walks_among_random_boxes_look_as_without_culling(
         algorithm.destroy()
 
 
-def mirrored_boxes() -> Scene:
-    """Make boxes of which every other one is mirrored, and one is skewed flat."""
+def mirrored_boxes(*, two_sides: bool = False) -> Scene:
+    """Make boxes of which every other one is mirrored, and one is skewed flat; every third one may have two sides, and
+    lacks a face, so that its inside is seen."""
     builder = SceneBuilder("mirrored")
-    mesh, rng = builder.add_mesh(box()), np.random.default_rng(4)
+    rng, whole = np.random.default_rng(4), box()
+    mesh, opened = builder.add_mesh(whole), builder.add_mesh(MeshGeometry(whole.vertices, whole.indices[6:]))
     local = np.tile(np.eye(4), (30, 1, 1))
     local[:, :3, :3] = rng.normal(size=(30, 3, 3))
     local[:, :3, 3] = rng.uniform(-6.0, 6.0, (30, 3))
@@ -172,14 +174,24 @@ def mirrored_boxes() -> Scene:
     assert 5 < turned.sum() < 25
     nodes = builder.add_nodes(local)
     for row, color in enumerate(rng.uniform(0.2, 1.0, (30, 4))):
-        builder.add_objects(nodes[row], mesh, builder.add_material(base_color=tuple(color)))
+        has_two = two_sides and row % 3 == 0
+        material = builder.add_material(base_color=tuple(color), double_sided=has_two)
+        builder.add_objects(nodes[row], opened if has_two else mesh, material)
     builder.lights.add_directional((-0.4, -1.0, -0.3), (1.0, 1.0, 1.0), 1.5)
     return builder.build()
 
 
 @pytest.mark.parametrize("name", DEVICE)
 def test_mirrored_and_skewed_objects_are_drawn_right_side_out(device: rhi.Device, name: str) -> None:
-    scene = mirrored_boxes()
+    check_boxes(device, name, mirrored_boxes())
+
+
+@pytest.mark.parametrize("name", DEVICE)
+def test_backs_of_materials_with_two_sides_are_drawn_mirrored_or_not(gl: rhi.Device, name: str) -> None:
+    check_boxes(gl, name, mirrored_boxes(two_sides=True))
+
+
+def check_boxes(device: rhi.Device, name: str, scene: Scene) -> None:
     eyes = [(12.0, 3.0, 4.0), (-9.0, -8.0, 2.0), (0.0, 0.0, 1.0)]
     shots = [(look(eye, (0.0, 0.0, 0.0)), 0.0) for eye in eyes for _ in range(2)]
     assert count_wrong_pixels(device, scene, make(name, scene, device), shots) == [0] * 6

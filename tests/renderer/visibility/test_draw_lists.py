@@ -11,10 +11,11 @@ import rhi
 from renderer.content import load_scene
 from renderer.frame import SceneResources, View
 from renderer.scene import Camera, Scene
-from renderer.shaders import MeshPart, ObjectPosition
+from renderer.shaders import DRAW_LISTS, MeshPart, ObjectPosition
 from renderer.shaders.prefix_sum import PrefixSum
 from renderer.visibility import NoCulling
 from renderer.visibility.gpu.draw_lists import (
+    KEYS,
     CountKeys,
     DrawArguments,
     IndirectDrawList,
@@ -25,6 +26,7 @@ from renderer.visibility.gpu.occludees import DRAWN, HIDDEN, OUTSIDE, VISIBLE, O
 from rhi.shading import run_compute
 
 BUCKETS = 31
+PARTS = ("first", "second", "third", "fourth")
 
 
 def buckets(depth: np.ndarray) -> np.ndarray:
@@ -38,16 +40,16 @@ def make_rows(count: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray
     places, boxes, parts = (
         np.zeros(n, s.dtype) for n, s in ((count, ObjectPosition), (count, Occludee), (5, MeshPart))
     )
-    places["mesh"], places["draw_list"] = rng.integers(0, 5, count), rng.random(count) < 0.3
+    places["mesh"], places["draw_list"] = rng.integers(0, 5, count), rng.choice(4, count, p=[0.6, 0.2, 0.15, 0.05])
     # Between the borders of half octaves, so that a logarithm's last bit doesn't matter.
     boxes["depth"] = rng.choice([-3.0, 0.0, 0.1, 1.1, 1.3, 5.0, 77.0, 5000.0, 1e20], count)
     parts["first"], parts["count"], parts["base_vertex"] = rng.integers(0, 999, (3, 5))
     return marks, places, boxes, parts
 
 
-def expect(marks: np.ndarray, places: np.ndarray, boxes: np.ndarray, mirrored: bool) -> np.ndarray:
-    """Return the expected rows of one winding in the order of their draws."""
-    rows = np.flatnonzero((marks == VISIBLE) & (places["draw_list"] == mirrored))
+def expect(marks: np.ndarray, places: np.ndarray, boxes: np.ndarray, part: int) -> np.ndarray:
+    """Return the expected rows of one part in the order of their draws."""
+    rows = np.flatnonzero((marks == VISIBLE) & (places["draw_list"] == part))
     return rows[np.argsort(buckets(boxes["depth"][rows]), kind="stable")]
 
 
@@ -55,8 +57,8 @@ def check(
     marks: np.ndarray, places: np.ndarray, boxes: np.ndarray, parts: np.ndarray, after: dict[str, np.ndarray]
 ) -> None:
     count, totals, draws = len(marks), after["totals"][0], after["listed"]
-    for begin, mirrored, name in ((0, False, "plain"), (count, True, "mirrored")):
-        rows = expect(marks, places, boxes, mirrored)
+    for part, name in enumerate(PARTS):
+        rows, begin = expect(marks, places, boxes, part), part * count
         assert totals[name] == len(rows)
         listed, mesh = draws[begin : begin + len(rows)], parts[places["mesh"][rows]]
         assert listed["base_instance"].tolist() == rows.tolist()
@@ -77,12 +79,12 @@ def test_lists_are_of_marked_rows_near_first(count: int, seed: int) -> None:
     marks, places, boxes, parts = make_rows(count, seed)
     groups = -(-count // 64)
     counted = run_compute(
-        CountKeys, groups, places=places, occludees=boxes, marks=marks, keys=count, counts=64 * groups
+        CountKeys, groups, places=places, occludees=boxes, marks=marks, keys=count, counts=KEYS * groups
     )
     sums = run_compute(PrefixSum, 1, counts=counted["counts"])["counts"]
     assert sums.tolist() == np.append(0, np.cumsum(counted["counts"]))[:-1].tolist()
     written = run_compute(
-        WriteDraws, groups, places=places, parts=parts, keys=counted["keys"], sums=sums, listed=2 * count,
+        WriteDraws, groups, places=places, parts=parts, keys=counted["keys"], sums=sums, listed=4 * count,
         hidden=count, totals=np.zeros(1, ListCounts.dtype), boxes=np.zeros(1, DrawArguments.dtype),
     )  # fmt: skip
     check(marks, places, boxes, parts, counted | written)
@@ -121,7 +123,7 @@ def test_a_device_makes_the_same_lists(device: rhi.Device, count: int, seed: int
             "hidden": lists.hidden.read(), "boxes": lists.box_draw.read(),
         }  # fmt: skip
         check(marks, places, boxes, parts, after)
-        rows = [expect(marks, places, boxes, mirrored) for mirrored in (False, True)]
+        rows = [expect(marks, places, boxes, part) for part in range(4)]
         listed = np.concatenate(rows).tolist()
         assert lists.read_rows().tolist() == listed
         readings.append((lists.read_rows_async(), listed))
@@ -133,12 +135,12 @@ def test_a_device_makes_the_same_lists(device: rhi.Device, count: int, seed: int
 
 def test_arguments_lie_where_indirect_draws_look_for_them(null: rhi.Device) -> None:
     lists = IndirectDrawList(null, Occludees(null, 10))
-    plain, mirrored = lists.arguments(mirrored=False), lists.arguments(mirrored=True)
-    assert DrawArguments.dtype.itemsize == rhi.DRAW.itemsize == plain.stride
+    parts = [lists.arguments(part) for part in range(DRAW_LISTS)]
+    assert DrawArguments.dtype.itemsize == rhi.DRAW.itemsize == parts[0].stride
     assert [DrawArguments.dtype.fields[name][1] for name in rhi.DRAW.names or ()] == [0, 4, 8, 12, 16]
-    assert (plain.offset, mirrored.offset) == (0, 10 * rhi.DRAW.itemsize)
+    assert [one.offset for one in parts] == [10 * part * rhi.DRAW.itemsize for part in range(4)]
     fields = ListCounts.dtype.fields
-    assert (plain.count_offset, mirrored.count_offset) == (fields["plain"][1], fields["mirrored"][1])
+    assert [one.count_offset for one in parts] == [fields[name][1] for name in PARTS]
 
 
 @pytest.mark.parametrize("count", [1, 64, 65])

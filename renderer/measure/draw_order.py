@@ -1,0 +1,106 @@
+"""What changes between draws, as a device sees it: programs, materials and meshes (Russell, 6.3 and 6.7.2).
+
+A renderer that draws objects one by one sets a program, a material and a mesh wherever they aren't those of the object
+before, so it sorts objects by these. Here the materials and the meshes of a scene are tables, so one draw takes all
+objects that need the same states, and their order is free. Both are counted: the first for the objects of a frame in
+several orders, the second in the commands of the frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from renderer.frame.frame import sort_back_to_front
+from renderer.scene import Camera, Scene
+from renderer.scene.arrays import Rows
+from rhi import Command, Commands, Op
+
+__rhi_internal__ = True
+
+_BINDINGS: Final = (Op.BIND_UNIFORM, Op.BIND_STORAGE, Op.BIND_TEXTURE, Op.BIND_IMAGE)
+
+
+@dataclass(frozen=True, slots=True)
+class Changes:
+    """The commands of a pass that change what its draws use.
+
+    Attributes:
+        meshes: how often a draw has other vertex and index buffers than the one before.
+    """
+
+    programs: int = 0
+    bindings: int = 0
+    meshes: int = 0
+    states: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class OrderRow:
+    """How often objects that are drawn in one order have another program, material or mesh than those before them."""
+
+    order: str
+    programs: int
+    materials: int
+    meshes: int
+    draws: int
+
+
+def count_changes(commands: Iterable[Command]) -> Changes:
+    """Count what changes between the draws of these commands."""
+    ops, meshes = [], []
+    for command in commands:
+        ops.append(command.op)
+        if command.op in (Op.DRAW, Op.DRAW_INDIRECT):
+            meshes.append(command["vertex_array"])
+    return Changes(
+        programs=ops.count(Op.BIND_PROGRAM),
+        bindings=sum(map(ops.count, _BINDINGS)),
+        meshes=_count_runs(meshes),
+        states=ops.count(Op.SET_STATES),
+    )
+
+
+def compare_orders(scene: Scene, camera: Camera, rows: Rows, draws: Commands) -> list[OrderRow]:
+    """Count what changes for the objects `rows` (k,), drawn one by one, and for the draws that draw them all.
+
+    One by one, each combination of features that a material may have is a program.
+    """
+    rows = sort_back_to_front(scene, camera, rows)[::-1]
+    material, mesh = scene.objects.material[rows], scene.objects.mesh[rows]
+    program = scene.material_kinds[material]
+    orders = {
+        "one by one, as listed": np.argsort(rows),
+        "one by one, near first": np.arange(len(rows)),
+        "one by one, sorted": np.lexsort((mesh, material, program)),
+    }
+    return [
+        *(
+            OrderRow(
+                name,
+                _count_runs(program[order]),
+                _count_runs(np.stack([program[order], material[order]], axis=1)),
+                _count_runs(mesh[order]),
+                len(rows),
+            )
+            for name, order in orders.items()
+        ),
+        OrderRow(
+            "as they are drawn",
+            _count_runs([draw.program for draw in draws]),
+            _count_runs([draw.bindings["materials"] for draw in draws if "materials" in draw.bindings]),
+            _count_runs([draw["vertex_array"] for draw in draws]),
+            len(draws),
+        ),
+    ]
+
+
+def _count_runs(values: Sequence[Any] | np.ndarray[Any, Any]) -> int:
+    """Return how many runs of equal values there are."""
+    if not len(values):
+        return 0
+    array = np.asarray(values).reshape(len(values), -1)
+    return 1 + int((array[1:] != array[:-1]).any(axis=1).sum())

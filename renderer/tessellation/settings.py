@@ -1,0 +1,30 @@
+"""The choice of how small triangles are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from renderer import rules
+from rhi import refuse
+
+__rhi_internal__ = True
+
+
+@dataclass(frozen=True, slots=True)
+class TessellationSettings:
+    """How small the triangles of height fields are.
+
+    Attributes:
+        edge_pixels: the length in pixels that edges are split down to, where the heights are fine enough. In the middle
+            of the image no edge is longer; off the middle, at an angle a to the camera's direction, it is at most
+            1 / cos(a) times as long. Half the length gives up to four times as many triangles.
+
+    Raises:
+        ValidationError `tessellation-edge`: a length that isn't above 0 and finite.
+    """
+
+    edge_pixels: float = 8.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.edge_pixels < float("inf"):
+            refuse(rules.BAD_EDGE, "TessellationSettings(edge_pixels=...)", self.edge_pixels, "above 0, finite")
