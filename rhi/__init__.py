@@ -82,6 +82,7 @@ from rhi.device.queries.occlusion import OcclusionQuery
 from rhi.device.queries.sets import QuerySet
 from rhi.device.queries.timers import TimerNode
 from rhi.device.registry import backend_names, create_device, report
+from rhi.device.reloading import Reloader
 from rhi.device.resources.buffers import Buffer, StorageBuffer, UniformArray, UniformBuffer
 from rhi.device.resources.meshes import Drawable, Mesh
 from rhi.device.resources.programs import Program
@@ -151,6 +152,7 @@ __all__ = [
     "Recorder",
     "Refusal",
     "Region",
+    "Reloader",
     "RenderPass",
     "RhiError",
     "Rule",

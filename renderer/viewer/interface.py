@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from textwrap import wrap
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from renderer.canvas import Canvas, Font, srgb
 from renderer.frame import Frame
@@ -110,15 +112,25 @@ class InterfaceLayer:
     def _add_text(self, x: int, y: int, lines: Sequence[tuple[str, bool]]) -> None:
         """Add lines on a panel; the text's top left is at (x, y)."""
         canvas, scale, pad = self._canvas, self.scale, _PAD * self.scale
-        wide = max(canvas.measure(text, scale)[0] for text, _ in lines)
+        wide = canvas.measure("\n".join(text for text, _ in lines), scale)[0]
         canvas.rect(x - pad, y - pad // 2, wide + 2 * pad, self._row * len(lines) + pad, _PANEL)
-        for number, (text, is_error) in enumerate(lines):
-            canvas.text(x, y + number * self._row, text, _ERROR if is_error else _TEXT, scale)
+        self._add_lines(x, y, lines, _TEXT)
+
+    def _add_lines(self, x: int, y: int, lines: Sequence[tuple[str, bool]], color: NDArray[np.float32]) -> None:
+        """Add lines, those of a colour that follow each other as one text; errors have their own colour."""
+        for is_error, run in groupby(lines, lambda line: line[1]):
+            texts = [text for text, _ in run]
+            self._canvas.text(x, y, "\n".join(texts), _ERROR if is_error else color, self.scale)
+            y += self._row * len(texts)
 
     def _wrap(self, lines: Sequence[tuple[str, bool]], width: int) -> list[tuple[str, bool]]:
         """Return the lines broken to a width in pixels, about: a character is as wide as an n."""
         most = max(width // self._canvas.measure("n", self.scale)[0], 1)
-        return [(part, is_error) for text, is_error in lines for part in wrap(text, most) or [""]]
+        return [
+            (part, is_error)
+            for text, is_error in lines
+            for part in ([text] if len(text) <= most else wrap(text, most) or [""])
+        ]
 
     def _add_help(self, width: int, height: int) -> None:
         canvas, scale, pad = self._canvas, self.scale, _PAD * self.scale
@@ -135,13 +147,12 @@ class InterfaceLayer:
         canvas, scale, pad, row = self._canvas, self.scale, _PAD * self.scale, self._row
         shown = self.shown
         lines = [*(shown.console or ()), ("  ".join(shown.choices), False)] if shown.choices else shown.console or ()
-        lines = self._wrap(lines, box.width - 2 * pad)
         room = max(min(_ROWS, (box.height - 2 * pad) // row - 1), 0)
+        lines = self._wrap(lines[max(len(lines) - room, 0) :], box.width - 2 * pad)
         lines = lines[max(len(lines) - room, 0) :]
         top = box.y + box.height - row * (len(lines) + 1) - pad
         canvas.rect(box.x, top - pad, box.width, row * (len(lines) + 1) + 2 * pad, _PANEL)
-        for number, (text, is_error) in enumerate(lines):
-            canvas.text(box.x + pad, top + number * row, text, _ERROR if is_error else _DIM, scale)
+        self._add_lines(box.x + pad, top, lines, _DIM)
         below = top + len(lines) * row
         canvas.text(box.x + pad, below, f"> {shown.line}", _TEXT, scale)
         before = canvas.measure(f"> {shown.line[: shown.cursor]}", scale)[0]

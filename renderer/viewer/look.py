@@ -180,7 +180,7 @@ class Dresser:
         return settings.make(renderer.scene, renderer.device)
 
     def _make_technique(self, look: Look) -> Technique:
+        plain = self._make_plain(look)  # which refuses samples that it lacks, also where a picture hides that
         if look.show in INSPECTIONS:
             return Inspection(look.show)
-        plain = self._make_plain(look)
         return plain if look.show == LIT else Watched(plain, look.show)

@@ -36,7 +36,7 @@ class RepeatedCommands:
             issue(self._device)
             self._key = key
             return
-        if self._commands is None:
+        if self._commands is None or self._commands.is_stale:  # a program was exchanged
             commands = self._device.record(label=self._label)
             with commands:
                 issue(commands)

@@ -110,6 +110,11 @@ class CommandBuffer(Encoder):
         """The recorded commands; `rhi.testing` accepts them like those of a device."""
         return self._writer.stream
 
+    @property
+    def is_stale(self) -> bool:
+        """Whether something that it uses was destroyed since, or exchanged by a `Reloader`: `submit` refuses it."""
+        return bool(self._destroyed_uses)
+
     def __len__(self) -> int:
         return len(self.stream)
 

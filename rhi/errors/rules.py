@@ -54,6 +54,7 @@ DEVICE_ANSWER: Final = Rule(
     "repeat the query, or create a new device",
 )
 DEVICE_CLOSED: Final = Rule("device-closed", "the device was closed", "use it inside its `with` block only")
+RELOAD_WATCH: Final = Rule("reload-watch", "this can't be watched for changes")
 DEVICE_DEBUG: Final = Rule(
     "device-debug", "the driver reported an error", "such errors are reported with validation=True only"
 )

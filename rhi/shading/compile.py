@@ -7,8 +7,10 @@
 
 from __future__ import annotations
 
+import sys
 import weakref
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import fields
 
 from rhi.contract.descriptors import Binding, BindingKind, ProgramDescriptor, Stage, StageText
 from rhi.contract.layout import Layout, place, stride_of
@@ -19,6 +21,7 @@ from rhi.shading.ir import tree
 from rhi.shading.ir.interface import Interface
 from rhi.shading.language import rules
 from rhi.shading.language.builtins import Precision
+from rhi.shading.language.edits import Edit
 from rhi.shading.language.shader import Declaration, Shader, StorageClass
 from rhi.shading.language.types import VOID, ImageType, StorageType
 from rhi.shading.parser.interface import (
@@ -35,7 +38,13 @@ from rhi.shading.parser.unused import check_bindings_are_used
 
 __rhi_internal__ = True
 
-_compiled: weakref.WeakKeyDictionary[type[Shader], ProgramDescriptor] = weakref.WeakKeyDictionary()
+_compiled: weakref.WeakKeyDictionary[type[Shader], tuple[ProgramDescriptor, ShaderCode]] = weakref.WeakKeyDictionary()
+
+Compiled = Mapping[type[Shader], tuple[ProgramDescriptor, ShaderCode]]
+"""What is known of shader classes."""
+
+
+_COMPARED = tuple(field.name for field in fields(ProgramDescriptor) if field.name != "emit")
 
 
 def compile_shader(shader: type[Shader]) -> ProgramDescriptor:
@@ -52,7 +61,54 @@ def compile_shader(shader: type[Shader]) -> ProgramDescriptor:
             raise error.with_traceback(None) from error.__cause__
         except RecursionError:
             raise make_depth_error(shader.__qualname__) from None
-    return known
+    return known[0]
+
+
+def forget_compiled(edit: Edit) -> Compiled:
+    """Let the shaders that a module's edit may concern be compiled again; return what was known of them.
+
+    These are the classes of the module and those derived from them, those that call its functions or use structs that
+    it changed, and those of modules that have imported it.
+    """
+    found = {shader: known for shader, known in _compiled.items() if _is_concerned(shader, known[1], edit)}
+    for shader in found:
+        del _compiled[shader]
+    return found
+
+
+def restore_compiled(known: Compiled) -> None:
+    """Take back what `forget_compiled` has returned: the edit was undone."""
+    _compiled.update(known)
+
+
+def _is_concerned(shader: type[Shader], code: ShaderCode, edit: Edit) -> bool:
+    for base in shader.__mro__:
+        names = vars(sys.modules.get(base.__module__, edit.module))
+        if base.__module__ == edit.module.__name__ or any(value is edit.module for value in names.values()):
+            return True
+    return any(
+        not edit.structs.isdisjoint(stage.structs)
+        or any(function.file == edit.file for function in (stage.entry, *stage.functions))
+        for stage in code.stages.values()
+    )
+
+
+def is_same(one: ProgramDescriptor, known: Compiled, shader: type[Shader]) -> bool:
+    """Return whether a newly compiled program is the known one: its texts, as far as they were written, and its
+    interface."""
+    before, code = known[shader]
+    if any(getattr(one, name) != getattr(before, name) for name in _COMPARED):
+        return False
+    written = dict(code.written())
+    try:
+        written = written or {("glsl", stage): code.emit("glsl", stage) for stage in before.stages}
+    except ShaderError:  # it has stages in another language only
+        return False
+    for (language, stage), text in written.items():
+        new = one.emit(language, stage)
+        if new != text if one.checked else (new.text, new.binary) != (text.text, text.binary):
+            return False
+    return True
 
 
 def stage_trees(shader: type[Shader]) -> dict[Stage, tree.StageTree]:
@@ -65,7 +121,7 @@ def stage_interface(shader: type[Shader]) -> Interface:
     return _interface(_entries(shader))
 
 
-def _compile(shader: type[Shader]) -> ProgramDescriptor:
+def _compile(shader: type[Shader]) -> tuple[ProgramDescriptor, ShaderCode]:
     entries = _entries(shader)
     interface = _interface(entries)
     stages = {stage: StageParser(shader, stage).parse(entry) for stage, entry in entries.items()}
@@ -98,7 +154,7 @@ def _compile(shader: type[Shader]) -> ProgramDescriptor:
     if needs_lane_check:
         # Finds barriers that part of a work-group may not reach, and races.
         code.lower_compute(max(WIDTHS))
-    return ProgramDescriptor(
+    descriptor = ProgramDescriptor(
         name=options.name,
         stages=frozenset(stages),
         bindings=bindings,
@@ -122,6 +178,7 @@ def _compile(shader: type[Shader]) -> ProgramDescriptor:
         reads_point_coordinates=fragment is not None
         and any(builtin.name == "point_coordinate" for builtin in fragment.builtins),
     )
+    return descriptor, code
 
 
 def opencl_kernel(shader: type[Shader], width: int = 16) -> StageText:

@@ -78,6 +78,10 @@ class ShaderCode:
                 raise make_depth_error(self.options.name) from None
         return text
 
+    def written(self) -> Mapping[tuple[str, Stage], StageText]:
+        """Return the texts that were requested, by language and stage."""
+        return self._texts
+
     def lower_compute(self, width: int) -> Code:
         """Return the lane code of the compute stage for `width` lanes, or for whole arrays with 0.
 

@@ -36,6 +36,7 @@ FEW_COLORS = {"engine_test": 5, "life": 1}
 
 COSTS = {  # draws, dispatches, render passes
     "batch": (1, 0, 1),
+    "beside_moderngl": (1, 0, 1),
     "bloom": (5, 0, 5),
     "curves": (9, 0, 1),
     "deferred": (2, 0, 2),

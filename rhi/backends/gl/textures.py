@@ -61,7 +61,7 @@ class Textures:
         self._textures: dict[Id, GlTexture] = {}
         self.names: dict[Id, int] = {}
         self.adopting = 0
-        self._adopted: set[Id] = set()
+        self._adopted: dict[Id, int] = {}  # and the last level that its owner lets shaders read
         self.set_transfers()
 
     def set_transfers(self) -> None:
@@ -105,7 +105,10 @@ class Textures:
                 self.adopting, _TARGETS[descriptor.kind], descriptor, PIXEL_FORMATS[descriptor.format]
             )
             self.names[texture] = self.adopting
-            self._adopted.add(texture)
+            last = ctypes.c_int()
+            gl.GetTextureParameteriv(self.adopting, enums.TEXTURE_MAX_LEVEL, ctypes.byref(last))
+            gl.TextureParameteri(self.adopting, enums.TEXTURE_MAX_LEVEL, descriptor.levels - 1)  # or it is incomplete
+            self._adopted[texture] = last.value
             return
         target = enums.TEXTURE_2D_MULTISAMPLE if descriptor.samples > 1 else _TARGETS[descriptor.kind]
         name = gl.create(gl.CreateTextures, target)
@@ -138,10 +141,12 @@ class Textures:
     def destroy(self, texture: Id) -> None:
         del self._textures[texture]
         name = self.names.pop(texture)
-        if texture in self._adopted:
-            self._adopted.remove(texture)
-        else:
+        if texture not in self._adopted:
             self._gl.delete(self._gl.DeleteTextures, name)
+        else:
+            last = self._adopted.pop(texture)
+            if self._gl.IsTexture(name):
+                self._gl.TextureParameteri(name, enums.TEXTURE_MAX_LEVEL, last)
 
     def write(self, texture: Id, level: int, region: Region, data: BytesLike) -> None:
         pixels, gl_texture = np.frombuffer(memoryview(data), np.uint8), self._textures[texture]

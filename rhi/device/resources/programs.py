@@ -120,6 +120,23 @@ class Program(Generic[P]):
                 del core.draw_counters[self.id]
             retire(self)
 
+    def build(self, descriptor: ProgramDescriptor) -> Id:
+        """Create what the program may be exchanged for, inside a `creation` block; return its id."""
+        _check_limits(self.core, descriptor)
+        number = self.core.create_id()
+        self.core.create(self.core.backend.create_program, number, descriptor)
+        return number
+
+    def exchange(self, number: Id, descriptor: ProgramDescriptor) -> None:
+        """Become another program, which exists; what meshes and command buffers have made for this one is dropped."""
+        core = self.core
+        core.program = None
+        core.draws += core.draw_counters.pop(self.id)()
+        core.timeline.retire(self.id)
+        self.id, self.descriptor, self.name = number, descriptor, descriptor.name
+        self.recorded_code = None
+        self._install_code(compile_draw_code(self.name, descriptor.bindings, validates=core.validates))
+
     # -- checks, off the fast path -----------------------------------------------------------------------
 
     def check_can_draw(self, mesh: Drawable) -> None:
@@ -322,6 +339,10 @@ class ProgramTable:
     def find(self, shader: object) -> Program[Any] | None:
         """Return the program of a shader, None if there is none."""
         return self._programs.get(shader)
+
+    def items(self) -> list[tuple[object, Program[Any]]]:
+        """Return all programs with what they were made of."""
+        return list(self._programs.items())
 
     def add(self, shader: object, program: Program[Any]) -> None:
         """Keep a program until it is destroyed."""

@@ -22,7 +22,7 @@ from rhi.shading.ir.lanes import Code, ScalarKind
 from rhi.shading.language import rules
 from rhi.shading.language.function import ShadingFunction
 from rhi.shading.language.shader import Shader, StorageClass
-from rhi.shading.language.source import source_of
+from rhi.shading.language.source import FORGOTTEN, source_of
 from rhi.shading.language.structs import Struct
 from rhi.shading.language.types import ImageType, StorageType, TextureType
 from rhi.shading.lowering.components import all_kinds, words_of
@@ -42,6 +42,7 @@ _functions: weakref.WeakKeyDictionary[FunctionType, tuple[tree.Function, Code, L
     weakref.WeakKeyDictionary()
 )
 _shaders: weakref.WeakKeyDictionary[type[Shader], NumpyKernel] = weakref.WeakKeyDictionary()
+FORGOTTEN.extend((_functions.clear, _shaders.clear))
 
 
 # -- functions ---------------------------------------------------------------------------------------------

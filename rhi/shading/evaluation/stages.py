@@ -24,6 +24,7 @@ from rhi.shading.ir.interface import Interface
 from rhi.shading.ir.lanes import StageCode
 from rhi.shading.language import rules
 from rhi.shading.language.shader import Shader
+from rhi.shading.language.source import FORGOTTEN
 from rhi.shading.language.types import VEC4, VECTORS
 from rhi.shading.lowering.components import words_of
 from rhi.shading.lowering.stages import lower_stage, takes_differences
@@ -79,6 +80,7 @@ class _CompiledStage:
 
 
 _stages: weakref.WeakKeyDictionary[type[Shader], dict[Stage, _CompiledStage]] = weakref.WeakKeyDictionary()
+FORGOTTEN.append(_stages.clear)
 
 
 def run_vertex(

@@ -12,7 +12,7 @@ import sys
 from collections.abc import Mapping
 from importlib.machinery import ModuleSpec
 from types import ModuleType
-from typing import Any, Final, NoReturn, overload
+from typing import Any, Final, overload
 
 from rhi.errors import CallSite, RhiError, ShaderError, find_call_site
 from rhi.shading.language import rules
@@ -64,7 +64,7 @@ def from_source(
     except RhiError:
         raise
     except Exception as error:
-        _refuse_error(source, error, module)
+        raise describe_failure("from_source", source, error, module) from error
     finally:
         del sys.modules[module.__name__]
     found = [_find(source, module, name) for name in names]
@@ -99,8 +99,8 @@ def _is_own(value: object, module: ModuleType) -> bool:
     return getattr(value, "__module__", "") == module.__name__
 
 
-def _refuse_error(source: SourceFile, error: Exception, module: ModuleType) -> NoReturn:
-    """Raise the error for an exception that executing a text has raised, at the text's innermost line."""
+def describe_failure(call: str, source: SourceFile, error: Exception, module: ModuleType) -> ShaderError:
+    """Return the error for an exception that executing a text has raised, at the text's innermost line."""
     line, given = 0, f"{type(error).__name__}: {error}"
     if isinstance(error, SyntaxError) and error.filename == source:
         line, given = error.lineno or 0, f"SyntaxError: {error.msg}"
@@ -109,11 +109,11 @@ def _refuse_error(source: SourceFile, error: Exception, module: ModuleType) -> N
         if trace.tb_frame.f_code.co_filename == source:
             line = trace.tb_lineno
         trace = trace.tb_next
-    call = f"from_source\n{show(source, SourceSpan(line))}" if line else f"from_source({source})"
+    shown = f"{call}\n{show(source, SourceSpan(line))}" if line else f"{call}({source})"
     site = CallSite(str(source), line) if line else find_call_site()
     unknown = error.name if isinstance(error, NameError) and error.name else ""
     tip = suggest_name(unknown, vars(module)) if unknown else ""
-    raise ShaderError(rules.TEXT, call, given, tip=tip, site=site) from error
+    return ShaderError(rules.TEXT, shown, given, tip=tip, site=site)
 
 
 __all__ = ["from_source"]

@@ -101,3 +101,8 @@ DEVICE_ONLY: Final = Rule(
     "shading functions run on the device, inside shaders",
     "use math or NumPy on the CPU",
 )
+RELOAD: Final = Rule(
+    "shading-reload",
+    "an edit changes what a running program can't exchange",
+    "undo the change, or start the program again",
+)

@@ -16,7 +16,7 @@ import os
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import FunctionType
+from types import FunctionType, MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, TypeVar, get_args, get_origin, overload
 
 from typing_extensions import dataclass_transform
@@ -106,37 +106,7 @@ class Shader:
 
     def __init_subclass__(cls) -> None:
         names = {**locals_of(sys._getframe(1)), cls.__name__: cls}
-        module = globals_of(cls, sys._getframe(1))
-        declared: dict[str, Declaration] = {}
-        for base in reversed(cls.__mro__[1:]):
-            declared.update(base.__dict__.get("_declared", {}))
-        inherited = dict(declared)
-        for name, annotation in inspect.get_annotations(cls).items():
-            if isinstance(annotation, str):
-                if annotation.startswith(("ClassVar", "typing.ClassVar")):
-                    continue
-                try:
-                    annotation = eval(annotation, module, dict(names))
-                except NameError as error:
-                    _refuse(cls, name, annotation, suggest_name(error.name or "", [*names, *module]))
-            origin: Any = get_origin(annotation)
-            if origin is ClassVar:
-                continue
-            if hasattr(Shader, name):
-                _refuse(cls, name, "a name that Shader itself uses", "choose another name")
-            declared[name] = _declare(cls, name, annotation, cls.__dict__.get(name))
-        for name, value in cls.__dict__.items():
-            if isinstance(value, FunctionType):
-                resolve_annotations(value, names)
-            elif isinstance(value, SharedMemory):
-                declared[name] = Declaration(name, StorageClass.SHARED, _shared_type(cls, name, value))
-        for name, before in inherited.items():
-            after = declared[name]
-            if (before.storage_class, before.type) != (after.storage_class, after.type):
-                _refuse_shadow(cls, before, str(after.type))
-            if name in cls.__dict__ and name not in inspect.get_annotations(cls) and before is after:
-                _refuse_shadow(cls, before, f"{name} = {cls.__dict__[name]!r}")
-        cls._declared = declared
+        collect_bindings(cls, globals_of(cls, sys._getframe(1)), names)
         for base in cls.__mro__[:-1]:
             if base is cls or not issubclass(base, Shader):  # a shader kept those of its own methods before
                 keep_sources(base.__dict__)
@@ -149,6 +119,47 @@ class Shader:
                 f"{cls.__name__}(…)",
                 tip="pass the class itself: device.program(TheShader)",
             )
+
+
+def collect_bindings(
+    cls: type[Shader], module: dict[str, Any], names: Mapping[str, Any] = MappingProxyType({})
+) -> None:
+    """Collect the bindings of a class from its annotations and those of its bases, and evaluate its methods' ones.
+
+    Args:
+        module: the globals of the class's module.
+        names: the local names where the class is made.
+    """
+    declared: dict[str, Declaration] = {}
+    for base in reversed(cls.__mro__[1:]):
+        declared.update(base.__dict__.get("_declared", {}))
+    inherited = dict(declared)
+    for name, annotation in inspect.get_annotations(cls).items():
+        if isinstance(annotation, str):
+            if annotation.startswith(("ClassVar", "typing.ClassVar")):
+                continue
+            try:
+                annotation = eval(annotation, module, dict(names))
+            except NameError as error:
+                _refuse(cls, name, annotation, suggest_name(error.name or "", [*names, *module]))
+        origin: Any = get_origin(annotation)
+        if origin is ClassVar:
+            continue
+        if hasattr(Shader, name):
+            _refuse(cls, name, "a name that Shader itself uses", "choose another name")
+        declared[name] = _declare(cls, name, annotation, cls.__dict__.get(name))
+    for name, value in cls.__dict__.items():
+        if isinstance(value, FunctionType):
+            resolve_annotations(value, names)
+        elif isinstance(value, SharedMemory):
+            declared[name] = Declaration(name, StorageClass.SHARED, _shared_type(cls, name, value))
+    for name, before in inherited.items():
+        after = declared[name]
+        if (before.storage_class, before.type) != (after.storage_class, after.type):
+            _refuse_shadow(cls, before, str(after.type))
+        if name in cls.__dict__ and name not in inspect.get_annotations(cls) and before is after:
+            _refuse_shadow(cls, before, f"{name} = {cls.__dict__[name]!r}")
+    cls._declared = declared
 
 
 def _declare(cls: type[Shader], name: str, annotation: Any, default: object) -> Declaration:

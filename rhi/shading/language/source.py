@@ -16,11 +16,11 @@ import builtins
 import contextlib
 import linecache
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from types import FrameType, FunctionType
-from typing import Any, Final, NoReturn
+from typing import Any, ClassVar, Final, NoReturn
 
 from rhi.errors import CallSite, Rule, ShaderError
 from rhi.shading.language import rules
@@ -60,6 +60,9 @@ class SourceFile(str):
             stack.extend(child for child in ast.iter_child_nodes(node) if isinstance(child, ast.stmt))
         return functions
 
+
+FORGOTTEN: Final[list[Callable[[], object]]] = []
+"""Called when classes and functions have changed: what others keep for them is no longer true."""
 
 _files: dict[str, SourceFile] = {}
 """The file of each name, as it was read last."""
@@ -106,12 +109,18 @@ def span_of(node: ast.AST) -> SourceSpan:
 
 
 class Source:
-    """The file, syntax tree and name scope of a Python function."""
+    """The file, syntax tree and name scope of a Python function.
+
+    Attributes:
+        reading: counts how often the annotations of all functions have changed.
+    """
 
     __slots__ = ("_node", "file", "function", "name", "scope", "signature")
 
+    reading: ClassVar[int] = 0
+
     def __init__(self, function: FunctionType, file: SourceFile) -> None:
-        self.signature: Any = None  # cached here by rhi.shading.parser.signatures
+        self.signature: Any = None  # kept here by rhi.shading.parser.signatures, with `reading`
         self.function = function
         self.file = file
         self.name = function.__qualname__.replace("<locals>.", "")
@@ -241,6 +250,29 @@ def source_of(function: FunctionType) -> Source:
         source = Source(function, file)
         setattr(function, _SOURCE, source)
     return source
+
+
+def take_source(function: FunctionType, file: SourceFile) -> None:
+    """Let a function's source be that of a file."""
+    setattr(function, _SOURCE, Source(function, file))
+
+
+def exchange_source(file: SourceFile | None, name: str = "") -> SourceFile | None:
+    """Let later classes and functions of a file, and errors, have this text; return what they had."""
+    name = str(file) if file is not None else name
+    before = _files.pop(name, None)
+    if file is not None:
+        _files[name] = file
+    linecache.checkcache(name)
+    return before
+
+
+def forget_signatures() -> None:
+    """Let all annotations be read again, since the structs that they name may have changed, and forget what was
+    compiled to run on the CPU."""
+    Source.reading += 1
+    for forget in FORGOTTEN:
+        forget()
 
 
 def suggest(name: str, known: Iterable[str]) -> str:

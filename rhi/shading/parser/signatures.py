@@ -150,11 +150,11 @@ class Callee:
 
     @property
     def signature(self) -> Signature:
-        """The function's signature. Its annotations are read once."""
+        """The function's signature. Its annotations are read once, unless a struct changes."""
         source = self.source
-        if source.signature is None:
-            source.signature = signature_of(source, self.owner is not None and self.has_self)
-        known: Signature = source.signature
+        if source.signature is None or source.signature[1] != source.reading:
+            source.signature = signature_of(source, self.owner is not None and self.has_self), source.reading
+        known: Signature = source.signature[0]
         return known
 
 

@@ -256,6 +256,14 @@ def test_samples_that_a_technique_lacks_are_refused(viewer: Viewer, draw: Callab
     assert viewer.stage.look == Look(technique="deferred")
 
 
+def test_samples_that_a_technique_lacks_are_refused_also_where_a_picture_hides_them(viewer: Viewer) -> None:
+    assert not viewer.run("show normals")[1]
+    assert not viewer.run("samples 4")[1]
+    said, is_error = viewer.run("technique deferred")
+    assert is_error
+    assert "technique-one-sample" in said
+
+
 def test_a_look_that_cannot_be_drawn_gives_way_to_the_last_one(
     viewer: Viewer, draw: Callable[..., None], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -21,6 +21,7 @@ from rhi.backends.gl import enums
 from rhi.backends.gl.entry_points import EntryPoints
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
+from rhi.shading import Shader, Texture2D, fragment_coordinate, vec2, vec4, vertex_index
 
 EGL: dict[str, Any] = {"backend": "egl", "libgl": "libEGL.so.1", "libegl": "libEGL.so.1"}
 SIZE = (8, 6)
@@ -169,6 +170,32 @@ def test_a_texture_of_the_host_is_read_and_drawn_to(host: Host, device: Device) 
         pass
     device.present()
     assert set(np.frombuffer(target.read(), np.uint8)[::4]) == {255}
+
+
+class Copied(Shader):
+    source: Texture2D
+
+    def vertex(self) -> vec4:
+        return vec4(float(vertex_index() & 1) * 4.0 - 1.0, float(vertex_index() >> 1) * 4.0 - 1.0, 0.5, 1.0)
+
+    def fragment(self) -> vec4:
+        return self.source.sample(fragment_coordinate().xy / vec2(self.source.size()))
+
+
+def test_a_texture_of_the_host_is_sampled_like_any_other(host: Host, device: Device) -> None:
+    """It has one level, and its owner lets shaders read a thousand: OpenGL would sample black."""
+    device.present()
+    source = host.context.texture(SIZE, 4, ramp().tobytes())
+    adopted, image = device.adopt_texture(source), device.texture(SIZE, Format.RGBA8)
+    with device.render_pass(image):
+        device.draw(device.program(Copied), device.mesh(3), source=adopted)
+    np.testing.assert_array_equal(image.read(), ramp())
+    adopted.destroy()
+    device.finish()
+    device.present()
+    last = ctypes.c_int()
+    host.gl.GetTextureParameteriv(source.glo, enums.TEXTURE_MAX_LEVEL, ctypes.byref(last))
+    assert last.value == 1000
 
 
 def test_a_texture_of_the_host_outlives_the_devices(host: Host) -> None:

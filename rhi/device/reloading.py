@@ -1,0 +1,219 @@
+"""Hot reload: what was saved while a program runs takes effect between two of its frames.
+
+    with rhi.Reloader(device) as reloader:
+        reloader.watch(shaders, "city.glb", reload=load_scene)
+        while running:
+            reloader.update()
+            draw_frame()
+
+- A thread watches the files (watchfiles). Everything else happens in `update`, on the thread that draws.
+- A module of shaders is executed beside the old one and put into the classes that exist (`rhi.shading.language.edits`).
+  Programs that it concerns are compiled; those whose texts have changed are created anew, all of them, before the first
+  one is exchanged. A `Program` stays the same object: its id changes, and what meshes keep for it is dropped.
+- Anything that fails puts back everything, and the error is reported. The last good program goes on.
+- Command buffers that have recorded an exchanged program can't be submitted again, as if it were destroyed.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack
+from pathlib import Path
+from types import ModuleType, TracebackType
+from typing import Any, Final, Self
+
+from rhi.contract.descriptors import Id, ProgramDescriptor
+from rhi.device.core.interrupts import HeldInterrupts
+from rhi.device.device import Device
+from rhi.device.resources.programs import Program, ProgramTable
+from rhi.errors import refuse
+from rhi.errors.rules import DEVICE_ARGUMENT, PASS_OPEN, RELOAD_WATCH
+from rhi.shading.compile import compile_shader, forget_compiled, is_same, restore_compiled
+from rhi.shading.language.edits import Edit
+
+__rhi_internal__ = True
+
+LOGGER: Final = logging.getLogger("rhi.reload")
+_SETTLE: Final = 20
+"""Milliseconds without a further change after which changes are taken: editors write a file in several steps."""
+
+
+class Reloader:
+    """Exchanges shaders and files of a running program when they are saved. Use it in a `with` block, or call `close`.
+
+    Attributes:
+        devices: those whose programs are exchanged.
+        reloaded: how many modules and files were exchanged.
+        exchanged: how many programs were.
+        error: the latest error; None since the file that caused it was exchanged.
+    """
+
+    def __init__(
+        self, *devices: Device, on_error: Callable[[Exception], object] | None = None
+    ) -> None:
+        """Exchange programs of these devices.
+
+        Args:
+            devices: devices of the calling thread.
+            on_error: called by `update` with each error. A `ShaderError` has the line in `site`, its text says all of
+                it. None: errors go to the logger `rhi.reload`.
+        """
+        self.devices = devices
+        self.reloaded = self.exchanged = 0
+        self.error: Exception | None = None
+        self._on_error = on_error or (lambda error: LOGGER.error("%s", error))
+        self._at_fault: Path | None = None
+        self._reloads: dict[Path, Callable[[Path], object]] = {}
+        self._texts: dict[str, str] = {}
+        self._lock = threading.Lock()
+        self._changed: dict[Path, None] = {}
+        self._stop: threading.Event | None = None
+        self._thread: threading.Thread | None = None
+
+    def watch(
+        self, *what: ModuleType | str | Path, reload: Callable[[Path], object] | None = None
+    ) -> None:
+        """Watch modules of shaders, and files for which `reload(path)` is called, by `update`, when they were saved.
+
+        An error that `reload` raises is reported like those of shaders.
+
+        Raises:
+            ValidationError: `reload-watch`: watchfiles is missing, or something isn't a file.
+        """
+        call = "Reloader.watch"
+        for each in what:
+            path = Path(_file_of(each)).resolve()
+            if not path.is_file():
+                refuse(RELOAD_WATCH, call, f"{each!r}, which is no file")
+            if isinstance(each, ModuleType):
+                self._texts.setdefault(each.__name__, path.read_text(encoding="utf-8"))
+                self._reloads[path] = lambda path, module=each: self._reload_saved(module, path)  # type: ignore[misc]
+            elif reload is None:
+                refuse(DEVICE_ARGUMENT, call, f"{each!r} without reload=…", "a module, or a file and a function")
+            else:
+                self._reloads[path] = reload
+        self._start(call)
+
+    def update(self) -> bool:
+        """Exchange what was saved since the last call; return whether anything was. Call it between two frames.
+
+        Raises:
+            ValidationError: `pass-open` inside a render pass of a device.
+        """
+        if not self._changed:  # a file that is noted just now is exchanged next time
+            return False
+        with self._lock:
+            changed, self._changed = self._changed, {}
+        before = self.reloaded
+        for path in changed:
+            try:
+                self._reloads[path](path)
+            except Exception as error:
+                self.error, self._at_fault = error, path
+                self._on_error(error)
+            else:
+                if path == self._at_fault:
+                    self.error = self._at_fault = None
+                if path.suffix != ".py":
+                    self.reloaded += 1
+        return self.reloaded != before
+
+    def reload(self, module: ModuleType, text: str) -> int:
+        """Give a module of shaders a new text; return how many programs were exchanged.
+
+        Raises:
+            ShaderError: what is wrong with the text. Then nothing has changed.
+            ValidationError: `pass-open` inside a render pass of a device.
+        """
+        tables = self._tables()
+        edit = Edit(module, text)
+        known = forget_compiled(edit)
+        built: list[tuple[ProgramTable, object, Program[Any], Id, ProgramDescriptor]] = []
+        try:
+            with ExitStack() as creations:
+                for device in self.devices:
+                    creations.enter_context(device._core.creation())
+                for table in tables:
+                    for shader, program in table.items():
+                        if shader not in known:
+                            continue
+                        descriptor = compile_shader(shader)  # type: ignore[arg-type]
+                        if not is_same(descriptor, known, shader):  # type: ignore[arg-type]
+                            built.append((table, shader, program, program.build(descriptor), descriptor))
+        except BaseException:
+            forget_compiled(edit)
+            edit.undo()
+            restore_compiled(known)
+            raise
+        changed = {shader for _, shader, *_ in built}
+        restore_compiled({shader: each for shader, each in known.items() if shader in _of(tables) - changed})
+        with HeldInterrupts():
+            for table, shader, program, number, descriptor in built:
+                program.exchange(number, descriptor)
+                table.add(shader, program)
+        self._texts[module.__name__] = text
+        self.reloaded += 1
+        self.exchanged += len(built)
+        return len(built)
+
+    def close(self) -> None:
+        """Stop watching."""
+        if self._stop is not None and self._thread is not None:
+            self._stop.set()
+            self._thread.join()
+        self._stop = self._thread = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _tables(self) -> list[ProgramTable]:
+        for device in self.devices:
+            device._core.check_ready()
+            if device._core.has_open_pass():
+                device._core.refuse(PASS_OPEN, "Reloader.reload", "an open render pass")
+        return [device._programs for device in self.devices]
+
+    def _reload_saved(self, module: ModuleType, path: Path) -> None:
+        text = path.read_text(encoding="utf-8")
+        if text != self._texts[module.__name__]:
+            self.reload(module, text)
+
+    def _start(self, call: str) -> None:
+        try:
+            import watchfiles
+        except ImportError:
+            refuse(RELOAD_WATCH, call, "watchfiles is missing", tip='pip install "rhi[viewer]"')
+        self.close()
+        folders = sorted({path.parent for path in self._reloads})  # editors replace files, so folders are watched
+        stop = self._stop = threading.Event()
+        changes = watchfiles.watch(
+            *folders, stop_event=stop, recursive=False, step=_SETTLE, rust_timeout=100, raise_interrupt=False,
+            yield_on_timeout=True,
+        )  # fmt: skip
+        next(changes)  # from now on nothing is missed
+        self._thread = threading.Thread(target=self._note, args=(changes,), name="rhi reload", daemon=True)
+        self._thread.start()
+
+    def _note(self, changes: Iterable[set[tuple[Any, str]]]) -> None:
+        for lot in changes:
+            found = [path for path in (Path(name).resolve() for _, name in lot) if path in self._reloads]
+            if found:
+                with self._lock:
+                    self._changed |= dict.fromkeys(path for path in found if path.is_file())
+
+
+def _of(tables: Iterable[ProgramTable]) -> set[object]:
+    return {shader for table in tables for shader, _ in table.items()}
+
+
+def _file_of(what: ModuleType | str | Path) -> str | Path:
+    if isinstance(what, ModuleType):
+        return (what.__spec__.origin if what.__spec__ is not None else None) or what.__file__ or ""
+    return what

@@ -1,0 +1,335 @@
+"""Edits of modules of shaders while a program runs: a new text takes effect in the classes that exist.
+
+- The text is executed as a module beside the old one. If that fails, nothing has changed.
+- Then what it defines is put **into the classes and functions that exist**: methods, constants, bindings and bases of a
+  shader class, the body of a `@function`, the fields of a struct. So whoever imported a class by its name, derived
+  from it or made a program of it has the new one, and types stay identical.
+- Constants and imports at the top level are exchanged too, in this module: who imported a number by its name keeps it.
+  Plain functions and classes of Python stay as they are, since objects and callbacks of theirs are in use.
+- A struct of which buffers or meshes are made can't change: what the program has written has the old layout.
+- `Edit.undo` puts everything back, for an edit that turns out not to compile.
+"""
+
+from __future__ import annotations
+
+import inspect
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from importlib.machinery import ModuleSpec
+from types import CellType, FunctionType, ModuleType
+from typing import Any, Final, TypeVar, cast, get_args, get_origin
+
+from rhi.contract.layout import ArrayType, HostType, StructType
+from rhi.errors import CallSite, RhiError, ShaderError, find_call_site
+from rhi.shading.language import rules
+from rhi.shading.language.function import ShadingFunction
+from rhi.shading.language.modules import describe_failure
+from rhi.shading.language.shader import Shader, SharedMemory, collect_bindings
+from rhi.shading.language.source import SourceFile, exchange_source, forget_signatures, take_source
+from rhi.shading.language.structs import Struct
+from rhi.shading.language.types import StorageType
+
+__rhi_internal__ = True
+
+_KEPT: Final = frozenset(
+    ("__dict__", "__weakref__", "__module__", "__qualname__", "__firstlineno__", "__static_attributes__", "_declared")
+)
+"""Attributes of a class that aren't part of its text, or are made of the rest."""
+
+Undo = Callable[[], object]
+C = TypeVar("C")
+
+
+class Edit:
+    """A module's new text, in effect.
+
+    Attributes:
+        module: the module.
+        file: the name of its file.
+        classes: the shader classes that it has.
+        structs: the types that changed structs had.
+    """
+
+    def __init__(self, module: ModuleType, text: str) -> None:
+        """Execute the text and put it into the module.
+
+        Raises:
+            ShaderError: `shading-text`: the text isn't Python or raises an exception, with its line; what classes of
+                the language refuse; `shading-reload`: the text changes what can't change. Nothing has changed then.
+        """
+        self.module = module
+        self.file = _file_of(module)
+        self.classes: list[type[Shader]] = []
+        self.structs: set[StructType] = set()
+        self._undo: list[Undo] = [self._collect_all]  # last of all
+        self._file = SourceFile(self.file)
+        self._file.lines, self._file.spec = text.splitlines(keepends=True), module.__spec__
+        try:
+            beside = self._execute(text)
+            self._exchanges = self._pair(beside)
+            self._put(beside)
+        except BaseException:
+            self.undo()
+            raise
+
+    def undo(self) -> None:
+        """Put back what was there before."""
+        while self._undo:
+            self._undo.pop()()
+
+    def _execute(self, text: str) -> ModuleType:
+        """Run the text in a module of the same name, which is imported by nobody."""
+        module, file = self.module, self._file
+        beside = ModuleType(module.__name__)
+        beside.__spec__ = ModuleSpec(module.__name__, None, loader_state=file)
+        for name in ("__file__", "__package__", "__path__"):
+            if name in vars(module):
+                vars(beside)[name] = vars(module)[name]
+        sys.modules[module.__name__] = beside  # where classes look for their module's names while they are made
+        try:
+            exec(compile(text, file, "exec", dont_inherit=True), vars(beside))
+        except RhiError:
+            raise
+        except Exception as error:
+            raise describe_failure(f"reload of {module.__name__}", file, error, beside) from error
+        finally:
+            sys.modules[module.__name__] = module
+        return beside
+
+    # -- what belongs together -----------------------------------------------------------------------------
+
+    def _pair(self, beside: ModuleType) -> dict[int, Any]:
+        """Return the class or function that exists for each new one, by the new one's identity."""
+        pairs: dict[int, Any] = {}
+        for name, new in vars(beside).items():
+            old = vars(self.module).get(name)
+            if old is None or not self._is_own(new) or not self._is_own(old):
+                continue
+            for kind in (Shader, Struct):
+                if _is_kind(new, kind) and _is_kind(old, kind):
+                    pairs[id(new)] = old
+            if isinstance(new, ShadingFunction) and isinstance(old, ShadingFunction):
+                pairs[id(new)] = old
+        return pairs
+
+    def _is_own(self, value: object) -> bool:
+        value = value.python if isinstance(value, ShadingFunction) else value
+        return getattr(value, "__module__", None) == self.module.__name__
+
+    def _translate(self, value: Any) -> Any:
+        """Return an annotation or constant with the classes that exist in place of new ones."""
+        if id(value) in self._exchanges:
+            return self._exchanges[id(value)]
+        origin, arguments = get_origin(value), get_args(value)
+        if origin is None or not any(id(each) in self._exchanges for each in arguments):
+            return value
+        return origin[tuple(map(self._translate, arguments))]
+
+    def _adopt(self, function: FunctionType, owner: type | None = None) -> FunctionType:
+        """Return a function of the text as one of the module, which sees the module's names."""
+        closure = function.__closure__
+        if closure is not None and owner is not None:  # the class that `super()` begins at
+            free = function.__code__.co_freevars
+            closure = tuple(
+                CellType(owner) if name == "__class__" else cell for name, cell in zip(free, closure, strict=True)
+            )
+        adopted = FunctionType(
+            function.__code__, vars(self.module), function.__name__, function.__defaults__, closure
+        )
+        adopted.__kwdefaults__ = function.__kwdefaults__
+        adopted.__annotations__ = {
+            name: self._translate(each) for name, each in function.__annotations__.items()
+        }
+        adopted.__qualname__, adopted.__doc__ = function.__qualname__, function.__doc__
+        adopted.__module__ = function.__module__
+        vars(adopted).update(vars(function))
+        take_source(adopted, self._file)
+        return adopted
+
+    # -- putting it in place -------------------------------------------------------------------------------
+
+    def _put(self, beside: ModuleType) -> None:
+        module = self.module
+        before, after = dict(vars(module)), dict(vars(beside))
+        for name, new in after.items():
+            if name.startswith("__") and name.endswith("__") and name != "__doc__":
+                continue
+            if isinstance(new, FunctionType | type) and self._is_own(new) and not _is_kind(new, (Shader, Struct)):
+                new = before.get(name, new)  # plain Python
+            self._set_name(name, self._exchanges.get(id(new), new))
+        for name, old in before.items():
+            plain = isinstance(old, ModuleType | FunctionType | type) and not _is_kind(old, (Shader, Struct))
+            if name not in after and not name.startswith("__") and not plain:
+                self._set_name(name, None, gone=True)
+        exchanged = exchange_source(self._file)
+        self._undo.append(lambda: exchange_source(exchanged, str(self._file)))
+        self._undo.append(forget_signatures)
+        forget_signatures()
+        structs = [
+            (old, new)
+            for new in after.values()
+            if _is_kind(new, Struct) and (old := self._exchanges.get(id(new))) is not None
+        ]
+        self._put_structs(structs)
+        for new in after.values():
+            if not self._is_own(new):
+                continue
+            if isinstance(new, ShadingFunction):
+                self._put_function(self._exchanges.get(id(new), new), new)
+            elif _is_kind(new, Shader):
+                self._put_shader(self._exchanges.get(id(new), new), new)
+
+    def _set_name(self, name: str, value: object, gone: bool = False) -> None:
+        names = vars(self.module)
+        if name in names:
+            self._undo.append(partial(names.__setitem__, name, names[name]))
+        elif not gone:
+            self._undo.append(lambda: names.pop(name, None))
+        if gone:
+            del names[name]
+        else:
+            names[name] = value
+
+    def _put_function(self, old: ShadingFunction[..., Any], new: ShadingFunction[..., Any]) -> None:
+        python, adopted = old.python, self._adopt(new.python)
+        self._undo.append(lambda: _set_python(old, python))
+        _set_python(old, adopted)
+
+    def _put_shader(self, old: type[Shader], new: type[Shader]) -> None:
+        """Give a class the members, annotations and bases of the new one."""
+        before = {name: value for name, value in vars(old).items() if name not in _KEPT}
+        after = {name: value for name, value in vars(new).items() if name not in _KEPT}
+        bases, wanted = old.__bases__, tuple(map(self._translate, new.__bases__))
+        self._undo.append(partial(_restore_shader, old, before, bases))
+        if bases != wanted:
+            try:
+                old.__bases__ = wanted
+            except TypeError as error:
+                self._refuse(f"class {old.__name__}", f"other bases: {error}")
+        for name in before.keys() - after.keys():
+            delattr(old, name)
+        for name, value in after.items():
+            if isinstance(value, FunctionType):
+                value = self._adopt(value, old)
+            elif isinstance(value, staticmethod):
+                value = staticmethod(self._adopt(cast("FunctionType", value.__func__), old))
+            elif name == "__annotations__":
+                value = {each: self._translate(annotation) for each, annotation in value.items()}
+            else:
+                value = self._translate(value)
+            setattr(old, name, value)
+        self.classes.append(old)
+        _collect_again(old, vars(self.module))
+
+    def _collect_all(self) -> None:
+        for cls in self.classes:
+            _collect_again(cls, vars(self.module))
+
+    def _put_structs(self, pairs: list[tuple[type[Struct], type[Struct]]]) -> None:
+        changed = [(old, new) for old, new in pairs if old.shading_type != new.shading_type]
+        types = [old.shading_type for old, _ in changed]
+        for old, _ in changed:
+            user = _find_memory(old.shading_type, types)
+            if user:
+                self._refuse(f"struct {old.__name__}", f"other fields; {user}")
+        self.structs.update(types)
+        for old, new in pairs:
+            attributes = ("shading_type", "_roles", "_defaults", "_depth", "_leaves", "__annotations__")
+            fields = [field.name for each in (old, new) for field in each.shading_type.fields]
+            names = dict.fromkeys((*attributes, *fields))
+            before = {name: vars(old)[name] for name in names if name in vars(old)}
+            self._undo.append(partial(_set_members, old, before, names))
+            _set_members(old, {name: vars(new)[name] for name in names if name in vars(new)}, names)
+
+    def _refuse(self, call: str, given: str) -> None:
+        site = find_call_site()
+        name = call.split()[-1]
+        for number, line in enumerate(self._file.lines, 1):
+            if line.split("(")[0].split(":")[0].split() == ["class", name]:
+                site = CallSite(str(self._file), number)
+        raise ShaderError(rules.RELOAD, call, given, site=site)
+
+
+def _file_of(module: ModuleType) -> str:
+    spec = module.__spec__
+    return (spec.origin if spec is not None else None) or module.__file__ or module.__name__
+
+
+def _is_kind(value: object, kind: type | tuple[type, ...]) -> bool:
+    return isinstance(value, type) and issubclass(value, kind)
+
+
+def _set_python(function: ShadingFunction[..., Any], python: FunctionType) -> None:
+    function.python = function.__wrapped__ = python
+    function.__doc__ = python.__doc__
+
+
+def _restore_shader(cls: type[Shader], before: Mapping[str, Any], bases: tuple[type, ...]) -> None:
+    if cls.__bases__ != bases:
+        cls.__bases__ = bases
+    for name in [name for name in vars(cls) if name not in _KEPT and name not in before]:
+        delattr(cls, name)
+    for name, value in before.items():
+        setattr(cls, name, value)
+
+
+def _set_members(cls: type, members: Mapping[str, Any], names: Mapping[str, None]) -> None:
+    for name in names:
+        if name in members:
+            setattr(cls, name, members[name])
+        elif name in vars(cls):
+            delattr(cls, name)
+
+
+def _subclasses(cls: type[C]) -> Iterator[type[C]]:
+    """Yield all classes derived from a class, nearest first."""
+    waiting: list[type[C]] = cls.__subclasses__()
+    seen: set[type[C]] = set()
+    while waiting:
+        found = waiting.pop(0)
+        if found not in seen:
+            seen.add(found)
+            yield found
+            waiting += found.__subclasses__()
+
+
+def _collect_again(cls: type[Shader], names: dict[str, Any]) -> None:
+    """Collect the bindings of a class anew, and those that its subclasses inherit."""
+    collect_bindings(cls, names)
+    for derived in sorted(_subclasses(cls), key=lambda each: len(each.__mro__)):
+        own = {
+            name: declared
+            for name, declared in derived._declared.items()
+            if name in inspect.get_annotations(derived)
+            or isinstance(derived.__dict__.get(name), SharedMemory)
+        }
+        inherited: dict[str, Any] = {}
+        for base in reversed(derived.__mro__[1:]):
+            inherited.update(base.__dict__.get("_declared", {}))
+        derived._declared = {**inherited, **own}
+
+
+def _find_memory(type: StructType, changed: list[StructType]) -> str:
+    """Return what a program has in memory in the layout of a struct, or ""."""
+    for shader in _subclasses(Shader):
+        for declaration in shader._declared.values():
+            if _contains(declaration.type, type):
+                return f"{shader.__name__}.{declaration.name} is a binding of it"
+        vertex = shader.__dict__.get("vertex")
+        annotations = getattr(vertex, "__annotations__", {})
+        for name, host in annotations.items():
+            if name != "return" and _is_kind(host, Struct) and _contains(host.shading_type, type):
+                return f"{shader.__name__}.vertex reads vertices of it"
+    for struct in _subclasses(Struct):
+        if struct.shading_type not in changed and _contains(struct.shading_type, type):
+            return f"the struct {struct.__name__} contains it"
+    return ""
+
+
+def _contains(type: Any, wanted: HostType) -> bool:
+    if type == wanted:
+        return True
+    if isinstance(type, StructType):
+        return any(_contains(field.type, wanted) for field in type.fields)
+    return isinstance(type, ArrayType | StorageType) and _contains(type.element, wanted)

@@ -1,0 +1,214 @@
+"""A viewer on a screen: events and pictures through canvases of rendercanvas."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rendercanvas", reason="no rendercanvas: pip install rhi[viewer]")
+
+from screens_kit import open_display
+
+import renderer
+from renderer.cli import main
+from renderer.viewer.showing import ViewerScreen, open_viewer
+from rhi import DeviceError
+from rhi_screen import Screen
+
+SCENE = "grid:count=9"
+SIZE = (96, 54)
+
+
+@pytest.fixture
+def shown() -> Iterator[ViewerScreen]:
+    made = open_viewer(SCENE, "null", canvas="offscreen", size=SIZE)
+    yield made
+    made.close()
+
+
+def tick(shown: ViewerScreen) -> None:
+    """Do what a canvas's scheduler does: take the events, then draw."""
+    shown.screen.canvas._process_events()
+    shown.screen.canvas.force_draw()
+
+
+def drag(canvas: Any, x: float, y: float = 10.0) -> None:
+    event = {"x": 10.0, "y": 10.0, "button": 1, "buttons": (1,), "modifiers": (), "ntouches": 0, "touches": {}}
+    canvas.submit_event({**event, "event_type": "pointer_down"})
+    canvas.submit_event({**event, "event_type": "pointer_move", "x": x, "y": y})
+    canvas.submit_event({**event, "event_type": "pointer_up", "x": x, "y": y, "buttons": ()})
+
+
+def test_an_event_is_seen_in_the_picture_of_the_frame_after_it() -> None:
+    """From input to picture it is one frame: the first one that is shown after the event differs, and shows it all."""
+    try:
+        made = open_viewer(SCENE, "gl", canvas="offscreen", size=SIZE)
+    except DeviceError as error:
+        pytest.skip(f"no gl device here: {error.given}")
+    made.viewer._interface.is_hidden = True  # whose counter differs in each frame
+    pictures = []
+    for number in range(5):
+        if number == 3:
+            drag(made.screen.canvas, 40.0)
+        tick(made)
+        pictures.append(made.screen.canvas._last_image)
+    made.close()
+    assert (pictures[1] == pictures[2]).all()
+    assert (pictures[2] != pictures[3]).any()
+    assert (pictures[3] == pictures[4]).all()
+
+
+def test_frames_are_drawn_while_something_moves_and_only_then(
+    shown: ViewerScreen, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[int] = []
+    canvas = shown.screen.canvas
+    monkeypatch.setattr(canvas, "request_draw", lambda draw=None: asked.append(shown.frames))
+    tick(shown)  # and it is told its size
+    asked.clear()
+    tick(shown)
+    assert asked == []
+    canvas.submit_event({"event_type": "key_down", "key": "w", "modifiers": ()})
+    for _ in range(3):
+        tick(shown)
+    assert asked == [2, 3, 4, 5]  # the event, and each frame
+
+
+def test_a_resized_canvas_has_frames_of_its_size(shown: ViewerScreen) -> None:
+    tick(shown)
+    shown.screen.canvas.set_physical_size(40, 30)
+    tick(shown)
+    assert shown.screen.canvas._last_image.shape == (30, 40, 4)
+
+
+def test_quitting_and_the_last_frame_close_the_canvas(shown: ViewerScreen) -> None:
+    shown.end_after = 3
+    for number in range(3):
+        assert not shown.screen.canvas.get_closed(), number
+        tick(shown)
+    assert shown.screen.canvas.get_closed()
+    other = open_viewer(SCENE, "null", canvas="offscreen", size=SIZE)
+    other.viewer.run("quit")
+    tick(other)
+    assert other.screen.canvas.get_closed()
+    other.close()
+    other.close()
+
+
+def test_lines_that_come_over_the_socket_are_run_by_the_next_frame(shown: ViewerScreen) -> None:
+    import socket
+
+    port = shown.listen(0)
+    with socket.create_connection(("127.0.0.1", port)) as client:
+        client.settimeout(5.0)
+        client.sendall(b"technique deferred\ntechnique nonsense\n")
+        for _ in range(2):
+            tick(shown)
+        assert client.recv(999).startswith(b"ok technique deferred\nerror: a command's argument")
+    assert shown.viewer.stage.look.technique == "deferred"
+
+
+def test_a_screen_that_exists_can_show_a_viewer(shown: ViewerScreen) -> None:
+    again = ViewerScreen(shown.viewer, Screen(shown.screen.canvas, shown.screen.device))
+    tick(again)
+    assert again.frames == 1
+
+
+# -- notebooks -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::RuntimeWarning")
+def test_a_widget_is_turned_by_the_events_of_its_page() -> None:
+    """Frames go out as jupyter_rfb's messages, and events come in as its page sends them."""
+    pytest.importorskip("jupyter_rfb", reason="no jupyter_rfb: pip install jupyter_rfb")
+    from renderer.viewer.viewer import Viewer
+
+    made: list[Viewer] = []
+    plain = Viewer.__init__
+
+    def note(viewer: Viewer, *given: Any, **named: Any) -> None:
+        made.append(viewer)
+        plain(viewer, *given, **named)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Viewer, "__init__", note)
+        widget = renderer.view(SCENE, "null", canvas="jupyter", size=SIZE)
+    (viewer,) = made
+    widget.handle_event({"event_type": "resize", "width": 96.0, "height": 54.0, "pixel_ratio": 1.5})
+    widget.get_frame()
+    assert widget._last_image.shape == (81, 144, 4)
+    before = viewer.stage.camera.forward
+    pointer = {"button": 1, "buttons": (1,), "modifiers": (), "ntouches": 0, "touches": {}, "time_stamp": 0}
+    widget.handle_event({**pointer, "event_type": "pointer_down", "x": 10, "y": 10})
+    widget.handle_event({**pointer, "event_type": "pointer_move", "x": 50, "y": 10})
+    widget.handle_event({"event_type": "key_down", "key": "t", "modifiers": (), "time_stamp": 0})
+    widget.get_frame()
+    after = viewer.stage.camera.forward
+    left = np.degrees(np.arctan2(before[0], before[2]) - np.arctan2(after[0], after[2]))
+    assert left % 360.0 == pytest.approx(60.0 * 40 / 54)
+    assert viewer.stage.look.technique != "forward"
+    widget.handle_event({"event_type": "close"})
+    widget.close()
+    assert viewer.stage.renderer.device.closed
+
+
+# -- windows -------------------------------------------------------------------------------------------------------
+
+
+def run_view(environment: dict[str, str], *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "renderer", "view", SCENE, "--size", "96x54", *arguments]
+    clean = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    return subprocess.run(command, env=clean | environment, capture_output=True, text=True, timeout=300)
+
+
+def test_without_glfw_one_line_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "glfw", None)
+    monkeypatch.delitem(sys.modules, "rhi_screen.window", raising=False)
+    with pytest.raises(SystemExit):
+        main(["view", SCENE])
+    said = capsys.readouterr().err
+    assert said.startswith("error: something that this canvas needs is not installed: glfw is missing")
+    assert 'pip install "rhi[viewer]"' in said
+    assert said.count("\n") == 1
+
+
+def test_a_window_shows_the_frames_of_a_script(tmp_path: Path) -> None:
+    script = tmp_path / "tour.txt"
+    picture, walk = tmp_path / "shot.png", tmp_path / "walk.json"
+    script.write_text(f"camera overview\nscreenshot {picture}\nrecord {walk}\nwait 0.2\nrecord\nquit\n")
+    with open_display(tmp_path) as display:
+        done = run_view(display.environment, "--backend", "gl", "--script", str(script))
+    assert (done.returncode, done.stderr) == (0, "")
+    assert picture.stat().st_size > 1000
+    assert main(["render", SCENE, "--backend", "null", "--camera", str(walk), "--json"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["nowhere"], "scene"),
+        ([SCENE, "--camera", "nowhere"], "camera-unknown-name"),
+        ([SCENE, "--script", "missing.txt"], "No such file"),
+        ([SCENE, "--technique", "nothing"], "invalid choice"),
+        ([SCENE, "--size", "0x3"], "is empty"),
+    ],
+)
+def test_bad_arguments_end_in_one_line(
+    arguments: list[str], says: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as ended:
+        main(["view", *arguments])
+    assert ended.value.code == 2
+    said = capsys.readouterr().err
+    assert says in said
+    assert said.count("\n") == 1

@@ -1,0 +1,443 @@
+"""Hot reload: what an edit of a module of shaders changes, and that a faulty one changes nothing."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import importlib
+import itertools
+import logging
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+
+import rhi
+from rhi import Format, Op, Reloader, RhiError, ShaderError, ValidationError
+from rhi.shading import evaluate
+
+TEXT = '''
+from __future__ import annotations
+from rhi.shading import Shader, Storage, StorageRW, Struct, Uniform, function, global_id, vec2, vec3, vec4
+
+SHARE = 1.0
+
+class Corner(Struct):
+    position: vec2
+
+class Tint(Struct):
+    color: vec4
+
+class Varying(Struct):
+    clip: vec4
+    color: vec3
+
+@function
+def weaken(color: vec3) -> vec3:
+    return color * 1.0
+
+class Flat(Shader):
+    tint: Uniform[Tint]
+    gain = 1.0
+
+    def vertex(self, v: Corner) -> Varying:
+        return Varying(clip=vec4(v.position, 0.5, 1.0), color=self.tint.color.xyz)
+
+    def fragment(self, v: Varying) -> vec4:
+        return vec4(weaken(v.color) * SHARE * self.gain, 1.0)
+
+class Other(Shader):
+    values: StorageRW[float]
+
+    def compute(self) -> None:
+        self.values[global_id().x] = 1.0
+'''
+_numbers = itertools.count()
+
+
+@pytest.fixture
+def import_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], ModuleType]]:
+    """Writes a text to a file of its own and imports it."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    made: list[str] = []
+
+    def make(text: str) -> ModuleType:
+        made.append(f"reloaded_{next(_numbers)}")
+        (tmp_path / f"{made[-1]}.py").write_text(text)
+        importlib.invalidate_caches()
+        return importlib.import_module(made[-1])
+
+    yield make
+    for name in made:
+        del sys.modules[name]
+
+
+@pytest.fixture
+def shaders(import_text: Callable[[str], ModuleType]) -> Any:
+    return import_text(TEXT)
+
+
+@pytest.fixture
+def device() -> Iterator[rhi.Device]:
+    with rhi.create_device("null") as opened:
+        yield opened
+
+
+class Picture:
+    """A device that draws the shader `Flat` into an image."""
+
+    def __init__(self, device: rhi.Device, shaders: Any) -> None:
+        self.device, self.shaders = device, shaders
+        rows = np.zeros(3, shaders.Corner.dtype)
+        rows["position"] = [(-3, -1), (1, -1), (1, 3)]
+        self.mesh = device.mesh(rows)
+        self.image = device.texture((4, 4), Format.RGBA8)
+        self.program: Any = device.program(shaders.Flat)
+        self.tint = device.uniform(shaders.Tint(color=(1.0, 0.6, 0.2, 1.0)))
+
+    def draw(self, **bindings: Any) -> list[int]:
+        """Return the color of a pixel."""
+        with self.device.render_pass(self.image, clear=(0, 0, 0, 1)):
+            self.device.draw(self.program, self.mesh, **({"tint": self.tint} | bindings))
+        self.device.present(self.image)
+        return self.image.read()[1, 1, :3].tolist()  # type: ignore[no-any-return]
+
+
+@pytest.mark.parametrize("backend", ["gl", "cl"])
+def test_an_edit_is_seen_and_a_faulty_one_isnt(backend: str, shaders: Any) -> None:
+    with rhi.create_device(backend) as device:
+        picture, reloader = Picture(device, shaders), Reloader(device)
+        assert picture.draw() == [255, 153, 51]
+        assert reloader.reload(shaders, TEXT.replace("SHARE = 1.0", "SHARE = 0.4")) == 1
+        assert picture.draw() == [102, 61, 20]
+        with pytest.raises(ShaderError):
+            reloader.reload(shaders, TEXT.replace("weaken(v.color)", "weaken(v.colour)"))
+        assert picture.draw() == [102, 61, 20]
+
+
+def glsl(program: Any) -> str:
+    return "".join(program.descriptor.emit("glsl", stage).text for stage in sorted(program.descriptor.stages, key=str))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "seen"),
+    [
+        ("SHARE = 1.0", "SHARE = 0.375", "0.375"),
+        ("color * 1.0", "color * 0.375", "0.375"),
+        ("gain = 1.0", "gain = 0.375", "0.375"),
+        ("class Flat(Shader):", "class Base(Shader):\n    gain = 0.375\n\nclass Flat(Base):", "1.0"),
+        ("return vec4(weaken", "return self.dim() * vec4(weaken", "0.375"),
+        ("    color: vec3\n", "    color: vec3\n    more: float\n", "more"),
+    ],
+    ids=["constant", "function", "attribute", "base", "method", "varying"],
+)
+def test_what_an_edit_may_change(device: rhi.Device, shaders: Any, old: str, new: str, seen: str) -> None:
+    program: Any = device.program(shaders.Flat)
+    text = TEXT.replace(old, new).replace("xyz)\n", "xyz, more=2.0)\n" if seen == "more" else "xyz)\n")
+    text = text.replace("v.color) *", "v.color) * v.more *" if seen == "more" else "v.color) *")
+    if "dim()" in text:
+        text = text.replace("class Other", "    def dim(self) -> float:\n        return 0.375\n\nclass Other")
+    before, number = glsl(program), program.id
+    assert Reloader(device).reload(shaders, text) == int(seen != "1.0")
+    assert device.program(shaders.Flat) is program
+    if seen != "1.0":
+        assert program.id != number
+        assert seen in glsl(program)
+        assert seen not in before
+
+
+def test_classes_derived_elsewhere_change_too(device: rhi.Device, shaders: Any) -> None:
+    class Derived(shaders.Flat):  # type: ignore[misc, name-defined]
+        gain = 0.125
+
+    program: Any = device.program(Derived)
+    text = TEXT.replace("* SHARE", "* SHARE * 0.375").replace("gain = 1.0", "gain = 4.0\n    more: Uniform[float]")
+    text = text.replace("* self.gain", "* self.gain * self.more")
+    assert Reloader(device).reload(shaders, text) == 1
+    assert "0.375" in glsl(program)
+    assert "0.125" in glsl(program)
+    assert [binding.name for binding in program.descriptor.bindings] == ["tint", "more"]
+
+
+def test_modules_that_use_a_module_change_with_it(
+    device: rhi.Device, shaders: Any, import_text: Callable[[str], ModuleType]
+) -> None:
+    user: Any = import_text(f'''
+from {shaders.__name__} import Corner, Varying, weaken
+import {shaders.__name__} as shaders
+from rhi.shading import Shader, vec4
+
+class Weak(Shader):
+    def vertex(self, v: Corner) -> Varying:
+        return Varying(clip=vec4(v.position, 0.5, 1.0), color=weaken(vec4(1.0).xyz))
+
+class Named(Shader):
+    def vertex(self, v: Corner) -> vec4:
+        return vec4(v.position, shaders.SHARE, 1.0)
+''')
+    programs: list[Any] = [device.program(user.Weak), device.program(user.Named)]
+    text = TEXT.replace("color * 1.0", "color * 0.375").replace("SHARE = 1.0", "SHARE = 0.625")
+    assert Reloader(device).reload(shaders, text) == 2
+    assert "0.375" in glsl(programs[0])
+    assert "0.625" in glsl(programs[1])
+
+
+def test_what_didnt_change_is_not_exchanged(device: rhi.Device, shaders: Any) -> None:
+    programs: list[Any] = [device.program(shaders.Flat), device.program(shaders.Other)]
+    numbers = [program.id for program in programs]
+    reloader = Reloader(device)
+    assert reloader.reload(shaders, "# a comment\n" + TEXT) == 0
+    assert [program.id for program in programs] == numbers
+    assert reloader.reload(shaders, TEXT.replace("= 1.0\n\nclass Corner", "= 0.5\n\nclass Corner")) == 1
+    assert [program.id == number for program, number in zip(programs, numbers, strict=True)] == [False, True]
+
+
+def test_new_bindings_are_asked_for_by_the_next_draw(device: rhi.Device, shaders: Any) -> None:
+    picture = Picture(device, shaders)
+    picture.draw()
+    text = TEXT.replace("gain = 1.0", "gain = 1.0\n    more: Uniform[float]").replace("* SHARE", "* self.more")
+    Reloader(device).reload(shaders, text)
+    with pytest.raises(ValidationError) as error:
+        picture.draw()
+    assert error.value.rule.id == "binding-missing"
+    picture.draw(more=device.uniform(0.5))
+
+
+def test_functions_are_evaluated_as_edited(device: rhi.Device, shaders: Any) -> None:
+    color = np.ones((1, 3), np.float32)
+    assert np.array_equal(evaluate(shaders.weaken, color), color)
+    Reloader(device).reload(shaders, TEXT.replace("color * 1.0", "color * 0.5"))
+    assert np.array_equal(evaluate(shaders.weaken, color), 0.5 * color)
+
+
+FAULTS = {
+    "syntax": ("def fragment(self, v: Varying) -> vec4:", "def fragment(self, v: Varying -> vec4:", "shading-text"),
+    "exception": ("SHARE = 1.0", "SHARE = 1.0 / 0", "shading-text"),
+    "name": ("weaken(v.color)", "waeken(v.color)", "shading-unknown-name"),
+    "type": ("* SHARE", "+ self.tint", "shading-type"),
+    "binding": ("tint: Uniform[Tint]", "tint: Uniform[Tin]", "shading-binding"),
+    "uniform": ("    color: vec4\n", "    color: vec4\n    more: vec4\n", "shading-reload"),
+    "vertices": ("    position: vec2\n", "    position: vec3\n", "shading-reload"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_faulty_edit_names_its_line_and_changes_nothing(device: rhi.Device, shaders: Any, fault: str) -> None:
+    old, new, rule = FAULTS[fault]
+    picture, reloader = Picture(device, shaders), Reloader(device)
+    picture.draw()
+    number, declared = picture.program.id, dict(shaders.Flat._declared)
+    text = TEXT.replace(old, new).replace("gain = 1.0", "gain = 0.375").replace("color * 1.0", "color * 0.375")
+    with pytest.raises(RhiError) as error:
+        reloader.reload(shaders, text)
+    assert error.value.rule.id == rule
+    site = error.value.site
+    assert site is not None
+    if fault != "binding":  # whose line is not known before the class exists
+        assert site.file == shaders.__file__
+        wanted = next(n for n, line in enumerate(text.splitlines(), 1) if new.split("\n")[0].strip() in line)
+        assert abs(site.line - wanted) <= 1
+    assert picture.program.id == number
+    assert shaders.Flat._declared == declared
+    assert (shaders.SHARE, shaders.Flat.gain) == (1.0, 1.0)
+    picture.draw()
+    assert reloader.reload(shaders, TEXT) == 0, "what is there is the first text"
+    assert reloader.reload(shaders, TEXT.replace("* SHARE", "* 0.375")) == 1, "and can be edited again"
+    assert "0.375" in glsl(picture.program)
+
+
+def test_a_program_that_the_device_refuses_changes_nothing(shaders: Any) -> None:
+    with rhi.create_device("null") as device:
+        programs: list[Any] = [device.program(shaders.Other), device.program(shaders.Flat)]
+        more = "".join(f"    u{i}: Uniform[float]\n" for i in range(40))
+        text = TEXT.replace("    gain = 1.0\n", f"    gain = 1.0\n{more}").replace(
+            "* SHARE", "* (" + " + ".join(f"self.u{i}" for i in range(40)) + ")"
+        )
+        numbers = [program.id for program in programs]
+        with pytest.raises(ValidationError) as error:
+            Reloader(device).reload(shaders, text.replace("x] = 1.0", "x] = 2.0"))
+        assert error.value.rule.id == "device-capability"
+        assert [program.id for program in programs] == numbers
+        device.finish()
+        created = {command["program"] for command in device.stream.filter(Op.CREATE_PROGRAM)}
+        assert created - {command["resource"] for command in device.stream.filter(Op.DESTROY)} == set(numbers)
+
+
+def test_inside_a_pass_nothing_is_exchanged(device: rhi.Device, shaders: Any) -> None:
+    picture = Picture(device, shaders)
+    with device.render_pass(picture.image):
+        with pytest.raises(ValidationError) as error:
+            Reloader(device).reload(shaders, TEXT.replace("SHARE = 1.0", "SHARE = 0.5"))
+    assert error.value.rule.id == "pass-open"
+    assert shaders.SHARE == 1.0
+
+
+def test_programs_of_several_devices_are_exchanged_together(device: rhi.Device, shaders: Any) -> None:
+    with rhi.create_device("null") as second:
+        programs: list[Any] = [each.program(shaders.Flat) for each in (device, second)]
+        assert Reloader(device, second).reload(shaders, TEXT.replace("SHARE = 1.0", "SHARE = 0.375")) == 2
+        assert all("0.375" in glsl(program) for program in programs)
+
+
+def test_command_buffers_of_an_exchanged_program_are_stale(device: rhi.Device, shaders: Any) -> None:
+    picture = Picture(device, shaders)
+
+    def record() -> rhi.CommandBuffer:
+        with device.record() as commands, commands.render_pass(picture.image):
+            commands.draw(picture.program, picture.mesh, tint=picture.tint)
+        return commands
+
+    commands = record()
+    device.submit(commands)
+    assert not commands.is_stale
+    Reloader(device).reload(shaders, TEXT.replace("SHARE = 1.0", "SHARE = 0.5"))
+    assert commands.is_stale
+    with pytest.raises(ValidationError) as error:
+        device.submit(commands)
+    assert error.value.rule.id == "resource-destroyed"
+    device.submit(record())
+    assert device.stream.filter(Op.DRAW)[-1]["vertex_array"] != device.stream.filter(Op.DRAW)[0]["vertex_array"]
+
+
+def test_what_was_exchanged_is_destroyed(device: rhi.Device, shaders: Any) -> None:
+    picture, reloader = Picture(device, shaders), Reloader(device)
+    for number in range(5):
+        picture.draw()
+        reloader.reload(shaders, TEXT.replace("SHARE = 1.0", f"SHARE = 0.{number + 1}"))
+    picture.draw()
+    device.finish()
+    made = device.stream.filter(Op.CREATE_PROGRAM)
+    gone = {command["resource"] for command in device.stream.filter(Op.DESTROY)}
+    assert [command["program"] for command in made if command["program"] not in gone] == [picture.program.id]
+    arrays = {command["vertex_array"] for command in device.stream.filter(Op.CREATE_VERTEX_ARRAY)}
+    assert len(arrays - gone) == 1
+    assert device.statistics.draws == 6
+
+
+# -- files ---------------------------------------------------------------------------------------------------------
+
+
+def update(reloader: Reloader) -> bool:
+    """Update until something was exchanged or an error reported."""
+    error = reloader.error
+    for _ in range(500):
+        if reloader.update() or reloader.error is not error:
+            return True
+        time.sleep(0.01)
+    return False
+
+
+def save(path: Path, text: str, replaces: bool) -> None:
+    if replaces:  # as most editors do
+        beside = path.with_suffix(".tmp")
+        beside.write_text(text)
+        os.replace(beside, path)
+    else:
+        path.write_text(text)
+
+
+@pytest.mark.parametrize("replaces", [True, False])
+def test_a_saved_module_is_exchanged_by_update(device: rhi.Device, shaders: Any, replaces: bool) -> None:
+    pytest.importorskip("watchfiles", reason="no watchfiles: pip install rhi[viewer]")
+    program: Any = device.program(shaders.Flat)
+    errors: list[Exception] = []
+    path = Path(shaders.__file__)
+    with Reloader(device, on_error=errors.append) as reloader:
+        reloader.watch(shaders)
+        assert not reloader.update()
+        save(path, TEXT.replace("SHARE = 1.0", "SHARE = 0.375"), replaces)
+        assert update(reloader)
+        assert (reloader.reloaded, reloader.exchanged) == (1, 1)
+        assert "0.375" in glsl(program)
+        save(path, TEXT.replace("SHARE = 1.0", "SHARE = 0.5 +"), replaces)
+        assert update(reloader)
+        assert reloader.error is errors[-1]
+        assert shaders.SHARE == 0.375
+        save(path, TEXT.replace("SHARE = 1.0", "SHARE = 0.625"), replaces)
+        assert update(reloader)
+        assert reloader.error is None
+        assert shaders.SHARE == 0.625
+    assert len(errors) == 1
+
+
+def test_other_files_are_given_to_a_function(
+    device: rhi.Device, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    pytest.importorskip("watchfiles", reason="no watchfiles: pip install rhi[viewer]")
+    path = tmp_path / "scene.txt"
+    path.write_text("1")
+    seen: list[int] = []
+    with Reloader(device) as reloader, caplog.at_level(logging.ERROR, "rhi.reload"):
+        reloader.watch(path, reload=lambda path: seen.append(int(path.read_text())))
+        save(path, "2", replaces=True)
+        assert update(reloader)
+        assert seen == [2]
+        save(path, "two", replaces=True)
+        assert update(reloader)
+        assert isinstance(reloader.error, ValueError)
+        assert "invalid literal" in caplog.text
+
+
+def test_what_cannot_be_watched_is_refused(
+    device: rhi.Device, shaders: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reloader = Reloader(device)
+    with pytest.raises(ValidationError) as error:
+        reloader.watch(tmp_path / "missing.glb", reload=print)
+    assert error.value.rule.id == "reload-watch"
+    with pytest.raises(ValidationError) as error:
+        reloader.watch(shaders.__file__)
+    assert error.value.rule.id == "device-argument"
+    monkeypatch.setitem(sys.modules, "watchfiles", None)
+    with pytest.raises(ValidationError) as error:
+        reloader.watch(shaders)
+    assert (error.value.rule.id, error.value.tip) == ("reload-watch", 'pip install "rhi[viewer]"')
+
+
+# -- growth --------------------------------------------------------------------------------------------------------
+
+
+def test_fifty_edits_leave_memory_where_it_was(shaders: Any) -> None:
+    with rhi.create_device("null", record=False) as device:
+        picture, reloader = Picture(device, shaders), Reloader(device)
+
+        def edit(count: int) -> int:
+            for number in range(count):
+                assert reloader.reload(shaders, TEXT.replace("SHARE = 1.0", f"SHARE = 0.{number + 1}")) == 1
+                picture.draw()
+            device.finish()
+            gc.collect()
+            return sys.getallocatedblocks()
+
+        edit(20)
+        before = edit(20)
+        assert edit(50) - before < 50 * 20, "fewer than 20 objects an edit; a program has thousands"
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("backend", ["gl", "cl"])
+def test_500_edits_leave_memory_where_it_was(shaders: Any, backend: str) -> None:
+    """On cl PoCL keeps some memory for each kernel that it compiles: docs/reload.md."""
+    bound = {"gl": 10_000, "cl": 250_000}[backend]
+    trim = ctypes.CDLL(None).malloc_trim
+    with rhi.create_device(backend) as device:
+        picture, reloader = Picture(device, shaders), Reloader(device)
+
+        def edit(first: int, count: int) -> int:
+            for number in range(first, first + count):
+                assert reloader.reload(shaders, TEXT.replace("SHARE = 1.0", f"SHARE = {number}.0 / 1000.0")) == 1
+                assert abs(picture.draw()[0] - 0.255 * number) < 1
+            device.finish()
+            gc.collect()
+            trim(0)
+            return psutil.Process().memory_info().rss
+
+        before = edit(0, 100)
+        assert (edit(100, 500) - before) / 500 < bound
