@@ -296,7 +296,8 @@ class Renderer:
         expected = self.simulator.drawn
         self.simulator.begin_frame(seconds)
         self.scene.refresh()
-        resources.update(self._view.camera)
+        eyes = [self._view] if pair is None or pair.stereo.is_reprojected else [self._view, pair.view]
+        resources.update(*(eye.camera for eye in eyes))
         resources.expect(around, expected)
         needs = self._find_needs(around)
         plan = self._plan(needs)
@@ -308,7 +309,7 @@ class Renderer:
             frames.append(right)
             moved = pair.plan(has_layers=bool(self.layers))
             if moved is None:
-                resources.look_from(right.camera, 1)
+                resources.look_from(1)
                 left.drawn.fetch_lists()  # the right eye makes others
             with device.event(pair.view.name):
                 self._run(moved or plan, right)

@@ -3,10 +3,11 @@
 from renderer.frame.frame import Frame
 from renderer.frame.images import AS_GIVEN, TextureSettings
 from renderer.frame.layer import Layer
+from renderer.frame.mirrors import MirroredArray
 from renderer.frame.needs import Blending, Effect, Needs, find_needs
 from renderer.frame.passes import Drawn, TechniquePass
 from renderer.frame.plan import OUTPUTS, DroppedPass, Pass, Plan, SharedTexture, Target, find_last, make_plan
-from renderer.frame.resources import MirroredArray, SceneResources
+from renderer.frame.resources import SceneResources
 from renderer.frame.targets import DEPTH_FORMAT, IMAGE_FORMAT, Targets
 from renderer.frame.view import View
 

@@ -48,6 +48,8 @@ class Effect(Enum):
     TRANSPARENCY = "transparency"
     HEIGHT_FIELDS = "height fields"
 
+    __hash__ = object.__hash__
+
 
 class Blending(Enum):
     """How transparent surfaces that cover each other are put together."""

@@ -13,13 +13,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import ExitStack
 from functools import cached_property
-from typing import Any, Final, Generic, Protocol, TypeVar
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from renderer import rules, shaders
 from renderer.frame.images import AS_GIVEN, SceneImages, TextureSettings
+from renderer.frame.lamps import Lamps
+from renderer.frame.mirrors import MirroredArray, MirroredValue, R, Workspaces, join_runs, split_doubles
 from renderer.lights.lists import list_lights
 from renderer.scene import Camera, Deformed, Scene, Simulator, normal_matrices
 from renderer.visibility import SceneArrays
@@ -36,22 +38,9 @@ from rhi import (
     Program,
     State,
     StorageBuffer,
-    UniformBuffer,
     refuse,
 )
-from rhi.shading import Struct, UniformRange, uint
-
-
-class _Destroyable(Protocol):
-    def destroy(self) -> None: ...
-
-
-R = TypeVar("R", bound=_Destroyable)
-S = TypeVar("S", bound=Struct)
-T = TypeVar("T")
-
-EYES: Final = 2
-"""The largest number of eyes of a frame."""
+from rhi.shading import UniformRange, uint
 
 DRAW_GROUPS: Final[tuple[tuple[State, ...], ...]] = (
     (FrontFace.COUNTER_CLOCKWISE,),
@@ -61,114 +50,6 @@ DRAW_GROUPS: Final[tuple[tuple[State, ...], ...]] = (
 )
 """The states by which each group of objects is drawn, beside those of a pass, which culls backs. A transform that
 mirrors objects reverses the winding of their triangles, and of materials with two sides no faces are culled."""
-
-_GAP: Final = 128
-"""Rows to upload that are at most this many bytes apart are uploaded together with those between them: a write takes as
-long as copying 16 KB (llvmpipe, PoCL), but where bytes cross a bus they are scarcer."""
-
-
-class MirroredArray(Generic[T]):
-    """A storage buffer that mirrors an array. There is no buffer while the array is empty."""
-
-    def __init__(self, device: Device, element: type[T], label: str) -> None:
-        self.buffer: StorageBuffer[T] | None = None
-        self._device = device
-        self._element = element
-        self._label = label
-        self._rows: NDArray[np.uint8] = np.zeros((0, 0), np.uint8)
-
-    def __len__(self) -> int:
-        return 0 if self.buffer is None else self.buffer.count
-
-    def write(self, array: NDArray[Any], chosen: NDArray[np.int64] | None = None) -> None:
-        """Make the buffer hold `array`, whose dtype must have the element's std430 layout, names aside.
-
-        The rows that differ are uploaded, near ones together. Only the rows `chosen` (k,), ascending, are compared: the
-        others must be unchanged.
-        """
-        if not len(array):
-            self.destroy()
-            return
-        rows = np.ascontiguousarray(array).view(np.uint8).reshape(len(array), -1)
-        if self.buffer is None or rows.shape != self._rows.shape:
-            self.destroy()
-            self.buffer = self._device.storage(self._element, len(array), label=self._label)
-            self._upload(self.buffer, rows, 0)
-            self._rows = rows.copy()
-            return
-        if chosen is None:
-            changed = np.flatnonzero((rows != self._rows).any(1))
-        elif len(chosen):
-            changed = chosen[(rows[chosen] != self._rows[chosen]).any(1)]
-        else:
-            return
-        for first, end in join_runs(changed, 1, _GAP // rows.shape[1]):
-            self._upload(self.buffer, rows[first:end], first)
-        self._rows[changed] = rows[changed]
-
-    @staticmethod
-    def _upload(buffer: StorageBuffer[T], rows: NDArray[np.uint8], first: int) -> None:
-        base, shape = buffer.dtype.subdtype or (buffer.dtype, ())
-        buffer.write(rows.reshape(-1).view(base).reshape(-1, *shape), first)
-
-    def destroy(self) -> None:
-        """Destroy the buffer."""
-        if self.buffer is not None:
-            self.buffer.destroy()
-            self.buffer = None
-
-
-def join_runs(
-    begins: NDArray[np.int64], sizes: NDArray[np.int64] | int, gap: int = 0
-) -> list[tuple[int, int]]:
-    """Join the ranges from `begins` (k,), ascending, of `sizes` (k,), where they are at most `gap` apart; return the
-    begin and the end of each run."""
-    if not len(begins):
-        return []
-    ends = begins + sizes
-    cuts = np.flatnonzero(begins[1:] - ends[:-1] > gap)
-    firsts = begins[np.concatenate([[0], cuts + 1])]
-    return list(zip(firsts.tolist(), ends[np.concatenate([cuts, [-1]])].tolist(), strict=True))
-
-
-class MirroredValue(Generic[S]):
-    """A uniform buffer that mirrors the value of a struct."""
-
-    def __init__(self, device: Device, value: S) -> None:
-        self.buffer: UniformBuffer[S] = device.uniform(value)
-        self._bytes = value.to_bytes()
-
-    def write(self, value: S) -> None:
-        """Make the buffer hold `value`; it is uploaded if its bytes have changed."""
-        data = value.to_bytes()
-        if data != self._bytes:
-            self.buffer.write(value)
-            self._bytes = data
-
-    def destroy(self) -> None:
-        """Destroy the buffer."""
-        self.buffer.destroy()
-
-
-class Workspaces:
-    """What techniques keep between frames, by kinds: each is made when it is first asked for."""
-
-    def __init__(self, device: Device) -> None:
-        self._device = device
-        self._made: dict[Callable[[Device], Any], Any] = {}
-
-    def find(self, kind: Callable[[Device], R]) -> R:
-        """Return `kind(device)`, the same one each time."""
-        if kind not in self._made:
-            self._made[kind] = kind(self._device)
-        kept: R = self._made[kind]
-        return kept
-
-    def destroy(self) -> None:
-        """Destroy all."""
-        for kept in self._made.values():
-            kept.destroy()
-        self._made.clear()
 
 
 class SceneResources:
@@ -229,14 +110,8 @@ class SceneResources:
         self.places = keep(MirroredArray(device, shaders.ObjectPosition, "places"))
         self.materials = keep(MirroredArray(device, shaders.Material, "materials"))
         self.directional = keep(MirroredArray(device, shaders.DirectionalLight, "directional lights"))
-        self._lamps = tuple(
-            (
-                keep(MirroredArray(device, shaders.PointLight, "point lights")),
-                keep(MirroredArray(device, shaders.SpotLight, "spot lights")),
-            )
-            for _ in range(EYES)
-        )
-        self.point, self.spot = self._lamps[0]
+        self._lamps = keep(Lamps(device))
+        self.point, self.spot = self._lamps.find(0)
         self.light_rows = keep(MirroredArray(device, int, "light rows"))
         self._lit: tuple[NDArray[Any], ...] = ()  # the state that the light lists were made from
         self._listed: NDArray[np.int64] = np.zeros(0, np.int64)  # the light rows, as they are on the device
@@ -400,8 +275,8 @@ class SceneResources:
         """Whether any point light reaches an object, and whether any spot light does."""
         return self._reaching
 
-    def update(self, camera: Camera) -> None:
-        """Update the buffers to the scene, with lights relative to the eye of `camera`."""
+    def update(self, *eyes: Camera) -> None:
+        """Update the buffers to the scene, with lights for each of a frame's `eyes`; `look_from` chooses one."""
         scene = self.scene
         following = scene.objects.following_rows  # others that move are simulated before they are drawn
         self._transform(following)
@@ -412,19 +287,15 @@ class SceneResources:
             self._material_version = scene.material_version
             self.materials.write(scene.materials)
         self.places.write(self._places, None if has_changed and self._follow_materials() else following)
-        self.look_from(camera)
+        self._lamps.update(scene.lights, self._reaching, [eye.position for eye in eyes])
+        self.look_from(0)
         self.ambient.write(_ambient(scene))
         if "haze" in self.__dict__:
             self.haze.write(_haze(scene))
 
-    def look_from(self, camera: Camera, eye: int = 0) -> None:
-        """Let lights be relative to the eye of `camera`, one of the `EYES` of a frame. Each eye has point and spot
-        lights of its own, which are written only where they have changed."""
-        self.point, self.spot = self._lamps[eye]
-        if any(self._reaching):
-            lights = self.scene.lights.relative_to(camera.position)
-            self.point.write(lights.point if self._reaching[0] else lights.point[:0])
-            self.spot.write(lights.spot if self._reaching[1] else lights.spot[:0])
+    def look_from(self, eye: int) -> None:
+        """Let `point` and `spot` be the lights relative to one of the frame's eyes."""
+        self.point, self.spot = self._lamps.find(eye)
 
     def _follow_materials(self) -> bool:
         """Find the objects that are transparent and those with two sides, and return whether they are others than
@@ -501,12 +372,6 @@ class SceneResources:
     def destroy(self) -> None:
         """Destroy all resources."""
         self._made.close()
-
-
-def split_doubles(positions: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Split doubles into pairs of floats whose sums equal them to 48 bits."""
-    high = positions.astype(np.float32)
-    return high, (positions - high).astype(np.float32)
 
 
 def _ambient(scene: Scene) -> shaders.Ambient:

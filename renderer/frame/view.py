@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from renderer import shaders
 from renderer.frame.batch import BatchCommands, FrameBatch
-from renderer.frame.resources import MirroredValue, R, Workspaces, split_doubles
+from renderer.frame.mirrors import MirroredValue, R, Workspaces, split_doubles
 from renderer.scene import Camera
 from renderer.visibility import VisibilityAlgorithm
 from rhi import Device, UniformBuffer

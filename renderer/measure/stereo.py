@@ -36,7 +36,7 @@ class StereoRow:
             clock and of the processor in all threads.
         ratio, processor_ratio: to mono, medians over the frames.
         draws, maps_drawn: objects drawn for eyes, and shadow maps, means of a frame.
-        upload_bytes: mean of a frame.
+        calls: calls of the device that draw or dispatch. upload_bytes: bytes written to it. Both are means of a frame.
     """
 
     stereo: str
@@ -48,6 +48,7 @@ class StereoRow:
     processor_ratio: float
     draws: float
     maps_drawn: float
+    calls: float
     upload_bytes: int
 
 
@@ -108,17 +109,20 @@ def _open(
 def _compare(
     made: dict[str, Renderer], has_shadows: bool, path: CameraPath, start: int, rounds: Iterable[int]
 ) -> list[StereoRow]:
-    results: dict[str, list[tuple[int, int, int]]] = {name: [] for name in made}
+    results: dict[str, list[tuple[int, int, int, int]]] = {name: [] for name in made}
 
     def work(name: str) -> Callable[[int], None]:
         renderer = made[name]
 
         def draw(number: int) -> None:
-            frame = start + number
+            frame, device = start + number, renderer.device
+            before = device.statistics
             result: FrameResult = renderer.render(path.camera(frame), frame / FRAMES_PER_SECOND)
-            renderer.device.finish()
-            counted = result.statistics
-            results[name].append((counted.draws, renderer.shadows.count("drawn"), counted.upload_bytes))
+            after = device.statistics
+            device.finish()
+            calls = after.draws - before.draws + after.dispatches - before.dispatches
+            uploads = after.upload_bytes - before.upload_bytes
+            results[name].append((result.statistics.draws, renderer.shadows.count("drawn"), calls, uploads))
 
         return draw
 
@@ -126,7 +130,7 @@ def _compare(
     mono, rows = times[MONO], []
     for name, time in times.items():
         counts = list(zip(*results[name][_SETTLES:], strict=True))
-        draws, maps, uploads = (sum(some) / len(some) for some in counts)
+        draws, maps, calls, uploads = (sum(some) / len(some) for some in counts)
         rows.append(
             StereoRow(
                 stereo=name,
@@ -138,6 +142,7 @@ def _compare(
                 processor_ratio=round(time.processor_ratio_to(mono), 3),
                 draws=round(draws, 1),
                 maps_drawn=round(maps, 1),
+                calls=round(calls, 1),
                 upload_bytes=round(uploads),
             )
         )

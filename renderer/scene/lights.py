@@ -1,4 +1,4 @@
-"""Lights: a structured array for each kind, with positions in float64, which are uploaded relative to the eye.
+"""Lights: a structured array for each kind, with positions in float64, which shaders read relative to the eye.
 
 A point or spot light of intensity i gives i / d² at d metres, windowed to reach exactly 0 at its range,
 so that a light has a volume outside which it can be ignored. A spot fades from its inner to its

@@ -23,7 +23,9 @@ from typing import Any, Final
 import numpy as np
 
 from renderer.frame import Effect, Frame, Needs, Pass
-from renderer.frame.resources import EYES, MirroredValue, SceneResources, split_doubles
+from renderer.frame.lamps import EYES
+from renderer.frame.mirrors import MirroredValue, split_doubles
+from renderer.frame.resources import SceneResources
 from renderer.lights.lists import list_lights
 from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Rows

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Pass, Target, Targets
+from renderer.frame.mirrors import MirroredValue
 from renderer.frame.passes import FARTHEST
-from renderer.frame.resources import MirroredValue
 from renderer.scene import Camera, Depth
 from renderer.shaders.pixels import FullScreen
 from renderer.stereo.words import Words

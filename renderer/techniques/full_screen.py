@@ -7,8 +7,8 @@ from typing import Any, Final
 import numpy as np
 
 from renderer.frame import Frame
+from renderer.frame.mirrors import MirroredValue
 from renderer.frame.passes import FARTHEST
-from renderer.frame.resources import MirroredValue
 from renderer.scene import Camera, Depth
 from renderer.shaders.pixels import FullScreen, PixelRays
 from rhi import (

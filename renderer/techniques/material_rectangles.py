@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.frame import Frame, Pass, Target
-from renderer.frame.resources import MirroredValue
+from renderer.frame.mirrors import MirroredValue
 from renderer.shaders.encodings import material_depth
 from renderer.shaders.pixels import FullScreen
 from renderer.techniques.full_screen import WholeTarget, bind_rays

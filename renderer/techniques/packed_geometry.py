@@ -252,7 +252,8 @@ def draw_packed(frame: Frame) -> None:
     if count > MOST_MATERIALS:
         refuse(rules.MANY_MATERIALS, "render", f"{count:,} materials", f"at most {MOST_MATERIALS:,}")
     has_tangents = Effect.NORMAL_MAPS in effects
-    parts, bindings = bind_surfaces(frame, [Aspect.COVERAGE], has_materials=False, has_tangents=has_tangents)
+    aspects = Aspect.COVERAGE, Aspect.SIDE
+    parts, bindings = bind_surfaces(frame, aspects, has_materials=False, has_tangents=has_tangents)
     base: type[PackedShader] = PackedPlain
     if Effect.TEXTURE_TRANSFORMS in effects:
         base = PlacedFrames if has_tangents else PlacedTextures

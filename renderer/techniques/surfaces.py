@@ -61,6 +61,7 @@ class Aspect(Enum):
 
     COVERAGE = "what masks cut out"
     COLOR = "the base colour"
+    SIDE = "which side is seen"
     NORMAL = "the normal"
     METAL = "how metallic and rough they are"
     AMBIENT = "occlusion and emitted light"
@@ -417,7 +418,7 @@ SURFACE_PARTS: Final[dict[str, type[Shader]]] = {
 
 _ASPECTS: Final[dict[str, tuple[Effect, frozenset[Aspect]]]] = {
     "masks": (Effect.MASKS, frozenset([Aspect.COVERAGE])),
-    "two_sides": (Effect.TWO_SIDES, frozenset([Aspect.NORMAL])),
+    "two_sides": (Effect.TWO_SIDES, frozenset([Aspect.SIDE, Aspect.NORMAL])),
     "normal_maps": (Effect.NORMAL_MAPS, frozenset([Aspect.NORMAL])),
     "roughness_maps": (Effect.ROUGHNESS_MAPS, frozenset([Aspect.METAL])),
     "occlusion_maps": (Effect.OCCLUSION_MAPS, frozenset([Aspect.AMBIENT])),

@@ -72,12 +72,16 @@ class Op(enum.IntEnum):
     @property
     def method(self) -> str:
         """The name of the method in `rhi.contract.Backend`."""
-        return self.name.lower()
+        return METHODS[self]
 
     @property
     def parameters(self) -> dict[str, str]:
         """The parameter names in order, with their annotations in `rhi.contract.Backend`."""
         return _PARAMETERS[self]
+
+
+METHODS: Final = tuple(op.name.lower() for op in Op)
+"""The name of each operation's method, by its number."""
 
 
 def _read_parameters(op: Op) -> dict[str, str]:

@@ -98,6 +98,12 @@ def test_the_matrix_has_a_row_for_each_way_and_its_ratio_to_one_eye(capsys: pyte
         more = dubois["maps_drawn"] - mono["maps_drawn"]
         assert abs(more) <= 1, "once for both eyes, which see a little more than one"
         assert (mono["maps_drawn"] > 0) == mono["shadows"]
+        if not mono["shadows"]:
+            scene, lamps = mono["calls"] - 1, 1  # a kernel places the lamps for each eye
+            assert halves["calls"] == 2 * (scene + lamps)
+            assert dubois["calls"] == halves["calls"] + 1, "a kernel mixes the colours"
+            assert moved["calls"] == mono["calls"] + 3, "two kernels move pixels, and one mixes the colours"
+            assert 0 < mono["upload_bytes"] < dubois["upload_bytes"] < 1.15 * mono["upload_bytes"] + 1000
 
 
 def test_the_matrix_is_printed_as_a_table(capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ import rhi
 from renderer.content import BUILT_IN
 from renderer.frame import Effect
 from renderer.renderer import Renderer
-from renderer.scene import Camera, Scene, SceneBuilder
+from renderer.scene import AlphaMode, Camera, Scene, SceneBuilder
 from renderer.techniques import TECHNIQUES
 from renderer.visibility import NoCulling
 from rhi import Op
@@ -99,6 +100,56 @@ def test_what_a_scene_lacks_leaves_no_trace(effect: Effect, name: str) -> None:
     assert not find_traces(make(every - {effect}), name, trace)
     kinds = {one.partition(" ")[0] for one in find_traces(make(every), name, trace)}
     assert kinds >= ({"text"} if effect is Effect.EMISSION else {"label", "text", "binding"})
+
+
+MATERIAL_TRACES = {
+    Effect.METALS: r"\bmetal_surface\b",
+    Effect.NORMAL_MAPS: r"\.normal_texture\b",
+    Effect.ROUGHNESS_MAPS: r"\.metallic_roughness_texture\b",
+    Effect.OCCLUSION_MAPS: r"\.occlusion_texture\b",
+    Effect.EMISSIVE_MAPS: r"\.emissive_texture\b",
+    Effect.MASKS: r"\bdiscard\b|\.alpha_cutoff\b",
+    Effect.TWO_SIDES: r"\bgl_FrontFacing\b",
+}
+"""What programs say that have what materials may have, which bind nothing but the materials and their images."""
+
+
+def make_material(effects: set[Effect]) -> Scene:
+    """Make a box of a material with these effects, and with a base map."""
+    builder = SceneBuilder("box")
+    image = builder.add_image(np.full((4, 4, 4), 255, np.uint8))
+    values: dict[Effect, dict[str, object]] = {
+        Effect.METALS: {"roughness": 0.5},
+        Effect.NORMAL_MAPS: {"normal_texture": image},
+        Effect.ROUGHNESS_MAPS: {"metallic_roughness_texture": image},
+        Effect.OCCLUSION_MAPS: {"occlusion_texture": image},
+        Effect.EMISSIVE_MAPS: {"emissive": (1.0, 1.0, 1.0), "emissive_texture": image},
+        Effect.MASKS: {"alpha_mode": AlphaMode.MASK},
+        Effect.TWO_SIDES: {"double_sided": True},
+    }
+    given = {name: value for effect in effects for name, value in values[effect].items()}
+    material = builder.add_material(texture=image, **given)
+    builder.add_objects(builder.add_node(), builder.add_mesh(BUILT_IN["box"]()), material)
+    builder.lights.add_directional((0, -1, 0))
+    return builder.build()
+
+
+@cache
+def write_programs(effects: frozenset[Effect], name: str) -> str:
+    """Return the text of all programs of a frame."""
+    with open_renderer(make_material(set(effects)), name) as renderer:
+        renderer.render(EYE)
+        programs = [command["descriptor"] for command in renderer.device.stream.filter(Op.CREATE_PROGRAM)]
+        return "\n".join(one.emit("glsl", stage).text for one in programs for stage in one.stages)
+
+
+@pytest.mark.parametrize("name", ["forward", "deferred_plus"])
+@pytest.mark.parametrize("effect", MATERIAL_TRACES, ids=lambda effect: effect.value)
+def test_what_no_material_has_is_in_no_program(effect: Effect, name: str) -> None:
+    every = frozenset(MATERIAL_TRACES)
+    lacking = every - {effect, Effect.ROUGHNESS_MAPS} if effect is Effect.METALS else every - {effect}
+    assert not re.findall(MATERIAL_TRACES[effect], write_programs(lacking, name))
+    assert re.findall(MATERIAL_TRACES[effect], write_programs(every, name))
 
 
 LAMPS = "light rows|light grid|light volume|light spheres|light cones|whole target|light indices"

@@ -102,7 +102,7 @@ def test_backs_are_drawn_of_materials_with_two_sides_alone(gl: rhi.Device, two_s
     assert (image > 200).all() if two_sides else (image < 60).all()
 
 
-@pytest.mark.parametrize("technique", [Forward, Deferred])
+@pytest.mark.parametrize("technique", [Forward, Deferred, TECHNIQUES["deferred_plus"]])
 def test_a_material_that_gets_a_second_side_shows_its_back_from_then_on(gl: rhi.Device, technique: Any) -> None:
     builder = square(base_color=(1, 1, 1))
     builder.lights.add_directional((0, 0, 1), (1, 1, 1), 3.0)  # lights the back

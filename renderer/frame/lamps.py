@@ -1,0 +1,204 @@
+"""Point and spot lights on a device, with positions relative to each eye of a frame.
+
+Positions are uploaded once for all eyes, as pairs of floats, and only when lights change. A kernel subtracts each eye's
+from them, when it has moved: so neither a camera that walks nor a second eye uploads lights. Shaders of light read what
+the kernel has written. A device that can't run it is given relative positions by the CPU.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.frame.mirrors import MirroredArray, MirroredValue, split_doubles
+from renderer.scene.arrays import Floats
+from renderer.scene.lights import Lights
+from renderer.shaders import PointLight, SpotLight
+from renderer.visibility.repeated import RepeatedCommands
+from rhi import Device, Encoder
+from rhi.shading import Shader, Storage, StorageRW, Struct, Uniform, function, global_id, vec3
+
+__rhi_internal__ = True
+
+EYES: Final = 2
+"""The largest number of eyes of a frame."""
+
+_GROUP: Final = 64
+
+
+class ExactPlace(Struct):
+    """A position in the world: a double as the sum of two floats."""
+
+    high: vec3
+    low: vec3
+
+
+@function
+def subtract_exactly(place: ExactPlace, eye: ExactPlace) -> vec3:
+    """Return a position relative to an eye."""
+    return (place.high - eye.high) + (place.low - eye.low)
+
+
+class PlacePoints(Shader):
+    """Makes the positions of point lights relative to an eye."""
+
+    work_group = (_GROUP,)
+    eye: Uniform[ExactPlace]
+    places: Storage[ExactPlace]
+    lights: StorageRW[PointLight]
+
+    def compute(self) -> None:
+        i = global_id().x
+        if i < len(self.places):
+            self.lights[i].position = subtract_exactly(self.places[i], self.eye)
+
+
+class PlaceSpots(Shader):
+    """Makes the positions of spot lights relative to an eye."""
+
+    work_group = (_GROUP,)
+    eye: Uniform[ExactPlace]
+    places: Storage[ExactPlace]
+    lights: StorageRW[SpotLight]
+
+    def compute(self) -> None:
+        i = global_id().x
+        if i < len(self.places):
+            self.lights[i].position = subtract_exactly(self.places[i], self.eye)
+
+
+class _Kind:
+    """The lights of one kind: their places, and what each eye sees of them."""
+
+    def __init__(self, device: Device, element: type[Any], shader: type[Shader], label: str) -> None:
+        self.places = MirroredArray(device, ExactPlace, f"places of {label}")
+        self.seen = tuple(MirroredArray(device, element, label) for _ in range(EYES))
+        self.shader = shader
+        self.packed: NDArray[Any] = np.zeros(0)
+
+    def destroy(self) -> None:
+        for array in (self.places, *self.seen):
+            array.destroy()
+
+
+class _Placed:
+    """What an eye's lights were placed by: the version of the lights and where the eye was; and the kernels for it."""
+
+    def __init__(self, device: Device) -> None:
+        self.eye = MirroredValue(device, _place(np.zeros(3)))
+        self.commands = RepeatedCommands(device, "")
+        self.version, self.position = 0, b""
+        self.work: list[tuple[Any, int, dict[str, Any]]] = []
+
+    def issue(self, encoder: Encoder) -> None:
+        """Run the kernels."""
+        for program, groups, bindings in self.work:
+            encoder.dispatch(program, groups, **bindings)
+
+    def destroy(self) -> None:
+        self.commands.forget()
+        self.eye.destroy()
+
+
+class Lamps:
+    """All lights of a scene that have a position, on a device."""
+
+    def __init__(self, device: Device) -> None:
+        self._device = device
+        self._runs = device.capabilities.compute
+        self._kinds = (
+            _Kind(device, PointLight, PlacePoints, "point lights"),
+            _Kind(device, SpotLight, PlaceSpots, "spot lights"),
+        )
+        with ExitStack() as made:
+            for kind in self._kinds:
+                made.callback(kind.destroy)
+            self._placed: list[_Placed] = []
+            for _ in range(EYES):
+                self._placed.append(_Placed(device))
+                made.callback(self._placed[-1].destroy)
+            self._made = made.pop_all()
+        self._state: tuple[object, ...] = ()  # what the lights were packed from
+        self._version = 0
+
+    def find(self, eye: int) -> tuple[MirroredArray[PointLight], MirroredArray[SpotLight]]:
+        """Return the point and the spot lights relative to an eye."""
+        point, spot = self._kinds
+        return point.seen[eye], spot.seen[eye]
+
+    def update(self, lights: Lights, reaching: tuple[bool, bool], eyes: Sequence[Floats]) -> None:
+        """Make the lights relative to the positions (3,) of `eyes`.
+
+        Args:
+            reaching: whether any point light is needed, and whether any spot light is.
+        """
+        kinds = tuple(
+            some if is_needed else some[:0]
+            for some, is_needed in zip((lights.point, lights.spot), reaching, strict=True)
+        )
+        state = tuple(some.tobytes() for some in kinds)
+        if state != self._state:
+            self._pack(lights, kinds)
+            self._state = state
+            self._version += 1
+        for eye, position in enumerate(eyes):
+            placed = self._placed[eye]
+            if placed.version != self._version or placed.position != position.tobytes():
+                self._place(eye, placed, position, kinds)
+
+    def _pack(self, lights: Lights, kinds: tuple[NDArray[Any], ...]) -> None:
+        """Upload the places of all lights, and pack the rest."""
+        packed = lights.relative_to(np.zeros(3))
+        for kind, rows, some in zip(self._kinds, (packed.point, packed.spot), kinds, strict=True):
+            kind.packed = rows[: len(some)]
+            if self._runs:
+                kind.packed["position"] = 0.0  # which the kernel writes
+                places = np.zeros(len(some), ExactPlace.dtype)
+                places["high"], places["low"] = split_doubles(some["position"])
+                kind.places.write(places)
+
+    def _place(self, eye: int, placed: _Placed, position: Floats, kinds: tuple[NDArray[Any], ...]) -> None:
+        """Make the lights relative to an eye."""
+        if not self._runs:
+            for kind, some in zip(self._kinds, kinds, strict=True):
+                kind.packed["position"] = some["position"] - position
+                kind.seen[eye].write(kind.packed)
+        else:
+            if placed.version != self._version:
+                for kind in self._kinds:
+                    kind.seen[eye].write(kind.packed)
+                placed.work = self._list_work(eye)
+            if placed.work:
+                placed.eye.write(_place(position))
+                key = tuple(one for _, _, bindings in placed.work for one in bindings.values())
+                placed.commands.execute(key, placed.issue)
+        placed.version, placed.position = self._version, position.tobytes()
+
+    def _list_work(self, eye: int) -> list[tuple[Any, int, dict[str, Any]]]:
+        """Return the kernels that place the lights for an eye: programs, numbers of groups, and bindings."""
+        return [
+            (
+                self._device.program(kind.shader),
+                -(-len(kind.packed) // _GROUP),
+                {
+                    "eye": self._placed[eye].eye.buffer,
+                    "places": kind.places.buffer,
+                    "lights": kind.seen[eye].buffer,
+                },
+            )
+            for kind in self._kinds
+            if len(kind.packed)
+        ]
+
+    def destroy(self) -> None:
+        """Destroy the resources on the device."""
+        self._made.close()
+
+
+def _place(position: Floats) -> ExactPlace:
+    high, low = split_doubles(position)
+    return ExactPlace(high=high, low=low)
