@@ -216,6 +216,9 @@ FIXED_SCENE: Final = Rule(
     "leave out --objects or --lights: the scene is compared as it is",
 )
 UNKNOWN_KNOB: Final = Rule("accuracy-unknown-knob", "no choice between accuracy and time has this name")
+OUT_OF_REACH: Final = Rule(
+    "accuracy-out-of-reach", "no settings that were tried are as fast and as accurate as that"
+)
 NO_KNOBS: Final = Rule("accuracy-no-knobs", "none of these knobs matters for this scene and device")
 UNKNOWN_CASE: Final = Rule("exam-unknown-case", "the exam has no case of this number")
 NO_PICTURES: Final = Rule("measure-no-pictures", "a backend that draws no pictures has no passes to time")

@@ -20,7 +20,7 @@ from renderer.renderer import Renderer
 from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene, StereoRig
 from renderer.shadows import ShadowSettings
 from renderer.stereo import Stereo
-from renderer.techniques import TechniqueSettings
+from renderer.techniques import Technique, TechniqueSettings
 from renderer.tessellation import TessellationSettings
 from renderer.visibility import Settings, check_algorithm, make_visibility
 from rhi import Device, RhiError, refuse
@@ -80,17 +80,25 @@ class RenderSettings:
 
     @contextmanager
     def open(
-        self, device: Device, scene: Scene, size: tuple[int, int], rig: StereoRig | None = None
+        self,
+        device: Device,
+        scene: Scene,
+        size: tuple[int, int],
+        rig: StereoRig | None = None,
+        technique: Technique | None = None,
     ) -> Iterator[Renderer]:
-        """Yield a renderer that has these settings, and destroy it at the end. With a rig it draws two eyes, side by
-        side. Cameras must be aimed (`aim`)."""
+        """Yield a renderer that has these settings, and destroy it at the end. Cameras must be aimed (`aim`).
+
+        Args:
+            rig: with one, two eyes are drawn, side by side. technique: one that draws instead of that of the settings.
+        """
         check_algorithm(self.algorithm, device, "RenderSettings.open")
         visibility = make_visibility(self.algorithm, scene, device, self.visibility)
         try:
             with Renderer(
                 device,
                 scene,
-                technique=self.technique.make(scene, device),
+                technique=technique or self.technique.make(scene, device),
                 visibility=visibility,
                 size=size,
                 blending=self.blending,
@@ -104,6 +112,14 @@ class RenderSettings:
                 yield renderer
         finally:
             visibility.destroy()
+
+    def exchange(self, renderer: Renderer) -> None:
+        """Give a renderer those of these settings that may be exchanged between two frames: all but how textures are
+        read, and which objects are found."""
+        renderer.technique = self.technique.make(renderer.scene, renderer.device)
+        renderer.blending, renderer.precision = self.blending, self.precision
+        renderer.shadows.settings = self.shadows
+        renderer.tessellator.settings = self.tessellation
 
     def save(self, path: Path, **found: Any) -> None:
         """Write the settings as JSON. `found` is written too, to say how they were found; `load` ignores it."""

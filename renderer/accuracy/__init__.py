@@ -1,13 +1,16 @@
 """What accuracy costs in time: all choices between the two, what each loses, and what it saves."""
 
-from renderer.accuracy.jobs import SweepJob, run_jobs
+from renderer.accuracy.choice import CheckedChoice, FrontPoint, choose, find_choices, find_front
+from renderer.accuracy.jobs import SweepJob, keep_front, run_jobs
 from renderer.accuracy.knobs import KNOBS, NEUTRAL, Demand, Knob, Truth, Unit, find_knob
 from renderer.accuracy.sweep import KnobReport, Situation, ValueRow, sweep_knob
 
 __all__ = [
     "KNOBS",
     "NEUTRAL",
+    "CheckedChoice",
     "Demand",
+    "FrontPoint",
     "Knob",
     "KnobReport",
     "Situation",
@@ -15,7 +18,11 @@ __all__ = [
     "Truth",
     "Unit",
     "ValueRow",
+    "choose",
+    "find_choices",
+    "find_front",
     "find_knob",
+    "keep_front",
     "run_jobs",
     "sweep_knob",
 ]

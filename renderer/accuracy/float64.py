@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ from rhi.shading import (
     TextureBinding,
     Uniform,
     instance_index,
+    mat3,
     primitive_index,
     run_fragment,
     run_vertex,
@@ -112,8 +113,7 @@ def _take(binding: Any, samplers: Mapping[Any, Any]) -> Any:
     """Return what a binding holds, as NumPy's stages take it."""
     if isinstance(binding, UniformBuffer):
         (row,) = binding.owner.read()
-        kind: Any = binding.type
-        return kind(**{name: row[name] for name in row.dtype.names})
+        return _rebuild(binding.type, row)
     if isinstance(binding, StorageBuffer):
         return binding.read()
     assert isinstance(binding, TextureBinding)
@@ -126,6 +126,19 @@ def _take(binding: Any, samplers: Mapping[Any, Any]) -> Any:
     if texture.format.components == 1:
         levels = [level[..., None] for level in levels]
     return HostTexture(levels, texture.format, texture.descriptor.kind, samplers.get(binding))
+
+
+def _rebuild(kind: Any, row: Any) -> Any:
+    """Return the struct that a row of a buffer holds, with the structs inside it."""
+    values = {}
+    hints = get_type_hints(kind)
+    for name in row.dtype.names:
+        value, hint = row[name], hints[name]
+        inside = [one for one in (hint, *get_args(hint)) if isinstance(one, type) and issubclass(one, Struct)]
+        if inside:
+            value = [_rebuild(inside[0], one) for one in value] if np.ndim(value) else _rebuild(inside[0], value)
+        values[name] = value[:, :3] if hint is mat3 else value  # its rows are as wide as vec4 in memory
+    return kind(**values)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

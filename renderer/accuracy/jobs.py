@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import rhi
+from renderer.accuracy.choice import FrontPoint, combine, find_front, make_plain
 from renderer.accuracy.knobs import KNOBS
 from renderer.accuracy.sweep import KnobReport, Situation, ValueRow, sweep_knob
 from renderer.settings import to_plain
@@ -42,8 +43,9 @@ class SweepJob:
         scene = Path(self.situation.scene)
         content = sha256(scene.read_bytes()).hexdigest() if scene.is_file() else ""
         knob = KNOBS[self.knob]
-        parts = [_VERSION, rhi.__version__, to_plain(self.situation), content, repr(knob)]
-        return sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:24]
+        measured = knob.path, knob.values, knob.unit, knob.truth, knob.within, knob.demand, knob.remembers
+        parts = [_VERSION, rhi.__version__, to_plain(self.situation), content, self.knob, repr(measured)]
+        return _hash(parts)
 
     def run(self) -> KnobReport:
         """Measure the knob."""
@@ -76,6 +78,40 @@ def run_jobs(
     return [known.get(job) or futures[job].result() for job in jobs]
 
 
+def keep_front(
+    situation: Situation,
+    reports: Sequence[KnobReport],
+    folder: Path | None,
+    progress: Callable[[range], Iterable[int]] = lambda rounds: rounds,
+) -> list[FrontPoint]:
+    """Return the combinations of knobs (`find_front`), those that the folder holds if they were found from the same
+    reports."""
+    if folder is None:
+        return find_front(situation, reports, progress)
+    parts = [_VERSION, to_plain(situation), [asdict(report) for report in reports]]
+    path = folder / f"front-{_hash(parts)}.json"
+    try:
+        found = json.loads(path.read_text())
+        base = make_plain(situation.settings)
+        return [FrontPoint(**point | {"settings": combine(base, point["values"])}) for point in found]
+    except (OSError, ValueError, TypeError, KeyError):
+        points = find_front(situation, reports, progress)
+        _write_whole(path, json.dumps([asdict(point) | {"settings": None} for point in points]))
+        return points
+
+
+def _hash(parts: object) -> str:
+    return sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:24]
+
+
+def _write_whole(path: Path, text: str) -> None:
+    """Write a file, whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_suffix(f".{os.getpid()}.part")
+    beside.write_text(text)
+    beside.replace(path)
+
+
 def _keep(path: Path, future: Future[KnobReport]) -> None:
     """Keep the result of a job as soon as it is there: the process may end before the others are."""
     if not future.cancelled() and future.exception() is None:
@@ -83,11 +119,8 @@ def _keep(path: Path, future: Future[KnobReport]) -> None:
 
 
 def save_report(path: Path, report: KnobReport) -> None:
-    """Write a report, whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_suffix(f".{os.getpid()}.part")
-    beside.write_text(json.dumps(asdict(report)))
-    beside.replace(path)
+    """Write a report."""
+    _write_whole(path, json.dumps(asdict(report)))
 
 
 def load_report(path: Path) -> KnobReport | None:

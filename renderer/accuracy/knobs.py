@@ -310,6 +310,7 @@ KNOBS: Final[dict[str, Knob]] = {
             "a third of the pixels, and edges that are seldom seen to be wrong",
             {"technique.name": "inferred", "algorithm": "frustum"},
             Demand.LAMPS,
+            exception="0.8 may lose to 0.6, since its texels lie differently between the picture's",
         ),
         Knob(
             "inferred_transparency",
@@ -430,6 +431,7 @@ KNOBS: Final[dict[str, Knob]] = {
             "what was visible nearly always still is",
             _CHC,
             remembers=True,
+            exception="CHC++ draws lots for when an object is asked about again, so neighbours may change places",
         ),
         Knob(
             "leaf_size",

@@ -4,12 +4,25 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import asdict, replace
-from typing import Final
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any, Final
 
 import rhi
 from renderer import rules
-from renderer.accuracy import KNOBS, KnobReport, Situation, SweepJob, run_jobs
+from renderer.accuracy import (
+    KNOBS,
+    CheckedChoice,
+    FrontPoint,
+    KnobReport,
+    Situation,
+    SweepJob,
+    choose,
+    find_choices,
+    keep_front,
+    run_jobs,
+)
+from renderer.cli.accuracy_report import plot_all, write_images, write_page
 from renderer.cli.arguments import (
     add_backend,
     add_form,
@@ -17,26 +30,35 @@ from renderer.cli.arguments import (
     add_scene,
     add_settings,
     add_size,
+    load_settings,
     parse_count,
 )
 from renderer.cli.executors import add_executor, make_executor
-from renderer.cli.output import note, show_progress
+from renderer.cli.output import note, prepare_image, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import load_scene
 from renderer.measure import format_table
-from renderer.settings import RenderSettings, to_plain
+from renderer.settings import to_plain
 from rhi import refuse
 
 _NOTES: Final = """\
   python -m renderer accuracy city
   python -m renderer accuracy city --knob precision --knob samples --backend cl
   python -m renderer accuracy hall:shadows=1 --knob shadow_size --json
+  python -m renderer accuracy city:shadows=1 --output swept --executor processes:2
+  python -m renderer accuracy city:shadows=1 --output swept --error-at-most 2
+  python -m renderer render city:shadows=1 --settings swept/settings.json
 
 A knob is a choice between accuracy and time. Each of its values draws the same frames, and is compared with the truth
 of the knob: float64, super-sampling, brute force, or the exact algorithm. Then all values are timed in turn in one
 process. `ratio` is a value's time in that of the most accurate one, the median of the rounds' ratios, by the clock and
 by the processor, with the ends of its 95 % confidence interval. A knob that needs what the scene or the device lacks is
-left out, and why is said on stderr. Shadows are switched on for the knobs of shadows."""
+left out, and why is said on stderr. Shadows are switched on for the knobs of shadows.
+
+With --output, DIR gets one page with charts and pictures, the same as JSON, and each result as soon as it is there: a
+sweep that was interrupted goes on where it stopped. With --budget-ms or --error-at-most, the knobs that change pictures
+of this scene are combined greedily, drawn and timed; the choice is checked by ten more views, and written to
+DIR/settings.json, which `render`, `compare techniques`, `compare visibility` and `accuracy` read with --settings."""
 
 
 def _add_arguments(parser: Parser) -> None:
@@ -52,9 +74,28 @@ def _add_arguments(parser: Parser) -> None:
     parser.add_argument(
         "--views", type=parse_count, default=3, metavar="N", help="frames that are compared (default: %(default)s)"
     )
-    add_rounds(parser, "frames that are timed", 15)
+    add_rounds(parser, "frames that are timed", 11)
     add_settings(parser, "settings to begin with, written by `accuracy` or `tune`")
+    parser.add_argument(
+        "--budget-ms",
+        type=parse_bound,
+        metavar="M",
+        help="choose the most accurate settings that take at most this time for a frame",
+    )
+    parser.add_argument(
+        "--error-at-most",
+        type=parse_bound,
+        metavar="E",
+        help="choose the fastest settings with a mean error within this, in levels of 255",
+    )
     add_executor(parser, "knobs")
+    parser.add_argument("--plot", type=Path, metavar="F.png", help="write charts of errors and times")
+    parser.add_argument(
+        "--output",
+        type=Path,
+        metavar="DIR",
+        help="folder for the results; a sweep that was interrupted goes on there",
+    )
     add_form(parser)
 
 
@@ -62,34 +103,92 @@ def _run(given: argparse.Namespace) -> None:
     for name in given.knob:
         if name not in KNOBS:
             rules.refuse_name(rules.UNKNOWN_KNOB, "accuracy --knob", name, KNOBS)
-    load_scene(given.scene)  # raises now, not in another process
-    settings = RenderSettings() if given.settings is None else RenderSettings.load(given.settings)
+    scene = load_scene(given.scene)  # raises now, not in another process
+    if given.plot is not None:
+        prepare_image(given.plot)
     with rhi.create_device(given.backend) as device:
         backend = device.backend_name
     situation = Situation(
-        given.scene, given.camera, backend, given.size, views=given.views, rounds=given.rounds, settings=settings
+        given.scene,
+        given.camera,
+        backend,
+        given.size,
+        views=given.views,
+        rounds=given.rounds,
+        settings=load_settings(given),
     )
     jobs = [SweepJob(situation, name) for name in dict.fromkeys(given.knob or KNOBS)]
+    folder = None if given.output is None else given.output / "jobs"
     with make_executor(given.executor) as executor:
-        reports = run_jobs(jobs, executor, None, lambda items, total: show_progress(items, total, "accuracy"))
+        reports = run_jobs(jobs, executor, folder, lambda items, total: show_progress(items, total, "accuracy"))
     for report in reports:
         for value, lack in report.left_out.items():
             note(f"left out: {report.knob}: {value}: {lack}")
     shown = [report for report in reports if report.rows]
     if not shown:
         refuse(rules.NO_KNOBS, "accuracy", ", ".join(job.knob for job in jobs))
-    if given.json:
-        print(json.dumps(describe(situation, shown)))
-    else:
-        print(show_reports(shown, markdown=given.markdown))
+    is_bounded = given.budget_ms is not None or given.error_at_most is not None
+    points, choice = list[FrontPoint](), None
+    if is_bounded or (given.output is not None and find_choices(scene, situation.settings, shown)):
+        points = keep_front(
+            situation, shown, folder, lambda rounds: show_progress(rounds, len(rounds), "combine knobs")
+        )
+    if is_bounded:
+        choice = choose(situation, points, budget_ms=given.budget_ms, error_at_most=given.error_at_most)
+    found = describe(situation, shown, points, choice)
+    title = f"{given.scene}, {shown[0].device}"
+    if given.plot is not None:
+        plot_all(given.plot, title, shown, points, choice)
+        note(f"wrote {given.plot}")
+    if given.output is not None:
+        charts = write_images(given.output / "images", shown, points, choice)
+        write_page(given.output / "report.html", situation, reports, points, choice, charts)
+        (given.output / "accuracy.json").write_text(json.dumps(found, indent=2) + "\n")
+        (given.output / "table.md").write_text(show_reports(shown, markdown=True) + "\n")
+        note(f"wrote report.html, accuracy.json, table.md and images to {given.output}")
+    if choice is not None:
+        path = (given.output or Path()) / "settings.json"
+        choice.point.settings.save(path, **found["chosen"])
+        note(f"wrote {path}")
+    print(json.dumps(found) if given.json else show_reports(shown, markdown=given.markdown))
+    if choice is not None and not given.json:
+        print(f"\nchosen: {show_choice(choice)}")
 
 
-def describe(situation: Situation, reports: list[KnobReport]) -> dict[str, object]:
+def describe(
+    situation: Situation, reports: list[KnobReport], points: list[FrontPoint], choice: CheckedChoice | None
+) -> dict[str, Any]:
     """Return what `--json` prints."""
     return {
-        **to_plain(replace(situation, size=situation.size)),
-        "knobs": [{**asdict(report), "truth": KNOBS[report.knob].truth.name, "pictures": None} for report in reports],
+        **to_plain(situation),
+        "knobs": [
+            {**asdict(report), "truth": KNOBS[report.knob].truth.name, "pictures": list(report.pictures)}
+            for report in reports
+        ],
+        "front": [_describe_point(point) for point in points],
+        "chosen": None
+        if choice is None
+        else {
+            **_describe_point(choice.point),
+            "checked_error": choice.error,
+            "checked_views": choice.views,
+            "refused": choice.refused,
+        },
     }
+
+
+def _describe_point(point: FrontPoint) -> dict[str, Any]:
+    return {one.name: getattr(point, one.name) for one in fields(point) if one.name != "settings"}
+
+
+def show_choice(choice: CheckedChoice) -> str:
+    """Format settings that were chosen."""
+    point = choice.point
+    values = ", ".join(f"{name} {value}" for name, value in point.values.items())
+    return (
+        f"{values}: {point.milliseconds:.2f} ms, {point.ratio:.2f} of the most accurate settings' time, mean error "
+        f"{point.error:.2f} levels in the worst view, {choice.error:.2f} in {choice.views} others"
+    )
 
 
 def show_reports(reports: list[KnobReport], *, markdown: bool = False) -> str:
@@ -112,6 +211,17 @@ def show_reports(reports: list[KnobReport], *, markdown: bool = False) -> str:
 def show_ratio(ratio: float, low: float, high: float) -> str:
     """Format a ratio with its confidence interval."""
     return f"{ratio:.2f} ({low:.2f} to {high:.2f})" if (low, high) != (ratio, ratio) else f"{ratio:.2f}"
+
+
+def parse_bound(text: str) -> float:
+    """Parse a bound: a number above 0."""
+    try:
+        bound = float(text)
+    except ValueError:
+        bound = -1.0
+    if not 0.0 < bound < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0")
+    return bound
 
 
 COMMAND: Final = Subcommand(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Collection
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -12,10 +13,11 @@ from renderer import rules
 from renderer.cli.output import note
 from renderer.cli.subcommand import Parser
 from renderer.content import load_scene
-from renderer.scene import Camera, Scene
+from renderer.frame import Blending
+from renderer.scene import Camera, Depth, Scene
+from renderer.settings import RenderSettings
 from renderer.stereo import OUTPUTS, Stereo, find_rig
 from renderer.techniques import TECHNIQUES, AutoTechnique, Technique, TechniqueSettings
-from renderer.visibility import Settings
 from rhi import refuse
 
 PATH_HELP: Final = (
@@ -26,7 +28,7 @@ CAMERA_HELP: Final = (
     "a target x,y,z,x,y,z"
 )
 SETTINGS_HELP: Final = (
-    "file with the parameters of the visibility algorithms, written by `tune` (default: b=50, n=20)"
+    "file with the parameters of the visibility algorithms, written by `tune` or `accuracy` (default: b=50, n=20)"
 )
 QUERY_KINDS: Final = ("native", "emulated")
 """The kinds of occlusion queries that `--queries` names."""
@@ -194,9 +196,30 @@ def add_settings(parser: Parser, what: str = SETTINGS_HELP) -> None:
     parser.add_argument("--settings", type=Path, metavar="F.json", help=what)
 
 
-def load_settings(given: argparse.Namespace) -> Settings:
+def load_settings(given: argparse.Namespace) -> RenderSettings:
     """Return the settings in the file that `--settings` names, or the defaults."""
-    return Settings() if given.settings is None else Settings.load(given.settings)
+    return RenderSettings() if given.settings is None else RenderSettings.load(given.settings)
+
+
+def merge_settings(given: argparse.Namespace) -> RenderSettings:
+    """Return the settings in the file that `--settings` names, or the defaults, with what other arguments say instead:
+    those of `add_technique`, `--visibility`, `--queries`, `--depth`, `--blending`, `--edge-pixels` and `--reproject`,
+    None where they aren't given. Those of `add_technique` then hold what is merged."""
+    settings = load_settings(given)
+    of_technique = {"name": given.technique, "samples": given.samples, "fxaa": given.fxaa or None}
+    chosen = {name: value for name, value in of_technique.items() if value is not None}
+    technique = replace(settings.technique, **chosen)
+    given.technique, given.samples, given.fxaa = technique.name, technique.samples, technique.fxaa
+    changes = {
+        "technique": technique,
+        "algorithm": given.visibility,
+        "visibility.emulated": None if given.queries is None else given.queries == "emulated",
+        "depth": None if given.depth is None else Depth(given.depth),
+        "blending": None if given.blending is None else Blending(given.blending),
+        "reprojects": given.reproject or None,
+        "tessellation.edge_pixels": given.edge_pixels,
+    }
+    return settings.change_all({path: value for path, value in changes.items() if value is not None})
 
 
 def add_queries(parser: Parser, default: str) -> None:

@@ -17,7 +17,9 @@ from renderer.cli.arguments import (
     add_frame,
     add_rounds,
     add_scene,
+    add_settings,
     add_size,
+    load_settings,
     parse_count,
     parse_names,
 )
@@ -66,6 +68,7 @@ def _add_arguments(parser: Parser) -> None:
     add_frame(parser, "frame of a path")
     add_rounds(parser, "times each technique is timed")
     add_size(parser)
+    add_settings(parser, "file with settings, written by `accuracy`; all but the technique and the algorithm count")
     add_backend(parser)
     parser.add_argument("--plot", type=Path, metavar="F.png", help="write a chart of the times")
     add_form(parser)
@@ -78,17 +81,19 @@ def _run(given: argparse.Namespace) -> None:
     def rounds(numbers: range) -> Iterable[int]:
         return show_progress(numbers, len(numbers), "compare")
 
+    settings = load_settings(given)
     with rhi.create_device(given.backend) as device:
         rows = compare_techniques(
             device,
             given.scene,
-            {name: TECHNIQUES[name]() for name in given.techniques},
+            {name: settings.technique.make_one(name) for name in given.techniques},
             given.size,
             objects=given.objects,
             lights=given.lights,
             camera=given.camera,
             frame=given.frame,
             rounds=given.rounds,
+            settings=settings,
             progress=rounds,
         )
         report = {

@@ -90,7 +90,7 @@ def _add_arguments(parser: Parser) -> None:
 
 def _run(given: argparse.Namespace) -> None:
     path = prepare_image(given.output)
-    settings = load_settings(given)
+    settings = load_settings(given).visibility
     scene = open_scene(given.scene)
     frames = range(max(given.frame - given.warm_up, 0), given.frame + 1)
     cameras = [parse_camera(given.camera, scene, frame) for frame in frames]

@@ -24,9 +24,8 @@ from renderer.cli.arguments import (
     add_stereo,
     add_technique,
     explain_technique,
-    load_settings,
     make_stereo,
-    make_technique,
+    merge_settings,
     open_scene,
 )
 from renderer.cli.output import list_left_out, name_of, note, prepare_image, show_progress, write_image
@@ -37,19 +36,13 @@ from renderer.measure import FrameCost, measure_frame
 from renderer.measure.contents import picture_contents
 from renderer.overlay import Overlay
 from renderer.renderer import FrameResult, Renderer
-from renderer.scene import FRAMES_PER_SECOND, Camera, CameraPath, Depth, Orthographic, Perspective, Scene
+from renderer.scene import FRAMES_PER_SECOND, CameraPath, Depth, Scene
+from renderer.settings import RenderSettings
 from renderer.stereo import Stereo, find_holes
 from renderer.techniques import AutoTechnique, Forward, Particles, Technique, Watched
 from renderer.techniques.inspection import INSPECTIONS, Inspection
 from renderer.techniques.light_indexed import count_overflowing
-from renderer.tessellation import TessellationSettings
-from renderer.visibility import (
-    ALGORITHMS,
-    Settings,
-    VisibilityAlgorithm,
-    check_algorithm,
-    make_visibility,
-)
+from renderer.visibility import ALGORITHMS
 from rhi.trace import save
 
 _NOTES: Final = """\
@@ -81,10 +74,9 @@ def _add_arguments(parser: Parser) -> None:
     parser.add_argument(
         "--visibility",
         choices=ALGORITHMS,
-        default="auto",
-        help=DECIDES,
+        help=DECIDES.replace("%(default)s", "the settings', auto"),
     )
-    add_settings(parser)
+    add_settings(parser, "file with settings, written by `accuracy` or `tune`; other arguments count more")
     add_queries(parser, "the settings', native")
     add_camera(parser)
     add_frame(parser, "first frame of the path, at 60 a second")
@@ -100,20 +92,18 @@ def _add_arguments(parser: Parser) -> None:
     parser.add_argument(
         "--depth",
         choices=[depth.value for depth in Depth],
-        default=Depth.REVERSED.value,
-        help="direction of depth: reversed has near at 1, standard has near at 0 (default: %(default)s)",
+        help="direction of depth: reversed has near at 1, standard has near at 0 (default: the settings', reversed)",
     )
     parser.add_argument(
         "--blending",
         choices=[blending.value for blending in Blending],
-        default=Blending.SORTED.value,
-        help="transparent surfaces are drawn back to front, or averaged in any order (default: %(default)s)",
+        help="transparent surfaces are drawn back to front, or averaged in any order (default: the settings', sorted)",
     )
     parser.add_argument(
         "--edge-pixels",
         type=float,
         metavar="N",
-        help="length in pixels that edges of height fields are split down to (default: 8)",
+        help="length in pixels that edges of height fields are split down to (default: the settings', 8)",
     )
     parser.add_argument(
         "--show",
@@ -140,18 +130,18 @@ def _add_arguments(parser: Parser) -> None:
         help="draw frame times, counters, the timer tree and the culling over each frame, which costs time, too",
     )
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.set_defaults(technique=None, samples=None)  # so that settings of a file can hold
 
 
 def _run(given: argparse.Namespace) -> None:
     if given.output is not None:
         prepare_image(given.output)
     given.reproject = given.reproject or given.holes is not None
-    settings = load_settings(given)
-    if given.queries is not None:
-        settings = replace(settings, emulated=given.queries == "emulated")
+    settings = merge_settings(given)
+    given.reproject = given.reproject or (settings.reprojects and given.stereo is not None)
     scene = open_scene(given.scene)
     cameras = [
-        with_depth(parse_camera(given.camera or next(iter(scene.views)), scene, frame), Depth(given.depth))
+        settings.aim(parse_camera(given.camera or next(iter(scene.views)), scene, frame))
         for frame in range(given.frame, given.frame + given.frames)
     ]
     if given.record is not None:
@@ -160,19 +150,10 @@ def _run(given: argparse.Namespace) -> None:
         note(f"wrote {given.record}: {len(cameras)} frames")
     with (
         rhi.create_device(given.backend, record=True if given.trace is not None else None) as device,
-        Renderer(
-            device,
-            scene,
-            technique=_make_shown(given, scene, device),
-            visibility=_make_visibility(given.visibility, scene, device, settings),
-            size=given.size,
-            blending=Blending(given.blending),
-        ) as renderer,
+        settings.open(device, scene, given.size, technique=_make_shown(given, settings, scene, device)) as renderer,
         ExitStack() as layers,
     ):
         renderer.stereo = make_stereo(given, scene, cameras[0].with_aspect(given.size[0] / given.size[1]))
-        if given.edge_pixels is not None:
-            renderer.tessellator.settings = TessellationSettings(given.edge_pixels)
         if given.particles:
             renderer.layers.append(Particles(device))
         if given.overlay:
@@ -208,20 +189,18 @@ def _run(given: argparse.Namespace) -> None:
     print(json.dumps(report) if given.json else show_report(report))
 
 
-def _make_shown(given: argparse.Namespace, scene: Scene, device: rhi.Device) -> Technique:
+def _make_shown(
+    given: argparse.Namespace, settings: RenderSettings, scene: Scene, device: rhi.Device
+) -> Technique:
     """Return the technique that draws what `--show` names. Buffers are those of a technique that doesn't change."""
     if given.show in INSPECTIONS:
         return Inspection(given.show)
+    technique = settings.technique
     if given.show is None:
-        return make_technique(given, scene, device)
-    if given.technique == AutoTechnique.name:
+        return technique.make(scene, device)
+    if technique.name == AutoTechnique.name:
         given.technique = Forward.name
-    return Watched(make_technique(given, scene, device), given.show)
-
-
-def _make_visibility(name: str, scene: Scene, device: rhi.Device, settings: Settings) -> VisibilityAlgorithm:
-    check_algorithm(name, device, "render")
-    return make_visibility(name, scene, device, settings)
+    return Watched(replace(technique, name=given.technique).make(scene, device), given.show)
 
 
 def warm_up(renderer: Renderer) -> Iterator[None]:
@@ -229,13 +208,6 @@ def warm_up(renderer: Renderer) -> Iterator[None]:
     yield
     while renderer.is_trying:
         yield
-
-
-def with_depth(camera: Camera, depth: Depth) -> Camera:
-    """Return the same camera with another direction of depth."""
-    lens = camera.projection
-    assert isinstance(lens, Perspective | Orthographic)
-    return camera.with_projection(replace(lens, depth=depth))
 
 
 def describe_run(

@@ -17,10 +17,9 @@ from renderer.content import GENERATORS, load_scene, parse_camera
 from renderer.measure.alternate import alternate
 from renderer.measure.light_evaluations import count_light_evaluations
 from renderer.measure.plans import describe_plan
-from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene
+from renderer.settings import RenderSettings
 from renderer.techniques import Technique
-from renderer.visibility import FrustumCulling
 from rhi import Device, refuse
 
 OPTIONS = {"objects": "count", "lights": "lights"}
@@ -81,6 +80,7 @@ def compare_techniques(
     camera: str | None = None,
     frame: int = 0,
     rounds: int = 5,
+    settings: RenderSettings | None = None,
     progress: Callable[[range], Iterable[int]] = lambda rounds: rounds,
 ) -> list[TechniqueRow]:
     """Return a row for each number of objects, number of lights, and technique.
@@ -89,6 +89,7 @@ def compare_techniques(
         text: the scene. objects, lights: numbers that replace the scene's own; None keeps them.
         techniques: by the names of their rows. size: (width, height) of the image in pixels.
         camera, frame: as `parse_camera` reads them; by default the scene's first view.
+        settings: all but the technique and the visibility algorithm, which is frustum culling.
 
     Raises:
         ValidationError `measure-fixed-scene`: the scene has no option for numbers that are given.
@@ -97,7 +98,8 @@ def compare_techniques(
     for text_of_one in [vary_scene(text, count, number) for count in objects for number in lights]:
         scene = load_scene(text_of_one)
         view = parse_camera(camera or next(iter(scene.views)), scene, frame)
-        rows += _compare(device, scene, view, techniques, size, progress(range(rounds)))
+        chosen = (settings or RenderSettings()).change("algorithm", "frustum")
+        rows += _compare(device, scene, chosen.aim(view), techniques, size, chosen, progress(range(rounds)))
     return rows
 
 
@@ -107,9 +109,10 @@ def _compare(
     camera: Camera,
     techniques: dict[str, Technique],
     size: tuple[int, int],
+    settings: RenderSettings,
     rounds: Iterable[int],
 ) -> list[TechniqueRow]:
-    with Renderer(device, scene, visibility=FrustumCulling(scene), size=size) as renderer:
+    with settings.open(device, scene, size) as renderer:
 
         def draw(_: int) -> None:
             renderer.render(camera)

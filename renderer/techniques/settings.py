@@ -59,10 +59,11 @@ class TechniqueSettings:
     def make(self, scene: Scene, device: Device) -> Technique:
         """Return the technique for a scene and a device."""
         if self.samples == 1 and self.name == AutoTechnique.name:
-            return AutoTechnique(scene, device, {name: partial(self._make, name) for name in CANDIDATES})
-        return self._make(Forward.name if self.samples > 1 else self.name)
+            return AutoTechnique(scene, device, {name: partial(self.make_one, name) for name in CANDIDATES})
+        return self.make_one(Forward.name if self.samples > 1 else self.name)
 
-    def _make(self, name: str) -> Technique:
+    def make_one(self, name: str) -> Technique:
+        """Return a technique of `TECHNIQUES` with those of the parameters that it has."""
         make = _MAKERS.get(name)
         technique = TECHNIQUES[name]() if make is None else make(self)
         return Smoothed(technique) if self.fxaa else technique

@@ -26,10 +26,10 @@ OTHERS = RenderSettings(
     Settings(batch=7, threshold=3),
     ShadowSettings(ShadowFilter.HARD, cascades=2, bias=0.5),
     TextureSettings(Filter.NEAREST, None, 4.0),
-    Blending.WEIGHTED,
-    Precision.EXACT,
-    Depth.STANDARD,
-    True,
+    blending=Blending.WEIGHTED,
+    precision=Precision.EXACT,
+    depth=Depth.STANDARD,
+    reprojects=True,
 )
 
 

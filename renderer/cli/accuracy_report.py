@@ -1,0 +1,229 @@
+"""The report of `accuracy`: charts, pictures of what goes wrong, and one page that holds all of them."""
+
+from __future__ import annotations
+
+from base64 import b64decode, b64encode
+from collections.abc import Sequence
+from html import escape
+from io import BytesIO
+from pathlib import Path
+from typing import Any, Final
+
+from PIL import Image
+
+from renderer.accuracy import (
+    KNOBS,
+    CheckedChoice,
+    Demand,
+    FrontPoint,
+    Knob,
+    KnobReport,
+    Situation,
+    Unit,
+    ValueRow,
+)
+from renderer.cli.output import draw_chart
+
+_LEAST: Final = 1e-3
+"""Where some error is 0, errors are drawn on a scale of equal ratios from here on, and below it of equal steps."""
+_ENLARGED: Final = 3  # pictures in files
+
+_STYLE: Final = """
+body { font: 15px/1.45 system-ui, sans-serif; max-width: 76rem; margin: 2rem auto; padding: 0 1rem; color: #222 }
+table { border-collapse: collapse; font-size: 13px } th, td { text-align: left; padding: .15rem .6rem }
+tr.knob td { border-top: 1px solid #bbb } tr.default { background: #eef4ff } td.number { text-align: right }
+img.chart { max-width: 100% } figcaption { font-size: 12px }
+figure { display: inline-block; margin: .5rem 1rem .5rem 0 }
+figure img { image-rendering: pixelated; width: 42rem; max-width: 100% }
+"""
+
+
+def group_of(knob: Knob) -> str:
+    """Return the name of the chart that shows a knob."""
+    if knob.demand is Demand.SHADOWS:
+        return "shadows"
+    if knob.unit.is_encoding:
+        return "encodings"
+    if knob.unit is Unit.LIGHTS:
+        return "lights"
+    return "culling" if knob.path.startswith("visibility.") else "pictures"
+
+
+GROUPS: Final = {
+    "pictures": "error of pictures",
+    "shadows": "error of shadows",
+    "lights": "lights too many",
+    "culling": "triangles too many; levels for the threshold",
+    "encodings": "error of encodings",
+}
+"""The charts of single knobs, and what their errors are called."""
+
+
+def list_groups(reports: Sequence[KnobReport]) -> dict[str, list[KnobReport]]:
+    """Return the reports of each chart."""
+    groups: dict[str, list[KnobReport]] = {name: [] for name in GROUPS}
+    for report in reports:
+        if report.rows:
+            groups[group_of(KNOBS[report.knob])].append(report)
+    return {name: some for name, some in groups.items() if some}
+
+
+def draw_group(axes: Any, reports: Sequence[KnobReport], title: str) -> None:
+    """Draw the mean errors of values over their processor times, a line for each knob; rings are defaults."""
+    for report in reports:
+        rows = report.rows
+        times, errors = [row.processor_ratio for row in rows], [row.mean_error for row in rows]
+        low = [max(row.processor_ratio - row.processor_low, 0.0) for row in rows]
+        high = [max(row.processor_high - row.processor_ratio, 0.0) for row in rows]
+        drawn = axes.errorbar(
+            times, errors, xerr=(low, high), marker="o", markersize=3, linewidth=1, elinewidth=0.6, label=report.knob
+        )
+        color = drawn.lines[0].get_color()
+        chosen = [row for row in rows if row.is_default]
+        axes.scatter(
+            [row.processor_ratio for row in chosen],
+            [row.mean_error for row in chosen],
+            s=70, facecolors="none", edgecolors=color,
+        )  # fmt: skip
+        for row in (rows[0], rows[-1]):
+            axes.annotate(
+                row.value, (row.processor_ratio, row.mean_error), (3, 3), textcoords="offset points", fontsize=6,
+                color=color,
+            )  # fmt: skip
+    if min(row.mean_error for report in reports for row in report.rows) > 0.0:
+        axes.set_yscale("log")
+    else:
+        axes.set_yscale("symlog", linthresh=_LEAST)
+        axes.set_ylim(bottom=0.0)
+    axes.axvline(1.0, color="grey", linewidth=0.5)
+    axes.set(xlabel="processor time, most accurate value = 1", ylabel=title)
+    axes.legend(fontsize="x-small")
+
+
+def draw_front(axes: Any, points: Sequence[FrontPoint], choice: CheckedChoice | None) -> None:
+    """Draw the settings that were combined, those that no others beat, and the ones that were chosen."""
+    best = sorted((point for point in points if point.is_best), key=lambda point: point.milliseconds)
+    axes.scatter([p.milliseconds for p in points], [p.error for p in points], s=14, color="#999", label="tried")
+    axes.plot([p.milliseconds for p in best], [p.error for p in best], marker="o", markersize=4, label="front")
+    if choice is not None:
+        place = choice.point.milliseconds, choice.point.error
+        axes.scatter(*place, s=110, facecolors="none", edgecolors="red", label="chosen")
+    axes.set(xlabel="milliseconds a frame", ylabel="mean error in the worst view, levels")
+    axes.legend(fontsize="x-small")
+
+
+def plot_all(
+    path: Path, title: str, reports: Sequence[KnobReport], points: Sequence[FrontPoint], choice: CheckedChoice | None
+) -> None:
+    """Write one image with all charts."""
+    groups = list_groups(reports)
+    count = len(groups) + bool(points)
+    columns = min(count, 3)
+    rows = -(-count // columns)
+    with draw_chart(path, title) as figure:
+        figure.set_size_inches(5.0 * columns, 3.8 * rows)
+        places = list(figure.subplots(rows, columns, squeeze=False).flat)
+        for axes, (name, some) in zip(places, groups.items(), strict=False):
+            draw_group(axes, some, GROUPS[name])
+        if points:
+            draw_front(places[len(groups)], points, choice)
+        for axes in places[count:]:
+            axes.set_axis_off()
+
+
+def write_images(
+    folder: Path, reports: Sequence[KnobReport], points: Sequence[FrontPoint], choice: CheckedChoice | None
+) -> list[Path]:
+    """Write each chart, and of each knob the worst place of its least accurate value; return the charts."""
+    folder.mkdir(parents=True, exist_ok=True)
+    charts = []
+    for name, some in list_groups(reports).items():
+        charts.append(folder / f"{name}.png")
+        with draw_chart(charts[-1]) as figure:
+            figure.set_size_inches(8, 4.5)
+            draw_group(figure.subplots(), some, GROUPS[name])
+    if points:
+        charts.append(folder / "front.png")
+        with draw_chart(charts[-1]) as figure:
+            figure.set_size_inches(8, 4.5)
+            draw_front(figure.subplots(), points, choice)
+    for report in reports:
+        value = next((row.value for row in report.rows if row.value in report.pictures), None)
+        if value is not None:
+            image = Image.open(BytesIO(b64decode(report.pictures[value])))
+            size = image.width * _ENLARGED, image.height * _ENLARGED
+            image.resize(size, Image.Resampling.NEAREST).save(folder / f"worst-{report.knob}.png", optimize=True)
+    return charts
+
+
+def write_page(
+    path: Path,
+    situation: Situation,
+    reports: Sequence[KnobReport],
+    points: Sequence[FrontPoint],
+    choice: CheckedChoice | None,
+    charts: Sequence[Path],
+) -> None:
+    """Write one page that needs no other file."""
+    width, height = situation.size
+    device = next((report.device for report in reports), "")
+    parts = [
+        "<!doctype html><html lang='en'><meta charset='utf-8'><title>What accuracy costs</title>",
+        f"<style>{_STYLE}</style>",
+        "<h1>What accuracy costs</h1>",
+        f"<p>{escape(situation.scene)}, {width} × {height}, {escape(str(situation.backend))}: {escape(device)}. "
+        f"{situation.views} views compared, {situation.rounds} frames timed. Ratios are to the most accurate value of "
+        "a knob, with 95 % confidence intervals. Shaded rows are defaults.</p>",
+    ]
+    if choice is not None:
+        values = ", ".join(f"{name} {value}" for name, value in choice.point.values.items())
+        parts.append(
+            f"<h2>Chosen</h2><p>{escape(values)}: {choice.point.milliseconds:.1f} ms, "
+            f"{choice.point.ratio:.2f} of the most accurate settings' time, mean error {choice.point.error:.2f} levels "
+            f"in the worst view, {choice.error:.2f} in {choice.views} others.</p>"
+        )
+    for chart in charts:
+        parts.append(f"<p><img class='chart' alt='{chart.stem}' src='{_embed(chart.read_bytes())}'></p>")
+    parts.append(_show_table(reports))
+    parts.append("<h2>The worst places</h2><p>The truth, the value's picture, and four times their difference.</p>")
+    for report in reports:
+        for row in report.rows:
+            if row.value in report.pictures:
+                parts.append(_show_picture(row, report.pictures[row.value]))
+    left_out = [(one.knob, value, lack) for one in reports for value, lack in one.left_out.items()]
+    if left_out:
+        lines = "".join(f"<li>{escape(knob)} {escape(value)}: {escape(lack)}</li>" for knob, value, lack in left_out)
+        parts.append(f"<h2>Left out</h2><ul>{lines}</ul>")
+    path.write_text("\n".join(parts))
+
+
+def _embed(png: bytes) -> str:
+    return f"data:image/png;base64,{b64encode(png).decode()}"
+
+
+def _show_table(reports: Sequence[KnobReport]) -> str:
+    titles = ("knob", "value", "mean error", "max error", "unit", "ms", "ratio", "processor ratio", "judged by", "why")
+    lines = ["<h2>Knobs</h2><table><tr>", *(f"<th>{title}</th>" for title in titles), "</tr>"]
+    for report in reports:
+        knob = KNOBS[report.knob]
+        for number, row in enumerate(report.rows):
+            kind = " ".join(["knob"] * (number == 0) + ["default"] * row.is_default)
+            cells = (
+                row.knob if number == 0 else "", row.value, f"{row.mean_error:.4g}", f"{row.max_error:.4g}", row.unit,
+                f"{row.milliseconds:.3g}", f"{row.ratio:.2f} ({row.low:.2f} to {row.high:.2f})",
+                f"{row.processor_ratio:.2f} ({row.processor_low:.2f} to {row.processor_high:.2f})",
+                knob.truth.name if number == 0 else "",
+                "; ".join(filter(None, (knob.because, knob.exception))) if number == 0 else "",
+            )  # fmt: skip
+            lines.append(f"<tr class='{kind}'>{''.join(f'<td>{escape(cell)}</td>' for cell in cells)}</tr>")
+    return "".join([*lines, "</table>"])
+
+
+def _show_picture(row: ValueRow, picture: str) -> str:
+    assert row.worst is not None
+    frame, x, y = row.worst
+    caption = f"{row.knob}, {row.value}: {row.max_error:.3g} levels at ({x}, {y}) of frame {frame}"
+    return (
+        f"<figure><img alt='{escape(caption)}' src='data:image/png;base64,{picture}'>"
+        f"<figcaption>{escape(caption)}</figcaption></figure>"
+    )

@@ -1,0 +1,185 @@
+"""Settings that are chosen: steps along the knobs, the front, the check, and the files that keep them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import rhi
+from renderer.accuracy import FrontPoint, KnobReport, Situation, SweepJob, ValueRow, choose, run_jobs
+from renderer.accuracy.choice import find_choices, find_truth, list_held_out, list_steps, mark_best
+from renderer.accuracy.jobs import load_report, save_report
+from renderer.accuracy.sweep import list_views
+from renderer.cli import main
+from renderer.cli.executors import SerialExecutor, make_executor
+from renderer.content import load_scene
+from renderer.settings import RenderSettings
+from renderer.shadows import ShadowFilter
+from tests.renderer.conftest import open_device
+
+SITUATION = Situation("city:blocks=2,shadows=1", backend="gl", size=(48, 28), views=2, rounds=2)
+
+
+def report_of(knob: str, *rows: tuple[str, float, float]) -> KnobReport:
+    """Make a report of values with a mean error and a time."""
+    made = [
+        ValueRow(knob, value, False, "levels", 2.0 * error, error, None, 1.0, time, time, time, 1.0, time, time, time)
+        for value, error, time in rows
+    ]
+    return KnobReport(knob, "gl", "a device", tuple(made))
+
+
+def point_of(error: float, milliseconds: float) -> FrontPoint:
+    return FrontPoint({}, RenderSettings(), error, error, milliseconds, 1.0, 1.0, 1.0)
+
+
+def test_each_step_saves_the_most_time_for_its_error() -> None:
+    reports = {
+        "shadow_size": report_of("shadow_size", ("512", 4.0, 0.4), ("1024", 1.0, 0.5), ("2048", 0.0, 1.0)),
+        "fxaa": report_of("fxaa", ("off", 3.0, 0.9), ("on", 2.0, 1.0)),
+        "precision": report_of("precision", ("fast", 0.5, 1.1), ("exact", 0.0, 1.0)),  # not faster: never taken
+    }
+    steps = list_steps(reports)
+    chosen = [(one["shadow_size"], one["fxaa"], one["precision"]) for one in steps]
+    assert chosen == [
+        ("2048", "on", "exact"),
+        ("1024", "on", "exact"),
+        ("1024", "off", "exact"),
+        ("512", "off", "exact"),
+    ]
+
+
+def test_the_front_is_what_nothing_beats() -> None:
+    found = ((0.0, 9.0), (1.0, 9.5), (1.0, 5.0), (2.0, 5.0), (3.0, 1.0))
+    points = mark_best([point_of(error, milliseconds) for error, milliseconds in found])
+    assert [point.is_best for point in points] == [True, False, True, False, True]
+
+
+def test_only_knobs_that_change_a_picture_of_the_scene_are_combined() -> None:
+    names = ("precision", "shadow_size", "inferred_scale", "second_eye", "query_batch", "normal_bits")
+    reports = [report_of(name, ("a", 1.0, 1.0)) for name in names]
+    lit, dark = load_scene("city:blocks=2,shadows=1"), load_scene("city:blocks=2")
+    assert set(find_choices(lit, RenderSettings(), reports)) == {"precision", "shadow_size"}
+    assert set(find_choices(dark, RenderSettings(), reports)) == {"precision"}
+    inferred = RenderSettings().change("technique.name", "inferred")
+    assert set(find_choices(dark, inferred, reports)) == {"inferred_scale"}
+
+
+def test_the_common_truth_has_what_each_truth_asks_for() -> None:
+    truth, scale = find_truth(RenderSettings(), ["precision", "samples", "shadow_filter"])
+    assert scale == 4
+    assert (truth.shadows.cascade_size, truth.shadows.filter) == (2048, ShadowFilter.SMOOTH)
+    assert (truth.precision.value, truth.technique.samples) == ("exact", 1)
+
+
+def test_held_out_views_are_others() -> None:
+    scene = load_scene("city:blocks=2")
+    known = {frame.number for frame in list_views(scene, SITUATION)}
+    others = [frame.number for frame in list_held_out(scene, SITUATION, 20)]
+    assert len(set(others)) == 20
+    assert known.isdisjoint(others)
+
+
+def test_a_bound_that_no_settings_keep_is_refused() -> None:
+    points = mark_best([point_of(1.0, 9.0), point_of(2.0, 5.0)])
+    with pytest.raises(rhi.ValidationError, match=r"5 ms.*1 levels"):
+        choose(SITUATION, points, budget_ms=4.0)
+    with pytest.raises(rhi.ValidationError, match="accuracy-out-of-reach"):
+        choose(SITUATION, points, error_at_most=0.5)
+
+
+class CrashingExecutor(SerialExecutor):
+    """Runs a number of jobs, and then ends as a process does that is killed."""
+
+    def __init__(self, count: int, ran: list[str]) -> None:
+        self.count, self.ran = count, ran
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        if len(self.ran) == self.count:
+            raise KeyboardInterrupt
+        self.ran.append(args[0].knob)
+        return super().submit(lambda job: report_of(job.knob, ("a", 1.0, 1.0)), *args)
+
+
+def test_a_sweep_goes_on_where_it_was_interrupted(tmp_path: Path) -> None:
+    jobs = [SweepJob(SITUATION, name) for name in ("fxaa", "samples", "precision")]
+    first, second, third = list[str](), list[str](), list[str]()
+    with pytest.raises(KeyboardInterrupt):
+        run_jobs(jobs, CrashingExecutor(2, first), tmp_path)
+    reports = run_jobs(jobs, CrashingExecutor(9, second), tmp_path)
+    assert (first, second) == (["fxaa", "samples"], ["precision"])
+    assert [report.knob for report in reports] == ["fxaa", "samples", "precision"]
+    damaged = tmp_path / f"{jobs[1].key}.json"
+    damaged.write_text(damaged.read_text()[:-9])
+    run_jobs(jobs, CrashingExecutor(9, third), tmp_path)
+    assert third == ["samples"]
+    assert sorted(path.suffix for path in tmp_path.iterdir()) == [".json"] * 3
+
+
+def test_a_job_is_named_by_what_its_result_depends_on() -> None:
+    job = SweepJob(SITUATION, "fxaa")
+    assert job.key == SweepJob(replace(SITUATION), "fxaa").key
+    others = [
+        SweepJob(SITUATION, "samples"),
+        SweepJob(replace(SITUATION, rounds=3), "fxaa"),
+        SweepJob(replace(SITUATION, settings=RenderSettings().change("shadows.cascades", 2)), "fxaa"),
+    ]
+    assert len({job.key, *(one.key for one in others)}) == 4
+
+
+def test_a_job_that_fails_leaves_the_results_of_others(tmp_path: Path) -> None:
+    jobs = [SweepJob(replace(SITUATION, scene="nothing"), "fxaa"), SweepJob(SITUATION, "blending")]
+    with open_device("gl"), make_executor("threads:1") as executor, pytest.raises(rhi.ValidationError, match="scene"):
+        run_jobs(jobs, executor, tmp_path)
+    assert [path.stem for path in tmp_path.iterdir()] == [jobs[1].key]
+
+
+def test_a_report_is_read_as_it_was_written(tmp_path: Path) -> None:
+    report = report_of("fxaa", ("off", 1.0, 0.5), ("on", 0.5, 1.0))
+    save_report(tmp_path / "r.json", report)
+    assert load_report(tmp_path / "r.json") == report
+    assert load_report(tmp_path / "other.json") is None
+
+
+def test_the_command_writes_a_page_and_settings_that_render_reads(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with open_device("gl"):
+        pass
+    monkeypatch.chdir(tmp_path)
+    scene = ["city:blocks=2", "--backend", "gl", "--size", "48x28"]
+    sweep = ["accuracy", *scene, "--views", "2", "--rounds", "2", "--knob", "precision", "--knob", "fxaa"]
+    sweep += ["--output", "out", "--plot", "charts.png", "--json"]
+    assert main([*sweep, "--error-at-most", "200"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert [knob["knob"] for knob in found["knobs"]] == ["precision", "fxaa"]
+    assert found["chosen"]["checked_error"] <= 200.0
+    assert found["chosen"]["milliseconds"] == min(point["milliseconds"] for point in found["front"])
+    page = (tmp_path / "out/report.html").read_text()
+    assert page.count("data:image/png;base64,") >= 4  # two charts, and the worst places of two knobs
+    assert 'src="http' not in page
+    assert (tmp_path / "charts.png").stat().st_size > 1000
+    assert (tmp_path / "out/images/pictures.png").is_file()
+    settings = RenderSettings.load(tmp_path / "out/settings.json")
+    assert settings.technique.fxaa is (found["chosen"]["values"]["fxaa"] == "on")
+    render = ["render", *scene, "--settings", "out/settings.json", "--output", "a.png", "--json"]
+    assert main(render) == 0
+    assert json.loads(capsys.readouterr().out)["technique"] == "forward"
+    assert main([*render, "--technique", "deferred"]) == 0  # an argument counts more than the file
+    assert json.loads(capsys.readouterr().out)["technique"] == "deferred"
+    with pytest.raises(SystemExit):
+        main([*sweep, "--budget-ms", "1e-3"])
+    assert "accuracy-out-of-reach" in capsys.readouterr().err
+
+
+def test_bounds_are_numbers_above_0(capsys: pytest.CaptureFixture[str]) -> None:
+    for text in ("0", "-1", "nan", "inf", "much"):
+        with pytest.raises(SystemExit):
+            main(["accuracy", "city", "--budget-ms", text])
+        assert "is not a number above 0" in capsys.readouterr().err

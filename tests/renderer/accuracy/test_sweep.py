@@ -1,0 +1,127 @@
+"""The sweep of a knob: what is compared, what is timed, and what is left out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from renderer.accuracy import KNOBS, Situation, sweep_knob
+from renderer.accuracy.sweep import count_reached, crop_worst, list_views, prepare_scene, shrink_picture
+from renderer.content import load_scene
+from renderer.measure.alternate import Measurement, find_interval
+from renderer.scene import Camera
+from tests.renderer.conftest import open_device
+
+TINY = Situation("city:blocks=2", backend="gl", size=(48, 28), views=2, rounds=2)
+
+
+@pytest.fixture(autouse=True)
+def needs_gl() -> None:
+    with open_device("gl"):
+        pass
+
+
+def test_errors_fall_and_times_are_ratios_to_the_most_accurate_value() -> None:
+    report = sweep_knob(replace(TINY, scene="city:blocks=4"), "shadow_bias")
+    none, half, all_ = report.rows
+    assert none.mean_error > half.mean_error > all_.mean_error
+    assert none.max_error >= 1.0
+    assert none.worst is not None
+    assert none.worst[0] in (449, 899, 1349, 599, 1199)
+    assert "0.0" in report.pictures
+    assert (all_.ratio, all_.low, all_.high) == (1.0, 1.0, 1.0)
+    assert none.low <= none.ratio <= none.high
+    assert [row.is_default for row in report.rows] == [False, False, True]
+    assert report.truth_ratio is not None
+
+
+def test_depth_is_judged_by_the_distances_of_surfaces() -> None:
+    standard, reverse = sweep_knob(TINY, "depth").rows
+    assert standard.mean_error > 10.0 * reverse.mean_error > 0.0
+    assert reverse.max_error < 50.0  # millionths
+
+
+def test_values_that_the_device_lacks_are_left_out_by_name() -> None:
+    report = sweep_knob(TINY, "samples")
+    assert [row.value for row in report.rows] == ["1", "4"]
+    assert report.left_out == {value: f"the device has no {value} samples a pixel" for value in ("2", "8")}
+    assert report.rows[0].mean_error > report.rows[1].mean_error
+
+
+def test_a_knob_that_the_scene_has_no_use_for_has_no_rows() -> None:
+    report = sweep_knob(TINY, "blending")
+    assert report.rows == ()
+    assert set(report.left_out.values()) == {"the scene lacks a transparent object"}
+
+
+def test_encodings_are_measured_without_a_frame() -> None:
+    rough, fine = sweep_knob(TINY, "tangent_packing").rows
+    assert rough.max_error > fine.max_error > 0.0
+    assert fine.worst is None
+
+
+def test_shadows_are_switched_on_for_their_knobs_only() -> None:
+    scene = load_scene("city:blocks=2")
+    assert prepare_scene(scene, KNOBS["fxaa"]) is None
+    assert not scene.lights.point["casts_shadow"].any()
+    assert prepare_scene(scene, KNOBS["shadow_size"]) is None
+    assert scene.lights.point["casts_shadow"].all()
+
+
+def test_views_are_spread_or_follow_each_other() -> None:
+    scene = load_scene("city:blocks=2")
+    spread = [one.number for one in list_views(scene, replace(TINY, views=3))]
+    assert spread == sorted(spread)
+    assert min(np.diff(spread)) > 100
+    near = [one.number for one in list_views(scene, TINY, consecutive=True, count=5)]
+    assert np.diff(near).tolist() == [1] * 4
+    part = [one.number for one in list_views(scene, replace(TINY, first=100, last=110))]
+    assert all(100 < number < 110 for number in part)
+    assert [one.number for one in list_views(scene, replace(TINY, camera="street"))] == [0]
+
+
+def test_the_mean_of_samples_is_one_of_light() -> None:
+    picture = np.zeros((2, 2, 3))
+    picture[0] = 255.0
+    assert np.allclose(shrink_picture(picture, 2), 187.5, atol=0.5)  # half the light, not 127.5
+    assert shrink_picture(picture, 1) is picture
+
+
+def test_lights_that_reach_a_point_are_counted_by_range_and_cone() -> None:
+    scene = load_scene("hall")
+    spot = scene.lights.spot[0]
+    away = 0.5 * float(spot["range"])
+    camera = Camera.look_at(spot["position"], spot["position"] + spot["direction"])
+    before, behind = away * np.asarray(spot["direction"], np.float64), -away * np.asarray(spot["direction"], np.float64)
+    only = type("Lights", (), {"point": scene.lights.point[:0], "spot": scene.lights.spot[:1]})
+    stage = type("Stage", (), {"lights": only})
+    counts = [count_reached(stage, camera, place[None]) for place in (before, behind, 3.0 * before)]  # type: ignore[arg-type]
+    assert counts == [1, 0, 0]
+
+
+def test_a_picture_of_the_worst_place_has_three_parts() -> None:
+    import io
+    from base64 import b64decode
+
+    from PIL import Image
+
+    true, shown = np.zeros((200, 300, 3)), np.zeros((200, 300, 3))
+    shown[199, 299] = 60.0
+    pixels = np.asarray(Image.open(io.BytesIO(b64decode(crop_worst(true, shown, 299, 199)))))
+    height, width = pixels.shape[0], pixels.shape[1] // 3
+    assert (pixels[-1, 2 * width - 1] == 60).all()
+    assert (pixels[-1, 3 * width - 1] == 240).all()
+    assert not pixels[: height - 1].any()
+
+
+def test_an_interval_holds_the_median_and_narrows_with_more_samples() -> None:
+    few, many = np.random.default_rng(1).normal(1.0, 0.1, 8), np.random.default_rng(2).normal(1.0, 0.1, 400)
+    (low, high), (lower, higher) = find_interval(few), find_interval(many)
+    assert low <= float(np.median(few)) <= high
+    assert higher - lower < 0.5 * (high - low)
+    assert find_interval([2.0] * 5) == (2.0, 2.0)
+    one, other = Measurement("a", (2.0, 4.0), (1.0, 1.0)), Measurement("b", (1.0, 1.0), (1.0, 2.0))
+    assert one.ratio_interval(other) == (2.0, 4.0)
+    assert one.processor_ratio_interval(other) == (0.5, 1.0)
