@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from rhi import Capabilities, Device
@@ -36,6 +37,11 @@ class Found:
     numbers: Mapping[str, object] = field(default_factory=dict)
     holds: Mapping[str, bool] = field(default_factory=dict)
     pictures: Callable[[], Mapping[str, Picture]] = dict
+
+
+def find_largest(*errors: float) -> float:
+    """Return the largest error, NaN if one is NaN: where `max` would pass over it."""
+    return float(np.max(errors))
 
 
 @dataclass(frozen=True, slots=True)

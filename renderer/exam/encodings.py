@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.exam.case import Case, Found
+from renderer.exam.case import Case, Found, find_largest
 from renderer.measure.encodings import (
     GROUP,
     StoredValue,
@@ -155,7 +155,7 @@ def judge_normals(read: Floats) -> Found:
         title: float(find_degrees(given, one).max()) for title, one in zip(bounds, stored, strict=True)
     }
     numbers = {f"{title}, of {bounds[title]}°": f"{angle:.4f}°" for title, angle in angles.items()}
-    return Found(max(angles[title] / bounds[title] for title in bounds), dict(numbers))
+    return Found(find_largest(*(angles[title] / bounds[title] for title in bounds)), dict(numbers))
 
 
 def judge_axes(read: Floats) -> Found:
@@ -163,7 +163,7 @@ def judge_axes(read: Floats) -> Found:
     given = list_values()[:_FRAMES, :3]
     axes = np.abs(given).max(1) == 1.0
     stored = (read[:_FRAMES, 0, :3], read[:_FRAMES, 1, :3], read[:_FRAMES, 1, 4:7], read[:_FRAMES, 2, :3])
-    error = max(float(np.abs(one[axes] - given[axes]).max()) for one in stored)
+    error = find_largest(*(float(np.abs(one[axes] - given[axes]).max()) for one in stored))
     up = np.array([0.0, 0.0, 1.0], np.float32)
     x, y, _ = evaluate(decode_octahedral_truncated, evaluate(encode_octahedral_truncated, up, 255.0), 255.0)
     holds = {"numbers without a middle miss the axis": bool(x == y and abs(x + 0.0039) < 1e-4)}
@@ -175,7 +175,7 @@ def judge_changes(read: Floats) -> Found:
     must be what they should."""
     changes = read[_FRAMES : _FRAMES + len(CHANGES), 2, 4:8]
     rounded = (find_vector_errors(CHANGES[8:, part], changes[8:, part]) for part in (slice(2), slice(2, 4)))
-    error = max(float(one.max()) for one in rounded)
+    error = find_largest(*(float(one.max()) for one in rounded))
     holds = {
         "length 0, and what rounds to it, is 0": not changes[:2].any(),
         "what is too long keeps its direction": bool((changes[2:4] == CLAMPED).all()),
@@ -193,7 +193,7 @@ def judge_tangents(read: Floats) -> Found:
     bitangents = np.cross(given[:, :3], given[:, 4:7]) * given[:, 7:]
     aside = float(find_degrees(bitangents, frames[:, 3, 4:7]).max())
     holds = {"sides are exact": bool((frames[:, 0, 7] == given[:, 7]).all())}
-    return Found(max(tangents, aside), {"tangents": f"{tangents:.3f}°", "bitangents": f"{aside:.3f}°"}, holds)
+    return Found(find_largest(tangents, aside), {"tangents": f"{tangents:.3f}°", "bitangents": f"{aside:.3f}°"}, holds)
 
 
 def judge_places(read: Floats) -> Found:

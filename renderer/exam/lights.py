@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.exam.case import Case, Found
+from renderer.exam.case import Case, Found, find_largest
 from renderer.exam.cell_pairs import LENSES, Pairs, find_corners, make_pairs, make_test_grid
 from renderer.exam.cone_pairs import ANGLES, make_cone_pairs, run_cone_tests
 from renderer.exam.sphere_pairs import SpherePair, pack_pairs, run_sphere_tests
@@ -283,9 +283,9 @@ def find_far_depths(device: Device) -> Found:
             grid = make_grid(Perspective(far=far, depth=depth), (8, 8), 8, reach=80.0)
             questions = ask(2, depth=(grid.background, 1.0 - grid.background))
             (_, farthest), (nearest, _) = ask_cells(device, grid, questions)["distances"].tolist()
-            off = max(abs(farthest - 80.0) / 80.0, abs(nearest - 0.1) / 0.1)
+            off = find_largest(abs(farthest - 80.0) / 80.0, abs(nearest - 0.1) / 0.1)
             wrong[f"{depth.value}, far plane at {far:g} m"] = f"{nearest:.6g} to {farthest:.6g} m"
-            error = max(error, off) if np.isfinite(off) else np.inf
+            error = find_largest(error, off) if np.isfinite(off) else np.inf
     return Found(error, wrong)
 
 

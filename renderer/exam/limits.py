@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from renderer.content import load_scene
 from renderer.content.shapes import box
-from renderer.exam.case import Case, Found
+from renderer.exam.case import Case, Found, find_largest
 from renderer.exam.places import make_pillars
 from renderer.exam.scenes import Uncut, along, make_city
 from renderer.renderer import Renderer
@@ -82,9 +82,9 @@ def wave_for_years(_: Device) -> Found:
         motion.set_time(members, exact / 2.4)
         off = float((np.abs(angle - motion.angle) / swing).max())
         single = float(np.float32(2.4) * np.float32(seconds))
-        worst = max(worst, abs(float(np.sin(single)) - float(np.sin(exact))))
+        worst = find_largest(worst, abs(float(np.sin(single)) - float(np.sin(exact))))
         numbers[f"after {seconds:,.2f} s"] = off
-        error = max(error, off)
+        error = find_largest(error, off)
     holds = {"in float32 the phase is lost": worst > 0.1}
     return Found(error, numbers, holds)
 
@@ -144,7 +144,7 @@ def draw_a_pixel(device: Device) -> Found:
         off = float(np.abs(shown["forward"] - shown["deferred"])[..., :3].max())
         lit += int(shown["forward"][..., :3].max() > 20)
         numbers[f"{size[0]} × {size[1]}"] = shown["forward"].reshape(-1, 4)[0].tolist()
-        total = max(total, off)
+        total = find_largest(total, off)
     return Found(total, numbers, {"there is something to see": lit == 2})
 
 

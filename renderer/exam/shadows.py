@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.content import BUILT_IN
-from renderer.exam.case import Case, Found, Picture
+from renderer.exam.case import Case, Found, Picture, find_largest
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Perspective, Scene, SceneBuilder, scaling, translation
 from renderer.scene.arrays import Floats
@@ -87,9 +87,9 @@ def light_along_up(_: Device) -> Found:
         for one in _fit(_look_ahead(np.zeros(3)), np.array(direction, float), ShadowSettings()):
             axes = one.camera.rotation
             along = one.camera.forward - np.array(direction) / np.linalg.norm(direction)
-            off = max(off, float(np.abs(axes @ axes.T - np.eye(3)).max()), float(np.abs(along).max()))
+            off = find_largest(off, float(np.abs(axes @ axes.T - np.eye(3)).max()), float(np.abs(along).max()))
         numbers[str(direction)] = off
-        error = max(error, off)
+        error = find_largest(error, off)
     return Found(error, numbers)
 
 
@@ -107,7 +107,7 @@ def move_below_a_texel(_: Device) -> Found:
         off = float(np.abs(moved / texel - np.round(moved / texel)).max())
         steps = len({one.camera.position.tobytes() for one in found})
         numbers[f"at {place:g} m"] = f"{off:.2g} of a texel of {1e3 * texel:.2f} mm, {steps} maps"
-        error = max(error, off)
+        error = find_largest(error, off)
         holds[f"at {place:g} m a map moves with every texel, and only then"] = 3 <= steps <= 4
     return Found(error, numbers, holds)
 

@@ -9,8 +9,8 @@ import pytest
 import rhi
 from renderer.exam import CASES, examine
 
-BUSY = {("cl", 48)}
-"""Cases that take a backend many seconds: the kernels of 22 scenes with shadows."""
+BUSY = {("cl", 48), ("cl", 63)}
+"""Cases that take a backend many seconds, for the kernels of shadows and of culling at other sizes."""
 
 
 def list_exams() -> list[object]:

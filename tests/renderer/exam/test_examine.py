@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -76,6 +77,15 @@ def test_long_cases_are_left_out_unless_they_are_asked_for() -> None:
     assert not any(case.is_long for case in find_cases([]))
     assert [case.number for case in find_cases(named, are_long=False)] == named or not named
     assert len(find_cases([], are_long=True)) == len(CASES)
+
+
+def test_a_port_is_examined_in_what_it_declares(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The port of the examples, which computes on NumPy and doesn't draw, is named by its function."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[3] / "examples" / "numpy_backend"))
+    with rhi.create_device("rhi_numpy:create_backend") as port:
+        rows = {row.case: row for row in examine(port, find_cases([27, 31, 32, 36, 41, 42]))}
+    assert [number for number, row in rows.items() if not row.passed] == [42]
+    assert (rows[42].passed, rows[42].remark) == (None, "needs renders")
 
 
 def test_an_unknown_case_is_refused() -> None:
