@@ -27,7 +27,7 @@ def create_backend(*, validation: bool = False) -> Any:
         for name in step.methods:
             if name != "capabilities":
                 members[name] = staticmethod(getattr(whole, name) if number <= written else _missing(name))
-    for name in ("resume", "make_current", "release_current"):  # GL contexts need them to move between threads
+    for name in ("resume", "make_current", "release_current", "hand_back"):  # of what holds a context of GL
         members[name] = staticmethod(getattr(whole, name))
     return type("PartialBackend", (), members)()
 

@@ -170,6 +170,8 @@ def _restore(
     """Return a material's values with those that glTF can't say in place of their likeness."""
     restored = dict(values)
     if "emission" in held:
+        if "shininess" not in held:
+            held.refuse("shininess", None, "a number beside emission, which only the specular model has")
         restored["emission"] = held.real("emission", low=0.0, high=_STRONGEST)
         restored["emissive"] = tuple(_colors(held, "emissive", 3, high=_STRONGEST).tolist())
         if not held.flag("has_emissive_texture", True):

@@ -282,6 +282,13 @@ def load_with_damages(folder, case):
     load_damaged(folder, pack(values, document))
 
 
+@pytest.mark.parametrize("document", [one for one in DOCUMENTS if "shininess" in repr(one.values)])
+def test_a_specular_material_without_its_exponent_is_refused_by_the_file(tmp_path, document):
+    for row, material in enumerate(document.values["materials"]):
+        if "shininess" in repr(material):
+            load_with_damages(tmp_path, (document, [(("materials", row, "extras", "rhi", "shininess"), None)]))
+
+
 @settings(QUICK, max_examples=200)
 @given(case=DAMAGES)
 def test_a_damaged_document_is_read_or_refused(tmp_path, case):
