@@ -189,7 +189,7 @@ KNOBS: Final[dict[str, Knob]] = {
             SUPER_SAMPLED,
             "it also blurs what isn't an edge",
             _FORWARD,
-            exception="edges are nearer to the truth, but texels that are as bright as an edge are blurred",
+            exception="edges come nearer to the truth, and texels as bright as an edge go away from it",
         ),
         Knob(
             "texture_filter",
