@@ -1,8 +1,9 @@
 """Point and spot lights on a device, with positions relative to each eye of a frame.
 
-Positions are uploaded once for all eyes, as pairs of floats, and only when lights change. A kernel subtracts each eye's
-from them, when it has moved: so neither a camera that walks nor a second eye uploads lights. Shaders of light read what
-the kernel has written. A device that can't run it is given relative positions by the CPU.
+One eye is given relative positions by the CPU, whenever it has moved. For two eyes positions are uploaded once, as
+pairs of floats, and only when lights change; a kernel subtracts each eye's from them, and shaders of light read what it
+has written. For one eye a kernel would save an upload, but llvmpipe waits with it for the frame before, so the CPU could
+no longer record a frame while the last one is drawn. A device without kernels is given relative positions for both.
 """
 
 from __future__ import annotations
@@ -109,7 +110,7 @@ class Lamps:
 
     def __init__(self, device: Device) -> None:
         self._device = device
-        self._runs = device.capabilities.compute
+        self._runs = False  # whether kernels place the lights
         self._kinds = (
             _Kind(device, PointLight, PlacePoints, "point lights"),
             _Kind(device, SpotLight, PlaceSpots, "spot lights"),
@@ -140,8 +141,10 @@ class Lamps:
             some if is_needed else some[:0]
             for some, is_needed in zip((lights.point, lights.spot), reaching, strict=True)
         )
-        state = tuple(some.tobytes() for some in kinds)
+        runs = self._device.capabilities.compute and len(eyes) > 1
+        state = runs, *(some.tobytes() for some in kinds)
         if state != self._state:
+            self._runs = runs
             self._pack(lights, kinds)
             self._state = state
             self._version += 1

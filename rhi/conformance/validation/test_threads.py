@@ -202,8 +202,8 @@ SAFE = {
 when it is used. (A member that isn't documented for users, such as `bind_uniform`, belongs to the front end.)"""
 
 INNER = {
-    "Program": "bind bind_current check check_can_dispatch check_can_draw check_instances check_names "
-    "draw_unprepared draw_with explain find_vertex_array make_current note_retired prepare_draw",
+    "Program": "bind bind_current build check check_can_dispatch check_can_draw check_instances check_names "
+    "draw_unprepared draw_with exchange explain find_vertex_array make_current note_retired prepare_draw",
     "OcclusionQuery": "abandon check_ended check_usable complete cut_off describe discard_answer find_block finish "
     "mark_submitted write_begin write_end",
     "QuerySet": "check_conditions check_ended check_rows counted discard_answer draw draw_conditional mark_rows_drawn "

@@ -26,7 +26,7 @@ from renderer.scene import (
     translation,
 )
 from renderer.scene.transforms import multiply
-from renderer.shaders import ViewConstants
+from renderer.shaders import PointLight, ViewConstants
 from renderer.stereo import Stereo
 from renderer.techniques import TECHNIQUES, Particles
 from renderer.visibility import (
@@ -232,8 +232,9 @@ def test_the_second_eye_uploads_its_place_and_no_lights(null: rhi.Device) -> Non
                 renderer.stereo = stereo
                 uploads.append([renderer.render(camera).statistics.upload_bytes for camera in path][1:])
         one, two = uploads
-        for_lamps = ExactPlace.uniform_dtype.itemsize if len(scene.lights.point) else 0
-        assert [b - a for a, b in zip(one, two, strict=True)] == [ViewConstants.dtype.itemsize + for_lamps] * 3
+        lamps, view = len(scene.lights.point), ViewConstants.dtype.itemsize
+        assert one == [view + lamps * PointLight.dtype.itemsize] * 3
+        assert two == [2 * (view + (ExactPlace.uniform_dtype.itemsize if lamps else 0))] * 3
 
 
 def test_eyes_that_are_culled_by_queries_are_asked_one_by_one(null: rhi.Device, city: Scene) -> None:

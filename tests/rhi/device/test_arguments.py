@@ -36,8 +36,8 @@ INTERNAL = {
     "Mesh": {"create_vertex_array", "place_draws"},
     "TransientMesh": {"create_vertex_array", "place_draws"},
     "Program": {
-        "check", "check_can_dispatch", "check_can_draw", "check_instances", "check_names", "draw_unprepared", "explain",
-        "find_vertex_array", "prepare_draw",
+        "build", "check", "check_can_dispatch", "check_can_draw", "check_instances", "check_names", "draw_unprepared",
+        "exchange", "explain", "find_vertex_array", "prepare_draw",
     },
     "OcclusionQuery": {"check_ended", "check_usable", "finish", "mark_submitted", "write_begin", "write_end"},
     "QuerySet": {

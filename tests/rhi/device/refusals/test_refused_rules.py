@@ -23,6 +23,7 @@ ELSEWHERE = {
     rules.SHADER_DRIVER: "needs native source, which belongs to one backend",
     rules.TRANSIENT_SIZE: "needs more memory than a test should take",
     rules.QUERY_UNFINISHED: "depends on the device's speed: asserted on where it shows",
+    rules.RELOAD_WATCH: "of files, not of a device: asserted on in tests of reloading",
     rules.NULL_SAMPLES: "a rule of the null device",
     rules.NULL_ANSWER: "a rule of the null device",
 }

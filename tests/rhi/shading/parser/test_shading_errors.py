@@ -491,6 +491,7 @@ TESTED_ELSEWHERE = {
     *("shading-text", "shading-spirv", "shading-language"),
     *("shading-no-source", "shading-native", "shading-struct-value", "shading-device-only"),
     *("shading-index", "shading-different"),  # checked shaders
+    "shading-reload",
 }
 
 
