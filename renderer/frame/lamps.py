@@ -1,9 +1,10 @@
 """Point and spot lights on a device, with positions relative to each eye of a frame.
 
 One eye is given relative positions by the CPU, whenever it has moved. For two eyes positions are uploaded once, as
-pairs of floats, and only when lights change; a kernel subtracts each eye's from them, and shaders of light read what it
-has written. For one eye a kernel would save an upload, but llvmpipe waits with it for the frame before, so the CPU could
-no longer record a frame while the last one is drawn. A device without kernels is given relative positions for both.
+pairs of floats, and only when lights change; a kernel subtracts each eye's from them, and shaders of light read
+what it has written. For one eye a kernel would save an upload, but llvmpipe waits with it for the frame before, so
+the CPU could no longer record a frame while the last one is drawn. A device without kernels is given relative
+positions for both.
 """
 
 from __future__ import annotations
