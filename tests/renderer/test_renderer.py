@@ -61,12 +61,12 @@ def test_a_moved_eye_uploads_the_view_and_nothing_for_objects(null: rhi.Device, 
     with Renderer(null, city, size=(64, 36)) as renderer:
         camera = city.paths["ground"].camera(0)
         renderer.render(camera)
-        assert len(city.lights.point)
-        view = ViewConstants.uniform_dtype.itemsize + 32  # 32 bytes for lamps
+        lights = 32 * len(city.lights.point) + 64 * len(city.lights.spot)
+        view = ViewConstants.uniform_dtype.itemsize
         elsewhere = replace(camera, position=camera.position + np.array([1.0, 2.0, 3.0]))
         moved = renderer.render(elsewhere).statistics
     draws = -(-moved.draws // 32) * 32  # the rest are of nothing
-    assert moved.upload_bytes == view + draws * rhi.DRAW.itemsize
+    assert moved.upload_bytes == view + lights + draws * rhi.DRAW.itemsize
 
 
 def test_moving_objects_are_uploaded_and_the_others_are_not(null: rhi.Device) -> None:
