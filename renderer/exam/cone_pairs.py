@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.exam.cell_pairs import LENSES, choose_cells, find_corners, make_test_grid
+from renderer.exam.pair_tests import GROUP, run_tests
 from renderer.lights.culling.cells import Cell, CellGrid, block_cell, padded_radius
 from renderer.lights.culling.cone_tests import (
     Cone,
@@ -29,7 +30,6 @@ from rhi.shading import Shader, Storage, StorageRW, Struct, Uniform, evaluate, g
 __rhi_internal__ = True
 
 COUNT: Final = 3_000
-GROUP: Final = 64
 _NEXT: Final = (-1e-5, 0.0, 1e-5)
 ANGLES: Final[Floats] = np.radians(
     [0.1, 5.0, 30.0, *(45.0 + e for e in _NEXT), 70.0, *(90.0 + e for e in _NEXT), 120.0, 180.0]
@@ -170,10 +170,4 @@ def run_cone_tests(device: Device, pairs: ConePairs) -> dict[str, NDArray[np.boo
     for name, values in pairs.cones.items():
         rows["cone"][name] = values
     rows["tile"], rows["near"], rows["far"] = pairs.tiles, pairs.near, pairs.far
-    buffers = (device.uniform(pairs.grid), device.storage(ConePair, rows), device.storage(uint, len(rows)))
-    grid, given, kept = buffers
-    device.dispatch(device.program(RunConeTests), -(-len(rows) // GROUP), grid=grid, pairs=given, kept=kept)
-    bits = kept.read()
-    for buffer in buffers:
-        buffer.destroy()
-    return {name: (bits >> index & 1).astype(bool) for index, name in enumerate(CONE_TESTS)}
+    return run_tests(device, RunConeTests, CONE_TESTS, pairs.grid, ConePair, rows)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from renderer.exam.cell_pairs import Pairs
+from renderer.exam.pair_tests import GROUP, run_tests
 from renderer.lights.culling.cells import Cell, CellGrid, block_cell, padded_radius
 from renderer.lights.culling.sphere_tests import (
     overlaps_all_axes,
@@ -30,8 +31,6 @@ from rhi import Device
 from rhi.shading import Shader, Storage, StorageRW, Struct, Uniform, function, global_id, ivec2, uint, vec3
 
 __rhi_internal__ = True
-
-GROUP: Final = 64
 
 
 class SpherePair(Struct):
@@ -86,14 +85,7 @@ class RunSphereTests(Shader):
 
 def run_sphere_tests(device: Device, grid: CellGrid, rows: NDArray[Any]) -> dict[str, NDArray[np.bool_]]:
     """Return what each test keeps of rows (n,) of `SpherePair`."""
-    buffers = (device.uniform(grid), device.storage(SpherePair, rows), device.storage(uint, len(rows)))
-    uniform, pairs, kept = buffers
-    groups = -(-len(rows) // GROUP)
-    device.dispatch(device.program(RunSphereTests), groups, grid=uniform, pairs=pairs, kept=kept)
-    bits = kept.read()
-    for buffer in buffers:
-        buffer.destroy()
-    return {name: (bits >> index & 1).astype(bool) for index, name in enumerate(SPHERE_TESTS)}
+    return run_tests(device, RunSphereTests, SPHERE_TESTS, grid, SpherePair, rows)
 
 
 def pack_pairs(pairs: Pairs) -> NDArray[Any]:

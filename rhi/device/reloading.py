@@ -20,6 +20,7 @@ import logging
 import threading
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from types import ModuleType, TracebackType
 from typing import Any, Final, Self
@@ -89,7 +90,7 @@ class Reloader:
                 refuse(RELOAD_WATCH, call, f"{each!r}, which is no file")
             if isinstance(each, ModuleType):
                 self._texts.setdefault(each.__name__, path.read_text(encoding="utf-8"))
-                self._reloads[path] = lambda path, module=each: self._reload_saved(module, path)  # type: ignore[misc]
+                self._reloads[path] = partial(self._reload_saved, each)
             elif reload is None:
                 refuse(DEVICE_ARGUMENT, call, f"{each!r} without reload=…", "a module, or a file and a function")
             else:
@@ -137,10 +138,10 @@ class Reloader:
                     creations.enter_context(device._core.creation())
                 for table in tables:
                     for shader, program in table.items():
-                        if shader not in known:
+                        if not isinstance(shader, type) or shader not in known:
                             continue
-                        descriptor = compile_shader(shader)  # type: ignore[arg-type]
-                        if not is_same(descriptor, known, shader):  # type: ignore[arg-type]
+                        descriptor = compile_shader(shader)
+                        if not is_same(descriptor, known, shader):
                             built.append((table, shader, program, program.build(descriptor), descriptor))
         except BaseException:
             forget_compiled(edit)
