@@ -5,8 +5,8 @@
 - Ids are compared by the resource that they name (its type, its label or descriptor, and which of several equal
   ones, in the order in which they are first mentioned). So an additional texture at the start doesn't change every
   later command. A program is compared by its name and sources.
-- Parts of streams, such as frames, are compared in the same way: what existed before them has a name as well, and fences
-  are counted from the first that the part signals.
+- Parts of streams, such as frames, are compared in the same way: what existed before them has a name as well, and
+  fences are counted from the first that the part signals.
 - Two commands of the same op at the same place are one change, described by the arguments that differ.
 - Refused calls are compared like commands, by rule and call.
 """
