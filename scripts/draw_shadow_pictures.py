@@ -16,9 +16,10 @@ from renderer.cli.output import write_image
 from renderer.content import BUILT_IN, load_scene
 from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target, TechniquePass
 from renderer.renderer import Renderer
-from renderer.scene import Camera, Perspective, Scene, SceneBuilder, scaling, translation
+from renderer.scene import Camera, Perspective, Scene, SceneBuilder, rotation, scaling, translation
 from renderer.shaders.structs import SurfaceVarying
 from renderer.shadows import ShadowFilter, ShadowSettings
+from renderer.shadows.lamps import NEAR
 from renderer.shadows.receiver import WithSunShadows
 from renderer.techniques import Forward, Technique
 from renderer.techniques.forward import find_forward
@@ -121,17 +122,21 @@ def make_still_life() -> tuple[Scene, Camera]:
         (box, clay, (0.9, 1.5, 0.0), (0.1, 3.0, 0.1)),
         (ring, clay, (-0.6, 0.9, 0.6), (0.9, 0.9, 0.9)),
     ):
-        builder.add_objects(builder.add_node(translation(where) @ scaling(size)), mesh, material)
+        upright = rotation((1, 0, 0), np.pi / 2 if mesh == ring else 0.0)
+        builder.add_objects(builder.add_node(translation(where) @ scaling(size) @ upright), mesh, material)
     builder.lights.add_directional((-0.6, -0.9, -0.5), casts_shadow=True)
     lens = Perspective(fov=0.75, aspect=SMALL[0] / SMALL[1])
-    return builder.build(), Camera.look_at((2.5, 3.2, 6.5), (0.3, 0.8, 0.0), projection=lens)
+    return builder.build(), Camera.look_at((1.9, 2.5, 4.9), (0.4, 0.75, 0.2), projection=lens)
 
 
 def picture_atlas(depths: NDArray[np.float32]) -> Pixels:
     """Return an atlas as it is shown: near is bright, nothing dark."""
-    step = len(depths) // ATLAS_SIDE
-    shades = 0.15 + 0.85 * depths[: step * ATLAS_SIDE : step, : step * ATLAS_SIDE : step]
-    shades[depths[: step * ATLAS_SIDE : step, : step * ATLAS_SIDE : step] == 0.0] = 0.0
+    used = np.argwhere(depths > 0.0).max(0) + 1
+    step = -(-int(used.max()) // ATLAS_SIDE)
+    some = depths[: used[0] : step, : used[1] : step]
+    # Lamps have near planes at NEAR of their range: what is half a range away has a depth of 2 NEAR.
+    lamps = np.minimum(some / (30.0 * NEAR), 1.0)
+    shades = np.where(some < 1000.0 * NEAR, np.sqrt(lamps), 0.15 + 0.85 * some) * (some > 0.0)
     return np.repeat((255.0 * shades + 0.5).astype(np.uint8)[..., None], 3, -1)
 
 
