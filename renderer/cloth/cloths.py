@@ -104,8 +104,8 @@ class Cloths:
     def deform(
         self, device: Device, members: Rows, vertices: StorageBuffer[float], begins: Rows, stride: int
     ) -> None:
-        """Take the steps that are due of `members` (j,) on a device, and write their vertices. What a frame takes is one
-        dispatch.
+        """Take the steps that are due of `members` (j,) on a device, and write their vertices. What a frame takes is
+        one dispatch.
 
         Args:
             vertices: what is drawn. begins: (j,), the number of each member's first vertex in it.
