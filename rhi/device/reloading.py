@@ -133,7 +133,7 @@ class Reloader:
         modules = [
             module
             for name, module in fresh.items()
-            if name.partition(".")[0] not in ("__main__", "rhi") and defines_shaders(module)
+            if name.partition(".")[0] not in ("__main__", "rhi") and _is_of_shaders(module)
         ]
         self.watch(*(module for module in modules if Path(_file_of(module)).is_file()))
 
@@ -163,7 +163,7 @@ class Reloader:
         return self.reloaded != before
 
     def put_back(self, error: Exception) -> bool:
-        """Give the modules that the latest `update` has exchanged the texts that they had; return whether there are any.
+        """Give the modules that the latest `update` has exchanged their texts before; return whether there are any.
 
         For a program that compiles, but with which the next frame can't be drawn: `error`, which is reported as theirs.
 
@@ -285,6 +285,10 @@ class Reloader:
 
 def _of(tables: Iterable[ProgramTable]) -> set[object]:
     return {shader for table in tables for shader, _ in table.items()}
+
+
+def _is_of_shaders(module: object) -> bool:
+    return isinstance(module, ModuleType) and defines_shaders(module)
 
 
 def _file_of(what: ModuleType | str | Path) -> str | Path:
