@@ -47,6 +47,8 @@ _VALUES: Final = 1 << 14
 """Vectors that an encoding is measured with."""
 _TRUTH_ROUNDS: Final = 3
 """How often a truth is timed: it may take many times as long as a value, and isn't chosen by time."""
+DRAWS_NOTHING: Final = "it draws nothing"
+"""What a device lacks that only records."""
 _HISTORY: Final = 6
 """Frames that are drawn before the first that counts, where frames depend on earlier ones."""
 
@@ -189,13 +191,11 @@ def prepare_scene(scene: Scene, knob: Knob) -> str | None:
 def find_lack(device: Device, settings: RenderSettings) -> str | None:
     """Return what a device lacks for settings, None for nothing."""
     can = device.capabilities
-    if not can.renders:
-        return "it draws nothing"
     if settings.technique.samples not in can.sample_counts:
         return f"the device has no {settings.technique.samples} samples a pixel"
     if settings.textures.anisotropy > can.max_anisotropy:
         return f"the device has no anisotropy of {settings.textures.anisotropy:g}"
-    return find_obstacle(settings.algorithm, device)
+    return find_obstacle(settings.algorithm, device) or (None if can.renders else DRAWS_NOTHING)
 
 
 class _Errors:
