@@ -78,6 +78,8 @@ class RenderSettings:
         """Return a camera with the direction of depth that is set."""
         lens = camera.projection
         assert isinstance(lens, Perspective | Orthographic)
+        if lens.depth is self.depth:
+            return camera
         return camera.with_projection(replace(lens, depth=self.depth))
 
     @contextmanager
@@ -116,10 +118,10 @@ class RenderSettings:
         finally:
             visibility.destroy()
 
-    def exchange(self, renderer: Renderer) -> None:
+    def exchange(self, renderer: Renderer, technique: Technique | None = None) -> None:
         """Give a renderer those of these settings that may be exchanged between two frames: all but how textures are
-        read, and which objects are found."""
-        renderer.technique = self.technique.make(renderer.scene, renderer.device)
+        read, and which objects are found. `technique` draws instead of that of the settings."""
+        renderer.technique = technique or self.technique.make(renderer.scene, renderer.device)
         renderer.blending, renderer.precision = self.blending, self.precision
         renderer.shadows.settings = self.shadows
         renderer.tessellator.settings = self.tessellation
