@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gltf_documents import STRIP, UP, make_skinned
+from gltf_documents import STRIP, make_skinned
 from PIL import Image
 
 import rhi
@@ -116,8 +116,8 @@ def make_file():
 
 
 def test_a_file_with_all_that_is_read_is_the_same_picture_on_both(devices, tmp_path):
-    """At two times, since bones and targets move. llvmpipe filters images of 8 bits to 8 bits, lanes in floats; of 6,144
-    pixels one is 2 off, and none more."""
+    """At two times, since bones and targets move. llvmpipe filters images of 8 bits to 8 bits, lanes in floats; of
+    6,144 pixels one is 2 off, and none more."""
     scene = load_model(make_file().write(tmp_path / "all.glb"))
     assert scene.omissions == ()
     assert len(scene.lights) == 3
