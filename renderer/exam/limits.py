@@ -238,7 +238,7 @@ def draw_for_hours(_: Device) -> Found:
         laps = -(-_MANY_FRAMES // len(path))
         for lap in range(laps):
             draw_lap()
-            if null.statistics.creations > creations:
+            if null.statistics.creations > creations or _count_blocks() - blocks > (lap + 1) * len(path):
                 laps = lap + 1
                 break  # it goes on like this
         last = describe()

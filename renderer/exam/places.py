@@ -182,7 +182,7 @@ CASES: Final = (
     _away(
         68,
         2.0**23 + 2.0**20,
-        "the same, lit by tiles and clusters",
+        "a scene ten million metres from the origin, lit by tiles and clusters",
         LIT_BY_CELLS,
         ("renders", "compute", "shading"),
     ),

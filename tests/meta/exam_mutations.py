@@ -429,10 +429,10 @@ MUTATIONS: tuple[Mutation, ...] = (
     ),
     Mutation(
         (62,),
-        "what is uploaded again gets a new buffer",
-        "renderer.frame.mirrors",
-        "if self.buffer is None or rows.shape != self._rows.shape:",
-        "if self.buffer is None or (rows != self._rows).any():",
+        "frames are kept",
+        "renderer.renderer",
+        "        frames = [left]\n",
+        "        frames = [left]\n        self.__dict__.setdefault('kept', []).append(left)\n",
         "null",
     ),
     Mutation(
