@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cloth_scenes import AWAY, look, make_scene
+from cloth_scenes import AWAY, BREEZE, look, make_scene, make_square
 
 import rhi
+from renderer.cloth import Cloths
 from renderer.content import load_scene
 from renderer.renderer import Renderer
-from renderer.scene import Scene
+from renderer.scene import Scene, SceneBuilder
 from renderer.visibility import FrustumCulling, NoCulling, make_visibility
 from rhi import Op
 from rhi.backends.null import PROFILES
@@ -109,6 +110,26 @@ def test_time_that_goes_back_begins_again_and_leaves_nothing_behind(null: rhi.De
     assert len(set(counts)) == 1
     null.finish()
     assert len(null.stream.filter((Op.CREATE_BUFFER,))) > 14  # some were made again
+
+
+def test_nothing_is_left_of_any_of_several_simulations(null: rhi.Device) -> None:
+    builder = SceneBuilder("two kinds of cloth")
+    for size in (1.0, 2.0):
+        sheet = make_square(size=size)
+        mesh, node = builder.add_mesh(sheet.make_mesh(), bounds=sheet.bounds), builder.add_node()
+        builder.simulate(builder.add_objects(node, mesh, builder.add_material()), Cloths(1, sheet, BREEZE))
+    scene = builder.build()
+    with open_renderer(null, scene) as renderer:
+        for frame in (1, 2, 1):
+            renderer.render(scene.views["overview"], frame / 60)
+        assert len(null.stream.filter(Op.DISPATCH)) == 6  # one for each simulation in each frame
+    null.finish()
+    created = null.stream.filter(
+        Op.CREATE_BUFFER, where=lambda command: command.arguments["descriptor"].label.startswith("cloth")
+    )
+    destroyed = {command.arguments["resource"] for command in null.stream.filter(Op.DESTROY)}
+    assert len(created) == 24  # six for each, made again when time went back
+    assert {command.arguments["buffer"] for command in created} <= destroyed
 
 
 def test_a_device_that_can_not_compute_gets_uploads(null: rhi.Device) -> None:

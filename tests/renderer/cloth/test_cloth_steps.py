@@ -135,6 +135,18 @@ def test_a_cloth_that_leaps_is_soon_where_it_would_be(device: rhi.Device) -> Non
         cloths.release(device)
 
 
+def test_steps_before_a_leap_are_taken_in_their_wind() -> None:
+    """Whether somebody has looked at the cloth before the leap or not."""
+    seen, unseen = (Cloths(2, make_square(), BREEZE, seed=3) for _ in range(2))
+    for cloths in (seen, unseen):
+        advance(cloths, 1, 4)
+        if cloths is seen:
+            find_points(cloths)
+        cloths.leap(np.array([0, 1]), np.array([50, 50]), np.array([46, 46]))
+        advance(cloths, 51, 53)
+    assert np.array_equal(find_points(seen), find_points(unseen))
+
+
 def test_copies_go_their_own_ways() -> None:
     cloths = Cloths(1, make_square(), BREEZE)
     advance(cloths, 1, 5)
