@@ -20,7 +20,7 @@ speeds = st.tuples(*[st.sampled_from([0.0, 1e-40, 3.0, -40.0, 1000.0, -1000.0])]
 amounts = st.sampled_from([0.0, 1e-40, 1e-4, 1.0, 1e6])
 
 
-@settings(max_examples=12)
+@settings(max_examples=8)
 @given(speeds, speeds, st.tuples(*[amounts] * 5), st.sampled_from([1e-3, 1.0, 1000.0]), st.booleans())
 def test_no_wind_and_no_fabric_takes_a_cloth_out_of_its_bounds(
     constant: tuple[float, float, float],
@@ -123,6 +123,9 @@ def test_any_frame_costs_a_bounded_number_of_steps_and_shows_its_time() -> None:
     assert np.isfinite(simulator.find_vertices(1)["position"]).all()
 
 
+@pytest.mark.parametrize(  # a thousand steps, in which gl does what cl does
+    "device", [pytest.param("gl", marks=pytest.mark.nightly), "cl"], indirect=True
+)
 def test_a_cloth_that_leaps_is_soon_where_it_would_be(device: rhi.Device) -> None:
     stepped, leapt = (Cloths(2, make_banner(4), DRAUGHT, seed=3) for _ in range(2))
     there = advance_on(device, stepped, 1, 300)
@@ -200,7 +203,7 @@ def test_the_shader_takes_the_same_steps_on_numpy(null: rhi.Device) -> None:
 def test_a_state_moves_from_numpy_to_a_device_and_back(null: rhi.Device) -> None:
     null.backend_as(NullBackend).run_shaders()
     cloths = Cloths(1, make_square(), BREEZE)
-    advance(cloths, 1, 9)
+    advance(cloths, 1, 2)
     here = deepcopy(cloths)
     before = find_points(here).copy()
     with null.storage(float, 8 * 30) as vertices:
