@@ -4,7 +4,7 @@ from renderer.frame.frame import Frame
 from renderer.frame.images import AS_GIVEN, TextureSettings
 from renderer.frame.layer import Layer
 from renderer.frame.mirrors import MirroredArray
-from renderer.frame.needs import Blending, Effect, Needs, find_needs
+from renderer.frame.needs import EXACT_GLOW, Blending, Effect, GlowSettings, Needs, find_needs
 from renderer.frame.passes import Drawn, TechniquePass
 from renderer.frame.plan import OUTPUTS, DroppedPass, Pass, Plan, SharedTexture, Target, find_last, make_plan
 from renderer.frame.resources import SceneResources
@@ -14,6 +14,7 @@ from renderer.frame.view import View
 __all__ = [
     "AS_GIVEN",
     "DEPTH_FORMAT",
+    "EXACT_GLOW",
     "IMAGE_FORMAT",
     "OUTPUTS",
     "Blending",
@@ -21,6 +22,7 @@ __all__ = [
     "DroppedPass",
     "Effect",
     "Frame",
+    "GlowSettings",
     "Layer",
     "MirroredArray",
     "Needs",
