@@ -17,7 +17,7 @@ _DEEPEST = 60.0
 """The largest exponent of the density, which is then e^60 times that at the base: nothing is seen through it."""
 
 
-class Fog(Struct):
+class FogConstants(Struct):
     """Fog as an eye sees it: the light of endless fog, the density at its base, and the falloff. `height` is that of
     the eye above the base, times the falloff."""
 
@@ -37,26 +37,26 @@ def mean_density(rise: float) -> float:
 
 
 @function
-def density_at(fog: Fog, rise: float) -> float:
+def density_at(fog: FogConstants, rise: float) -> float:
     """Return the density at `rise / falloff` above the eye."""
     return fog.density * exp(min(-(fog.height + rise), _DEEPEST))
 
 
 @function
-def pass_fog(position: vec3, fog: Fog) -> float:
+def pass_fog(position: vec3, fog: FogConstants) -> float:
     """Return how much of the light from `position`, relative to the eye, passes the fog."""
     rise = fog.falloff * position.y
     return exp(-length(position) * (density_at(fog, min(rise, 0.0)) * mean_density(rise)))
 
 
 @function
-def through_fog(color: vec3, position: vec3, fog: Fog) -> vec3:
+def through_fog(color: vec3, position: vec3, fog: FogConstants) -> vec3:
     """Return what the eye sees of light from `position`, relative to the eye: the rest is the fog's."""
     return mix(fog.color, color, pass_fog(position, fog))
 
 
 @function
-def through_all_fog(color: vec3, direction: vec3, fog: Fog) -> vec3:
+def through_all_fog(color: vec3, direction: vec3, fog: FogConstants) -> vec3:
     """Return what the eye sees of light from infinitely far away: nothing unless the ray leaves the fog upwards."""
     rise = fog.falloff * direction.y * inversesqrt(max(dot(direction, direction), 1e-30))
     if rise <= 0.0:

@@ -18,7 +18,7 @@ from renderer.frame import Effect, Frame, Needs, Pass
 from renderer.frame.mirrors import MirroredValue
 from renderer.frame.tones import Color, find_light
 from renderer.scene import Camera, Scene
-from renderer.shaders.fog import Fog, through_all_fog
+from renderer.shaders.fog import FogConstants, through_all_fog
 from renderer.shaders.pixels import FullScreen, place_pixel
 from renderer.shaders.structs import Haze
 from renderer.techniques.full_screen import draw_full_screen
@@ -39,7 +39,7 @@ class SkyShader(FullScreen, FinishShader):
     """Draws the background as it is seen through all of the fog."""
 
     background: Uniform[Background]
-    air: Uniform[Fog]
+    air: Uniform[FogConstants]
 
     def fragment(self) -> vec4:
         place = fragment_coordinate().xy
@@ -51,15 +51,15 @@ class ViewFog:
     """The fog as a view sees it, on the device."""
 
     def __init__(self, device: Device) -> None:
-        self._fog = MirroredValue(device, Fog(color=(0, 0, 0), density=0.0, falloff=0.0, height=0.0))
+        self._fog = MirroredValue(device, FogConstants(color=(0, 0, 0), density=0.0, falloff=0.0, height=0.0))
 
-    def aim(self, camera: Camera, scene: Scene) -> UniformBuffer[Fog]:
+    def aim(self, camera: Camera, scene: Scene) -> UniformBuffer[FogConstants]:
         """Return the scene's fog as the camera sees it; it is uploaded if it has changed."""
         fog = scene.fog
         assert fog is not None, "fog is bound where the scene has some"
         height = fog.falloff * (float(camera.position[1]) - fog.base)
         self._fog.write(
-            Fog(color=find_light(fog.color), density=fog.density, falloff=fog.falloff, height=height)
+            FogConstants(color=find_light(fog.color), density=fog.density, falloff=fog.falloff, height=height)
         )
         return self._fog.buffer
 

@@ -19,7 +19,7 @@ from renderer.frame import Effect, Frame
 from renderer.frame.passes import NEARER
 from renderer.scene.arrays import Floats, Rows
 from renderer.shaders import ViewConstants, tone_map
-from renderer.shaders.fog import Fog, pass_fog
+from renderer.shaders.fog import FogConstants, pass_fog
 from renderer.techniques.air import ViewFog
 from rhi import BlendFunction, CullMode, DepthTest, DepthWrite, Device
 from rhi.shading import (
@@ -112,7 +112,7 @@ class FoggedVarying(Struct):
 class FoggedParticles(ParticleShader):
     """Draws particles in fog. Theirs are colours of the image, so they are mixed with that of the fog."""
 
-    air: Uniform[Fog]
+    air: Uniform[FogConstants]
 
     def vertex(self) -> FoggedVarying:  # type: ignore[override]  # more varyings
         v = super().vertex()

@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Final
 
 from renderer.scene import ShadingModel
-from renderer.shaders.fog import Fog, through_fog
+from renderer.shaders.fog import FogConstants, through_fog
 from renderer.shaders.lighting import (
     BRIGHTEST,
     ambient_light,
@@ -262,7 +262,7 @@ class WithHaze(FinishShader):
 class WithFog(FinishShader):
     """Adds fog, through which light goes before its tones are mapped."""
 
-    fog: Uniform[Fog]
+    fog: Uniform[FogConstants]
 
     def finish(self, color: vec3, position: vec3) -> vec4:
         return super().finish(through_fog(color, position, self.fog), position)

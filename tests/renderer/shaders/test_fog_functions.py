@@ -15,9 +15,9 @@ from renderer.shaders import tone_map
 from rhi.shading import evaluate
 
 
-def look(fog: Fog, eye: float) -> shaders.Fog:
+def look(fog: Fog, eye: float) -> shaders.FogConstants:
     height = fog.falloff * (eye - fog.base)
-    return shaders.Fog(color=fog.color, density=fog.density, falloff=fog.falloff, height=height)
+    return shaders.FogConstants(color=fog.color, density=fog.density, falloff=fog.falloff, height=height)
 
 
 VIEWS = {

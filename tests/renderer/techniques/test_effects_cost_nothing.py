@@ -42,7 +42,7 @@ TRACES = {
     Effect.IMAGES: Trace("images|texture", r"\bsampler2DArray\b|\bdecode_texel\b|\bencode_texel\b", "images"),
     Effect.EMISSION: Trace("^$", r"\.emission\b", "^$"),
     Effect.HAZE: Trace("[Hh]aze", r"\bthrough_haze\b|\bHaze\b", "haze"),
-    Effect.FOG: Trace("[Ff]og", r"\bpass_fog\b|\bthrough_all_fog\b|\bFog\b", "^fog$|^air$"),
+    Effect.FOG: Trace("[Ff]og", r"\bpass_fog\b|\bthrough_all_fog\b|\bFogConstants\b", "^fog$|^air$"),
     Effect.GLOW: Trace("glow|bright", r"\bShare\b|\bread_spread\b|\bkeep_light\b", "spread|mixture"),
 }
 """The traces of each effect but shadows."""
