@@ -45,11 +45,6 @@ class Unit(Enum):
         """Whether each pixel has an error."""
         return self in (Unit.LEVELS, Unit.DEPTH)
 
-    @property
-    def is_encoding(self) -> bool:
-        """Whether values are encodings of vectors, which no frame is drawn with."""
-        return self in (Unit.DEGREES, Unit.PERCENT)
-
 
 class Demand(Enum):
     """What a scene must have for a knob to matter."""
@@ -60,6 +55,7 @@ class Demand(Enum):
     LAMPS = "a point or spot light"
     GLOW = "an object that emits more light than a white surface reflects"
     STEREO = "a second eye"
+    MOTION = "something that moves by itself"
     HEIGHT_FIELDS = "a height field whose limit holds all of its triangles"
 
 
@@ -104,6 +100,11 @@ class Knob:
     demand: Demand | None = None
     remembers: bool = False
     exception: str = ""
+
+    @property
+    def is_encoding(self) -> bool:
+        """Whether values are encodings, which shaders have for good."""
+        return not self.path
 
     @property
     def default(self) -> str | None:
@@ -152,6 +153,8 @@ FAR_SHADOWS: Final = Truth("shadows up to 1 km, with as fine maps", {**FINE_MAPS
 SORTED: Final = Truth("sorted by distance", {"blending": Blending.SORTED})
 FAR_GLOW: Final = Truth("all scattered light, spread over 8 levels", {"glow": GlowSettings(levels=8)})
 FINEST: Final = Truth("all triangles of the ground in view", {"tessellation.edge_pixels": 0.01})
+EACH_FRAME: Final = Truth("motion in each frame", {"animation_step": 0.0})
+DISTANCES: Final = Truth("the distances in float64")
 SECOND_EYE: Final = Truth("the second eye drawn", {"reprojects": False})
 VECTORS: Final = Truth("the vectors in float64")
 
@@ -380,6 +383,32 @@ KNOBS: Final[dict[str, Knob]] = {
             _FORWARD,
         ),
         Knob(
+            "depth_format",
+            "what holds depth, from 0.1 m to 10 km",
+            "",
+            {
+                "16 bits": "position by a ray, D16",
+                "24 bits": "position by a ray, D24",
+                "32-bit float": "position by a ray, D32F",
+                "32-bit float, reversed": "position by a ray, D32F reversed",
+            },
+            Unit.DEPTH,
+            DISTANCES,
+            "it takes as much memory as 24 bits",
+        ),
+        Knob(
+            "animation_step",
+            "seconds after which what moves by itself moves on",
+            "animation_step",
+            {"each 8th frame": 8 / 60, "each 4th": 4 / 60, "each 2nd": 2 / 60, "each frame": 0.0},
+            Unit.LEVELS,
+            EACH_FRAME,
+            "half as many steps are seen to be uneven",
+            _FORWARD,
+            Demand.MOTION,
+            remembers=True,
+        ),
+        Knob(
             "second_eye",
             "whether the second eye's picture is drawn, or made of the first one's",
             "reprojects",
@@ -490,6 +519,27 @@ KNOBS: Final[dict[str, Knob]] = {
             {**_FORWARD, "algorithm": "software_depth"},
         ),
         Knob(
+            "occluder_pixels",
+            "pixels of the image in each direction that are one of software occlusion",
+            "visibility.occluder_pixels",
+            _same(16, 8, 4, 2, 1),
+            Unit.LEVELS,
+            EVERYTHING,
+            "nothing that is seen may be missing",
+            {**_FORWARD, "algorithm": "software_depth"},
+        ),
+        Knob(
+            "pyramid_texels",
+            "texels of a depth pyramid in each direction that a box is compared with",
+            "visibility.pyramid_texels",
+            _same(1, 2, 4, 8, 16),
+            Unit.OVERDRAW,
+            SEEN,
+            "twice as many hide hardly more",
+            {**_FORWARD, "algorithm": "depth_pyramid"},
+            remembers=True,
+        ),
+        Knob(
             "normal_bits",
             "bits of each of the two numbers of an octahedral normal",
             "",
@@ -536,6 +586,7 @@ KNOBS: Final[dict[str, Knob]] = {
 """All knobs by name, in the order of the table."""
 
 _CHOSEN: Final = {
+    "depth_format": "position by a ray, D32F reversed",
     "normal_bits": "octahedral 2 × 16, rounded",
     "normal_rounding": "octahedral 2 × 12, rounded",
     "tangent_packing": "tangent by its way around a square",

@@ -47,6 +47,8 @@ _VALUES: Final = 1 << 14
 """Vectors that an encoding is measured with."""
 _TRUTH_ROUNDS: Final = 3
 """How often a truth is timed: it may take many times as long as a value, and isn't chosen by time."""
+DRAWS_NOTHING: Final = "it draws nothing"
+"""What a device lacks that only records."""
 _HISTORY: Final = 6
 """Frames that are drawn before the first that counts, where frames depend on earlier ones."""
 
@@ -140,7 +142,7 @@ def sweep_knob(situation: Situation, name: str) -> KnobReport:
     """Measure all values of a knob, on a device of its own."""
     knob = find_knob(name, "sweep_knob")
     with rhi.create_device(situation.backend) as device:
-        if knob.unit.is_encoding:
+        if knob.is_encoding:
             return _sweep_encodings(situation, knob, device)
         scene = load_scene(situation.scene)
         lack = prepare_scene(scene, knob)
@@ -182,6 +184,8 @@ def prepare_scene(scene: Scene, knob: Knob) -> str | None:
         case Demand.GLOW:
             scene.glow = scene.glow or Glow()
             has = scene.count_glowing()
+        case Demand.MOTION:
+            has = len(scene.simulated)
         case Demand.HEIGHT_FIELDS:
             has = sum(field.limit == field.count for field in scene.height_fields.values())
         case _:
@@ -192,13 +196,11 @@ def prepare_scene(scene: Scene, knob: Knob) -> str | None:
 def find_lack(device: Device, settings: RenderSettings) -> str | None:
     """Return what a device lacks for settings, None for nothing."""
     can = device.capabilities
-    if not can.renders:
-        return "it draws nothing"
     if settings.technique.samples not in can.sample_counts:
         return f"the device has no {settings.technique.samples} samples a pixel"
     if settings.textures.anisotropy > can.max_anisotropy:
         return f"the device has no anisotropy of {settings.textures.anisotropy:g}"
-    return find_obstacle(settings.algorithm, device)
+    return find_obstacle(settings.algorithm, device) or (None if can.renders else DRAWS_NOTHING)
 
 
 class _Errors:
@@ -502,8 +504,8 @@ def _sweep_encodings(situation: Situation, knob: Knob, device: Device) -> KnobRe
     errors, work = {}, {}
     for value, one in chosen.items():
         vectors = one.sample(np.random.default_rng(0), _VALUES)
-        errors[value] = one.measure(vectors, run_round_trip(device, one.shader, vectors))
-        work[value] = time_round_trip(device, one.shader, vectors)
+        errors[value] = one.measure(vectors, run_round_trip(device, one.shader, vectors, **one.uniforms))
+        work[value] = time_round_trip(device, one.shader, vectors, **one.uniforms)
     times = alternate(work, range(situation.rounds), 2)
     base = times[list(times)[-1]]
     rows = [

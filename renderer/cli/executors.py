@@ -1,12 +1,20 @@
-"""Executors by the texts of `--executor`."""
+"""Executors by the texts of `--executor`.
+
+Each of several processes gets CPUs of its own, and its drivers as many threads. PoCL and llvmpipe would otherwise start
+a thread for every CPU in each process, and PoCL's are pinned (`rhi.backends.cl.workers`): those of all processes to the
+same CPUs. Then N processes would be no faster than one, and times would be those of waiting for the others.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import os
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from multiprocessing import get_context
+from multiprocessing.queues import SimpleQueue
+from pathlib import Path
 from typing import Any, Final, ParamSpec, TypeVar
 
 from renderer.cli.output import OutputError
@@ -16,6 +24,10 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 _KINDS: Final = "serial, processes, processes:N, threads:N, dask:ADDRESS"
+_THREAD_COUNTS: Final = ("POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT", "LP_NUM_THREADS")
+"""The variables that drivers take the number of their threads from: PoCL up to version 4, PoCL since, llvmpipe."""
+_TASKS: Final = Path("/proc/self/task")
+_SIBLINGS: Final = "/sys/devices/system/cpu/cpu{}/topology/thread_siblings_list"
 
 
 class SerialExecutor(Executor):
@@ -49,8 +61,7 @@ def make_executor(text: str) -> Iterator[Executor]:
     if kind == "serial" and not rest:
         yield SerialExecutor()
     elif kind == "processes" and is_count:
-        # Fresh processes: a driver's state doesn't survive a fork.
-        with ProcessPoolExecutor(int(rest) if rest else None, mp_context=get_context("spawn")) as pool:
+        with open_processes(share_cpus(int(rest) if rest else len(list_cpus()))) as pool:
             yield pool
     elif kind == "threads" and is_count:
         with ThreadPoolExecutor(int(rest) if rest else None) as threads:
@@ -70,3 +81,51 @@ def make_executor(text: str) -> Iterator[Executor]:
             yield client.get_executor()
     else:
         raise OutputError(f"--executor: {text!r} is none of {_KINDS}")
+
+
+def list_cpus() -> list[int]:
+    """Return the CPUs that this process may use; those of a core follow each other."""
+    if not hasattr(os, "sched_getaffinity"):
+        return list(range(os.cpu_count() or 1))
+
+    def find_core(cpu: int) -> int:
+        try:
+            siblings = Path(_SIBLINGS.format(cpu)).read_text()
+        except OSError:
+            return cpu
+        return int(siblings.replace("-", ",").partition(",")[0])
+
+    return sorted(os.sched_getaffinity(0), key=lambda cpu: (find_core(cpu), cpu))
+
+
+def share_cpus(count: int) -> list[list[int]]:
+    """Return the CPUs of each of `count` processes: as many for each, none twice unless there are fewer."""
+    cpus = list_cpus()
+    each = max(len(cpus) // count, 1)
+    return [[cpus[(number * each + i) % len(cpus)] for i in range(each)] for number in range(count)]
+
+
+def open_processes(shares: Sequence[Sequence[int]]) -> ProcessPoolExecutor:
+    """Return an executor with a process for each share of the CPUs. Each begins afresh: a driver's state doesn't
+    survive a fork."""
+    context = get_context("spawn")
+    left: SimpleQueue[Sequence[int]] = context.SimpleQueue()
+    for share in shares:
+        left.put(share)
+    return ProcessPoolExecutor(len(shares), mp_context=context, initializer=_take_share, initargs=(left,))
+
+
+def _take_share(left: SimpleQueue[Sequence[int]]) -> None:
+    """Use one of the shares in this process, before any driver has started its threads."""
+    use_cpus(left.get())
+
+
+def use_cpus(cpus: Sequence[int]) -> None:
+    """Use only these CPUs in this process; drivers that start later have as many threads, unless the user has set
+    their number."""
+    for name in _THREAD_COUNTS:
+        os.environ.setdefault(name, str(len(cpus)))
+    if hasattr(os, "sched_setaffinity"):
+        for task in _TASKS.iterdir():  # NumPy has started threads already
+            with suppress(OSError):  # it has ended
+                os.sched_setaffinity(int(task.name), cpus)

@@ -4,7 +4,15 @@ from renderer.frame.frame import Frame
 from renderer.frame.images import AS_GIVEN, TextureSettings
 from renderer.frame.layer import Layer
 from renderer.frame.mirrors import MirroredArray
-from renderer.frame.needs import EXACT_GLOW, Blending, Effect, GlowSettings, Needs, find_needs
+from renderer.frame.needs import (
+    EXACT_GLOW,
+    SHADOW_EFFECTS,
+    Blending,
+    Effect,
+    GlowSettings,
+    Needs,
+    find_needs,
+)
 from renderer.frame.passes import Drawn, TechniquePass
 from renderer.frame.plan import OUTPUTS, DroppedPass, Pass, Plan, SharedTexture, Target, find_last, make_plan
 from renderer.frame.resources import SceneResources
@@ -17,6 +25,7 @@ __all__ = [
     "EXACT_GLOW",
     "IMAGE_FORMAT",
     "OUTPUTS",
+    "SHADOW_EFFECTS",
     "Blending",
     "Drawn",
     "DroppedPass",

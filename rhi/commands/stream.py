@@ -183,6 +183,11 @@ class Commands(Sequence[Command]):
         self._stream = stream
         self._indices = indices
 
+    @property
+    def stream(self) -> CommandStream:
+        """The stream that these commands are a part of."""
+        return self._stream
+
     def indices(self) -> Sequence[int]:
         """Return the indices of these commands in the stream."""
         return self._indices

@@ -11,10 +11,9 @@ from __future__ import annotations
 import heapq
 from collections import Counter
 from collections.abc import Collection, Mapping
-from typing import Final, NoReturn
 
 from rhi.commands.ops import DISPATCHES, DRAWS, Op
-from rhi.commands.stream import Command, Commands
+from rhi.commands.stream import Commands
 from rhi.contract.states import State
 from rhi.device.device import Device
 from rhi.shading import Struct
@@ -30,10 +29,9 @@ from rhi.testing.conditions import (
     Within,
 )
 from rhi.testing.contents import as_fields
+from rhi.testing.footprints import Footprint
+from rhi.testing.messages import SHOWN, fail, show_command, show_commands
 from rhi.testing.work import Costs, cost_of, total_costs
-
-SHOWN: Final = 5
-"""Maximum number of commands in each list of a message."""
 
 
 def expect(commands: Commands | Device) -> Expectation:
@@ -116,6 +114,10 @@ class Expectation:
         Unknown contents (written on the device, or before the stream) don't match; the message says so.
         """
         return self._and(HasContents(binding, as_fields(wanted), tolerance))
+
+    def of(self, effect: Footprint) -> Expectation:
+        """Select commands that belong to an effect."""
+        return self._and(effect)
 
     def where(self, name: str, predicate: object) -> Expectation:
         """Select commands for which `predicate(command)` is true; `name` stands for it in messages."""
@@ -225,27 +227,6 @@ class Expectation:
             return ""
         lines = [f"{show_command(command)}\n          {'; '.join(misses)}" for _, _, command, misses in nearest]
         return "nearest:\n" + "\n".join(lines)
-
-
-def show_command(command: Command) -> str:
-    """Return the line of a message that shows a command."""
-    return f"  {command.index:>6}  {command}"
-
-
-def show_commands(title: str, commands: Collection[Command]) -> str:
-    """Return a titled list of commands for a message; "" if there are none."""
-    if not len(commands):
-        return ""
-    lines = [show_command(command) for command in list(commands)[:SHOWN]]
-    if len(commands) > SHOWN:
-        lines.append(f"          … and {len(commands) - SHOWN} more")
-    return f"{title}:\n" + "\n".join(lines)
-
-
-def fail(*parts: str) -> NoReturn:
-    """Raise an AssertionError whose message is made of these parts, empty ones left out."""
-    __tracebackhide__ = True
-    raise AssertionError("\n".join(part for part in parts if part))
 
 
 def _show_spending(commands: Commands, name: str) -> str:

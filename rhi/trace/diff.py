@@ -3,8 +3,10 @@
 - Labels form a tree. The children of a label are aligned with those of the corresponding label, so a command that is
   missing in one pass doesn't shift the comparison of the next.
 - Ids are compared by the resource that they name (its type, its label or descriptor, and which of several equal
-  ones). So an additional texture at the start doesn't change every later command. A program is compared by its name
-  and sources.
+  ones, in the order in which they are first mentioned). So an additional texture at the start doesn't change every
+  later command. A program is compared by its name and sources.
+- Parts of streams, such as frames, are compared in the same way: what existed before them has a name as well, and
+  fences are counted from the first that the part signals.
 - Two commands of the same op at the same place are one change, described by the arguments that differ.
 - Refused calls are compared like commands, by rule and call.
 """
@@ -19,10 +21,17 @@ from typing import Any, Final, overload
 
 import numpy as np
 
-from rhi.commands.ops import Op
-from rhi.commands.stream import Command, CommandStream, Refusal
+from rhi.commands.ops import Descriptor, Op
+from rhi.commands.stream import Command, Commands, CommandStream, Refusal
 from rhi.commands.text import describe
-from rhi.contract.descriptors import Id, ProgramDescriptor
+from rhi.contract.descriptors import (
+    BufferDescriptor,
+    Id,
+    ProgramDescriptor,
+    SamplerDescriptor,
+    TextureDescriptor,
+    VertexArrayDescriptor,
+)
 from rhi.device.device import Device
 from rhi.trace.align import align
 from rhi.trace.codec import encode, sources_of
@@ -31,9 +40,18 @@ from rhi.trace.ids import ID_ARGUMENTS
 
 __rhi_internal__ = True
 
-TraceSource = Trace | Device | CommandStream
+TraceSource = Trace | Device | Commands
 Thing = Command | Refusal
 REFUSED: Final = "refused"
+
+_KINDS: Final[dict[type, str]] = {
+    BufferDescriptor: "buffer",
+    TextureDescriptor: "texture",
+    SamplerDescriptor: "sampler",
+    ProgramDescriptor: "program",
+    VertexArrayDescriptor: "vertex array",
+}
+"""What resources are called, by the type of their descriptor; all others are queries."""
 
 
 @dataclass(frozen=True)
@@ -87,16 +105,43 @@ class Differences(Sequence[Difference]):
         return "\n".join(lines) or "no differences"
 
 
+_FENCES: Final = frozenset({Op.SIGNAL, Op.WAIT})
+
+
 def diff(a: TraceSource, b: TraceSource) -> Differences:
-    """Return the differences of trace `b` from trace `a`."""
-    left, right = _Side(_stream(a)), _Side(_stream(b))
+    """Return the differences of trace `b` from trace `a`, or of one part of a stream from another."""
+    programs = _ProgramKeys()
+    left, right = _Side(_select(a), programs), _Side(_select(b), programs)
     found: list[Difference] = []
     _compare(left, right, left.root, right.root, (), found)
     return Differences(found)
 
 
-def _stream(source: TraceSource) -> CommandStream:
+def _select(source: TraceSource) -> Commands:
     return source.stream if isinstance(source, (Trace, Device)) else source
+
+
+class _ProgramKeys:
+    """The keys by which programs are compared: the same one for the same fields and sources.
+
+    Writing the sources takes longer than all else, so it is done only for programs that don't differ in another way.
+    """
+
+    def __init__(self) -> None:
+        self._keys: dict[ProgramDescriptor, Hashable] = {}
+        self._alike: dict[str, list[ProgramDescriptor]] = {}  # those with the same fields
+
+    def find(self, program: ProgramDescriptor) -> Hashable:
+        key = self._keys.get(program)
+        if key is None:
+            fields = repr(encode(program))
+            alike = self._alike.setdefault(fields, [])
+            number = next(
+                (i for i, other in enumerate(alike) if sources_of(other) == sources_of(program)), len(alike)
+            )
+            alike.append(program)
+            key = self._keys[program] = fields, number
+        return key
 
 
 @dataclass(slots=True)
@@ -115,15 +160,22 @@ class _Node:
 class _Side:
     """One of the two traces, prepared for the comparison."""
 
-    def __init__(self, stream: CommandStream) -> None:
-        self.stream = stream
+    def __init__(self, commands: Commands, programs: _ProgramKeys) -> None:
+        self.stream = stream = commands.stream
         self.names: dict[Id, str] = {}
+        self._programs = programs
+        self._index = 0  # of the command whose key is being found
+        signals = (index for index in commands.indices() if stream.op(index) is Op.SIGNAL)
+        first = next(signals, None)
+        self._fence = 0 if first is None else stream.entry(first)[1][0]
+        self._identities: dict[Id, Hashable] = {}
         self._seen: Counter[Hashable] = Counter()
         self._keys: dict[Hashable, Hashable] = {}
         self.root = _Node(-1)
         path = [self.root]
-        refusals = deque(stream.refusals)
-        for index in range(len(stream)):
+        refusals = deque(commands.refusals)
+        for index in commands.indices():
+            self._index = index
             while refusals and refusals[0].index <= index:
                 path[-1].add_refusal(refusals.popleft())
             op, values, _, _ = stream.entry(index)
@@ -143,34 +195,54 @@ class _Side:
     def _key(self, op: Op, values: tuple[Any, ...], failure: object) -> Hashable:
         """Return the key by which a command is compared; it is computed once for equal commands."""
         if op.method.startswith("create_"):
-            made = (op, self.normalize(values[1]))
-            self._seen[made] += 1
-            label = getattr(values[1], "label", "") or getattr(values[1], "name", "")
-            kind = op.method.removeprefix("create_").replace("_", " ")
-            shown = repr(label) if label and isinstance(label, str) else "without a label"
-            self.names[values[0]] = f"{kind} {shown} #{self._seen[made]}"
-            return (*made, self._seen[made], failure)
+            return (op, *self._meet(values[0], values[1]), failure)
+        if op in _FENCES:
+            return op, values[0] - self._fence, *values[1:], failure
         key = self._keys.get((op, values, failure))
         if key is None:
             places = ID_ARGUMENTS[op]
-            parts = (self.name(v) if i in places else self.normalize(v) for i, v in enumerate(values))
+            parts = (self.identify(v) if i in places else self.normalize(v) for i, v in enumerate(values))
             key = self._keys[op, values, failure] = (op, *parts, failure)
         return key
 
+    def _meet(self, resource: Id, descriptor: Descriptor) -> tuple[Hashable, int]:
+        """Name a resource; return what it is, and which of several equal ones."""
+        kind = _KINDS.get(type(descriptor), "query")
+        what = self.normalize(descriptor)
+        self._seen[kind, what] += 1
+        number = self._seen[kind, what]
+        label = getattr(descriptor, "label", "") or getattr(descriptor, "name", "")
+        shown = repr(label) if label and isinstance(label, str) else "without a label"
+        self.names[resource] = f"{kind} {shown} #{number}"
+        self._identities[resource] = kind, what, number
+        return what, number
+
     def name(self, resource: Id) -> str:
+        """Return what a resource is called in a message."""
+        self.identify(resource)
         return self.names.get(resource, f"id {resource}") if resource else "none"
 
+    def identify(self, resource: Id) -> Hashable:
+        """Return what an id stands for: a resource's kind, its descriptor, and which of several equal ones."""
+        if not resource:
+            return 0
+        if resource not in self._identities:
+            descriptor = self.stream.context(self._index).resources.get(resource)
+            if descriptor is None:
+                return "id", resource
+            self._meet(resource, descriptor)
+        return self._identities[resource]
+
     def normalize(self, value: Any) -> Hashable:
-        """Return a value with names in place of ids."""
+        """Return a value with what ids stand for in their place."""
         if isinstance(value, ProgramDescriptor):
-            texts = sorted((language, stage.value, text) for (language, stage), text in sources_of(value).items())
-            return repr(encode(value)), tuple(texts)
+            return self._programs.find(value)
         if type(value) is tuple:
             return tuple(map(self.normalize, value))
         if dataclasses.is_dataclass(value) and not isinstance(value, type):
             fields = dataclasses.fields(value)
             return (type(value), *(
-                self.name(getattr(value, f.name)) if f.type == "Id" else self.normalize(getattr(value, f.name))
+                self.identify(getattr(value, f.name)) if f.type == "Id" else self.normalize(getattr(value, f.name))
                 for f in fields
             ))  # fmt: skip
         hashable: Hashable = value
