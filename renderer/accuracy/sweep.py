@@ -171,6 +171,8 @@ def sweep_knob(situation: Situation, name: str) -> KnobReport:
 
 def prepare_scene(scene: Scene, knob: Knob) -> str | None:
     """Give a scene what the knob needs if it can be given: shadows, glow. Return what it lacks, None for nothing."""
+    if knob.truth.is_float64:
+        scene.glow = None  # pixels are compared with their own light
     match knob.demand:
         case Demand.SHADOWS:
             scene.lights.cast_shadows()

@@ -110,9 +110,10 @@ def bind_air(frame: Frame) -> tuple[list[str], dict[str, Any]]:
     effects, resources = frame.needs.effects, frame.resources
     present: dict[str, Any] = {}
     if Effect.HAZE in effects:
-        present["haze"] = resources.haze.buffer
         if Effect.GLOW in effects:
             present["haze"] = resources.workspace(BrightAir).bind_haze(resources.scene)
+        else:
+            present["haze"] = resources.haze.buffer
     if Effect.FOG in effects:
         present["fog"] = frame.view.workspace(ViewFog).aim(frame.camera, resources.scene)
     return [*present, *(["bright"] if Effect.GLOW in effects else [])], present
