@@ -210,7 +210,7 @@ KNOBS: Final[dict[str, Knob]] = {
             },
             Unit.LEVELS,
             SUPER_SAMPLED,
-            "all devices have it; anisotropy is GL's alone",
+            "a sample a pixel; anisotropy shows more at an angle, for up to 16",
             _FORWARD,
             Demand.IMAGES,
         ),

@@ -40,9 +40,9 @@ from rhi.shading import (
     Struct,
     Texture2D,
     Uniform,
-    abs,
     dot,
     float_bits_to_uint,
+    floor,
     fragment_coordinate,
     function,
     ivec2,
@@ -144,15 +144,22 @@ class Spreading(FullScreen):
     spread: Texture2D
 
     def read_spread(self) -> vec3:
-        """Return the mean of 3 × 3 texels around the pixel, the middle one with four times the weight of a corner."""
-        place = (vec2(ivec2(fragment_coordinate().xy)) + 0.5) * 0.5
-        texel = 1.0 / vec2(self.spread.size())
-        sum = vec3(0.0)
-        for y in range(-1, 2):
-            for x in range(-1, 2):
-                at = (place + vec2(float(x), float(y))) * texel
-                sum += self.spread.sample_lod(at, 0.0).rgb * float((2 - abs(x)) * (2 - abs(y)))
-        return sum * 0.0625
+        """Return the mean of 3 × 3 bilinear samples around the pixel, the middle one with four times the weight of a
+        corner. They read 4 × 4 texels, which are as many as four samples between the right places read."""
+        place = vec2(ivec2(fragment_coordinate().xy)) * 0.5 - 0.25  # in texels from the middle of the first one
+        first = floor(place)
+        part = place - first
+        # Along an axis, the weights of the four texels are 1 - p, 2 - p, 1 + p and p quarters.
+        near = first - 0.5 + (2.0 - part) / (3.0 - 2.0 * part)
+        far = first + 1.5 + part / (1.0 + 2.0 * part)
+        share = (1.0 + 2.0 * part) * 0.25
+        upper = mix(self.read(near), self.read(vec2(far.x, near.y)), share.x)
+        lower = mix(self.read(vec2(near.x, far.y)), self.read(far), share.x)
+        return mix(upper, lower, share.y)
+
+    def read(self, place: vec2) -> vec3:
+        """Return the light at a place, in texels."""
+        return self.spread.sample_lod(place / vec2(self.spread.size()), 0.0).rgb
 
 
 class Spread(Spreading):
