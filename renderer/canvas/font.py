@@ -64,7 +64,7 @@ class Font:
             refuse(rules.FONT_SIZE, "Font.load", size, "4 to 256")
         try:
             self._font = ImageFont.truetype(file, size, layout_engine=ImageFont.Layout.BASIC)
-            self.is_kerned: bool = features.check("raqm")
+            self.is_kerned = bool(features.check("raqm"))
             self._kerned = (
                 ImageFont.truetype(file, size, layout_engine=ImageFont.Layout.RAQM) if self.is_kerned else self._font
             )
