@@ -184,6 +184,7 @@ MANY_MATERIALS: Final = Rule(
     "use --technique clustered",
 )
 NO_WIREFRAME: Final = Rule("technique-no-wireframe", "this picture needs a device that draws the edges of triangles")
+BAD_STEP: Final = Rule("animation-step", "what moves is shown at whole multiples of a step in seconds")
 BAD_EDGE: Final = Rule("tessellation-edge", "edges are split down to a length in pixels")
 BAD_TECHNIQUE: Final = Rule("technique-parameter", "a parameter of a technique is out of its range")
 

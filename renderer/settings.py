@@ -39,6 +39,7 @@ class RenderSettings:
         tessellation: how small the triangles of height fields are.
         blending: how transparent surfaces that cover each other are put together.
         precision: that of the techniques' shaders. depth: the direction of depth.
+        animation_step: the seconds after which what moves by itself moves on, 0 for every frame.
         reprojects: whether a second eye's picture is made from the first one's.
     """
 
@@ -51,6 +52,7 @@ class RenderSettings:
     blending: Blending = Blending.SORTED
     precision: Precision = Precision.FAST
     depth: Depth = Depth.REVERSED
+    animation_step: float = 0.0
     reprojects: bool = False
 
     def get(self, path: str) -> Any:
@@ -109,6 +111,7 @@ class RenderSettings:
             ) as renderer:
                 renderer.shadows.settings = self.shadows
                 renderer.tessellator.settings = self.tessellation
+                renderer.animation_step = self.animation_step
                 if rig is not None:
                     renderer.stereo = Stereo(rig, "side_by_side", is_reprojected=self.reprojects)
                 yield renderer
@@ -122,6 +125,7 @@ class RenderSettings:
         renderer.blending, renderer.precision = self.blending, self.precision
         renderer.shadows.settings = self.shadows
         renderer.tessellator.settings = self.tessellation
+        renderer.animation_step = self.animation_step
 
     def save(self, path: Path, **found: Any) -> None:
         """Write the settings as JSON. `found` is written too, to say how they were found; `load` ignores it."""
