@@ -15,6 +15,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from urllib.request import urlopen
@@ -29,6 +30,7 @@ import rhi
 selenium = pytest.importorskip("selenium", reason="no selenium: pip install selenium")
 pytest.importorskip("jupyter_rfb", reason="no jupyter_rfb: pip install jupyter_rfb")
 
+from selenium.common.exceptions import StaleElementReferenceException
 from selenium.webdriver import ActionChains, Chrome, ChromeOptions, Keys
 from selenium.webdriver.chrome.service import Service
 from selenium.webdriver.common.by import By
@@ -36,30 +38,37 @@ from selenium.webdriver.common.by import By
 pytestmark = [pytest.mark.nightly, pytest.mark.filterwarnings("ignore")]
 
 SIZE = (480, 270)
-PATIENCE = 180.0
+PATIENCE = 60.0
 SHOW = f"""\
-import gc, json, renderer
-from renderer.viewer import Viewer
+import renderer, notes
 widget = renderer.view("city:blocks=6", size={SIZE})
-viewer = next(each for each in gc.get_objects() if isinstance(each, Viewer))
-
-def note(event):
-    with open("seen.jsonl", "a") as file:
-        stage = viewer.stage
-        told = dict(kind=event["event_type"], forward=stage.camera.forward.tolist(), told=stage.told)
-        print(json.dumps(told | dict(technique=stage.look.technique)), file=file)
-
-widget.add_event_handler(note, "pointer_up", "key_down")
+notes.take(widget)
 widget"""
+NOTES = """\
+import gc, json
+from renderer.viewer import Viewer
+
+def take(widget):
+    '''Write what the viewer says after each event.'''
+    stage = next(each for each in gc.get_objects() if isinstance(each, Viewer)).stage
+
+    def note(event):
+        told = dict(kind=event["event_type"], forward=stage.camera.forward.tolist(), told=stage.told)
+        with open("seen.jsonl", "a") as file:
+            print(json.dumps(told | dict(technique=stage.look.technique)), file=file)
+
+    widget.add_event_handler(note, "pointer_up", "key_down")
+"""
 
 
 def wait_for(what: Callable[[], Any], name: str) -> Any:
     """Return what something is, once it is something."""
     until = time.monotonic() + PATIENCE
     while time.monotonic() < until:
-        found = what()
-        if found:
-            return found
+        with suppress(StaleElementReferenceException):  # JupyterLab has replaced an element of its page
+            found = what()
+            if found:
+                return found
         time.sleep(0.2)
     pytest.fail(f"waited for {name} in vain")
 
@@ -87,7 +96,7 @@ def browser() -> Iterator[Chrome]:
     options.binary_location = program
     for argument in ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"):
         options.add_argument(argument)
-    options.add_argument("--window-size=1000,700")
+    options.add_argument("--window-size=1000,800")
     opened = Chrome(options, Service(driver))
     yield opened
     opened.quit()
@@ -111,11 +120,14 @@ def notebook(tmp_path: Path, backend: str) -> Iterator[str]:
     kernel = {"name": "python3", "display_name": "Python", "language": "python"}
     notebook = {"cells": [cell], "metadata": {"kernelspec": kernel}, "nbformat": 4, "nbformat_minor": 5}
     (tmp_path / "view.ipynb").write_text(json.dumps(notebook))
+    (tmp_path / "notes.py").write_text(NOTES)
+    settings = tmp_path / "lab" / "@jupyterlab" / "apputils-extension"
+    settings.mkdir(parents=True)
+    (settings / "notification.jupyterlab-settings").write_text('{"fetchNews": "false"}')
     port = find_port()
     command = [
         sys.executable, "-m", "jupyterlab", "--no-browser", "--allow-root", f"--ServerApp.port={port}",
         "--ServerApp.port_retries=0", "--IdentityProvider.token=", f"--ServerApp.root_dir={tmp_path}",
-        "--LabApp.news_url=None", "--LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate",
     ]  # fmt: skip
     paths = {"JUPYTER_CONFIG_DIR": tmp_path / "config", "JUPYTER_RUNTIME_DIR": tmp_path / "run"}
     paths |= {"IPYTHONDIR": tmp_path / "ipython", "JUPYTERLAB_SETTINGS_DIR": tmp_path / "lab"}
@@ -147,10 +159,15 @@ def test_the_widget_is_dragged_clicked_and_told_by_keys(browser: Chrome, noteboo
         found = browser.find_elements(By.CSS_SELECTOR, ".jp-OutputArea-output img, .jp-OutputArea-output canvas")
         return next((one for one in found if one.size["width"] >= SIZE[0] - 2 and np.ptp(look(one)) > 100), None)
 
+    def click_cell() -> bool:
+        cells = browser.find_elements(By.CSS_SELECTOR, ".jp-Cell .cm-content")
+        for cell in cells[:1]:
+            cell.click()
+        return bool(cells)
+
     browser.get(notebook)
-    cell = wait_for(lambda: browser.find_elements(By.CSS_SELECTOR, ".jp-Cell .cm-content"), "the notebook")[0]
     wait_for(lambda: "Idle" in browser.page_source, "the kernel")
-    cell.click()
+    wait_for(click_cell, "the notebook")
     ActionChains(browser).key_down(Keys.SHIFT).send_keys(Keys.ENTER).key_up(Keys.SHIFT).perform()
     picture = wait_for(find_picture, "the picture")
     before = look(picture)
