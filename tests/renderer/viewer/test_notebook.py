@@ -27,13 +27,9 @@ from PIL import Image
 
 import rhi
 
-selenium = pytest.importorskip("selenium", reason="no selenium: pip install selenium")
+webdriver = pytest.importorskip("selenium.webdriver", reason="no selenium: pip install selenium")
+errors = pytest.importorskip("selenium.common.exceptions")
 pytest.importorskip("jupyter_rfb", reason="no jupyter_rfb: pip install jupyter_rfb")
-
-from selenium.common.exceptions import StaleElementReferenceException
-from selenium.webdriver import ActionChains, Chrome, ChromeOptions, Keys
-from selenium.webdriver.chrome.service import Service
-from selenium.webdriver.common.by import By
 
 pytestmark = [pytest.mark.nightly, pytest.mark.filterwarnings("ignore")]
 
@@ -53,11 +49,13 @@ def take(widget):
     stage = next(each for each in gc.get_objects() if isinstance(each, Viewer)).stage
 
     def note(event):
+        if event["event_type"] not in ("pointer_up", "key_down"):
+            return
         told = dict(kind=event["event_type"], forward=stage.camera.forward.tolist(), told=stage.told)
         with open("seen.jsonl", "a") as file:
             print(json.dumps(told | dict(technique=stage.look.technique)), file=file)
 
-    widget.add_event_handler(note, "pointer_up", "key_down", order=9)  # after the viewer
+    widget.add_event_handler(note, "*", order=9)  # after the viewer
 """
 
 
@@ -65,7 +63,7 @@ def wait_for(what: Callable[[], Any], name: str) -> Any:
     """Return what something is, once it is something."""
     until = time.monotonic() + PATIENCE
     while time.monotonic() < until:
-        with suppress(StaleElementReferenceException):  # JupyterLab has replaced an element of its page
+        with suppress(errors.StaleElementReferenceException):  # JupyterLab has replaced an element of its page
             found = what()
             if found:
                 return found
@@ -88,16 +86,16 @@ def answers(url: str) -> bool:
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Chrome]:
+def browser() -> Iterator[Any]:
     program, driver = (shutil.which(name) for name in ("chromium", "chromedriver"))
     if program is None or driver is None:
         pytest.skip("no browser: apt install chromium chromium-driver")
-    options = ChromeOptions()
+    options = webdriver.ChromeOptions()
     options.binary_location = program
     for argument in ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"):
         options.add_argument(argument)
     options.add_argument("--window-size=1000,800")
-    opened = Chrome(options, Service(driver))
+    opened = webdriver.Chrome(options, webdriver.ChromeService(driver))
     yield opened
     opened.quit()
 
@@ -153,18 +151,18 @@ def count_colors(widget: Any) -> int:
     return len(np.unique(look(widget).reshape(-1, 3), axis=0))
 
 
-def test_the_widget_is_dragged_clicked_and_told_by_keys(browser: Chrome, notebook: str, tmp_path: Path) -> None:
+def test_the_widget_is_dragged_clicked_and_told_by_keys(browser: Any, notebook: str, tmp_path: Path) -> None:
     def seen(kind: str) -> list[Any]:
         path = tmp_path / "seen.jsonl"
         lines = path.read_text().splitlines() if path.exists() else []
         return [one for one in map(json.loads, lines) if one["kind"] == kind]
 
     def find_picture() -> Any:
-        found = browser.find_elements(By.CSS_SELECTOR, ".jp-OutputArea-output img, .jp-OutputArea-output canvas")
+        found = browser.find_elements("css selector", ".jp-OutputArea-output img, .jp-OutputArea-output canvas")
         return next((one for one in found if count_colors(one) > 500), None)  # before, it is plain
 
     def click_cell() -> bool:
-        cells = browser.find_elements(By.CSS_SELECTOR, ".jp-Cell .cm-content")
+        cells = browser.find_elements("css selector", ".jp-Cell .cm-content")
         for cell in cells[:1]:
             cell.click()
         return bool(cells)
@@ -172,22 +170,22 @@ def test_the_widget_is_dragged_clicked_and_told_by_keys(browser: Chrome, noteboo
     browser.get(notebook)
     wait_for(lambda: "Idle" in browser.page_source, "the kernel")
     wait_for(click_cell, "the notebook")
-    ActionChains(browser).key_down(Keys.SHIFT).send_keys(Keys.ENTER).key_up(Keys.SHIFT).perform()
+    webdriver.ActionChains(browser).key_down(webdriver.Keys.SHIFT).send_keys(webdriver.Keys.ENTER).key_up(webdriver.Keys.SHIFT).perform()
     picture = wait_for(find_picture, "the picture")
     before = look(picture)
 
-    ActionChains(browser).move_to_element(picture).click_and_hold().move_by_offset(120, 0).release().perform()
+    webdriver.ActionChains(browser).move_to_element(picture).click_and_hold().move_by_offset(120, 0).release().perform()
     dragged = wait_for(lambda: seen("pointer_up"), "the end of the drag")[-1]
     wait_for(lambda: (look(picture) != before).mean() > 0.1, "another picture")
     after = look(picture)
 
-    ActionChains(browser).move_to_element_with_offset(picture, 0, 60).click().perform()
+    webdriver.ActionChains(browser).move_to_element_with_offset(picture, 0, 60).click().perform()
     clicked = wait_for(lambda: seen("pointer_up")[1:], "the click")[-1]
     wait_for(lambda: (look(picture) != after).any(), "the outline of what was picked")
     assert clicked["forward"] == dragged["forward"]
     assert "m away" in clicked["told"][0]
 
-    ActionChains(browser).send_keys("t").perform()
+    webdriver.ActionChains(browser).send_keys("t").perform()
     pressed = wait_for(lambda: seen("key_down"), "the key")[-1]
     assert pressed["technique"] != "forward"
     turned = np.degrees(np.arccos(np.clip(np.dot(dragged["forward"], clicked["forward"]), -1, 1)))
