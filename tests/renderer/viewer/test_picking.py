@@ -107,7 +107,8 @@ def test_boxes_are_entered_where_a_ray_is_parallel_to_their_sides() -> None:
 def test_a_ray_beside_a_triangle_in_its_own_plane_misses_it() -> None:
     """Without a warning, too: its weights are infinities of both signs."""
     triangle = np.array([[(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)]])
-    distances, weights = meet_triangles(np.array((0.0, 1.0, 0.0)), np.array((1.0, 0.0, -1.0)), triangle, both_sides=True)
+    origin, direction = np.array([(0.0, 1.0, 0.0), (1.0, 0.0, -1.0)])
+    distances, weights = meet_triangles(origin, direction, triangle, both_sides=True)
     assert sorted(weights[0]) == [-np.inf, np.inf]
     assert distances.tolist() == [np.inf]
 
