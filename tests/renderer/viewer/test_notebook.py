@@ -63,7 +63,7 @@ def wait_for(what: Callable[[], Any], name: str) -> Any:
     """Return what something is, once it is something."""
     until = time.monotonic() + PATIENCE
     while time.monotonic() < until:
-        with suppress(errors.StaleElementReferenceException):  # JupyterLab has replaced an element of its page
+        with suppress(errors.WebDriverException):  # JupyterLab is still building its page
             found = what()
             if found:
                 return found
