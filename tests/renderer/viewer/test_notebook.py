@@ -158,6 +158,8 @@ def test_the_widget_is_dragged_clicked_and_told_by_keys(browser: Any, notebook: 
         return [one for one in map(json.loads, lines) if one["kind"] == kind]
 
     def find_picture() -> Any:
+        for button in browser.find_elements("css selector", ".jp-Dialog .jp-mod-accept"):
+            button.click()  # asks for the kernel if that wasn't connected yet
         found = browser.find_elements("css selector", ".jp-OutputArea-output img, .jp-OutputArea-output canvas")
         return next((one for one in found if count_colors(one) > 500), None)  # before, it is plain
 
