@@ -31,7 +31,7 @@ fi
 echo "[test] ruff"
 .venv/bin/ruff check .
 echo "[test] mypy --strict"
-.venv/bin/mypy
+.venv/bin/python scripts/check_types.py
 echo "[test] import order"
 .venv/bin/lint-imports --no-cache
 echo "[test] pytest: tests, and the conformance kit on gl, cl and null, on all cores"
