@@ -84,6 +84,10 @@ LEFT_BOUNDS: Final = Rule(
     "a simulated object left the bounds that were declared to hold at all times",
     "declare larger bounds: an object outside of its bounds is culled where it shows",
 )
+BAD_CLOTH: Final = Rule(
+    "scene-bad-cloth",
+    "a cloth is a grid of points apart from each other, some of them pinned, in a wind of finite speed",
+)
 UNKNOWN_NODE: Final = Rule("scene-unknown-node", "no node has this name")
 
 # Scene text

@@ -209,9 +209,11 @@ KNOBS: Final[dict[str, Knob]] = {
             },
             Unit.LEVELS,
             SUPER_SAMPLED,
-            "all devices have it; anisotropy is GL's alone",
+            "a sample a pixel; anisotropy shows more at an angle, for up to 16",
             _FORWARD,
             Demand.IMAGES,
+            exception="mip levels blur what lies at an angle more than the largest one flickers, "
+            "which single pictures don't show",
         ),
         Knob(
             "edge_pixels",

@@ -33,7 +33,6 @@ SCENES: dict[str, tuple[Callable[[], Scene], Callable[[Scene], Shots]]] = {
 ALIKE = {Unit.LEVELS: 5e-3}
 """What counts as staying: of pictures half a level in a hundredth of the pixels."""
 EXCEPTIONS: Mapping[tuple[str, str], str] = {
-    ("texture_filter", "teleports"): "at 97 × 55 the nearest level blurs more than the largest one alone flickers",
     ("light_test", "teleports"): "planes leave out lights beside large clusters that vertices keep; hybrid asks both",
     ("light_test", "glass"): "the same",
     ("depth", "a parallel projection whose near plane cuts boxes"): (
