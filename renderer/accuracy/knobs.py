@@ -14,7 +14,7 @@ from enum import Enum
 from typing import Any, Final
 
 from renderer import rules
-from renderer.frame import Blending, TextureSettings
+from renderer.frame import Blending, GlowSettings, TextureSettings
 from renderer.scene import Depth
 from renderer.settings import RenderSettings
 from renderer.shadows import ShadowFilter
@@ -53,6 +53,7 @@ class Demand(Enum):
     TRANSPARENCY = "a transparent object"
     IMAGES = "an image"
     LAMPS = "a point or spot light"
+    GLOW = "an object that emits more light than a white surface reflects"
     STEREO = "a second eye"
     MOTION = "something that moves by itself"
     HEIGHT_FIELDS = "a height field whose limit holds all of its triangles"
@@ -150,6 +151,7 @@ IN_RANGE: Final = Truth("the lights that reach each pixel, in float64")
 SEEN: Final = Truth("the objects of which a pixel is seen")
 FAR_SHADOWS: Final = Truth("shadows up to 1 km, with as fine maps", {**FINE_MAPS.changes, "shadows.distance": 1000.0})
 SORTED: Final = Truth("sorted by distance", {"blending": Blending.SORTED})
+FAR_GLOW: Final = Truth("all scattered light, spread over 8 levels", {"glow": GlowSettings(levels=8)})
 FINEST: Final = Truth("all triangles of the ground in view", {"tessellation.edge_pixels": 0.01})
 EACH_FRAME: Final = Truth("motion in each frame", {"animation_step": 0.0})
 DISTANCES: Final = Truth("the distances in float64")
@@ -158,6 +160,7 @@ VECTORS: Final = Truth("the vectors in float64")
 
 _FORWARD: Final = {"technique.name": "forward", "algorithm": "frustum"}
 _ROOM: Final = {**_FORWARD, "shadows.largest_atlas": 8192}
+_LOTS: Final = "CHC++ draws lots for when an object is asked about again, so neighbours may change places"
 _CHC: Final = {**_FORWARD, "algorithm": "chc_plus_plus"}
 
 KNOBS: Final[dict[str, Knob]] = {
@@ -211,6 +214,8 @@ KNOBS: Final[dict[str, Knob]] = {
             "a sample a pixel; anisotropy shows more at an angle, for up to 16",
             _FORWARD,
             Demand.IMAGES,
+            exception="mip levels blur what lies at an angle more than the largest one flickers, "
+            "which single pictures don't show",
         ),
         Knob(
             "edge_pixels",
@@ -349,6 +354,28 @@ KNOBS: Final[dict[str, Knob]] = {
             Demand.TRANSPARENCY,
         ),
         Knob(
+            "glow_levels",
+            "how often the image is halved to spread glow",
+            "glow.levels",
+            _same(1, 2, 4, 6, 8),
+            Unit.LEVELS,
+            FAR_GLOW,
+            "six reach 64 pixels around what shines, and further ones are the cheapest",
+            _FORWARD,
+            Demand.GLOW,
+        ),
+        Knob(
+            "glow_sparks",
+            "whether single bright pixels glow as much as they shine",
+            "glow.tames_sparks",
+            {"tamed": True, "as they are": False},
+            Unit.LEVELS,
+            Truth("all scattered light", {"glow.tames_sparks": False}),
+            "far lamps are single pixels, which would glow a quarter as much",
+            _FORWARD,
+            Demand.GLOW,
+        ),
+        Knob(
             "depth",
             "direction of depth in 32-bit floats",
             "depth",
@@ -449,6 +476,7 @@ KNOBS: Final[dict[str, Knob]] = {
             "queries cost more than what is drawn for nothing",
             _CHC,
             remembers=True,
+            exception=_LOTS,
         ),
         Knob(
             "query_persistence",
@@ -460,7 +488,7 @@ KNOBS: Final[dict[str, Knob]] = {
             "what was visible nearly always still is",
             _CHC,
             remembers=True,
-            exception="CHC++ draws lots for when an object is asked about again, so neighbours may change places",
+            exception=_LOTS,
         ),
         Knob(
             "leaf_size",
@@ -472,6 +500,7 @@ KNOBS: Final[dict[str, Knob]] = {
             "objects of our scenes are large enough for a query each",
             _CHC,
             remembers=True,
+            exception="CHC++ draws lots for when nodes are asked about again, and larger nodes are fewer lots",
         ),
         Knob(
             "query_threshold",
@@ -503,6 +532,7 @@ KNOBS: Final[dict[str, Knob]] = {
             EVERYTHING,
             "nothing that is seen may be missing",
             {**_FORWARD, "algorithm": "software_depth"},
+            exception="a gap stays open if a sample falls into it, which is chance",
         ),
         Knob(
             "pyramid_texels",
