@@ -91,7 +91,7 @@ class _Placed:
     """What an eye's lights were placed by: the version of the lights and where the eye was; and the kernels for it."""
 
     def __init__(self, device: Device) -> None:
-        self.eye = MirroredValue(device, _place(np.zeros(3)))
+        self.eye: MirroredValue[ExactPlace] | None = None  # made for kernels
         self.commands = RepeatedCommands(device, "")
         self.version, self.position = 0, b""
         self.work: list[tuple[Any, int, dict[str, Any]]] = []
@@ -103,7 +103,10 @@ class _Placed:
 
     def destroy(self) -> None:
         self.commands.forget()
-        self.eye.destroy()
+        self.work = []
+        if self.eye is not None:
+            self.eye.destroy()
+            self.eye = None
 
 
 class Lamps:
