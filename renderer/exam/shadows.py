@@ -29,21 +29,25 @@ SIZE: Final = 64
 SUN: Final = np.array((-0.55, -0.62, -0.50)) / np.linalg.norm((-0.55, -0.62, -0.50))
 
 
-def make_slope(degrees: float) -> Scene:
-    """Make a floor that the sun lights from `degrees` beside its normal, from between the axes of the map."""
+def make_slope(degrees: float, normal_map: NDArray[np.uint8] | None = None) -> Scene:
+    """Make a floor that the sun lights from `degrees` beside its normal, from between the axes of the map; its normals
+    may be bent."""
     builder = SceneBuilder("slope")
     mesh = builder.add_mesh(BUILT_IN["box"]())
     floor = builder.add_node(translation((0, -0.5, 0)) @ scaling((30, 1, 30)))
-    builder.add_objects(floor, mesh, builder.add_material(specular_color=(0, 0, 0)))
+    maps = {} if normal_map is None else {"normal_texture": builder.add_image(normal_map)}
+    builder.add_objects(floor, mesh, builder.add_material(specular_color=(0, 0, 0), **maps))
     angle, turn = np.radians(degrees), 0.7
     down = (np.sin(angle) * np.cos(turn), -np.cos(angle), np.sin(angle) * np.sin(turn))
     builder.lights.add_directional(down, intensity=1.0 / np.cos(angle))
     return builder.build()
 
 
-def render_slope(device: Device, degrees: float, settings: ShadowSettings | None) -> NDArray[Any]:
+def render_slope(
+    device: Device, degrees: float, settings: ShadowSettings | None, normal_map: NDArray[np.uint8] | None = None
+) -> NDArray[Any]:
     """Return a frame of the floor, with shadows if there are settings."""
-    scene = make_slope(degrees)
+    scene = make_slope(degrees, normal_map)
     scene.lights.directional["casts_shadow"] = settings is not None
     with Renderer(device, scene, visibility=NoCulling(scene), size=(SIZE, SIZE)) as renderer:
         if settings is not None:

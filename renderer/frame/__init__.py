@@ -4,7 +4,7 @@ from renderer.frame.frame import Frame
 from renderer.frame.images import AS_GIVEN, TextureSettings
 from renderer.frame.layer import Layer
 from renderer.frame.mirrors import MirroredArray
-from renderer.frame.needs import Blending, Effect, Needs, find_needs
+from renderer.frame.needs import SHADOW_EFFECTS, Blending, Effect, Needs, find_needs
 from renderer.frame.passes import Drawn, TechniquePass
 from renderer.frame.plan import OUTPUTS, DroppedPass, Pass, Plan, SharedTexture, Target, find_last, make_plan
 from renderer.frame.resources import SceneResources
@@ -16,6 +16,7 @@ __all__ = [
     "DEPTH_FORMAT",
     "IMAGE_FORMAT",
     "OUTPUTS",
+    "SHADOW_EFFECTS",
     "Blending",
     "Drawn",
     "DroppedPass",

@@ -51,6 +51,10 @@ class Effect(Enum):
     __hash__ = object.__hash__
 
 
+SHADOW_EFFECTS: Final = (Effect.SUN_SHADOWS, Effect.POINT_SHADOWS, Effect.SPOT_SHADOWS)
+"""The shadows of each kind of light."""
+
+
 class Blending(Enum):
     """How transparent surfaces that cover each other are put together."""
 
@@ -120,6 +124,11 @@ class Needs:
     def has_both_models(self) -> bool:
         """Whether some materials are of the metallic-roughness model, and others of the specular one."""
         return 0 < self.counts[Effect.METALS] < self.material_count
+
+    @property
+    def has_planes(self) -> bool:
+        """Whether surfaces are told from their normals: maps bend these, and shadows fall on those."""
+        return Effect.NORMAL_MAPS in self.effects and not self.effects.isdisjoint(SHADOW_EFFECTS)
 
     @property
     def key(self) -> tuple[object, ...]:

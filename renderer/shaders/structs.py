@@ -200,7 +200,8 @@ class SurfaceVarying(Struct):
 
 
 class SurfacePoint(Struct):
-    """A point of a surface to be lit; `normal` and `to_eye` are unit vectors.
+    """A point of a surface to be lit; `normal`, `plane` and `to_eye` are unit vectors. `plane` is the normal of the
+    surface itself, `normal` as maps bend it.
 
     In the specular model, `base_color` is what scatters light and `specular_color` what mirrors it; `shininess` is an
     exponent. In the metallic-roughness model they are the colours of the same two parts of its equation
@@ -211,6 +212,7 @@ class SurfacePoint(Struct):
 
     position: vec3
     normal: vec3
+    plane: vec3
     to_eye: vec3
     base_color: vec3
     specular_color: vec3

@@ -22,7 +22,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from renderer.frame import Effect, Frame, Needs, Pass
+from renderer.frame import SHADOW_EFFECTS, Effect, Frame, Needs, Pass
 from renderer.frame.lamps import EYES
 from renderer.frame.mirrors import MirroredValue, split_doubles
 from renderer.frame.resources import SceneResources
@@ -66,9 +66,6 @@ from rhi import (
 from rhi.shading import Shader, vec4, vertex_index
 
 __rhi_internal__ = True
-
-SHADOW_EFFECTS: Final = (Effect.SUN_SHADOWS, Effect.POINT_SHADOWS, Effect.SPOT_SHADOWS)
-"""The effects that call for shadow maps."""
 
 _COMPARING: Final = SamplerDescriptor(
     mip=None,

@@ -12,6 +12,9 @@ is compared with a depth that is as much nearer: at the foot of a wall the floor
 is left is rounding, and the difference between a normal and a facet: for these the point is moved along its normal,
 by `bias.x` texels and `bias.y` times the sine of θ, in all by less than a texel.
 
+The normal is that of the surface in the map, which normal maps don't bend (`SurfacePoint.plane`). Where they bend it
+towards a light behind the surface, the surface is in its own shadow.
+
 Depth is reversed: 1 at the light, less farther away. A point is lit where it isn't farther than what is in the map.
 """
 
@@ -133,17 +136,17 @@ def cube_face(v: vec3) -> int:
 
 
 class ShadowReceiver(Shader):
-    """The base of shaders that light surfaces: nothing blocks light."""
+    """The base of shaders that light surfaces: nothing blocks light. `plane` is the normal that maps don't bend."""
 
-    def unblocked_sun(self, light: vec3, position: vec3, normal: vec3, row: int) -> vec3:
+    def unblocked_sun(self, light: vec3, position: vec3, plane: vec3, row: int) -> vec3:
         """Return what arrives of the light of a directional light at a surface."""
         return light
 
-    def unblocked_point(self, light: vec3, position: vec3, normal: vec3, row: int) -> vec3:
+    def unblocked_point(self, light: vec3, position: vec3, plane: vec3, row: int) -> vec3:
         """Return what arrives of the light of a point light at a surface."""
         return light
 
-    def unblocked_spot(self, light: vec3, position: vec3, normal: vec3, row: int) -> vec3:
+    def unblocked_spot(self, light: vec3, position: vec3, plane: vec3, row: int) -> vec3:
         """Return what arrives of the light of a spot light at a surface."""
         return light
 
@@ -233,7 +236,7 @@ class WithSunShadows(ShadowReceiver, ShadowReader):
 
     suns: Uniform[SunTable]
 
-    def unblocked_sun(self, light: vec3, position: vec3, normal: vec3, row: int) -> vec3:
+    def unblocked_sun(self, light: vec3, position: vec3, plane: vec3, row: int) -> vec3:
         if light.x + light.y + light.z <= 0.0:
             return light
         # The first map that the position is in, if it has casters. What is read of it is read in the loop, where all
@@ -249,7 +252,7 @@ class WithSunShadows(ShadowReceiver, ShadowReader):
                 aside = max(abs(there.x), abs(there.y)) / self.suns.maps[i].inner
                 if aside < 1.0 and -there.z < self.suns.maps[i].length:
                     place = there
-                    facing = self.suns.maps[i].axes @ normal
+                    facing = self.suns.maps[i].axes @ plane
                     tile = vec4(self.suns.maps[i].middle, self.suns.maps[i].half, self.suns.maps[i].texel)
                     deep = self.suns.maps[i].length
                     edge = aside * float(self.suns.maps[i].is_last)
@@ -259,7 +262,9 @@ class WithSunShadows(ShadowReceiver, ShadowReader):
         place += facing * (tile.w * (self.suns.bias.x + self.suns.bias.y * sine))
         at = tile.xy + vec2(place.x, -place.y) / tile.w
         slope = vec2(-facing.x, facing.y) * (self.suns.bias.z * tile.w / (max(facing.z, _STEEPEST) * deep))
-        share = self.find_lit_share(at, 1.0 + place.z / deep, slope, tile.xy, tile.z)
+        share = 0.0
+        if facing.z > 0.0:
+            share = self.find_lit_share(at, 1.0 + place.z / deep, slope, tile.xy, tile.z)
         return light * mix(share, 1.0, smoothstep(0.9, 1.0, edge))
 
 
@@ -301,6 +306,8 @@ class WithLampShadows(ShadowReceiver, ShadowReader):
         is_cube = slot % 2 == 1
         distance = max(length(away), 1e-20)
         facing = dot(normal, away) / distance
+        if facing >= 0.0:
+            return vec3(0.0)
         sine = sqrt(max(1.0 - facing * facing, 0.0))
         depth = max(max(abs(away.x), abs(away.y)), abs(away.z))
         if not is_cube:
@@ -329,9 +336,9 @@ class WithPointShadows(WithLampShadows):
 
     point_lights: Storage[PointLight]
 
-    def unblocked_point(self, light: vec3, position: vec3, normal: vec3, row: int) -> vec3:
+    def unblocked_point(self, light: vec3, position: vec3, plane: vec3, row: int) -> vec3:
         away = position - self.point_lights[row].position
-        return self.past_casters(light, away, self.point_lights[row].range, normal, row)
+        return self.past_casters(light, away, self.point_lights[row].range, plane, row)
 
 
 class WithSpotShadows(WithLampShadows):
@@ -339,9 +346,9 @@ class WithSpotShadows(WithLampShadows):
 
     spot_lights: Storage[SpotLight]
 
-    def unblocked_spot(self, light: vec3, position: vec3, normal: vec3, row: int) -> vec3:
+    def unblocked_spot(self, light: vec3, position: vec3, plane: vec3, row: int) -> vec3:
         away = position - self.spot_lights[row].position
-        return self.past_casters(light, away, self.spot_lights[row].range, normal, row + self.lamps.points)
+        return self.past_casters(light, away, self.spot_lights[row].range, plane, row + self.lamps.points)
 
 
 FILTERS: Final[dict[ShadowFilter, type[ShadowReader]]] = {

@@ -25,6 +25,7 @@ from renderer.techniques.geometry_buffer import (
     find_layout,
     geometry_pass,
     list_contents,
+    list_planes,
     list_readers,
 )
 from renderer.techniques.light_volumes import (
@@ -65,7 +66,7 @@ class LightingShader(VolumeShader, GeometryReader):
         row = self.material.load(place)
         surface = self.read_surface(row, texel, place, position)
         light = self.reflect_light(surface, self.find_incidence(position, v.light))
-        return vec4(self.unblocked(light, position, surface.normal, v.light), 0.0)
+        return vec4(self.unblocked(light, position, surface.plane, v.light), 0.0)
 
 
 class GeometryResolve(ResolveShader, GeometryReader, ShadingShader):
@@ -139,5 +140,5 @@ def resolve_geometry(
     frame: Frame, base: type[GeometryResolve], parts: Sequence[str], bindings: dict[str, Any]
 ) -> None:
     """Make the image with a shader and parts of it, and their bindings besides those of the geometry buffer."""
-    readers = find_layout(frame.needs).parts
+    readers = (*list_planes(frame.needs), *find_layout(frame.needs).parts)
     draw_resolve(frame, (*readers, base), parts, bindings | bind_geometry(frame), depth=frame.targets["depth"])

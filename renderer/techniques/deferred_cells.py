@@ -189,7 +189,7 @@ class TiledPointLights(TiledLighting):
         if not is_near(surface.position, light.position, light.range):
             return vec3(0.0)
         reflected = self.reflect_light(surface, point_incidence(surface.position, light))
-        return self.unblocked_point(reflected, surface.position, surface.normal, row)
+        return self.unblocked_point(reflected, surface.position, surface.plane, row)
 
 
 class TiledSpotLights(TiledLighting):
@@ -209,7 +209,7 @@ class TiledSpotLights(TiledLighting):
         if not is_near(surface.position, light.position, light.range):
             return vec3(0.0)
         reflected = self.reflect_light(surface, spot_incidence(surface.position, light))
-        return self.unblocked_spot(reflected, surface.position, surface.normal, row)
+        return self.unblocked_spot(reflected, surface.position, surface.plane, row)
 
 
 class TileUploads(LightUploads):

@@ -69,7 +69,7 @@ class WithPointLights(LampShader):
             row = self.light_rows[i]
             if in_range(surface, self.point_lights[row].position, self.point_lights[row].range):
                 light = self.reflect_light(surface, point_incidence(surface.position, self.point_lights[row]))
-                color += self.unblocked_point(light, surface.position, surface.normal, row)
+                color += self.unblocked_point(light, surface.position, surface.plane, row)
         return color
 
 
@@ -85,7 +85,7 @@ class WithSpotLights(LampShader):
             row = self.light_rows[i]
             if in_range(surface, self.spot_lights[row].position, self.spot_lights[row].range):
                 light = self.reflect_light(surface, spot_incidence(surface.position, self.spot_lights[row]))
-                color += self.unblocked_spot(light, surface.position, surface.normal, row)
+                color += self.unblocked_spot(light, surface.position, surface.plane, row)
         return color
 
 

@@ -3,6 +3,7 @@
 | contents | format | bytes | what it holds |
 |---|---|---|---|
 | `surface` | RG32UI | 8 | the normal, octahedral in 2 × 16 bits; the distance along the view, a float32 |
+| `surface`, if shadows fall on normal maps | RGBA32UI | 16 | and the normal without maps; a word isn't used |
 | `material` | R32UI | 4 | the row of the material |
 | `material`, if the scene has images or maps | RG32UI | 8 | and the texel's colour, 3 × 10 bits |
 | `details`, if it has roughness or occlusion maps | R32UI | 4 | metallic and occlusion, 8 bits each; roughness, 16 |
@@ -13,6 +14,9 @@ Materials stay in the scene's array, so a surface is lit by its own, unrounded n
 own, because a texture can't be read while it is the target of a depth test. So it doesn't depend on the direction of
 depth either: where standard depth is 0.3 m wrong, a position is still exact.
 
+Shadows are looked up by the normal that maps don't bend. Found by the distances of the pixels around, it would be
+wrong at edges and take four more loads for each light of a pixel; stored, it is in the texel that is loaded anyway.
+
 A texel's colour is stored as its square root. Its 10 bits are then 4 times as fine as an image's own 8, which a bright
 light on a dark texel needs. What isn't covered keeps what the buffer held: passes over the whole image leave out the
 background by a depth test (`draw_full_screen`).
@@ -22,7 +26,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target, TechniquePass
 from renderer.shaders.encodings import decode_normal, encode_normal
@@ -61,8 +65,10 @@ from rhi.shading import (
     vec3,
 )
 
-SURFACE_FORMAT: Final = Format.RG32UI
-"""The format of normals and distances."""
+
+def find_surface_format(needs: Needs) -> Format:
+    """Return the format of `surface`."""
+    return Format.RGBA32UI if needs.has_planes else Format.RG32UI
 
 
 @function
@@ -105,21 +111,21 @@ def decode_details(bits: uint) -> vec3:
 class GeometryTexels(Struct):
     """What `GeometryShader` writes."""
 
-    surface: uvec2
+    surface: uvec4
     material: uint
 
 
 class TexturedTexels(Struct):
     """What `TexturedGeometry` writes."""
 
-    surface: uvec2
+    surface: uvec4
     material: uvec2
 
 
 class DetailedTexels(Struct):
     """What `DetailedGeometry` writes."""
 
-    surface: uvec2
+    surface: uvec4
     material: uvec2
     details: uint
 
@@ -127,7 +133,7 @@ class DetailedTexels(Struct):
 class EmissiveTexels(Struct):
     """What `EmissiveGeometry` writes."""
 
-    surface: uvec2
+    surface: uvec4
     material: uvec2
     details: uvec2
 
@@ -137,9 +143,14 @@ class SurfaceShader(SceneShader):
 
     rays: Uniform[PixelRays]
 
-    def encode_surface(self, v: SurfaceVarying) -> uvec2:
+    def encode_surface(self, v: SurfaceVarying) -> uvec4:
+        """Return what `surface` holds; what its format has no room for is left out."""
+        normal = self.find_normal(v)
         distance = dot(v.position, self.rays.forward)
-        return uvec2(encode_normal(self.find_normal(v)), float_bits_to_uint(distance))
+        plane = uint(0)
+        if self.has_planes:
+            plane = encode_normal(self.find_plane(v, normal))
+        return uvec4(encode_normal(normal), float_bits_to_uint(distance), plane, uint(0))
 
 
 class GeometryShader(SurfaceShader):
@@ -223,6 +234,17 @@ class SurfaceReader(Shader):
             pixel = find_shrunk(pixel, self.rays.size, self.surface.size())
         return place_pixel(self.rays, pixel, uint_bits_to_float(texel.y))
 
+    def read_plane(self, texel: uvec4, normal: vec3) -> vec3:
+        """Return the normal that maps don't bend of the surface whose texel was loaded, given the `normal`."""
+        return normal
+
+
+class StoredPlanes(SurfaceReader):
+    """Normals that maps don't bend are stored."""
+
+    def read_plane(self, texel: uvec4, normal: vec3) -> vec3:
+        return decode_normal(texel.z)
+
 
 class GeometryReader(SurfaceReader, ReflectingShader):
     """The base of shaders that light what is in the geometry buffer."""
@@ -234,9 +256,11 @@ class GeometryReader(SurfaceReader, ReflectingShader):
         """Return the surface at a place of the buffer, whose texels of `material` and `surface` were loaded."""
         material = self.materials[int(row.x)]
         details = self.load_details(place)
+        normal = decode_normal(texel.x)
         surface = SurfacePoint(
             position=position,
-            normal=decode_normal(texel.x),
+            normal=normal,
+            plane=self.read_plane(texel, normal),
             to_eye=safe_normalize(-position),
             base_color=material.base_color.rgb * self.read_texel(row),
             specular_color=material.specular_color,
@@ -300,7 +324,7 @@ def geometry_pass(needs: Needs, depth_format: Format = DEPTH_FORMAT) -> Pass[Fra
         draw_geometry,
         "stores the nearest surface of each pixel",
         writes=(
-            Target("surface", SURFACE_FORMAT),
+            Target("surface", find_surface_format(needs)),
             Target("material", layout.material),
             *details,
             Target("depth", depth_format),
@@ -313,9 +337,14 @@ def list_contents(needs: Needs) -> tuple[str, ...]:
     return "surface", "material", *(["details"] if find_layout(needs).details is not None else []), "depth"
 
 
+def list_planes(needs: Needs) -> tuple[type[SurfaceReader], ...]:
+    """Return the parts by which a `SurfaceReader` reads normals that maps don't bend."""
+    return (StoredPlanes,) if needs.has_planes else ()
+
+
 def list_readers(needs: Needs) -> tuple[type[Shader], ...]:
     """Return the parts by which a `GeometryReader` reads and reflects what the scene has."""
-    return (*find_layout(needs).parts, *(SHADING_PARTS[name] for name in list_models(needs)))
+    return (*list_planes(needs), *find_layout(needs).parts, *(SHADING_PARTS[name] for name in list_models(needs)))
 
 
 def draw_geometry(frame: Frame) -> None:

@@ -31,10 +31,10 @@ from renderer.techniques.forward import Forward, bind_materials, find_forward
 from renderer.techniques.forward_shader import ForwardShader, forward_variant
 from renderer.techniques.full_screen import bind_rays, draw_full_screen
 from renderer.techniques.geometry_buffer import (
-    SURFACE_FORMAT,
     SurfaceReader,
     bind_surface,
     find_shrunk,
+    find_surface_format,
 )
 from renderer.techniques.light_pre_pass import (
     SHININESS_FORMAT,
@@ -71,7 +71,7 @@ from rhi.shading import (
     length,
     min,
     step,
-    uvec2,
+    uvec4,
     vec2,
     vec3,
     vec4,
@@ -98,7 +98,7 @@ class Shrunk(Struct):
 class ShrunkTexels(Struct):
     """What `ShrinkShader` writes."""
 
-    surface: uvec2
+    surface: uvec4
     shininess: float
     depth: FragmentDepth
 
@@ -113,7 +113,7 @@ class ShrinkShader(FullScreen):
 
     def fragment(self) -> ShrunkTexels:
         place = ivec2(find_shrunk(fragment_coordinate().xy, self.rays.size, self.shrunk.size))
-        surface = self.surface.load(place).xy
+        surface = self.surface.load(place)
         depth = self.depth.load(place).x
         if depth == self.rays.farthest:
             surface.y = float_bits_to_uint(-1e30)
@@ -240,9 +240,9 @@ class Inferred:
         if not lights:
             return Forward().declare(needs)
         terms = dict(zip(list_terms(needs), last, strict=True))
-        formats = (SURFACE_FORMAT, SHININESS_FORMAT, DEPTH_FORMAT)
+        formats = (find_surface_format(needs), SHININESS_FORMAT, DEPTH_FORMAT)
         return (
-            normals_pass(DEPTH_FORMAT),
+            normals_pass(needs),
             Pass(
                 "shrink",
                 shrink,

@@ -166,7 +166,7 @@ class WithIndexedPointLights(WithPointLights):
             row = self.numbered[number - 1]
             if row >= 0:
                 light = self.reflect_light(surface, point_incidence(surface.position, self.point_lights[row]))
-                color += self.unblocked_point(light, surface.position, surface.normal, row)
+                color += self.unblocked_point(light, surface.position, surface.plane, row)
             packed = packed >> uvec4(LIGHT_BITS)
             number = next_light(packed)
         return color
@@ -189,7 +189,7 @@ class WithIndexedSpotLights(WithSpotLights):
             row = self.numbered[number - 1]
             if row < 0:
                 light = self.reflect_light(surface, spot_incidence(surface.position, self.spot_lights[~row]))
-                color += self.unblocked_spot(light, surface.position, surface.normal, ~row)
+                color += self.unblocked_spot(light, surface.position, surface.plane, ~row)
             packed = packed >> uvec4(LIGHT_BITS)
             number = next_light(packed)
         return color

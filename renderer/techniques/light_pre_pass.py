@@ -27,11 +27,12 @@ from renderer.shaders.structs import SurfacePoint, SurfaceVarying
 from renderer.techniques.forward import Forward, bind_materials, find_forward
 from renderer.techniques.forward_shader import ForwardShader, forward_variant
 from renderer.techniques.geometry_buffer import (
-    SURFACE_FORMAT,
     SurfaceReader,
     SurfaceShader,
     bind_surface,
     draw_surfaces,
+    find_surface_format,
+    list_planes,
 )
 from renderer.techniques.light_volumes import (
     BRIGHTEST,
@@ -55,7 +56,7 @@ from rhi.shading import (
     ivec2,
     max,
     min,
-    uvec2,
+    uvec4,
     vec3,
     vec4,
 )
@@ -68,7 +69,7 @@ _SHININESS_SCALE: Final = 0.5
 class NormalTexels(Struct):
     """What `NormalShader` writes."""
 
-    surface: uvec2
+    surface: uvec4
     shininess: float
 
 
@@ -124,9 +125,11 @@ class TermShader(VolumeShader, SurfaceReader, ReflectingShader):
         if not self.is_reached(position, light):
             return LightTerms(diffuse=vec4(0.0), specular=vec4(0.0), grazing=vec4(0.0))
         incidence = self.find_incidence(position, light)
+        normal = decode_normal(texel.x)
         surface = SurfacePoint(
             position=position,
-            normal=decode_normal(texel.x),
+            normal=normal,
+            plane=self.read_plane(texel, normal),
             to_eye=safe_normalize(-position),
             base_color=vec3(1.0),
             specular_color=vec3(1.0),
@@ -138,7 +141,7 @@ class TermShader(VolumeShader, SurfaceReader, ReflectingShader):
         if facing <= 0.0:
             return LightTerms(diffuse=vec4(0.0), specular=vec4(0.0), grazing=vec4(0.0))
         terms = self.find_terms(surface, incidence.direction)
-        light_in = self.unblocked(incidence.irradiance * facing, position, surface.normal, light)
+        light_in = self.unblocked(incidence.irradiance * facing, position, surface.plane, light)
         specular = light_in * terms.y
         return LightTerms(
             diffuse=vec4(light_in * terms.x, luminance(specular)),
@@ -232,7 +235,7 @@ class LightPrePass:
         if not lights:
             return Forward().declare(needs)
         return (
-            normals_pass(Format.D32FS8 if self.stencil else DEPTH_FORMAT),
+            normals_pass(needs, Format.D32FS8 if self.stencil else DEPTH_FORMAT),
             *lights,
             Pass(
                 "materials",
@@ -245,14 +248,14 @@ class LightPrePass:
         )
 
 
-def normals_pass(depth_format: Format) -> Pass[Frame]:
+def normals_pass(needs: Needs, depth_format: Format = DEPTH_FORMAT) -> Pass[Frame]:
     """Return the pass that draws `surface`, `shininess` and `depth`."""
     return Pass(
         "normals",
         draw_normals,
         "stores what lights must know of the nearest surface of each pixel",
         writes=(
-            Target("surface", SURFACE_FORMAT),
+            Target("surface", find_surface_format(needs)),
             Target("shininess", SHININESS_FORMAT),
             Target("depth", depth_format),
         ),
@@ -294,11 +297,12 @@ def collect_terms(
     shaders = {1: PackedTerms, 2: PlainTerms}
     if Effect.METALS in frame.needs.effects:
         shaders = {2: PackedMetals, 3: MetalTerms}
-    models = tuple(SHADING_PARTS[name] for name in list_models(frame.needs))
+    models = (SHADING_PARTS[name] for name in list_models(frame.needs))
+    parts = (*list_planes(frame.needs), *models)
     draw_volumes(
         frame,
         effect,
-        lit_variant(shaders[len(targets)], effect, models, is_shrunk=bool(prefix)),
+        lit_variant(shaders[len(targets)], effect, parts, is_shrunk=bool(prefix)),
         bind_surface(frame, f"{prefix}surface") | {"shininess": frame.targets[f"{prefix}shininess"]},
         targets,
         depth=f"{prefix}depth",

@@ -118,7 +118,7 @@ class VolumeShader(ShadowReceiver):
         """Return what arrives at a position of the light of this row."""
         return Incidence(direction=vec3(0.0), irradiance=vec3(0.0))
 
-    def unblocked(self, light: vec3, position: vec3, normal: vec3, row: int) -> vec3:
+    def unblocked(self, light: vec3, position: vec3, plane: vec3, row: int) -> vec3:
         """Return what arrives of the light of this row at a surface."""
         return light
 
@@ -143,8 +143,8 @@ class PointVolumes(VolumeShader):
     def find_incidence(self, position: vec3, light: int) -> Incidence:
         return point_incidence(position, self.point_lights[light])
 
-    def unblocked(self, light: vec3, position: vec3, normal: vec3, row: int) -> vec3:
-        return self.unblocked_point(light, position, normal, row)
+    def unblocked(self, light: vec3, position: vec3, plane: vec3, row: int) -> vec3:
+        return self.unblocked_point(light, position, plane, row)
 
 
 class SpotVolumes(VolumeShader):
@@ -175,8 +175,8 @@ class SpotVolumes(VolumeShader):
     def find_incidence(self, position: vec3, light: int) -> Incidence:
         return spot_incidence(position, self.spot_lights[light])
 
-    def unblocked(self, light: vec3, position: vec3, normal: vec3, row: int) -> vec3:
-        return self.unblocked_spot(light, position, normal, row)
+    def unblocked(self, light: vec3, position: vec3, plane: vec3, row: int) -> vec3:
+        return self.unblocked_spot(light, position, plane, row)
 
 
 VOLUMES: Final[dict[Effect, type[VolumeShader]]] = {

@@ -65,6 +65,7 @@ class SceneShader(Shader):
     view: Uniform[ViewConstants]
     objects: Storage[Object]
     places: Storage[ObjectPosition]
+    has_planes = False
 
     def vertex(self, v: Vertex) -> SurfaceVarying:
         return self.transform(v, vec2(0.0), vec4(1.0, 0.0, 0.0, 1.0), vec4(1.0))
@@ -103,8 +104,20 @@ class SceneShader(Shader):
         return vec4(1.0)
 
     def find_normal(self, v: SurfaceVarying) -> vec3:
-        """Return the unit normal of the fragment."""
-        return safe_normalize(v.normal)
+        """Return the unit normal of the fragment, as maps bend it."""
+        return self.turn_side(self.bend(safe_normalize(v.normal), v))
+
+    def find_plane(self, v: SurfaceVarying, normal: vec3) -> vec3:
+        """Return the unit normal of the fragment's surface, which maps don't bend, given the `normal` that they do."""
+        return normal
+
+    def bend(self, normal: vec3, v: SurfaceVarying) -> vec3:
+        """Return a unit normal as maps bend it."""
+        return normal
+
+    def turn_side(self, normal: vec3) -> vec3:
+        """Return the normal of the side that is seen, given that of the front."""
+        return normal
 
 
 class ReflectingShader(Shader):
@@ -232,7 +245,7 @@ class WithDirectionalLights(ShadingShader):
         color = vec3(0.0)
         for i in range(len(self.directional_lights)):
             light = self.reflect_light(surface, directional_incidence(self.directional_lights[i]))
-            color += self.unblocked_sun(light, surface.position, surface.normal, i)
+            color += self.unblocked_sun(light, surface.position, surface.plane, i)
         return color
 
 
@@ -244,7 +257,7 @@ class WithSun(ShadingShader):
 
     def sunlight(self, surface: SurfacePoint) -> vec3:
         light = self.reflect_light(surface, directional_incidence(self.directional_lights[0]))
-        return self.unblocked_sun(light, surface.position, surface.normal, 0)
+        return self.unblocked_sun(light, surface.position, surface.plane, 0)
 
 
 class WithHaze(FinishShader):

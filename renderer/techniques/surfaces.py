@@ -75,9 +75,11 @@ class MaterialShader(SceneShader, ReflectingShader):
     materials: Storage[Material]
 
     def find_surface(self, v: SurfaceVarying, material: Material) -> SurfacePoint:
+        normal = self.find_normal(v)
         surface = SurfacePoint(
             position=v.position,
-            normal=self.find_normal(v),
+            normal=normal,
+            plane=self.find_plane(v, normal),
             to_eye=safe_normalize(-v.position),
             base_color=material.base_color.rgb * self.find_texel(v).rgb,
             specular_color=material.specular_color,
@@ -402,8 +404,7 @@ class WithMasks(SceneShader):
 class WithNormalMaps(DataShader):
     """Normals are bent by textures. Where a texture has no direction, they are as they were."""
 
-    def find_normal(self, v: SurfaceVarying) -> vec3:
-        normal = super().find_normal(v)
+    def bend(self, normal: vec3, v: SurfaceVarying) -> vec3:
         material = self.materials[v.material]
         if material.normal_texture < 0:
             return normal
@@ -416,11 +417,19 @@ class WithNormalMaps(DataShader):
         return safe_normalize(bent)
 
 
+class WithPlanes(SceneShader):
+    """Surfaces have the normal that maps don't bend, too: shadow maps hold these surfaces."""
+
+    has_planes = True
+
+    def find_plane(self, v: SurfaceVarying, normal: vec3) -> vec3:
+        return self.turn_side(safe_normalize(v.normal))
+
+
 class WithTwoSides(SceneShader):
     """Backs have the opposite normal. They are drawn of materials with two sides only (`DRAW_GROUPS`)."""
 
-    def find_normal(self, v: SurfaceVarying) -> vec3:
-        normal = super().find_normal(v)
+    def turn_side(self, normal: vec3) -> vec3:
         return normal if front_facing() else -normal
 
 
@@ -520,6 +529,7 @@ SURFACE_PARTS: Final[dict[str, type[Shader]]] = {
     "masks": WithMasks,
     "two_sides": WithTwoSides,
     "normal_maps": WithNormalMaps,
+    "planes": WithPlanes,
     "roughness_maps": WithRoughnessMaps,
     "occlusion_maps": WithOcclusionMaps,
     "emissive_maps": WithEmissiveMaps,
@@ -591,6 +601,8 @@ def bind_surfaces(
         "places": resources.places.buffer,
     }
     attributes = {"tangent": has_tangents or "normal_maps" in parts, "color": "vertex_colors" in parts}
+    if "normal_maps" in parts and frame.needs.has_planes:
+        parts.append("planes")
     kinds = [
         kind
         for kind, base in _KINDS.items()

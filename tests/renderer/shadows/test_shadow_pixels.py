@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 import rhi
 from renderer.content import BUILT_IN
 from renderer.exam import CASES
-from renderer.exam.shadows import FLOOR, SETTINGS, find_acne
+from renderer.exam.shadows import FLOOR, SETTINGS, SLOPES, find_acne, make_slope
 from renderer.renderer import Renderer
 from renderer.scene import (
     AlphaMode,
@@ -148,12 +148,15 @@ def test_a_lit_plane_has_no_acne_at_any_slope_with_the_other_filters(gl: rhi.Dev
     assert CASES[48].judge(found), found
 
 
-def block_scene(degrees: float) -> tuple[Scene, NDArray[np.float64]]:
+def block_scene(
+    degrees: float, normal_map: NDArray[np.uint8] | None = None
+) -> tuple[Scene, NDArray[np.float64]]:
     """Make a block on a floor and a sun; return the scene and the sun's direction."""
     scene_builder = SceneBuilder("block")
     mesh, material = scene_builder.add_mesh(BUILT_IN["box"]()), scene_builder.add_material(specular_color=(0, 0, 0))
     floor = scene_builder.add_node(translation((0, -0.5, 0)) @ scaling((30, 1, 30)))
-    scene_builder.add_objects(floor, mesh, material)
+    maps = {} if normal_map is None else {"normal_texture": scene_builder.add_image(normal_map)}
+    scene_builder.add_objects(floor, mesh, scene_builder.add_material(specular_color=(0, 0, 0), **maps))
     scene_builder.add_objects(scene_builder.add_node(translation((0, 0.5, 0))), mesh, material)
     angle, turn = np.radians(degrees), 0.7
     down = np.array((np.sin(angle) * np.cos(turn), -np.cos(angle), np.sin(angle) * np.sin(turn)))
@@ -455,3 +458,106 @@ def test_shadows_are_the_same_on_each_device(drawing_device: rhi.Device) -> None
     assert 0.03 < (darker > 4).mean() < 0.2
     assert len(np.unique(darker)) > 10
     assert not (pixels > plain).any()
+
+
+BUMPS = np.random.default_rng(3).normal(size=(64, 64, 3))
+BUMPS[..., 2] = np.abs(BUMPS[..., 2]) * 0.5
+BUMPS /= np.linalg.norm(BUMPS, axis=-1, keepdims=True)
+BUMPS = np.concatenate([np.round(127.5 + 127.5 * BUMPS), np.full((64, 64, 1), 255)], -1).astype(np.uint8)
+"""A normal map whose normals are up to 90° beside the surface's own, 52° at the median."""
+
+
+def render_plain_and_shadowed(
+    device: rhi.Device, scene: Scene, camera: Camera, technique: str = "forward", filter: ShadowFilter = SETTINGS.filter
+) -> list[Pixels]:
+    """Return a frame of a scene without shadows, and one with those of all lights."""
+    shown = []
+    for casts in (False, True):
+        for lights in (scene.lights.directional, scene.lights.point, scene.lights.spot):
+            lights["casts_shadow"] = casts
+        kind = TECHNIQUES[technique]()
+        with Renderer(device, scene, technique=kind, visibility=NoCulling(scene), size=(64, 64)) as renderer:
+            renderer.shadows.settings = replace(SETTINGS, filter=filter, smallest=64, largest=64)
+            shown.append(renderer.render(camera).image.read()[..., :3].astype(int))
+    return shown
+
+
+def make_bumps(degrees: float) -> Scene:
+    """Make a floor whose normals are bent, under a sun of this slope."""
+    scene = make_slope(degrees, BUMPS)
+    scene.lights.directional["intensity"] = 1.0
+    return scene
+
+
+def test_normal_maps_bring_no_acne_at_any_slope(gl: rhi.Device) -> None:
+    scene = make_bumps(0.0)
+    with Renderer(gl, scene, visibility=NoCulling(scene), size=(64, 64)) as renderer:
+        renderer.shadows.settings = SETTINGS
+        for degrees in SLOPES:
+            scene.lights.directional["direction"] = make_bumps(degrees).lights.directional["direction"]
+            shown = []
+            for casts in (False, True):
+                scene.lights.directional["casts_shadow"] = casts
+                shown.append(renderer.render(FLOOR).image.read()[..., :3].astype(int))
+            assert (shown[0] > shown[0].min() + 20).any(-1).mean() > 0.1
+            assert np.abs(shown[1] - shown[0]).max() <= 1, degrees
+
+
+DIFFERENT = ("forward", "forward_multipass", "deferred", "light_pre_pass", "deferred_plus")
+"""Techniques that keep normals in different ways; the others have the shaders of these."""
+
+
+@pytest.mark.parametrize(
+    "technique",
+    [one if one in DIFFERENT else pytest.param(one, marks=pytest.mark.nightly) for one in TECHNIQUES],
+)
+def test_normal_maps_bring_no_acne_with_any_technique_and_light(gl: rhi.Device, technique: str) -> None:
+    scene = make_bumps(75.0)
+    scene.lights.directional["intensity"] = 0.3
+    scene.lights.add_point((2.0, 0.5, 1.0), 8.0, intensity=2.0)
+    scene.lights.add_spot((-2.0, 0.5, 1.0), (1.0, -0.3, 0.0), 8.0, 0.4, 0.7, intensity=8.0)
+    plain, shown = render_plain_and_shadowed(gl, scene, FLOOR, technique)
+    assert np.abs(shown - plain).max() <= 1
+
+
+def test_normal_maps_neither_detach_shadows_nor_widen_them(gl: rhi.Device) -> None:
+    camera = Camera.look_at((3, 4, 5), (0, 0, 0))
+    shadows = []
+    for normal_map in (None, BUMPS):
+        scene, _ = block_scene(60.0, normal_map)
+        plain, shown = render_plain_and_shadowed(gl, scene, camera, filter=ShadowFilter.HARD)
+        shadows.append((shown < plain - 1).any(-1))
+        is_lit = plain[..., 0] > np.median(shown[..., 0][shadows[-1]]) + 20
+    flat, bumpy = shadows
+    assert (flat & is_lit).sum() > 50
+    assert np.array_equal(flat[is_lit], bumpy[is_lit])
+
+
+@pytest.mark.parametrize("technique", ["forward", "deferred", "deferred_plus"])
+@pytest.mark.parametrize("above", [True, False])
+def test_normal_maps_let_no_light_through_a_sheet(gl: rhi.Device, technique: str, above: bool) -> None:
+    scene = leaf_scene(double_sided=True, normal_texture=BUMPS, specular_color=(0, 0, 0))
+    eye = (0.0, 2.0 + (1.2 if above else -1.2), 0.0)
+    camera = Camera.look_at(eye, (0, 2, 0), (0, 0, -1))
+    plain, shown = render_plain_and_shadowed(gl, scene, camera, technique)
+    scene.lights.directional["intensity"] = 0.0
+    dark = render_plain_and_shadowed(gl, scene, camera, technique)[0]
+    assert ((plain > dark + 8).any(-1)).mean() > 0.05
+    assert np.abs(shown - (plain if above else dark)).max() <= 1
+
+
+@pytest.mark.parametrize(("bends", "casts"), [(False, False), (False, True), (True, False), (True, True)])
+def test_only_shadows_on_normal_maps_take_a_second_normal(bends: bool, casts: bool) -> None:
+    scene, _ = block_scene(60.0, BUMPS if bends else None)
+    scene.lights.add_point((2.0, 0.5, 1.0), 8.0)
+    if casts:
+        scene.lights.cast_shadows()
+    for technique in ("deferred", "light_pre_pass", "inferred"):
+        with (
+            rhi.create_device("null") as device,
+            Renderer(device, scene, technique=TECHNIQUES[technique](), size=(32, 16)) as renderer,
+        ):
+            renderer.render(FLOOR)
+            _, plan = renderer.plan(FLOOR)
+            formats = {one.format for one in plan.textures if any(name.endswith("surface") for name in one.names)}
+        assert formats == {rhi.Format.RGBA32UI if bends and casts else rhi.Format.RG32UI}
