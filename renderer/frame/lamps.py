@@ -148,6 +148,8 @@ class Lamps:
         runs = self._device.capabilities.compute and len(eyes) > 1
         state = runs, *(some.tobytes() for some in kinds)
         if state != self._state:
+            if self._runs and not runs:
+                self._stop_kernels()
             self._runs = runs
             self._pack(lights, kinds)
             self._state = state
@@ -156,6 +158,16 @@ class Lamps:
             placed = self._placed[eye]
             if placed.version != self._version or placed.position != position.tobytes():
                 self._place(eye, placed, position, kinds)
+
+    def _stop_kernels(self) -> None:
+        """Destroy what two eyes need and one doesn't."""
+        for placed in self._placed:
+            placed.destroy()
+            placed.version = 0
+        for kind in self._kinds:
+            kind.places.destroy()
+            for seen in kind.seen[1:]:
+                seen.destroy()
 
     def _pack(self, lights: Lights, kinds: tuple[NDArray[Any], ...]) -> None:
         """Upload the places of all lights, and pack the rest."""
@@ -179,7 +191,7 @@ class Lamps:
                 for kind in self._kinds:
                     kind.seen[eye].write(kind.packed)
                 placed.work = self._list_work(eye)
-            if placed.work:
+            if placed.work and placed.eye is not None:
                 placed.eye.write(_place(position))
                 key = tuple(one for _, _, bindings in placed.work for one in bindings.values())
                 placed.commands.execute(key, placed.issue)
@@ -187,12 +199,16 @@ class Lamps:
 
     def _list_work(self, eye: int) -> list[tuple[Any, int, dict[str, Any]]]:
         """Return the kernels that place the lights for an eye: programs, numbers of groups, and bindings."""
+        placed = self._placed[eye]
+        if placed.eye is None:
+            placed.eye = MirroredValue(self._device, _place(np.zeros(3)))
+        constants = placed.eye.buffer
         return [
             (
                 self._device.program(kind.shader),
                 -(-len(kind.packed) // _GROUP),
                 {
-                    "eye": self._placed[eye].eye.buffer,
+                    "eye": constants,
                     "places": kind.places.buffer,
                     "lights": kind.seen[eye].buffer,
                 },

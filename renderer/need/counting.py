@@ -1,18 +1,20 @@
 """What each rung of the ladder adds to a frame, counted on null devices, and what is left of it once it is removed.
 
-A frame's commands don't depend on the device, so all of this is exact. Python's calls are counted as well: two frames that
-make the same calls take the processor the same work.
+A frame's commands don't depend on the device, so all of this is exact. Python's calls are counted as well: two frames
+that make the same calls take the processor the same work.
 """
 
 from __future__ import annotations
 
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FrameType
 from typing import Any, Final
+
+from numpy.typing import NDArray
 
 import rhi
 from renderer.measure.memory import describe_memory
@@ -20,7 +22,7 @@ from renderer.need.ladder import LADDER, build_scene, move_eye
 from renderer.renderer import Renderer
 from renderer.techniques import Forward
 from renderer.visibility import make_visibility
-from rhi import Command, Commands, Op
+from rhi import Commands, Op
 from rhi.testing import frames
 from rhi.trace import Differences, diff
 
@@ -29,7 +31,7 @@ __rhi_internal__ = True
 SIZE: Final = (320, 180)
 """The size of the ladder's pictures."""
 
-_WARM: Final = 5
+_WARM: Final = 3
 """Frames before the one that is counted: in the first ones resources are made, and states are set back."""
 
 _DRAWS: Final = (Op.DRAW, Op.DRAW_INDIRECT)
@@ -82,28 +84,27 @@ class Counted:
 
 
 @dataclass(frozen=True, slots=True)
-class Removed:
+class Left:
     """What is left of an effect that was removed, compared with a scene that never had it.
 
     Attributes:
-        differences: of the frame's commands. calls: Python calls that only one of the two frames makes.
-        bytes: what the device holds more.
+        differences: of the frame's commands. calls: of the renderer's functions, of which one of the frames makes more.
+        device_calls: the same of the device's functions: it counts the draws of each program that there is.
+        held: the bytes that the device holds more, by name.
     """
 
     differences: int
     calls: int
-    bytes: int
-
-    @property
-    def is_nothing(self) -> bool:
-        """Whether nothing is left."""
-        return not (self.differences or self.calls or self.bytes)
+    device_calls: int
+    held: dict[str, int]
 
 
 class Ascent:
     """A renderer of the scene of the first rungs."""
 
-    def __init__(self, device: rhi.Device, count: int, size: tuple[int, int] = SIZE, *, is_complete: bool = True) -> None:
+    def __init__(
+        self, device: rhi.Device, count: int, size: tuple[int, int] = SIZE, *, is_complete: bool = True
+    ) -> None:
         """Switch on what the first `count` rungs have; without the last one if it isn't to be `complete`."""
         self.scene, self._rows = build_scene(count)
         self._count, self.frame = count, 0
@@ -121,8 +122,13 @@ class Ascent:
     def render(self, count: int = 1) -> None:
         """Render the next frames."""
         for _ in range(count):
-            self.renderer.render(move_eye(self.frame), self.frame / 60.0)
+            self._image = self.renderer.render(move_eye(self.frame), self.frame / 60.0).image
             self.frame += 1
+
+    def read(self) -> NDArray[Any]:
+        """Return the pixels (height, width, 4) of the latest frame."""
+        pixels: NDArray[Any] = self._image.read()
+        return pixels
 
     def destroy(self) -> None:
         """Destroy the renderer and its layers."""
@@ -170,6 +176,12 @@ def count_frame(ascent: Ascent) -> Counted:
     return Counted(costs, called, commands, {(row.name, row.shape): row.bytes for row in held})
 
 
+def count_calls(number: int, counted: Counted) -> int:
+    """Return how many calls of a frame are those of functions of a rung's own modules."""
+    modules = LADDER[number].modules
+    return sum(count for (module, _), count in counted.called.items() if modules and module.startswith(modules))
+
+
 def _count_bytes(commands: Commands) -> int:
     return sum(len(one["data"]) for one in commands.filter(_WRITES))
 
@@ -190,32 +202,51 @@ def watch_calls(called: Calls) -> Iterator[None]:
         sys.setprofile(before)
 
 
-def remove_rung(number: int) -> tuple[Counted, Counted]:
-    """Count a frame of a scene that never had the effect of a rung, and one of a scene from which it was removed.
+def open_without(device: rhi.Device, number: int) -> Ascent:
+    """Open a renderer of the scene of a rung that never had its effect; of the scene before it if that is a part of the
+    scene."""
+    if LADDER[number].switch is None:
+        return Ascent(device, number)
+    return Ascent(device, number + 1, is_complete=False)
 
-    What can be switched is switched off in a renderer that has drawn it. What is a part of the scene is left out of
-    another scene on the same device, after a renderer of the one with it was destroyed.
+
+def remove(device: rhi.Device, number: int) -> Ascent:
+    """Draw the scene of a rung, and remove the effect.
+
+    What can be switched is switched off in the renderer that has drawn it. What is a part of the scene is left out of
+    another one on the same device, after the renderer of the one with it was destroyed.
     """
-    is_switched = LADDER[number].switch is not None
+    ascent = Ascent(device, number + 1)
+    ascent.render(_WARM)
+    if LADDER[number].switch is not None:
+        ascent.switch(number, is_on=False)
+        return ascent
+    ascent.destroy()
+    ascent = Ascent(device, number)
+    ascent.render(_WARM)
+    return ascent
+
+
+def remove_rung(number: int) -> tuple[Counted, Counted]:
+    """Count a frame of a scene that never had the effect of a rung, and one of a scene from which it was removed."""
     with rhi.create_device("null") as one, rhi.create_device("null") as other:
-        never = Ascent(one, number + 1 if is_switched else number, is_complete=not is_switched)
+        never = open_without(one, number)
         never.render(2 * _WARM)
-        removed = Ascent(other, number + 1)
-        removed.render(_WARM)
-        if is_switched:
-            removed.switch(number, is_on=False)
-        else:
-            removed.destroy()
-            removed = Ascent(other, number)
-            removed.render(_WARM)
+        removed = remove(other, number)
         removed.render(_WARM)
         return count_frame(never), count_frame(removed)
 
 
-def compare(never: Counted, removed: Counted) -> tuple[Removed, Differences]:
+def compare(never: Counted, removed: Counted) -> tuple[Left, Differences]:
     """Return what is left of an effect that was removed, and how the commands of the two frames differ."""
     differences = diff(never.commands, removed.commands)
-    calls = (never.called - removed.called).total() + (removed.called - never.called).total()
-    left = {key: size - never.held.get(key, 0) for key, size in removed.held.items()}
-    missing = {key: size for key, size in never.held.items() if key not in removed.held}
-    return Removed(len(differences), calls, sum(left.values()) - sum(missing.values())), differences
+    calls = Counter[bool]()
+    for more in (never.called - removed.called, removed.called - never.called):
+        for (module, _), count in more.items():
+            calls[module.startswith("renderer.")] += count
+    held: Counter[str] = Counter()
+    for sign, one in ((1, removed), (-1, never)):
+        for (name, _), size in one.held.items():
+            held[name] += sign * size
+    kept = {name: size for name, size in held.items() if size}
+    return Left(len(differences), calls[True], calls[False], kept), differences

@@ -1,8 +1,8 @@
 """A ladder of scenes, in which each rung has one effect more than the one before.
 
 A rung is a value: what it adds to a scene, how the effect is switched on and off in a renderer that runs, and its
-footprint, which says what of a stream belongs to it. A new effect declares its need by an entry in `LADDER`, and is then
-counted, timed, pictured and tested as all others are.
+footprint, which says what of a stream belongs to it. A new effect declares its need by an entry in `LADDER`, and is
+then counted, timed, pictured and tested as all others are.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from renderer.scene import (
 )
 from renderer.stereo import Stereo
 from renderer.techniques import Forward, Particles, Smoothed
-from rhi import BlendFunction, CullMode, Op
+from rhi import BlendFunction, Op
 from rhi.testing import Footprint
 
 __rhi_internal__ = True
@@ -86,7 +86,7 @@ def _switch_sun(renderer: Renderer, _: int, is_on: bool) -> None:
     lights = renderer.scene.lights
     lights.directional = lights.directional[:0]
     if is_on:
-        lights.add_directional((-0.45, -1.0, -0.35), (1.0, 0.93, 0.82), 0.9)
+        lights.add_directional((0.8, -1.0, 0.3), (1.0, 0.93, 0.82), 0.8)
 
 
 def _switch_lamp(renderer: Renderer, _: int, is_on: bool) -> None:
@@ -100,7 +100,7 @@ def _switch_spot(renderer: Renderer, _: int, is_on: bool) -> None:
     lights = renderer.scene.lights
     lights.spot = lights.spot[:0]
     if is_on:
-        lights.add_spot((2.6, 3.2, 1.0), (-0.1, -1.0, -0.1), 6.0, 0.25, 0.45, (0.4, 0.6, 1.0), 14.0)
+        lights.add_spot((2.6, 3.2, 1.0), (-0.1, -1.0, -0.1), 6.0, 0.15, 0.35, (0.35, 0.55, 1.0), 20.0)
 
 
 def _switch_sun_shadow(renderer: Renderer, _: int, is_on: bool) -> None:
@@ -119,10 +119,6 @@ def _place_textured(builder: SceneBuilder) -> int:
     material = builder.add_material(texture=builder.add_image(image))
     _add_box(builder, material, (0.45, 0.35, 0.9), (0.7, 0.7, 0.7))
     return material
-
-
-def _switch_texture(renderer: Renderer, material: int, is_on: bool) -> None:
-    renderer.scene.materials[material]["texture"] = 0 if is_on else -1
 
 
 def _place_ball(builder: SceneBuilder) -> int:
@@ -251,7 +247,7 @@ LADDER: Final = (
     Rung(
         "lamp shadows",
         "both lamps cast shadows",
-        Footprint("lamp shadows", bindings=("lamps", "shadow_slots"), resources=("LampTable", "shadow slots")),
+        Footprint("lamp shadows", bindings=("lamps", "lamp_slots"), resources=("LampTable", "shadow slots")),
         switch=_switch_lamp_shadows,
     ),
     Rung(
@@ -259,7 +255,6 @@ LADDER: Final = (
         "a box with an image",
         Footprint("texture", words=("sampler2DArray",), bindings=("images*",), resources=("images*",)),
         _place_textured,
-        _switch_texture,
     ),
     Rung(
         "metal",
@@ -278,7 +273,7 @@ LADDER: Final = (
     Rung(
         "glass",
         "a transparent pane",
-        Footprint("glass", events=("transparent surfaces",), states=(BlendFunction.ALPHA,)),
+        Footprint("glass", events=("transparency",), states=(BlendFunction.PREMULTIPLIED,)),
         _place_pane,
         _switch_glass,
         modules=("renderer.techniques.transparency",),
@@ -292,7 +287,10 @@ LADDER: Final = (
     Rung(
         "terrain",
         "hills whose triangles are chosen for the view",
-        Footprint("terrain", programs=("*Edges*",), resources=("height field*",), events=("tessellation",)),
+        Footprint(
+            "terrain", programs=("Begin", "Bisect", "Finish"), resources=("height field*",),
+            events=("tessellation",),
+        ),
         _place_terrain,
         modules=("renderer.tessellation",),
     ),
@@ -307,7 +305,6 @@ LADDER: Final = (
         "the fountain's drops as sprites",
         Footprint(
             "particles", programs=("ParticleShader",), bindings=("particles",), events=("particles",),
-            states=(CullMode.NONE,),
         ),
         switch=_switch_particles,
         modules=("renderer.techniques.particles",),
@@ -326,18 +323,18 @@ LADDER: Final = (
         switch=_switch_samples,
     ),
     Rung(
-        "overlay",
-        "the debug overlay",
-        Footprint("overlay", programs=("Canvas*",), events=("overlay",)),
-        switch=_switch_overlay,
-        modules=("renderer.overlay", "renderer.canvas"),
-    ),
-    Rung(
         "stereo",
         "two eyes in one image",
         Footprint("stereo", resources=("both eyes",), events=("right eye", "both eyes")),
         switch=_switch_stereo,
         modules=("renderer.stereo.pair", "renderer.stereo.mixing"),
+    ),
+    Rung(
+        "overlay",
+        "the debug overlay",
+        Footprint("overlay", programs=("Canvas*",), events=("overlay",)),
+        switch=_switch_overlay,
+        modules=("renderer.overlay", "renderer.canvas"),
     ),
 )  # fmt: skip
 """The rungs, each with all that those before it have."""
@@ -351,10 +348,11 @@ def build_scene(count: int) -> tuple[Scene, list[int]]:
     return builder.build(), rows
 
 
-EYE: Final = Camera.look_at((2.6, 2.3, 6.4), (-0.1, 0.55, 0.0))
+_LOOKED_AT: Final = (-0.1, 0.55, 0.0)
+EYE: Final = Camera.look_at((1.7, 2.0, 5.0), _LOOKED_AT)
 """What all rungs are seen from, before it moves."""
 
 
 def move_eye(frame: int) -> Camera:
     """Return the camera of a frame, which goes to the right by a centimetre in each."""
-    return Camera.look_at(EYE.position + np.array([0.01 * frame, 0.0, 0.0]), (-0.1, 0.55, 0.0))
+    return Camera.look_at(EYE.position + np.array([0.01 * frame, 0.0, 0.0]), _LOOKED_AT)

@@ -23,7 +23,6 @@ from typing import Any, Final
 import numpy as np
 
 from renderer.frame import SHADOW_EFFECTS, Effect, Frame, Needs, Pass
-from renderer.frame.lamps import EYES
 from renderer.frame.mirrors import MirroredValue, split_doubles
 from renderer.frame.resources import SceneResources
 from renderer.lights.lists import list_lights
