@@ -18,12 +18,14 @@ from renderer.cli.output import OutputError, draw_chart, note, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.need import (
     LADDER,
+    SIZE,
     Ascent,
     RungRow,
     count_need,
     find_rungs,
     show_added,
     show_removed,
+    time_asking,
     time_need,
 )
 
@@ -80,18 +82,34 @@ def _run(given: argparse.Namespace) -> None:
 
 def _write_page(folder: Path, rows: Sequence[RungRow], backends: Sequence[str], rounds: int) -> None:
     (folder / "images").mkdir(parents=True, exist_ok=True)
-    asked = "".join(f" --backend {name}" for name in backends)
+    asked = "".join(f" --rung {row.name!r}" if " " in row.name else f" --rung {row.name}" for row in rows)
+    asked = ("" if len(rows) == len(LADDER) else asked) + "".join(f" --backend {name}" for name in backends)
     if rounds != 40:
         asked += f" --rounds {rounds}"
     picture = folder / "images" / "need.png"
     draw_ladder(picture, rows)
     page = PAGE.format(
+        size="{} × {}".format(*SIZE),
+        asking=_describe_asking(backends or ("null",), rounds),
         command=f"python -m renderer need{asked} --output docs",
         added=show_added(rows, markdown=True),
         removed=show_removed(rows, markdown=True),
     )
     (folder / "need.md").write_text(page, encoding="utf-8")
     note(f"wrote {folder / 'need.md'} and {picture}")
+
+
+def _describe_asking(backends: Sequence[str], rounds: int) -> str:
+    """Say how long it takes to find what frames need, on each backend."""
+    said = []
+    for name in backends:
+        with rhi.create_device(name) as device:
+            asking = time_asking(device, rounds)
+        said.append(
+            f"{asking.microseconds.median:.0f} µs, {100.0 * asking.share.median:.1f} % of a frame of the box on {name} "
+            f"({100.0 * asking.share.low:.1f} to {100.0 * asking.share.high:.1f} %)"
+        )
+    return ", ".join(said)
 
 
 def draw_ladder(path: Path, rows: Sequence[RungRow]) -> None:

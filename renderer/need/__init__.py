@@ -3,6 +3,7 @@
 from renderer.need.counting import SIZE, Ascent, compare, count_rung, remove_rung
 from renderer.need.ladder import LADDER, Rung
 from renderer.need.report import RungRow, count_need, find_rungs, show_added, show_removed, time_need
+from renderer.need.timing import time_asking
 
 __all__ = [
     "LADDER",
@@ -17,5 +18,6 @@ __all__ = [
     "remove_rung",
     "show_added",
     "show_removed",
+    "time_asking",
     "time_need",
 ]

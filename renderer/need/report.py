@@ -14,7 +14,7 @@ from renderer.need.timing import Interval, RungTime, time_removal, time_rungs
 
 __rhi_internal__ = True
 
-_ROUNDS_OF_REMOVAL: Final = 2
+_ROUNDS_OF_REMOVAL: Final = 5
 """How many times as many rounds the removal of an effect is timed as what it adds: it is a matter of percents."""
 
 
@@ -79,7 +79,7 @@ def time_need(
     """Time what rungs add on a device, and what is left of each once it is removed.
 
     Args:
-        rounds: in which all rungs are timed; their removal is timed in twice as many. watch: shows progress.
+        rounds: in which all rungs are timed; their removal is timed in five times as many. watch: shows progress.
     """
     backend = device.backend_name
     numbers = {LADDER[number].name: number for number in range(len(LADDER))}

@@ -13,15 +13,19 @@ from statistics import median
 from typing import Final
 
 import rhi
+from renderer.frame import find_needs
 from renderer.measure import Measurement, alternate
 from renderer.measure.alternate import find_interval
 from renderer.need.counting import Ascent, open_without, remove
+from renderer.need.ladder import move_eye
 from renderer.overlay import Overlay
 
 __rhi_internal__ = True
 
 _WARM: Final = 12
 """Frames that aren't timed: kernels are built and replaced by better ones."""
+_ASKED: Final = 20
+"""How often a frame's needs are found for one measurement, which a clock can tell."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,21 +53,20 @@ class RungTime:
 def time_rungs(device: rhi.Device, numbers: Sequence[int], rounds: Iterable[int]) -> dict[int, RungTime]:
     """Time frames of the scenes of rungs, of which one is drawn after the other in each round.
 
-    What a rung adds is its difference to the one before it in `numbers`.
+    What a rung adds is its difference to the one before it on the ladder.
     """
+    drawn = sorted({each for number in numbers for each in (number - 1, number) if each >= 0})
     with ExitStack() as made:
         ascents = {}
-        for number in numbers:
+        for number in drawn:
             ascents[str(number)] = ascent = Ascent(device, number + 1)
             made.callback(ascent.destroy)
         times = _alternate(ascents, rounds)
     found: dict[int, RungTime] = {}
-    last: Measurement | None = None
     for number in numbers:
-        one = times[str(number)]
-        added = None if last is None else _subtract(one, last)
+        one, before = times[str(number)], times.get(str(number - 1))
+        added = None if before is None else _subtract(one, before)
         found[number] = RungTime(Interval.of(_in_milliseconds(one)), added)
-        last = one
     return found
 
 
@@ -108,3 +111,35 @@ def _in_milliseconds(one: Measurement) -> list[float]:
 def _subtract(one: Measurement, other: Measurement) -> Interval:
     both = zip(_in_milliseconds(one), _in_milliseconds(other), strict=True)
     return Interval.of([a - b for a, b in both])
+
+
+@dataclass(frozen=True, slots=True)
+class Asking:
+    """What it takes to find what a frame needs: microseconds, and the share of the frame's processor time."""
+
+    microseconds: Interval
+    share: Interval
+
+
+def time_asking(device: rhi.Device, rounds: int) -> Asking:
+    """Time how long a frame of the scene with nothing but a box takes to find that it needs no effect."""
+    ascent = Ascent(device, 2)
+    renderer, camera = ascent.renderer, move_eye(0).with_aspect(ascent.renderer.size[0] / ascent.renderer.size[1])
+
+    def ask(_: int) -> None:
+        for _turn in range(_ASKED):
+            find_needs(ascent.scene, camera, reaches=renderer.resources.reaching)
+
+    def draw(_: int) -> None:
+        ascent.render()
+        device.finish()
+
+    def prepare(_: str) -> None:
+        if device.backend_name == "null":
+            device.stream.clear()
+
+    times = alternate({"ask": ask, "frame": draw}, range(rounds), warm_ups=_WARM, before=prepare)
+    ascent.destroy()
+    asked = [seconds / _ASKED for seconds in times["ask"].processor_seconds]
+    both = zip(asked, times["frame"].processor_seconds, strict=True)
+    return Asking(Interval.of([1e6 * seconds for seconds in asked]), Interval.of([a / b for a, b in both]))
