@@ -10,12 +10,14 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cached_property
+from math import inf
 from time import perf_counter
 from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from renderer import rules
 from renderer.frame import (
     AS_GIVEN,
     Blending,
@@ -32,6 +34,7 @@ from renderer.frame import (
 )
 from renderer.frame.images import SceneImages
 from renderer.scene import Camera, Scene, Simulator
+from renderer.scene.catching_up import count_steps
 from renderer.scene.finite import check_finite
 from renderer.shadows import ShadowMaps, shadow_passes
 from renderer.stereo import EyePair, Stereo, fit_picture
@@ -39,7 +42,7 @@ from renderer.techniques import AutoTechnique, Forward, Technique
 from renderer.techniques.depth import bind_depth
 from renderer.tessellation import Tessellator, tessellation_passes
 from renderer.visibility import AutoCulling, VisibilityAlgorithm, VisibilityStatistics, make_visibility
-from rhi import Device, Texture
+from rhi import Device, Texture, refuse
 from rhi.shading import Precision
 
 _COUNTERS: Final = ("queries", "software_state_changes", "hardware_state_changes", "upload_bytes")
@@ -149,6 +152,7 @@ class Renderer:
         self.technique: Technique = technique or Forward()
         self.blending = blending
         self.precision = precision
+        self._animation_step = 0.0
         self.layers: list[Layer] = []
         self.show: Callable[[Texture], None] = device.present
         self._own: list[VisibilityAlgorithm] = []
@@ -168,6 +172,21 @@ class Renderer:
             self._resources = SceneResources(device, scene, textures)
             self._validation = self.simulator.validation = validation
             made.pop_all()
+
+    @property
+    def animation_step(self) -> float:
+        """The seconds after which what moves by itself moves on, 0 for every frame. It may be exchanged between any two
+        frames.
+
+        In the frames between, simulations, transforms and the shadows of what moves stay as they are.
+        """
+        return self._animation_step
+
+    @animation_step.setter
+    def animation_step(self, seconds: float) -> None:
+        if not 0.0 <= seconds < inf:
+            refuse(rules.BAD_STEP, "Renderer.animation_step = …", seconds, "0 or more, finite")
+        self._animation_step = seconds
 
     @property
     def view(self) -> View:
@@ -294,6 +313,8 @@ class Renderer:
         check_finite("render", seconds=seconds, position=camera.position, rotation=camera.rotation)
         self.scene.check_numbers("render")
         around = self._aim(camera)
+        if self._animation_step:
+            seconds = count_steps(seconds, self._animation_step) * self._animation_step
         self.scene.seconds = seconds
         expected = self.simulator.drawn
         self.simulator.begin_frame(seconds)

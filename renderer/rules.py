@@ -84,6 +84,10 @@ LEFT_BOUNDS: Final = Rule(
     "a simulated object left the bounds that were declared to hold at all times",
     "declare larger bounds: an object outside of its bounds is culled where it shows",
 )
+BAD_CLOTH: Final = Rule(
+    "scene-bad-cloth",
+    "a cloth is a grid of points apart from each other, some of them pinned, in a wind of finite speed",
+)
 UNKNOWN_NODE: Final = Rule("scene-unknown-node", "no node has this name")
 
 # Scene text
@@ -184,6 +188,7 @@ MANY_MATERIALS: Final = Rule(
     "use --technique clustered",
 )
 NO_WIREFRAME: Final = Rule("technique-no-wireframe", "this picture needs a device that draws the edges of triangles")
+BAD_STEP: Final = Rule("animation-step", "what moves is shown at whole multiples of a step in seconds")
 BAD_EDGE: Final = Rule("tessellation-edge", "edges are split down to a length in pixels")
 BAD_TECHNIQUE: Final = Rule("technique-parameter", "a parameter of a technique is out of its range")
 

@@ -39,6 +39,7 @@ class RenderSettings:
         tessellation: how small the triangles of height fields are.
         blending: how transparent surfaces that cover each other are put together.
         precision: that of the techniques' shaders. depth: the direction of depth.
+        animation_step: the seconds after which what moves by itself moves on, 0 for every frame.
         reprojects: whether a second eye's picture is made from the first one's.
     """
 
@@ -51,6 +52,7 @@ class RenderSettings:
     blending: Blending = Blending.SORTED
     precision: Precision = Precision.FAST
     depth: Depth = Depth.REVERSED
+    animation_step: float = 0.0
     reprojects: bool = False
 
     def get(self, path: str) -> Any:
@@ -76,6 +78,8 @@ class RenderSettings:
         """Return a camera with the direction of depth that is set."""
         lens = camera.projection
         assert isinstance(lens, Perspective | Orthographic)
+        if lens.depth is self.depth:
+            return camera
         return camera.with_projection(replace(lens, depth=self.depth))
 
     @contextmanager
@@ -107,19 +111,21 @@ class RenderSettings:
             ) as renderer:
                 renderer.shadows.settings = self.shadows
                 renderer.tessellator.settings = self.tessellation
+                renderer.animation_step = self.animation_step
                 if rig is not None:
                     renderer.stereo = Stereo(rig, "side_by_side", is_reprojected=self.reprojects)
                 yield renderer
         finally:
             visibility.destroy()
 
-    def exchange(self, renderer: Renderer) -> None:
+    def exchange(self, renderer: Renderer, technique: Technique | None = None) -> None:
         """Give a renderer those of these settings that may be exchanged between two frames: all but how textures are
-        read, and which objects are found."""
-        renderer.technique = self.technique.make(renderer.scene, renderer.device)
+        read, and which objects are found. `technique` draws instead of that of the settings."""
+        renderer.technique = technique or self.technique.make(renderer.scene, renderer.device)
         renderer.blending, renderer.precision = self.blending, self.precision
         renderer.shadows.settings = self.shadows
         renderer.tessellator.settings = self.tessellation
+        renderer.animation_step = self.animation_step
 
     def save(self, path: Path, **found: Any) -> None:
         """Write the settings as JSON. `found` is written too, to say how they were found; `load` ignores it."""

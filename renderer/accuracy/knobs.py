@@ -45,11 +45,6 @@ class Unit(Enum):
         """Whether each pixel has an error."""
         return self in (Unit.LEVELS, Unit.DEPTH)
 
-    @property
-    def is_encoding(self) -> bool:
-        """Whether values are encodings of vectors, which no frame is drawn with."""
-        return self in (Unit.DEGREES, Unit.PERCENT)
-
 
 class Demand(Enum):
     """What a scene must have for a knob to matter."""
@@ -59,6 +54,7 @@ class Demand(Enum):
     IMAGES = "an image"
     LAMPS = "a point or spot light"
     STEREO = "a second eye"
+    MOTION = "something that moves by itself"
     HEIGHT_FIELDS = "a height field whose limit holds all of its triangles"
 
 
@@ -103,6 +99,11 @@ class Knob:
     demand: Demand | None = None
     remembers: bool = False
     exception: str = ""
+
+    @property
+    def is_encoding(self) -> bool:
+        """Whether values are encodings, which shaders have for good."""
+        return not self.path
 
     @property
     def default(self) -> str | None:
@@ -150,6 +151,8 @@ SEEN: Final = Truth("the objects of which a pixel is seen")
 FAR_SHADOWS: Final = Truth("shadows up to 1 km, with as fine maps", {**FINE_MAPS.changes, "shadows.distance": 1000.0})
 SORTED: Final = Truth("sorted by distance", {"blending": Blending.SORTED})
 FINEST: Final = Truth("all triangles of the ground in view", {"tessellation.edge_pixels": 0.01})
+EACH_FRAME: Final = Truth("motion in each frame", {"animation_step": 0.0})
+DISTANCES: Final = Truth("the distances in float64")
 SECOND_EYE: Final = Truth("the second eye drawn", {"reprojects": False})
 VECTORS: Final = Truth("the vectors in float64")
 
@@ -205,7 +208,7 @@ KNOBS: Final[dict[str, Knob]] = {
             },
             Unit.LEVELS,
             SUPER_SAMPLED,
-            "all devices have it; anisotropy is GL's alone",
+            "a sample a pixel; anisotropy shows more at an angle, for up to 16",
             _FORWARD,
             Demand.IMAGES,
         ),
@@ -356,6 +359,32 @@ KNOBS: Final[dict[str, Knob]] = {
             _FORWARD,
         ),
         Knob(
+            "depth_format",
+            "what holds depth, from 0.1 m to 10 km",
+            "",
+            {
+                "16 bits": "position by a ray, D16",
+                "24 bits": "position by a ray, D24",
+                "32-bit float": "position by a ray, D32F",
+                "32-bit float, reversed": "position by a ray, D32F reversed",
+            },
+            Unit.DEPTH,
+            DISTANCES,
+            "it takes as much memory as 24 bits",
+        ),
+        Knob(
+            "animation_step",
+            "seconds after which what moves by itself moves on",
+            "animation_step",
+            {"each 8th frame": 8 / 60, "each 4th": 4 / 60, "each 2nd": 2 / 60, "each frame": 0.0},
+            Unit.LEVELS,
+            EACH_FRAME,
+            "half as many steps are seen to be uneven",
+            _FORWARD,
+            Demand.MOTION,
+            remembers=True,
+        ),
+        Knob(
             "second_eye",
             "whether the second eye's picture is drawn, or made of the first one's",
             "reprojects",
@@ -466,6 +495,27 @@ KNOBS: Final[dict[str, Knob]] = {
             {**_FORWARD, "algorithm": "software_depth"},
         ),
         Knob(
+            "occluder_pixels",
+            "pixels of the image in each direction that are one of software occlusion",
+            "visibility.occluder_pixels",
+            _same(16, 8, 4, 2, 1),
+            Unit.LEVELS,
+            EVERYTHING,
+            "nothing that is seen may be missing",
+            {**_FORWARD, "algorithm": "software_depth"},
+        ),
+        Knob(
+            "pyramid_texels",
+            "texels of a depth pyramid in each direction that a box is compared with",
+            "visibility.pyramid_texels",
+            _same(1, 2, 4, 8, 16),
+            Unit.OVERDRAW,
+            SEEN,
+            "twice as many hide hardly more",
+            {**_FORWARD, "algorithm": "depth_pyramid"},
+            remembers=True,
+        ),
+        Knob(
             "normal_bits",
             "bits of each of the two numbers of an octahedral normal",
             "",
@@ -512,6 +562,7 @@ KNOBS: Final[dict[str, Knob]] = {
 """All knobs by name, in the order of the table."""
 
 _CHOSEN: Final = {
+    "depth_format": "position by a ray, D32F reversed",
     "normal_bits": "octahedral 2 × 16, rounded",
     "normal_rounding": "octahedral 2 × 12, rounded",
     "tangent_packing": "tangent by its way around a square",

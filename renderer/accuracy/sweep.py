@@ -142,7 +142,7 @@ def sweep_knob(situation: Situation, name: str) -> KnobReport:
     """Measure all values of a knob, on a device of its own."""
     knob = find_knob(name, "sweep_knob")
     with rhi.create_device(situation.backend) as device:
-        if knob.unit.is_encoding:
+        if knob.is_encoding:
             return _sweep_encodings(situation, knob, device)
         scene = load_scene(situation.scene)
         lack = prepare_scene(scene, knob)
@@ -181,6 +181,8 @@ def prepare_scene(scene: Scene, knob: Knob) -> str | None:
             has = len(scene.textures)
         case Demand.LAMPS:
             has = len(scene.lights.point) + len(scene.lights.spot)
+        case Demand.MOTION:
+            has = len(scene.simulated)
         case Demand.HEIGHT_FIELDS:
             has = sum(field.limit == field.count for field in scene.height_fields.values())
         case _:
@@ -499,8 +501,8 @@ def _sweep_encodings(situation: Situation, knob: Knob, device: Device) -> KnobRe
     errors, work = {}, {}
     for value, one in chosen.items():
         vectors = one.sample(np.random.default_rng(0), _VALUES)
-        errors[value] = one.measure(vectors, run_round_trip(device, one.shader, vectors))
-        work[value] = time_round_trip(device, one.shader, vectors)
+        errors[value] = one.measure(vectors, run_round_trip(device, one.shader, vectors, **one.uniforms))
+        work[value] = time_round_trip(device, one.shader, vectors, **one.uniforms)
     times = alternate(work, range(situation.rounds), 2)
     base = times[list(times)[-1]]
     rows = [

@@ -57,7 +57,8 @@ left out, and why is said on stderr. Shadows are switched on for the knobs of sh
 
 With --output, DIR gets one page with charts and pictures, the same as JSON, and each result as soon as it is there: a
 sweep that was interrupted goes on where it stopped. With --budget-ms or --error-at-most, the knobs that change pictures
-of this scene are combined greedily, drawn and timed; the choice is checked by ten more views, and written to
+of this scene are combined greedily, drawn and timed. The choice is checked by ten more views, where the mean of their
+errors and three standard deviations must be within the bound, and tried in twenty others. It is written to
 DIR/settings.json, which `render`, `compare techniques`, `compare visibility` and `accuracy` read with --settings."""
 
 
@@ -172,7 +173,10 @@ def describe(
             **_describe_point(choice.point),
             "checked_error": choice.error,
             "checked_views": choice.views,
+            "expected_error": choice.expected,
             "refused": choice.refused,
+            "held_out_error": choice.held_out_error,
+            "held_out_views": choice.held_out_views,
         },
     }
 
@@ -187,7 +191,8 @@ def show_choice(choice: CheckedChoice) -> str:
     values = ", ".join(f"{name} {value}" for name, value in point.values.items())
     return (
         f"{values}: {point.milliseconds:.2f} ms, {point.ratio:.2f} of the most accurate settings' time, mean error "
-        f"{point.error:.2f} levels in the worst view, {choice.error:.2f} in {choice.views} others"
+        f"{point.error:.2f} levels in the worst view, {choice.error:.2f} in {choice.views} others, "
+        f"{choice.held_out_error:.2f} in {choice.held_out_views} that had no part in the choice"
     )
 
 

@@ -42,7 +42,7 @@ def group_of(knob: Knob) -> str:
     """Return the name of the chart that shows a knob."""
     if knob.demand is Demand.SHADOWS:
         return "shadows"
-    if knob.unit.is_encoding:
+    if knob.is_encoding:
         return "encodings"
     if knob.unit is Unit.LIGHTS:
         return "lights"
@@ -180,7 +180,8 @@ def write_page(
         parts.append(
             f"<h2>Chosen</h2><p>{escape(values)}: {choice.point.milliseconds:.1f} ms, "
             f"{choice.point.ratio:.2f} of the most accurate settings' time, mean error {choice.point.error:.2f} levels "
-            f"in the worst view, {choice.error:.2f} in {choice.views} others.</p>"
+            f"in the worst view, {choice.error:.2f} in {choice.views} others, {choice.held_out_error:.2f} in "
+            f"{choice.held_out_views} that had no part in the choice.</p>"
         )
     for chart in charts:
         parts.append(f"<p><img class='chart' alt='{chart.stem}' src='{_embed(chart.read_bytes())}'></p>")

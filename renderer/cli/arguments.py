@@ -71,7 +71,7 @@ def add_technique(parser: Parser, default: str = AutoTechnique.name) -> None:
         "--technique",
         choices=[AutoTechnique.name, *TECHNIQUES],
         default=default,
-        help="how the scene is drawn; auto tries a few and takes the fastest (default: %(default)s)",
+        help=f"how the scene is drawn; auto tries a few and takes the fastest (default: {default})",
     )
     parser.add_argument(
         "--samples",
@@ -196,9 +196,9 @@ def add_settings(parser: Parser, what: str = SETTINGS_HELP) -> None:
     parser.add_argument("--settings", type=Path, metavar="F.json", help=what)
 
 
-def load_settings(given: argparse.Namespace) -> RenderSettings:
-    """Return the settings in the file that `--settings` names, or the defaults."""
-    return RenderSettings() if given.settings is None else RenderSettings.load(given.settings)
+def load_settings(given: argparse.Namespace, default: RenderSettings | None = None) -> RenderSettings:
+    """Return the settings in the file that `--settings` names, or `default`, or the defaults of all."""
+    return default or RenderSettings() if given.settings is None else RenderSettings.load(given.settings)
 
 
 def merge_settings(given: argparse.Namespace) -> RenderSettings:

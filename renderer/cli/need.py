@@ -43,7 +43,8 @@ With --output DIR, the page need.md and the picture images/need.png are written 
 _COLUMNS: Final = 4
 _SIZE: Final = (640, 360)
 """The size of the pictures; counts and times are those of smaller frames."""
-_WARM: Final = 60  # frames before a picture, in which the fountain fills
+_SHOWN: Final = 60
+"""The number of the frame that pictures show: by then the fountain is full."""
 
 
 def _add_arguments(parser: Parser) -> None:
@@ -136,7 +137,8 @@ def _render(numbers: Iterable[int]) -> list[NDArray[Any]]:
             pictures = []
             for number in numbers:
                 ascent = Ascent(device, number + 1, _SIZE)
-                ascent.render(_WARM)
+                ascent.frame = _SHOWN
+                ascent.render(2)
                 pictures.append(ascent.read())
                 ascent.destroy()
             return pictures

@@ -24,7 +24,7 @@ from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import parse_camera
 from renderer.measure import format_table, settle
 from renderer.measure.memory import MemoryReport
-from renderer.measure.plans import PlanReport, describe_plan
+from renderer.measure.plans import PlanReport, SimulationReport, describe_plan
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene
 from renderer.techniques import AutoTechnique, Technique
@@ -115,11 +115,20 @@ def show_plan(report: PlanReport) -> str:
             format_table(("objects of a pass", "programs", "materials", "meshes", "draws"), orders),
             format_table(("shadow map", "texels", "casters", "is", "because"), maps) if maps else "",
             show_memory(report.memory),
+            show_simulations(report.simulations),
             f"needed:\n{needed}" if needed else "",
             f"left out:\n{left}" if left else "",
         )
         if part
     )
+
+
+def show_simulations(found: SimulationReport | None) -> str:
+    """Format what simulations do in the next frame as text; nothing in a scene without any."""
+    if found is None:
+        return ""
+    number = f"{found.run} of {found.run + found.skipped} objects"
+    return f"simulated a 60th of a second later: {number}, steps: {found.steps}, dispatches: {found.dispatches}"
 
 
 def show_memory(memory: MemoryReport) -> str:

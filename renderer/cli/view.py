@@ -12,8 +12,10 @@ from renderer.cli.arguments import (
     add_camera,
     add_frame,
     add_scene,
+    add_settings,
     add_size,
     add_technique,
+    load_settings,
     open_scene,
     parse_count,
     parse_frame,
@@ -22,7 +24,7 @@ from renderer.cli.output import note
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import parse_camera
 from renderer.stereo import OUTPUTS
-from renderer.viewer.look import SHADOWS, Look
+from renderer.viewer.look import PLAIN, SHADOWS, Look
 from renderer.visibility import ALGORITHMS
 
 _NOTES: Final = """\
@@ -41,7 +43,10 @@ def _add_arguments(parser: Parser) -> None:
     add_scene(parser)
     add_backend(parser)
     add_technique(parser, default="forward")
-    parser.add_argument("--visibility", choices=ALGORITHMS, default="frustum", help=DECIDES)
+    parser.add_argument(
+        "--visibility", choices=ALGORITHMS, help=DECIDES.replace("%(default)s", "the settings', or frustum")
+    )
+    add_settings(parser, "file with settings; what is saved to it takes effect; other arguments count more at first")
     add_camera(parser)
     add_frame(parser, "frame of the path")
     add_size(parser, what="size of the window in pixels")
@@ -67,6 +72,7 @@ def _add_arguments(parser: Parser) -> None:
         "--listen", type=parse_frame, metavar="PORT", help="run commands from this port of the loopback address"
     )
     parser.add_argument("--frames", type=parse_count, metavar="N", help="end after so many frames, and say how fast")
+    parser.set_defaults(technique=None, samples=None)  # so that settings of a file can hold
 
 
 def _run(given: argparse.Namespace) -> None:
@@ -75,10 +81,11 @@ def _run(given: argparse.Namespace) -> None:
     scene = open_scene(given.scene)
     camera = None if given.camera is None else parse_camera(given.camera, scene, given.frame)
     script = "" if given.script is None else given.script.read_text(encoding="utf-8", errors="replace")
-    look = Look(
-        technique=given.technique, samples=given.samples, fxaa=given.fxaa, visibility=given.visibility,
-        shadows=given.shadows, overlay=given.overlay, particles=given.particles,
-    )  # fmt: skip
+    settings = load_settings(given, PLAIN)
+    chosen = {name: getattr(given, name) for name in ("technique", "samples", "visibility")}
+    chosen["fxaa"] = given.fxaa or None
+    look = Look(settings, shadows=given.shadows, overlay=given.overlay, particles=given.particles)
+    look = look.change(**{name: value for name, value in chosen.items() if value is not None})
     shown = open_viewer(
         scene,
         given.backend,
@@ -91,6 +98,8 @@ def _run(given: argparse.Namespace) -> None:
     )
     try:
         stage = shown.viewer.stage
+        if given.settings is not None:
+            shown.viewer.saved.note_settings(given.settings)
         stage.change(**{name: value for name, value in vars(given).items() if name in ("show", "stereo") and value})
         shown.viewer.run_script(script)
         if given.listen is not None:

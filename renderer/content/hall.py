@@ -1,8 +1,9 @@
-"""The hall: rows of columns, swaying flags on poles, fountains, point and spot lights, deep views.
+"""The hall: rows of columns, swaying flags on poles, fountains, banners of cloth, point and spot lights, deep views.
 
 Flags are chains of nodes (the pole, then the segments of the cloth, each of which rotates about the end of the one
 before), so this is the scene with moving objects and a deep hierarchy. Their motion depends on the time alone. Cross
-walls with doorways divide the hall: most of what lies behind them is hidden.
+walls with doorways divide the hall: most of what lies behind them is hidden. Banners are cloth in the draught that goes
+through the hall.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from renderer.cloth import Cloths, Fabric, Gust, Sheet, Wind, make_sheet
 from renderer.content import shapes
 from renderer.content.fountains import BOUNDS, Fountains, make_drops
 from renderer.content.specs import SEED, SHADOWS, Generator, Option, cast_shadows
@@ -33,6 +35,10 @@ SEGMENTS: Final = 6
 """Number of segments of a flag's cloth: the depth of its chain of nodes."""
 
 _HEIGHT: Final = 9.0
+_BANNER: Final = (2.4, 3.2)  # width and height of a banner, metres
+_GATHERED: Final = 0.88  # of a banner's width is taken by its rings
+_RINGS: Final = 5  # that a banner hangs by
+_BAR: Final = 8.3  # height of the bars that banners hang from, metres
 _CLOTH: Final = (0.34, 1.3)  # width of a segment and height of a flag, metres
 _THICKNESS: Final = 0.01  # of a side of the cloth, metres
 _PARTS: Final = np.arange(SEGMENTS)
@@ -57,12 +63,22 @@ _HUES: Final = np.array(
 
 
 def make_hall(
-    columns: int, rows: int, flags: int, fountains: int, lights: int, detail: int, seed: int, shadows: int
+    columns: int,
+    rows: int,
+    flags: int,
+    fountains: int,
+    cloths: int,
+    lights: int,
+    detail: int,
+    seed: int,
+    shadows: int,
 ) -> Scene:
-    """Make a hall of `columns` x `rows` columns with `flags` flags and `fountains` fountains along its middle aisle,
-    lit by its lamps, or by `lights` coloured lights among the columns."""
+    """Make a hall of `columns` x `rows` columns with `flags` flags and `fountains` fountains along its middle aisle and
+    `cloths` banners between its columns, lit by its lamps, or by `lights` coloured lights among the columns."""
     rng = np.random.default_rng([seed, 8])
     options = f"columns={columns},rows={rows},flags={flags},fountains={fountains},detail={detail},seed={seed}"
+    if cloths:
+        options = f"cloths={cloths},{options}"
     builder = SceneBuilder(f"hall:lights={lights},{options}" if lights else f"hall:{options}")
     builder.background = (0.01, 0.012, 0.02)
     length, width = columns * BAY, (rows + 1) * BAY
@@ -70,11 +86,15 @@ def make_hall(
     places = _add_columns(builder, columns, rows, length, detail)
     _add_flags(builder, rng, _flag_places(flags, length), detail)
     _add_fountains(builder, fountains, length, detail, seed)
+    bars = _list_bars(cloths, columns, rows, length)
+    _add_banners(builder, bars, detail, seed)
     if lights:
         _add_colored_lights(builder, lights, places, length, width, seed)
     else:
         _add_lamps(builder, rng, columns, length, width)
     _add_cameras(builder, length, width)
+    if cloths:
+        _add_banner_camera(builder, float(bars[:, 0].min()))
     if shadows:
         cast_shadows(builder)
     return builder.build()
@@ -88,6 +108,7 @@ HALL: Final = Generator(
         Option("rows", 4, "rows of columns", 2, 64),
         Option("flags", 32, "flags on poles", 0, 4096),
         Option("fountains", 0, "fountains, simulated where they are drawn", 0, 4096),
+        Option("cloths", 0, "banners of cloth, simulated on the device where they are drawn", 0, 4096),
         Option("lights", 0, "coloured lights among the columns; 0: lamps along the aisle", 0, 65_536),
         Option("detail", 8, "how finely columns are divided", 3, 64),
         SEED,
@@ -273,6 +294,79 @@ def _add_fountains(builder: SceneBuilder, count: int, length: float, detail: int
     sprays = [builder.add_mesh(make_drops(), f"spray {number}", BOUNDS) for number in range(count)]
     nozzles = builder.add_nodes(translation(places + np.array([0.0, 0.9, 0.0])))
     builder.simulate(builder.add_objects(nozzles, sprays, water), Fountains(count, seed))
+
+
+def _list_bars(count: int, columns: int, rows: int, length: float) -> Floats:
+    """Return the middles of the bars that `count` banners hang from (count, 3): first along the middle aisle, from its
+    middle outwards, then along the others, and then between those."""
+    bays = (np.arange(columns) + 0.5) * BAY - 0.5 * length
+    aisles = (np.arange(rows - 1) - 0.5 * (rows - 2)) * BAY
+    bays, aisles = bays[np.argsort(np.abs(bays), kind="stable")], aisles[np.argsort(np.abs(aisles), kind="stable")]
+    slot = np.arange(count)
+    layer, place = np.divmod(slot, columns * (rows - 1))
+    layers = -(-count // (columns * (rows - 1))) or 1
+    x = bays[place % columns] + BAY * layer / layers
+    return np.stack([x, np.full(count, _BAR), aisles[place // columns]], axis=1)
+
+
+def _add_banners(builder: SceneBuilder, places: Floats, detail: int, seed: int) -> None:
+    """Hang banners across the aisles."""
+    count = len(places)
+    if not count:
+        return
+    sheet = make_banner(detail)
+    wood = builder.add_material(base_color=(0.16, 0.09, 0.05), specular_color=(0.1, 0.1, 0.1))
+    colors = (((0.72, 0.10, 0.12), (0.95, 0.80, 0.38)), ((0.12, 0.24, 0.60), (0.92, 0.90, 0.84)))
+    cloths = np.array(
+        [
+            builder.add_material(
+                texture=builder.add_image(paint_stripes(first, second, 5)),
+                specular_color=(0.05, 0.05, 0.05),
+                double_sided=True,
+            )
+            for first, second in colors
+        ]
+    )
+    turned = multiply(translation(places), rotation((0, 1, 0), np.full(count, 0.5 * np.pi)))
+    bars = builder.add_nodes(multiply(turned, scaling((_BANNER[0] + 0.5, 0.07, 0.07))))
+    builder.add_objects(bars, builder.add_mesh(shapes.box(1), "bar"), wood)
+    mesh = sheet.make_mesh()
+    banners = [builder.add_mesh(mesh, f"banner {number}", sheet.bounds) for number in range(count)]
+    hung = builder.add_objects(builder.add_nodes(turned), banners, cloths[np.arange(count) // 2 % 2])
+    builder.simulate(hung, Cloths(count, sheet, DRAUGHT, seed=seed))
+
+
+def make_banner(detail: int) -> Sheet:
+    """Make a banner that hangs in folds from the origin, about the plane of x and y, by five rings."""
+    (width, height), part = _BANNER, max(detail // 2, 1)
+    columns, rows = (_RINGS - 1) * part + 1, 6 * part + 1
+    x, y = np.meshgrid(np.linspace(-0.5 * width, 0.5 * width, columns), np.linspace(0.0, -height, rows))
+    flat = np.stack([x, y, np.zeros_like(x)], 2)
+    ring = width / (_RINGS - 1)
+    fold = 2.0 * ring / np.pi * np.sqrt(1.0 - _GATHERED)  # as deep as makes a wave's length that of the flat cloth
+    folded = np.stack([_GATHERED * x, y, fold * np.sin(np.pi * (x + 0.5 * width) / ring)], 2)
+    pinned = np.zeros((rows, columns), bool)
+    pinned[0, ::part] = True
+    room = ((-0.6 * width, -1.02 * height, -0.6 * height), (0.6 * width, 0.05 * height, 0.6 * height))
+    return make_sheet(folded, pinned, flat=flat, fabric=Fabric(density=0.3, drag=3.0), room=room)
+
+
+DRAUGHT: Final = Wind(
+    (0.0, 0.1, 0.4),
+    (
+        Gust((0.0, 0.1, 1.6), (0.04, 0.06, 0.0), 5.3),
+        Gust((0.2, 0.0, 1.1), (0.19, 0.16, 0.0), 1.9),
+        Gust((0.5, 0.0, 0.9), (0.55, 0.37, 0.0), 1.1),
+    ),
+)
+"""The wind on banners: it swells and falls slowly, with waves that run down and across."""
+
+
+def _add_banner_camera(builder: SceneBuilder, first: float) -> None:
+    """Add a view along the middle aisle, of all banners from the `first` one on."""
+    lens = Perspective(fov=np.radians(65.0), near=0.1)
+    eye, aim = (first - 2.8, 2.2, 1.4), (first + 15.2, 5.6, -0.6)
+    builder.views["banners"] = Camera.look_at(eye, aim, projection=lens)
 
 
 def _add_lamps(

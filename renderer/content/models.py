@@ -65,12 +65,13 @@ def load_model(path: str) -> Scene:
         builder.background, builder.haze = surroundings.background, surroundings.haze
         builder.lights.sky, builder.lights.ground = surroundings.sky, surroundings.ground
         builder.paths.update(surroundings.paths)
-        return builder.build()
-    if not len(builder.lights):
+    elif not len(builder.lights):
         builder.lights.add_directional((-0.45, -0.8, -0.4), (1.0, 0.96, 0.9), 1.9)
         builder.lights.sky, builder.lights.ground = (0.28, 0.32, 0.40), (0.14, 0.13, 0.12)
     scene = builder.build()
-    _add_paths(scene, has_view=bool(builder.views))
+    scene.files = tuple(builder.files)
+    if surroundings is None:
+        _add_paths(scene, has_view=bool(builder.views))
     return scene
 
 
@@ -116,7 +117,8 @@ def _add(builder: SceneBuilder, path: str) -> Surroundings | None:
 
 
 def _add_by_trimesh(builder: SceneBuilder, path: str) -> None:
-    meshes, nodes = _read(path)
+    meshes, nodes, files = _read(path)
+    builder.files += files
     ids: dict[str, tuple[int, int, Floats]] = {}
     for name, mesh in meshes.items():
         geometry, centre = _convert(path, mesh)
@@ -143,14 +145,15 @@ def read_geometry(path: str) -> MeshGeometry:
     return join(parts)
 
 
-def _read(path: str) -> tuple[dict[str, Any], list[_FileNode]]:
-    """Read the file's triangle meshes by name, and its nodes, parents before children."""
+def _read(path: str) -> tuple[dict[str, Any], list[_FileNode], list[Path]]:
+    """Read the file's triangle meshes by name, its nodes, parents before children, and which files that took."""
     file, call = Path(path), f"load_model({path!r})"
     with _quiet():
         import trimesh
 
         try:
-            loaded = trimesh.load_scene(str(file), process=False)
+            noted = _make_resolver(file)
+            loaded = trimesh.load_scene(str(file), process=False, resolver=noted)
         except Exception as error:
             refuse(rules.UNREADABLE_MODEL, call, f"{path}: {type(error).__name__}: {error}")
         meshes = {
@@ -164,7 +167,25 @@ def _read(path: str) -> tuple[dict[str, Any], list[_FileNode]]:
     for node in nodes:
         if not is_affine(node.local):
             refuse(rules.BAD_TRANSFORM, call, f"{path}: node {node.name!r}")
-    return meshes, nodes
+    return meshes, nodes, noted.files
+
+
+def _make_resolver(file: Path) -> Any:
+    """Return trimesh's reader of materials and images beside a file, which notes those that there are in `files`."""
+    from trimesh.resolvers import FilePathResolver
+
+    class Noting(FilePathResolver):
+        def __init__(self, source: str) -> None:
+            super().__init__(source)
+            self.files = [Path(source)]
+
+        def get(self, name: str) -> Any:
+            content = super().get(name)
+            beside = (Path(self.parent) / one for one in (name.strip().lstrip("/"), Path(name).name))
+            self.files += [path for path in beside if path.is_file()][:1]
+            return content
+
+    return Noting(str(file))
 
 
 def _check_file(path: str) -> None:

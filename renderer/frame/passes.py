@@ -329,9 +329,9 @@ class TechniquePass:
         return ~transparent
 
     def _begin_batch(self, rows: NDArray[np.int64]) -> SceneResources:
-        """Open the pass and simulate the objects that are drawn next; return the scene's resources."""
+        """Simulate the objects that are drawn next and open the pass; return the scene's resources."""
+        self._resources.simulate(rows, leave=self.close)
         self.open()
-        self._resources.simulate(rows)
         return self._resources
 
     def _sort(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -379,7 +379,9 @@ class TechniquePass:
         if not self._has_all_in_view:
             self._has_all_in_view = True
             simulated = self._resources.simulator.objects
-            self._resources.simulate(self._resources.find_in_view(self._view.around, simulated))
+            self._resources.simulate(
+                self._resources.find_in_view(self._view.around, simulated), leave=self.close
+            )
 
     def __enter__(self) -> Self:
         return self

@@ -4,6 +4,7 @@
   whole scene can be one `draw_many`, in which an object's row is the base instance of its draw.
 - An object is a row of two arrays: `places` (32 bytes) has its position and mesh, `objects` (112 bytes) all else.
   Positions are pairs of floats, from which shaders subtract the eye's position: a moved eye changes one constant.
+- Vertices of what is simulated are uploaded, or computed on the device where they lie (`DeformingOnDevice`).
 - Objects that can't move aren't examined again, and simulated ones only before they are drawn. So a frame costs the
   CPU the same however many there are of them that aren't drawn.
 """
@@ -31,12 +32,13 @@ from renderer.frame.mirrors import (
     split_doubles,
 )
 from renderer.lights.lists import list_lights
-from renderer.scene import Camera, Deformed, Scene, Simulator, normal_matrices
+from renderer.scene import Camera, Deformed, DeformingOnDevice, Scene, Simulator, normal_matrices
 from renderer.visibility import SceneArrays
 from renderer.visibility.boxes.volumes import find_in_view
 from renderer.visibility.gpu.draw_lists import DrawArguments
 from rhi import (
     DRAW,
+    Buffer,
     CullMode,
     Device,
     Encoder,
@@ -58,6 +60,10 @@ DRAW_GROUPS: Final[tuple[tuple[State, ...], ...]] = (
 )
 """The states by which each group of objects is drawn, beside those of a pass, which culls backs. A transform that
 mirrors objects reverses the winding of their triangles, and of materials with two sides no faces are culled."""
+
+
+SIMULATION_EVENT: Final = "simulation"
+"""The label of what the device computes of simulations."""
 
 
 class SceneResources:
@@ -101,6 +107,13 @@ class SceneResources:
         self._device = device
         self._material_version = -1  # that of the materials on the device
         meshes, objects = scene.meshes, scene.objects
+        computed = [one.objects for one in scene.simulated if isinstance(one.simulation, DeformingOnDevice)]
+        self._is_computed: NDArray[np.bool_] | None = None  # by object, whether the device computes its vertices
+        self._computing: dict[Simulator, list[DeformingOnDevice]] = {}  # what holds memory on the device
+        if computed and device.capabilities.compute:
+            self._is_computed = np.zeros(len(objects), bool)
+            self._is_computed[np.concatenate(computed)] = True
+            self._made.callback(self._release_all)
         self.mesh: Mesh = self._make_mesh(device, scene)
         self.tessellations = 0
         ranges = meshes.ranges[objects.mesh]
@@ -140,13 +153,18 @@ class SceneResources:
         self._transform(np.arange(len(objects)))
 
     def _make_mesh(self, device: Device, scene: Scene) -> Mesh:
-        """Make the mesh of all meshes. Indices of height fields are written on the device."""
+        """Make the mesh of all meshes. Indices of height fields are written on the device, and so are vertices of some
+        simulations."""
         meshes = scene.meshes
-        if not scene.height_fields:
-            return self._keep(device.mesh(meshes.vertices, meshes.indices, label="meshes"))
-        indices = self._keep(device.buffer(meshes.indices, label="indices"))
-        self.indices = device.storage(uint, indices)
-        return self._keep(device.mesh(meshes.vertices, indices, label="meshes"))
+        vertices: NDArray[Any] | Buffer = meshes.vertices
+        indices: NDArray[Any] | Buffer = meshes.indices
+        if self._is_computed is not None:
+            vertices = self._keep(device.buffer(meshes.vertices, label="vertices"))
+            self._vertex_floats = device.storage(float, vertices)
+        if scene.height_fields:
+            indices = self._keep(device.buffer(meshes.indices, label="indices"))
+            self.indices = device.storage(uint, indices)
+        return self._keep(device.mesh(vertices, indices, label="meshes"))
 
     @cached_property
     def tessellated_draws(self) -> StorageBuffer[DrawArguments]:
@@ -215,8 +233,17 @@ class SceneResources:
         assert places is not None
         return SceneArrays(view, objects, places, self.parts)
 
-    def simulate(self, rows: NDArray[np.int64], *, is_drawn: bool = True) -> None:
-        """Bring the simulated ones of the objects `rows` to the frame's time. Call it before they are drawn."""
+    def simulate(
+        self, rows: NDArray[np.int64], *, is_drawn: bool = True, leave: Callable[[], None] | None = None
+    ) -> None:
+        """Bring the simulated ones of the objects `rows` to the frame's time. Call it before they are drawn.
+
+        Args:
+            leave: ends a render pass that may be open; called if the device computes vertices.
+        """
+        computed = self._is_computed
+        if computed is not None and leave is not None and self.simulator.is_due(rows[computed[rows]]):
+            leave()
         advanced = self.simulator.advance(rows, is_drawn=is_drawn)
         if len(advanced.moved):
             self._transform(advanced.moved)
@@ -227,12 +254,22 @@ class SceneResources:
             self._deform(one)
 
     def _deform(self, deformed: Deformed) -> None:
-        """Upload the vertices of objects that have another state than those on the device, adjacent meshes together."""
+        """Bring the vertices of objects that have another state than those on the device there: they are computed
+        there, or uploaded, adjacent meshes together."""
         changed = np.flatnonzero(self._held[deformed.rows] != deformed.states)
         if not len(changed):
             return
         mesh = self.scene.objects.mesh[deformed.rows[changed]]
         begins = self.scene.meshes.ranges["base_vertex"][mesh].astype(np.int64)
+        if self._is_computed is not None and isinstance(deformed.simulation, DeformingOnDevice):
+            self._note_computing(deformed.simulation)
+            stride = self.scene.meshes.vertices.itemsize // 4
+            with self._device.event(SIMULATION_EVENT):
+                deformed.simulation.deform(
+                    self._device, deformed.members[changed], self._vertex_floats, begins, stride
+                )
+            self._held[deformed.rows] = deformed.states
+            return
         order = np.argsort(begins)
         changed, begins, sizes = changed[order], begins[order], self.scene.meshes.vertex_counts[mesh[order]]
         vertices = deformed.simulation.vertices(deformed.members[changed])
@@ -252,6 +289,23 @@ class SceneResources:
             buffer.write(part, first)
             at += end - first
         self._held[deformed.rows] = deformed.states
+
+    def _note_computing(self, simulation: DeformingOnDevice) -> None:
+        """Note that a simulation of the simulator holds memory on the device, and release those that it has replaced,
+        because time went back."""
+        held = self._computing.setdefault(self.simulator, [])
+        if any(one is simulation for one in held):
+            return
+        present = list(map(id, self.simulator.simulations))
+        for one in held:
+            if id(one) not in present:
+                one.release(self._device)
+        held[:] = [*(one for one in held if id(one) in present), simulation]
+
+    def _release_all(self) -> None:
+        for held in self._computing.values():
+            for one in held:
+                one.release(self._device)
 
     def expect(self, camera: Camera, rows: NDArray[np.int64]) -> None:
         """Simulate those of the objects `rows` that `camera` may see, because they will probably be drawn."""

@@ -216,6 +216,12 @@ class StandardPosition24(StandardPosition):
     steps = float(2**24 - 1)
 
 
+class StandardPosition16(StandardPosition):
+    """Likewise, as a whole number of 16 bits."""
+
+    steps = float(2**16 - 1)
+
+
 class WorldMatrix(Struct):
     """The way back from clip coordinates to the world."""
 
@@ -497,6 +503,7 @@ ENCODINGS: Final = (
     Encoding("fractional parts", "texture coordinates", 32, StoredPlace, sample_places, find_offset, "10⁻⁶"),
     _positions("a ray, D32F reversed", 32, StoredPosition, find_depth_errors, "10⁻⁶"),
     _positions("a ray, D32F", 32, StandardPosition, find_depth_errors, "10⁻⁶"),
+    _positions("a ray, D16", 16, StandardPosition16, find_depth_errors, "10⁻⁶"),
     _positions("a ray, D24", 24, StandardPosition24, find_depth_errors, "10⁻⁶"),
     _positions("a ray, D32F reversed, in the image", 32, StoredPosition, find_pixel_errors, "pixels"),
     _positions("the world's matrix, D32F reversed", 32, PositionByMatrix, find_depth_errors, "10⁻⁶"),

@@ -6,11 +6,12 @@ Commands are counted on a null device, which records the same ones that another 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import rhi
 from renderer.frame import Effect, Frame, Needs, Pass, Plan
 from renderer.frame.plan import list_names
+from renderer.frame.resources import SIMULATION_EVENT
 from renderer.measure.draw_order import Changes, OrderRow, compare_orders, count_changes
 from renderer.measure.memory import MemoryReport, describe_memory
 from renderer.renderer import Renderer
@@ -51,6 +52,21 @@ class LeftOut:
 
 
 @dataclass(frozen=True, slots=True)
+class SimulationReport:
+    """What simulations do in the frame after the planned one, a 60th of a second later.
+
+    Attributes:
+        run, skipped: the numbers of simulated and animated objects that are drawn, and that aren't.
+        steps: those that their members take. dispatches: those that the device takes steps in.
+    """
+
+    run: int
+    skipped: int
+    steps: int
+    dispatches: int
+
+
+@dataclass(frozen=True, slots=True)
 class PlanReport:
     """The plan of one frame.
 
@@ -61,6 +77,7 @@ class PlanReport:
         textures: the contents that each texture holds in turn. shadow_maps: what became of each shadow map.
         memory: what the renderer holds on the device, the scene included.
         orders: what changes between the objects of the first pass over the scene's geometry, drawn in several orders.
+        simulations: what simulations do; None in a scene without any.
     """
 
     passes: list[PassRow]
@@ -71,6 +88,7 @@ class PlanReport:
     shadow_maps: list[MapReport]
     memory: MemoryReport
     orders: list[OrderRow]
+    simulations: SimulationReport | None = None
 
 
 def describe_plan(
@@ -89,9 +107,21 @@ def describe_plan(
             commands = _divide_by_pass(device, plan)
             orders = compare_orders(scene, camera, drawn, _find_geometry(commands))
             maps = renderer.shadows.reports
+            simulations = _describe_simulations(renderer, camera) if len(renderer.simulator) else None
             memory = describe_memory(device.stream, renderer.images)
         algorithm.destroy()
-    return _report(scene, needs, plan, size, commands, maps, memory, orders)
+    report = _report(scene, needs, plan, size, commands, maps, memory, orders)
+    return replace(report, simulations=simulations)
+
+
+def _describe_simulations(renderer: Renderer, camera: Camera) -> SimulationReport:
+    """Draw the next frame, and return what simulations have done in it."""
+    stream = renderer.device.stream
+    before = len(stream)
+    counted = renderer.render(camera, 1.0 / 60.0).statistics
+    issued = stream[before:].filter(Op.DISPATCH, label=SIMULATION_EVENT)
+    skipped = counted.skipped_simulations
+    return SimulationReport(len(renderer.simulator) - skipped, skipped, counted.simulation_steps, len(issued))
 
 
 def _divide_by_pass(device: rhi.Device, plan: Plan[Frame]) -> dict[str, Commands]:

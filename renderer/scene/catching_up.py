@@ -59,7 +59,7 @@ class Leaping(Stepped, Protocol):
         ...
 
 
-def _count_steps(seconds: float, interval: float) -> float:
+def count_steps(seconds: float, interval: float) -> float:
     """Return the number of whole steps in a time."""
     number = seconds / interval
     return float(int(number + max(_EARLY, number * _ROUNDED)))
@@ -116,7 +116,7 @@ class Stepwise:
 
     def target(self, simulation: Stepped, seconds: float) -> float:
         """Return the number of the step that members are to reach in a frame at `seconds`."""
-        return _count_steps(seconds, simulation.interval)
+        return count_steps(seconds, simulation.interval)
 
     def advance(
         self, simulation: Stepped, members: Rows, reached: Floats, target: float, left: int
@@ -158,7 +158,7 @@ class Leap:
 
     def target(self, simulation: Leaping, seconds: float) -> float:
         """Return the number of the step that members are to reach in a frame at `seconds`."""
-        return _count_steps(seconds, simulation.interval)
+        return count_steps(seconds, simulation.interval)
 
     def advance(
         self, simulation: Leaping, members: Rows, reached: Floats, target: float, left: int

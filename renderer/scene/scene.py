@@ -8,6 +8,7 @@ removed. An object is a mesh with a material at a node. `Scene.update` is the on
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -65,6 +66,7 @@ class Scene:
         seconds: the time of the last update or frame.
         views: named cameras, the first of which is the default. paths: named camera paths.
         omissions: what the file that it was loaded from has and the scene hasn't.
+        files: those that `load_model` has read it from, and could read it from again; none of other scenes.
         height_fields: by the rows of their objects; the triangles of these are chosen for each view.
     """
 
@@ -102,6 +104,7 @@ class Scene:
         self.views = dict(views)
         self.paths = dict(paths)
         self.omissions = omissions
+        self.files: tuple[Path, ...] = ()
         self.height_fields: dict[int, HeightField] = dict(height_fields or {})
         self.seconds = 0.0
         self._finite = FiniteArrays()
@@ -223,6 +226,7 @@ class SceneBuilder:
         self.views: dict[str, Camera] = {}
         self.paths: dict[str, CameraPath] = {}
         self.omissions = Omissions()
+        self.files: list[Path] = []
         self._geometries: list[MeshGeometry] = []
         self._bounds: list[MeshBounds | None] = []
         self._height_fields: dict[int, HeightField] = {}  # by mesh

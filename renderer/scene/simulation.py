@@ -19,7 +19,7 @@ from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field
 from itertools import count
-from typing import Any, Final, Protocol, cast
+from typing import Any, Final, Protocol, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,7 @@ from renderer.scene.catching_up import CatchUp, Leap, Recompute
 from renderer.scene.meshes import Meshes
 from renderer.scene.nodes import Nodes
 from renderer.scene.objects import Objects
+from rhi import Device, StorageBuffer
 from rhi.errors import refuse
 
 __rhi_internal__ = True
@@ -60,6 +61,30 @@ class Deforming(Protocol):
     def vertices(self, members: Rows) -> NDArray[Any]:
         """Return the present vertices of `members` (j,), one after another, of `VERTEX`; each one's number never
         changes."""
+        ...
+
+
+@runtime_checkable
+class DeformingOnDevice(Deforming, Protocol):
+    """A simulation that can compute the vertices of its members on a device, where they are drawn.
+
+    What it was asked for by `step`, `leap` or `set_time` it may leave until then. `vertices` is for those without a
+    device, and for what the CPU wants to know.
+    """
+
+    def deform(
+        self, device: Device, members: Rows, vertices: StorageBuffer[float], begins: Rows, stride: int
+    ) -> None:
+        """Write the present positions and normals of `members` (j,), by dispatches only.
+
+        Args:
+            vertices: the vertices as floats; one begins with its position and normal. begins: (j,), the number of each
+                member's first vertex. stride: the number of floats from vertex to vertex.
+        """
+        ...
+
+    def release(self, device: Device) -> None:
+        """Destroy what the simulation holds on a device."""
         ...
 
 
@@ -229,6 +254,10 @@ class Simulator:
             self._posed[:] = np.nan
         if len(self._always):
             self._run(self._always)
+
+    def is_due(self, rows: Rows) -> bool:
+        """Return whether `advance` has anything to do for any of the objects `rows` in this frame."""
+        return bool(self._waiting[rows].any())
 
     def advance(self, rows: Rows, *, is_drawn: bool = True) -> Advanced:
         """Bring the simulated ones of the objects `rows` to the frame's time; return those that weren't there yet.

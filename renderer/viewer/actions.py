@@ -53,13 +53,12 @@ def _looks(stage: ViewerStage) -> Iterable[ViewerCommand]:
 
 def _cameras(stage: ViewerStage) -> Iterable[ViewerCommand]:
     """The commands that move the camera."""
-    scene = stage.scene
 
     def places() -> Sequence[str]:
-        return [*scene.views, *scene.paths]
+        return [*stage.scene.views, *stage.scene.paths]
 
     def camera(name: str, frame: int = 0) -> str:
-        stage.camera = parse_camera(name, scene, frame)
+        stage.camera = parse_camera(name, stage.scene, frame)
         return ""
 
     number = Parameter("FRAME", parse_number, is_optional=True)
@@ -90,10 +89,10 @@ def _cameras(stage: ViewerStage) -> Iterable[ViewerCommand]:
     yield ViewerCommand("speed", "move this fast, or faster, or slower", speed, (speeds,))
 
     def play(name: str | None = None) -> str:
-        stage.play(None if name is None else find_path(name, scene), name or "latest recording")
+        stage.play(None if name is None else find_path(name, stage.scene), name or "latest recording")
         return ""
 
-    paths = Parameter("PATH", words=lambda: scene.paths, is_optional=True)
+    paths = Parameter("PATH", words=lambda: stage.scene.paths, is_optional=True)
     yield ViewerCommand("play", "show a path, a recording (.json), or the latest recording", play, (paths,))
 
     def time(seconds: float | None = None) -> str:

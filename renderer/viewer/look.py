@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from contextlib import ExitStack
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -17,7 +17,8 @@ from renderer.frame import Blending, Frame, Layer
 from renderer.measure.contents import picture_contents
 from renderer.overlay import Overlay
 from renderer.renderer import Renderer
-from renderer.scene import Camera
+from renderer.scene import Camera, Scene
+from renderer.settings import RenderSettings
 from renderer.stereo import Stereo, find_rig
 from renderer.techniques import AutoTechnique, Forward, Particles, Technique, TechniqueSettings, Watched
 from renderer.techniques.inspection import INSPECTIONS, Inspection
@@ -32,7 +33,17 @@ LIT: Final = "image"
 SHADOWS: Final = ("scene", "all", "off")
 """The lights that cast shadows: those of which the scene says so, all, or none."""
 
-_DRAWN_BY: Final = ("technique", "samples", "fxaa", "show")
+PLAIN: Final = RenderSettings(technique=TechniqueSettings(Forward.name), algorithm="frustum")
+"""What a viewer begins with: what builds the fewest kernels, so that the first picture comes soon."""
+
+_SETTINGS: Final = {
+    "technique": "technique.name",
+    "samples": "technique.samples",
+    "fxaa": "technique.fxaa",
+    "visibility": "algorithm",
+    "blending": "blending",
+}
+"""The settings that entries of a look are, by their paths."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,31 +51,65 @@ class Look:
     """What draws the frames.
 
     Attributes:
-        technique, visibility: names, as on the command line.
+        settings: how the scene is drawn.
         show: `LIT`, one of `INSPECTIONS`, or contents of the plan.
-        samples: per pixel. fxaa: whether edges are smoothed. shadows: one of `SHADOWS`.
-        blending: the name of a `Blending`. stereo: one of `OUTPUTS`, or None for one eye.
+        shadows: one of `SHADOWS`. stereo: one of `OUTPUTS`, or None for one eye.
         overlay, particles: whether these layers are drawn.
     """
 
-    technique: str = Forward.name
-    visibility: str = "frustum"
+    settings: RenderSettings = PLAIN
     show: str = LIT
-    samples: int = 1
-    fxaa: bool = False
-    shadows: str = "scene"
-    blending: str = Blending.SORTED.value
+    shadows: str = SHADOWS[0]
     stereo: str | None = None
     overlay: bool = False
     particles: bool = False
 
+    @property
+    def technique(self) -> str:
+        """The name of the technique, as on the command line."""
+        return self.settings.technique.name
+
+    @property
+    def visibility(self) -> str:
+        """The name of the visibility algorithm, as on the command line."""
+        return self.settings.algorithm
+
+    @property
+    def samples(self) -> int:
+        """Samples per pixel."""
+        return self.settings.technique.samples
+
+    @property
+    def fxaa(self) -> bool:
+        """Whether edges are smoothed."""
+        return self.settings.technique.fxaa
+
+    @property
+    def blending(self) -> str:
+        """How transparent surfaces are put together: the value of a `Blending`."""
+        return self.settings.blending.value
+
+    def change(self, **entries: Any) -> Look:
+        """Return a look with other entries: attributes, or settings by the name of a property.
+
+        Raises:
+            ValidationError: what settings refuse.
+        """
+        settings = entries.pop("settings", self.settings)
+        changes = {_SETTINGS[name]: entries.pop(name) for name in _SETTINGS if name in entries}
+        if "blending" in changes:
+            changes["blending"] = Blending(changes["blending"])
+        if changes:
+            settings = settings.change_all(changes)
+        return replace(self, settings=settings, **entries)
+
     def describe(self) -> str:
         """Return what differs from the plain look, in a line."""
-        words = [self.technique, self.visibility]
-        for entry in fields(self):
-            value = getattr(self, entry.name)
-            if entry.name not in ("technique", "visibility") and value != entry.default:
-                words.append(entry.name if value is True else f"{entry.name} {value}")
+        words, plain = [self.technique, self.visibility], Look()
+        for name in ("show", "samples", "fxaa", "shadows", "blending", "stereo", "overlay", "particles"):
+            value = getattr(self, name)
+            if value != getattr(plain, name):
+                words.append(name if value is True else f"{name} {value}")
         return ", ".join(words)
 
 
@@ -91,6 +136,14 @@ class WatchedPicture:
         """Do nothing: there are no resources on the device."""
 
 
+class Untouched:
+    """What a device and a scene were before a look changed them."""
+
+    def __init__(self, device: Device, scene: Scene) -> None:
+        self.timing = device.timing
+        self.shadows = [lights["casts_shadow"].copy() for lights in _list_lights(scene)]
+
+
 class Dresser:
     """Makes a renderer follow a look.
 
@@ -98,58 +151,64 @@ class Dresser:
         look: the one that the renderer follows.
     """
 
-    def __init__(self, renderer: Renderer, look: Look, always: Iterable[Layer] = ()) -> None:
-        """Follow `look`, which has one eye. The layers `always` are drawn last, in every look."""
+    def __init__(self, renderer: Renderer, look: Look, untouched: Untouched, always: Iterable[Layer] = ()) -> None:
+        """Follow `look`. The layers `always` are drawn last, in every look."""
         self._renderer = renderer
+        self._untouched = untouched
         self._always = list(always)
-        self._timing = renderer.device.timing
-        self._shadows = [lights["casts_shadow"].copy() for lights in self._lights]
         self._layers: dict[str, Layer] = {}
         self._visibility: VisibilityAlgorithm | None = None
-        self.look = replace(look, technique="", visibility="")
+        self._made_for: dict[str, object] = {}
+        self.look = look
         self.wear(look, next(iter(renderer.scene.views.values())))
 
-    @property
-    def _lights(self) -> tuple[NDArray[Any], ...]:
-        lights = self._renderer.scene.lights
-        return lights.directional, lights.point, lights.spot
-
     def wear(self, look: Look, camera: Camera) -> None:
-        """Make the renderer follow `look`; two eyes are set for what `camera` sees. If anything refuses it, all stays.
+        """Make the renderer follow `look`, whose texture settings are the renderer's; two eyes are set for what
+        `camera` sees. If anything refuses it, all stays.
 
         Raises:
             ValidationError: what a name, an algorithm or a technique refuses.
         """
-        renderer, before = self._renderer, self.look
-        technique, stereo, blending = renderer.technique, renderer.stereo, Blending(look.blending)
-        if any(getattr(look, name) != getattr(before, name) for name in _DRAWN_BY):
+        renderer, settings = self._renderer, look.settings
+        made_for: dict[str, object] = {
+            "technique": (look.show, settings.technique),
+            "stereo": (look.stereo, settings.reprojects),
+            "visibility": (settings.algorithm, settings.visibility),
+        }
+        changed = {name for name, value in made_for.items() if value != self._made_for.get(name)}
+        technique, stereo, visibility = renderer.technique, renderer.stereo, self._visibility
+        if "technique" in changed:
             technique = self._make_technique(look)
         layers: list[Layer] = [WatchedPicture(technique, look.show)] if isinstance(technique, Watched) else []
         layers += [self._find_layer(name) for name in ("particles", "overlay") if getattr(look, name)]
-        if look.stereo != before.stereo:
+        if "stereo" in changed:
             stereo = None
             if look.stereo is not None:
-                fitted = camera.with_aspect(renderer.size[0] / renderer.size[1])
-                stereo = Stereo(find_rig(renderer.scene, fitted), look.stereo)
+                fitted = settings.aim(camera.with_aspect(renderer.size[0] / renderer.size[1]))
+                rig = find_rig(renderer.scene, fitted)
+                stereo = Stereo(rig, look.stereo, is_reprojected=settings.reprojects)
         with ExitStack() as undo:
-            visibility = self._visibility
-            if look.visibility != before.visibility:
-                check_algorithm(look.visibility, renderer.device, "visibility")
-                visibility = make_visibility(look.visibility, renderer.scene, renderer.device)
+            if "visibility" in changed:
+                check_algorithm(settings.algorithm, renderer.device, "visibility")
+                visibility = make_visibility(
+                    settings.algorithm, renderer.scene, renderer.device, settings.visibility
+                )
                 undo.callback(visibility.destroy)
             if stereo is not renderer.stereo:
                 renderer.stereo = stereo
             undo.pop_all()
         assert visibility is not None
-        renderer.technique, renderer.blending, renderer.visibility = technique, blending, visibility
+        settings.exchange(renderer, technique)
+        renderer.visibility = visibility
         if self._visibility not in (None, visibility):
             self._visibility.destroy()
         self._visibility = visibility
-        for lights, casts in zip(self._lights, self._shadows, strict=True):
+        for lights, casts in zip(_list_lights(renderer.scene), self._untouched.shadows, strict=True):
             lights["casts_shadow"] = {"scene": casts, "all": True, "off": False}[look.shadows]
         renderer.layers[:] = [*layers, *self._always]
-        renderer.device.timing = self._timing or (look.overlay and renderer.device.capabilities.timestamps)
-        self.look = look
+        shows_times = look.overlay and renderer.device.capabilities.timestamps
+        renderer.device.timing = self._untouched.timing or shows_times
+        self.look, self._made_for = look, made_for
 
     def list_contents(self, camera: Camera) -> list[str]:
         """Return what can be shown: the image, `INSPECTIONS`, and the textures of the technique's plan."""
@@ -173,14 +232,17 @@ class Dresser:
 
     def _make_plain(self, look: Look) -> Technique:
         """Return the technique of a look; buffers are those of one that doesn't change."""
-        renderer, name = self._renderer, look.technique
-        if name == AutoTechnique.name and look.show != LIT:
-            name = Forward.name
-        settings = TechniqueSettings(name, samples=look.samples, fxaa=look.fxaa)
-        return settings.make(renderer.scene, renderer.device)
+        settings = look.settings.technique
+        if settings.name == AutoTechnique.name and look.show != LIT:
+            settings = replace(settings, name=Forward.name)
+        return settings.make(self._renderer.scene, self._renderer.device)
 
     def _make_technique(self, look: Look) -> Technique:
         plain = self._make_plain(look)  # which refuses samples that it lacks, also where a picture hides that
         if look.show in INSPECTIONS:
             return Inspection(look.show)
         return plain if look.show == LIT else Watched(plain, look.show)
+
+
+def _list_lights(scene: Scene) -> tuple[NDArray[Any], ...]:
+    return scene.lights.directional, scene.lights.point, scene.lights.spot

@@ -7,14 +7,19 @@ are drawn at least.
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import Any, Final
 
+from renderer import rules
 from renderer.content import load_scene
 from renderer.scene import Camera, Scene
+from renderer.settings import RenderSettings
 from renderer.viewer.gestures import Event
 from renderer.viewer.look import Look
 from renderer.viewer.viewer import Viewer
+from rhi import RhiError
 from rhi_screen import Screen, open_screen
+from rhi_screen.canvases import find_loop
 
 __rhi_internal__ = True
 
@@ -36,6 +41,9 @@ class ViewerScreen:
         self.end_after: int | None = None
         self._is_closed = False
         viewer.stage.renderer.show = screen.show
+        loop = find_loop(screen.canvas)
+        if loop is not None:
+            viewer.saved.wake = lambda: loop.call_soon_threadsafe(screen.canvas.request_draw)
         screen.canvas.add_event_handler(self._handle, "*")
         screen.canvas.request_draw(self.draw)
 
@@ -84,6 +92,8 @@ def open_viewer(
     size: tuple[int, int] = (960, 540),
     look: Look | None = None,
     camera: Camera | None = None,
+    settings: str | Path | None = None,
+    reload: bool = True,
     **options: Any,
 ) -> ViewerScreen:
     """Open a screen that shows a scene.
@@ -93,6 +103,8 @@ def open_viewer(
         backend: by default `RHI_BACKEND`, or `gl`.
         canvas: one of `rhi_screen.CANVASES`; by default a widget in a notebook, and else a window.
         size: in logical pixels. look, camera: what the viewer begins with.
+        settings: a file of settings instead of those of the look (`RenderSettings.load`).
+        reload: whether shaders, a scene that was loaded from files, and settings are exchanged when these are saved.
         options: those of `rhi_screen.open_screen`.
 
     Raises:
@@ -100,10 +112,20 @@ def open_viewer(
     """
     if isinstance(scene, str):
         scene = load_scene(scene)
+    look = look or Look()
+    if settings is not None:
+        look = look.change(settings=RenderSettings.load(Path(settings)))
     backend = backend or os.environ.get("RHI_BACKEND") or "gl"
     screen = open_screen(backend, canvas=canvas, title=f"{scene.name} - $fps frames/s", size=size, **options)
     try:
         viewer = Viewer(screen.device, scene, size=screen.size, look=look, camera=camera)
+        if settings is not None:
+            viewer.saved.note_settings(Path(settings))
+        if reload:
+            try:
+                viewer.saved.watch(True)
+            except RhiError as error:  # the picture is shown without
+                viewer.say(rules.describe(error))
     except BaseException:
         screen.close()
         raise

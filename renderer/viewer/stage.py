@@ -6,7 +6,7 @@ It knows no events and no words; `renderer.viewer.actions` has the commands for 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from contextlib import ExitStack
 from pathlib import Path
 from time import process_time
 from typing import Any, Final
@@ -22,7 +22,7 @@ from renderer.scene.arrays import Floats
 from renderer.stereo import fit_picture
 from renderer.viewer.controllers import Controller, Fly, Orbit, find_speed
 from renderer.viewer.counter import FrameCounter
-from renderer.viewer.look import Dresser, Look
+from renderer.viewer.look import Dresser, Look, Untouched
 from renderer.viewer.picking import Hit, Ray, find_hit
 from renderer.viewer.reasons import explain_drawn
 from renderer.viewer.recording import LONGEST, CameraRecorder, CameraReplay
@@ -58,10 +58,9 @@ class ViewerStage:
         say: Callable[[str, bool], None],
     ) -> None:
         """`say` is told what happens without being asked for, and whether that is an error."""
-        self.scene = scene
         self.layers = tuple(layers)
-        self.renderer = Renderer(device, scene, visibility=NoCulling(scene), size=size)
-        self._dresser = Dresser(self.renderer, look, self.layers)
+        self._untouched = Untouched(device, scene)
+        self.renderer, self._dresser = self._open(device, scene, size, look, self._untouched)
         self._good = look
         self.controller: Controller = Fly(camera, find_speed(scene))
         self.counter = FrameCounter()
@@ -75,7 +74,48 @@ class ViewerStage:
         self._recorder: tuple[CameraRecorder, Path] | None = None
         self._result: FrameResult | None = None
         self._seen_by = self._fit(camera)
-        self._is_animated = len(self.renderer.simulator.simulations) > 0
+
+    @property
+    def scene(self) -> Scene:
+        """What is shown."""
+        return self.renderer.scene
+
+    def exchange(self, scene: Scene) -> None:
+        """Show another scene from here. If it can't be drawn as the look says, the present one stays.
+
+        Raises:
+            RhiError: what refuses to draw it.
+        """
+        untouched = Untouched(self.renderer.device, scene)
+        untouched.timing = self._untouched.timing
+        made = self._open(self.renderer.device, scene, self.renderer.size, self.look, untouched)
+        try:
+            self._draw_aside(made[0])
+        except BaseException:
+            _destroy(*made)
+            raise
+        self._take(*made)
+        self._untouched = untouched
+        self._result = None  # its rows are those of the old scene
+        self.clear()
+
+    def _open(
+        self, device: Device, scene: Scene, size: tuple[int, int], look: Look, untouched: Untouched
+    ) -> tuple[Renderer, Dresser]:
+        with ExitStack() as made:
+            textures = look.settings.textures
+            renderer = Renderer(device, scene, visibility=NoCulling(scene), size=size, textures=textures)
+            made.callback(renderer.destroy)
+            dresser = Dresser(renderer, look, untouched, self.layers)
+            made.pop_all()
+        return renderer, dresser
+
+    def _take(self, renderer: Renderer, dresser: Dresser) -> None:
+        """Draw with another renderer from now on."""
+        renderer.show = self.renderer.show
+        old = self.renderer, self._dresser
+        self.renderer, self._dresser = renderer, dresser
+        _destroy(*old)
 
     # -- the camera ------------------------------------------------------------------------------------------------
 
@@ -111,7 +151,7 @@ class ViewerStage:
             self.controller.is_moving
             or self.replay is not None
             or self._recorder is not None
-            or (self._is_animated and not self.is_paused)
+            or (len(self.renderer.simulator.simulations) > 0 and not self.is_paused)
             or self.renderer.is_trying
             or self.look.overlay
         )
@@ -124,12 +164,19 @@ class ViewerStage:
         return self._dresser.look
 
     def change(self, **changes: Any) -> None:
-        """Change entries of the look. If the device or a technique refuses, it stays as it was.
+        """Change entries of the look (`Look.change`). If the device or a technique refuses, it stays as it was.
 
         Raises:
             ValidationError: what refuses says why.
         """
-        self._dresser.wear(replace(self.look, **changes), self.camera)
+        self._wear(self.look.change(**changes), self.camera)
+
+    def _wear(self, look: Look, camera: Camera) -> None:
+        if look.settings.textures == self.look.settings.textures:
+            self._dresser.wear(look, camera)
+        else:  # which are read when a scene is uploaded
+            renderer = self.renderer
+            self._take(*self._open(renderer.device, self.scene, renderer.size, look, self._untouched))
 
     def list_contents(self) -> list[str]:
         """Return what can be shown of a frame."""
@@ -255,20 +302,34 @@ class ViewerStage:
         renderer = self.renderer
         if not renderer.device.capabilities.shading:
             refuse(rules.NO_PICTURE, "screenshot", f"the {renderer.device.backend_name} device")
-        show, layers = renderer.show, list(renderer.layers)
-        renderer.show = renderer.device.present
+        layers = list(renderer.layers)
         renderer.layers[:] = [one for one in layers if one not in self.layers]
         try:
-            pixels: NDArray[np.uint8] = renderer.render(self.camera, self.seconds).image.read()
+            pixels: NDArray[np.uint8] = self._draw_aside(renderer).image.read()
         finally:
-            renderer.show, renderer.layers[:] = show, layers
+            renderer.layers[:] = layers
         return pixels
+
+    def try_frame(self) -> None:
+        """Draw a frame that isn't shown, after something has changed.
+
+        Raises:
+            Exception: what prevents it.
+        """
+        self._draw_aside(self.renderer)
 
     def close(self) -> None:
         """Destroy all resources on the device. A recording that runs is written."""
         self.end_recording()
-        self._dresser.destroy()
-        self.renderer.destroy()
+        _destroy(self.renderer, self._dresser)
+
+    def _draw_aside(self, renderer: Renderer) -> FrameResult:
+        """Draw a frame of now that isn't shown."""
+        show, renderer.show = renderer.show, renderer.device.present
+        try:
+            return renderer.render(self.look.settings.aim(self.camera), self.seconds)
+        finally:
+            renderer.show = show
 
     def _fit(self, camera: Camera) -> Camera:
         width, height = self.renderer.size
@@ -279,14 +340,20 @@ class ViewerStage:
         fallbacks = [Look(), self._good]
         while True:
             try:
-                self._result = self.renderer.render(camera, self.seconds)
+                aimed = self.look.settings.aim(camera)
+                self._result = self.renderer.render(aimed, self.seconds)
             except RhiError as error:
                 fallbacks = [one for one in fallbacks if one != self.look]
                 if not fallbacks:
                     raise
                 self._say(rules.describe(error), True)
-                self._dresser.wear(fallbacks.pop(), camera)
+                self._wear(fallbacks.pop(), camera)
                 continue
             self._good = self.look
-            self._seen_by = self._fit(camera)
+            self._seen_by = self._fit(aimed)
             return self._result
+
+
+def _destroy(renderer: Renderer, dresser: Dresser) -> None:
+    dresser.destroy()
+    renderer.destroy()

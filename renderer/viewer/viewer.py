@@ -17,6 +17,7 @@ from typing import Final
 from renderer import rules
 from renderer.canvas import Font
 from renderer.scene import Camera, Scene
+from renderer.viewer import saved
 from renderer.viewer.actions import make_commands, parse_place, parse_seconds, switch
 from renderer.viewer.commands import CommandTable, Parameter, ViewerCommand
 from renderer.viewer.console import Console
@@ -24,6 +25,7 @@ from renderer.viewer.gestures import Event, Gestures
 from renderer.viewer.interface import InterfaceLayer, Shown
 from renderer.viewer.keys import find_line, list_keys
 from renderer.viewer.look import Look
+from renderer.viewer.saved import SavedFiles
 from renderer.viewer.server import CommandServer
 from renderer.viewer.stage import ViewerStage
 from rhi import Device, RhiError, Texture
@@ -42,7 +44,8 @@ class Viewer:
     """Shows a scene on a device, one frame at a time.
 
     Attributes:
-        stage: the scene, its camera and what draws it. commands: what `run` understands. console: see `Console`.
+        stage: the scene, its camera and what draws it. saved: exchanges what is saved, while it watches.
+        commands: what `run` understands. console: see `Console`.
         clock: returns the time in seconds. has_keys: whether the keys are listed. is_over: whether it was told to quit.
     """
 
@@ -61,8 +64,10 @@ class Viewer:
         begin = camera or next(iter(scene.views.values()))
         self.clock = clock
         self._interface = InterfaceLayer(device, font)
-        self.stage = ViewerStage(device, scene, size, look or Look(), begin, [self._interface], self._say)
-        self.commands = CommandTable([*make_commands(self.stage), *self._list_own()])
+        self.stage = ViewerStage(device, scene, size, look or Look(), begin, [self._interface], self.say)
+        self.saved = SavedFiles(self.stage, self.say)
+        of_files = saved.make_commands(self.saved, self.stage)
+        self.commands = CommandTable([*make_commands(self.stage), *of_files, *self._list_own()])
         self.console = Console(self.commands, self.run)
         self.has_keys = False
         self.is_over = False
@@ -150,7 +155,7 @@ class Viewer:
         except OSError as error:
             said, is_error = str(error), True
         self.console.say(f"> {line}")
-        self._say(said, is_error)
+        self.say(said, is_error)
         return said, is_error
 
     def run_script(self, text: str) -> None:
@@ -172,7 +177,7 @@ class Viewer:
         self._server = made
         return made.port
 
-    def _say(self, text: str, is_error: bool) -> None:
+    def say(self, text: str, is_error: bool = False) -> None:
         """Say something in the console, and for some seconds over the picture."""
         self.console.say(text, is_error=is_error)
         until = self.clock() + _NOTED
@@ -258,6 +263,7 @@ class Viewer:
         self._insert_typed()
         now = self.clock()
         self._run_waiting(now)
+        self.saved.update()
         self.stage.move(*self._gestures.pushes(), now - self._last)
         self._last = now
         while self._notes and self._notes[0][0] < now:
@@ -269,6 +275,7 @@ class Viewer:
         """Destroy all resources on the device, and end connections. A recording that runs is written."""
         if self._server is not None:
             self._server.close()
+        self.saved.close()
         self.stage.close()
         self._interface.destroy()
 
@@ -280,8 +287,9 @@ class Viewer:
         if stage.replay is not None:
             words.append(stage.replay.name)
         shown = Shown(corner="   ".join(words))
-        notes = [(line, is_error) for _, line, is_error in self._notes if line not in stage.told]
-        shown.notes = [*((line, False) for line in stage.told), *notes]
+        faults = self.saved.faults
+        notes = [(line, is_error) for _, line, is_error in self._notes if line not in (*stage.told, *faults)]
+        shown.notes = [*((line, False) for line in stage.told), *((line, True) for line in faults), *notes]
         if self.has_keys:
             shown.help = list_keys(stage.scene)
         if self.console.is_open:

@@ -108,8 +108,15 @@ ALGORITHMS: Final[dict[str, Callable[[Scene, Device, Settings], VisibilityAlgori
         threshold=settings.threshold,
         emulated=settings.emulated,
     ),
-    "software_depth": lambda scene, _device, settings: SoftwareDepth(scene, occluders=settings.occluders),
-    "depth_pyramid": lambda scene, device, _settings: DepthPyramidCulling(scene, device),
+    "software_depth": lambda scene, _device, settings: SoftwareDepth(
+        scene,
+        occluders=settings.occluders,
+        occluder_pixels=settings.occluder_pixels,
+        pyramid_texels=settings.pyramid_texels,
+    ),
+    "depth_pyramid": lambda scene, device, settings: DepthPyramidCulling(
+        scene, device, texels=settings.pyramid_texels
+    ),
     "two_pass": lambda scene, device, _settings: TwoPassCulling(scene, device),
     "auto": lambda scene, device, settings: AutoCulling(
         scene,

@@ -10,7 +10,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Final, Self
 
 from renderer import rules
 from rhi import refuse
@@ -30,6 +30,10 @@ class Settings:
         emulated: whether occlusion queries are emulated by two counters and a fence (thesis 4.4.2), as they are in any
             case on a device without its own. Conditional culling can't use emulated ones.
         occluders: the largest number of objects that software occlusion draws; 1 or more.
+        occluder_pixels: how many pixels of the image, in width and height, are one for its occluders; 1 or more. Above
+            1 what is seen through narrow gaps between them may be missing.
+        pyramid_texels: the largest width and height, in texels of a depth pyramid, of what a box is compared with in
+            `depth_pyramid` and `software_depth`; 1 or more. Fewer are coarser, and hide less.
     """
 
     batch: int = 50
@@ -38,10 +42,12 @@ class Settings:
     threshold: int = 0
     emulated: bool = False
     occluders: int = 64
+    occluder_pixels: int = 1
+    pyramid_texels: int = 8
 
     def __post_init__(self) -> None:
-        for name, least in (("batch", 1), ("persistence", 1), ("leaf_size", 1), ("threshold", 0), ("occluders", 1)):
-            value = getattr(self, name)
+        for name in _COUNTS:
+            value, least = getattr(self, name), int(name != "threshold")
             if type(value) is not int or value < least:
                 refuse(
                     rules.BAD_PARAMETER,
@@ -76,3 +82,7 @@ class Settings:
             if name not in known:
                 rules.refuse_name(rules.BAD_SETTINGS, call, name, known)
         return cls(**numbers)
+
+
+_COUNTS: Final = ("batch", "persistence", "leaf_size", "threshold", "occluders", "occluder_pixels", "pyramid_texels")
+"""The parameters that are whole numbers: of 1 or more, a threshold of 0 or more."""

@@ -1,7 +1,8 @@
 """Occlusion culling with a second device as software rasteriser (thesis 8.2).
 
 1. Of the objects in the frustum, those that look largest to the camera are drawn, with depth only, on a device of the
-   algorithm's own. It is an OpenCL device: on a CPU, a rasteriser in software.
+   algorithm's own, at the image's size or a whole part of it. It is an OpenCL device: on a CPU, a rasteriser in
+   software.
 2. The boxes of all objects in the frustum are tested against that depth in one batch (`OccluderDepth`). What isn't
    behind it is drawn.
 
@@ -22,6 +23,7 @@ from renderer.scene.arrays import Rows
 from renderer.visibility.algorithm import VisibilityStatistics, find_visible_objects
 from renderer.visibility.boxes.bounds import find_near, pad_boxes, squared_distances
 from renderer.visibility.frustum import FrustumCulling
+from renderer.visibility.gpu.depth_pyramid import TEXELS
 from renderer.visibility.gpu.occluder_depth import OccluderDepth
 from renderer.visibility.scene_pass import ScenePass
 
@@ -48,18 +50,26 @@ class SoftwareDepth:
 
     opens_pass: Final = True
 
-    def __init__(self, scene: Scene, *, occluders: int = 64) -> None:
-        """At most `occluders` objects are drawn as occluders. Raises `DeviceError` where there is no OpenCL
-        device."""
+    def __init__(
+        self, scene: Scene, *, occluders: int = 64, occluder_pixels: int = 1, pyramid_texels: int = TEXELS
+    ) -> None:
+        """At most `occluders` objects are drawn as occluders, with one pixel for `occluder_pixels` of the image in each
+        direction; a box is compared with at most `pyramid_texels` texels in each. Raises `DeviceError` where there is
+        no OpenCL device."""
         self._scene = scene
         self._frustum = FrustumCulling(scene)
         self._limit = min(occluders, len(scene.objects))
         self._device = rhi.create_device(BACKEND)
-        self._depth = OccluderDepth(self._device, scene, self._limit, len(scene.objects))
+        self._pixels = occluder_pixels
+        self._depth = OccluderDepth(
+            self._device, scene, self._limit, len(scene.objects), texels=pyramid_texels
+        )
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw the visible objects in one batch. The depth target of the pass gives the size of the image."""
-        size = scene_pass.depth.size
+        pixels = self._pixels
+        width, height = scene_pass.depth.size
+        size = -(-width // pixels), -(-height // pixels)
         rows = find_visible_objects(self._frustum, camera)
         chosen = self.choose_occluders(camera, rows)
         self._depth.render(camera, chosen, size)

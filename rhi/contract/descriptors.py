@@ -142,7 +142,8 @@ class SamplerDescriptor:
 
     With `mip` None only level 0 is sampled; loads of single texels may still name any level. With `compare` it is a
     depth comparison sampler, which returns 1 where `reference compare texel` is true. A `border` is clamped to the
-    range of the texture's format.
+    range of the texture's format. With `max_anisotropy` above 1 a pixel that covers up to so many times as much of the
+    texture in one direction as in the other is an average along the longer one. Integers are never averaged.
     """
 
     minify: Filter = Filter.LINEAR

@@ -11,12 +11,14 @@
   Programs that it concerns are compiled; those whose texts have changed are created anew, all of them, before the first
   one is exchanged. A `Program` stays the same object: its id changes, and what meshes keep for it is dropped.
 - Anything that fails puts back everything, and the error is reported. The last good program goes on.
+- What compiles may still not draw: a new binding that the program doesn't know. `put_back` undoes the latest update.
 - Command buffers that have recorded an exchanged program can't be submitted again, as if it were destroyed.
 """
 
 from __future__ import annotations
 
 import logging
+import sys
 import threading
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack
@@ -32,7 +34,7 @@ from rhi.device.resources.programs import Program, ProgramTable
 from rhi.errors import refuse
 from rhi.errors.rules import DEVICE_ARGUMENT, PASS_OPEN, RELOAD_WATCH
 from rhi.shading.compile import compile_shader, forget_compiled, is_same, restore_compiled
-from rhi.shading.language.edits import Edit
+from rhi.shading.language.edits import Edit, defines_shaders
 
 __rhi_internal__ = True
 
@@ -48,11 +50,14 @@ class Reloader:
         devices: those whose programs are exchanged.
         reloaded: how many modules and files were exchanged.
         exchanged: how many programs were.
-        error: the latest error; None since the file that caused it was exchanged.
+        errors: those of the files that are at fault, the latest last; a file that is exchanged is taken out.
     """
 
     def __init__(
-        self, *devices: Device, on_error: Callable[[Exception], object] | None = None
+        self,
+        *devices: Device,
+        on_error: Callable[[Exception], object] | None = None,
+        on_save: Callable[[], object] | None = None,
     ) -> None:
         """Exchange programs of these devices.
 
@@ -60,18 +65,28 @@ class Reloader:
             devices: devices of the calling thread.
             on_error: called by `update` with each error. A `ShaderError` has the line in `site`, its text says all of
                 it. None: errors go to the logger `rhi.reload`.
+            on_save: called when a file was saved, by the thread that watches: to wake a loop that waits for events.
         """
         self.devices = devices
         self.reloaded = self.exchanged = 0
-        self.error: Exception | None = None
+        self.errors: dict[Path, Exception] = {}
         self._on_error = on_error or (lambda error: LOGGER.error("%s", error))
-        self._at_fault: Path | None = None
+        self._on_save = on_save or (lambda: None)
         self._reloads: dict[Path, Callable[[Path], object]] = {}
         self._texts: dict[str, str] = {}
+        self._latest: dict[Path, tuple[ModuleType, str]] = {}  # the texts before the latest update
+        self._folders: frozenset[Path] = frozenset()
+        self._known: set[str] | None = None  # the names of imported modules, if all of these are watched
+        self._imported = 0
         self._lock = threading.Lock()
         self._changed: dict[Path, None] = {}
         self._stop: threading.Event | None = None
         self._thread: threading.Thread | None = None
+
+    @property
+    def error(self) -> Exception | None:
+        """The latest error of a file that is still at fault."""
+        return next(reversed(self.errors.values()), None)
 
     def watch(
         self, *what: ModuleType | str | Path, reload: Callable[[Path], object] | None = None
@@ -81,21 +96,46 @@ class Reloader:
         An error that `reload` raises is reported like those of shaders.
 
         Raises:
-            ValidationError: `reload-watch`: watchfiles is missing, or something isn't a file.
+            ValidationError: `reload-watch`: watchfiles is missing, or something isn't a file. Then nothing of it is
+                watched.
         """
         call = "Reloader.watch"
+        reloads, texts = dict(self._reloads), dict(self._texts)
         for each in what:
             path = Path(_file_of(each)).resolve()
             if not path.is_file():
                 refuse(RELOAD_WATCH, call, f"{each!r}, which is no file")
             if isinstance(each, ModuleType):
-                self._texts.setdefault(each.__name__, path.read_text(encoding="utf-8"))
-                self._reloads[path] = partial(self._reload_saved, each)
+                texts.setdefault(each.__name__, path.read_text(encoding="utf-8"))
+                reloads[path] = partial(self._reload_saved, each)
             elif reload is None:
                 refuse(DEVICE_ARGUMENT, call, f"{each!r} without reload=…", "a module, or a file and a function")
             else:
-                self._reloads[path] = reload
-        self._start(call)
+                reloads[path] = reload
+        self._start(call, frozenset(path.parent for path in reloads))  # editors replace files: folders are watched
+        self._reloads, self._texts = reloads, texts
+
+    def watch_shaders(self) -> None:
+        """Watch all modules that define shaders, structs or functions of them, also those that are imported later.
+
+        Left out are the program itself, `__main__`, whose text does more than define things, and `rhi`.
+
+        Raises:
+            ValidationError: `reload-watch`: watchfiles is missing.
+        """
+        self._known = set()
+        self._watch_imported(self._known)
+
+    def _watch_imported(self, known: set[str]) -> None:
+        self._imported = len(sys.modules)
+        fresh = {name: module for name, module in list(sys.modules.items()) if name not in known}
+        known.update(fresh)
+        modules = [
+            module
+            for name, module in fresh.items()
+            if name.partition(".")[0] not in ("__main__", "rhi") and _is_of_shaders(module)
+        ]
+        self.watch(*(module for module in modules if Path(_file_of(module)).is_file()))
 
     def update(self) -> bool:
         """Exchange what was saved since the last call; return whether anything was. Call it between two frames.
@@ -103,23 +143,38 @@ class Reloader:
         Raises:
             ValidationError: `pass-open` inside a render pass of a device.
         """
+        if self._known is not None and len(sys.modules) != self._imported:
+            self._watch_imported(self._known)
         if not self._changed:  # a file that is noted just now is exchanged next time
             return False
         with self._lock:
             changed, self._changed = self._changed, {}
         before = self.reloaded
+        self._latest = {}
         for path in changed:
             try:
                 self._reloads[path](path)
             except Exception as error:
-                self.error, self._at_fault = error, path
-                self._on_error(error)
+                self._report(path, error)
             else:
-                if path == self._at_fault:
-                    self.error = self._at_fault = None
+                self.errors.pop(path, None)
                 if path.suffix != ".py":
                     self.reloaded += 1
         return self.reloaded != before
+
+    def put_back(self, error: Exception) -> bool:
+        """Give the modules that the latest `update` has exchanged their texts before; return whether there are any.
+
+        For a program that compiles, but with which the next frame can't be drawn: `error`, which is reported as theirs.
+
+        Raises:
+            ValidationError: `pass-open` inside a render pass of a device.
+        """
+        latest, self._latest = self._latest, {}
+        for path, (module, text) in reversed(latest.items()):
+            self.reload(module, text)
+            self._report(path, error)
+        return bool(latest)
 
     def reload(self, module: ModuleType, text: str) -> int:
         """Give a module of shaders a new text; return how many programs were exchanged.
@@ -161,10 +216,8 @@ class Reloader:
 
     def close(self) -> None:
         """Stop watching."""
-        if self._stop is not None and self._thread is not None:
-            self._stop.set()
-            self._thread.join()
-        self._stop = self._thread = None
+        self._known = None
+        self._end_thread()
 
     def __enter__(self) -> Self:
         return self
@@ -182,25 +235,44 @@ class Reloader:
         return [device._programs for device in self.devices]
 
     def _reload_saved(self, module: ModuleType, path: Path) -> None:
-        text = path.read_text(encoding="utf-8")
-        if text != self._texts[module.__name__]:
+        text, before = path.read_text(encoding="utf-8"), self._texts[module.__name__]
+        if text != before:
             self.reload(module, text)
+            self._latest[path] = module, before
 
-    def _start(self, call: str) -> None:
+    def _report(self, path: Path, error: Exception) -> None:
+        self.errors.pop(path, None)
+        self.errors[path] = error
+        self._on_error(error)
+
+    def _start(self, call: str, folders: frozenset[Path]) -> None:
+        """Watch folders, if others are watched now."""
         try:
             import watchfiles
         except ImportError:
             refuse(RELOAD_WATCH, call, "watchfiles is missing", tip='pip install "rhi[viewer]"')
-        self.close()
-        folders = sorted({path.parent for path in self._reloads})  # editors replace files, so folders are watched
-        stop = self._stop = threading.Event()
+        if folders == self._folders:
+            return
+        stop = threading.Event()
         changes = watchfiles.watch(
-            *folders, stop_event=stop, recursive=False, step=_SETTLE, rust_timeout=100, raise_interrupt=False,
+            *sorted(folders), stop_event=stop, recursive=False, step=_SETTLE, rust_timeout=100, raise_interrupt=False,
             yield_on_timeout=True,
         )  # fmt: skip
-        next(changes)  # from now on nothing is missed
+        try:
+            next(changes)  # from now on nothing is missed
+        except (OSError, RuntimeError) as error:
+            refuse(RELOAD_WATCH, call, f"{type(error).__name__}: {error}")
+        self._end_thread()  # which has watched other folders until now
+        self._folders, self._stop = folders, stop
         self._thread = threading.Thread(target=self._note, args=(changes,), name="rhi reload", daemon=True)
         self._thread.start()
+
+    def _end_thread(self) -> None:
+        if self._stop is not None and self._thread is not None:
+            self._stop.set()
+            self._thread.join()
+        self._stop = self._thread = None
+        self._folders = frozenset()
 
     def _note(self, changes: Iterable[set[tuple[Any, str]]]) -> None:
         for lot in changes:
@@ -208,10 +280,15 @@ class Reloader:
             if found:
                 with self._lock:
                     self._changed |= dict.fromkeys(path for path in found if path.is_file())
+                self._on_save()
 
 
 def _of(tables: Iterable[ProgramTable]) -> set[object]:
     return {shader for table in tables for shader, _ in table.items()}
+
+
+def _is_of_shaders(module: object) -> bool:
+    return isinstance(module, ModuleType) and defines_shaders(module)
 
 
 def _file_of(what: ModuleType | str | Path) -> str | Path:

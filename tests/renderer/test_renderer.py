@@ -81,6 +81,31 @@ def test_moving_objects_are_uploaded_and_the_others_are_not(null: rhi.Device) ->
     assert 0 < moving.upload_bytes <= most
 
 
+def test_what_moves_moves_on_at_whole_steps(null: rhi.Device) -> None:
+    scene = load_scene("hall:columns=6,flags=2")
+    camera = scene.paths["ground"].camera(0)
+    with Renderer(null, scene, size=(64, 36)) as renderer:
+        assert renderer.animation_step == 0.0
+        renderer.animation_step = 0.1
+        renderer.render(camera, 0.0)
+        shown = []
+        for frame in (1, 5, 6, 11, 12):
+            uploads = renderer.render(camera, frame / 60).statistics.upload_bytes
+            shown.append((uploads > 0, round(60 * scene.seconds, 9)))
+        renderer.animation_step = 0.0
+        renderer.render(camera, 13 / 60)
+    assert shown == [(False, 0.0), (False, 0.0), (True, 6.0), (False, 6.0), (True, 12.0)]
+    assert scene.seconds == 13 / 60
+
+
+def test_a_step_of_animation_is_a_time(null: rhi.Device, city: Scene) -> None:
+    with Renderer(null, city, size=(64, 36)) as renderer:
+        for step in (-0.1, float("inf"), float("nan")):
+            with pytest.raises(rhi.ValidationError, match="animation-step"):
+                renderer.animation_step = step
+        assert renderer.animation_step == 0.0
+
+
 def test_two_renderers_of_one_scene_both_see_what_moves(null: rhi.Device) -> None:
     scene = load_scene("hall:columns=6,flags=2")
     camera = scene.paths["ground"].camera(0)

@@ -29,6 +29,7 @@ OTHERS = RenderSettings(
     blending=Blending.WEIGHTED,
     precision=Precision.EXACT,
     depth=Depth.STANDARD,
+    animation_step=0.25,
     reprojects=True,
 )
 

@@ -44,10 +44,12 @@ class GltfFile:
     Attributes:
         path: the path as the user gave it.
         root: the document.
+        files: what was read so far, this file first.
     """
 
     def __init__(self, path: str) -> None:
         self.path = path
+        self.files = [Path(path)]
         self._folder = Path(path).parent
         self._buffers: dict[int, ByteArray] = {}
         self._binary: ByteArray | None = None
@@ -107,10 +109,12 @@ class GltfFile:
         if file is None:
             fields.refuse("uri", uri, "a file's name, or data:…;base64,…")
         try:
-            return np.fromfile(file, np.uint8)
+            content = np.fromfile(file, np.uint8)
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or str(error)
             fields.refuse("uri", f"{uri}: {reason}", f"a file in {self._folder.resolve()}")
+        self.files.append(file)
+        return content
 
     def locate(self, uri: str) -> Path | None:
         """Return the file that `uri` names, or None if it isn't a local one."""

@@ -59,8 +59,10 @@ def add_gltf(builder: SceneBuilder, path: str) -> Surroundings | None:
     Cameras become views, named after their nodes. Refused, naming the file: `scene-unreadable-model`,
     `scene-bad-vertices`.
     """
-    reader = _GltfReader(builder, GltfFile(path))
+    file = GltfFile(path)
+    reader = _GltfReader(builder, file)
     reader.add_all()
+    builder.files += file.files
     return reader.surroundings
 
 

@@ -5,10 +5,10 @@
    are drawn; all visible objects are drawn first in the next frame.
 
 A box is tested by one invocation: it compares the box's nearest depth with the texels under the rectangle around its
-corners, in the finest level in which the rectangle is at most 8 texels wide and high. The box is visible unless it is
-behind all of them. The texels of the next coarser level are tested first: what is behind those is behind all of
-these. The rectangle is larger than the box, and the depth of its texels farther than that of the pixels, so more is
-drawn than if boxes were rasterised.
+corners, in the finest level in which the rectangle is at most 8 texels wide and high, or as many as settings say. The
+box is visible unless it is behind all of them. The texels of the next coarser level are tested first: what is behind
+those is behind all of these. The rectangle is larger than the box, and the depth of its texels farther than that of the
+pixels, so more is drawn than if boxes were rasterised.
 """
 
 from __future__ import annotations
@@ -47,15 +47,17 @@ __rhi_internal__ = True
 
 _LEVELS: Final = 9
 """The number of levels of an image of 65,536 pixels a side, the image included."""
-_ACROSS: Final = 8
-"""The largest number of texels that a test covers in each direction."""
+TEXELS: Final = 8
+"""The largest number of texels that a test covers in each direction, unless another one is asked for."""
 
 
 class Levels(Struct):
-    """The number of levels of a pyramid, and for each its width, height and first element; level 0 is the image."""
+    """The number of levels of a pyramid, and for each its width, height and first element; level 0 is the image.
+    `texels` is the largest number of texels that a test covers in each direction."""
 
     levels: Array[ivec4] = array(ivec4, _LEVELS)
     count: int
+    texels: int
 
 
 class FindSeen(FindOccludees):
@@ -101,7 +103,8 @@ class BoxTest(Shader):
         begin = ivec2(clamp(floor(lower - self.margin), vec2(0.0), size))
         end = ivec2(clamp(floor(upper + self.margin), vec2(-1.0), size - 1.0))
         level = 0
-        while level < self.pyramid.count - 1 and (end.x - begin.x >= _ACROSS or end.y - begin.y >= _ACROSS):
+        most = self.pyramid.texels
+        while level < self.pyramid.count - 1 and (end.x - begin.x >= most or end.y - begin.y >= most):
             begin = begin // SCALE
             end = end // SCALE
             level += 1
@@ -157,11 +160,15 @@ _SHADERS: Final = {Depth.REVERSED: CompareBoxes, Depth.STANDARD: CompareBoxesSta
 class DepthPyramidCulling(DeviceCulling):
     """Draws what was visible in the last frame, then what isn't behind it."""
 
-    def __init__(self, scene: Scene, device: Device) -> None:
+    def __init__(self, scene: Scene, device: Device, *, texels: int = TEXELS) -> None:
+        """A box is compared with at most `texels` × `texels` texels."""
         super().__init__(scene, device, FindSeen)
+        self._texels = texels
         self._seen = device.storage(uint, len(scene.objects), label="seen")
         self._pyramid: FarthestDepth | None = None
-        self._levels: UniformBuffer[Levels] = device.uniform(Levels(levels=[(0, 0, 0, 0)] * _LEVELS, count=0))
+        self._levels: UniformBuffer[Levels] = device.uniform(
+            Levels(levels=[(0, 0, 0, 0)] * _LEVELS, count=0, texels=texels)
+        )
 
     def _aim(self, camera: Camera, size: tuple[int, int]) -> tuple[object, ...]:
         return (self._fit(size),)
@@ -194,7 +201,7 @@ class DepthPyramidCulling(DeviceCulling):
             if pyramid is not None:
                 pyramid.destroy()
             pyramid = self._pyramid = FarthestDepth(self._device, size)
-            self._levels.write(make_levels(pyramid))
+            self._levels.write(make_levels(pyramid, self._texels))
         return pyramid
 
     def destroy(self) -> None:
@@ -207,7 +214,7 @@ class DepthPyramidCulling(DeviceCulling):
             self._pyramid = None
 
 
-def make_levels(pyramid: FarthestDepth) -> Levels:
-    """Return a pyramid's levels as the shader reads them."""
+def make_levels(pyramid: FarthestDepth, texels: int = TEXELS) -> Levels:
+    """Return a pyramid's levels as the shader reads them, with how many texels a test covers in each direction."""
     rows = [(*size, begin, 0) for size, begin in zip(pyramid.sizes, pyramid.begins, strict=True)]
-    return Levels(levels=rows + [(0, 0, 0, 0)] * (_LEVELS - len(rows)), count=len(rows))
+    return Levels(levels=rows + [(0, 0, 0, 0)] * (_LEVELS - len(rows)), count=len(rows), texels=texels)

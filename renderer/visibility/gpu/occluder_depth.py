@@ -2,7 +2,7 @@
 
 - Occluders are drawn with their own meshes, at the image's own samples. What is kept is the farthest depth of 4 × 4
   pixels, of 16 × 16, and so on. So a tile that they cover in part hides nothing, and what a tile hides is behind all
-  its pixels.
+  its pixels. At a smaller size this no longer holds: a gap between occluders that holds no sample is closed.
 - A box is tested against the tiles under its rectangle, coarse ones first, which decide most boxes (`BoxTest`).
 - Two rasterisers may differ where an edge passes within 1/256 pixel of a sample. So rectangles are enlarged by a
   pixel on each side: if this device covers a pixel that the other one doesn't, the next pixel beyond the edge is
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from renderer.scene import Camera, Depth, Scene
 from renderer.scene.arrays import Floats, Rows
 from renderer.shaders import Vertex, ViewConstants
-from renderer.visibility.gpu.depth_pyramid import BoxTest, Levels, make_levels
+from renderer.visibility.gpu.depth_pyramid import TEXELS, BoxTest, Levels, make_levels
 from renderer.visibility.gpu.farthest_depth import FAR, FarthestDepth
 from renderer.visibility.gpu.occludees import GROUP, Occludee
 from rhi import (
@@ -99,10 +99,10 @@ _FIND: Final = {Depth.REVERSED: FindShown, Depth.STANDARD: FindShownStandard}
 class _SizedDepth:
     """The resources that depend on the image's size: its depth, and the tiles."""
 
-    def __init__(self, device: Device, size: tuple[int, int]) -> None:
+    def __init__(self, device: Device, size: tuple[int, int], texels: int) -> None:
         self.depth: Texture = device.texture(size, Format.D32F, label="occluder depth")
         self.pyramid = FarthestDepth(device, size)
-        self.levels: UniformBuffer[Levels] = device.uniform(make_levels(self.pyramid))
+        self.levels: UniformBuffer[Levels] = device.uniform(make_levels(self.pyramid, texels))
 
     def destroy(self) -> None:
         for part in (self.depth, self.pyramid, self.levels):
@@ -112,11 +112,15 @@ class _SizedDepth:
 class OccluderDepth:
     """Draws the depth of some objects of a scene, and tests boxes against it."""
 
-    def __init__(self, device: Device, scene: Scene, occluders: int, boxes: int) -> None:
-        """`occluders` and `boxes` are the largest numbers of objects drawn and of boxes tested at a time."""
+    def __init__(
+        self, device: Device, scene: Scene, occluders: int, boxes: int, *, texels: int = TEXELS
+    ) -> None:
+        """`occluders` and `boxes` are the largest numbers of objects drawn and of boxes tested at a time; a box is
+        compared with at most `texels` × `texels` texels."""
         meshes = scene.meshes
         self._device = device
         self._scene = scene
+        self._texels = texels
         self._mesh = device.mesh(meshes.vertices, meshes.indices, label="occluders")
         self._view = device.uniform(_view(np.eye(4, dtype=np.float32)))
         self._occluders = device.storage(Occluder, occluders, label="occluders")
@@ -131,7 +135,7 @@ class OccluderDepth:
         if image is None or image.pyramid.size != size:
             if image is not None:
                 image.destroy()
-            image = self._image = _SizedDepth(self._device, size)
+            image = self._image = _SizedDepth(self._device, size, self._texels)
         device, scene = self._device, self._scene
         self._depth = direction = camera.projection.depth
         world = scene.nodes.world[scene.objects.node[rows]]

@@ -14,6 +14,7 @@ _MAX_UNIFORM_BYTES: Final = 65536
 _MAX_POINT_SIZE: Final = 1024.0  # MAX_POINT_SIZE in kernels/polygon.cl
 _MAX_LINE_WIDTH: Final = 256.0
 MAX_STORAGE_SLOTS: Final = 16  # kernels find buffers by address, so any number would do
+_MAX_ANISOTROPY: Final = 16.0
 _MAX_TEXTURE_SIZE: Final = 8192  # the largest window position that kernels represent, see kernels/common.cl
 
 
@@ -36,6 +37,7 @@ def query_capabilities(context: ClContext, draws: bool) -> Capabilities:
         storage_alignment=grain,
         max_storage_slots=MAX_STORAGE_SLOTS,
         max_texture_size=_MAX_TEXTURE_SIZE,
+        max_anisotropy=_MAX_ANISOTROPY,
         draws=draws,
         texture_buffer_copies=True,
         max_point_size=_MAX_POINT_SIZE if draws else 1.0,

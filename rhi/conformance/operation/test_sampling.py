@@ -676,6 +676,39 @@ def test_anisotropy_may_be_asked_for(device: Device) -> None:
     assert_near(back[:, 0] * 255, 100, 0.5, FILTERED)
 
 
+@pytest.mark.needs("draws")
+def test_a_floor_seen_at_a_grazing_angle_keeps_more_contrast_with_more_anisotropy(device: Device) -> None:
+    """Stripes that run to the horizon, and pixels that are the longer along them the farther away. What exactly is
+    averaged is up to each device, but it shows more of the stripes than one level for both axes, nowhere less."""
+    most = device.capabilities.max_anisotropy
+    if most < 2:
+        pytest.skip("no anisotropic filtering")
+    rows = rectangle()
+    far = rows["position"][:, 1] > 0
+    rows["color"][:, 0] = (rows["position"][:, 0] + 1) * 0.125
+    rows["color"][:, 1] = far * 16.0
+    rows["position"][far] *= 16.0
+    contrasts = []
+    with (
+        device.texture((64, 64), Format.R32F, levels=None) as texture,
+        device.texture((32, 32), Format.RGBA32F) as image,
+        device.mesh(rows) as mesh,
+    ):
+        texels = np.tile((np.arange(64) // 2 % 2).astype("f4"), (64, 1))
+        for level in range(7):
+            texture.write(texels, level=level)
+            texels = (texels[::2, ::2] + texels[::2, 1::2]) / 2 if len(texels) > 1 else texels
+        for anisotropy in (1.0, 2.0, most):
+            with device.render_pass(image):
+                source = texture.sampled(SamplerDescriptor(max_anisotropy=anisotropy))
+                device.draw(device.program(Graded), mesh, source=source)
+            contrasts.append(image.read()[..., 3].std(axis=1))
+    none, some, full = contrasts
+    assert (full >= some - 0.02).all()
+    assert (some >= none - 0.02).all()
+    assert full.sum() > 3 * none.sum() > 0
+
+
 class ComparedLayers(Shader):
     """Compares a layered and a cube shadow map."""
 

@@ -272,9 +272,10 @@ class TextureAccess(Statement):
     """Read, query or write a texture or image; `results` receive the components.
 
     Coordinates have three components. The operations and their arguments are: sample (at, level), sample_compare
-    (at, reference, level), level_of_detail (at, step right, step down, bias), gather (component, at), gather_compare
-    (at, reference), load (texel, level), store (texel, four values), size (level), levels. Nothing is read outside
-    the texture. `mask` says which lanes store.
+    (at, reference, level), sample_across (at, step right, step down, bias), sample_compare_across (at, reference, step
+    right, step down, bias), gather (component, at), gather_compare (at, reference), load (texel, level), store (texel,
+    four values), size (level), levels. Steps are the differences of coordinates to the next pixels, which the pixel
+    reaches across. Nothing is read outside the texture. `mask` says which lanes store.
     """
 
     operation: str

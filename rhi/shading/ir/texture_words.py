@@ -62,7 +62,8 @@ class Word(enum.IntEnum):
     COMPARISON = 14
     BORDER_COLOR = 15
     CLAMPED = 19  # whether references of comparisons are clamped: depth is in fixed point
-    LEVELS = 20
+    ANISOTROPY = 20  # a float: the most that a footprint's longer axis is of its shorter one; 0 for a sampler without
+    LEVELS = 21
 
 
 class LevelWord(enum.IntEnum):
@@ -153,7 +154,7 @@ def describe_texture(
 ) -> NDArray[np.int32]:
     """Return the words of a texture that is read through a sampler, or of one level used as an image.
 
-    Integer formats are never filtered, and the edges of a cube are always seams.
+    Integer formats are never filtered, nor anisotropic, and the edges of a cube are always seams.
     """
     words = np.zeros(Word.LEVELS + LEVEL_WORDS * len(levels), np.int32)
     stored = _PACKED[format] if format.is_packed else _STORED[format.kind, format.dtype.itemsize]
@@ -186,6 +187,7 @@ def describe_texture(
     words[Word.HAS_BORDER] = Edge.BORDER in used
     words[Word.COMPARISON] = _COMPARISONS[sampler.compare] if sampler.compare is not None else 0
     words[Word.CLAMPED] = has_fixed_depth(format)
+    words[Word.ANISOTROPY] = np.float32(anisotropy_of(format, sampler)).view(np.int32)
     border = border_color(format, sampler)
     words[Word.BORDER_COLOR : Word.BORDER_COLOR + 4] = (
         border.astype(np.int64).astype(np.int32)
@@ -206,6 +208,11 @@ def describe_texture(
 def has_fixed_depth(format: Format) -> bool:
     """Return whether depth is in fixed point, so that references of comparisons are clamped to 0…1."""
     return format in (Format.D16, Format.D24, Format.D24S8)
+
+
+def anisotropy_of(format: Format, sampler: SamplerDescriptor) -> float:
+    """Return the anisotropy that a format is read with, 0 if it is none."""
+    return sampler.max_anisotropy if sampler.max_anisotropy > 1 and not format.is_integer else 0.0
 
 
 def border_color(format: Format, sampler: SamplerDescriptor) -> NDArray[np.float64]:

@@ -256,6 +256,15 @@ def _file_of(module: ModuleType) -> str:
     return (spec.origin if spec is not None else None) or module.__file__ or module.__name__
 
 
+def defines_shaders(module: ModuleType) -> bool:
+    """Return whether a module defines shaders, structs or functions of them itself."""
+    for value in list(vars(module).values()):
+        python = value.python if isinstance(value, ShadingFunction) else value
+        if (python is not value or _is_kind(value, (Shader, Struct))) and python.__module__ == module.__name__:
+            return True
+    return False
+
+
 def _is_kind(value: object, kind: type | tuple[type, ...]) -> bool:
     return isinstance(value, type) and issubclass(value, kind)
 

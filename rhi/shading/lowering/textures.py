@@ -1,9 +1,9 @@
 """The lowering of the methods of textures and images.
 
 - Coordinates always have three components. The third is 0 for a 2D texture and the layer for an array.
-- Where GLSL computes the mip level implicitly, one access (`level_of_detail`) computes it from the differences between
-  the pixels of a quad, and the next access uses it. In vertex and compute stages there are no differences, and the
-  level is 0.
+- Where GLSL computes the mip level implicitly, the access (`sample_across`) is given the differences between the pixels
+  of a quad: the sampler decides which texels a pixel covers. In vertex and compute stages there are no differences, and
+  the level is 0.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from rhi.shading.lowering.components import KINDS, all_kinds
 __rhi_internal__ = True
 
 _LEVEL_AXES: Final = {TextureKind.D2: 2, TextureKind.D2_ARRAY: 2, TextureKind.D3: 3, TextureKind.CUBE: 3}
-"""The number of coordinate components that the mip level depends on."""
+"""The number of coordinate components that differ within a pixel: a layer doesn't."""
 
 
 class TextureLowering(BuiltinLowering):
@@ -65,16 +65,24 @@ class TextureLowering(BuiltinLowering):
             inputs = [*at, *component] if name == "gather_compare" else [*component, *at]
             return self.access(name, memory, inputs, KINDS[type.scalar], 4)
         if type.compare:
-            level = arguments[2] if name == "sample_compare_lod" else self.find_level(memory, type, at)
-            return self.access("sample_compare", memory, [*at, *arguments[1], *level], ScalarKind.FLOAT, 1)
-        match name:
-            case "sample_lod":
-                level = arguments[1]
-            case "sample_grad":
-                level = self.level_of_detail(memory, at, arguments[1], arguments[2], literal(0.0))
-            case _:
-                level = self.find_level(memory, type, at, *(bias for (bias,) in arguments[1:]))
-        return self.access("sample", memory, [*at, *level], KINDS[type.scalar], 4)
+            operation, kind, count = "sample_compare", ScalarKind.FLOAT, 1
+            given, more = [*at, *arguments[1]], arguments[2:]
+        else:
+            operation, kind, count = "sample", KINDS[type.scalar], 4
+            given, more = at, arguments[1:]
+        if name in ("sample_lod", "sample_compare_lod"):
+            return self.access(operation, memory, [*given, *more[0]], kind, count)
+        bias: Value = literal(0.0)
+        if name == "sample_grad":
+            steps = more
+        elif self.has_helpers:
+            axes = at[: _LEVEL_AXES[type.kind]]
+            steps = [[self.difference(along, value) for value in axes] for along in ("ddx", "ddy")]
+            bias = more[0][0] if more else bias
+        else:
+            return self.access(operation, memory, [*given, literal(0.0)], kind, count)
+        across = [value for step in steps for value in (*step, literal(0.0))[:3]]
+        return self.access(f"{operation}_across", memory, [*given, *across, bias], kind, count)
 
     def binding_of(self, node: tree.Expression) -> tree.BindingRead:
         """Return the binding of a texture or image that an expression names, directly or by a parameter."""
@@ -115,29 +123,6 @@ class TextureLowering(BuiltinLowering):
     def check_race(self, memory: MemoryRegion, values: list[Value]) -> None:
         """Refuse a store of varying values to one address."""
         raise NotImplementedError
-
-    def find_level(
-        self, memory: MemoryRegion, type: TextureType, at: list[Value], bias: Value | None = None
-    ) -> list[Value]:
-        """Return the mip level computed from the differences between pixels."""
-        if not self.has_helpers:
-            return [literal(0.0)]
-        count = _LEVEL_AXES[type.kind]
-        right = [self.difference("ddx", value) for value in at[:count]]
-        down = [self.difference("ddy", value) for value in at[:count]]
-        return self.level_of_detail(memory, at, right, down, bias or literal(0.0))
-
-    def level_of_detail(
-        self,
-        memory: MemoryRegion,
-        at: list[Value],
-        dx: list[Value],
-        dy: list[Value],
-        bias: Value,
-    ) -> list[Value]:
-        """Return the mip level for the coordinate differences to the next pixel in two directions."""
-        steps = [value for step in (dx, dy) for value in (*step, literal(0.0))[:3]]
-        return self.access("level_of_detail", memory, [*at, *steps, bias], ScalarKind.FLOAT, 1)
 
     def texture_memory(self, source: tree.BindingRead) -> MemoryRegion:
         """Return the memory region of a texture or image."""

@@ -7,6 +7,7 @@ third. Everything is computed in `dtype`, float32 or float64, with weights of fu
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -17,7 +18,7 @@ from rhi.contract.formats import Format
 from rhi.contract.states import Comparison
 from rhi.contract.texels import decode, encode, unpack
 from rhi.errors import refuse
-from rhi.shading.ir.texture_words import border_color, has_fixed_depth
+from rhi.shading.ir.texture_words import anisotropy_of, border_color, has_fixed_depth
 from rhi.shading.language import rules
 from rhi.shading.numpy.runtime import clamp
 
@@ -99,37 +100,20 @@ class HostTexture:
         )
         return (result[..., 0],)
 
-    def level_of_detail(
-        self,
-        dtype: Any,
-        u: Any,
-        v: Any,
-        z: Any,
-        ux: Any,
-        vx: Any,
-        zx: Any,
-        uy: Any,
-        vy: Any,
-        zy: Any,
-        bias: Any,
+    def sample_across(self, dtype: Any, u: Any, v: Any, z: Any, *steps: Any) -> FourArrays:
+        """Sample what a pixel covers: `steps` are six to the next pixels right and below, and a bias of the level."""
+        result = self._average(dtype, (u, v, z), steps, partial(self._sample_levels, dtype))
+        return tuple(result[..., c] for c in range(4))  # type: ignore[return-value]
+
+    def sample_compare_across(
+        self, dtype: Any, u: Any, v: Any, z: Any, reference: Any, *steps: Any
     ) -> tuple[Array]:
-        """Return the level at which the longer of two steps is one texel (equations 8.5 and 8.8)."""
-        steps = [
-            np.stack(np.broadcast_arrays(*step), -1).astype(dtype) for step in ((ux, vx, zx), (uy, vy, zy))
-        ]
-        layers, height, width, _ = self.levels[0].shape
-        size = np.array([width, height, layers if self.kind is TextureKind.D3 else 0], dtype)
-        if self.kind is TextureKind.CUBE:
-            at = np.stack(np.broadcast_arrays(u, v, z), -1).astype(dtype)
-            face = _face_of(at)
-            s, t, m = _project(face, at)
-            projected = [_project(face, step) for step in steps]
-            steps = [
-                np.stack([(ds - s / m * dm) / (2 * m), (dt - t / m * dm) / (2 * m), 0 * ds], -1)
-                for ds, dt, dm in projected
-            ]
-        squares = [np.sum((step * size) ** 2, axis=-1) for step in steps]
-        return (dtype(0.5) * np.log2(np.maximum(*squares)) + bias,)
+        """Compare each texel with a reference, and return what a pixel covers of the results."""
+
+        def sample(u: Any, v: Any, z: Any, lod: Any) -> Array:
+            return self.sample_compare(dtype, u, v, z, reference, lod)[0][..., None]
+
+        return (self._average(dtype, (u, v, z), steps, sample)[..., 0],)
 
     def gather(self, dtype: Any, component: int, u: Any, v: Any, z: Any) -> FourArrays:
         """Return one component of the four texels around a point: counterclockwise from the lower left, with v up."""
@@ -299,6 +283,65 @@ class HostTexture:
             a, b = (_mix(taps[row], taps[row + 1], near_x) for row in (0, 2))
             means.append(_mix(a, b, near_y))
         return _mix(means[0], means[1], slices[2]) if solid else means[0]
+
+    def _average(
+        self, dtype: Any, at: Sequence[Any], steps: Sequence[Any], sample: Callable[..., Array]
+    ) -> Array:
+        """Return the mean of the samples that a pixel's steps call for, or the one at the level of the longer step
+        (OpenGL 4.3, equations 8.5 and 8.8).
+
+        An anisotropic sampler averages along the longer axis of the ellipse that the pixel covers, at the level of the
+        shorter one. Each sample stands for a cell as long as the shorter axis. Cells are laid from both ends, and what
+        is left in the middle is one or two cells of less weight, so that nothing jumps where one cell more is covered.
+        """
+        *steps, bias = np.broadcast_arrays(*(np.asarray(step, dtype) for step in steps))
+        a, b = self._in_texels(dtype, at, [np.stack(step, -1) for step in (steps[:3], steps[3:])])
+        aa, bb, ab = (np.sum(x * y, axis=-1) for x, y in ((a, a), (b, b), (a, b)))
+        longer = np.maximum(aa, bb)
+        anisotropy = anisotropy_of(self.format, self.sampler)
+        if not anisotropy:
+            return sample(*at, dtype(0.5) * np.log2(longer) + bias)
+        regular = (longer > 2.0**-100) & (aa + bb < 2.0**100)
+        scale = 1 / np.where(regular, longer, 1)
+        half, product, area = (aa - bb) / 2 * scale, ab * scale, np.cross(a, b) * scale[..., None]
+        spread = np.sqrt(half**2 + product**2)
+        longest = (aa + bb) / 2 * scale + spread
+        ratio = np.fmin(longest / np.sqrt(np.sum(area**2, axis=-1)), dtype(anisotropy))
+        longest *= longer
+        cell = np.fmax(longest / ratio**2, np.fmin(longest, 1))  # less than a texel shows nothing more
+        ratio = np.where(regular, np.fmax(np.sqrt(longest / cell), 1), 1).astype(dtype)
+        lod = dtype(0.5) * np.log2(np.where(regular, cell, longer)) + bias
+        right, down = np.where(half > 0, half + spread, product), np.where(half > 0, product, spread - half)
+        length = np.hypot(right, down) * ratio
+        turned = regular & (length > 0)
+        further = [
+            np.where(turned, (right * x + down * y) / np.where(turned, length, 1), 0)
+            for x, y in zip(steps[:3], steps[3:], strict=True)
+        ]
+        left, total = ratio, dtype(0)
+        while (left > 0).any():
+            place, weight = np.maximum(left / 2 - dtype(0.5), 0), np.clip(left / 2, 0, 1)[..., None]
+            for side in (place, -place):
+                one = sample(*(x + side * step for x, step in zip(at, further, strict=True)), lod)
+                total = total + np.where(weight > 0, weight * one, 0)
+            left = left - 2
+        mean: Array = total / ratio[..., None]
+        return mean
+
+    def _in_texels(self, dtype: Any, at: Sequence[Any], steps: list[Array]) -> list[Array]:
+        """Return steps of coordinates, (…, 3), as steps in texels of the largest level."""
+        layers, height, width, _ = self.levels[0].shape
+        size = np.array([width, height, layers if self.kind is TextureKind.D3 else 0], dtype)
+        if self.kind is TextureKind.CUBE:
+            where, *steps = np.broadcast_arrays(np.stack(np.broadcast_arrays(*at), -1).astype(dtype), *steps)
+            face = _face_of(where)
+            s, t, m = _project(face, where)
+            projected = [_project(face, step) for step in steps]
+            steps = [
+                np.stack([(ds - s / m * dm) / (2 * m), (dt - t / m * dm) / (2 * m), 0 * ds], -1)
+                for ds, dt, dm in projected
+            ]
+        return [step * size for step in steps]
 
     def _sample_levels(
         self, dtype: Any, u: Any, v: Any, z: Any, lod: Any, compare: TexelComparison | None = None

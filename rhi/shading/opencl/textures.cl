@@ -479,11 +479,12 @@ static RHI_INLINE FLOAT rhi_level_log2(FLOAT x) {
     return convert_FLOAT((bits >> 23) - 127) + LOG2_CURVE;
 }
 
-// Returns the level at which the longer of the steps to the next pixels is one texel.
-static RHI_CALLED FLOAT rhi_level_of_detail(
-    rhi_description w, FLOAT u, FLOAT v, FLOAT z, FLOAT ux, FLOAT vx, FLOAT zx, FLOAT uy, FLOAT vy, FLOAT zy, FLOAT bias
+// -- what a pixel covers -----------------------------------------------------------------------------------
+
+// Replaces the steps to the next pixels, in coordinates, by those in texels of the largest level.
+static RHI_INLINE void rhi_in_texels(
+    rhi_description w, FLOAT u, FLOAT v, FLOAT z, FLOAT *ux, FLOAT *vx, FLOAT *zx, FLOAT *uy, FLOAT *vy, FLOAT *zy
 ) {
-    if (w[RHI_ONE_FILTER]) return (FLOAT)0.0f;  // the level is not used
     rhi_description level = w + RHI_LEVELS;
     float width = level[RHI_WIDTH], height = level[RHI_HEIGHT];
     float depth = RHI_SOLIDS && w[RHI_SHAPE] == RHI_SOLID ? level[RHI_DEPTH] : 0;
@@ -495,20 +496,104 @@ static RHI_CALLED FLOAT rhi_level_of_detail(
         FLOAT half_ = 0.5f / m;
         s /= m;
         t /= m;
-        rhi_turn(is_y, is_z, negative, ux, vx, zx, &ds, &dt, &dm);
-        ux = (ds - s * dm) * half_;
-        vx = (dt - t * dm) * half_;
-        rhi_turn(is_y, is_z, negative, uy, vy, zy, &ds, &dt, &dm);
-        uy = (ds - s * dm) * half_;
-        vy = (dt - t * dm) * half_;
+        rhi_turn(is_y, is_z, negative, *ux, *vx, *zx, &ds, &dt, &dm);
+        *ux = (ds - s * dm) * half_;
+        *vx = (dt - t * dm) * half_;
+        rhi_turn(is_y, is_z, negative, *uy, *vy, *zy, &ds, &dt, &dm);
+        *uy = (ds - s * dm) * half_;
+        *vy = (dt - t * dm) * half_;
     }
-    ux *= width, vx *= height, uy *= width, vy *= height;
+    *ux *= width, *vx *= height, *uy *= width, *vy *= height;
+    *zx = depth > 0.0f ? *zx * depth : (FLOAT)0.0f;
+    *zy = depth > 0.0f ? *zy * depth : (FLOAT)0.0f;
+}
+
+// Returns the level at which the longer of the steps to the next pixels is one texel.
+static RHI_CALLED FLOAT rhi_level_of_detail(
+    rhi_description w, FLOAT u, FLOAT v, FLOAT z, FLOAT ux, FLOAT vx, FLOAT zx, FLOAT uy, FLOAT vy, FLOAT zy, FLOAT bias
+) {
+    if (w[RHI_ONE_FILTER]) return (FLOAT)0.0f;  // the level is not used
+    rhi_in_texels(w, u, v, z, &ux, &vx, &zx, &uy, &vy, &zy);
     FLOAT across = ux * ux + vx * vx, down = uy * uy + vy * vy;
-    if (depth > 0.0f) {
-        across += zx * zx * (depth * depth);
-        down += zy * zy * (depth * depth);
-    }
+    if (RHI_SOLIDS) across += zx * zx, down += zy * zy;
     return 0.5f * rhi_level_log2(SELECT(across, down, down > across)) + bias;
+}
+
+// Averages samples along the longer axis of the ellipse that a pixel covers, at the level of the shorter one. Each stands
+// for a cell as long as the shorter axis. Cells are laid from both ends, and what is left in the middle is one or two
+// cells of less weight; so nothing jumps where one cell more is covered. The axes are the singular vectors of the matrix
+// of both steps.
+static RHI_CALLED void rhi_average(
+    rhi_texture t, rhi_description w, int compared, FLOAT u, FLOAT v, FLOAT z, FLOAT reference,
+    FLOAT ux, FLOAT vx, FLOAT zx, FLOAT uy, FLOAT vy, FLOAT zy, FLOAT bias, UINT *r
+) {
+    FLOAT ax = ux, ay = vx, az = zx, bx = uy, by = vy, bz = zy;
+    rhi_in_texels(w, u, v, z, &ax, &ay, &az, &bx, &by, &bz);
+    FLOAT across = ax * ax + ay * ay + az * az, down = bx * bx + by * by + bz * bz;
+    FLOAT step = SELECT(across, down, down > across);
+    INT regular = BOTH(step > 0x1p-100f, across + down < 0x1p100f);  // else one sample, at the level of the longer step
+    FLOAT scale = 1.0f / SELECT((FLOAT)1.0f, step, regular);
+    FLOAT half_ = (across - down) * 0.5f * scale, product = (ax * bx + ay * by + az * bz) * scale;
+    FLOAT spread = sqrt(half_ * half_ + product * product), longest = (across + down) * 0.5f * scale + spread;
+    FLOAT ox = (ay * bz - az * by) * scale, oy = (az * bx - ax * bz) * scale, oz = (ax * by - ay * bx) * scale;
+    FLOAT most = (FLOAT)as_float(w[RHI_ANISOTROPY]), ratio = longest / sqrt(ox * ox + oy * oy + oz * oz);
+    ratio = SELECT(most, ratio, ratio < most);
+    longest *= step;  // the squares of the longer axis and of a cell; less than a texel shows nothing more
+    FLOAT cell = longest / (ratio * ratio), least = SELECT((FLOAT)1.0f, longest, longest < 1.0f);
+    cell = SELECT(least, cell, cell > least);
+    ratio = SELECT((FLOAT)1.0f, sqrt(longest / cell), BOTH(regular, longest > cell));
+    FLOAT lod = 0.5f * rhi_level_log2(SELECT(step, cell, regular)) + bias;
+    FLOAT right = SELECT(product, half_ + spread, half_ > 0.0f), below = SELECT(spread - half_, product, half_ > 0.0f);
+    FLOAT length_ = sqrt(right * right + below * below) * ratio;
+    INT turned = BOTH(regular, length_ > 0.0f);
+    right = SELECT((FLOAT)0.0f, right / length_, turned);
+    below = SELECT((FLOAT)0.0f, below / length_, turned);
+    ux = SELECT((FLOAT)0.0f, right * ux + below * uy, turned);  // from cell to cell
+    vx = SELECT((FLOAT)0.0f, right * vx + below * vy, turned);
+    zx = SELECT((FLOAT)0.0f, right * zx + below * zy, turned);
+    UINT one[4];
+    for (int c = 0; c < 4; ++c) r[c] = (UINT)0u;
+    for (FLOAT left = ratio; ANY(left > 0.0f); left -= 2.0f) {  // a cell at each end of what is left
+        FLOAT at = SELECT((FLOAT)0.0f, left * 0.5f - 0.5f, left > 1.0f);
+        FLOAT weight = SELECT((FLOAT)1.0f, left * 0.5f, left < 2.0f);
+        int single = !ANY(at > 0.0f);
+        if (single) weight *= 2.0f;
+        for (int side = single; side < 2; ++side, at = -at) {
+            rhi_sampled(t, w, compared, fma(at, ux, u), fma(at, vx, v), fma(at, zx, z), reference, lod, one);
+            _Pragma("unroll") for (int c = 0; c < 4; ++c) {
+                UINT sum = as_UINT(fma(weight, as_FLOAT(one[c]), as_FLOAT(r[c])));
+                r[c] = SELECT(r[c], sum, weight > 0.0f);
+            }
+        }
+    }
+    for (int c = 0; c < 4; ++c) r[c] = as_UINT(as_FLOAT(r[c]) / ratio);
+}
+
+// Samples what a pixel covers, by the steps to the next pixels: as the sampler says, an ellipse or a square around it.
+static RHI_INLINE void rhi_covered(
+    rhi_texture t, rhi_description w, int compared, FLOAT u, FLOAT v, FLOAT z, FLOAT reference,
+    FLOAT ux, FLOAT vx, FLOAT zx, FLOAT uy, FLOAT vy, FLOAT zy, FLOAT bias, UINT *r
+) {
+    if (w[RHI_ANISOTROPY]) {
+        rhi_average(t, w, compared, u, v, z, reference, ux, vx, zx, uy, vy, zy, bias, r);
+        return;
+    }
+    FLOAT lod = rhi_level_of_detail(w, u, v, z, ux, vx, zx, uy, vy, zy, bias);
+    rhi_sampled(t, w, compared, u, v, z, reference, lod, r);
+}
+
+static RHI_INLINE void rhi_sample_across(
+    rhi_texture t, rhi_description w, FLOAT u, FLOAT v, FLOAT z, FLOAT ux, FLOAT vx, FLOAT zx, FLOAT uy, FLOAT vy,
+    FLOAT zy, FLOAT bias, UINT *r
+) {
+    rhi_covered(t, w, 0, u, v, z, u, ux, vx, zx, uy, vy, zy, bias, r);
+}
+
+static RHI_INLINE void rhi_sample_compare_across(
+    rhi_texture t, rhi_description w, FLOAT u, FLOAT v, FLOAT z, FLOAT reference, FLOAT ux, FLOAT vx, FLOAT zx,
+    FLOAT uy, FLOAT vy, FLOAT zy, FLOAT bias, UINT *r
+) {
+    rhi_covered(t, w, 1, u, v, z, reference, ux, vx, zx, uy, vy, zy, bias, r);
 }
 
 // -- single texels -----------------------------------------------------------------------------------------

@@ -497,7 +497,7 @@ class OpenCLWriter:
             if scalar is not None:
                 texts[scalar] = self.value(node.arguments[scalar])
         arguments = ", ".join([f"{name}__words", *texts])
-        if operation in ("size", "levels", "level_of_detail"):
+        if operation in ("size", "levels"):
             axes = [f", {axis}" if operation == "size" else "" for axis in range(len(results))]
             words = [f"{function}({arguments}{axis}){first}" for axis in axes]
         else:

@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import rhi
-from renderer.accuracy import FrontPoint, KnobReport, Situation, SweepJob, ValueRow, choose, run_jobs
-from renderer.accuracy.choice import find_choices, find_truth, list_held_out, list_steps, mark_best
+from renderer.accuracy import FrontPoint, KnobReport, Situation, SweepJob, ValueRow, choice, choose, run_jobs
+from renderer.accuracy.choice import (
+    expect_error,
+    find_choices,
+    find_truth,
+    list_held_out,
+    list_steps,
+    mark_best,
+)
 from renderer.accuracy.jobs import load_report, save_report
-from renderer.accuracy.sweep import list_views
+from renderer.accuracy.sweep import SweepFrame, list_views
 from renderer.cli import main
 from renderer.cli.executors import SerialExecutor, make_executor
 from renderer.content import load_scene
@@ -80,10 +88,53 @@ def test_the_common_truth_has_what_each_truth_asks_for() -> None:
 
 def test_held_out_views_are_others() -> None:
     scene = load_scene("city:blocks=2")
-    known = {frame.number for frame in list_views(scene, SITUATION)}
-    others = [frame.number for frame in list_held_out(scene, SITUATION, 20)]
-    assert len(set(others)) == 20
-    assert known.isdisjoint(others)
+    known = list_views(scene, SITUATION)
+    checks = list_held_out(scene, SITUATION, 10, known)
+    others = list_held_out(scene, SITUATION, 20, [*known, *checks])
+    numbers = [{frame.number for frame in some} for some in (known, checks, others)]
+    assert [len(some) for some in numbers] == [2, 10, 20]
+    assert len(set().union(*numbers)) == 32
+    still = replace(SITUATION, camera="street")
+    assert [frame.number for frame in list_held_out(scene, still, 20, list_views(scene, still))] == [0]
+
+
+def test_more_is_expected_of_other_views_than_the_mean() -> None:
+    assert expect_error([1.0, 2.0, 3.0]) == pytest.approx(2.0 + 3.0)
+    assert expect_error([2.0] * 9) == 2.0
+    assert expect_error([0.0] * 99 + [9.0]) == 9.0  # the greatest is known to be possible
+    assert expect_error([4.0]) == 4.0
+
+
+def test_a_choice_keeps_its_bound_with_a_margin(monkeypatch: pytest.MonkeyPatch) -> None:
+    cheap, dear = mark_best([point_of(1.0, 1.0), point_of(0.5, 2.0)])
+    drawn: list[int] = []
+
+    class Bench:
+        """Says what errors would be: those of the cheap settings are spread more."""
+
+        def __init__(self, *_: object) -> None:
+            pass
+
+        def __enter__(self) -> Bench:
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            pass
+
+        def compare(self, settings: RenderSettings, frames: Sequence[SweepFrame]) -> list[float]:
+            drawn.extend(frame.number for frame in frames)
+            spread = 1.0 if settings is cheap.settings else 0.1
+            return [1.0 + spread * (number % 2) for number in range(len(frames))]
+
+    monkeypatch.setattr(choice, "CombinationBench", Bench)
+    found = choose(replace(SITUATION, backend="null"), [cheap, dear], error_at_most=2.5)
+    assert (found.point, found.refused, found.error, found.held_out_error) == (dear, 1, 1.1, 1.1)
+    assert (found.views, found.held_out_views) == (10, 20)
+    assert len(drawn) == 10 + 10 + 20
+    assert len(set(drawn)) == 30
+    found = choose(replace(SITUATION, backend="null"), [cheap, dear], error_at_most=3.5)
+    assert (found.point, found.refused) == (cheap, 0)
+    assert found.expected == pytest.approx(1.5 + 3.0 * np.std([1.0, 2.0] * 5, ddof=1))
 
 
 def test_a_bound_that_no_settings_keep_is_refused() -> None:
@@ -159,7 +210,10 @@ def test_the_command_writes_a_page_and_settings_that_render_reads(
     assert main([*sweep, "--error-at-most", "200"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert [knob["knob"] for knob in found["knobs"]] == ["precision", "fxaa"]
-    assert found["chosen"]["checked_error"] <= 200.0
+    chosen = found["chosen"]
+    assert 0.0 < chosen["checked_error"] <= chosen["expected_error"] <= 200.0
+    assert chosen["held_out_error"] > 0.0
+    assert chosen["held_out_views"] == 20
     assert found["chosen"]["milliseconds"] == min(point["milliseconds"] for point in found["front"])
     page = (tmp_path / "out/report.html").read_text()
     assert page.count("data:image/png;base64,") >= 4  # two charts, and the worst places of two knobs

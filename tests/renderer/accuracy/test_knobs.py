@@ -64,7 +64,7 @@ def test_values_are_settings_of_their_own_and_the_default_is_among_them(knob: Kn
 
 def test_encodings_are_those_that_are_compared() -> None:
     known = {one.name for one in ENCODINGS}
-    encodings = [knob for knob in KNOBS.values() if knob.unit.is_encoding]
+    encodings = [knob for knob in KNOBS.values() if knob.is_encoding]
     assert encodings == [knob for knob in KNOBS.values() if not knob.path]
     for knob in encodings:
         assert set(knob.values.values()) <= known

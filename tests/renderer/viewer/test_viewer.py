@@ -253,7 +253,7 @@ def test_samples_that_a_technique_lacks_are_refused(viewer: Viewer, draw: Callab
     assert is_error
     assert "technique-one-sample" in said
     draw()
-    assert viewer.stage.look == Look(technique="deferred")
+    assert viewer.stage.look == Look().change(technique="deferred")
 
 
 def test_samples_that_a_technique_lacks_are_refused_also_where_a_picture_hides_them(viewer: Viewer) -> None:

@@ -5,6 +5,7 @@ The hard cases, which all algorithms share, are in `test_hard_cases`."""
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -147,6 +148,34 @@ def test_a_box_shows_unless_what_hides_it_reaches_a_pixel_further(
     centre, half = np.array([[-metres - 0.1, 0.0, -10.0]]), np.array([[0.1, 0.1, 0.1]])
     assert depth.find_shown(centre, half).tolist() == [shows]
     depth.destroy()
+
+
+@pytest.mark.parametrize(("texels", "shows"), [(8, False), (1, True)])
+def test_a_box_compared_with_fewer_texels_shows_beside_the_end_of_what_hides_it(
+    cl: rhi.Device, texels: int, shows: bool
+) -> None:
+    # Six pixels beyond a coarse texel's edge, the wall ends, and the box five pixels before that.
+    scene = make_boxes([(-10.0, 0.0, -5.0)], [(20.0, 40.0, 0.1)])
+    camera = look(ORIGIN, WALL).with_aspect(2.0)
+    pixel = 2.0 / 128 / camera.projection.matrix[0, 0]  # in the width of a view at a metre
+    camera = replace(camera, position=camera.position - np.array([4.95 * 6.0 * pixel, 0.0, 0.0]))
+    depth = OccluderDepth(cl, scene, 1, 1, texels=texels)
+    depth.render(camera, np.array([0]), (128, 64))
+    centre = np.array([[9.9 * pixel - 0.1, 0.0, -10.0]])  # its end is one pixel right of the eye's middle
+    assert depth.find_shown(centre, np.full((1, 3), 0.1)).tolist() == [shows]
+    depth.destroy()
+
+
+@pytest.mark.parametrize(("pixels", "expected"), [(1, {0, 2, 3}), (8, {0, 2})])
+def test_occluders_of_fewer_pixels_close_narrow_gaps(null: rhi.Device, pixels: int, expected: set[int]) -> None:
+    # The gap between the walls is one and a half pixels wide; those of a coarse image are 8 wide, and none is in it.
+    behind_the_eye, behind_the_gap = (0.0, 0.0, 9.0), (0.85, 0.0, -10.0)
+    places = [(-9.65, 0.0, -5.0), behind_the_eye, (10.5, 0.0, -5.0), behind_the_gap]
+    scene = make_boxes(places, [(20.0, 20.0, 0.02), (0.1,) * 3, (20.0, 20.0, 0.02), (0.5,) * 3])
+    algorithm = SoftwareDepth(scene, occluder_pixels=pixels)
+    with Renderer(null, scene, size=SIZE) as renderer:
+        assert visible(draw_with(renderer, algorithm, FRONT)) == expected
+    algorithm.destroy()
 
 
 @pytest.mark.parametrize(("distance", "shows"), [(4.9, True), (5.3, False)])

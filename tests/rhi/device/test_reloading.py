@@ -401,6 +401,86 @@ def test_what_cannot_be_watched_is_refused(
     assert (error.value.rule.id, error.value.tip) == ("reload-watch", 'pip install "rhi[viewer]"')
 
 
+def test_a_refused_watch_watches_nothing_of_it(device: rhi.Device, shaders: Any, tmp_path: Path) -> None:
+    pytest.importorskip("watchfiles", reason="no watchfiles: pip install rhi[viewer]")
+    path = tmp_path / "scene.txt"
+    path.write_text("1")
+    seen: list[str] = []
+    with Reloader(device) as reloader:
+        for bad in (tmp_path / "missing.glb", tmp_path):
+            with pytest.raises(ValidationError) as error:
+                reloader.watch(path, shaders, bad, reload=lambda path: seen.append("first"))
+            assert error.value.rule.id == "reload-watch"
+            assert (reloader._thread, reloader._reloads, reloader._texts) == (None, {}, {})
+        reloader.watch(path, reload=lambda path: seen.append("second"))
+        with pytest.raises(ValidationError):
+            reloader.watch(path, tmp_path / "missing.glb", reload=lambda path: seen.append("first"))
+        save(path, "2", replaces=True)
+        assert update(reloader)
+    assert seen == ["second"]
+
+
+def test_all_shaders_are_watched_also_those_that_are_imported_later(
+    device: rhi.Device, shaders: Any, import_text: Callable[[str], ModuleType]
+) -> None:
+    pytest.importorskip("watchfiles", reason="no watchfiles: pip install rhi[viewer]")
+    woken: list[bool] = []
+    with Reloader(device, on_save=lambda: woken.append(True)) as reloader:
+        reloader.watch_shaders()
+        later: Any = import_text(TEXT)
+        import_text("VALUE = 1.0")
+        assert not reloader.update()
+        watched = {path.name for path in reloader._reloads}
+        assert {f"{shaders.__name__}.py", f"{later.__name__}.py"} <= watched
+        assert not any(Path(rhi.__file__).parent in path.parents for path in reloader._reloads)
+        assert f"reloaded_{int(later.__name__.split('_')[1]) + 1}.py" not in watched, "it defines no shader"
+        for module in (shaders, later):
+            program: Any = device.program(module.Flat)
+            save(Path(module.__file__), TEXT.replace("SHARE = 1.0", "SHARE = 0.375"), replaces=True)
+            assert update(reloader)
+            assert "0.375" in glsl(program)
+        assert woken
+
+
+def test_what_does_not_draw_is_put_back(device: rhi.Device, shaders: Any) -> None:
+    pytest.importorskip("watchfiles", reason="no watchfiles: pip install rhi[viewer]")
+    picture, path, errors = Picture(device, shaders), Path(shaders.__file__), []
+    picture.draw()
+    with Reloader(device, on_error=errors.append) as reloader:
+        reloader.watch(shaders)
+        assert not reloader.put_back(ValueError("of something else"))
+        text = TEXT.replace("gain = 1.0", "gain = 1.0\n    more: Uniform[float]").replace("* SHARE", "* self.more")
+        save(path, text, replaces=True)
+        assert update(reloader)
+        with pytest.raises(ValidationError) as error:
+            picture.draw()
+        assert reloader.put_back(error.value)
+        assert errors == [error.value] == [reloader.error]
+        picture.draw()
+        save(path, TEXT.replace("SHARE = 1.0", "SHARE = 0.375"), replaces=True)
+        assert update(reloader)
+        assert reloader.error is None
+        assert "0.375" in glsl(picture.program)
+
+
+def test_each_file_at_fault_has_its_error(
+    device: rhi.Device, shaders: Any, import_text: Callable[[str], ModuleType]
+) -> None:
+    pytest.importorskip("watchfiles", reason="no watchfiles: pip install rhi[viewer]")
+    modules = [shaders, import_text(TEXT)]
+    with Reloader(device, on_error=lambda error: None) as reloader:
+        reloader.watch(*modules)
+        for module in modules:
+            save(Path(module.__file__), TEXT.replace("SHARE = 1.0", "SHARE = 1.0 +"), replaces=True)
+            assert update(reloader)
+        assert len(reloader.errors) == 2
+        for module, left in zip(reversed(modules), (1, 0), strict=True):
+            save(Path(module.__file__), f"{TEXT}# right", replaces=True)
+            assert update(reloader)
+            assert len(reloader.errors) == left
+            assert (reloader.error is None) == (left == 0)
+
+
 # -- growth --------------------------------------------------------------------------------------------------------
 
 

@@ -9,6 +9,7 @@ Tolerances and their reasons:
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -337,6 +338,114 @@ def test_derivatives_choose_the_level(
     assert len(np.unique(np.round(results["float64"][:, 0]))) > 1
 
 
+# -- anisotropy ----------------------------------------------------------------------------------------------
+
+
+def grade(texture: HostTexture, at: Any, right: Any, down: Any) -> NDArray[Any]:
+    """Sample a 2D texture in float64 at places (n, 2), with steps (n, 2) to the next pixels."""
+    (u, v), (ux, vx), (uy, vy) = (np.moveaxis(np.asarray(each, float), -1, 0) for each in (at, right, down))
+    return np.stack(texture.sample_across(np.float64, u, v, 0.0, ux, vx, 0.0, uy, vy, 0.0, 0.0), -1)
+
+
+def checkers(most: float, size: int = 64) -> HostTexture:
+    """Return squares of 4 by 4 texels and, in green, random texels; with levels that are means."""
+    y, x = np.mgrid[:size, :size] // 4
+    noise = np.random.default_rng(8).uniform(0, 1, (size, size))
+    levels = [np.stack([(x + y) % 2, noise, noise, noise], -1).astype("f4")]
+    while len(levels[-1]) > 1:
+        half = len(levels[-1]) // 2
+        levels.append(levels[-1].reshape(half, 2, half, 2, 4).mean((1, 3)))
+    return HostTexture(levels, Format.RGBA32F, sampler=SamplerDescriptor(max_anisotropy=most))
+
+
+def footprints(ratio: float, count: int, seed: int) -> tuple[NDArray[Any], ...]:
+    """Return places and the steps of ellipses whose axes have this ratio, turned at random in both spaces."""
+    rng = np.random.default_rng(seed)
+    angles = rng.uniform(0, 2 * np.pi, (2, count))
+    cosines, sines = np.cos(angles), np.sin(angles)
+    turns = np.moveaxis(np.array([[cosines, -sines], [sines, cosines]]), (0, 1), (-2, -1))
+    axes = np.exp(rng.uniform(0, 1, count))[:, None, None] * np.diag([ratio, 1.0])
+    steps = turns[0] @ axes @ turns[1] / 64
+    return rng.uniform(0, 1, (count, 2)), steps[..., 0], steps[..., 1]
+
+
+@pytest.mark.parametrize("most", [2.0, 16.0])
+@pytest.mark.parametrize(
+    ("shader", "kind", "layers"), [(Graded2D, D2, 1), (Graded3D, D3, 16), (GradedCube, CUBE, 6)], ids=name
+)
+def test_anisotropic_averages_are_the_same_in_lanes_and_in_numpy(
+    shader: type[Shader], kind: TextureKind, layers: int, most: float
+) -> None:
+    """Levels differ by up to 1.2e-4, neighbouring levels by up to 1. Some derivatives are 0, some parallel, some too
+    large or too small for their squares."""
+    rng = np.random.default_rng(9)
+    steps = (rng.normal(size=(128, 4)) * 2 ** rng.uniform(-7, 1, (128, 4))).astype("f4")
+    steps[:6] = np.array([0, 1e-42, 1e-22, 1e18, 3e38, 0.1])[:, None]
+    steps[6:8], steps[8:10, :2], steps[10:12, 2:] = (0.1, 0, 0, 0.1), 0, 0
+    steps[12:20, 2:] = 3 * steps[12:20, :2]
+    sampler = SamplerDescriptor(max_anisotropy=most)
+    texture = HostTexture(random_levels(Format.RGBA8, 16, 16, layers, kind), Format.RGBA8, kind, sampler)
+    given: dict[str, Any] = {"source": texture, "places": steps, "results": 128}
+    exact = run_compute(shader, 2, dtype=np.float64, **given)["results"]
+    for width in (1, 16):
+        np.testing.assert_allclose(run_opencl(shader, width, 2, **given)["results"], exact, rtol=0, atol=2e-4)
+    plain = HostTexture(texture.levels, Format.RGBA8, kind)
+    level = run_compute(shader, 2, dtype=np.float64, **{**given, "source": plain})["results"]
+    assert np.abs(exact - level).max() > 0.05
+
+
+@pytest.mark.parametrize(("ratio", "part_of_error"), [(2.0, 0.65), (5.0, 0.25), (16.0, 0.25)])
+def test_an_anisotropic_average_is_nearer_to_the_mean_of_what_a_pixel_covers(
+    ratio: float, part_of_error: float
+) -> None:
+    """And an anisotropy that doesn't reach as far as the footprint lies between that and none."""
+    at, right, down = footprints(ratio, 64, seed=2)
+    part = ((np.arange(24) + 0.5) / 24 - 0.5)[:, None, None, None]
+    inside = at + part * right + np.moveaxis(part, 0, 1) * down
+    flat = HostTexture(checkers(1).levels[:1], Format.RGBA32F)
+    exact = grade(flat, inside, right, down).mean((0, 1))[:, :2]
+    errors = [
+        np.sqrt(((grade(checkers(most), at, right, down)[:, :2] - exact) ** 2).mean()) for most in (1, 4, 16)
+    ]
+    assert errors[2] <= part_of_error * errors[0]
+    assert errors[2] <= errors[1] <= errors[0]
+
+
+def test_a_round_footprint_is_sampled_once_as_without_anisotropy() -> None:
+    """As is one within a texel, where more samples would show the same texels."""
+    at, right, down = footprints(1.0, 64, seed=3)
+    once = grade(checkers(1), at, right, down)
+    np.testing.assert_allclose(grade(checkers(16), at, right, down), once, rtol=0, atol=1e-7)
+    at, right, down = footprints(9.0, 64, seed=4)
+    within = grade(checkers(16), at, right / 30, down / 30)
+    np.testing.assert_allclose(within, grade(checkers(1), at, right / 30, down / 30), rtol=0, atol=1e-9)
+
+
+def test_nothing_jumps_where_an_anisotropic_average_takes_one_sample_more() -> None:
+    """Rounded up to whole samples of equal weight, results would change by up to 0.1 there."""
+    ratios = np.linspace(0.5, 20.0, 8001)[:, None]
+    turned = np.array([0.6, 0.8]) / 64
+    down = np.array([-0.8, 0.6]) / 64 * 1.3
+    at = np.broadcast_to((0.37, 0.61), (len(ratios), 2))
+    found = grade(checkers(16), at, 1.3 * ratios * turned, np.broadcast_to(down, at.shape))
+    assert np.abs(np.diff(found, axis=0)).max() < 0.006
+    assert np.ptp(found, axis=0).min() > 0.05
+
+
+@pytest.mark.parametrize("width", [1, 16])
+def test_derivatives_that_are_no_numbers_give_some_texel(width: int) -> None:
+    hard = np.array([np.nan, np.inf, -np.inf, 3e38], "f4")
+    steps = np.zeros((256, 4), "f4")
+    steps[:] = np.stack(np.meshgrid(*[hard] * 4), -1).reshape(-1, 4)
+    sampler = SamplerDescriptor(max_anisotropy=16)
+    texture = HostTexture(random_levels(Format.RGBA8, 16, 16), Format.RGBA8, sampler=sampler)
+    given: dict[str, Any] = {"source": texture, "places": steps, "results": 256}
+    for results in (run_compute(Graded2D, 4, **given), run_opencl(Graded2D, width, 4, **given)):
+        found = results["results"]
+        assert np.isfinite(found).all()
+        assert 0 <= found.min() <= found.max() <= 1
+
+
 # -- error and time ----------------------------------------------------------------------------------------
 
 
@@ -446,6 +555,14 @@ def test_a_fragment_finds_its_level_from_its_quad() -> None:
     np.testing.assert_allclose(lanes, expected, rtol=0, atol=3e-4)
     flat = run_fragment_lanes(Textured, {**varyings, "material": np.int32(1)}, (8, 16), **given)[output]
     assert (flat[..., 0] == 0).all()
+    for binding in given.values():
+        binding.sampler = replace(binding.sampler, max_anisotropy=3.0)
+    narrow = run_fragment(Textured, varyings, dtype=np.float64, **given).outputs[output]
+    np.testing.assert_allclose(narrow[..., 0], 0, atol=1e-6)  # 2 texels long, and half a texel wide
+    np.testing.assert_allclose(narrow[..., 1], 1.5, atol=1e-6)
+    assert (narrow[..., 3] == 0).all()  # the comparison is with level 0 as well
+    lanes = run_fragment_lanes(Textured, varyings, (8, 16), **given)[output]
+    np.testing.assert_allclose(lanes, narrow, rtol=0, atol=3e-4)
 
 
 class Heights(Shader):

@@ -1,0 +1,176 @@
+"""Hot reload in a viewer: what is saved while it runs takes effect between two of its frames.
+
+- **Modules of shaders**, the renderer's and the program's, are exchanged by `rhi.Reloader`. A frame is tried after it,
+  which isn't shown: if it can't be drawn, the texts before come back.
+- **The scene's files**, if it is a model file with its buffers, materials and textures: the scene is read and uploaded
+  beside the old one, and takes its place once a frame of it could be drawn.
+- **The settings** that were read last.
+
+Whatever fails is said, stays in the picture for as long as the file is at fault, and what was drawn before goes on.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from traceback import extract_tb
+from typing import Final
+
+from renderer import rules
+from renderer.content import load_model
+from renderer.settings import RenderSettings
+from renderer.viewer.actions import switch
+from renderer.viewer.commands import Parameter, ViewerCommand
+from renderer.viewer.stage import ViewerStage
+from rhi import Reloader, RhiError, ShaderError
+from rhi.errors import refuse
+
+__rhi_internal__ = True
+
+LOGGER: Final = logging.getLogger("rhi.reload")
+
+
+class SavedFiles:
+    """Exchanges what a stage draws with when its files are saved.
+
+    Attributes:
+        wake: called by another thread when a file was saved, so that a frame is drawn soon.
+    """
+
+    def __init__(self, stage: ViewerStage, say: Callable[[str, bool], None]) -> None:
+        """`say` is told what is exchanged, and what is wrong."""
+        self.wake: Callable[[], object] = lambda: None
+        self._stage = stage
+        self._say = say
+        self._settings: Path | None = None
+        self._reloader: Reloader | None = None
+
+    @property
+    def is_watching(self) -> bool:
+        """Whether files are watched."""
+        return self._reloader is not None
+
+    @property
+    def faults(self) -> list[str]:
+        """Lines about the files that are at fault."""
+        errors = () if self._reloader is None else self._reloader.errors.values()
+        return [line for error in errors for line in describe_fault(error).splitlines()]
+
+    def watch(self, on: bool) -> None:
+        """Watch the files, or don't.
+
+        Raises:
+            ValidationError: `reload-watch`: watchfiles is missing.
+        """
+        if not on:
+            self.close()
+        elif self._reloader is None:
+            device = self._stage.renderer.device
+            reloader = Reloader(device, on_error=self._report, on_save=lambda: self.wake())
+            try:
+                reloader.watch_shaders()
+                self._reloader = reloader
+                self._watch_files()
+            except BaseException:
+                self.close()
+                raise
+
+    def read_settings(self, path: Path) -> None:
+        """Draw with the settings of a file, and with what is saved to it later.
+
+        Raises:
+            ValidationError: what is wrong with it. Then all stays.
+        """
+        self._stage.change(settings=RenderSettings.load(path))
+        self._settings = path.resolve()
+        self._watch_files()
+
+    def note_settings(self, path: Path) -> None:
+        """Draw with what is saved to a file of settings later; they are those of now."""
+        self._settings = path.resolve()
+        self._watch_files()
+
+    def update(self) -> None:
+        """Exchange what was saved. Call it between two frames."""
+        reloader = self._reloader
+        if reloader is None:
+            return
+        before = reloader.exchanged
+        try:
+            is_changed = reloader.update()
+        except RhiError as error:  # a module that was imported can't be watched
+            self._report(error)
+            return
+        if not is_changed:
+            return
+        try:
+            self._stage.try_frame()
+        except Exception as error:  # also of Python that has read a constant of a module of shaders
+            if reloader.put_back(error):
+                return
+        if reloader.exchanged > before:
+            self._say(f"exchanged {reloader.exchanged - before} programs", False)
+
+    def close(self) -> None:
+        """Stop watching."""
+        if self._reloader is not None:
+            self._reloader.close()
+            self._reloader = None
+
+    def _watch_files(self) -> None:
+        reloader = self._reloader
+        if reloader is None:
+            return
+        files = [path for path in self._stage.scene.files if path.is_file()]
+        reloader.watch(*files, reload=self._read_scene)
+        if self._settings is not None:
+            reloader.watch(self._settings, reload=self._read_saved_settings)
+
+    def _read_scene(self, path: Path) -> None:
+        self._stage.exchange(load_model(self._stage.scene.name))
+        self._watch_files()  # which may be others now
+        self._say(f"read {path.name} again", False)
+
+    def _read_saved_settings(self, path: Path) -> None:
+        if path == self._settings:
+            self._stage.change(settings=RenderSettings.load(path))
+            self._say(f"read {path.name} again", False)
+
+    def _report(self, error: Exception) -> None:
+        text = describe_fault(error)
+        LOGGER.error("%s", text)
+        self._say(text, True)
+
+
+def describe_fault(error: Exception) -> str:
+    """Return what is wrong: of a shader with its file and line, of Python with the line that has failed."""
+    if isinstance(error, ShaderError):
+        return str(error)
+    if isinstance(error, RhiError):
+        return rules.describe(error)
+    lines = [f"{type(error).__name__}: {error}"]
+    lines += [f"  {one.filename}:{one.lineno}\n    {one.line}" for one in extract_tb(error.__traceback__)[-1:]]
+    return "\n".join(lines)
+
+
+def make_commands(saved: SavedFiles, stage: ViewerStage) -> Iterator[ViewerCommand]:
+    """Yield the commands for files that may change."""
+    summary = "exchange shaders, the scene and settings when their files are saved"
+    yield switch("reload", summary, lambda: saved.is_watching, saved.watch)
+
+    def settings(path: Path) -> str:
+        saved.read_settings(path)
+        return f"read {path}: {stage.look.describe()}"
+
+    yield ViewerCommand("settings", "draw with the settings of a file", settings, (Parameter("FILE.json", Path),))
+
+    def save(_: str, path: Path) -> str:
+        if path.suffix.lower() != ".json":
+            refuse(rules.BAD_ARGUMENT, "save settings", path.name, "a name that ends with .json")
+        stage.look.settings.save(path)
+        saved.note_settings(path)
+        return f"wrote {path}"
+
+    what = Parameter("settings", words=lambda: ("settings",), is_closed=True)
+    yield ViewerCommand("save", "write the settings to a file", save, (what, Parameter("FILE.json", Path)))

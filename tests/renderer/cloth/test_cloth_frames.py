@@ -1,0 +1,194 @@
+"""Cloths in frames: they take steps where they are seen or shade what is, and issue nothing elsewhere."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cloth_scenes import AWAY, look, make_scene
+
+import rhi
+from renderer.content import load_scene
+from renderer.renderer import Renderer
+from renderer.scene import Scene
+from renderer.visibility import FrustumCulling, NoCulling, make_visibility
+from rhi import Op
+from rhi.backends.null import PROFILES
+
+SIZE = (64, 36)
+ONE = look((8.0, 2.0, 4.0), (8.0, 1.5, 0.0), 0.4)
+"""A camera that sees the second of three cloths only."""
+
+
+def open_renderer(device: rhi.Device, scene: Scene) -> Renderer:
+    return Renderer(device, scene, size=SIZE, visibility=FrustumCulling(scene))
+
+
+def count_dispatches(device: rhi.Device) -> int:
+    found = len(device.stream.filter((Op.DISPATCH,)))
+    device.stream.clear()
+    return found
+
+
+def test_only_what_is_seen_takes_steps_in_one_dispatch_for_all(null: rhi.Device) -> None:
+    scene = make_scene(3, gap=8.0)
+    with open_renderer(null, scene) as renderer:
+        null.stream.clear()
+        found = []
+        frames = [("all", 0), (ONE, 1), (ONE, 2), (AWAY, 3), (AWAY, 4), (AWAY, 600), ("all", 601)]
+        for camera, frame in frames:
+            camera = scene.views[camera] if isinstance(camera, str) else camera
+            counted = renderer.render(camera, frame / 60).statistics
+            found.append((count_dispatches(null), counted.simulation_steps, counted.skipped_simulations))
+    assert found == [
+        (0, 0, 0),  # at the beginning cloths are as they were uploaded
+        (1, 1, 2),  # of those seen last, only what is still in view is expected to be seen
+        (1, 1, 2),
+        (0, 0, 3),
+        (0, 0, 3),
+        (0, 0, 3),
+        (1, 243, 0),  # one frame catches up: at most 240 steps, and a leap each
+    ]
+
+
+def test_a_frame_away_from_all_cloths_is_that_of_a_scene_whose_cloths_have_no_simulation(null: rhi.Device) -> None:
+    """But for a buffer of vertices of its own, nothing is created, uploaded or issued."""
+    streams = []
+    for is_simulated in (True, False):
+        scene = make_scene(2)
+        if not is_simulated:
+            scene.simulated = ()
+        with open_renderer(null, scene) as renderer:
+            renderer.render(AWAY, 0.0)
+            null.stream.clear()
+            uploads, creations = null.statistics.upload_bytes, null.statistics.creations
+            renderer.render(AWAY, 0.5)
+            streams.append([command.op for command in null.stream])
+            assert null.statistics.upload_bytes == uploads
+            assert null.statistics.creations == creations
+            null.stream.clear()
+    assert streams[0] == streams[1]
+    assert len(streams[0]) > 3
+
+
+def test_long_absences_take_a_bounded_number_of_dispatches(null: rhi.Device) -> None:
+    scene = make_scene(1, steps_per_frame=1000)
+    with open_renderer(null, scene) as renderer:
+        null.stream.clear()
+        renderer.render(scene.views["all"], 1e8)
+        assert 1 < count_dispatches(null) < 20
+        renderer.render(scene.views["all"], 1e8 + 1.5 / 60)
+        assert count_dispatches(null) == 1
+
+
+def test_what_shows_unexpectedly_is_stepped_between_passes(gl: rhi.Device) -> None:
+    scene = make_scene(3)
+    algorithm = make_visibility("stop_and_wait", scene, gl)
+    none = NoCulling(scene)
+    with Renderer(gl, scene, size=SIZE, visibility=algorithm) as renderer:
+        renderer.render(AWAY, 0.0)
+        gl.stream.clear()
+        found = renderer.render(scene.views["all"], 0.3).image.read()
+        assert 1 < count_dispatches(gl) <= 3  # they were found one after another
+        renderer.visibility = none
+        assert np.array_equal(found, renderer.render(scene.views["all"], 0.3).image.read())
+    algorithm.destroy()
+
+
+def test_time_that_goes_back_begins_again_and_leaves_nothing_behind(null: rhi.Device) -> None:
+    scene = make_scene(2)
+    with open_renderer(null, scene) as renderer:
+        counts = []
+        for frame in (1, 2, 1, 2, 1):
+            counted = renderer.render(scene.views["all"], frame / 60).statistics
+            assert counted.simulation_steps == 2
+            null.finish()
+            created, destroyed = (len(null.stream.filter(op)) for op in (Op.CREATE_BUFFER, Op.DESTROY))
+            counts.append(created - destroyed)
+    assert len(set(counts)) == 1
+    null.finish()
+    assert len(null.stream.filter((Op.CREATE_BUFFER,))) > 14  # some were made again
+
+
+def test_a_device_that_can_not_compute_gets_uploads(null: rhi.Device) -> None:
+    scene = make_scene(1)
+    profile = replace(PROFILES["everything"], compute=False)
+    with rhi.create_device("null", profile=profile) as device, open_renderer(device, scene) as renderer:
+        renderer.render(scene.views["all"], 0.0)
+        device.stream.clear()
+        counted = renderer.render(scene.views["all"], 1 / 60).statistics
+        assert count_dispatches(device) == 0
+        assert counted.simulation_steps == 1
+        assert counted.upload_bytes >= 30 * scene.meshes.vertices.itemsize
+    with open_renderer(null, scene) as renderer:  # the control: one that can
+        for frame in (0, 1):
+            renderer.render(scene.views["all"], frame / 60)
+        counted = renderer.render(scene.views["all"], 2 / 60).statistics
+        assert counted.upload_bytes < 10 * scene.meshes.vertices.itemsize
+
+
+def test_each_simulator_has_cloths_of_its_own(null: rhi.Device) -> None:
+    scene = make_scene(1)
+    with open_renderer(null, scene) as renderer:
+        own, other = renderer.simulator, scene.make_simulator()
+        renderer.render(scene.views["all"], 1.0)
+        renderer.simulator = other
+        assert renderer.render(scene.views["all"], 0.5).statistics.simulation_steps == 30
+        renderer.simulator = own
+        null.stream.clear()
+        assert renderer.render(scene.views["all"], 1.0).statistics.simulation_steps == 0
+        assert count_dispatches(null) == 1  # its vertices were the other one's
+
+
+def test_pictures_are_those_of_cloths_on_numpy(drawing_device: rhi.Device) -> None:
+    """The same scene, whose simulation is hidden from the device, is uploaded."""
+    scene, plain = make_scene(2), make_scene(2)
+
+    class OnNumpy:
+        def __init__(self, cloths: object) -> None:
+            self.catch_up, self.interval = cloths.catch_up, cloths.interval
+            self.step, self.leap, self.vertices = cloths.step, cloths.leap, cloths.vertices
+
+    plain.simulated = tuple(replace(one, simulation=OnNumpy(one.simulation)) for one in plain.simulated)
+    camera, frames = scene.views["all"], []
+    for each in (scene, plain):
+        with Renderer(drawing_device, each, size=(96, 54), visibility=NoCulling(each)) as renderer:
+            for seconds in (0.0, 0.05, 0.3):
+                image = renderer.render(camera, seconds).image.read().astype(int)
+                frames.append(image)
+            vertices = renderer.simulator.find_vertices(1)
+            assert vertices["position"][-1, 2] > 0.02  # it has moved
+    assert np.abs(frames[2] - frames[5]).max() <= 24  # an edge may lie on a pixel's sample
+    assert (np.abs(frames[2] - frames[5]) > 1).any(2).mean() < 0.002
+    assert (frames[0] != frames[2]).any()
+
+
+@pytest.mark.parametrize("casts", [True, False])
+def test_a_shadow_follows_its_cloth_that_isn_t_in_view(gl: rhi.Device, casts: bool) -> None:
+    scene = make_scene(1, shadows=True, cast=casts)
+    camera = look((-0.5, 0.9, -0.9), (-0.45, 0.0, -0.95), 0.9)
+    with open_renderer(gl, scene) as renderer:
+        first, *_, last = (renderer.render(camera, seconds) for seconds in (0.0, 0.25, 0.5))
+        assert 1 not in last.visible
+        moved = renderer.simulator.find_vertices(1)["position"][:, 2].max() > 0.02
+        assert last.statistics.simulation_steps == (15 if casts else 0)
+        del first
+        pictures = [renderer.render(camera, seconds).image.read() for seconds in (0.5, 0.75)]
+    assert moved == casts
+    assert (pictures[0] != pictures[1]).any() == casts
+
+
+def test_a_hall_has_as_many_banners_as_are_asked_for(null: rhi.Device) -> None:
+    hall = "hall:columns=4,rows=2,flags=0"
+    plain, scene = load_scene(hall), load_scene(f"{hall},cloths=6,detail=3")
+    assert "cloths" not in plain.name
+    assert scene.name == "hall:cloths=6,columns=4,rows=2,flags=0,fountains=0,detail=3,seed=0"
+    assert len(scene.make_simulator()) == 6
+    rows = scene.simulated[0].objects
+    boxes = np.stack([scene.objects.lower[rows], scene.objects.upper[rows]], 1)
+    assert len(np.unique(boxes, axis=0)) == 6  # no two in one place
+    with open_renderer(null, scene) as renderer:
+        result = renderer.render(scene.views["banners"], 0.0)
+        assert set(rows.tolist()) & set(result.visible.tolist())
+    scene.check_bounds([0.1, 1.0])

@@ -1,0 +1,101 @@
+"""Sheets: their constraints, what holds them, and what can't be one."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from cloth_scenes import make_square
+
+from renderer.cloth import Cloths, Fabric, Gust, Wind, make_sheet
+from renderer.content.hall import make_banner
+from rhi.errors import ValidationError
+
+GRID = np.stack([*np.meshgrid(np.arange(3.0), -np.arange(3.0)), np.zeros((3, 3))], 2)
+PINS = np.eye(3, dtype=bool)
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(2, 2), (3, 3), (4, 7), (9, 5)])
+def test_constraints_of_a_batch_share_no_point_and_each_is_there_once(rows: int, columns: int) -> None:
+    sheet = make_square(rows, columns)
+    found = sheet.constraints
+    for begin, end in pairwise(sheet.batches.tolist()):
+        ends = np.concatenate([found["a"][begin:end], found["b"][begin:end]])
+        assert len(np.unique(ends)) == len(ends) > 0
+    steps = {
+        tuple(np.subtract(np.divmod(b, columns), np.divmod(a, columns)).tolist())
+        for a, b in zip(found["a"].tolist(), found["b"].tolist(), strict=True)
+    }
+    assert steps <= {(0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0)}
+    wanted = (  # without those between the pins of the first row
+        (rows - 1) * (columns - 1) + (rows - 1) * columns + 2 * (rows - 1) * (columns - 1)
+        + (rows - 1) * max(columns - 2, 0) + max(rows - 2, 0) * columns
+    )  # fmt: skip
+    assert len({*zip(found["a"].tolist(), found["b"].tolist(), strict=True)}) == len(found) == wanted
+
+
+def test_each_point_is_held_by_its_nearest_pin() -> None:
+    sheet = make_sheet(GRID, PINS)
+    assert sheet.anchors.reshape(3, 3, 3)[0, 1].tolist() in ([0, 0, 0], [1, -1, 0])
+    assert sheet.reaches.reshape(3, 3)[0].tolist() == pytest.approx([0.0, 1.01, 1.01 * 2**0.5], abs=1e-4)
+
+
+def test_a_room_is_no_larger_than_pins_allow_and_no_smaller_than_its_points() -> None:
+    free = make_square()
+    assert free.lower.tolist() == pytest.approx([-1.51, -1.01, -1.01], abs=1e-4)
+    roomy = make_square(room=((-9.0, -9.0, -0.25), (9.0, 0.0, np.inf)))
+    assert roomy.lower.tolist() == pytest.approx([-1.51, -1.01, -0.25], abs=1e-4)
+    assert roomy.upper.tolist() == pytest.approx([1.51, 0.0, 1.01], abs=1e-4)
+    assert free.diameter == pytest.approx(2.02, abs=1e-3)  # from end to end of a ball
+    narrow = make_square(room=((-0.5, -1.0, -0.1), (0.5, 0.0, 0.1)))
+    assert narrow.diameter == pytest.approx(np.hypot(np.hypot(1.0, 1.0), 0.2), abs=1e-3)
+
+
+def test_folds_are_as_long_as_the_flat_cloth() -> None:
+    sheet = make_banner(8)
+    at = sheet.points.reshape(sheet.rows, sheet.columns, 3)[5].astype(np.float64)
+    assert np.linalg.norm(np.diff(at, axis=0), axis=1).sum() == pytest.approx(2.4, rel=0.03)
+
+
+def refusal(make: object) -> str:
+    with pytest.raises(ValidationError) as error:
+        make()
+    return error.value.rule.id
+
+
+@pytest.mark.parametrize("make", [
+    lambda: make_sheet(GRID[:1], PINS[:1]),
+    lambda: make_sheet(GRID[0], PINS),
+    lambda: make_sheet(np.zeros((200, 200, 3)), np.ones((200, 200), bool)),
+    lambda: make_sheet(GRID, np.zeros((3, 3), bool)),
+    lambda: make_sheet(GRID, np.ones((3, 3), bool)),
+    lambda: make_sheet(GRID, PINS.astype(int)),
+    lambda: make_sheet(GRID, PINS[:2]),
+    lambda: make_sheet(np.full_like(GRID, np.nan), PINS),
+    lambda: make_sheet(GRID * 1e4, PINS),
+    lambda: make_sheet(GRID * 0.0, PINS),
+    lambda: make_sheet(GRID, PINS, flat=np.full_like(GRID, np.inf)),
+    lambda: make_sheet(GRID, PINS, room=((0, -2, 0), (1.9, 0, 0))),
+    lambda: make_sheet(GRID, PINS, room=((0, -2, np.nan), (2, 0, 0))),
+    lambda: Fabric(density=0.0),
+    lambda: Fabric(drag=-1.0),
+    lambda: Fabric(stretch=np.nan),
+    lambda: Wind((np.nan, 0, 0)),
+    lambda: Wind((1001.0, 0, 0)),
+    lambda: Wind((0, 0, 0), (Gust((1, 0, 0), (0, 0, 0), 1.0),) * 5),
+    lambda: Gust((0, 0, 0), (np.inf, 0, 0), 1.0),
+    lambda: Gust((0, 0, 0), (0, 0, 0), 0.001),
+    lambda: Gust((0, 0), (0, 0, 0), 1.0),
+    lambda: Cloths(0, make_square()),
+    lambda: Cloths(65_536, make_square()),
+])  # fmt: skip
+def test_what_is_no_cloth_is_refused(make: object) -> None:
+    assert refusal(make) == "scene-bad-cloth"
+
+
+def test_what_is_just_a_cloth_is_one() -> None:
+    make_sheet(GRID, PINS, flat=GRID * 2.0, room=((0, -2, 0), (2, 0, 0)))
+    make_sheet(GRID * 5000.0, PINS)
+    Fabric(1e-6, 0.0, 0.0, 0.0, 0.0, 0.0)
+    Wind((1000.0, 0, 0), (Gust((1, 0, 0), (0, 0, 0), 1.0 / 60.0),) * 4)

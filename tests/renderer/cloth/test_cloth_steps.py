@@ -1,0 +1,197 @@
+"""Steps of cloths: what no wind does, what time doesn't change, and the same on devices as on NumPy."""
+
+from __future__ import annotations
+
+from copy import deepcopy
+
+import numpy as np
+import pytest
+from cloth_scenes import BREEZE, advance, find_points, make_scene, make_square
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import rhi
+from renderer.cloth import Cloths, Fabric, Gust, Wind
+from renderer.content.hall import DRAUGHT, make_banner
+from renderer.scene import Scene, Simulator
+from rhi.backends.null import NullBackend
+
+speeds = st.tuples(*[st.sampled_from([0.0, 1e-40, 3.0, -40.0, 1000.0, -1000.0])] * 3)
+amounts = st.sampled_from([0.0, 1e-40, 1e-4, 1.0, 1e6])
+
+
+@settings(max_examples=12)
+@given(speeds, speeds, st.tuples(*[amounts] * 5), st.sampled_from([1e-3, 1.0, 1000.0]), st.booleans())
+def test_no_wind_and_no_fabric_takes_a_cloth_out_of_its_bounds(
+    constant: tuple[float, float, float],
+    gust: tuple[float, float, float],
+    values: tuple[float, ...],
+    size: float,
+    is_narrow: bool,
+) -> None:
+    room = ((-0.6 * size, -1.1 * size, -0.1 * size), (0.6 * size, 0.1 * size, 0.1 * size)) if is_narrow else None
+    sheet = make_square(4, 3, size, fabric=Fabric(0.2, *values), room=room)
+    cloths = Cloths(2, sheet, Wind(constant, (Gust(gust, (0.4, 0.3, 0.1), 0.1),)))
+    (low, high), away = sheet.bounds, np.linalg.norm(sheet.bounds[1] - sheet.bounds[0])
+    for number in range(1, 7):
+        advance(cloths, number, number)
+        points = find_points(cloths)
+        assert (points >= low).all()
+        assert (points <= high).all()
+        assert (np.linalg.norm(points - sheet.anchors, axis=-1) <= sheet.reaches * (1.0 + 1e-5)).all()
+        assert (points[:, ~sheet.is_free] == sheet.points[~sheet.is_free]).all()
+        assert np.abs(cloths.read()[1]).max() <= 480.0 * away
+    assert np.isfinite(cloths.vertices(np.arange(2))["normal"]).all()
+
+
+def test_a_strong_wind_takes_it_to_the_end_of_its_bounds() -> None:
+    """The control: they are no wider than they must be."""
+    cloths = Cloths(1, make_square(), Wind((0.0, 0.0, 60.0)))
+    advance(cloths, 1, 30)
+    assert find_points(cloths)[..., 2].max() > 0.8 * cloths.sheet.upper[2]
+
+
+def advance_on(device: rhi.Device, cloths: Cloths, first: int, last: int) -> np.ndarray:
+    """Take steps on a device; return the points (k, n, 3)."""
+    advance(cloths, first, last)
+    members, points = np.arange(len(cloths)), len(cloths.sheet.points)
+    with device.storage(float, 6 * points * len(cloths)) as vertices:
+        cloths.deform(device, members, vertices, members * points, 6)
+        return vertices.read().reshape(len(cloths), points, 6)[..., :3].copy()
+
+
+def test_a_cloth_comes_to_rest_straight_below_its_pins(device: rhi.Device) -> None:
+    cloths = Cloths(1, make_square(), Wind())
+    points, moving = advance_on(device, cloths, 1, 240), cloths.read()[1]
+    cloths.release(device)
+    assert points[0, :, 1].min() == pytest.approx(-1.0, abs=0.02)
+    assert np.abs(points[0, :, 2]).max() < 1e-3
+    assert np.abs(moving).max() < 0.05
+
+
+@pytest.mark.parametrize("rate", [2.0, 4.0])
+def test_a_steady_wind_holds_it_at_the_angle_at_which_forces_balance(device: rhi.Device, rate: float) -> None:
+    """Along its swing a point of a stiff cloth has g sin a of its weight, and `rate` (w cos a) of the wind."""
+    cloths = Cloths(1, make_square(fabric=Fabric(drag=rate, damping=2.0, bend=0.0)), Wind((0.0, 0.0, 2.0)))
+    edge = advance_on(device, cloths, 1, 300)[0].reshape(6, 5, 3)[-1].mean(0)
+    cloths.release(device)
+    assert np.arctan2(edge[2], -edge[1]) == pytest.approx(np.arctan(2.0 * rate / 9.81), abs=0.03)
+
+
+def test_steps_are_the_same_whenever_they_are_taken_and_with_whom() -> None:
+    one, other = (Cloths(3, make_square(), BREEZE, seed=1) for _ in range(2))
+    for number in range(1, 11):
+        advance(one, number, number)
+        find_points(one)
+    advance(other, 1, 10, [1])
+    advance(other, 1, 7, [0, 2])
+    find_points(other)
+    advance(other, 8, 10, [2])
+    advance(other, 8, 10, [0])
+    assert np.array_equal(find_points(one), find_points(other))
+    assert not np.array_equal(find_points(one)[0], find_points(one)[1])  # gusts reach each at a time of its own
+
+
+def test_after_years_a_step_is_what_it_is_at_the_beginning() -> None:
+    """10⁸ s are 6 · 10⁹ steps, more than 32 bits; gusts of 42 and 24 steps repeat every 168."""
+    young, old = (Cloths(1, make_square(), BREEZE) for _ in range(2))
+    years = 168 * (int(1e8 * 60) // 168)
+    advance(young, 1, 8)
+    advance(old, years + 1, years + 8)
+    assert np.array_equal(find_points(young), find_points(old))
+    other = Cloths(1, make_square(), BREEZE)
+    advance(other, years + 2, years + 9)
+    assert not np.array_equal(find_points(young), find_points(other))
+
+
+def run_frames(scene: Scene, seconds: list[float]) -> tuple[Simulator, list[int]]:
+    """Advance all objects to each time; return the simulator and the steps of each frame."""
+    simulator, steps = scene.make_simulator(), []
+    for time in seconds:
+        simulator.begin_frame(time)
+        simulator.advance(simulator.objects)
+        steps.append(simulator.steps)
+        assert simulator.late == 0
+    return simulator, steps
+
+
+def test_any_frame_costs_a_bounded_number_of_steps_and_shows_its_time() -> None:
+    scene = make_scene(3, steps_per_frame=12)
+    simulator, steps = run_frames(scene, [0.0, 1 / 60, 1 / 60, 10.0, 3610.0, 1e8, 1e8 + 1 / 60])
+    assert steps == [0, 3, 0, 15, 15, 15, 3]  # a leap counts as a step
+    scene.check_bounds([0.5, 10.0, 1e8])
+    assert np.isfinite(simulator.find_vertices(1)["position"]).all()
+
+
+def test_a_cloth_that_leaps_is_soon_where_it_would_be(device: rhi.Device) -> None:
+    stepped, leapt = (Cloths(2, make_banner(4), DRAUGHT, seed=3) for _ in range(2))
+    there = advance_on(device, stepped, 1, 300)
+    leapt.leap(np.arange(2), np.full(2, 300), np.full(2, 300))
+    away = np.linalg.norm(there - find_points(leapt), axis=-1).mean()
+    points = [advance_on(device, cloths, 301, 540) for cloths in (stepped, leapt)]
+    assert np.linalg.norm(points[0] - points[1], axis=-1).mean() < 0.1 * away
+    assert np.linalg.norm(points[0] - there, axis=-1).mean() > 0.5 * away  # meanwhile it has moved
+    for cloths in (stepped, leapt):
+        cloths.release(device)
+
+
+def test_copies_go_their_own_ways() -> None:
+    cloths = Cloths(1, make_square(), BREEZE)
+    advance(cloths, 1, 5)
+    copied = deepcopy(cloths)
+    before = find_points(copied).copy()
+    advance(cloths, 6, 9)
+    assert not np.array_equal(find_points(cloths), before)
+    assert np.array_equal(find_points(copied), before)
+
+
+def compare(device: rhi.Device, steps: int) -> tuple[float, float]:
+    """Take steps on the device and on NumPy; return how far points and normals differ at most."""
+    sheet = make_square(fabric=Fabric(stretch=1e-4))
+    there, here = (Cloths(3, sheet, BREEZE, seed=2) for _ in range(2))
+    count, members = len(sheet.points), np.array([2, 0])
+    with device.storage(float, 9 * (2 * count + 1)) as vertices:
+        begins = np.array([1, 1 + count])
+        for first in (1, steps // 2 + 1):
+            last = steps if first > 1 else steps // 2
+            for cloths in (there, here):
+                advance(cloths, first, last, members)
+            there.deform(device, members, vertices, begins, 9)
+        found = vertices.read().reshape(-1, 9)
+        assert (found[0] == 0.0).all()  # what lies before isn't written
+        assert (found[:, 6:] == 0.0).all()  # nor what is between
+        expected = here.vertices(members)
+        assert np.allclose(there.vertices(members)["position"], found[1:, :3], atol=1e-7)
+        there.release(device)
+    return (
+        float(np.abs(found[1:, :3] - expected["position"]).max()),
+        float(np.abs(found[1:, 3:6] - expected["normal"]).max()),
+    )
+
+
+def test_devices_take_the_same_steps_as_numpy(device: rhi.Device) -> None:
+    points, normals = compare(device, 2)
+    assert points < 2e-6
+    assert normals < 2e-5
+    points, normals = compare(device, 20)  # each step adds to what differs
+    assert points < 5e-5
+    assert normals < 5e-4
+
+
+def test_the_shader_takes_the_same_steps_on_numpy(null: rhi.Device) -> None:
+    null.backend_as(NullBackend).run_shaders()
+    points, normals = compare(null, 2)
+    assert points < 2e-6
+    assert normals < 2e-5
+
+
+def test_a_state_moves_from_numpy_to_a_device_and_back(null: rhi.Device) -> None:
+    null.backend_as(NullBackend).run_shaders()
+    cloths = Cloths(1, make_square(), BREEZE)
+    advance(cloths, 1, 9)
+    here = deepcopy(cloths)
+    before = find_points(here).copy()
+    with null.storage(float, 8 * 30) as vertices:
+        cloths.deform(null, np.zeros(1, np.int64), vertices, np.zeros(1, np.int64), 8)
+        assert np.abs(find_points(deepcopy(cloths)) - before).max() < 1e-5
+        cloths.release(null)

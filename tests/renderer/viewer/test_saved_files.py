@@ -1,0 +1,359 @@
+"""What is saved while a viewer runs: shaders, scenes and settings are exchanged; what is wrong stays in the picture."""
+
+from __future__ import annotations
+
+import importlib
+import itertools
+import json
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("watchfiles", reason="no watchfiles: pip install rhi[viewer]")
+
+import rhi
+from renderer.content import load_scene, save_scene
+from renderer.frame import Blending, Frame
+from renderer.scene import Depth
+from renderer.settings import RenderSettings
+from renderer.viewer import Look, Viewer
+from renderer.viewer.showing import open_viewer
+from renderer.visibility import NoCulling
+
+SIZE = (48, 32)
+TEXT = """
+from __future__ import annotations
+from rhi.shading import Shader, vec4, vertex_index
+
+RED = 1.0
+
+class Corner(Shader):
+    '''A triangle over the upper left half of the image.'''
+
+    def vertex(self) -> vec4:
+        return vec4(-1.0 + 4.0 * float(vertex_index() >> 1), 1.0 - 4.0 * float(vertex_index() & 1), 0.5, 1.0)
+
+    def fragment(self) -> vec4:
+        return vec4(RED, 0.0, 1.0, 1.0)
+"""
+_numbers = itertools.count()
+
+
+class CornerLayer:
+    """Draws the shader of a module over the picture, as a program does that has shaders of its own."""
+
+    def __init__(self, device: rhi.Device, module: Any) -> None:
+        self._program: Any = device.program(module.Corner)
+        self._mesh = device.mesh(3)
+
+    def render(self, device: rhi.Device, frame: Frame) -> None:
+        with device.render_pass(frame.targets.image):
+            device.draw(self._program, self._mesh)
+
+    def destroy(self) -> None:
+        pass
+
+
+def save(path: Path, text: str) -> None:
+    """Save as most editors do, beside the file and then in its place."""
+    beside = path.with_name(f"{path.name}~")
+    beside.write_text(text)
+    os.replace(beside, path)
+
+
+def settle(viewer: Viewer, done: Callable[[], object]) -> None:
+    """Draw frames until something is so."""
+    until = time.monotonic() + 20.0
+    while not done():
+        assert time.monotonic() < until, "nothing happened"
+        time.sleep(0.01)
+        viewer.draw()
+
+
+def said(viewer: Viewer) -> list[str]:
+    return [line for line, is_error in viewer.console.lines if is_error]
+
+
+def shown(viewer: Viewer) -> list[str]:
+    """The errors in the picture."""
+    return [line for line, is_error in viewer._interface.shown.notes if is_error]
+
+
+@pytest.fixture
+def shaders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
+    monkeypatch.syspath_prepend(str(tmp_path))
+    name = f"saved_shaders_{next(_numbers)}"
+    (tmp_path / f"{name}.py").write_text(TEXT)
+    importlib.invalidate_caches()
+    yield importlib.import_module(name)
+    del sys.modules[name]
+
+
+@pytest.fixture
+def viewer(null: rhi.Device) -> Iterator[Viewer]:
+    """A viewer whose clock goes on by a minute a frame, so that what is only noted isn't seen any more."""
+    times = itertools.count(0.0, 60.0)
+    made = Viewer(null, load_scene("grid:count=9"), size=SIZE, clock=lambda: next(times))
+    made.saved.watch(True)
+    yield made
+    made.close()
+
+
+@pytest.mark.parametrize("backend", ["gl", "cl"])
+def test_a_saved_shader_is_in_the_next_picture_and_a_faulty_one_isnt(backend: str, shaders: Any) -> None:
+    try:
+        device = rhi.create_device(backend)
+    except rhi.DeviceError as error:
+        pytest.skip(f"no {backend} device here: {error.given}")
+    path = Path(shaders.__file__)
+    with device:
+        viewer = Viewer(device, load_scene("grid:count=9"), size=SIZE)
+        viewer._interface.is_hidden = True
+        viewer.stage.renderer.layers.append(CornerLayer(device, shaders))
+        viewer.saved.watch(True)
+
+        def red() -> int:
+            return int(viewer.draw().read()[4, 4, 0])  # of sRGB
+
+        assert red() == 255
+        save(path, TEXT.replace("RED = 1.0", "RED = 0.2"))
+        settle(viewer, lambda: red() == 124)
+        save(path, TEXT.replace("vec4(RED", "vec4(RAD"))
+        settle(viewer, lambda: viewer.saved.faults)
+        assert red() == 124
+        save(path, TEXT.replace("RED = 1.0", "RED = 0.4"))
+        settle(viewer, lambda: red() == 170)
+        assert viewer.saved.faults == []
+        viewer.close()
+
+
+def test_a_faulty_shader_is_named_in_the_picture_for_as_long_as_it_is(viewer: Viewer, shaders: Any) -> None:
+    viewer.stage.renderer.layers.append(CornerLayer(viewer.stage.renderer.device, shaders))
+    path = Path(shaders.__file__)
+    viewer.draw()
+    save(path, TEXT.replace("vec4(RED", "vec4(RAD"))
+    settle(viewer, lambda: viewer.saved.faults)
+    number = next(n for n, line in enumerate(TEXT.splitlines(), 1) if "vec4(RED" in line)
+    for _ in range(3):
+        viewer.draw()
+        assert any(f"{path}:{number}:" in line for line in shown(viewer))
+        assert any("return vec4(RAD, 0.0, 1.0, 1.0)" in line for line in shown(viewer))
+    assert any(f"{path}:{number}:" in line for line in said(viewer))
+    save(path, TEXT.replace("RED = 1.0", "RED = 0.5"))
+    settle(viewer, lambda: not viewer.saved.faults)
+    viewer.draw()
+    assert shown(viewer) == []
+
+
+def test_a_shader_with_which_no_frame_can_be_drawn_is_put_back(viewer: Viewer, shaders: Any) -> None:
+    viewer.stage.renderer.layers.append(CornerLayer(viewer.stage.renderer.device, shaders))
+    viewer.draw()
+    text = TEXT.replace("import Shader", "import Shader, Uniform").replace("vec4(RED", "vec4(self.more")
+    save(Path(shaders.__file__), text.replace("    '''A", "    more: Uniform[float]\n    '''A"))
+    settle(viewer, lambda: viewer.saved.faults)
+    assert any("binding-missing" in line for line in said(viewer))
+    assert shaders.Corner._declared == {}
+    viewer.draw()
+    assert any("binding-missing" in line for line in shown(viewer))
+    assert len(viewer.stage.renderer.layers) == 2, "the frame was drawn as before"
+
+
+def test_nothing_is_exchanged_after_reload_off(viewer: Viewer, shaders: Any) -> None:
+    viewer.draw()
+    assert viewer.run("reload off") == ("reload off", False)
+    save(Path(shaders.__file__), TEXT.replace("RED = 1.0", "RED = 0.5"))
+    for _ in range(20):
+        time.sleep(0.01)
+        viewer.draw()
+    assert shaders.RED == 1.0
+    assert viewer.run("reload") == ("reload on", False)
+    save(Path(shaders.__file__), TEXT.replace("RED = 1.0", "RED = 0.25"))
+    settle(viewer, lambda: shaders.RED == 0.25)
+
+
+def test_whoever_shows_the_viewer_is_woken_by_a_save(viewer: Viewer, shaders: Any) -> None:
+    woken: list[bool] = []
+    viewer.saved.wake = lambda: woken.append(True)
+    viewer.draw()
+    save(Path(shaders.__file__), TEXT + "# more")
+    until = time.monotonic() + 20.0
+    while not woken and time.monotonic() < until:
+        time.sleep(0.01)
+    assert woken
+
+
+def test_without_watchfiles_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "watchfiles", None)
+    made = open_viewer("grid:count=9", "null", canvas="offscreen", size=SIZE)
+    line, is_error = made.viewer.console.lines[-1]
+    assert ("watchfiles is missing" in line, 'pip install "rhi[viewer]"' in line, is_error) == (True, True, False)
+    assert not made.viewer.saved.is_watching
+    assert made.viewer.run("reload on")[1]
+    made.viewer.draw()
+    made.close()
+
+
+# -- scenes --------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def model(tmp_path: Path, null: rhi.Device) -> Iterator[tuple[Path, Viewer]]:
+    path = tmp_path / "blocks.gltf"
+    save_scene(load_scene("grid:count=9"), path)
+    times = itertools.count(0.0, 60.0)
+    viewer = Viewer(null, load_scene(str(path)), size=SIZE, clock=lambda: next(times))
+    viewer.saved.watch(True)
+    yield path, viewer
+    viewer.close()
+
+
+def edit(path: Path, change: Callable[[Any], None]) -> None:
+    document = json.loads(path.read_text())
+    change(document)
+    save(path, json.dumps(document))
+
+
+def paint(document: Any) -> None:
+    for material in document["materials"]:
+        material["pbrMetallicRoughness"]["baseColorFactor"] = [0.125, 0.25, 0.5, 1.0]
+
+
+def test_a_saved_material_is_seen_from_the_same_place(model: tuple[Path, Viewer]) -> None:
+    path, viewer = model
+    viewer.run("camera 1,2,9,0,0,0")
+    viewer.run("technique deferred")
+    viewer.draw()
+    assert "m away" in viewer.run("pick")[0]
+    before, camera, device = viewer.stage.scene, viewer.stage.camera, viewer.stage.renderer.device
+    edit(path, paint)
+    settle(viewer, lambda: viewer.stage.scene is not before)
+    assert np.allclose(viewer.stage.scene.materials["base_color"][:, :3], (0.125, 0.25, 0.5))
+    assert np.array_equal(viewer.stage.camera.view, camera.view)
+    assert (viewer.stage.look.technique, viewer.stage.hit, viewer.stage.renderer.device) == ("deferred", None, device)
+    viewer.draw()
+    assert "m away" in viewer.run("pick")[0]
+
+
+def test_buffers_beside_a_scene_are_watched_too(model: tuple[Path, Viewer]) -> None:
+    path, viewer = model
+    assert [one.name for one in viewer.stage.scene.files] == ["blocks.gltf", "blocks.bin"]
+    before, buffer = viewer.stage.scene, path.with_suffix(".bin")
+    buffer.write_bytes(buffer.read_bytes())
+    settle(viewer, lambda: viewer.stage.scene is not before)
+
+
+@pytest.mark.parametrize("fault", ["syntax", "device"])
+def test_a_scene_that_cannot_be_shown_leaves_the_old_one(
+    model: tuple[Path, Viewer], fault: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, viewer = model
+    viewer.draw()
+    good, before = path.read_text(), viewer.stage.scene
+    if fault == "syntax":
+        save(path, good[:-9])
+    else:
+        monkeypatch.setattr(viewer.stage, "_draw_aside", lambda renderer: 1 / 0)
+        edit(path, paint)
+    settle(viewer, lambda: viewer.saved.faults)
+    assert viewer.stage.scene is before
+    viewer.draw()
+    assert any({"syntax": "blocks.gltf", "device": "ZeroDivisionError"}[fault] in line for line in shown(viewer))
+    monkeypatch.undo()
+    save(path, good)
+    settle(viewer, lambda: viewer.stage.scene is not before)
+    viewer.draw()
+    assert shown(viewer) == []
+
+
+def test_scenes_that_are_exchanged_leave_nothing_behind(model: tuple[Path, Viewer]) -> None:
+    path, viewer = model
+    viewer.draw()
+    stream = viewer.stage.renderer.device.stream
+
+    def count() -> int:
+        kinds = [command.op.name for command in stream]
+        return sum(name.startswith("CREATE") for name in kinds) - kinds.count("DESTROY")
+
+    seen = []
+    for number in range(3):
+        edit(path, lambda document, n=number: document["materials"][0].update(name=f"material {n}"))
+        settle(viewer, lambda n=number + 1: viewer.saved._reloader.reloaded == n)
+        viewer.stage.renderer.device.finish()
+        seen.append(count())
+    assert seen[1] == seen[2]
+
+
+def test_generated_and_built_scenes_have_no_files(tmp_path: Path) -> None:
+    assert load_scene("grid:count=9").files == ()
+
+
+# -- settings ------------------------------------------------------------------------------------------------------
+
+
+def test_settings_are_read_written_and_read_again_when_they_are_saved(viewer: Viewer, tmp_path: Path) -> None:
+    path = tmp_path / "settings.json"
+    viewer.run("technique deferred")
+    viewer.run("visibility none")
+    assert viewer.run(f"save settings {path}") == (f"wrote {path}", False)
+    assert RenderSettings.load(path) == viewer.stage.look.settings
+    viewer.run("technique clustered")
+    line, is_error = viewer.run(f"settings {path}")
+    assert (line, is_error) == (f"read {path}: deferred, none", False)
+    viewer.draw()
+    changed = RenderSettings.load(path).change("technique.name", "light_pre_pass").change("depth", Depth.STANDARD)
+    changed.change("textures.anisotropy", 4.0).save(path)
+    settle(viewer, lambda: viewer.stage.look.technique == "light_pre_pass")
+    viewer.draw()
+    assert viewer.stage._seen_by.projection.depth is Depth.STANDARD
+    assert viewer.stage.renderer.technique.name == "light_pre_pass"
+    path.write_text("{")
+    settle(viewer, lambda: viewer.saved.faults)
+    assert viewer.stage.look.technique == "light_pre_pass"
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("settings missing.json", "No such file"),
+        ("settings", "0 arguments"),
+        ("save settings", "1 arguments"),
+        ("save camera x.json", "did you mean settings"),
+        ("save settings x.png", "ends with .json"),
+    ],
+)
+def test_what_settings_refuses_changes_nothing(
+    viewer: Viewer, line: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    told, is_error = viewer.run(line)
+    assert is_error
+    assert says in told
+    assert viewer.stage.look == Look()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_every_setting_reaches_the_renderer(null: rhi.Device, tmp_path: Path) -> None:
+    settings = RenderSettings().change_all(
+        {
+            "technique.name": "clustered", "technique.clusters.slices": 7, "algorithm": "none", "shadows.cascades": 2,
+            "tessellation.edge_pixels": 20.0, "blending": Blending.WEIGHTED, "precision": rhi.shading.Precision.EXACT,
+            "depth": Depth.STANDARD,
+        }
+    )  # fmt: skip
+    path = tmp_path / "settings.json"
+    settings.save(path)
+    made = open_viewer("grid:count=9", "null", canvas="offscreen", size=SIZE, settings=path)
+    viewer, renderer = made.viewer, made.viewer.stage.renderer
+    viewer.draw()
+    assert viewer.stage.look.settings == settings
+    assert (renderer.shadows.settings, renderer.tessellator.settings) == (settings.shadows, settings.tessellation)
+    assert (renderer.precision, type(renderer.visibility)) == (settings.precision, NoCulling)
+    assert viewer.stage._seen_by.projection.depth is Depth.STANDARD
+    made.close()
