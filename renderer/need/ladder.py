@@ -13,6 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from renderer.cloth import Cloths, Gust, Wind, make_sheet
 from renderer.content import BUILT_IN
 from renderer.content.fountains import BOUNDS, Fountains, make_drops
 from renderer.overlay import Overlay
@@ -179,6 +180,20 @@ def _place_fountain(builder: SceneBuilder) -> int:
     return material
 
 
+def _place_flag(builder: SceneBuilder) -> int:
+    columns, rows = np.meshgrid(np.linspace(0.0, 1.3, 11), np.linspace(0.0, -0.9, 8))
+    pinned = np.zeros(columns.shape, bool)
+    pinned[:, 0] = True
+    sheet = make_sheet(np.stack([columns, rows, np.zeros_like(rows)], 2), pinned)
+    material = builder.add_material(base_color=(0.75, 0.12, 0.14), double_sided=True)
+    _add_box(builder, material, (-2.1, 1.0, -1.6), (0.07, 2.0, 0.07))
+    mesh = builder.add_mesh(sheet.make_mesh(), "flag", sheet.bounds)
+    flag = builder.add_objects(builder.add_node(translation((-2.06, 1.95, -1.6))), mesh, material)
+    wind = Wind((3.0, 0.0, 0.6), (Gust((0.5, 0.0, 2.5), (1.2, 0.2, 0.0), 1.3),))
+    builder.simulate(flag, Cloths(1, sheet, wind))
+    return material
+
+
 def _switch_particles(renderer: Renderer, _: int, is_on: bool) -> None:
     _switch_layer(renderer, Particles, is_on)
 
@@ -308,6 +323,13 @@ LADDER: Final = (
         ),
         switch=_switch_particles,
         modules=("renderer.techniques.particles",),
+    ),
+    Rung(
+        "cloth",
+        "a flag in the wind",
+        Footprint("cloth", programs=("StepCloths",), resources=("cloth *",)),
+        _place_flag,
+        modules=("renderer.cloth",),
     ),
     Rung(
         "fxaa",
