@@ -38,5 +38,8 @@ echo "[test] pytest: tests, and the conformance kit on gl, cl and null, on all c
 # in one process, which builds their programs once.
 cores=$(nproc)
 workers=$((cores > 4 ? cores : 4))
-exec .venv/bin/python -m pytest -n "$workers" --dist loadfile --durations 15 "${options[@]}" \
-    tests --pyargs rhi.conformance --rhi-backend gl --rhi-backend cl --rhi-backend null
+all=(tests --pyargs rhi.conformance --rhi-backend gl --rhi-backend cl --rhi-backend null)
+if [ ! -d tests/__pycache__ ]; then  # one process compiles the tests of a fresh clone, not each of those that share them
+    .venv/bin/python -m pytest --collect-only -qq "${all[@]}" >/dev/null || true
+fi
+exec .venv/bin/python -m pytest -n "$workers" --dist loadfile --durations 15 "${options[@]}" "${all[@]}"

@@ -10,7 +10,7 @@ import gc
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 
 import pytest
@@ -47,10 +47,19 @@ def pytest_itemcollected(item: pytest.Item) -> None:
             test._hypothesis_internal_use_settings = settings(test.said, max_examples=more, derandomize=False)
 
 
-def pytest_collection_finish() -> None:
-    """Let the garbage collector pass over what collecting made: 400,000 objects that live as long as the process."""
-    gc.collect()
-    gc.freeze()
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Collect without garbage collections: what is made, 400,000 objects, lives as long as the process.
+
+    They are frozen, so no later collection passes over them.
+    """
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.collect()
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.fixture(scope="module")

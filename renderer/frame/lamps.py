@@ -1,8 +1,8 @@
 """Point and spot lights on a device, with positions relative to each eye of a frame.
 
 One eye is given relative positions by the CPU, whenever it has moved. For two eyes positions are uploaded once, as
-pairs of floats, and only when lights change; a kernel subtracts each eye's from them, and shaders of light read
-what it has written. For one eye a kernel would save an upload, but llvmpipe waits with it for the frame before, so
+pairs of floats, and only when lights change; a kernel subtracts both eyes' from them, and shaders of light read what it
+has written. For one eye a kernel would save an upload, but llvmpipe waits with it for the frame before, so
 the CPU could no longer record a frame while the last one is drawn. A device without kernels is given relative
 positions for both.
 """
@@ -45,32 +45,43 @@ def subtract_exactly(place: ExactPlace, eye: ExactPlace) -> vec3:
     return (place.high - eye.high) + (place.low - eye.low)
 
 
+class EyePlaces(Struct):
+    """The positions of both eyes."""
+
+    left: ExactPlace
+    right: ExactPlace
+
+
 class PlacePoints(Shader):
-    """Makes the positions of point lights relative to an eye."""
+    """Makes the positions of point lights relative to both eyes."""
 
     work_group = (_GROUP,)
-    eye: Uniform[ExactPlace]
+    eyes: Uniform[EyePlaces]
     places: Storage[ExactPlace]
-    lights: StorageRW[PointLight]
+    left: StorageRW[PointLight]
+    right: StorageRW[PointLight]
 
     def compute(self) -> None:
         i = global_id().x
         if i < len(self.places):
-            self.lights[i].position = subtract_exactly(self.places[i], self.eye)
+            self.left[i].position = subtract_exactly(self.places[i], self.eyes.left)
+            self.right[i].position = subtract_exactly(self.places[i], self.eyes.right)
 
 
 class PlaceSpots(Shader):
-    """Makes the positions of spot lights relative to an eye."""
+    """Makes the positions of spot lights relative to both eyes."""
 
     work_group = (_GROUP,)
-    eye: Uniform[ExactPlace]
+    eyes: Uniform[EyePlaces]
     places: Storage[ExactPlace]
-    lights: StorageRW[SpotLight]
+    left: StorageRW[SpotLight]
+    right: StorageRW[SpotLight]
 
     def compute(self) -> None:
         i = global_id().x
         if i < len(self.places):
-            self.lights[i].position = subtract_exactly(self.places[i], self.eye)
+            self.left[i].position = subtract_exactly(self.places[i], self.eyes.left)
+            self.right[i].position = subtract_exactly(self.places[i], self.eyes.right)
 
 
 class _Kind:
@@ -87,34 +98,13 @@ class _Kind:
             array.destroy()
 
 
-class _Placed:
-    """What an eye's lights were placed by: the version of the lights and where the eye was; and the kernels for it."""
-
-    def __init__(self, device: Device) -> None:
-        self.eye: MirroredValue[ExactPlace] | None = None  # made for kernels
-        self.commands = RepeatedCommands(device, "")
-        self.version, self.position = 0, b""
-        self.work: list[tuple[Any, int, dict[str, Any]]] = []
-
-    def issue(self, encoder: Encoder) -> None:
-        """Run the kernels."""
-        for program, groups, bindings in self.work:
-            encoder.dispatch(program, groups, **bindings)
-
-    def destroy(self) -> None:
-        self.commands.forget()
-        self.work = []
-        if self.eye is not None:
-            self.eye.destroy()
-            self.eye = None
-
-
 class Lamps:
     """All lights of a scene that have a position, on a device."""
 
     def __init__(self, device: Device) -> None:
         self._device = device
         self._runs = False  # whether kernels place the lights
+        self._work: list[tuple[Any, int, dict[str, Any]]] = []
         self._kinds = (
             _Kind(device, PointLight, PlacePoints, "point lights"),
             _Kind(device, SpotLight, PlaceSpots, "spot lights"),
@@ -122,13 +112,12 @@ class Lamps:
         with ExitStack() as made:
             for kind in self._kinds:
                 made.callback(kind.destroy)
-            self._placed: list[_Placed] = []
-            for _ in range(EYES):
-                self._placed.append(_Placed(device))
-                made.callback(self._placed[-1].destroy)
+            self._eyes: MirroredValue[EyePlaces] | None = None  # made for kernels
+            self._commands = RepeatedCommands(device, "")
+            made.callback(self._stop_kernels)
             self._made = made.pop_all()
         self._state: tuple[object, ...] = ()  # what the lights were packed from
-        self._version = 0
+        self._placed: dict[int, bytes] = {}  # where each eye was that they were placed for
 
     def find(self, eye: int) -> tuple[MirroredArray[PointLight], MirroredArray[SpotLight]]:
         """Return the point and the spot lights relative to an eye."""
@@ -147,23 +136,32 @@ class Lamps:
         )
         runs = self._device.capabilities.compute and len(eyes) > 1
         state = runs, *(some.tobytes() for some in kinds)
-        if state != self._state:
+        is_new = state != self._state
+        if is_new:
             if self._runs and not runs:
                 self._stop_kernels()
             self._runs = runs
             self._pack(lights, kinds)
             self._state = state
-            self._version += 1
-        for eye, position in enumerate(eyes):
-            placed = self._placed[eye]
-            if placed.version != self._version or placed.position != position.tobytes():
-                self._place(eye, placed, position, kinds)
+            self._placed.clear()
+        moved = [eye for eye, place in enumerate(eyes) if self._placed.get(eye) != place.tobytes()]
+        self._placed |= {eye: eyes[eye].tobytes() for eye in moved}
+        if self._runs:
+            if moved:
+                self._run(eyes, is_new=is_new)
+        else:
+            for eye in moved:
+                for kind, some in zip(self._kinds, kinds, strict=True):
+                    kind.packed["position"] = some["position"] - eyes[eye]
+                    kind.seen[eye].write(kind.packed)
 
     def _stop_kernels(self) -> None:
         """Destroy what two eyes need and one doesn't."""
-        for placed in self._placed:
-            placed.destroy()
-            placed.version = 0
+        self._commands.forget()
+        self._work = []
+        if self._eyes is not None:
+            self._eyes.destroy()
+            self._eyes = None
         for kind in self._kinds:
             kind.places.destroy()
             for seen in kind.seen[1:]:
@@ -180,37 +178,38 @@ class Lamps:
                 places["high"], places["low"] = split_doubles(some["position"])
                 kind.places.write(places)
 
-    def _place(self, eye: int, placed: _Placed, position: Floats, kinds: tuple[NDArray[Any], ...]) -> None:
-        """Make the lights relative to an eye."""
-        if not self._runs:
-            for kind, some in zip(self._kinds, kinds, strict=True):
-                kind.packed["position"] = some["position"] - position
-                kind.seen[eye].write(kind.packed)
-        else:
-            if placed.version != self._version:
-                for kind in self._kinds:
-                    kind.seen[eye].write(kind.packed)
-                placed.work = self._list_work(eye)
-            if placed.work and placed.eye is not None:
-                placed.eye.write(_place(position))
-                key = tuple(one for _, _, bindings in placed.work for one in bindings.values())
-                placed.commands.execute(key, placed.issue)
-        placed.version, placed.position = self._version, position.tobytes()
+    def _run(self, eyes: Sequence[Floats], *, is_new: bool) -> None:
+        """Run the kernels that place the lights for both eyes. What `is_new` is uploaded first."""
+        if is_new:
+            for kind in self._kinds:
+                for seen in kind.seen:
+                    seen.write(kind.packed)
+        left, right = map(_place, eyes)
+        places = EyePlaces(left=left, right=right)
+        if self._eyes is None:
+            self._eyes = MirroredValue(self._device, places)
+        if is_new:
+            self._work = self._list_work(self._eyes)
+        if self._work:
+            self._eyes.write(places)
+            key = tuple(one for _, _, bindings in self._work for one in bindings.values())
+            self._commands.execute(key, self._issue)
 
-    def _list_work(self, eye: int) -> list[tuple[Any, int, dict[str, Any]]]:
-        """Return the kernels that place the lights for an eye: programs, numbers of groups, and bindings."""
-        placed = self._placed[eye]
-        if placed.eye is None:
-            placed.eye = MirroredValue(self._device, _place(np.zeros(3)))
-        constants = placed.eye.buffer
+    def _issue(self, encoder: Encoder) -> None:
+        for program, groups, bindings in self._work:
+            encoder.dispatch(program, groups, **bindings)
+
+    def _list_work(self, eyes: MirroredValue[EyePlaces]) -> list[tuple[Any, int, dict[str, Any]]]:
+        """Return the kernels that place the lights: programs, numbers of groups, and bindings."""
         return [
             (
                 self._device.program(kind.shader),
                 -(-len(kind.packed) // _GROUP),
                 {
-                    "eye": constants,
+                    "eyes": eyes.buffer,
                     "places": kind.places.buffer,
-                    "lights": kind.seen[eye].buffer,
+                    "left": kind.seen[0].buffer,
+                    "right": kind.seen[1].buffer,
                 },
             )
             for kind in self._kinds

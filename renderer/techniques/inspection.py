@@ -190,6 +190,11 @@ class Inspection:
         """Choose one of `INSPECTIONS`."""
         self.name = shown
 
+    @property
+    def is_lit(self) -> bool:
+        """Whether the picture shows the lit scene, too, so that shadow maps must be up to date."""
+        return self.name in _LIT
+
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the passes of the picture."""
         return INSPECTIONS[self.name](needs)
@@ -347,3 +352,5 @@ INSPECTIONS: Final[dict[str, Callable[[Needs], tuple[Pass[Frame], ...]]]] = {
     "volumes": _declare_volumes,
 }
 """The passes of each picture, by what a frame needs."""
+
+_LIT: Final = ("tessellation", "volumes")

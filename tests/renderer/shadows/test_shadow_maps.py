@@ -25,6 +25,8 @@ from renderer.scene import (
 from renderer.shadows import ShadowFilter, ShadowSettings
 from renderer.stereo import Stereo
 from renderer.techniques import TECHNIQUES
+from renderer.techniques.inspection import INSPECTIONS, Inspection
+from renderer.techniques.watched import Watched
 from renderer.visibility import make_visibility
 
 EYE = Camera.look_at((0, 4, 12), (0, 0, 0), projection=Perspective(fov=1.0, near=0.1, far=100.0))
@@ -340,3 +342,23 @@ def test_maps_are_kept_if_materials_look_otherwise(null: rhi.Device, name: str) 
         draw(renderer)
         scene.materials[name][0] *= 0.5
         assert draw(renderer)["drawn"] == 0
+
+
+@pytest.mark.parametrize("shown", INSPECTIONS)
+def test_pictures_of_a_frame_update_maps_only_if_they_show_light(null: rhi.Device, shown: str) -> None:
+    with make_renderer(null, stage(moves=True).build()) as renderer:
+        draw(renderer)
+        lit, renderer.technique = renderer.technique, Inspection(shown)
+        is_lit = shown in ("tessellation", "volumes")
+        null.stream.clear()
+        renderer.render(EYE, 1.0)
+        assert any("shadow maps" in command.labels for command in null.stream) == is_lit
+        renderer.technique = lit
+        assert draw(renderer, seconds=1.0 if is_lit else 2.0)["drawn"] == (0 if is_lit else 2)
+
+
+def test_maps_are_up_to_date_when_one_buffer_of_a_lit_frame_is_read(null: rhi.Device) -> None:
+    with make_renderer(null, stage(moves=True).build()) as renderer:
+        draw(renderer)
+        renderer.technique = Watched(TECHNIQUES["deferred"](), "surface")
+        assert draw(renderer, seconds=1.0)["drawn"] == 2

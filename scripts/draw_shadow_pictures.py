@@ -1,0 +1,175 @@
+"""Draw the pictures of docs/shadows.md: `python scripts/draw_shadow_pictures.py [FOLDER] [--backend gl]`."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+import rhi
+from renderer.cli.output import write_image
+from renderer.content import BUILT_IN, load_scene
+from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target, TechniquePass
+from renderer.renderer import Renderer
+from renderer.scene import Camera, Perspective, Scene, SceneBuilder, rotation, scaling, translation
+from renderer.shaders.structs import SurfaceVarying
+from renderer.shadows import ShadowFilter, ShadowSettings
+from renderer.shadows.lamps import NEAR
+from renderer.shadows.receiver import WithSunShadows
+from renderer.techniques import Forward, Technique
+from renderer.techniques.forward import find_forward
+from renderer.techniques.forward_shader import ForwardShader
+from renderer.visibility import NoCulling
+from rhi.shading import abs, max, vec3, vec4
+
+Pixels = NDArray[np.uint8]
+
+WIDE: Final = (480, 270)
+SMALL: Final = (320, 220)
+ATLAS_SIDE: Final = 640
+GAP: Final = 4
+"""White pixels between two pictures."""
+
+
+class CascadeColors(WithSunShadows, ForwardShader):
+    """Tints surfaces by the map in which the shadow of the sun is looked up: red, green, blue, yellow."""
+
+    def fragment(self, v: SurfaceVarying) -> vec4:
+        lit = self.light(v, self.materials[v.material])
+        number = 0
+        for i in range(self.suns.count):
+            there = self.suns.maps[i].axes @ v.position - self.suns.maps[i].place
+            is_inside = max(abs(there.x), abs(there.y)) < self.suns.maps[i].inner
+            if number == 0 and is_inside and -there.z < self.suns.maps[i].length:
+                number = i + 1
+        tint = vec3(1.0)
+        if number == 1:
+            tint = vec3(1.0, 0.3, 0.25)
+        if number == 2:
+            tint = vec3(0.3, 0.8, 0.25)
+        if number == 3:
+            tint = vec3(0.35, 0.4, 1.0)
+        if number == 4:
+            tint = vec3(0.9, 0.8, 0.2)
+        return vec4(lit.xyz * tint, lit.w)
+
+
+class TintedCascades:
+    """Forward shading with `CascadeColors`."""
+
+    name: Final = "tinted_cascades"
+
+    def declare(self, needs: Needs) -> Sequence[Pass[Frame]]:
+        """Return the pass `forward`."""
+        written = Target("image", IMAGE_FORMAT), Target("depth", DEPTH_FORMAT)
+        return (Pass("forward", _draw_tinted, "was asked for", writes=written),)
+
+
+def _draw_tinted(frame: Frame) -> None:
+    shader, bindings = find_forward(frame)
+    kind: Any = type("Tinted", (CascadeColors, shader), {"__module__": __name__})
+    color, depth = frame.targets["image"], frame.targets["depth"]
+    clear = (*frame.resources.scene.background, 1.0)
+    program = frame.program(kind)
+    frame.draw_visible(
+        TechniquePass(
+            frame.device, frame.resources, frame.view, program, bindings, color=color, depth=depth, clear=clear
+        )
+    )
+
+
+def render(
+    device: rhi.Device,
+    scene: Scene,
+    camera: Camera,
+    size: tuple[int, int],
+    settings: ShadowSettings | None = None,
+    technique: Technique | None = None,
+) -> tuple[Pixels, NDArray[np.float32]]:
+    """Return the picture of a frame, and the atlas of its maps, empty without any."""
+    kind = technique or Forward()
+    with Renderer(device, scene, technique=kind, visibility=NoCulling(scene), size=size) as renderer:
+        renderer.shadows.settings = settings or ShadowSettings()
+        picture = renderer.render(camera).image.read()[..., :3]
+        has_maps = bool(renderer.shadows.reports)
+        return picture, renderer.shadows.atlas.read() if has_maps else np.zeros((0, 0), np.float32)
+
+
+def place(*rows: Sequence[Pixels]) -> Pixels:
+    """Return rows of pictures of one size as one picture, with gaps."""
+    tall, wide = rows[0][0].shape[:2]
+    sheet = np.full((len(rows) * (tall + GAP) - GAP, len(rows[0]) * (wide + GAP) - GAP, 3), 255, np.uint8)
+    for y, row in enumerate(rows):
+        for x, picture in enumerate(row):
+            sheet[y * (tall + GAP) :, x * (wide + GAP) :][:tall, :wide] = picture
+    return sheet
+
+
+def make_still_life() -> tuple[Scene, Camera]:
+    """Make a block, a ring and a pole on a floor, in the sun; return a camera, too."""
+    builder = SceneBuilder("still life")
+    floor = builder.add_material(base_color=(0.8, 0.78, 0.72, 1.0), specular_color=(0, 0, 0))
+    clay = builder.add_material(base_color=(0.75, 0.4, 0.2, 1.0), specular_color=(0, 0, 0))
+    box, ring = builder.add_mesh(BUILT_IN["box"]()), builder.add_mesh(BUILT_IN["torus"]())
+    for mesh, material, where, size in (
+        (box, floor, (0.0, -0.5, 0.0), (12.0, 1.0, 12.0)),
+        (box, clay, (1.6, 0.6, 0.9), (1.2, 1.2, 1.2)),
+        (box, clay, (0.9, 1.5, 0.0), (0.1, 3.0, 0.1)),
+        (ring, clay, (-0.6, 0.9, 0.6), (0.9, 0.9, 0.9)),
+    ):
+        upright = rotation((1, 0, 0), np.pi / 2 if mesh == ring else 0.0)
+        builder.add_objects(builder.add_node(translation(where) @ scaling(size) @ upright), mesh, material)
+    builder.lights.add_directional((-0.6, -0.9, -0.5), casts_shadow=True)
+    lens = Perspective(fov=0.75, aspect=SMALL[0] / SMALL[1])
+    return builder.build(), Camera.look_at((1.9, 2.5, 4.9), (0.4, 0.75, 0.2), projection=lens)
+
+
+def picture_atlas(depths: NDArray[np.float32]) -> Pixels:
+    """Return an atlas as it is shown: near is bright, nothing dark."""
+    used = np.argwhere(depths > 0.0).max(0) + 1
+    step = -(-int(used.max()) // ATLAS_SIDE)
+    some = depths[: used[0] : step, : used[1] : step]
+    # Lamps have near planes at NEAR of their range: what is half a range away has a depth of 2 NEAR.
+    lamps = np.minimum(some / (30.0 * NEAR), 1.0)
+    shades = np.where(some < 1000.0 * NEAR, np.sqrt(lamps), 0.15 + 0.85 * some) * (some > 0.0)
+    return np.repeat((255.0 * shades + 0.5).astype(np.uint8)[..., None], 3, -1)
+
+
+def draw_all(device: rhi.Device, folder: Path) -> None:
+    """Draw all pictures."""
+    still, eye = make_still_life()
+    near = ShadowSettings(cascades=1, cascade_size=256, distance=12.0)
+
+    def filtered(*filters: ShadowFilter) -> list[Pixels]:
+        return [render(device, still, eye, SMALL, replace(near, filter=one))[0] for one in filters]
+
+    filters = place(
+        filtered(ShadowFilter.HARD, ShadowFilter.HARDWARE), filtered(ShadowFilter.SMOOTH, ShadowFilter.POISSON)
+    )
+    write_image(folder / "shadow-filters.png", filters)
+    biased = [render(device, still, eye, SMALL, replace(near, bias=bias))[0] for bias in (0.0, 1.0)]
+    write_image(folder / "shadow-bias.png", place(biased))
+
+    city = load_scene("city:blocks=8,shadows=1")
+    street = [render(device, city, city.views["street"], WIDE, None, one)[0] for one in (None, TintedCascades())]
+    write_image(folder / "shadow-cascades.png", place(street))
+
+    nights = [load_scene(f"night:blocks=6,lights=64,shadows={on}") for on in (0, 1)]
+    (plain, _), (shadowed, atlas) = (render(device, one, one.views["crossing"], WIDE) for one in nights)
+    write_image(folder / "shadow-night.png", place([plain, shadowed]))
+    write_image(folder / "shadow-atlas.png", picture_atlas(atlas))
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description="Draw the pictures of docs/shadows.md.")
+    parser.add_argument("folder", type=Path, nargs="?", default=Path(__file__).parents[1] / "docs" / "images")
+    parser.add_argument("--backend", default="gl")
+    given = parser.parse_args()
+    given.folder.mkdir(parents=True, exist_ok=True)
+    with rhi.create_device(given.backend) as chosen:
+        draw_all(chosen, given.folder)
