@@ -184,16 +184,17 @@ class Lamps:
             for kind in self._kinds:
                 for seen in kind.seen:
                     seen.write(kind.packed)
+        if not any(len(kind.packed) for kind in self._kinds):
+            return
         left, right = map(_place, eyes)
         places = EyePlaces(left=left, right=right)
         if self._eyes is None:
             self._eyes = MirroredValue(self._device, places)
         if is_new:
             self._work = self._list_work(self._eyes)
-        if self._work:
-            self._eyes.write(places)
-            key = tuple(one for _, _, bindings in self._work for one in bindings.values())
-            self._commands.execute(key, self._issue)
+        self._eyes.write(places)
+        key = tuple(one for _, _, bindings in self._work for one in bindings.values())
+        self._commands.execute(key, self._issue)
 
     def _issue(self, encoder: Encoder) -> None:
         for program, groups, bindings in self._work:
