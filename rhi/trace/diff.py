@@ -180,7 +180,7 @@ class _Side:
         self._fence = 0 if first is None else stream.entry(first)[1][0]
         self._identities: dict[Id, Hashable] = {}
         self._descriptors: dict[Id, Descriptor] = {}
-        self._offsets: dict[Id, dict[int, int]] = {}  # of streamed buffers, the number of each place
+        self._offsets: dict[str, dict[tuple[Id, int], int]] = {}  # by ring, the number of each place
         self._seen: Counter[Hashable] = Counter()
         self._keys: dict[Hashable, Hashable] = {}
         self.root = _Node(-1)
@@ -246,15 +246,23 @@ class _Side:
             if descriptor is None:
                 return "id", resource
             self._meet(resource, descriptor)
-        return self._identities[resource]
+        streamed = self._find_ring(resource)
+        return self._identities[resource] if streamed is None else ("streamed", streamed)
+
+    def _find_ring(self, buffer: Id) -> str | None:
+        """Return the label of a streamed buffer, None of any other. A ring goes on in another buffer when one is full."""
+        descriptor = self._descriptors.get(buffer)
+        if isinstance(descriptor, BufferDescriptor) and descriptor.usage is BufferUsage.STREAM:
+            return descriptor.label
+        return None
 
     def _locate(self, buffer: Id, offset: int) -> Hashable:
         """Return what an offset into a buffer stands for."""
-        descriptor = self._descriptors.get(buffer)
-        if not isinstance(descriptor, BufferDescriptor) or descriptor.usage is not BufferUsage.STREAM:
+        ring = self._find_ring(buffer)
+        if ring is None:
             return offset
-        found = self._offsets.setdefault(buffer, {})
-        return "place", found.setdefault(offset, len(found))
+        found = self._offsets.setdefault(ring, {})
+        return "place", found.setdefault((buffer, offset), len(found))
 
     def normalize(self, value: Any) -> Hashable:
         """Return a value with what ids stand for in their place."""
