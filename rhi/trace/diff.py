@@ -250,7 +250,7 @@ class _Side:
         return self._identities[resource] if streamed is None else ("streamed", streamed)
 
     def _find_ring(self, buffer: Id) -> str | None:
-        """Return the label of a streamed buffer, None of any other. A ring goes on in another buffer when one is full."""
+        """Return the label of a streamed buffer, None of any other. A ring goes on in the next when one is full."""
         descriptor = self._descriptors.get(buffer)
         if isinstance(descriptor, BufferDescriptor) and descriptor.usage is BufferUsage.STREAM:
             return descriptor.label
