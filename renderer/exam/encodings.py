@@ -1,8 +1,10 @@
-"""Encodings of geometry buffers, cases 37 to 42: values whose codes are at an edge, stored and read on the device."""
+"""Encodings of geometry buffers, cases 37 to 42 and 66: values whose codes are at an edge, stored and read on the
+device."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any, Final
 
@@ -11,13 +13,18 @@ from numpy.typing import NDArray
 
 from renderer.exam.case import Case, Found, find_largest
 from renderer.measure.encodings import (
+    ENCODINGS,
     GROUP,
+    SIZE,
+    Encoding,
     StoredValue,
     find_degrees,
     find_vector_errors,
     pack_values,
+    run_round_trip,
 )
 from renderer.measure.published_encodings import decode_octahedral_truncated, encode_octahedral_truncated
+from renderer.scene import Camera, Depth, Perspective
 from renderer.scene.arrays import Floats
 from renderer.shaders.encodings import (
     TangentFrame,
@@ -35,6 +42,7 @@ from renderer.shaders.encodings import (
     find_bitangent,
     material_depth,
 )
+from renderer.techniques.full_screen import find_rays
 from rhi import CullMode, DepthFunction, DepthTest, DepthWrite, Device, Format
 from rhi.shading import (
     FragmentDepth,
@@ -274,6 +282,63 @@ def find_materials(device: Device) -> Found:
     return Found(wrong, numbers)
 
 
+LENSES: Final = {
+    "reversed": Perspective(near=1e-3, far=1e7),
+    "without a far plane": Perspective(near=1e-3),
+    "standard": Perspective(near=1e-3, far=1e7, depth=Depth.STANDARD),
+}
+"""Lenses from a millimetre to 10,000 km."""
+ACROSS: Final = 5e-4
+"""By how many pixels a position may be off."""
+
+
+def list_far_pixels() -> Floats:
+    """Return (k, 8) pixels, corners and the middle among them, and distances from 2 mm to 9,000 km."""
+    values = np.zeros((1000, 8))
+    values[:, :2] = np.random.default_rng(6).uniform(0.0, SIZE, (1000, 2))
+    values[:5, :2] = [(0, 0), (SIZE[0], 0), (0, SIZE[1]), SIZE, (SIZE[0] / 2, SIZE[1] / 2)]
+    values[:, 2] = np.geomspace(2e-3, 9e6, 1000)
+    return values.astype(np.float32).astype(np.float64)
+
+
+def find_far_positions(lens: str) -> tuple[Camera, Encoding]:
+    """Return a camera 10⁷ m from the origin, and the encoding of what it sees."""
+    camera = Camera.look_at((1e7, 50, -1e7), (1e7 + 3, 49, -1e7 + 5), projection=LENSES[lens])
+    name = f"position by a ray, D32F{'' if lens == 'standard' else ' reversed'}"
+    encoding = next(one for one in ENCODINGS if one.name == name)
+    return camera, replace(encoding, uniforms={"rays": find_rays(camera, SIZE)})
+
+
+def find_position_errors(camera: Camera, values: Floats, read: Floats) -> tuple[Floats, Floats]:
+    """Return how far positions are off along the view, as shares of their distance, and across it, in pixels."""
+    seen = read[:, 4:7] @ camera.rotation.T
+    clip = np.concatenate([seen, np.ones((len(seen), 1))], axis=1) @ camera.projection.matrix.T
+    place = (0.5 + clip[:, :2] / clip[:, 3:] * (0.5, -0.5)) * SIZE
+    return np.abs(-seen[:, 2] / values[:, 2] - 1.0), np.abs(place - values[:, :2]).max(1)
+
+
+def find_places(device: Device) -> Found:
+    """Store depths and read positions from them, with lenses that reverse depth and with one that doesn't."""
+    values, numbers = list_far_pixels(), dict[str, object]()
+    error = widest = lost = 0.0
+    for lens in LENSES:
+        camera, encoding = find_far_positions(lens)
+        read = run_round_trip(device, encoding.shader, values, **encoding.uniforms)
+        along, across = find_position_errors(camera, values, read)
+        if lens == "standard":  # next to 1, a step of a float is 6 % of the distance at 1 km
+            lost = float(along[values[:, 2] > 0.1].max())
+            error = find_largest(error, float(along[values[:, 2] < 0.004].max()))
+        else:
+            error = find_largest(error, float(along.max()))
+            widest = find_largest(widest, float(across.max()))
+        numbers[f"{lens}: along, at most"] = float(along.max())
+    holds = {
+        f"across, it is at most {ACROSS} pixels": widest <= ACROSS,
+        "standard depth loses what is far": lost > 0.5,
+    }
+    return Found(error, {**numbers, "across": widest}, holds)
+
+
 _NEEDS: Final = ("compute", "shading")
 
 
@@ -342,5 +407,15 @@ CASES: Final = (
         "each material has a depth of its own",
         find_materials,
         ("renders",),
+    ),
+    Case(
+        66,
+        "positions from 2 mm to 9,000 km, read from depth, 10⁷ m from the origin",
+        "the pixel's ray in float64",
+        2e-6,
+        "of the distance",
+        "reversed depth is stored with 24 bits of its value, and its inverse rounded a few times",
+        find_places,
+        _NEEDS,
     ),
 )

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from renderer.cloth import Fabric, Gust, Wind, make_sheet
 from renderer.content.shapes import box
 from renderer.exam.case import Case, Found
 from renderer.lights.culling.projections import make_grid
@@ -24,11 +25,13 @@ from renderer.scene import (
     StereoRig,
     TextureMap,
     make_geometry,
+    make_height_field,
     make_material,
     translation,
 )
 from renderer.scene.materials import RANGES
 from renderer.shadows import ShadowSettings
+from renderer.tessellation.settings import TessellationSettings
 from renderer.visibility import NoCulling, Settings
 from rhi import Device, RhiError, create_device
 
@@ -96,6 +99,20 @@ def list_values() -> Iterator[tuple[str, Callable[..., object]]]:
     yield "add_spot.inner", lambda x: Lights().add_spot((0, 0, 0), (0, 1, 0), 1.0, x, 0.2)
     yield "add_spot.outer", lambda x: Lights().add_spot((0, 0, 0), (0, 1, 0), 1.0, 0.1, x)
     yield "Scene.update", lambda x: make_box().build().update(x)
+    yield "TessellationSettings.edge_pixels", lambda x: TessellationSettings(edge_pixels=x)
+    yield "make_height_field.heights", lambda x: make_height_field(np.full((3, 3), x), 1.0)
+    yield "make_height_field.size", lambda x: make_height_field(np.zeros((3, 3)), x)
+    for name in Fabric.__dataclass_fields__:
+        yield f"Fabric.{name}", lambda x, name=name: Fabric(**{name: x})
+    yield "Wind.velocity", lambda x: Wind((0.0, x, 0.0))
+    yield "Gust.velocity", lambda x: Gust((x, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0)
+    yield "Gust.along", lambda x: Gust((0.0, 0.0, 0.0), (0.0, x, 0.0), 1.0)
+    yield "Gust.period", lambda x: Gust((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), x)
+    grid = np.stack([*np.meshgrid(np.arange(2.0), np.arange(2.0)), np.zeros((2, 2))], 2)
+    pins = np.eye(2, dtype=bool)
+    yield "make_sheet.points", lambda x: make_sheet(grid + x, pins)
+    yield "make_sheet.flat", lambda x: make_sheet(grid, pins, flat=grid + x)
+    yield "make_sheet.room", lambda x: make_sheet(grid, pins, room=((-1.0, -1.0, x), (2.0, 2.0, 2.0)))
 
 
 def list_assignments(scene: Scene) -> Iterator[tuple[str, Callable[..., None]]]:

@@ -1,4 +1,5 @@
-"""Far places and wide ranges of depth, cases 43, 44, 57 and 58: what is drawn depends on the eye, not on the world."""
+"""Far places and wide ranges of depth, cases 43, 44, 57, 58 and 68: what is drawn depends on the eye, not on the
+world."""
 
 from __future__ import annotations
 
@@ -22,7 +23,10 @@ from rhi import Device
 __rhi_internal__ = True
 
 SIZE: Final = (96, 54)
-DRAWN_BY: Final = ("forward", "deferred")
+TWO_EYES: Final = "two eyes"
+DRAWN_BY: Final = ("forward", "deferred", TWO_EYES)
+"""Techniques that light surfaces while they are drawn and after, and two eyes."""
+LIT_BY_CELLS: Final = ("forward_plus", "clustered", "tiled_deferred", "clustered_deferred")
 
 
 def make_pillars(place: float) -> Scene:
@@ -51,14 +55,14 @@ def draw_pillars(device: Device, place: float, technique: str, stereo: Stereo | 
         return [picture.read() for picture in renderer.render(camera).pictures]
 
 
-def move_away(place: float, device: Device) -> Found:
-    """Draw pillars at the origin and far from it, with techniques that light surfaces while they are drawn and after,
-    and for two eyes, and count the pixels that differ."""
+def move_away(place: float, techniques: tuple[str, ...], device: Device) -> Found:
+    """Draw pillars at the origin and far from it with several techniques, `TWO_EYES` among them or not, and count the
+    pixels that differ."""
     numbers: dict[str, object] = {}
     frames: dict[str, NDArray[Any]] = {}
     total = 0
-    for name in (*DRAWN_BY, "two eyes"):
-        stereo = Stereo(StereoRig(0.125, 8.0), "color") if name == "two eyes" else None
+    for name in techniques:
+        stereo = Stereo(StereoRig(0.125, 8.0), "color") if name == TWO_EYES else None
         technique = "forward" if stereo else name
         here, there = (draw_pillars(device, where, technique, stereo) for where in (0.0, place))
         wrong = sum(int((one != other).any(2).sum()) for one, other in zip(here, there, strict=True))
@@ -118,8 +122,8 @@ def layer_depths(device: Device) -> Found:
 
 
 def draw_without_size(device: Device) -> Found:
-    """Add objects whose sizes and places are denormal, and a lamp of denormal range and intensity, and count the pixels
-    that they change."""
+    """Add objects whose sizes and places are denormal, and lamps of denormal range and intensity, and count the pixels
+    that they change; beside a sun whose direction is denormal, in float64, and one that has the same direction."""
     tiny = 1e-40
     places, sizes = [(0.0, 0.0, -5.0), (1.0, 0.5, -7.0)], [(1.0, 1.0, 1.0), (2.0, 1.0, 1.0)]
     plain = make_boxes(places, sizes)
@@ -129,7 +133,12 @@ def draw_without_size(device: Device) -> Found:
     )
     more.materials["base_color"][:2] = plain.materials["base_color"]
     more.lights.add_point((0.0, 0.0, -3.0), tiny, intensity=tiny)
-    more.lights.directional["color"][:, 0] = plain.lights.directional["color"][:, 0] = tiny
+    more.lights.add_point((0.0, 0.0, -4.5), tiny, intensity=4.0)  # on a surface
+    more.lights.add_point((0.5, 1.0, -3.0), 9.0, intensity=tiny)
+    direction = np.array((0.25, -0.5, -0.75))  # the same one after any division by a power of two
+    plain.lights.add_directional(direction.tolist())
+    more.lights.add_directional((direction * 2.0**-1060).tolist())
+    more.lights.directional["color"][:, 0], plain.lights.directional["color"][:, 0] = tiny, 0.0
     camera = Camera.look_at((0, 0, 0.5), (0, 0, -5.0), projection=Perspective())
     shown = []
     for scene in (plain, more):
@@ -150,10 +159,11 @@ _RENDERS: Final = ("renders",)
 _SAME: Final = "places are subtracted in float64 before anything is rounded, so nothing differs"
 
 
-def _away(number: int, place: float, about: str) -> Case:
-    return Case(
-        number, about, "the same scene at the origin", 0.0, "pixels", _SAME, partial(move_away, place), _RENDERS
-    )
+def _away(
+    number: int, place: float, about: str, techniques: tuple[str, ...] = DRAWN_BY, needs: tuple[str, ...] = _RENDERS
+) -> Case:
+    measure = partial(move_away, place, techniques)
+    return Case(number, about, "the same scene at the origin", 0.0, "pixels", _SAME, measure, needs)
 
 
 CASES: Final = (
@@ -169,9 +179,16 @@ CASES: Final = (
         _RENDERS,
     ),
     _away(57, 2.0**23 + 2.0**20, "a scene ten million metres from the origin"),
+    _away(
+        68,
+        2.0**23 + 2.0**20,
+        "a scene ten million metres from the origin, lit by tiles and clusters",
+        LIT_BY_CELLS,
+        ("renders", "compute", "shading"),
+    ),
     Case(
         58,
-        "denormal sizes, places, colours, ranges and intensities",
+        "denormal sizes, places, colours, directions, ranges and intensities",
         "the scene without them",
         0.0,
         "pixels",

@@ -53,11 +53,15 @@ class MaterialFeatures:
         self._repeats = np.array([(one.wrap_u, one.wrap_v) == (Wrap.REPEAT, Wrap.REPEAT) for one in samplers], bool)
         plain = (textures["transform"] == np.eye(2, 3)).all(axis=(1, 2)) & self._repeats[textures["sampler"]]
         self._is_transformed: NDArray[np.bool_] = ~plain
+        self.version = 0
+        self._begin(materials)
+
+    def _begin(self, materials: NDArray[Any]) -> None:
+        """Examine all materials (k,)."""
         self._known = materials.copy()
         self._flags = self._examine(materials)
         self._totals = self._flags.sum(axis=0)
         self._base_reads, self._reads = self._count_reads(materials)
-        self.version = 0
         self.counts: Mapping[str, int] = self._count()
 
     @property
@@ -67,6 +71,10 @@ class MaterialFeatures:
 
     def refresh(self, materials: NDArray[Any]) -> None:
         """Bring the counts up to date with `materials` (k,)."""
+        if len(materials) != len(self._known):  # another array in its place
+            self._begin(materials)
+            self.version += 1
+            return
         words, known = _view_words(materials), _view_words(self._known)
         if np.array_equal(words, known):
             return

@@ -109,6 +109,7 @@ class Scene:
         self.seconds = 0.0
         self._finite = FiniteArrays()
         self._features = MaterialFeatures(materials, self.textures, samplers)
+        self._last_material = int(objects.material.max(initial=-1))
         self._has_colors = "color" in (meshes.vertices.dtype.names or ())
         self._transparent: tuple[int, Rows] = (-1, np.zeros(0, np.int64))  # as of a version of the materials
         self._simulator = self.make_simulator()
@@ -130,7 +131,14 @@ class Scene:
 
     def refresh(self) -> Rows:
         """Update transforms and bounds to nodes that have moved, and find materials that have changed; return the rows
-        of the objects whose transform was computed again."""
+        of the objects whose transform was computed again.
+
+        Raises:
+            ValidationError `scene-bad-index`: `materials` was replaced by fewer than objects have.
+        """
+        if len(self.materials) <= self._last_material:
+            given, allowed = f"{len(self.materials)} materials", f"at least {self._last_material + 1}"
+            refuse(rules.BAD_INDEX, "Scene.refresh", given, allowed)
         self._features.refresh(self.materials)
         moved = self.nodes.update()
         if not moved.any():

@@ -1,12 +1,12 @@
-"""Shadow maps: which maps a frame needs, and drawing those that have changed.
+"""Shadow maps: those that a frame needs have a place in the atlas, and those that have changed are drawn.
 
 All maps are square tiles of one depth texture, the **atlas**. A map is drawn as a view of its own, from its light, with
-its own casters (`renderer.shadows.casters`). It is kept from frame to frame:
+its own casters. `renderer.shadows.needed` says which maps a frame needs. A map is kept from frame to frame:
 
 - **kept** if its camera, its casters that can't move and the state of those that may are those that it shows;
 - **drawn over a copy** if only casters that may move have changed: what can't move is copied from a second texture,
   which is made when the first caster moves;
-- **drawn** from scratch otherwise. A map without a caster, or without anything visible in reach, is **skipped**.
+- **drawn** from scratch otherwise.
 
 Small maps of lamps, which are far away, take turns: in a frame only some of them are drawn again, those first that were
 drawn longest ago. Movers whose shadows aren't in view draw no map of a lamp again.
@@ -17,34 +17,23 @@ Maps belong to the frame, not to a view: all views of a frame share them.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
 
-from renderer.frame import SHADOW_EFFECTS, Effect, Frame, Needs, Pass
+from renderer.frame import SHADOW_EFFECTS, Frame, Needs, Pass
 from renderer.frame.mirrors import MirroredValue, split_doubles
-from renderer.frame.resources import SceneResources
-from renderer.lights.lists import list_lights
 from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Rows
 from renderer.shaders.depth import DepthOnly
 from renderer.shaders.structs import ViewConstants
-from renderer.shadows.cascades import Cascade, fit_cascades
-from renderer.shadows.casters import Casters, SceneCasters, find_coverage, find_shading, turn_boxes
-from renderer.shadows.lamps import (
-    aim_maps,
-    choose_width,
-    find_scale,
-    find_widths,
-    is_cube,
-    shrink,
-    turn_into_quaternion,
-)
+from renderer.shadows.casters import find_coverage
+from renderer.shadows.lamps import turn_into_quaternion
+from renderer.shadows.needed import SUN, MapKey, NeededMaps, WantedMap
 from renderer.shadows.receiver import MOST_CASCADES, MOST_LAMP_MAPS, SLOTS_WIDE, LampTable, SunMap, SunTable
 from renderer.shadows.settings import ShadowFilter, ShadowSettings
 from renderer.shadows.tiles import Tile, TileTree
-from renderer.visibility.boxes.volumes import find_in_view
 from rhi import (
     Comparison,
     CullMode,
@@ -74,16 +63,10 @@ _COMPARING: Final = SamplerDescriptor(
     magnify=Filter.LINEAR,
     compare=Comparison.GREATER_EQUAL,
 )
-_STEP: Final = 16.0  # metres, by which the depth of what parallel views show is rounded
 _BIAS: Final = (0.1, 0.6)  # texels along the normal: at any angle, and times its sine
-
-_SUN: Final = "directional"
 
 BindDepth = Callable[[Frame], tuple[Program[Any], dict[str, Any]]]
 """Returns the program that draws depth of a frame's objects, and its bindings."""
-
-MapKey = tuple[str, int, int]
-"""The name of a map: the kind of its light, the light's row, and which of its maps it is."""
 
 
 class FarDepth(Shader):
@@ -108,53 +91,6 @@ class MapReport:
     casters: int
     state: str
     because: str
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class WantedMap:
-    """A map that the frame needs.
-
-    Attributes:
-        place: what its camera is. still: the same, and which casters can't move: the map is drawn again if it changes.
-        is_quiet: whether no caster that may move shades anything visible.
-    """
-
-    key: MapKey
-    camera: Camera
-    size: int
-    casters: Casters
-    place: tuple[object, ...]
-    still: tuple[object, ...]
-    is_quiet: bool = False
-
-    @classmethod
-    def make(cls, key: MapKey, camera: Camera, size: int, casters: Casters) -> WantedMap:
-        """Return a map whose casters may all shade something visible."""
-        place = camera.position.tobytes(), camera.rotation.tobytes(), camera.projection
-        return cls(key, camera, size, casters, place, (place, casters.still.tobytes()))
-
-
-@dataclass(eq=False, slots=True)
-class LampMaps:
-    """The maps of a lamp, each `width` texels wide: their cameras, and what is wanted of each without the casters that
-    may move. They hold as long as `key` is the same."""
-
-    key: tuple[object, ...]
-    width: int
-    cameras: list[Camera]
-    wanted: list[WantedMap]
-    scale: float
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class WantedLamp:
-    """A lamp that casts a shadow on something visible, and the casters in its range."""
-
-    kind: str
-    row: int
-    light: Any
-    width: float
-    casters: Casters
 
 
 @dataclass(eq=False, slots=True)
@@ -199,7 +135,7 @@ class ShadowMaps:
         self.casters_drawn = 0
         self._device = device
         self._scene: Scene | None = None
-        self._casters: SceneCasters | None = None
+        self._needed: NeededMaps | None = None
         self._material_version = -1  # of the materials that the maps show
         self._used_settings = self.settings
         self._maps: dict[MapKey, ShadowMap] = {}
@@ -209,15 +145,12 @@ class ShadowMaps:
         self._triangle = device.mesh(3, label="shadow tile")
         self._lamp_table: MirroredValue[LampTable] | None = None
         self._slot_texture: Texture | None = None
-        self._lamps: list[tuple[str, int, LampMaps, list[MapKey | None]]] = []  # those with maps, and the keys of these
         self._placements = 0  # how often a tile was given to a map
         self._written: tuple[object, ...] = ()  # what the table of lamps was written from
-        self._faces: dict[tuple[str, int], LampMaps] = {}
         self._frame = 0
         self._sun_tables: list[MirroredValue[SunTable]] = []  # of the eyes that there have been
         self._casting: tuple[bytes, ...] = ()  # of the lights of each kind, which ones cast shadows
         self._eye = 0  # whose table is bound
-        self._suns: list[tuple[int, Cascade, MapKey | None]] = []  # the key of those with a map
 
     def count(self, state: str) -> int:
         """Return the number of maps of the last frame that were `drawn`, `kept` or `skipped`."""
@@ -270,15 +203,14 @@ class ShadowMaps:
         scene = resources.scene
         if self._scene is not scene or self._used_settings != self.settings or self._has_other_coverage(scene):
             self._reset(scene)
-        assert self._casters is not None
-        self._reported = []
+        assert self._needed is not None
         self.casters_drawn = 0
         self._frame += 1
         self._tessellations = resources.tessellations
         seen = [resources.find_in_view(camera, np.arange(len(scene.objects))) for camera in cameras]
         visible = np.unique(np.concatenate(seen))
-        wanted = self._want_suns(resources, frame.needs, cameras, visible)
-        wanted += self._want_lamps(scene, frame.needs, cameras, visible, frame.targets.size)
+        wanted = self._needed.find(resources, frame.needs, cameras, visible, frame.targets.size)
+        self._reported = [(key, "skipped", because, None) for key, because in self._needed.skipped]
         shrinks = self._forget_lights(scene)
         self._place({one.key: one.size for one in wanted}, shrinks=shrinks)
         self._draw(frame, self._decide(scene, wanted), bind_depth)
@@ -289,12 +221,13 @@ class ShadowMaps:
         """Give shaders the places of the maps of directional lights relative to the eye of `camera`, one of the `EYES`
         of a frame. Each eye has a table of its own, which is written only where it has changed."""
         self._eye = eye
-        if not self._suns:
+        suns = [] if self._needed is None else self._needed.suns
+        if not suns:
             return  # no shader reads them
         maps = []
-        for number, (row, cascade, key) in enumerate(self._suns):
+        for number, (row, cascade, key) in enumerate(suns):
             x, y, size = self._maps[key].tile if key is not None else _NO_TILE
-            next_row = self._suns[number + 1][0] if number + 1 < len(self._suns) else -1
+            next_row = suns[number + 1][0] if number + 1 < len(suns) else -1
             maps.append(
                 SunMap(
                     axes=cascade.camera.rotation,
@@ -312,130 +245,20 @@ class ShadowMaps:
             self._sun_tables.append(MirroredValue(self._device, _make_table([], 0.0)))
         self._sun_tables[eye].write(_make_table(maps, self.settings.bias))
 
-    def _want_suns(
-        self, resources: SceneResources, needs: Needs, cameras: Sequence[Camera], visible: Rows
-    ) -> list[WantedMap]:
-        """Return the cascades that have something visible and a caster, and note all of them."""
-        self._suns = []
-        wanted: list[WantedMap] = []
-        scene = resources.scene
-        if Effect.SUN_SHADOWS not in needs.effects:
-            return wanted
-        assert self._casters is not None
-        depth = _find_depth(scene, cameras[0])
-        rows = np.flatnonzero(scene.lights.directional["casts_shadow"])[:MOST_CASCADES].tolist()
-        settings = replace(self.settings, cascades=min(self.settings.cascades, MOST_CASCADES // len(rows)))
-        for row in rows:
-            direction = scene.lights.directional["direction"][row].astype(np.float64)
-            axes = Camera.look_at((0, 0, 0), direction).rotation
-            boxes = self._casters.turn(row, axes)
-            receivers = turn_boxes(scene, visible, axes)
-            for part, cascade in enumerate(fit_cascades(cameras, direction, settings, boxes.top, depth)):
-                key, found = (_SUN, row, part), boxes.find(cascade, receivers)
-                if found is None or not len(found):
-                    reason = "nothing visible is in it" if found is None else "no caster is in it"
-                    self._report(key, "skipped", reason)
-                    self._suns.append((row, cascade, None))
-                else:
-                    wanted.append(WantedMap.make(key, cascade.camera, self.settings.cascade_size, found))
-                    self._suns.append((row, cascade, key))
-        return wanted
-
-    def _want_lamps(
-        self, scene: Scene, needs: Needs, cameras: Sequence[Camera], visible: Rows, size: tuple[int, int]
-    ) -> list[WantedMap]:
-        """Return the maps of lamps that reach something visible and have a caster, and note all of them."""
-        assert self._casters is not None
-        settings, found = self.settings, list[WantedLamp]()
-        lower, upper = scene.objects.lower[visible], scene.objects.upper[visible]
-        for kind, lights, rows in (
-            ("point", scene.lights.point, needs.point_casting),
-            ("spot", scene.lights.spot, needs.spot_casting),
-        ):
-            if not len(rows):
-                continue
-            some = lights[rows]
-            _, reaching = list_lights(lower, upper, some["position"], some["range"].astype(np.float64))
-            reaches = np.bincount(reaching, minlength=len(rows)) > 0
-            still, moving = self._casters.find_in_reach(kind, lights)
-            for i, (row, width) in enumerate(zip(rows.tolist(), find_widths(cameras, size, some), strict=True)):
-                casters = Casters(still[row], moving[row])
-                if reaches[i] and len(casters):
-                    found.append(WantedLamp(kind, row, some[i], float(width), casters))
-                else:
-                    reason = "no caster is in its range" if reaches[i] else "it reaches nothing visible"
-                    self._report((kind, row, -1), "skipped", reason)
-        suns = sum(key is not None for _, _, key in self._suns)
-        room = settings.largest_atlas**2 - suns * settings.cascade_size**2
-        wanted: list[WantedMap] = []
-        self._lamps = []
-        for lamp, width in self._choose_widths(found, room):
-            wanted += self._list_faces(scene, lamp, width, cameras)
-        return wanted
-
-    def _choose_widths(self, lamps: list[WantedLamp], room: int) -> list[tuple[WantedLamp, int]]:
-        """Return the lamps that get maps, and how wide these are. The most visible lamps come first."""
-        settings, chosen = self.settings, dict[int, int]()
-        lamps = sorted(lamps, key=lambda lamp: -lamp.width)
-        counts = {i: 6 if is_cube(lamp.light) else 1 for i, lamp in enumerate(lamps)}
-        maps = 0
-        for i, lamp in enumerate(lamps):
-            maps += counts[i]
-            if maps > MOST_LAMP_MAPS or maps * settings.smallest**2 > room:
-                self._report((lamp.kind, lamp.row, -1), "skipped", "there is no room left for its maps")
-                maps -= counts[i]
-                continue
-            faces = self._faces.get((lamp.kind, lamp.row))
-            held = None if faces is None else faces.width
-            chosen[i] = choose_width(lamp.width, held, settings.smallest, settings.largest)
-        chosen = shrink(chosen, counts, room, settings.smallest)
-        return [(lamps[i], width) for i, width in chosen.items()]
-
-    def _list_faces(
-        self, scene: Scene, lamp: WantedLamp, width: int, cameras: Sequence[Camera]
-    ) -> list[WantedMap]:
-        """Return the maps of a lamp that have a caster."""
-        name, (still, moving) = (lamp.kind, lamp.row), (lamp.casters.still, lamp.casters.moving)
-        key = (lamp.light.tobytes(), width, still.tobytes())
-        faces = self._faces.get(name)
-        if faces is None or faces.key != key:
-            aimed = aim_maps(lamp.light, width)
-            maps = [
-                WantedMap.make(
-                    (*name, part if len(aimed) > 1 else -1),
-                    camera,
-                    width,
-                    Casters(find_in_view(scene, camera, still), moving[:0]),
-                )
-                for part, camera in enumerate(aimed)
-            ]
-            faces = self._faces[name] = LampMaps(key, width, aimed, maps, find_scale(lamp.light, width))
-        listed = faces.wanted
-        if len(moving):
-            shading = find_shading(scene, moving, lamp.light, cameras)
-            listed = [_add_moving(one, find_in_view(scene, one.camera, moving), shading) for one in listed]
-        wanted = [one for one in listed if len(one.casters)]
-        if len(wanted) < len(listed):
-            for one in listed:
-                if not len(one.casters):
-                    self._report(one.key, "skipped", "no caster is in it")
-        if wanted:
-            self._lamps.append((lamp.kind, lamp.row, faces, [one.key if len(one.casters) else None for one in listed]))
-        return wanted
-
     def _write_lamps(self, scene: Scene, needs: Needs) -> None:
         """Give shaders the maps of lamps, if they have changed."""
         if not len(needs.point_casting) + len(needs.spot_casting):
             self._forget_lamps()
             return  # no shader reads them
-        points, spots = len(scene.lights.point), len(scene.lights.spot)
-        written = (self._lamps, self._placements, points, spots)
+        assert self._needed is not None
+        lamps, points, spots = self._needed.lamps, len(scene.lights.point), len(scene.lights.spot)
+        written = (lamps, self._placements, points, spots)
         if written == self._written:
             return
         self._written = written
         slots = np.full((-(-(points + spots) // SLOTS_WIDE), SLOTS_WIDE), -1, np.int32)
         maps: list[tuple[Camera, Tile, float]] = []
-        for kind, row, faces, keys in self._lamps:
+        for kind, row, faces, keys in lamps:
             slots.reshape(-1)[row + (points if kind == "spot" else 0)] = 2 * len(maps) + (len(keys) > 1)
             for camera, key in zip(faces.cameras, keys, strict=True):
                 maps.append((camera, _NO_TILE if key is None else self._maps[key].tile, faces.scale))
@@ -465,7 +288,6 @@ class ShadowMaps:
         ]
         for key in gone:
             self._forget(key)
-            self._faces.pop(key[:2], None)
         return bool(gone)
 
     def _place(self, sizes: dict[MapKey, int], *, shrinks: bool = False) -> None:
@@ -511,7 +333,7 @@ class ShadowMaps:
         for each in wanted:
             one = self._maps[each.key]
             moving = describe_state(scene, each.casters.moving, self._tessellations)
-            is_far = each.size <= self.settings.far_size and each.key[0] != _SUN
+            is_far = each.size <= self.settings.far_size and each.key[0] != SUN
             if one.still == each.still and one.moving == moving:
                 self._report(each.key, "kept", "nothing in it has moved", each)
             elif one.still == each.still and each.is_quiet:
@@ -576,8 +398,8 @@ class ShadowMaps:
         """Draw objects to the tiles of maps, in one pass."""
         if not maps:
             return
-        assert self._casters is not None
-        device, resources, is_masked = self._device, frame.resources, self._casters.is_masked
+        assert self._needed is not None
+        device, resources, is_masked = self._device, frame.resources, self._needed.casters.is_masked
         solid: Any = device.program(DepthOnly)
         buffers = {"objects": resources.objects.buffer, "places": resources.places.buffer}
         ways: list[tuple[bool, Any, dict[str, Any]]] = [(False, solid, buffers)]
@@ -612,16 +434,15 @@ class ShadowMaps:
         if self._material_version == scene.material_version:
             return False
         self._material_version = scene.material_version
-        return self._casters is None or self._casters.coverage != find_coverage(scene)
+        return self._needed is None or self._needed.casters.coverage != find_coverage(scene)
 
     def _reset(self, scene: Scene) -> None:
         """Begin anew with a scene and the settings."""
         self._forget_all()
         self._destroy_textures()
-        self._scene, self._casters = scene, SceneCasters(scene)
+        self._scene, self._needed = scene, NeededMaps(scene, self.settings)
         self._material_version = scene.material_version
         self._used_settings = self.settings
-        self._faces.clear()
 
     def _forget(self, key: MapKey) -> None:
         one = self._maps.pop(key)
@@ -665,17 +486,9 @@ class ShadowMaps:
         self._triangle.destroy()
 
 
-def _add_moving(wanted: WantedMap, moving: Rows, shading: Rows) -> WantedMap:
-    """Return a map with casters that may move, of which those in `shading` shade something visible."""
-    if not len(moving):
-        return wanted
-    is_quiet = not np.isin(moving, shading).any()
-    return replace(wanted, casters=Casters(wanted.casters.still, moving), is_quiet=bool(is_quiet))
-
-
 def _make_report(key: MapKey, state: str, because: str, wanted: WantedMap | None) -> MapReport:
     kind, row, part = key
-    name = f"{kind} light {row}" + (f", {'cascade' if kind == _SUN else 'face'} {part}" if part >= 0 else "")
+    name = f"{kind} light {row}" + (f", {'cascade' if kind == SUN else 'face'} {part}" if part >= 0 else "")
     size, casters = (wanted.size, len(wanted.casters)) if wanted is not None else (0, 0)
     return MapReport(name, size, casters, state, because)
 
@@ -709,14 +522,6 @@ def describe_state(scene: Scene, rows: Rows, tessellations: int = 0) -> bytes:
     seconds = np.float64(scene.seconds).tobytes() if objects.simulated[rows].any() else b""
     chosen = np.int64(tessellations).tobytes() if np.isin(list(scene.height_fields), rows).any() else b""
     return rows.tobytes() + scene.nodes.world[objects.node[rows]].tobytes() + seconds + chosen
-
-
-def _find_depth(scene: Scene, camera: Camera) -> tuple[float, float]:
-    """Return the least and the greatest distance of the scene along the view, rounded to whole steps."""
-    (lower, upper), forward = scene.bounds, camera.forward
-    middle = float((0.5 * (lower + upper) - camera.position) @ forward)
-    half = float(0.5 * (upper - lower) @ np.abs(forward))
-    return float(np.floor((middle - half) / _STEP) * _STEP), float(np.ceil((middle + half) / _STEP) * _STEP)
 
 
 _NO_TILE: Final = Tile(0, 0, 0)

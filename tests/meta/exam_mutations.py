@@ -297,9 +297,9 @@ MUTATIONS: tuple[Mutation, ...] = (
         "return float(row) / 65600.0",
     ),
     Mutation(
-        (43, 57),
+        (43, 57, 68),
         "places are single floats",
-        "renderer.frame.resources",
+        "renderer.frame.mirrors",
         "return high, (positions - high).astype(np.float32)",
         "return high, np.zeros_like(high)",
     ),
@@ -412,11 +412,65 @@ MUTATIONS: tuple[Mutation, ...] = (
         "np.sin(np.float32(2.4) * np.float32(seconds) +",
         "null",
     ),
+    Mutation(
+        (58,),
+        "directions are divided by what may be too short",
+        "renderer.scene.lights",
+        "scaled = given / np.abs(given).max(axis=1, keepdims=True)",
+        "scaled = given",
+    ),
+    Mutation(
+        (61,),
+        "boxes are counted with 16 bits",
+        "renderer.visibility.boxes.hierarchy",
+        "        self.order = np.arange(len(lower))\n",
+        "        self.order = np.arange(len(lower)).astype(np.uint16).astype(np.int64)\n",
+        "null",
+    ),
+    Mutation(
+        (62,),
+        "frames are kept",
+        "renderer.renderer",
+        "        frames = [left]\n",
+        "        frames = [left]\n        self.__dict__.setdefault('kept', []).append(left)\n",
+        "null",
+    ),
+    Mutation(
+        (63,),
+        "viewports end at 8,192 pixels",
+        "rhi.backends.gl.states",
+        "gl.Viewport(0, 0, *self._size)",
+        "gl.Viewport(0, 0, *(min(side, 8192) for side in self._size))",
+    ),
+    Mutation(
+        (64,),
+        "images have two pixels or more",
+        "renderer.techniques.full_screen",
+        "(width, height), matrix = size, camera.projection.matrix",
+        "(width, height), matrix = (max(size[0], 2), max(size[1], 2)), camera.projection.matrix",
+    ),
+    Mutation(
+        (66,),
+        "rays have half precision",
+        "renderer.techniques.full_screen",
+        "across=camera.rotation.T @ across",
+        "across=(camera.rotation.T @ across).astype(np.float16).astype(np.float32)",
+    ),
+    Mutation(
+        (67,),
+        "the wind's phase is a float",
+        "renderer.cloth.cloths",
+        "phases: Rows = (first[:, None] + self._later[members]) % self.wind.periods",
+        "phases: Rows = (np.float32(first)[:, None] + self._later[members]).astype(np.int64) % self.wind.periods",
+    ),
+    Mutation(
+        (67,),
+        "nothing ends at a cloth's room",
+        "renderer.cloth.kernels",
+        "            place = clamp(place, self.cloth.lower, self.cloth.upper)\n",
+        "            place = clamp(place, self.cloth.lower - 9.0, self.cloth.upper + 9.0)\n",
+    ),
 )
-
-UNTRIED = {58, 61, 62, 63, 64}
-"""Cases without a mutation: 61 and 62 take minutes, and no fault of one line was found that the others see."""
-
 
 class Mutant(MetaPathFinder):
     """Imports one module with a piece of its text replaced."""

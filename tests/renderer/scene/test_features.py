@@ -9,9 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import rhi
 from renderer.content import BUILT_IN
+from renderer.renderer import Renderer
 from renderer.scene import TEXTURE, AlphaMode, Scene, SceneBuilder, TextureMap, make_material
 from renderer.scene.features import MaterialFeatures
+from renderer.techniques import TECHNIQUES
+from renderer.visibility import NoCulling
 from rhi import SamplerDescriptor, Wrap
 
 SAMPLERS = (SamplerDescriptor(), SamplerDescriptor(wrap_u=Wrap.CLAMP))
@@ -56,6 +60,46 @@ def test_what_is_counted_after_changes_is_what_is_counted_from_scratch(steps: li
             materials[name][row] = value
         features.refresh(materials)
         assert features.counts == count_from_scratch(materials)
+
+
+@pytest.mark.parametrize("count", [COUNT - 2, COUNT + 3])
+def test_an_array_of_another_length_is_counted_from_scratch(count: int) -> None:
+    features = MaterialFeatures(np.array([make_material()] * COUNT), make_textures(), SAMPLERS)
+    others = np.array([make_material(emission=2.0, texture=0)] * count)
+    features.refresh(others)
+    assert features.counts == count_from_scratch(others)
+    assert (features.version, len(features.kinds)) == (1, count)
+    others["emission"][1] = 0.0
+    features.refresh(others)
+    assert features.counts == count_from_scratch(others)
+    assert features.version == 2
+
+
+@pytest.mark.parametrize("technique", ["forward", "deferred_plus"])
+def test_materials_may_be_replaced_by_more_but_not_by_fewer_than_objects_have(technique: str) -> None:
+    builder = SceneBuilder("two boxes")
+    mesh = builder.add_mesh(BUILT_IN["box"]())
+    materials = [builder.add_material(base_color=color) for color in ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0))]
+    builder.add_objects(builder.add_nodes(np.tile(np.eye(4), (2, 1, 1))), mesh, materials)
+    scene = builder.build()
+    camera, before = scene.views["overview"], scene.materials
+    with rhi.create_device("null") as null:
+        renderer = Renderer(
+            null, scene, technique=TECHNIQUES[technique](), visibility=NoCulling(scene), size=(16, 16)
+        )
+        with renderer:
+            renderer.render(camera)
+            scene.materials = np.concatenate([before, [make_material(emission=1.0)]])
+            renderer.render(camera)
+            assert len(renderer.resources.materials) == 3
+            assert scene.count_features()["emission"] == 1
+            scene.materials = before[:1]
+            with pytest.raises(rhi.ValidationError) as error:
+                renderer.render(camera)
+            assert error.value.rule.id == "scene-bad-index"
+            scene.materials = before
+            renderer.render(camera)
+            assert scene.count_features()["emission"] == 0
 
 
 def test_a_version_is_another_only_when_materials_have_changed() -> None:

@@ -1,0 +1,241 @@
+"""Which shadow maps a frame needs: those of lights that reach something visible and have a caster.
+
+A cascade of a directional light needs something visible in it and a caster in front of that; a map of a lamp something
+visible in the lamp's range and a caster in the map. What doesn't have both is **skipped**. Maps of lamps are as wide as
+what the lamps light on the screen; if there is no room for all, the widest are halved first. Where maps are in the
+atlas, and which of them are drawn, is not decided here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from renderer.frame import Effect, Needs
+from renderer.frame.resources import SceneResources
+from renderer.lights.lists import list_lights
+from renderer.scene import Camera, Scene
+from renderer.scene.arrays import Rows
+from renderer.shadows.cascades import Cascade, fit_cascades
+from renderer.shadows.casters import Casters, SceneCasters, find_shading, turn_boxes
+from renderer.shadows.lamps import aim_maps, choose_width, find_scale, find_widths, is_cube, shrink
+from renderer.shadows.receiver import MOST_CASCADES, MOST_LAMP_MAPS
+from renderer.shadows.settings import ShadowSettings
+from renderer.visibility.boxes.volumes import find_in_view
+
+__rhi_internal__ = True
+
+SUN: Final = "directional"
+"""The kind of directional lights."""
+
+MapKey = tuple[str, int, int]
+"""The name of a map: the kind of its light, the light's row, and which of its maps it is."""
+
+_STEP: Final = 16.0  # metres, by which the depth of what parallel views show is rounded
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class WantedMap:
+    """A map that the frame needs.
+
+    Attributes:
+        place: what its camera is. still: the same, and which casters can't move: the map is drawn again if it changes.
+        is_quiet: whether no caster that may move shades anything visible.
+    """
+
+    key: MapKey
+    camera: Camera
+    size: int
+    casters: Casters
+    place: tuple[object, ...]
+    still: tuple[object, ...]
+    is_quiet: bool = False
+
+    @classmethod
+    def make(cls, key: MapKey, camera: Camera, size: int, casters: Casters) -> WantedMap:
+        """Return a map whose casters may all shade something visible."""
+        place = camera.position.tobytes(), camera.rotation.tobytes(), camera.projection
+        return cls(key, camera, size, casters, place, (place, casters.still.tobytes()))
+
+
+@dataclass(eq=False, slots=True)
+class LampMaps:
+    """The maps of a lamp, each `width` texels wide: their cameras, and what is wanted of each without the casters that
+    may move. They hold as long as `key` is the same."""
+
+    key: tuple[object, ...]
+    width: int
+    cameras: list[Camera]
+    wanted: list[WantedMap]
+    scale: float
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class WantedLamp:
+    """A lamp that casts a shadow on something visible, and the casters in its range."""
+
+    kind: str
+    row: int
+    light: Any
+    width: float
+    casters: Casters
+
+
+class NeededMaps:
+    """Finds the maps that frames of a scene need, with the settings that they have.
+
+    Attributes:
+        casters: the casters of the scene.
+        suns: of the last frame, the cascades of directional lights: the light's row, and the key of the map, if any.
+        lamps: the lamps that have maps: the kind and the row, and the keys of those maps that have a caster.
+        skipped: the lights, cascades and faces without maps, and why.
+    """
+
+    def __init__(self, scene: Scene, settings: ShadowSettings) -> None:
+        self.casters = SceneCasters(scene)
+        self.suns: list[tuple[int, Cascade, MapKey | None]] = []
+        self.lamps: list[tuple[str, int, LampMaps, list[MapKey | None]]] = []
+        self.skipped: list[tuple[MapKey, str]] = []
+        self._settings = settings
+        self._faces: dict[tuple[str, int], LampMaps] = {}
+
+    def find(
+        self,
+        resources: SceneResources,
+        needs: Needs,
+        cameras: Sequence[Camera],
+        visible: Rows,
+        size: tuple[int, int],
+    ) -> list[WantedMap]:
+        """Return the maps that a frame of this `size` needs, for views of `cameras` and the `visible` objects."""
+        self.skipped = []
+        suns = self._want_suns(resources, needs, cameras, visible)
+        return suns + self._want_lamps(resources.scene, needs, cameras, visible, size)
+
+    def _want_suns(
+        self, resources: SceneResources, needs: Needs, cameras: Sequence[Camera], visible: Rows
+    ) -> list[WantedMap]:
+        """Return the cascades that have something visible and a caster, and note all of them."""
+        self.suns = []
+        wanted: list[WantedMap] = []
+        scene = resources.scene
+        if Effect.SUN_SHADOWS not in needs.effects:
+            return wanted
+        depth = _find_depth(scene, cameras[0])
+        rows = np.flatnonzero(scene.lights.directional["casts_shadow"])[:MOST_CASCADES].tolist()
+        settings = replace(self._settings, cascades=min(self._settings.cascades, MOST_CASCADES // len(rows)))
+        for row in rows:
+            direction = scene.lights.directional["direction"][row].astype(np.float64)
+            axes = Camera.look_at((0, 0, 0), direction).rotation
+            boxes = self.casters.turn(row, axes)
+            receivers = turn_boxes(scene, visible, axes)
+            for part, cascade in enumerate(fit_cascades(cameras, direction, settings, boxes.top, depth)):
+                key, found = (SUN, row, part), boxes.find(cascade, receivers)
+                if found is None or not len(found):
+                    reason = "nothing visible is in it" if found is None else "no caster is in it"
+                    self.skipped.append((key, reason))
+                    self.suns.append((row, cascade, None))
+                else:
+                    wanted.append(WantedMap.make(key, cascade.camera, self._settings.cascade_size, found))
+                    self.suns.append((row, cascade, key))
+        return wanted
+
+    def _want_lamps(
+        self, scene: Scene, needs: Needs, cameras: Sequence[Camera], visible: Rows, size: tuple[int, int]
+    ) -> list[WantedMap]:
+        """Return the maps of lamps that reach something visible and have a caster, and note all of them."""
+        settings, found = self._settings, list[WantedLamp]()
+        lower, upper = scene.objects.lower[visible], scene.objects.upper[visible]
+        for kind, lights, rows in (
+            ("point", scene.lights.point, needs.point_casting),
+            ("spot", scene.lights.spot, needs.spot_casting),
+        ):
+            if not len(rows):
+                continue
+            some = lights[rows]
+            _, reaching = list_lights(lower, upper, some["position"], some["range"].astype(np.float64))
+            reaches = np.bincount(reaching, minlength=len(rows)) > 0
+            still, moving = self.casters.find_in_reach(kind, lights)
+            for i, (row, width) in enumerate(zip(rows.tolist(), find_widths(cameras, size, some), strict=True)):
+                casters = Casters(still[row], moving[row])
+                if reaches[i] and len(casters):
+                    found.append(WantedLamp(kind, row, some[i], float(width), casters))
+                else:
+                    reason = "no caster is in its range" if reaches[i] else "it reaches nothing visible"
+                    self.skipped.append(((kind, row, -1), reason))
+        suns = sum(key is not None for _, _, key in self.suns)
+        room = settings.largest_atlas**2 - suns * settings.cascade_size**2
+        wanted: list[WantedMap] = []
+        self.lamps = []
+        for lamp, width in self._choose_widths(found, room):
+            wanted += self._list_faces(scene, lamp, width, cameras)
+        return wanted
+
+    def _choose_widths(self, lamps: list[WantedLamp], room: int) -> list[tuple[WantedLamp, int]]:
+        """Return the lamps that get maps, and how wide these are. The most visible lamps come first."""
+        settings, chosen = self._settings, dict[int, int]()
+        lamps = sorted(lamps, key=lambda lamp: -lamp.width)
+        counts = {i: 6 if is_cube(lamp.light) else 1 for i, lamp in enumerate(lamps)}
+        maps = 0
+        for i, lamp in enumerate(lamps):
+            maps += counts[i]
+            if maps > MOST_LAMP_MAPS or maps * settings.smallest**2 > room:
+                self.skipped.append(((lamp.kind, lamp.row, -1), "there is no room left for its maps"))
+                maps -= counts[i]
+                continue
+            faces = self._faces.get((lamp.kind, lamp.row))
+            held = None if faces is None else faces.width
+            chosen[i] = choose_width(lamp.width, held, settings.smallest, settings.largest)
+        chosen = shrink(chosen, counts, room, settings.smallest)
+        return [(lamps[i], width) for i, width in chosen.items()]
+
+    def _list_faces(
+        self, scene: Scene, lamp: WantedLamp, width: int, cameras: Sequence[Camera]
+    ) -> list[WantedMap]:
+        """Return the maps of a lamp that have a caster."""
+        name, (still, moving) = (lamp.kind, lamp.row), (lamp.casters.still, lamp.casters.moving)
+        key = (lamp.light.tobytes(), width, still.tobytes())
+        faces = self._faces.get(name)
+        if faces is None or faces.key != key:
+            aimed = aim_maps(lamp.light, width)
+            maps = [
+                WantedMap.make(
+                    (*name, part if len(aimed) > 1 else -1),
+                    camera,
+                    width,
+                    Casters(find_in_view(scene, camera, still), moving[:0]),
+                )
+                for part, camera in enumerate(aimed)
+            ]
+            faces = self._faces[name] = LampMaps(key, width, aimed, maps, find_scale(lamp.light, width))
+        listed = faces.wanted
+        if len(moving):
+            shading = find_shading(scene, moving, lamp.light, cameras)
+            listed = [_add_moving(one, find_in_view(scene, one.camera, moving), shading) for one in listed]
+        wanted = [one for one in listed if len(one.casters)]
+        if len(wanted) < len(listed):
+            for one in listed:
+                if not len(one.casters):
+                    self.skipped.append((one.key, "no caster is in it"))
+        if wanted:
+            self.lamps.append((lamp.kind, lamp.row, faces, [one.key if len(one.casters) else None for one in listed]))
+        return wanted
+
+
+def _add_moving(wanted: WantedMap, moving: Rows, shading: Rows) -> WantedMap:
+    """Return a map with casters that may move, of which those in `shading` shade something visible."""
+    if not len(moving):
+        return wanted
+    is_quiet = not np.isin(moving, shading).any()
+    return replace(wanted, casters=Casters(wanted.casters.still, moving), is_quiet=bool(is_quiet))
+
+
+def _find_depth(scene: Scene, camera: Camera) -> tuple[float, float]:
+    """Return the least and the greatest distance of the scene along the view, rounded to whole steps."""
+    (lower, upper), forward = scene.bounds, camera.forward
+    middle = float((0.5 * (lower + upper) - camera.position) @ forward)
+    half = float(0.5 * (upper - lower) @ np.abs(forward))
+    return float(np.floor((middle - half) / _STEP) * _STEP), float(np.ceil((middle + half) / _STEP) * _STEP)
