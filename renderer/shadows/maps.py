@@ -22,7 +22,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from renderer.frame import SHADOW_EFFECTS, Frame, Needs, Pass
+from renderer.frame import SHADOW_EFFECTS, Effect, Frame, Needs, Pass
 from renderer.frame.mirrors import MirroredValue, split_doubles
 from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Rows
@@ -248,7 +248,8 @@ class ShadowMaps:
     def _write_lamps(self, scene: Scene, needs: Needs) -> None:
         """Give shaders the maps of lamps, if they have changed."""
         if not len(needs.point_casting) + len(needs.spot_casting):
-            self._forget_lamps()
+            if not needs.counts[Effect.POINT_SHADOWS] + needs.counts[Effect.SPOT_SHADOWS]:
+                self._forget_lamps()
             return  # no shader reads them
         assert self._needed is not None
         lamps, points, spots = self._needed.lamps, len(scene.lights.point), len(scene.lights.spot)
@@ -275,7 +276,7 @@ class ShadowMaps:
 
     def _forget_lights(self, scene: Scene) -> bool:
         """Forget the maps of lights that cast no shadows any more, and return whether there were any."""
-        lights = {_SUN: scene.lights.directional, "point": scene.lights.point, "spot": scene.lights.spot}
+        lights = {SUN: scene.lights.directional, "point": scene.lights.point, "spot": scene.lights.spot}
         casting = {kind: some["casts_shadow"].astype(bool) for kind, some in lights.items()}
         state = tuple(some.tobytes() for some in casting.values())
         if state == self._casting:
