@@ -20,8 +20,10 @@ from numpy.typing import NDArray
 from renderer import rules
 from renderer.frame import (
     AS_GIVEN,
+    EXACT_GLOW,
     Blending,
     Frame,
+    GlowSettings,
     Layer,
     Needs,
     Plan,
@@ -117,9 +119,9 @@ class FrameResult:
 class Renderer:
     """Draws one scene on one device.
 
-    The attributes `technique`, `visibility`, `blending` and `precision` may be exchanged between any two frames, and
-    `layers`, which are drawn over each frame in their order, changed. `show` ends a frame with its image: by default it
-    is `Device.present`; a window puts its own in that place.
+    The attributes `technique`, `visibility`, `blending`, `precision` and `glow` may be exchanged between any two
+    frames, and `layers`, which are drawn over each frame in their order, changed. `show` ends a frame with its image:
+    by default it is `Device.present`; a window puts its own in that place.
     """
 
     def __init__(
@@ -133,6 +135,7 @@ class Renderer:
         blending: Blending = Blending.SORTED,
         precision: Precision = Precision.FAST,
         textures: TextureSettings = AS_GIVEN,
+        glow: GlowSettings = EXACT_GLOW,
         validation: bool = False,
     ) -> None:
         """Create the targets and upload the scene.
@@ -145,6 +148,7 @@ class Renderer:
             blending: how transparent surfaces that cover each other are put together.
             precision: that of the techniques' shaders; with FAST, of those that don't ask for EXACT themselves.
             textures: how well the scene's textures are read.
+            glow: how exactly glow is made.
             validation: whether to check samples of what is simulated: each batch has one object whose vertices must be
                 inside its bounds (`scene-left-bounds`).
         """
@@ -153,6 +157,7 @@ class Renderer:
         self.technique: Technique = technique or Forward()
         self.blending = blending
         self.precision = precision
+        self.glow = glow
         self._animation_step = 0.0
         self.layers: list[Layer] = []
         self.show: Callable[[Texture], None] = device.present
@@ -391,7 +396,8 @@ class Renderer:
         return needs, self._plan(needs)
 
     def _find_needs(self, camera: Camera) -> Needs:
-        return find_needs(self.scene, camera, reaches=self._resources.reaching, blending=self.blending)
+        reaches = self._resources.reaching
+        return find_needs(self.scene, camera, reaches=reaches, blending=self.blending, glow=self.glow)
 
     def _plan(self, needs: Needs) -> Plan[Frame]:
         """Return the plan of a frame with these needs; it is made once."""

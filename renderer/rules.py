@@ -54,6 +54,8 @@ BAD_IMAGE: Final = Rule(
     "scene-bad-image", "an image is an array of shape (height, width, 4), uint8, not empty"
 )
 BAD_LIGHT: Final = Rule("scene-bad-light", "a light's value is out of its range")
+BAD_AIR: Final = Rule("scene-bad-air", "a value of fog or glow is out of its range")
+BAD_GLOW: Final = Rule("glow-bad-settings", "a setting of glow is out of its range")
 NOT_FINITE: Final = Rule(
     "scene-not-finite",
     "the numbers of a scene, a camera and a time are finite",

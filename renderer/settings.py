@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final, Self, get_args, get_type_hints
 
 from renderer import rules
-from renderer.frame import Blending, TextureSettings
+from renderer.frame import Blending, GlowSettings, TextureSettings
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene, StereoRig
 from renderer.shadows import ShadowSettings
@@ -37,7 +37,7 @@ class RenderSettings:
         technique: what lights surfaces. algorithm: the name of what finds visible objects. visibility: its parameters.
         shadows: the choices of shadow maps. textures: how well textures are read.
         tessellation: how small the triangles of height fields are.
-        blending: how transparent surfaces that cover each other are put together.
+        blending: how transparent surfaces that cover each other are put together. glow: how exactly glow is made.
         precision: that of the techniques' shaders. depth: the direction of depth.
         animation_step: the seconds after which what moves by itself moves on, 0 for every frame.
         reprojects: whether a second eye's picture is made from the first one's.
@@ -50,6 +50,7 @@ class RenderSettings:
     textures: TextureSettings = field(default_factory=TextureSettings)
     tessellation: TessellationSettings = field(default_factory=TessellationSettings)
     blending: Blending = Blending.SORTED
+    glow: GlowSettings = field(default_factory=GlowSettings)
     precision: Precision = Precision.FAST
     depth: Depth = Depth.REVERSED
     animation_step: float = 0.0
@@ -108,6 +109,7 @@ class RenderSettings:
                 blending=self.blending,
                 precision=self.precision,
                 textures=self.textures,
+                glow=self.glow,
             ) as renderer:
                 renderer.shadows.settings = self.shadows
                 renderer.tessellator.settings = self.tessellation
@@ -122,7 +124,7 @@ class RenderSettings:
         """Give a renderer those of these settings that may be exchanged between two frames: all but how textures are
         read, and which objects are found. `technique` draws instead of that of the settings."""
         renderer.technique = technique or self.technique.make(renderer.scene, renderer.device)
-        renderer.blending, renderer.precision = self.blending, self.precision
+        renderer.blending, renderer.precision, renderer.glow = self.blending, self.precision, self.glow
         renderer.shadows.settings = self.shadows
         renderer.tessellator.settings = self.tessellation
         renderer.animation_step = self.animation_step

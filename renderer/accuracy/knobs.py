@@ -14,7 +14,7 @@ from enum import Enum
 from typing import Any, Final
 
 from renderer import rules
-from renderer.frame import Blending, TextureSettings
+from renderer.frame import Blending, GlowSettings, TextureSettings
 from renderer.scene import Depth
 from renderer.settings import RenderSettings
 from renderer.shadows import ShadowFilter
@@ -53,6 +53,7 @@ class Demand(Enum):
     TRANSPARENCY = "a transparent object"
     IMAGES = "an image"
     LAMPS = "a point or spot light"
+    GLOW = "an object that emits more light than a white surface reflects"
     STEREO = "a second eye"
     MOTION = "something that moves by itself"
     HEIGHT_FIELDS = "a height field whose limit holds all of its triangles"
@@ -150,6 +151,7 @@ IN_RANGE: Final = Truth("the lights that reach each pixel, in float64")
 SEEN: Final = Truth("the objects of which a pixel is seen")
 FAR_SHADOWS: Final = Truth("shadows up to 1 km, with as fine maps", {**FINE_MAPS.changes, "shadows.distance": 1000.0})
 SORTED: Final = Truth("sorted by distance", {"blending": Blending.SORTED})
+FAR_GLOW: Final = Truth("all scattered light, spread over 8 levels", {"glow": GlowSettings(levels=8)})
 FINEST: Final = Truth("all triangles of the ground in view", {"tessellation.edge_pixels": 0.01})
 EACH_FRAME: Final = Truth("motion in each frame", {"animation_step": 0.0})
 DISTANCES: Final = Truth("the distances in float64")
@@ -347,6 +349,28 @@ KNOBS: Final[dict[str, Knob]] = {
             "there are seldom enough of them for sorting to matter",
             _FORWARD,
             Demand.TRANSPARENCY,
+        ),
+        Knob(
+            "glow_levels",
+            "how often the image is halved to spread glow",
+            "glow.levels",
+            _same(1, 2, 4, 6, 8),
+            Unit.LEVELS,
+            FAR_GLOW,
+            "six reach 64 pixels around what shines, and further ones are the cheapest",
+            _FORWARD,
+            Demand.GLOW,
+        ),
+        Knob(
+            "glow_sparks",
+            "whether single bright pixels glow as much as they shine",
+            "glow.tames_sparks",
+            {"tamed": True, "as they are": False},
+            Unit.LEVELS,
+            Truth("all scattered light", {"glow.tames_sparks": False}),
+            "far lamps are single pixels, which would glow a quarter as much",
+            _FORWARD,
+            Demand.GLOW,
         ),
         Knob(
             "depth",

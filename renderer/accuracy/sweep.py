@@ -32,7 +32,7 @@ from renderer.measure.exact import ExactVisibility
 from renderer.measure.frames import settle
 from renderer.measure.light_evaluations import count_light_evaluations
 from renderer.renderer import FrameResult, Renderer
-from renderer.scene import FRAMES_PER_SECOND, Camera, Orthographic, Perspective, Scene, StereoRig
+from renderer.scene import FRAMES_PER_SECOND, Camera, Glow, Orthographic, Perspective, Scene, StereoRig
 from renderer.scene.arrays import Floats
 from renderer.settings import RenderSettings
 from renderer.stereo import find_rig
@@ -170,7 +170,9 @@ def sweep_knob(situation: Situation, name: str) -> KnobReport:
 
 
 def prepare_scene(scene: Scene, knob: Knob) -> str | None:
-    """Give a scene what the knob needs if it can be given: shadows. Return what it lacks, None for nothing."""
+    """Give a scene what the knob needs if it can be given: shadows, glow. Return what it lacks, None for nothing."""
+    if knob.truth.is_float64:
+        scene.glow = None  # pixels are compared with their own light
     match knob.demand:
         case Demand.SHADOWS:
             scene.lights.cast_shadows()
@@ -181,6 +183,9 @@ def prepare_scene(scene: Scene, knob: Knob) -> str | None:
             has = len(scene.textures)
         case Demand.LAMPS:
             has = len(scene.lights.point) + len(scene.lights.spot)
+        case Demand.GLOW:
+            scene.glow = scene.glow or Glow()
+            has = scene.count_glowing()
         case Demand.MOTION:
             has = len(scene.simulated)
         case Demand.HEIGHT_FIELDS:

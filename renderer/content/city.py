@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from renderer.content.buildings import KINDS, make_building, make_lamp, make_trees
 from renderer.content.shapes import plane
-from renderer.content.specs import SEED, SHADOWS, Generator, Option, cast_shadows
+from renderer.content.specs import FOG, GLOW, SEED, SHADOWS, Generator, Option, add_air, cast_shadows
 from renderer.content.textures import NIGHT_WINDOWS, WINDOWS, paint_facade, paint_lit_facade, paint_street
 from renderer.scene.arrays import Floats, Rows
 from renderer.scene.camera import Camera, Perspective
@@ -69,7 +69,9 @@ class CityPlan:
     route: Floats
 
 
-def make_city(blocks: int, detail: int, seed: int, shadows: int) -> Scene:
+def make_city(
+    blocks: int, detail: int, seed: int, shadows: int, fog: float = 0.0, glow: float = 0.0
+) -> Scene:
     """Make a city of `blocks` x `blocks`; `detail` sets how finely facades are divided, `seed` varies everything."""
     builder = SceneBuilder(f"city:blocks={blocks},detail={detail},seed={seed}")
     plan = add_city(builder, blocks, detail, seed)
@@ -77,6 +79,7 @@ def make_city(blocks: int, detail: int, seed: int, shadows: int) -> Scene:
     _add_lamps(builder, plan.route, detail)
     if shadows:
         cast_shadows(builder)
+    add_air(builder, fog, glow, builder.background, 0.05)
     return builder.build()
 
 
@@ -126,6 +129,8 @@ CITY: Final = Generator(
         Option("detail", 7, "how finely facades are divided", 2, 32),
         SEED,
         SHADOWS,
+        FOG,
+        GLOW,
     ),
     make_city,
 )

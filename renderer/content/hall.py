@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from renderer.cloth import Cloths, Fabric, Gust, Sheet, Wind, make_sheet
 from renderer.content import shapes
 from renderer.content.fountains import BOUNDS, Fountains, make_drops
-from renderer.content.specs import SEED, SHADOWS, Generator, Option, cast_shadows
+from renderer.content.specs import FOG, GLOW, SEED, SHADOWS, Generator, Option, add_air, cast_shadows
 from renderer.content.textures import paint_stripes
 from renderer.scene.arrays import Floats, Rows
 from renderer.scene.camera import Camera, Perspective
@@ -72,6 +72,8 @@ def make_hall(
     detail: int,
     seed: int,
     shadows: int,
+    fog: float = 0.0,
+    glow: float = 0.0,
 ) -> Scene:
     """Make a hall of `columns` x `rows` columns with `flags` flags and `fountains` fountains along its middle aisle and
     `cloths` banners between its columns, lit by its lamps, or by `lights` coloured lights among the columns."""
@@ -97,6 +99,7 @@ def make_hall(
         _add_banner_camera(builder, float(bars[:, 0].min()))
     if shadows:
         cast_shadows(builder)
+    add_air(builder, fog, glow, (0.16, 0.13, 0.10), 0.4)
     return builder.build()
 
 
@@ -113,6 +116,8 @@ HALL: Final = Generator(
         Option("detail", 8, "how finely columns are divided", 3, 64),
         SEED,
         SHADOWS,
+        FOG,
+        GLOW,
     ),
     make_hall,
 )

@@ -15,7 +15,7 @@ from renderer.content import furniture, shapes
 from renderer.content.buildings import find_windows
 from renderer.content.city import PITCH, STREET, CityPlan, add_city, add_daylight
 from renderer.content.furniture import CAR_LENGTH, HEADLAMP, LAMP_REACH, TAIL_LAMP
-from renderer.content.specs import SEED, SHADOWS, Generator, Option, cast_shadows
+from renderer.content.specs import FOG, GLOW, SEED, SHADOWS, Generator, Option, add_air, cast_shadows
 from renderer.content.textures import NIGHT_WINDOWS
 from renderer.scene.arrays import Floats, Rows
 from renderer.scene.camera import Camera, Perspective
@@ -49,8 +49,13 @@ _PAINTS: Final = (
     (0.30, 0.24, 0.12),
 )
 
+_LIT_FOG: Final = (0.045, 0.042, 0.045)
+"""The colour of fog that the city lights."""
 
-def make_night(lights: int, sun: int, blocks: int, detail: int, seed: int, shadows: int) -> Scene:
+
+def make_night(
+    lights: int, sun: int, blocks: int, detail: int, seed: int, shadows: int, fog: float = 0.0, glow: float = 0.0
+) -> Scene:
     """Make the city of `make_city` at night, with `lights` lights; with `sun` these are off, and the sun shines."""
     options = f"lights={lights},sun={sun},blocks={blocks},detail={detail},seed={seed}"
     builder = SceneBuilder(f"night:{options}")
@@ -80,6 +85,7 @@ def make_night(lights: int, sun: int, blocks: int, detail: int, seed: int, shado
     _add_views(builder, blocks)
     if shadows:
         cast_shadows(builder)
+    add_air(builder, fog, glow, builder.background if sun else _LIT_FOG, 0.05)
     return builder.build()
 
 
@@ -93,6 +99,8 @@ NIGHT: Final = Generator(
         Option("detail", 7, "how finely facades are divided", 2, 32),
         SEED,
         SHADOWS,
+        FOG,
+        GLOW,
     ),
     make_night,
 )

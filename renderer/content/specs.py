@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from renderer import rules
+from renderer.scene.air import Fog, Glow
 from renderer.scene.scene import Scene, SceneBuilder
 from rhi.errors import refuse
 
@@ -90,3 +91,20 @@ def cast_shadows(builder: SceneBuilder) -> None:
     """Let all lights of a scene cast shadows, which its name then says."""
     builder.lights.cast_shadows()
     builder.name += ",shadows=1"
+
+
+FOG: Final = Option("fog", 0.0, "density of the fog per metre, at the ground", 0.0, 10.0)
+GLOW: Final = Option("glow", 0.0, "share of all light that is scattered in the eye", 0.0, 1.0)
+
+
+def add_air(
+    builder: SceneBuilder, fog: float, glow: float, color: tuple[float, float, float], falloff: float
+) -> None:
+    """Add fog and glow to a scene unless they are 0; its name then says so. The fog is of this colour, and thins with
+    the height."""
+    if fog:
+        builder.fog = Fog(fog, color, falloff)
+        builder.name += f",fog={fog:g}"
+    if glow:
+        builder.glow = Glow(glow)
+        builder.name += f",glow={glow:g}"

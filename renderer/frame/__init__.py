@@ -4,7 +4,15 @@ from renderer.frame.frame import Frame
 from renderer.frame.images import AS_GIVEN, TextureSettings
 from renderer.frame.layer import Layer
 from renderer.frame.mirrors import MirroredArray
-from renderer.frame.needs import SHADOW_EFFECTS, Blending, Effect, Needs, find_needs
+from renderer.frame.needs import (
+    EXACT_GLOW,
+    SHADOW_EFFECTS,
+    Blending,
+    Effect,
+    GlowSettings,
+    Needs,
+    find_needs,
+)
 from renderer.frame.passes import Drawn, TechniquePass
 from renderer.frame.plan import OUTPUTS, DroppedPass, Pass, Plan, SharedTexture, Target, find_last, make_plan
 from renderer.frame.resources import SceneResources
@@ -14,6 +22,7 @@ from renderer.frame.view import View
 __all__ = [
     "AS_GIVEN",
     "DEPTH_FORMAT",
+    "EXACT_GLOW",
     "IMAGE_FORMAT",
     "OUTPUTS",
     "SHADOW_EFFECTS",
@@ -22,6 +31,7 @@ __all__ = [
     "DroppedPass",
     "Effect",
     "Frame",
+    "GlowSettings",
     "Layer",
     "MirroredArray",
     "Needs",

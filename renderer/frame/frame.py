@@ -8,16 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from renderer.frame.needs import Needs
+from renderer.frame.needs import Effect, Needs
 from renderer.frame.passes import Drawn, TechniquePass
 from renderer.frame.resources import SceneResources
 from renderer.frame.targets import Targets
+from renderer.frame.tones import find_light
 from renderer.frame.view import View
 from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Rows
 from renderer.visibility import VisibilityAlgorithm, VisibilityStatistics
 from renderer.visibility.boxes.bounds import is_parallel
-from rhi import Device, Program
+from rhi import Device, Program, Texture
 from rhi.shading import Precision, Shader
 
 __rhi_internal__ = True
@@ -55,6 +56,17 @@ class Frame:
     def camera(self) -> Camera:
         """The camera of the image; its projection gives the direction of depth."""
         return self.view.camera
+
+    @property
+    def image(self) -> Texture:
+        """What the technique draws to: the contents `needs.image`."""
+        return self.targets[self.needs.image.name]
+
+    @property
+    def background(self) -> tuple[float, float, float, float]:
+        """What `image` is cleared to, as a colour or as light."""
+        color = self.resources.scene.background
+        return (*find_light(color), 1.0) if Effect.GLOW in self.needs.effects else (*color, 1.0)
 
     @property
     def visibility(self) -> VisibilityAlgorithm:

@@ -13,10 +13,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from renderer import rules
+from renderer.frame.plan import Target
+from renderer.frame.targets import IMAGE_FORMAT
 from renderer.lights.in_view import find_lights_in_view
 from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Rows
 from renderer.visibility.boxes.volumes import find_in_view
+from rhi import Format, refuse
 
 __rhi_internal__ = True
 
@@ -30,6 +34,8 @@ class Effect(Enum):
     IMAGES = "images"
     EMISSION = "emission"
     HAZE = "haze"
+    FOG = "fog"
+    GLOW = "glow"
     METALS = "metals"
     EMISSIVE_COLORS = "emissive colors"
     NORMAL_MAPS = "normal maps"
@@ -63,6 +69,31 @@ class Blending(Enum):
     WEIGHTED = "weighted"
     """Surfaces are averaged, near ones with more weight, in any order (McGuire and Bavoil 2013)."""
 
+
+@dataclass(frozen=True, slots=True)
+class GlowSettings:
+    """How exactly glow is made.
+
+    Attributes:
+        levels: how often the light is halved in size; each level spreads it twice as far.
+        tames_sparks: whether single bright pixels count less (Karis 2013), which may flicker as things move. Otherwise
+            all light counts the same, and glow has exactly as much as is scattered.
+    """
+
+    levels: int = 6
+    tames_sparks: bool = False
+
+    def __post_init__(self) -> None:
+        if type(self.levels) is not int or not 1 <= self.levels <= _MOST_LEVELS:
+            refuse(rules.BAD_GLOW, "GlowSettings(levels=...)", self.levels, f"a whole number from 1 to {_MOST_LEVELS}")
+
+
+_MOST_LEVELS: Final = 12
+EXACT_GLOW: Final = GlowSettings()
+"""Glow that has all of the light that is scattered."""
+
+_PLAIN_IMAGE: Final = Target("image", IMAGE_FORMAT)
+_BRIGHT_IMAGE: Final = Target("bright image", Format.RGBA16F)
 
 _NOUNS: Final = {
     Effect.DIRECTIONAL_LIGHTS: ("directional light", "directional lights"),
@@ -103,6 +134,7 @@ class Needs:
         point_rows, spot_rows: the rows of the lights whose light may reach something in view.
         point_casting, spot_casting: those of them that cast shadows; none if no object does.
         transparent_rows: the rows of the transparent objects in view. blending: how they are put together.
+        glow: how glow is made. has_glow: whether the scene has glow, whatever shines in it.
     """
 
     effects: frozenset[Effect]
@@ -114,6 +146,13 @@ class Needs:
     spot_casting: Rows
     transparent_rows: Rows
     blending: Blending
+    glow: GlowSettings
+    has_glow: bool
+
+    @property
+    def image(self) -> Target:
+        """What a technique draws: the image itself, or where there is glow, linear light of any strength."""
+        return _BRIGHT_IMAGE if Effect.GLOW in self.effects else _PLAIN_IMAGE
 
     @property
     def has_sun(self) -> bool:
@@ -138,13 +177,17 @@ class Needs:
     @property
     def key(self) -> tuple[object, ...]:
         """What a technique's declaration depends on."""
-        return self.effects, self.has_sun, self.has_both_models, self.casts_shadows, self.blending
+        return self.effects, self.has_sun, self.has_both_models, self.casts_shadows, self.blending, self.glow
 
     def explain(self, effect: Effect) -> str:
         """Return why the effect is needed or not, such as `3 of 13 point lights reach what is in view`."""
         count = self.counts[effect]
         if effect is Effect.HAZE:
             return "the scene has haze" if count else "the scene has no haze"
+        if effect is Effect.FOG:
+            return "the scene has fog" if count else "the scene has no fog"
+        if effect is Effect.GLOW:
+            return self._explain_glow(count)
         noun, plural = _NOUNS[effect]
         if not count:
             return f"the scene has no {noun}"
@@ -166,6 +209,13 @@ class Needs:
             return f"{seen or 'none'} of {count} {plural if count > 1 else noun} {verb} in view"
         return f"the scene has {count} {plural if count > 1 else noun}"
 
+    def _explain_glow(self, count: int) -> str:
+        if not self.has_glow:
+            return "the scene has no glow"
+        if not count:
+            return "no object emits more light than a white surface reflects"
+        return f"{count} {'objects emit' if count > 1 else 'object emits'} more light than a white surface reflects"
+
 
 def find_needs(
     scene: Scene,
@@ -173,12 +223,13 @@ def find_needs(
     *,
     reaches: tuple[bool, bool] = (True, True),
     blending: Blending = Blending.SORTED,
+    glow: GlowSettings = EXACT_GLOW,
 ) -> Needs:
     """Find what `scene` needs as `camera` sees it.
 
     Args:
         reaches: whether any point light reaches an object, and whether any spot light does.
-        blending: how transparent surfaces are to be put together.
+        blending: how transparent surfaces are to be put together. glow: how glow is to be made.
     """
     lights = scene.lights
     planes = camera.frustum.planes if len(lights.point) or len(lights.spot) else np.zeros((0, 4))
@@ -194,6 +245,8 @@ def find_needs(
         Effect.POINT_LIGHTS: len(lights.point),
         Effect.SPOT_LIGHTS: len(lights.spot),
         Effect.HAZE: int(scene.haze > 0.0),
+        Effect.FOG: int(scene.fog is not None),
+        Effect.GLOW: 0 if scene.glow is None else scene.count_glowing(),
         Effect.TRANSPARENCY: len(transparent),
         Effect.HEIGHT_FIELDS: len(scene.height_fields),
         Effect.SUN_SHADOWS: _count_casting(scene, lights.directional),
@@ -213,8 +266,9 @@ def find_needs(
     hidden = {effect for effect, rows in in_view.items() if not len(rows)}
     effects = frozenset(effect for effect, count in counts.items() if count and effect not in hidden)
     return Needs(
-        effects, counts, len(scene.materials), point, spot, point_casting, spot_casting, seen, blending
-    )
+        effects, counts, len(scene.materials), point, spot, point_casting, spot_casting, seen, blending,
+        glow, scene.glow is not None,
+    )  # fmt: skip
 
 
 def _count_casting(scene: Scene, lights: NDArray[Any]) -> int:

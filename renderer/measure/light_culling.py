@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer import rules
-from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target
+from renderer.frame import DEPTH_FORMAT, Frame, Needs, Pass, Target
 from renderer.lights.culling.cells import CellGrid, block_cell, slice_start
 from renderer.lights.culling.grid import CellLists, LightGrid
 from renderer.lights.culling.sphere_tests import overlaps_exactly, overlaps_planes
@@ -36,6 +36,7 @@ from renderer.techniques.cell_lists import list_pass
 from renderer.techniques.depth import draw_depth
 from renderer.techniques.forward_plus import draw_listed
 from renderer.techniques.full_screen import find_rays
+from renderer.techniques.glow import glow_passes
 from rhi import Device, Texture
 from rhi.errors import refuse
 from rhi.shading import evaluate
@@ -119,8 +120,9 @@ class ListedForward:
                 self._draw,
                 "is what is timed",
                 reads=("depth", "light lists"),
-                writes=(Target("image", IMAGE_FORMAT),),
+                writes=(needs.image,),
             ),
+            *glow_passes(needs, needs.image.name),
         )
 
     def _draw(self, frame: Frame) -> None:

@@ -5,6 +5,7 @@ camera = parse_camera("ground", scene, frame=600).with_aspect(16 / 9)
 moved = scene.update(seconds=10.0)
 """
 
+from renderer.scene.air import Fog, Glow
 from renderer.scene.camera import Camera, Depth, Frustum, FrustumPlane, Orthographic, Perspective, Projection
 from renderer.scene.catching_up import CatchUp, Leap, Leaping, Recompute, Stepped, Stepwise, Timed
 from renderer.scene.height_fields import HeightField, make_height_field
@@ -80,9 +81,11 @@ __all__ = [
     "Deforming",
     "DeformingOnDevice",
     "Depth",
+    "Fog",
     "Frustum",
     "FrustumPlane",
     "FunctionOfTime",
+    "Glow",
     "HeightField",
     "ImagePixels",
     "Leap",

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from renderer import rules
+from renderer.scene.air import Fog, Glow
 from renderer.scene.arrays import Floats, Rows
 from renderer.scene.camera import Camera
 from renderer.scene.features import MaterialFeatures
@@ -62,6 +63,7 @@ class Scene:
         images, samplers: what textures refer to by index.
         background: linear colour of pixels that show nothing.
         haze: density of the air per metre: after a metre, e^-haze of the light is left; the rest is the background.
+        fog, glow: what is in the air and in the eye, None for nothing; they may be exchanged between frames.
         simulated: the simulations in their initial state, and what they change; a renderer's `Simulator` runs copies.
         seconds: the time of the last update or frame.
         views: named cameras, the first of which is the default. paths: named camera paths.
@@ -88,11 +90,14 @@ class Scene:
         samplers: tuple[SamplerDescriptor, ...] = (),
         omissions: tuple[Omission, ...] = (),
         height_fields: Mapping[int, HeightField] | None = None,
+        fog: Fog | None = None,
+        glow: Glow | None = None,
     ) -> None:
         self.name = name
         self.simulated = simulated
         self.background = background
         self.haze = haze
+        self.fog, self.glow = fog, glow
         self.nodes = nodes
         self.objects = objects
         self.meshes = meshes
@@ -112,6 +117,7 @@ class Scene:
         self._last_material = int(objects.material.max(initial=-1))
         self._has_colors = "color" in (meshes.vertices.dtype.names or ())
         self._transparent: tuple[int, Rows] = (-1, np.zeros(0, np.int64))  # as of a version of the materials
+        self._glowing = (-1, 0)  # the same
         self._simulator = self.make_simulator()
         self.update()
         if not self.views:
@@ -206,6 +212,16 @@ class Scene:
             self._transparent = self.material_version, rows
         return self._transparent[1]
 
+    def count_glowing(self) -> int:
+        """Return the number of objects whose materials may emit more light than a white surface reflects of light of
+        strength 1, as of the last `refresh`."""
+        if self._glowing[0] != self.material_version:
+            materials = self.materials
+            emitted = materials["base_color"][:, :3] * materials["emission"][:, None] + materials["emissive"]
+            glows = (emitted > 1.0).any(axis=1)
+            self._glowing = self.material_version, int(np.count_nonzero(glows[self.objects.material]))
+        return self._glowing[1]
+
     def relative_transforms(
         self, eye: ArrayLike, objects: NDArray[np.int64] | None = None
     ) -> NDArray[np.float32]:
@@ -231,6 +247,8 @@ class SceneBuilder:
         self.lights = Lights()
         self.background = (0.02, 0.02, 0.03)
         self.haze = 0.0
+        self.fog: Fog | None = None
+        self.glow: Glow | None = None
         self.views: dict[str, Camera] = {}
         self.paths: dict[str, CameraPath] = {}
         self.omissions = Omissions()
@@ -486,6 +504,8 @@ class SceneBuilder:
             tuple(self._textures.samplers),
             omissions=tuple(self.omissions),
             height_fields=self._find_height_fields(table[:, 1]),
+            fog=self.fog,
+            glow=self.glow,
         )
 
     def _complete_vertices(

@@ -8,6 +8,8 @@ every finite input: directions of length 0, lights at the surface, ranges and co
 
 from __future__ import annotations
 
+from typing import Final
+
 from renderer.shaders.structs import (
     Ambient,
     DirectionalLight,
@@ -18,6 +20,9 @@ from renderer.shaders.structs import (
     SurfacePoint,
 )
 from rhi.shading import dot, exp, function, inversesqrt, length, max, min, mix, pow, reflect, saturate, vec3
+
+BRIGHTEST: Final = 65504.0
+"""The largest half float; beyond it is infinity. It is white in each image."""
 
 
 @function

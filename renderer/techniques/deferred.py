@@ -17,7 +17,9 @@ from functools import partial
 from typing import Any, Final
 
 from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass
+from renderer.shaders.lighting import BRIGHTEST
 from renderer.shaders.structs import SurfacePoint
+from renderer.techniques.finish import finish_image
 from renderer.techniques.forward import bind_shading, find_forward
 from renderer.techniques.geometry_buffer import (
     GeometryReader,
@@ -29,7 +31,6 @@ from renderer.techniques.geometry_buffer import (
     list_readers,
 )
 from renderer.techniques.light_volumes import (
-    BRIGHTEST,
     VolumeShader,
     VolumeVarying,
     declare_lights,
@@ -38,7 +39,6 @@ from renderer.techniques.light_volumes import (
 )
 from renderer.techniques.resolve import ResolveShader, draw_resolve, resolve_pass
 from renderer.techniques.scene_shader import ShadingShader
-from renderer.techniques.transparency import declare_transparency
 from rhi import Format
 from rhi.shading import (
     Precision,
@@ -114,9 +114,9 @@ class Deferred:
             geometry_pass(needs, Format.D32FS8 if self.stencil else DEPTH_FORMAT),
             *lights,
             resolve_pass(
-                partial(resolve, lights=last), "lights surfaces by what reaches all of them", (*reads, *last)
+                needs, partial(resolve, lights=last), "lights surfaces by what reaches all of them", (*reads, *last)
             ),
-            *declare_transparency(needs, find_forward),
+            *finish_image(needs, find_forward),
         )
 
 

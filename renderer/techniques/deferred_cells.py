@@ -25,6 +25,7 @@ from renderer.shaders.structs import PointLight, SpotLight, SurfacePoint
 from renderer.shadows import SHADOW_PARTS, ShadowReceiver
 from renderer.techniques.cell_lists import CLUSTERS, CellReader, bind_lists, list_pass
 from renderer.techniques.deferred import Deferred, GeometryResolve, resolve, resolve_geometry
+from renderer.techniques.finish import finish_image
 from renderer.techniques.forward import bind_lamps, bind_shading, explain_lamps, find_forward, list_lamps
 from renderer.techniques.forward_plus import find_listed
 from renderer.techniques.forward_shader import LampShader
@@ -36,7 +37,6 @@ from renderer.techniques.geometry_buffer import (
     list_readers,
 )
 from renderer.techniques.resolve import LIGHT_FORMAT, resolve_pass
-from renderer.techniques.transparency import declare_transparency
 from rhi import Device, Texture
 from rhi.shading import (
     Image2D,
@@ -233,11 +233,12 @@ class TiledDeferred:
             geometry_pass(needs),
             Pass("tiles", light_tiles, explain_lamps(needs), reads=reads, writes=(Target("light", LIGHT_FORMAT),)),
             resolve_pass(
+                needs,
                 partial(resolve, lights=("light",)),
                 "lights surfaces by what reaches all of them",
                 (*reads, "light"),
             ),
-            *declare_transparency(needs, find_forward),
+            *finish_image(needs, find_forward),
         )
 
 
@@ -255,11 +256,12 @@ class ClusteredDeferred:
             geometry_pass(needs),
             list_pass(needs, CLUSTERS),
             resolve_pass(
+                needs,
                 light_clusters,
                 "lights surfaces by what reaches all of them and by their clusters' lights",
                 (*reads, "light lists"),
             ),
-            *declare_transparency(needs, partial(find_listed, cells=CLUSTERS), reads=("light lists",)),
+            *finish_image(needs, partial(find_listed, cells=CLUSTERS), reads=("light lists",)),
         )
 
 

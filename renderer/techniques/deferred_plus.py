@@ -21,11 +21,12 @@ from __future__ import annotations
 from functools import cache, partial
 from typing import Any, Final
 
-from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target
+from renderer.frame import DEPTH_FORMAT, Frame, Needs, Pass, Target
 from renderer.shaders.pixels import distance_at, nearness_of, place_pixel
 from renderer.shaders.structs import SurfacePoint
 from renderer.techniques.cell_lists import CLUSTERS, CellReader, bind_lists, list_pass
 from renderer.techniques.deferred_cells import ClusteredDeferred
+from renderer.techniques.finish import finish_image
 from renderer.techniques.forward import bind_lamps, bind_shading, find_forward, list_lamps
 from renderer.techniques.forward_plus import find_listed
 from renderer.techniques.forward_shader import LampShader, find_parts
@@ -38,7 +39,6 @@ from renderer.techniques.material_rectangles import (
 )
 from renderer.techniques.packed_geometry import PackedReader, bind_packed, can_pack, packed_pass
 from renderer.techniques.scene_shader import ShadingShader
-from renderer.techniques.transparency import declare_transparency
 from rhi.shading import Shader, discard, fragment_coordinate, ivec2, vec3, vec4
 
 __rhi_internal__ = True
@@ -104,13 +104,13 @@ class DeferredPlus:
             self._shade,
             "evaluates each pixel's material and its light",
             reads=tuple(reads),
-            writes=(Target("image", IMAGE_FORMAT), *copied),
+            writes=(needs.image, *copied),
         )
         if lists:
             lit_by_cells = partial(find_listed, cells=CLUSTERS)
-            transparency = declare_transparency(needs, lit_by_cells, reads=("light lists",))
+            transparency = finish_image(needs, lit_by_cells, reads=("light lists",))
         else:
-            transparency = declare_transparency(needs, find_forward)
+            transparency = finish_image(needs, find_forward)
         return (packed_pass(needs), *lists, *found, shading, *transparency)
 
     def _shade(self, frame: Frame) -> None:
@@ -129,10 +129,10 @@ class DeferredPlus:
         if self.multi_pass:
             draw_rectangles(frame, shader, bindings)
         else:
-            targets, clear = frame.targets, (*frame.resources.scene.background, 1.0)
+            targets, clear = frame.targets, frame.background
             targets["depth"].copy_to(targets["depth copy"])
             bindings["depth"] = targets["depth copy"]
-            draw_full_screen(frame, shader, targets["image"], bindings, depth=targets["depth"], clear=clear)
+            draw_full_screen(frame, shader, frame.image, bindings, depth=targets["depth"], clear=clear)
 
 
 @cache

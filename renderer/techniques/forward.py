@@ -10,21 +10,19 @@ from typing import Any, Final
 
 from renderer.frame import (
     DEPTH_FORMAT,
-    IMAGE_FORMAT,
-    Blending,
     Effect,
     Frame,
     Needs,
     Pass,
     Target,
     TechniquePass,
-    find_last,
 )
 from renderer.shadows import ShadowMaps
+from renderer.techniques.air import bind_air
 from renderer.techniques.depth import draw_depth
+from renderer.techniques.finish import finish_image, name_samples
 from renderer.techniques.forward_shader import ForwardShader, forward_variant
 from renderer.techniques.surfaces import bind_surfaces, list_models
-from renderer.techniques.transparency import declare_transparency, sorted_pass
 from rhi import Program, Texture
 
 LAMPS: Final = {Effect.POINT_LIGHTS: "point lights", Effect.SPOT_LIGHTS: "spot lights"}
@@ -57,53 +55,37 @@ class Forward:
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the pass `forward`; with several samples, one that draws depth before it, and one that resolves them;
         and those of transparent surfaces."""
-        image, depth = Target("image", IMAGE_FORMAT), Target("depth", DEPTH_FORMAT)
+        image, depth = needs.image, Target("depth", DEPTH_FORMAT)
         because = "draws the visible objects, lit"
         if self.samples == 1:
             return (
                 Pass("forward", draw_lit, because, writes=(image, depth)),
-                *declare_transparency(needs, find_forward),
+                *finish_image(needs, find_forward),
             )
-        passes = [
-            Pass(
-                "depth", draw_depth, "layers and culling can't read depth of several samples", writes=(depth,)
-            ),
+        return (
+            Pass("depth", draw_depth, "layers and culling can't read depth of several samples", writes=(depth,)),
             Pass(
                 "forward",
                 _draw_samples,
                 f"{because}, {self.samples} samples per pixel",
                 reads=("depth",),
                 writes=(
-                    Target("image samples", IMAGE_FORMAT, samples=self.samples),
-                    Target("depth samples", DEPTH_FORMAT, samples=self.samples),
+                    Target(name_samples(image.name), image.format, samples=self.samples),
+                    Target(name_samples("depth"), DEPTH_FORMAT, samples=self.samples),
                 ),
             ),
-        ]
-        # Weighted sums can't be resolved: those surfaces are drawn after it, with one sample.
-        is_sorted = needs.blending is Blending.SORTED
-        if is_sorted and Effect.TRANSPARENCY in needs.effects:
-            passes.append(sorted_pass(needs, find_forward, image="image samples", depth="depth samples"))
-        resolve = Pass(
-            "resolve",
-            _resolve_samples,
-            "a pixel is the mean of its samples",
-            reads=(find_last(passes, "image samples"),),
-            writes=(image,),
+            *finish_image(needs, find_forward, samples=self.samples),
         )
-        return *passes, resolve, *(() if is_sorted else declare_transparency(needs, find_forward))
 
 
 def draw_lit(frame: Frame) -> None:
     """Draw the visible objects to `image` and `depth`, lit by all lights that reach them."""
-    _draw_to(frame, frame.targets["image"], frame.targets["depth"])
+    _draw_to(frame, frame.image, frame.targets["depth"])
 
 
 def _draw_samples(frame: Frame) -> None:
-    _draw_to(frame, frame.targets["image samples"], frame.targets["depth samples"])
-
-
-def _resolve_samples(frame: Frame) -> None:
-    frame.targets["image samples"].resolve_to(frame.targets["image"])
+    targets = frame.targets
+    _draw_to(frame, targets[name_samples(frame.needs.image.name)], targets[name_samples("depth")])
 
 
 def _draw_to(frame: Frame, image: Texture, depth: Texture) -> None:
@@ -117,7 +99,7 @@ def _draw_to(frame: Frame, image: Texture, depth: Texture) -> None:
             bindings,
             color=image,
             depth=depth,
-            clear=(*frame.resources.scene.background, 1.0),
+            clear=frame.background,
         )
     )
 
@@ -163,24 +145,27 @@ def bind_lamp_shadows(frame: Frame, effects: Iterable[Effect] = LAMPS) -> tuple[
     return frame.resources.workspace(ShadowMaps).bind_lamps(kinds) if kinds else ([], {})
 
 
-def bind_materials(frame: Frame) -> tuple[list[str], dict[str, Any]]:
+def bind_materials(frame: Frame, *, is_finished: bool = True) -> tuple[list[str], dict[str, Any]]:
     """Return the names of the parts that a `ForwardShader` needs for the frame's effects, without those of point and
-    spot lights, and its bindings."""
-    (features, bindings), (more, surfaces) = bind_shading(frame), bind_surfaces(frame)
+    spot lights, and its bindings. See `bind_shading`."""
+    (features, bindings), (more, surfaces) = bind_shading(frame, is_finished=is_finished), bind_surfaces(frame)
     return [*features, *more], bindings | surfaces
 
 
-def bind_shading(frame: Frame) -> tuple[list[str], dict[str, Any]]:
-    """Return the names of the parts that a `ShadingShader` needs for the frame's effects, and its bindings."""
+def bind_shading(frame: Frame, *, is_finished: bool = True) -> tuple[list[str], dict[str, Any]]:
+    """Return the names of the parts that a `ShadingShader` needs for the frame's effects, and its bindings.
+
+    Args:
+        is_finished: whether it makes pixels of light; otherwise it needs nothing for the air.
+    """
     resources, effects = frame.resources, frame.needs.effects
     present: dict[str, Any] = {}
     if Effect.DIRECTIONAL_LIGHTS in effects:
         present["directional_lights"] = resources.directional.buffer
-    if Effect.HAZE in effects:
-        present["haze"] = resources.haze.buffer
+    air, more = bind_air(frame) if is_finished else ([], {})
     emitting = {Effect.EMISSION: "emission", Effect.EMISSIVE_COLORS: "emissive_colors"}
-    features = [*present, *(name for effect, name in emitting.items() if effect in effects)]
+    features = [*present, *air, *(name for effect, name in emitting.items() if effect in effects)]
     if Effect.SUN_SHADOWS in effects:
         parts, maps = resources.workspace(ShadowMaps).bind_sun()
         features, present = [*features, *parts], present | maps
-    return [*features, *list_models(frame.needs)], present | {"ambient": resources.ambient.buffer}
+    return [*features, *list_models(frame.needs)], present | more | {"ambient": resources.ambient.buffer}

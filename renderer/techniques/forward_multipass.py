@@ -19,6 +19,7 @@ import numpy as np
 from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target, TechniquePass
 from renderer.scene.arrays import Rows
 from renderer.shaders.structs import Object, SurfaceVarying
+from renderer.techniques.finish import finish_image
 from renderer.techniques.forward import (
     LAMPS,
     Forward,
@@ -38,7 +39,6 @@ from renderer.techniques.forward_shader import (
 )
 from renderer.techniques.resolve import LIGHT_FORMAT, sum_pass
 from renderer.techniques.surfaces import Aspect, MaterialShader, bind_surfaces, list_models
-from renderer.techniques.transparency import declare_transparency
 from rhi import BlendFunction, CullMode, DepthFunction, DepthTest, DepthWrite, Program, State, Texture
 from rhi.shading import Shader, Storage, Struct, instance_index, ivec3, vec3, vec4
 
@@ -117,7 +117,7 @@ class ForwardMultipass:
                 )
             )
             light = result
-        return *passes, sum_pass(needs, light), *declare_transparency(needs, find_forward)
+        return *passes, sum_pass(needs, light), *finish_image(needs, find_forward)
 
 
 @cache
@@ -135,10 +135,8 @@ def pair_variant(effect: Effect, parts: tuple[str, ...]) -> type[Shader]:
 
 
 def _draw_base(frame: Frame) -> None:
-    features, bindings = bind_materials(frame)
-    bindings.pop("haze", None)  # which is mixed in at the end
-    parts = tuple(part for part in features if part != "haze")
-    program: Program[Any] = frame.program(unmapped_variant(parts, has_sun=frame.needs.has_sun))
+    parts, bindings = bind_materials(frame, is_finished=False)
+    program: Program[Any] = frame.program(unmapped_variant(tuple(parts), has_sun=frame.needs.has_sun))
     frame.draw_visible(
         TechniquePass(
             frame.device,

@@ -12,7 +12,7 @@ from __future__ import annotations
 from functools import cache, partial
 from typing import Any, Final
 
-from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target, TechniquePass
+from renderer.frame import DEPTH_FORMAT, Frame, Needs, Pass, Target, TechniquePass
 from renderer.shaders.pixels import PixelRays
 from renderer.shaders.structs import SurfaceVarying
 from renderer.techniques.cell_lists import (
@@ -25,10 +25,10 @@ from renderer.techniques.cell_lists import (
     list_pass,
 )
 from renderer.techniques.depth import draw_depth
+from renderer.techniques.finish import finish_image
 from renderer.techniques.forward import Forward, bind_lamps, bind_materials, find_forward, list_lamps
 from renderer.techniques.forward_shader import ForwardShader, forward_variant
 from renderer.techniques.full_screen import bind_rays
-from renderer.techniques.transparency import declare_transparency
 from rhi import DepthFunction, DepthWrite
 from rhi.shading import Uniform, dot, ivec3
 
@@ -70,10 +70,10 @@ class ForwardPlus:
                 lambda frame: draw_listed(frame, self.cells, after_depth=True),
                 "draws what is seen, lit by its tile's lights",
                 reads=("depth", "light lists"),
-                writes=(Target("image", IMAGE_FORMAT),),
+                writes=(needs.image,),
             ),
             # The lists of tiles end at opaque surfaces.
-            *declare_transparency(needs, find_forward),
+            *finish_image(needs, find_forward),
         )
 
 
@@ -93,7 +93,7 @@ class Clustered:
         one without lights to list."""
         if not list_lamps(needs):
             return Forward().declare(needs)
-        image, depth = Target("image", IMAGE_FORMAT), Target("depth", DEPTH_FORMAT)
+        image, depth = needs.image, Target("depth", DEPTH_FORMAT)
         before = (Pass("depth", draw_depth, "no hidden fragment is lit", writes=(depth,)),) if self.depth_first else ()
         return (
             *before,
@@ -105,7 +105,7 @@ class Clustered:
                 reads=("depth", "light lists") if before else ("light lists",),
                 writes=(image,) if before else (image, depth),
             ),
-            *declare_transparency(needs, partial(find_listed, cells=self.cells), reads=("light lists",)),
+            *finish_image(needs, partial(find_listed, cells=self.cells), reads=("light lists",)),
         )
 
 
@@ -136,9 +136,9 @@ def draw_listed(frame: Frame, cells: LightLists, *, after_depth: bool) -> None:
             frame.view,
             frame.program(shader),
             bindings,
-            color=frame.targets["image"],
+            color=frame.image,
             depth=frame.targets["depth"],
-            clear=(*frame.resources.scene.background, 1.0),
+            clear=frame.background,
             states=(DepthFunction.EQUAL, DepthWrite.OFF) if after_depth else (),
             clears=not after_depth,
         )

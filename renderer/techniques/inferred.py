@@ -23,10 +23,12 @@ from functools import cache, partial
 from typing import Any, Final
 
 from renderer import rules
-from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Effect, Frame, Needs, Pass, Target, TechniquePass
+from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target, TechniquePass
 from renderer.shaders.encodings import decode_normal
+from renderer.shaders.lighting import BRIGHTEST
 from renderer.shaders.pixels import FullScreen
 from renderer.shaders.structs import Object, SurfacePoint, SurfaceVarying
+from renderer.techniques.finish import finish_image
 from renderer.techniques.forward import Forward, bind_materials, find_forward
 from renderer.techniques.forward_shader import ForwardShader, forward_variant
 from renderer.techniques.full_screen import bind_rays, draw_full_screen
@@ -46,10 +48,9 @@ from renderer.techniques.light_pre_pass import (
     list_terms,
     normals_pass,
 )
-from renderer.techniques.light_volumes import BRIGHTEST, declare_lights
+from renderer.techniques.light_volumes import declare_lights
 from renderer.techniques.scene_shader import SceneShader
 from renderer.techniques.surfaces import Aspect, bind_surfaces, list_models, surface_variant
-from renderer.techniques.transparency import declare_transparency
 from rhi import DepthFunction, DepthWrite, refuse
 from rhi.shading import (
     FragmentDepth,
@@ -257,9 +258,9 @@ class Inferred:
                 partial(draw_inferred, surface=lit[0], terms=terms),
                 "draws the visible objects, lit by what was collected",
                 reads=("depth", lit[0], *last),
-                writes=(Target("image", IMAGE_FORMAT),),
+                writes=(needs.image,),
             ),
-            *declare_transparency(
+            *finish_image(
                 needs,
                 partial(find_inferred, surface=lit[0], terms=terms, stippled=True) if stippled else find_forward,
                 reads=(lit[0], *last) if stippled else (),

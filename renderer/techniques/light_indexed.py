@@ -21,12 +21,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target, Targets, TechniquePass
+from renderer.frame import DEPTH_FORMAT, Frame, Needs, Pass, Target, Targets, TechniquePass
 from renderer.lights.rectangles import bound_cones, bound_spheres
 from renderer.shaders.lighting import point_incidence, safe_normalize, spot_incidence
 from renderer.shaders.pixels import PixelRays, distance_at, nearness_of, place_pixel
 from renderer.shaders.structs import SurfacePoint
 from renderer.techniques.depth import draw_depth
+from renderer.techniques.finish import finish_image
 from renderer.techniques.forward import (
     Forward,
     bind_lamps,
@@ -37,7 +38,6 @@ from renderer.techniques.forward import (
 )
 from renderer.techniques.forward_shader import WithPointLights, WithSpotLights, forward_variant
 from renderer.techniques.full_screen import bind_rays
-from renderer.techniques.transparency import declare_transparency
 from rhi import (
     BlendColor,
     BlendFactor,
@@ -235,9 +235,9 @@ class LightIndexed:
                 _draw_lit,
                 "draws the visible objects, lit by the lights of each pixel",
                 reads=(INDICES, "depth"),
-                writes=(Target("image", IMAGE_FORMAT),),
+                writes=(needs.image,),
             ),
-            *declare_transparency(needs, find_forward),
+            *finish_image(needs, find_forward),
         )
 
 
@@ -315,9 +315,9 @@ def _draw_lit(frame: Frame) -> None:
             frame.view,
             frame.program(shader),
             bindings | lamps | indices,
-            color=targets["image"],
+            color=frame.image,
             depth=targets["depth"],
-            clear=(*frame.resources.scene.background, 1.0),
+            clear=frame.background,
             states=(DepthFunction.EQUAL, DepthWrite.OFF),
             clears=False,
         )

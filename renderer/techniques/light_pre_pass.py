@@ -20,10 +20,11 @@ from functools import cache, partial
 from typing import Any, Final
 
 from renderer import rules
-from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Effect, Frame, Needs, Pass, Target, TechniquePass
+from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target, TechniquePass
 from renderer.shaders.encodings import decode_normal
-from renderer.shaders.lighting import safe_normalize
+from renderer.shaders.lighting import BRIGHTEST, safe_normalize
 from renderer.shaders.structs import SurfacePoint, SurfaceVarying
+from renderer.techniques.finish import finish_image
 from renderer.techniques.forward import Forward, bind_materials, find_forward
 from renderer.techniques.forward_shader import ForwardShader, forward_variant
 from renderer.techniques.geometry_buffer import (
@@ -35,7 +36,6 @@ from renderer.techniques.geometry_buffer import (
     list_planes,
 )
 from renderer.techniques.light_volumes import (
-    BRIGHTEST,
     VolumeShader,
     VolumeVarying,
     declare_lights,
@@ -44,7 +44,6 @@ from renderer.techniques.light_volumes import (
 )
 from renderer.techniques.scene_shader import SHADING_PARTS, ReflectingShader
 from renderer.techniques.surfaces import Aspect, MaterialShader, list_models
-from renderer.techniques.transparency import declare_transparency
 from rhi import DepthFunction, DepthWrite, Format, Program, Texture, refuse
 from rhi.shading import (
     Precision,
@@ -242,9 +241,9 @@ class LightPrePass:
                 partial(draw_materials, terms=dict(zip(buffers, last, strict=True))),
                 "draws the visible objects, lit by what was collected",
                 reads=("depth", *last),
-                writes=(Target("image", IMAGE_FORMAT),),
+                writes=(needs.image,),
             ),
-            *declare_transparency(needs, find_forward),
+            *finish_image(needs, find_forward),
         )
 
 
@@ -341,9 +340,9 @@ def draw_again(frame: Frame, program: Program[Any], bindings: dict[str, Any]) ->
             frame.view,
             program,
             bindings,
-            color=targets.image,
+            color=frame.image,
             depth=targets["depth"],
-            clear=(*resources.scene.background, 1.0),
+            clear=frame.background,
             states=(DepthFunction.EQUAL, DepthWrite.OFF),
             clears=False,
         )

@@ -67,8 +67,6 @@ from rhi.shading import (
     vec4,
 )
 
-BRIGHTEST: Final = 65504.0
-"""The largest number in a light buffer; beyond it is infinity. It is white in each image."""
 WIDEST_CONE: Final = np.pi / 3
 """The largest outer half angle for which a cone is drawn: about there, a sphere is as small."""
 

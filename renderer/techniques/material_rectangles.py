@@ -280,8 +280,8 @@ def draw_rectangles(frame: Frame, shader: type[RectangleShader], bindings: dict[
     found = frame.view.workspace(MaterialRectangles)
     program: Program[Any] = frame.program(shader)
     states = CullMode.NONE, DepthTest.ON, DepthWrite.OFF, DepthFunction.EQUAL
-    clear = (*frame.resources.scene.background, 1.0)
-    with device.render_pass(targets["image"], targets["material ids"], clear=clear), device.states(*states):
+    clear = frame.background
+    with device.render_pass(frame.image, targets["material ids"], clear=clear), device.states(*states):
         device.draw_indirect(
             program,
             found.corners,

@@ -4,7 +4,7 @@
 - All particles of a frame are one array in the device's transient memory. The vertex stage reads it by its index, and
   stretches each particle along the way that it goes in the time of an exposure.
 - Particles are tested against the frame's depth and don't change it. They are added up in any order (premultiplied,
-  with less alpha than light), so they aren't sorted.
+  with less alpha than light), so they aren't sorted. In fog they fade to it, as far as they cover what is behind them.
 """
 
 from __future__ import annotations
@@ -15,10 +15,12 @@ from typing import Any, Final, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.frame import Frame
+from renderer.frame import Effect, Frame
 from renderer.frame.passes import NEARER
 from renderer.scene.arrays import Floats, Rows
-from renderer.shaders import ViewConstants
+from renderer.shaders import ViewConstants, tone_map
+from renderer.shaders.fog import FogConstants, pass_fog
+from renderer.techniques.air import ViewFog
 from rhi import BlendFunction, CullMode, DepthTest, DepthWrite, Device
 from rhi.shading import (
     Shader,
@@ -98,6 +100,33 @@ class ParticleShader(Shader):
         return vec4(vec3(0.16, 0.24, 0.32) * light, 0.2 * light)
 
 
+class FoggedVarying(Struct):
+    """The varyings of `FoggedParticles`: of the fog before a particle, how much of it is seen, and what passes it."""
+
+    clip: vec4
+    place: vec2
+    fog: vec3
+    passing: float
+
+
+class FoggedParticles(ParticleShader):
+    """Draws particles in fog. Theirs are colours of the image, so they are mixed with that of the fog."""
+
+    air: Uniform[FogConstants]
+
+    def vertex(self) -> FoggedVarying:  # type: ignore[override]  # more varyings
+        v = super().vertex()
+        centre = self.particles[vertex_index() // 6].centre
+        passing = pass_fog(centre, self.air)
+        return FoggedVarying(
+            clip=v.clip, place=v.place, fog=tone_map(self.air.color) * (1.0 - passing), passing=passing
+        )
+
+    def fragment(self, v: FoggedVarying) -> vec4:  # type: ignore[override]  # as `vertex`
+        color = super().fragment(ParticleVarying(clip=v.clip, place=v.place))
+        return vec4(color.rgb * v.passing + v.fog * color.a, color.a)
+
+
 class Particles:
     """A layer that draws the particles of the simulated objects that were drawn.
 
@@ -106,7 +135,7 @@ class Particles:
     """
 
     def __init__(self, device: Device) -> None:
-        self._program: Any = device.program(ParticleShader)
+        self._device = device
         self._mesh = device.mesh(_CORNERS * _CAPACITY, label="particles")
         self._radius = device.uniform(_RADIUS)
         self.count = 0
@@ -121,6 +150,8 @@ class Particles:
         if _CORNERS * len(array) > self._mesh.count:
             self._mesh.destroy()
             self._mesh = device.mesh(_CORNERS << (len(array) - 1).bit_length(), label="particles")
+        shader, air = _find_shader(frame)
+        program: Any = self._device.program(shader)
         targets, nearer = frame.targets, NEARER[frame.camera.projection.depth]
         with (
             device.event("particles"),
@@ -128,17 +159,25 @@ class Particles:
             device.states(CullMode.NONE, DepthTest.ON, nearer, DepthWrite.OFF, BlendFunction.PREMULTIPLIED),
         ):
             device.draw(
-                self._program,
+                program,
                 self._mesh.view(0, _CORNERS * len(array)),
                 view=frame.view.buffer,
                 particles=device.transient.storage(Particle, array),
                 radius=self._radius,
+                **air,
             )
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
         self._mesh.destroy()
         self._radius.destroy()
+
+
+def _find_shader(frame: Frame) -> tuple[type[ParticleShader], dict[str, Any]]:
+    """Return the shader for the air of the frame, and what it binds for that."""
+    if Effect.FOG not in frame.needs.effects:
+        return ParticleShader, {}
+    return FoggedParticles, {"air": frame.view.workspace(ViewFog).aim(frame.camera, frame.resources.scene)}
 
 
 def find_particles(frame: Frame) -> Iterator[NDArray[np.float32]]:

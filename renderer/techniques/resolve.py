@@ -10,8 +10,9 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any, Final
 
-from renderer.frame import IMAGE_FORMAT, Effect, Frame, Needs, Pass, Target
+from renderer.frame import Effect, Frame, Needs, Pass
 from renderer.shaders.pixels import FullScreen, distance_at, nearness_of, place_pixel
+from renderer.techniques.air import bind_air
 from renderer.techniques.forward_shader import find_parts
 from renderer.techniques.full_screen import draw_full_screen
 from renderer.techniques.scene_shader import FinishShader
@@ -41,26 +42,27 @@ class LightSum(ResolveShader):
         return self.finish(self.light.load(ivec2(place)).rgb, position)
 
 
-def resolve_pass(run: Callable[[Frame], None], because: str, reads: tuple[str, ...]) -> Pass[Frame]:
-    """Return the pass that writes `image`."""
-    return Pass("resolve", run, because, reads=reads, writes=(Target("image", IMAGE_FORMAT),))
+def resolve_pass(
+    needs: Needs, run: Callable[[Frame], None], because: str, reads: tuple[str, ...]
+) -> Pass[Frame]:
+    """Return the pass that writes `needs.image`."""
+    return Pass("resolve", run, because, reads=reads, writes=(needs.image,))
 
 
 def sum_pass(needs: Needs, light: str) -> Pass[Frame]:
-    """Return the pass that writes `image` from the contents `light` and `depth`."""
+    """Return the pass that writes `needs.image` from the contents `light` and `depth`."""
 
     def resolve(frame: Frame) -> None:
         targets = frame.targets
-        bindings: dict[str, Any] = {"light": targets[light], "depth": targets["depth"]}
-        has_haze = Effect.HAZE in frame.needs.effects
-        if has_haze:
-            bindings["haze"] = frame.resources.haze.buffer
-        draw_resolve(frame, (LightSum,), ["haze"] if has_haze else [], bindings)
+        parts, bindings = bind_air(frame)
+        given = {"light": targets[light], "depth": targets["depth"]}
+        draw_resolve(frame, (LightSum,), parts, given | bindings)
 
     because = "maps the light that was added up to colours"
-    if Effect.HAZE in needs.effects:
-        because += f"; {needs.explain(Effect.HAZE)}"
-    return resolve_pass(resolve, because, (light, "depth"))
+    for effect in (Effect.HAZE, Effect.FOG):
+        if effect in needs.effects:
+            because += f"; {needs.explain(effect)}"
+    return resolve_pass(needs, resolve, because, (light, "depth"))
 
 
 @cache
@@ -86,5 +88,4 @@ def draw_resolve(
         depth: the depth that tells the background; None if the shader discards it.
     """
     shader = resolve_variant(bases, tuple(parts), has_sun=frame.needs.has_sun)
-    background = (*frame.resources.scene.background, 1.0)
-    draw_full_screen(frame, shader, frame.targets["image"], bindings, depth=depth, clear=background)
+    draw_full_screen(frame, shader, frame.image, bindings, depth=depth, clear=frame.background)

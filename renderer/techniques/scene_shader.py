@@ -10,7 +10,9 @@ from __future__ import annotations
 from typing import Final
 
 from renderer.scene import ShadingModel
+from renderer.shaders.fog import FogConstants, through_fog
 from renderer.shaders.lighting import (
+    BRIGHTEST,
     ambient_light,
     directional_incidence,
     highlight,
@@ -48,6 +50,7 @@ from rhi.shading import (
     Uniform,
     instance_index,
     ivec3,
+    min,
     vec2,
     vec3,
     vec4,
@@ -269,9 +272,27 @@ class WithHaze(FinishShader):
         return through_haze(color, position, self.haze)
 
 
+class WithFog(FinishShader):
+    """Adds fog, through which light goes before its tones are mapped."""
+
+    fog: Uniform[FogConstants]
+
+    def finish(self, color: vec3, position: vec3) -> vec4:
+        return super().finish(through_fog(color, position, self.fog), position)
+
+
+class Bright(FinishShader):
+    """Leaves light linear and of any strength, for glow."""
+
+    def finish(self, color: vec3, position: vec3) -> vec4:
+        return vec4(min(self.through_air(color, position), BRIGHTEST), 1.0)
+
+
 SHADING_PARTS: Final[dict[str, type[Shader]]] = {
     "directional_lights": WithDirectionalLights,
     "haze": WithHaze,
+    "fog": WithFog,
+    "bright": Bright,
     "emission": WithEmission,
     "emissive_colors": WithEmissiveColors,
     "metals": WithMetals,

@@ -23,6 +23,7 @@ from functools import cache, partial
 from typing import Any, Final
 
 from renderer.frame import Blending, Effect, Frame, Needs, Pass, Target, TechniquePass
+from renderer.shaders.lighting import BRIGHTEST
 from renderer.shaders.pixels import FullScreen
 from renderer.shaders.structs import Material, SurfaceVarying
 from renderer.techniques.forward_shader import ForwardShader
@@ -51,8 +52,6 @@ WEIGHTS: Final = "transparent weights"
 
 _HEAVIEST: Final = 1e3
 """The largest weight: 65 of them still fit into a half float."""
-_LARGEST: Final = 65504.0
-"""The largest half float; beyond it is infinity."""
 _SUMS: Final = BlendFunction(
     BlendFactor.ONE,
     BlendFactor.ONE,
@@ -101,18 +100,18 @@ class BlendShader(FullScreen):
 
     def fragment(self) -> vec4:
         place = ivec2(fragment_coordinate().xy)
-        colors = min(self.colors.load(place), _LARGEST)
+        colors = min(self.colors.load(place), BRIGHTEST)
         if colors.a == 1.0:
             discard()  # nothing covers this pixel
-        weight = min(self.weights.load(place).x, _LARGEST)
+        weight = min(self.weights.load(place).x, BRIGHTEST)
         return vec4(colors.rgb * ((1.0 - colors.a) / max(weight, 1e-6)), 1.0 - colors.a)
 
 
 def declare_transparency(
-    needs: Needs, lighting: Lighting, *, reads: tuple[str, ...] = ()
+    needs: Needs, lighting: Lighting, *, reads: tuple[str, ...] = (), image: str = "image"
 ) -> tuple[Pass[Frame], ...]:
-    """Return the passes that draw transparent surfaces over `image`, tested against `depth`: none if no transparent
-    object is in view.
+    """Return the passes that draw transparent surfaces over the contents `image`, tested against `depth`: none if no
+    transparent object is in view.
 
     Args:
         reads: contents that the lighting reads.
@@ -120,7 +119,7 @@ def declare_transparency(
     if Effect.TRANSPARENCY not in needs.effects:
         return ()
     if needs.blending is Blending.SORTED:
-        return (sorted_pass(needs, lighting, reads),)
+        return (sorted_pass(needs, lighting, reads, image=image),)
     return (
         Pass(
             "transparency",
@@ -131,10 +130,10 @@ def declare_transparency(
         ),
         Pass(
             "blend",
-            _blend,
+            partial(_blend, image=image),
             "puts transparent surfaces over what is behind them",
             reads=(COLORS, WEIGHTS),
-            changes={"image": "image with transparency"},
+            changes={image: f"{image} with transparency"},
         ),
     )
 
@@ -204,8 +203,8 @@ def _draw(
     )
 
 
-def _blend(frame: Frame) -> None:
+def _blend(frame: Frame, *, image: str) -> None:
     targets = frame.targets
     bindings = {"colors": targets[COLORS], "weights": targets[WEIGHTS]}
     if len(frame.drawn.transparent):
-        draw_full_screen(frame, BlendShader, targets["image"], bindings, states=(BlendFunction.PREMULTIPLIED,))
+        draw_full_screen(frame, BlendShader, targets[image], bindings, states=(BlendFunction.PREMULTIPLIED,))

@@ -87,6 +87,9 @@ class _GltfWriter:
         self._write_animations(motions)
         self._write_lights()
         self._write_views()
+        for what, held in (("fog", self._scene.fog), ("glow", self._scene.glow)):
+            if held is not None:
+                self.omissions.add(what, "scene")
 
     def save(self, file: Path) -> None:
         """Write the file, and its buffer beside it unless it is a `.glb`."""

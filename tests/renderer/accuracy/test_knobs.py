@@ -15,7 +15,7 @@ from renderer.accuracy import KNOBS, NEUTRAL, Knob
 from renderer.accuracy.knobs import Demand
 from renderer.content import load_scene
 from renderer.measure.encodings import ENCODINGS
-from renderer.scene import StereoRig
+from renderer.scene import Glow, StereoRig
 from renderer.settings import RenderSettings
 from renderer.techniques import TECHNIQUES, TechniqueSettings
 from tests.renderer.conftest import open_device
@@ -99,6 +99,7 @@ def test_a_frame_reads_what_a_knob_sets(knob: Knob) -> None:
     null = settings.algorithm in ("none", "frustum")
     ground = "terrain:cells=8,trees=0" if knob.demand is Demand.HEIGHT_FIELDS else "hall"
     scene = load_scene("city:blocks=2,shadows=1" if "shadow" in knob.name else ground)
+    scene.glow = Glow() if knob.demand is Demand.GLOW else None
     with (
         open_device("null" if null else "gl") as device,
         watch_reads(settings, knob.path) as reads,

@@ -191,6 +191,12 @@ def test_simulations_that_are_not_of_gltf_are_listed(tmp_path):
     assert (loaded.nodes.world == scene.nodes.world).all()
 
 
+def test_fog_and_glow_are_listed(tmp_path):
+    loaded, left_out = save_and_load(load_scene("city:blocks=1,fog=0.1,glow=0.05"), tmp_path)
+    assert [str(omission) for omission in left_out] == ["fog (scene)", "glow (scene)"]
+    assert loaded.fog is loaded.glow is None
+
+
 def test_a_spot_light_that_gltf_does_not_allow_is_listed(tmp_path):
     scene = load_scene("grid:count=1")
     scene.lights.add_spot((0, 0, 0), (0, 0, 1), 5.0, 0.3, 3.0)

@@ -16,7 +16,7 @@ import rhi
 from renderer.content import BUILT_IN
 from renderer.frame import Effect
 from renderer.renderer import Renderer
-from renderer.scene import AlphaMode, Camera, Scene, SceneBuilder
+from renderer.scene import AlphaMode, Camera, Fog, Glow, Scene, SceneBuilder
 from renderer.techniques import TECHNIQUES
 from renderer.visibility import NoCulling
 from rhi import Op
@@ -42,6 +42,8 @@ TRACES = {
     Effect.IMAGES: Trace("images|texture", r"\bsampler2DArray\b|\bdecode_texel\b|\bencode_texel\b", "images"),
     Effect.EMISSION: Trace("^$", r"\.emission\b", "^$"),
     Effect.HAZE: Trace("[Hh]aze", r"\bthrough_haze\b|\bHaze\b", "haze"),
+    Effect.FOG: Trace("[Ff]og", r"\bpass_fog\b|\bthrough_all_fog\b|\bFogConstants\b", "^fog$|^air$"),
+    Effect.GLOW: Trace("glow|bright", r"\bShare\b|\bread_spread\b|\bkeep_light\b", "spread|mixture"),
 }
 """The traces of each effect but shadows."""
 
@@ -49,7 +51,7 @@ TRACES = {
 def make(effects: set[Effect]) -> Scene:
     """Make a box with these effects and no others."""
     builder = SceneBuilder("box")
-    emission = 1.0 if Effect.EMISSION in effects else 0.0
+    emission = 2.0 if Effect.GLOW in effects else 1.0 if Effect.EMISSION in effects else 0.0
     image = builder.add_image(np.zeros((4, 4, 4), np.uint8)) if Effect.IMAGES in effects else -1
     material = builder.add_material(emission=emission, texture=image)
     builder.add_objects(builder.add_node(), builder.add_mesh(BUILT_IN["box"]()), material)
@@ -61,6 +63,10 @@ def make(effects: set[Effect]) -> Scene:
         builder.lights.add_spot((0, 2, 0), (0, -1, 0), 4.0, 0.3, 0.5)
     if Effect.HAZE in effects:
         builder.haze = 0.1
+    if Effect.FOG in effects:
+        builder.fog = Fog(0.1)
+    if Effect.GLOW in effects:
+        builder.glow = Glow()
     return builder.build()
 
 
@@ -97,7 +103,8 @@ def find_traces(scene: Scene, name: str, trace: Trace) -> set[str]:
 @pytest.mark.parametrize("effect", TRACES, ids=lambda effect: effect.value)
 def test_what_a_scene_lacks_leaves_no_trace(effect: Effect, name: str) -> None:
     trace, every = TRACES[effect], set(TRACES)
-    assert not find_traces(make(every - {effect}), name, trace)
+    without = every - {effect, Effect.GLOW} if effect is Effect.EMISSION else every - {effect}
+    assert not find_traces(make(without), name, trace)
     kinds = {one.partition(" ")[0] for one in find_traces(make(every), name, trace)}
     assert kinds >= ({"text"} if effect is Effect.EMISSION else {"label", "text", "binding"})
 
@@ -210,3 +217,55 @@ def test_what_is_no_lamp_adds_no_pass(effect: Effect, name: str) -> None:
     lamps = {Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS}
     assert list_passes(make({effect}), name) == list_passes(make(set()), name)
     assert list_passes(make({effect} | lamps), name) == list_passes(make(lamps), name)
+
+
+@pytest.mark.parametrize("name", TECHNIQUES)
+def test_fog_adds_one_pass_of_one_draw_and_no_bytes(name: str) -> None:
+    lamps = {Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS}
+    for others in (set(), lamps):
+        clear, foggy = (measure(make(others | more), name) for more in (set(), {Effect.FOG}))
+        assert [one for one in foggy.passes if one not in clear.passes] == ["sky"]
+        assert [one for one in foggy.passes if one != "sky"] == clear.passes
+        assert (foggy.draws - clear.draws, foggy.bytes - clear.bytes) == (1, 0)
+
+
+@pytest.mark.parametrize("name", TECHNIQUES)
+def test_glow_adds_two_passes_of_twelve_draws_and_its_images(name: str) -> None:
+    lamps = {Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS}
+    width, height = SIZE
+    halves = sum((width >> i) * max(height >> i, 1) for i in range(1, 7))
+    for others in (set(), lamps):
+        # What only emits has no glow, so that the technique's own passes are the same.
+        dull, glowing = (measure(make(others | {one}), name) for one in (Effect.EMISSION, Effect.GLOW))
+        assert glowing.passes == [*dull.passes, "glow", "tones"]
+        assert glowing.draws - dull.draws == 6 + 5 + 1
+        # Linear light in half floats may share the texture of the technique's own light.
+        assert glowing.bytes - dull.bytes in {8 * halves, 8 * halves + 8 * width * height}
+
+
+def test_glow_needs_something_that_is_brighter_than_white() -> None:
+    scene = make({Effect.GLOW})
+    assert "tones" in list_passes(scene, "forward")
+    scene.materials["emission"] = 1.0
+    scene.refresh()
+    assert list_passes(scene, "forward") == list_passes(make({Effect.EMISSION}), "forward")
+    scene.materials["emissive"] = (0.0, 0.5, 0.0)  # beside what the base colour emits
+    scene.refresh()
+    assert "tones" in list_passes(scene, "forward")
+
+
+@dataclass(frozen=True)
+class Measured:
+    """The passes of a frame, its draws and the bytes of its textures."""
+
+    passes: list[str]
+    draws: int
+    bytes: int
+
+
+def measure(scene: Scene, name: str) -> Measured:
+    with open_renderer(scene, name) as renderer:
+        renderer.render(EYE)
+        _, plan = renderer.plan(EYE)
+        draws = len(renderer.device.stream.draws())
+    return Measured([one.name for one in plan.passes], draws, plan.count_bytes(SIZE))

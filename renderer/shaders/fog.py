@@ -1,0 +1,64 @@
+"""Exponential height fog: how much of a ray's light it lets through, by the integral of its density (Wenzel 2006).
+
+The density at the height y is σ(y) = density · e^(-falloff · (y - base)). Along a straight ray of length L that rises
+by Δ the integral of it is L · σ(lower end) · g(falloff · |Δ|), where g(x) = (1 - e^-x) / x. Written from the lower of
+both ends, the thicker one, no term overflows or cancels: g is from 0 to 1, for rays up and down alike. Where a ray is
+nearly horizontal g is its series, because 1 - e^-x loses its digits there.
+"""
+
+from __future__ import annotations
+
+from rhi.shading import Struct, abs, dot, exp, function, inversesqrt, length, max, min, mix, vec3
+
+_LEVEL = 0.1
+"""The rise, in heights by which the fog thins to 1 / e, below which g is its series. The first term left out is
+x⁴ / 120, 10^-6 of g."""
+_DEEPEST = 60.0
+"""The largest exponent of the density, which is then e^60 times that at the base: nothing is seen through it."""
+
+
+class FogConstants(Struct):
+    """Fog as an eye sees it: the light of endless fog, the density at its base, and the falloff. `height` is that of
+    the eye above the base, times the falloff."""
+
+    color: vec3
+    density: float
+    falloff: float
+    height: float
+
+
+@function
+def mean_density(rise: float) -> float:
+    """Return the mean density along a ray that rises by `rise / falloff`, in that of its lower end."""
+    x = abs(rise)
+    if x < _LEVEL:
+        return 1.0 - x * (0.5 - x * (1.0 / 6.0 - x * (1.0 / 24.0)))
+    return (1.0 - exp(-x)) / x
+
+
+@function
+def density_at(fog: FogConstants, rise: float) -> float:
+    """Return the density at `rise / falloff` above the eye."""
+    return fog.density * exp(min(-(fog.height + rise), _DEEPEST))
+
+
+@function
+def pass_fog(position: vec3, fog: FogConstants) -> float:
+    """Return how much of the light from `position`, relative to the eye, passes the fog."""
+    rise = fog.falloff * position.y
+    return exp(-length(position) * (density_at(fog, min(rise, 0.0)) * mean_density(rise)))
+
+
+@function
+def through_fog(color: vec3, position: vec3, fog: FogConstants) -> vec3:
+    """Return what the eye sees of light from `position`, relative to the eye: the rest is the fog's."""
+    return mix(fog.color, color, pass_fog(position, fog))
+
+
+@function
+def through_all_fog(color: vec3, direction: vec3, fog: FogConstants) -> vec3:
+    """Return what the eye sees of light from infinitely far away: nothing unless the ray leaves the fog upwards."""
+    rise = fog.falloff * direction.y * inversesqrt(max(dot(direction, direction), 1e-30))
+    if rise <= 0.0:
+        return fog.color
+    return mix(fog.color, color, exp(-density_at(fog, 0.0) / rise))

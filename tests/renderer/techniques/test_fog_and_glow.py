@@ -1,0 +1,356 @@
+"""Fog and glow in frames: what they show with each technique, and the order of their passes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fog_reference import add_up
+from glow_reference import add_glow
+from lighting_reference import encode, tone_map
+from numpy.typing import NDArray
+
+import rhi
+from renderer.content import BUILT_IN
+from renderer.frame import Blending, GlowSettings
+from renderer.frame.tones import find_light
+from renderer.overlay import Overlay
+from renderer.renderer import Renderer
+from renderer.scene import (
+    AlphaMode,
+    Camera,
+    Depth,
+    Fog,
+    Glow,
+    Orthographic,
+    Perspective,
+    Scene,
+    SceneBuilder,
+    StereoRig,
+    make_geometry,
+    scaling,
+    translation,
+)
+from renderer.stereo import Stereo
+from renderer.techniques import TECHNIQUES, Forward, Smoothed, Technique
+from renderer.visibility import NoCulling
+from rhi import Op
+
+SIZE = (48, 32)
+EYE = Camera.look_at((0, 3, 9), (0, 2, 0), projection=Perspective(aspect=SIZE[0] / SIZE[1]))
+FOG = Fog(0.08, (0.3, 0.5, 0.4), 0.15, base=1.0)
+GROUND = make_geometry([(-1, 0, -1), (-1, 0, 1), (1, 0, 1), (1, 0, -1)], [(0, 1, 2), (0, 2, 3)])
+PANE = make_geometry([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], [(0, 1, 2), (0, 2, 3)])
+
+
+def stage(*, panes: bool = False, lamps: bool = False, emission: float = 1.0) -> SceneBuilder:
+    """Make a ground and a box that shine, before a sky."""
+    builder = SceneBuilder("stage")
+    builder.background = (0.1, 0.2, 0.6)
+    builder.lights.sky = builder.lights.ground = (0.0, 0.0, 0.0)
+    plain = builder.add_material(base_color=(0.5, 0.4, 0.3), specular_color=(0, 0, 0), emission=1.0)
+    bright = builder.add_material(base_color=(1.0, 0.6, 0.2), specular_color=(0, 0, 0), emission=emission)
+    builder.add_objects(builder.add_node(scaling((40, 1, 40))), builder.add_mesh(GROUND), plain)
+    place = translation((-2.0, 2.2, 0.0))
+    builder.add_objects(builder.add_node(place), builder.add_mesh(BUILT_IN["box"]()), bright)
+    if panes:
+        for z, color in ((2.0, (0.9, 0.1, 0.1, 0.5)), (4.0, (0.1, 0.2, 0.9, 0.4))):
+            glass = builder.add_material(
+                base_color=color, specular_color=(0, 0, 0), emission=1.0, alpha_mode=AlphaMode.BLEND
+            )
+            builder.add_objects(builder.add_node(translation((1.5, 2.5, z))), builder.add_mesh(PANE), glass)
+    if lamps:
+        builder.lights.add_point((1.0, 1.5, 1.0), 8.0, (1.0, 0.7, 0.3), 6.0)
+        builder.lights.add_spot((-2.0, 5.0, 2.0), (0.0, -1.0, 0.0), 9.0, 0.4, 0.7, (0.4, 0.6, 1.0), 20.0)
+    builder.views["eye"] = EYE
+    return builder
+
+
+def draw(
+    device: rhi.Device,
+    scene: Scene,
+    technique: Technique | None = None,
+    camera: Camera = EYE,
+    blending: Blending = Blending.SORTED,
+) -> NDArray[np.float64]:
+    with Renderer(
+        device, scene, technique=technique, visibility=NoCulling(scene), size=SIZE, blending=blending
+    ) as renderer:
+        return renderer.render(camera).image.read()[..., :3].astype(float)
+
+
+def find_rays(camera: Camera) -> NDArray[np.float64]:
+    """Return the unit direction (h, w, 3) of each pixel."""
+    lens = camera.projection
+    assert isinstance(lens, Perspective)
+    width, height = SIZE
+    x = ((np.arange(width) + 0.5) / width * 2 - 1) * np.tan(lens.fov / 2) * width / height
+    y = (1 - (np.arange(height) + 0.5) / height * 2) * np.tan(lens.fov / 2)
+    rays = np.stack(np.broadcast_arrays(x[None, :], y[:, None], -1.0), -1) @ camera.rotation
+    return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
+
+
+def look_at_ground(fog: Fog, background: tuple[float, float, float], camera: Camera) -> NDArray[np.float64]:
+    """Return the light (h, w, 3) of an endless ground of the light (0.5, 0.4, 0.3) at a height of 0, in fog that is
+    added up along each ray."""
+    rays, eye, thinnest = find_rays(camera), camera.position[1], 1e-4
+    light = np.zeros((*rays.shape[:2], 3))
+    for place in np.ndindex(rays.shape[:2]):
+        ray = rays[place]
+        below = ray[1] < 0.0
+        away = -eye / ray[1] if below else -np.log(thinnest) / max(fog.falloff * ray[1], 1e-9) * 3.0
+        passing = add_up(fog, eye, away * ray)
+        seen = np.array((0.5, 0.4, 0.3) if below else find_light(background))
+        light[place] = passing * seen + (1.0 - passing) * np.array(find_light(fog.color))
+    return light
+
+
+def plain(height: float, pitch: float, fog: Fog) -> tuple[Scene, Camera]:
+    """Make a ground that reaches the horizon, and an eye above it."""
+    builder = SceneBuilder("plain")
+    builder.background, builder.fog = (0.1, 0.2, 0.6), fog
+    builder.lights.sky = builder.lights.ground = (0.0, 0.0, 0.0)
+    material = builder.add_material(base_color=(0.5, 0.4, 0.3), specular_color=(0, 0, 0), emission=1.0)
+    builder.add_objects(builder.add_node(scaling((2e4, 1, 2e4))), builder.add_mesh(GROUND), material)
+    eye = np.array((0.0, height, 0.0))
+    return builder.build(), Camera.look_at(eye, eye + np.array((0.0, np.tan(pitch), -1.0)), projection=EYE.projection)
+
+
+PLAINS = {
+    "inside": (3.0, 0.01, FOG),
+    "above": (90.0, -0.5, FOG),
+    "below the base": (3.0, 0.2, Fog(0.01, (0.3, 0.5, 0.4), 0.2, base=8.0)),
+    "even": (3.0, -0.3, Fog(0.02, (0.3, 0.5, 0.4))),
+}
+
+
+@pytest.mark.parametrize("name", PLAINS)
+def test_ground_and_sky_in_fog_are_within_a_level_of_float64(gl: rhi.Device, name: str) -> None:
+    scene, camera = plain(*PLAINS[name])
+    expected = encode(tone_map(look_at_ground(PLAINS[name][2], scene.background, camera)))
+    assert np.ptp(expected, axis=(0, 1)).max() > 20
+    # An 8-bit image is rounded, so half of a level is its own; float32 and the fast exp take less than the other.
+    assert np.abs(draw(gl, scene, camera=camera) - expected).max() <= 1.0
+
+
+def test_gl_and_cl_show_the_same_fog_and_glow(gl: rhi.Device) -> None:
+    builder = stage(emission=12.0)
+    builder.fog, builder.glow = FOG, Glow(0.2)
+    scene = builder.build()
+    with rhi.create_device("cl") as cl:
+        assert np.abs(draw(gl, scene) - draw(cl, scene)).max() <= 1.0
+
+
+SOME = ("forward_multipass", "deferred", "deferred_plus")
+"""The techniques whose last passes differ; the others have one of these."""
+
+
+@pytest.mark.parametrize(
+    ("glow", "techniques"),
+    [
+        pytest.param(Glow(0.2), SOME, id="fog and glow"),
+        pytest.param(Glow(0.2), tuple(TECHNIQUES), id="fog and glow, all techniques", marks=pytest.mark.nightly),
+        pytest.param(None, tuple(TECHNIQUES), id="fog, all techniques", marks=pytest.mark.nightly),
+    ],
+)
+def test_each_technique_shows_the_fog_and_glow_of_forward_shading(
+    gl: rhi.Device, glow: Glow | None, techniques: tuple[str, ...]
+) -> None:
+    builder = stage(panes=True, lamps=True, emission=12.0)
+    builder.fog, builder.glow, builder.haze = FOG, glow, 0.01
+    scene = builder.build()
+    expected = draw(gl, scene)
+    assert np.abs(expected - draw(gl, stage(panes=True, lamps=True).build())).max() > 40
+    for name in techniques:
+        off = np.abs(draw(gl, scene, TECHNIQUES[name]()) - expected)
+        # Inferred lighting filters the light of lamps, which is then elsewhere in the same air.
+        assert off.mean() <= 3.0 if name == "inferred" else off.max() <= 2.0, name
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("glow", [None, Glow(0.2)], ids=["fog", "fog and glow"])
+def test_each_technique_shows_the_same_on_cl(gl: rhi.Device, glow: Glow | None) -> None:
+    builder = stage(panes=True, lamps=True, emission=12.0)
+    builder.fog, builder.glow, builder.haze = FOG, glow, 0.01
+    scene = builder.build()
+    with rhi.create_device("cl") as cl:
+        for name, make in TECHNIQUES.items():
+            assert np.abs(draw(gl, scene, make()) - draw(cl, scene, make())).max() <= 2.0, name
+
+
+def test_glow_of_a_scene_is_that_of_its_light_in_float64(gl: rhi.Device) -> None:
+    builder = stage(emission=12.0)
+    builder.glow = Glow(0.3)
+    scene = builder.build()
+    with Renderer(gl, scene, visibility=NoCulling(scene), size=SIZE) as renderer:
+        result = renderer.render(EYE)
+        light = result.targets["bright image"].read()[..., :3].astype(float)
+        image = result.image.read()[..., :3].astype(float)
+    assert light.max() == 12.0
+    assert light[0, 0] == pytest.approx(find_light(scene.background), rel=1e-3)
+    assert np.abs(image - encode(tone_map(add_glow(light, 0.3, 6)))).max() <= 1.0
+
+
+def test_without_a_share_light_is_shown_as_it_is_without_glow(gl: rhi.Device) -> None:
+    builder = stage(lamps=True, emission=12.0)
+    builder.haze = 0.02
+    plain_image = draw(gl, builder.build())
+    builder = stage(lamps=True, emission=12.0)
+    builder.glow = Glow(1e-9)
+    assert np.abs(draw(gl, builder.build()) - draw(gl, stage(lamps=True, emission=12.0).build())).max() <= 1.0
+    builder = stage(lamps=True, emission=12.0)
+    builder.haze, builder.glow = 0.02, Glow(1e-9)
+    # Haze fades light instead of colours there.
+    assert np.abs(draw(gl, builder.build()) - plain_image).max() <= 40.0
+
+
+@pytest.mark.parametrize("blending", Blending)
+def test_transparent_surfaces_have_the_fog_before_them(gl: rhi.Device, blending: Blending) -> None:
+    """In even fog, all at one distance: fog before what is blended is what fog before each part makes of it."""
+    builder = SceneBuilder("pane")
+    builder.lights.sky = builder.lights.ground = (0.0, 0.0, 0.0)
+    glass = builder.add_material(
+        base_color=(0.9, 0.5, 0.1, 0.6), specular_color=(0, 0, 0), emission=1.0, alpha_mode=AlphaMode.BLEND
+    )
+    wall = builder.add_material(base_color=(0.1, 0.3, 0.9), specular_color=(0, 0, 0), emission=1.0)
+    for z, material in ((0.0, wall), (1.0, glass)):
+        node = builder.add_node(translation((0, 2, z)) @ scaling((40, 40, 1)))
+        builder.add_objects(node, builder.add_mesh(PANE), material)
+    builder.fog = Fog(0.05, (0.3, 0.5, 0.4))
+    camera = Camera.look_at((0, 2, 9), (0, 2, 0), projection=EYE.projection)
+    rays, through = find_rays(camera), []
+    for away, color in ((9.0, (0.1, 0.3, 0.9)), (8.0, (0.9, 0.5, 0.1))):
+        passing = np.exp(-0.05 * away / -rays[..., 2:])
+        through.append(tone_map(passing * color + (1 - passing) * np.array(find_light(builder.fog.color))))
+    expected = encode(0.6 * through[1] + 0.4 * through[0])
+    assert np.abs(draw(gl, builder.build(), camera=camera, blending=blending) - expected).max() <= 2.0
+
+
+CAMERAS = {
+    "standard depth": EYE.with_projection(Perspective(depth=Depth.STANDARD)),
+    "a far plane": EYE.with_projection(Perspective(far=30.0)),
+    "parallel": EYE.with_projection(Orthographic(9.0, near=0.0, far=40.0)),
+}
+
+
+@pytest.mark.parametrize("lens", CAMERAS)
+def test_any_lens_shows_the_fog_of_its_pixels(gl: rhi.Device, lens: str) -> None:
+    builder = stage()
+    builder.fog = FOG
+    scene, camera = builder.build(), CAMERAS[lens].with_aspect(SIZE[0] / SIZE[1])
+    image, deferred = draw(gl, scene, camera=camera), draw(gl, scene, TECHNIQUES["deferred"](), camera)
+    assert np.abs(image - deferred).max() <= 2.0
+    covered = draw(gl, stage().build(), camera=camera)
+    sky = (covered == encode(np.array(scene.background)).round()).all(axis=2)
+    assert sky.any()
+    directions = np.broadcast_to(camera.forward, (*SIZE[::-1], 3)) if lens == "parallel" else find_rays(camera)
+    up = np.maximum(directions[sky][:, 1], 0.0)
+    density = FOG.density * np.exp(-FOG.falloff * (3.0 - FOG.base))
+    with np.errstate(divide="ignore"):
+        passing = np.exp(-density / (FOG.falloff * up))[:, None]
+    light = passing * find_light(scene.background) + (1 - passing) * np.array(find_light(FOG.color))
+    assert np.abs(image[sky] - encode(tone_map(light))).max() <= 1.0
+
+
+def list_events(device: rhi.Device) -> list[str]:
+    return [command["text"] for command in device.stream.filter(Op.PUSH_LABEL)]
+
+
+ORDERS: dict[str, tuple[Callable[[], Technique], Blending, list[str]]] = {
+    "forward": (Forward, Blending.SORTED, ["forward", "sky", "transparency", "glow", "tones"]),
+    "weighted": (Forward, Blending.WEIGHTED, ["forward", "sky", "transparency", "blend", "glow", "tones"]),
+    "samples": (
+        lambda: Forward(4), Blending.SORTED,
+        ["depth", "forward", "sky", "transparency", "resolve", "glow", "tones"],
+    ),
+    "samples, weighted": (
+        lambda: Forward(4), Blending.WEIGHTED,
+        ["depth", "forward", "sky", "resolve", "transparency", "blend", "glow", "tones"],
+    ),
+    "fxaa": (
+        lambda: Smoothed(Forward()), Blending.SORTED,
+        ["forward", "sky", "transparency", "glow", "tones", "fxaa"],
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ORDERS)
+def test_sky_is_before_transparency_and_glow_before_what_smooths_the_image(null: rhi.Device, name: str) -> None:
+    make, blending, expected = ORDERS[name]
+    builder = stage(panes=True, emission=12.0)
+    builder.fog, builder.glow = FOG, Glow()
+    draw(null, builder.build(), make(), blending=blending)
+    events = list_events(null)
+    # Weighted surfaces may be drawn before the sky, over which they are blended.
+    moved = [one for one in events if one != "transparency"] if blending is Blending.WEIGHTED else events
+    assert moved == [one for one in expected if blending is Blending.SORTED or one != "transparency"]
+    assert sorted(events) == sorted(expected)
+
+
+def test_both_eyes_have_their_own_fog_and_glow_and_layers_come_last(null: rhi.Device) -> None:
+    builder = stage(emission=12.0)
+    builder.fog, builder.glow = FOG, Glow()
+    scene = builder.build()
+    rolled = replace(EYE, rotation=np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1.0]]) @ EYE.rotation)
+    with Renderer(null, scene, visibility=NoCulling(scene), size=SIZE) as renderer:
+        renderer.stereo = Stereo(StereoRig(0.06, 10.0), "side_by_side")
+        renderer.layers.append(Overlay(null))
+        heights = [frame.camera.position[1] for frame in renderer.render(rolled).frames]
+        events = list_events(null)
+        one = ["forward", "sky", "glow", "tones"]
+        assert events[:9] == [*one, "right eye", *one]
+        assert "overlay" in events[9:11]
+        fogs = [command for command in null.stream.draws() if "fog" in command.bindings]
+        assert len({command.bindings["fog"] for command in fogs}) == 2
+        renderer.stereo = Stereo(StereoRig(0.06, 10.0), "side_by_side", is_reprojected=True)
+        null.stream.clear()
+        renderer.render(EYE)
+        assert list_events(null)[:6] == [*one, "right eye", "reprojection"]
+    assert heights[0] != heights[1]
+
+
+def test_samples_at_edges_of_the_sky_are_fogged(gl: rhi.Device) -> None:
+    builder = stage()
+    builder.fog = Fog(0.3, (1.0, 1.0, 1.0), 0.0)
+    builder.background = (0.0, 0.0, 0.0)
+    image = draw(gl, builder.build(), Forward(4))
+    # The sky is white, and all else nearly so: a sample of the black background would show.
+    box = draw(gl, builder.build())
+    assert image.min() >= box.min() - 2.0
+
+
+def test_settings_of_air_are_exchanged_between_frames(null: rhi.Device) -> None:
+    builder = stage(emission=12.0)
+    scene = builder.build()
+    with Renderer(null, scene, visibility=NoCulling(scene), size=SIZE) as renderer:
+        renderer.render(EYE)
+        null.stream.clear()
+        for renderer.glow in (GlowSettings(levels=2), GlowSettings(levels=4)):
+            scene.fog, scene.glow = FOG, Glow(0.1)
+            renderer.render(EYE)
+            assert len(null.stream.draws()) == 2 + 2 * renderer.glow.levels
+            null.stream.clear()
+        renderer.render(EYE)
+        uploads = null.stream.filter(Op.WRITE_BUFFER)
+        assert len(uploads) == 0  # nothing has moved
+        scene.glow = Glow(0.2)
+        renderer.render(EYE)
+        assert len(null.stream.filter(Op.WRITE_BUFFER)) == 1
+
+
+BAD = {
+    "density": [0.0, -1.0, float("nan"), float("inf")],
+    "falloff": [-1.0, float("nan"), float("inf")],
+    "base": [float("nan"), float("inf")],
+    "color": [(0.0, 0.0, float("nan")), (0.0, 0.0, 1.1), (0.0, 0.0)],
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_fog_of_what_is_no_number_is_refused(name: str) -> None:
+    for value in BAD[name]:
+        with pytest.raises(rhi.ValidationError) as error:
+            Fog(**({"density": 0.1} | {name: value}))  # type: ignore[arg-type]
+        assert (error.value.rule.id, error.value.call) == ("scene-bad-air", f"Fog({name}=...)")
