@@ -94,9 +94,8 @@ class Targets:
                     texture = free[kind].pop(0)
                 else:
                     format, size, samples = kind
-                    label = ", ".join(shared.names)
                     texture = made.enter_context(
-                        self._device.texture(size, format, samples=samples, label=label)
+                        self._device.texture(size, format, samples=samples, label=shared.names[0])
                     )
                 used.setdefault(kind, []).append(texture)
                 return texture

@@ -21,6 +21,8 @@ from renderer.renderer import Renderer
 from renderer.scene import (
     AlphaMode,
     Camera,
+    Fog,
+    Glow,
     Scene,
     SceneBuilder,
     StereoRig,
@@ -163,6 +165,14 @@ def _switch_haze(renderer: Renderer, _: int, is_on: bool) -> None:
     renderer.scene.haze = 0.05 if is_on else 0.0
 
 
+def _switch_glow(renderer: Renderer, _: int, is_on: bool) -> None:
+    renderer.scene.glow = Glow(0.1) if is_on else None
+
+
+def _switch_fog(renderer: Renderer, _: int, is_on: bool) -> None:
+    renderer.scene.fog = Fog(0.25, falloff=1.2) if is_on else None
+
+
 def _place_terrain(builder: SceneBuilder) -> int:
     x, z = np.meshgrid(np.linspace(-1.0, 1.0, 33), np.linspace(-1.0, 1.0, 33))
     heights = 3.0 * np.maximum(-z - 0.1, 0.0) * (0.6 + 0.4 * np.cos(4.0 * x + 1.0)) - 0.35
@@ -286,6 +296,16 @@ LADDER: Final = (
         _switch_emission,
     ),
     Rung(
+        "glow",
+        "what is brighter than white glows",
+        Footprint(
+            "glow", words=("keep_light",), bindings=("spread", "mixture"),
+            events=("glow", "tones"),
+        ),
+        switch=_switch_glow,
+        modules=("renderer.techniques.glow",),
+    ),
+    Rung(
         "glass",
         "a transparent pane",
         Footprint("glass", events=("transparency",), states=(BlendFunction.PREMULTIPLIED,)),
@@ -298,6 +318,12 @@ LADDER: Final = (
         "haze in the air",
         Footprint("haze", words=("through_haze",), bindings=("haze",), resources=("Haze",)),
         switch=_switch_haze,
+    ),
+    Rung(
+        "fog",
+        "fog that lies on the ground",
+        Footprint("fog", words=("through_all_fog", "FogConstants"), bindings=("fog",), events=("sky",)),
+        switch=_switch_fog,
     ),
     Rung(
         "terrain",
@@ -319,7 +345,7 @@ LADDER: Final = (
         "particles",
         "the fountain's drops as sprites",
         Footprint(
-            "particles", programs=("ParticleShader",), bindings=("particles",), events=("particles",),
+            "particles", programs=("*Particle*",), bindings=("particles",), events=("particles",),
         ),
         switch=_switch_particles,
         modules=("renderer.techniques.particles",),
