@@ -55,46 +55,47 @@ class Mixture(Struct):
     right: mat3
 
 
-class ChooseBits(Shader):
+class Mixing(Shader):
+    """Makes one pixel of both pictures' at each place, in place of the right one's."""
+
+    work_group = (_GROUP,)
+    mixture: Uniform[Mixture]
+    left: Storage[uint]
+    right: StorageRW[uint]
+
+    def compute(self) -> None:
+        x = global_id().x
+        y = global_id().y
+        if x < self.mixture.size.x:
+            i = y * self.mixture.size.x + x
+            self.right[i] = self.mix(self.left[i], self.right[i], y)
+
+    def mix(self, left: uint, right: uint, row: int) -> uint:
+        """Return the pixel of two in a row."""
+        return right
+
+
+class ChooseBits(Mixing):
     """Takes some bits of each pixel from one picture, and the others from a second one."""
 
-    work_group = (_GROUP,)
-    mixture: Uniform[Mixture]
-    left: Storage[uint]
-    right: StorageRW[uint]
-
-    def compute(self) -> None:
-        x = global_id().x
-        y = global_id().y
-        if x < self.mixture.size.x:
-            i = y * self.mixture.size.x + x
-            chosen = self.mixture.odd if y % 2 == 1 else self.mixture.even
-            self.right[i] = (self.left[i] & chosen) | (self.right[i] & ~chosen)
+    def mix(self, left: uint, right: uint, row: int) -> uint:
+        chosen = self.mixture.odd if row % 2 == 1 else self.mixture.even
+        return (left & chosen) | (right & ~chosen)
 
 
-class MixColors(Shader):
+class MixColors(Mixing):
     """Mixes the colours of two pictures in linear light."""
 
-    work_group = (_GROUP,)
-    mixture: Uniform[Mixture]
     light: Storage[float]
     levels: Storage[uint]
-    left: Storage[uint]
-    right: StorageRW[uint]
 
-    def compute(self) -> None:
-        x = global_id().x
-        y = global_id().y
-        if x < self.mixture.size.x:
-            i = y * self.mixture.size.x + x
-            color = self.mixture.left @ self.decode(self.left[i]) + self.mixture.right @ self.decode(
-                self.right[i]
-            )
-            step = clamp(color * float(_STEPS - 1) + 0.5, 0.5, float(_STEPS) - 0.5)
-            red = self.levels[int(step.x)]
-            green = self.levels[int(step.y)]
-            blue = self.levels[int(step.z)]
-            self.right[i] = red | green << 8 | blue << 16 | uint(0xFF000000)
+    def mix(self, left: uint, right: uint, row: int) -> uint:
+        color = self.mixture.left @ self.decode(left) + self.mixture.right @ self.decode(right)
+        step = clamp(color * float(_STEPS - 1) + 0.5, 0.5, float(_STEPS) - 0.5)
+        red = self.levels[int(step.x)]
+        green = self.levels[int(step.y)]
+        blue = self.levels[int(step.z)]
+        return red | green << 8 | blue << 16 | uint(0xFF000000)
 
     def decode(self, pixel: uint) -> vec3:
         red = int(pixel & uint(255))

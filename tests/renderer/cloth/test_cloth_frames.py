@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cloth_scenes import AWAY, look, make_scene
+from cloth_scenes import AWAY, BREEZE, look, make_scene, make_square
 
 import rhi
+from renderer.cloth import Cloths
 from renderer.content import load_scene
 from renderer.renderer import Renderer
-from renderer.scene import Scene
+from renderer.scene import Scene, SceneBuilder
 from renderer.visibility import FrustumCulling, NoCulling, make_visibility
 from rhi import Op
 from rhi.backends.null import PROFILES
@@ -111,6 +112,26 @@ def test_time_that_goes_back_begins_again_and_leaves_nothing_behind(null: rhi.De
     assert len(null.stream.filter((Op.CREATE_BUFFER,))) > 14  # some were made again
 
 
+def test_nothing_is_left_of_any_of_several_simulations(null: rhi.Device) -> None:
+    builder = SceneBuilder("two kinds of cloth")
+    for size in (1.0, 2.0):
+        sheet = make_square(size=size)
+        mesh, node = builder.add_mesh(sheet.make_mesh(), bounds=sheet.bounds), builder.add_node()
+        builder.simulate(builder.add_objects(node, mesh, builder.add_material()), Cloths(1, sheet, BREEZE))
+    scene = builder.build()
+    with open_renderer(null, scene) as renderer:
+        for frame in (1, 2, 1):
+            renderer.render(scene.views["overview"], frame / 60)
+        assert len(null.stream.filter(Op.DISPATCH)) == 6  # one for each simulation in each frame
+    null.finish()
+    created = null.stream.filter(
+        Op.CREATE_BUFFER, where=lambda command: command.arguments["descriptor"].label.startswith("cloth")
+    )
+    destroyed = {command.arguments["resource"] for command in null.stream.filter(Op.DESTROY)}
+    assert len(created) == 24  # six for each, made again when time went back
+    assert {command.arguments["buffer"] for command in created} <= destroyed
+
+
 def test_a_device_that_can_not_compute_gets_uploads(null: rhi.Device) -> None:
     scene = make_scene(1)
     profile = replace(PROFILES["everything"], compute=False)
@@ -141,6 +162,9 @@ def test_each_simulator_has_cloths_of_its_own(null: rhi.Device) -> None:
         assert count_dispatches(null) == 1  # its vertices were the other one's
 
 
+@pytest.mark.parametrize(  # on cl it takes seconds to compile what draws them; test_cloth_steps has its vertices
+    "drawing_device", ["gl", pytest.param("cl", marks=pytest.mark.nightly)], indirect=True
+)
 def test_pictures_are_those_of_cloths_on_numpy(drawing_device: rhi.Device) -> None:
     """The same scene, whose simulation is hidden from the device, is uploaded."""
     scene, plain = make_scene(2), make_scene(2)
@@ -154,14 +178,14 @@ def test_pictures_are_those_of_cloths_on_numpy(drawing_device: rhi.Device) -> No
     camera, frames = scene.views["all"], []
     for each in (scene, plain):
         with Renderer(drawing_device, each, size=(96, 54), visibility=NoCulling(each)) as renderer:
-            for seconds in (0.0, 0.05, 0.3):
+            for seconds in (0.0, 0.3):
                 image = renderer.render(camera, seconds).image.read().astype(int)
                 frames.append(image)
             vertices = renderer.simulator.find_vertices(1)
             assert vertices["position"][-1, 2] > 0.02  # it has moved
-    assert np.abs(frames[2] - frames[5]).max() <= 24  # an edge may lie on a pixel's sample
-    assert (np.abs(frames[2] - frames[5]) > 1).any(2).mean() < 0.002
-    assert (frames[0] != frames[2]).any()
+    assert np.abs(frames[1] - frames[3]).max() <= 24  # an edge may lie on a pixel's sample
+    assert (np.abs(frames[1] - frames[3]) > 1).any(2).mean() < 0.002
+    assert (frames[0] != frames[1]).any()
 
 
 @pytest.mark.parametrize("casts", [True, False])
@@ -180,10 +204,10 @@ def test_a_shadow_follows_its_cloth_that_isn_t_in_view(gl: rhi.Device, casts: bo
 
 
 def test_a_hall_has_as_many_banners_as_are_asked_for(null: rhi.Device) -> None:
-    hall = "hall:columns=4,rows=2,flags=0"
+    hall = "hall:columns=2,rows=4,flags=0,lights=1"
     plain, scene = load_scene(hall), load_scene(f"{hall},cloths=6,detail=3")
     assert "cloths" not in plain.name
-    assert scene.name == "hall:cloths=6,columns=4,rows=2,flags=0,fountains=0,detail=3,seed=0"
+    assert scene.name == "hall:lights=1,cloths=6,columns=2,rows=4,flags=0,fountains=0,detail=3,seed=0"
     assert len(scene.make_simulator()) == 6
     rows = scene.simulated[0].objects
     boxes = np.stack([scene.objects.lower[rows], scene.objects.upper[rows]], 1)
@@ -191,4 +215,4 @@ def test_a_hall_has_as_many_banners_as_are_asked_for(null: rhi.Device) -> None:
     with open_renderer(null, scene) as renderer:
         result = renderer.render(scene.views["banners"], 0.0)
         assert set(rows.tolist()) & set(result.visible.tolist())
-    scene.check_bounds([0.1, 1.0])
+    scene.check_bounds([0.1])
