@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from renderer.frame import DEPTH_FORMAT, Frame, Needs, Pass, Target, TechniquePass
 from renderer.renderer import Renderer
-from renderer.scene import Camera
+from renderer.scene import Camera, Orthographic
 from renderer.scene.arrays import Floats
 from renderer.shaders import Object, ObjectPosition, Vertex, ViewConstants, relative_position
 from renderer.techniques import Forward
@@ -218,8 +218,9 @@ def shade_exactly(renderer: Renderer, camera: Camera, seconds: float = 0.0) -> E
         (color,) = shaded.outputs.values()
         levels[y, x] = encode_levels(color[covered][:, :3])
         depth[y, x] = place[covered][:, 2]
-        distances[y, x] = 1.0 / place[covered][:, 3]
         positions[y, x] = mixed["position"][covered]
+        is_parallel = isinstance(camera.projection, Orthographic)  # whose w is 1 everywhere
+        distances[y, x] = positions[y, x] @ camera.forward if is_parallel else 1.0 / place[covered][:, 3]
     return ExactPicture(levels, objects, depth, distances, positions)
 
 

@@ -26,7 +26,7 @@ from renderer.settings import to_plain
 
 __rhi_internal__ = True
 
-_VERSION: Final = 1
+_VERSION: Final = 2
 """To be raised with any change of what is measured or stored."""
 
 

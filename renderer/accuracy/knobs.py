@@ -160,6 +160,7 @@ VECTORS: Final = Truth("the vectors in float64")
 
 _FORWARD: Final = {"technique.name": "forward", "algorithm": "frustum"}
 _ROOM: Final = {**_FORWARD, "shadows.largest_atlas": 8192}
+_LOTS: Final = "CHC++ draws lots for when an object is asked about again, so neighbours may change places"
 _CHC: Final = {**_FORWARD, "algorithm": "chc_plus_plus"}
 
 KNOBS: Final[dict[str, Knob]] = {
@@ -213,6 +214,8 @@ KNOBS: Final[dict[str, Knob]] = {
             "a sample a pixel; anisotropy shows more at an angle, for up to 16",
             _FORWARD,
             Demand.IMAGES,
+            exception="mip levels blur what lies at an angle more than the largest one flickers, "
+            "which single pictures don't show",
         ),
         Knob(
             "edge_pixels",
@@ -473,6 +476,7 @@ KNOBS: Final[dict[str, Knob]] = {
             "queries cost more than what is drawn for nothing",
             _CHC,
             remembers=True,
+            exception=_LOTS,
         ),
         Knob(
             "query_persistence",
@@ -484,7 +488,7 @@ KNOBS: Final[dict[str, Knob]] = {
             "what was visible nearly always still is",
             _CHC,
             remembers=True,
-            exception="CHC++ draws lots for when an object is asked about again, so neighbours may change places",
+            exception=_LOTS,
         ),
         Knob(
             "leaf_size",
@@ -496,6 +500,7 @@ KNOBS: Final[dict[str, Knob]] = {
             "objects of our scenes are large enough for a query each",
             _CHC,
             remembers=True,
+            exception="CHC++ draws lots for when nodes are asked about again, and larger nodes are fewer lots",
         ),
         Knob(
             "query_threshold",
@@ -527,6 +532,7 @@ KNOBS: Final[dict[str, Knob]] = {
             EVERYTHING,
             "nothing that is seen may be missing",
             {**_FORWARD, "algorithm": "software_depth"},
+            exception="a gap stays open if a sample falls into it, which is chance",
         ),
         Knob(
             "pyramid_texels",

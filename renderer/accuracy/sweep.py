@@ -4,8 +4,8 @@ All values draw the same frames in turn in one process. Errors are found first: 
 with the truth of the knob. Then frames are timed, alternately, and a value's time is a ratio to that of the most
 accurate value in the same round; the median of the rounds' ratios is given with its 95 % confidence interval.
 
-A knob whose frames depend on earlier ones draws consecutive frames of the path. The others draw frames that are spread
-over all of it.
+A knob whose frames depend on earlier ones draws consecutive frames of the path, of which the first only make the memory
+of the others: a frame that remembers nothing is another case. The others draw frames that are spread over all of it.
 """
 
 from __future__ import annotations
@@ -149,17 +149,13 @@ def sweep_knob(situation: Situation, name: str) -> KnobReport:
         report = partial(KnobReport, knob.name, device.backend_name, device.capabilities.device)
         if lack is not None:
             return report((), dict.fromkeys(knob.values, lack))
-        left_out = {
-            value: lack for value in knob.values if (lack := find_lack(device, knob.set(situation.settings, value)))
-        }
+        left_out = list_left_out(device, situation.settings, knob)
         values = [value for value in knob.values if value not in left_out]
         if not values:
             return report((), left_out)
-        with _Bench(device, scene, situation, knob, values) as bench:
-            errors = {value: _Errors(knob.unit) for value in values}
-            for view in bench.list_views():
-                for value, error in bench.compare(view):
-                    errors[value].add(view, *error)
+        with KnobBench(device, scene, situation, knob, values) as bench:
+            bench.draw_history()
+            errors = bench.find_errors(bench.list_views())
             times, truth_ratio = bench.time()
         rows = [
             _make_row(knob, value, times[value], times[values[-1]], *errors[value].summarize(), errors[value].worst)
@@ -171,6 +167,8 @@ def sweep_knob(situation: Situation, name: str) -> KnobReport:
 
 def prepare_scene(scene: Scene, knob: Knob) -> str | None:
     """Give a scene what the knob needs if it can be given: shadows, glow. Return what it lacks, None for nothing."""
+    if knob.unit is Unit.OVERDRAW and scene.height_fields:
+        return "the scene has a ground, of which each view has other triangles"
     if knob.truth.is_float64:
         scene.glow = None  # pixels are compared with their own light
     match knob.demand:
@@ -195,6 +193,12 @@ def prepare_scene(scene: Scene, knob: Knob) -> str | None:
     return None if has else f"the scene lacks {knob.demand.value}"
 
 
+def list_left_out(device: Device, settings: RenderSettings, knob: Knob) -> dict[str, str]:
+    """Return what the device lacks for values of a knob, by these values."""
+    lacks = {value: find_lack(device, knob.set(settings, value)) for value in knob.values}
+    return {value: lack for value, lack in lacks.items() if lack is not None}
+
+
 def find_lack(device: Device, settings: RenderSettings) -> str | None:
     """Return what a device lacks for settings, None for nothing."""
     can = device.capabilities
@@ -205,7 +209,7 @@ def find_lack(device: Device, settings: RenderSettings) -> str | None:
     return find_obstacle(settings.algorithm, device) or (None if can.renders else DRAWS_NOTHING)
 
 
-class _Errors:
+class ValueErrors:
     """The errors of a value, view by view."""
 
     def __init__(self, unit: Unit) -> None:
@@ -255,7 +259,7 @@ def _make_row(
     )  # fmt: skip
 
 
-class _Bench:
+class KnobBench:
     """The renderers of all values of a knob, and what judges them."""
 
     def __init__(
@@ -291,7 +295,7 @@ class _Bench:
             self._stack.close()
             raise
 
-    def __enter__(self) -> _Bench:
+    def __enter__(self) -> KnobBench:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -305,8 +309,29 @@ class _Bench:
 
     def list_views(self) -> list[SweepFrame]:
         """Return the frames to compare."""
-        situation, knob = self._situation, self._knob
-        return list_views(self._scene, situation, consecutive=knob.remembers)
+        return self._list_all()[-self._situation.views :]
+
+    def draw_history(self) -> None:
+        """Draw what frames to compare depend on, if they depend on earlier ones."""
+        for view in self._list_all()[: -self._situation.views]:
+            for value in self._renderers:
+                self._draw(value, view)
+            if self._true is not None and self._true not in self._renderers.values():
+                self._true.render(self._true_settings.aim(view.camera), view.seconds)
+
+    def _list_all(self) -> list[SweepFrame]:
+        """Return the frames to compare after those that they depend on."""
+        situation, remembers = self._situation, self._knob.remembers
+        count = situation.views + (_HISTORY if remembers else 0)
+        return list_views(self._scene, situation, consecutive=remembers, count=count)
+
+    def find_errors(self, views: Sequence[SweepFrame]) -> dict[str, ValueErrors]:
+        """Return the errors of each value in all views."""
+        errors = {value: ValueErrors(self._knob.unit) for value in self._renderers}
+        for view in views:
+            for value, error in self.compare(view):
+                errors[value].add(view, *error)
+        return errors
 
     def compare(self, view: SweepFrame) -> Iterator[tuple[str, tuple[Floats, tuple[Floats, Floats] | None]]]:
         """Yield each value with the errors of its frame, and the pictures that they are differences of."""
@@ -369,7 +394,8 @@ class _Bench:
         rows = np.array(sorted(self._exact.find(self._situation.settings.aim(view.camera))), np.int64)
         seen = self._scene.count_triangles(rows) if len(rows) else 0
         for value, triangles in results.items():
-            yield value, (np.array([100.0 * (triangles / max(seen, 1) - 1.0)]), None)
+            # Nothing is seen in some views, and a part of nothing is no error.
+            yield value, (np.array([100.0 * (triangles / seen - 1.0) if seen else np.nan]), None)
 
     def time(self) -> tuple[dict[str, Measurement], float | None]:
         """Time frames of all values, and of the truth if it is a picture of a renderer of its own; return the latter's

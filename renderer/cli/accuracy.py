@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any, Final
@@ -39,7 +40,7 @@ from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import load_scene
 from renderer.measure import format_table
 from renderer.settings import to_plain
-from rhi import refuse
+from rhi import RhiError, refuse
 
 _NOTES: Final = """\
   python -m renderer accuracy city
@@ -58,7 +59,7 @@ left out, and why is said on stderr. Shadows are switched on for the knobs of sh
 With --output, DIR gets one page with charts and pictures, the same as JSON, and each result as soon as it is there: a
 sweep that was interrupted goes on where it stopped. With --budget-ms or --error-at-most, the knobs that change pictures
 of this scene are combined greedily, drawn and timed. The choice is checked by ten more views, where the mean of their
-errors and three standard deviations must be within the bound, and tried in twenty others. It is written to
+errors and four standard deviations must be within the bound, and tried in twenty others. It is written to
 DIR/settings.json, which `render`, `compare techniques`, `compare visibility` and `accuracy` read with --settings."""
 
 
@@ -122,9 +123,8 @@ def _run(given: argparse.Namespace) -> None:
     folder = None if given.output is None else given.output / "jobs"
     with make_executor(given.executor) as executor:
         reports = run_jobs(jobs, executor, folder, lambda items, total: show_progress(items, total, "accuracy"))
-    for report in reports:
-        for value, lack in report.left_out.items():
-            note(f"left out: {report.knob}: {value}: {lack}")
+    for line in list_left_out(reports):
+        note(f"left out: {line}")
     shown = [report for report in reports if report.rows]
     if not shown:
         refuse(rules.NO_KNOBS, "accuracy", ", ".join(job.knob for job in jobs))
@@ -134,8 +134,12 @@ def _run(given: argparse.Namespace) -> None:
         points = keep_front(
             situation, shown, folder, lambda rounds: show_progress(rounds, len(rounds), "combine knobs")
         )
+    refusal: RhiError | None = None
     if is_bounded:
-        choice = choose(situation, points, budget_ms=given.budget_ms, error_at_most=given.error_at_most)
+        try:
+            choice = choose(situation, points, budget_ms=given.budget_ms, error_at_most=given.error_at_most)
+        except RhiError as error:  # what was measured shows which bounds could be kept
+            refusal = error
     found = describe(situation, shown, points, choice)
     title = f"{given.scene}, {shown[0].device}"
     if given.plot is not None:
@@ -154,6 +158,20 @@ def _run(given: argparse.Namespace) -> None:
     print(json.dumps(found) if given.json else show_reports(shown, markdown=given.markdown))
     if choice is not None and not given.json:
         print(f"\nchosen: {show_choice(choice)}")
+    if refusal is not None:
+        raise refusal
+
+
+def list_left_out(reports: Sequence[KnobReport]) -> list[str]:
+    """Return a line for each knob or value that is left out: a knob whose values all lack the same has one."""
+    lines = []
+    for report in reports:
+        lacks = report.left_out
+        if not report.rows and len(set(lacks.values())) == 1:
+            lines.append(f"{report.knob}: {next(iter(lacks.values()))}")
+        else:
+            lines += [f"{report.knob}: {value}: {lack}" for value, lack in lacks.items()]
+    return lines
 
 
 def describe(

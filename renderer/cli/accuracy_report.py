@@ -52,8 +52,8 @@ def group_of(knob: Knob) -> str:
 GROUPS: Final = {
     "pictures": "error of pictures",
     "shadows": "error of shadows",
-    "lights": "lights too many",
-    "culling": "triangles too many; levels for the threshold",
+    "lights": "error of lists",
+    "culling": "error of culling",
     "encodings": "error of encodings",
 }
 """The charts of single knobs, and what their errors are called."""
@@ -96,7 +96,8 @@ def draw_group(axes: Any, reports: Sequence[KnobReport], title: str) -> None:
         axes.set_yscale("symlog", linthresh=_LEAST)
         axes.set_ylim(bottom=0.0)
     axes.axvline(1.0, color="grey", linewidth=0.5)
-    axes.set(xlabel="processor time, most accurate value = 1", ylabel=title)
+    units = ", ".join(dict.fromkeys(row.unit for report in reports for row in report.rows))
+    axes.set(xlabel="processor time, most accurate value = 1", ylabel=f"{title}: {units}")
     axes.legend(fontsize="x-small")
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from importlib import import_module
 from multiprocessing import get_context
@@ -61,8 +61,11 @@ def make_executor(text: str) -> Iterator[Executor]:
     if kind == "serial" and not rest:
         yield SerialExecutor()
     elif kind == "processes" and is_count:
-        with open_processes(share_cpus(int(rest) if rest else len(list_cpus()))) as pool:
-            yield pool
+        try:
+            with open_processes(share_cpus(int(rest) if rest else len(list_cpus()))) as pool:
+                yield pool
+        except BrokenExecutor:
+            raise OutputError(f"--executor: a process of {text} was ended; what others have done is kept") from None
     elif kind == "threads" and is_count:
         with ThreadPoolExecutor(int(rest) if rest else None) as threads:
             yield threads

@@ -100,6 +100,11 @@ def are_in_cones(cones: Cones, points: Floats) -> NDArray[np.bool_]:
     return np.asarray((length < cones["range"] * (1.0 - 1e-9)) & (along > length * (cones["cosine"] + 1e-9)))
 
 
+def _take(cones: Cones, rows: NDArray[np.intp]) -> Cones:
+    """Return some of the cones."""
+    return {name: values[rows] for name, values in cones.items()}
+
+
 @cache
 def make_cone_pairs(name: str) -> ConePairs:
     """Make pairs of one lens, about half of which overlap."""
@@ -123,11 +128,13 @@ def make_cone_pairs(name: str) -> ConePairs:
     cones = {name: values.astype(np.float32).astype(np.float64) for name, values in cones.items()}
     cones["axis"] /= np.linalg.norm(cones["axis"], axis=1)[:, None]
     cells = evaluate(block_cell, grid, tiles, 1, near, far, dtype=np.float64)
-    points, overlap = aim, np.zeros(COUNT, bool)
     inner = cones | {"range": 0.999 * cones["range"], "cosine": np.cos(0.999 * np.arccos(cones["cosine"]))}
+    points, overlap, rows = aim, np.zeros(COUNT, bool), np.arange(COUNT)
     for _ in range(40):
-        overlap |= are_in_cones(cones, points)
-        points = nearest_in_cells(cells, nearest_in_cones(inner, points))
+        found = are_in_cones(_take(cones, rows), points)
+        overlap[rows[found]] = True
+        rows, points = rows[~found], points[~found]
+        points = nearest_in_cells(cells[rows], nearest_in_cones(_take(inner, rows), points))
     return ConePairs(grid, tiles, near, far, cones, overlap)
 
 

@@ -108,8 +108,8 @@ def meet_triangles(
         u = np.einsum("ij,ij->i", away, across) / facing
         v = turned @ direction / facing
         distance = np.einsum("ij,ij->i", two, turned) / facing
-    faces = facing != 0.0 if both_sides else facing > 0.0
-    fits = faces & (u >= -_EDGE) & (v >= -_EDGE) & (u + v <= 1.0 + _EDGE)
+        faces = facing != 0.0 if both_sides else facing > 0.0
+        fits = faces & (u >= -_EDGE) & (v >= -_EDGE) & (u + v <= 1.0 + _EDGE)
     return np.where(fits & (distance >= 0.0), distance, np.inf), np.stack([u, v], axis=1)
 
 

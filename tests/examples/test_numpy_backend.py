@@ -8,7 +8,6 @@ import subprocess
 import sys
 import tomllib
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -91,12 +90,6 @@ def test_it_passes_every_group_that_it_declares() -> None:
     reasons = re.findall(r"^ +\d+ × numpy declares (?:no )?(\w+)", run.stdout, re.MULTILINE)
     assert {"draws", "occlusion_queries"} <= set(reasons)
     assert "compute" not in reasons
-
-
-@pytest.mark.slow
-def test_it_passes_mypy_strict(mypy_strict: Callable[..., tuple[str, int]]) -> None:
-    out, _ = mypy_strict(PACKAGE / "rhi_numpy")
-    assert [line for line in out.splitlines() if "numpy_backend" in line] == []
 
 
 def test_a_trace_brings_no_python_to_run(tmp_path: Path) -> None:

@@ -6,6 +6,8 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+
 Mypy = Callable[..., tuple[str, int]]
 RIGHT = Path(__file__).with_name("device_right.py")
 DRAW = "device.draw(flat, mesh, tint=tint, many=many, albedo=image)"
@@ -57,19 +59,25 @@ MISTAKES = [
 ]
 
 
-def test_right_use_passes_mypy_strict(mypy_strict: Mypy) -> None:
-    assert mypy_strict("--hide-error-context", RIGHT) == ("", 0)
-
-
-def test_every_mistake_is_refused_on_its_line(mypy_strict: Mypy, tmp_path: Path) -> None:
-    source = RIGHT.read_text()
+@pytest.fixture(scope="module")
+def rows(mypy_strict: Mypy, tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """What mypy says of the right use and of each mistake, in one run."""
+    source, folder = RIGHT.read_text(), tmp_path_factory.mktemp("typing")
     paths = []
     for number, (old, new, _) in enumerate(MISTAKES):
         assert source.count(old) >= 1, old
-        paths.append(tmp_path / f"device_mistake_{number}.py")
+        paths.append(folder / f"device_mistake_{number}.py")
         paths[-1].write_text(source.replace(old, new, 1))
-    out, _ = mypy_strict("--hide-error-context", *paths)
-    for path, (old, new, says) in zip(paths, MISTAKES, strict=True):
+    return mypy_strict("--hide-error-context", RIGHT, *paths)[0].splitlines()
+
+
+def test_right_use_passes_mypy_strict(rows: list[str]) -> None:
+    assert [row for row in rows if "device_mistake_" not in row] == []
+
+
+def test_every_mistake_is_refused_on_its_line(rows: list[str]) -> None:
+    source = RIGHT.read_text()
+    for number, (old, new, says) in enumerate(MISTAKES):
         line = source[: source.index(old)].count("\n") + 1
-        errors = [row for row in out.splitlines() if re.search(rf"{path.name}:{line}: error", row)]
+        errors = [row for row in rows if re.search(rf"device_mistake_{number}.py:{line}: error", row)]
         assert any(says in row for row in errors), (new, errors or "accepted")

@@ -3,6 +3,8 @@
 import re
 from pathlib import Path
 
+import pytest
+
 from rhi.shading.tools.stubs import stub_texts
 
 RIGHT = Path(__file__).with_name("shading_right.py")
@@ -44,23 +46,29 @@ MISTAKES = [
 ]
 
 
-def test_right_shaders_pass_mypy_strict(mypy_strict):
-    assert mypy_strict("--hide-error-context", RIGHT) == ("", 0)
-
-
-def test_every_mistake_is_refused_on_its_line(mypy_strict, tmp_path):
-    source = RIGHT.read_text()
+@pytest.fixture(scope="module")
+def rows(mypy_strict, tmp_path_factory):
+    """What mypy says of the right shaders and of each mistake, in one run."""
+    source, folder = RIGHT.read_text(), tmp_path_factory.mktemp("typing")
     paths = []
     for number, (old, new, _) in enumerate(MISTAKES):
         assert source.count(old) >= 1, old
-        paths.append(tmp_path / f"mistake_{number}.py")
+        paths.append(folder / f"mistake_{number}.py")
         paths[-1].write_text(source.replace(old, new, 1))
-    out, _ = mypy_strict("--hide-error-context", *paths)
-    for path, (old, new, says) in zip(paths, MISTAKES, strict=True):
+    return mypy_strict("--hide-error-context", RIGHT, *paths)[0].splitlines()
+
+
+def test_right_shaders_pass_mypy_strict(rows):
+    assert [row for row in rows if "mistake_" not in row] == []
+
+
+def test_every_mistake_is_refused_on_its_line(rows):
+    source = RIGHT.read_text()
+    for number, (old, new, says) in enumerate(MISTAKES):
         line = source[: source.index(old)].count("\n") + 1
-        errors = [row for row in out.splitlines() if re.search(rf"{path.name}:\d+: error", row)]
+        errors = [row for row in rows if re.search(rf"mistake_{number}.py:\d+: error", row)]
         assert errors, f"{new}: accepted"
-        assert any(f"{path.name}:{line}:" in row and says in row for row in errors), (new, errors)
+        assert any(f"mistake_{number}.py:{line}:" in row and says in row for row in errors), (new, errors)
 
 
 def test_the_stubs_are_what_the_tables_say():

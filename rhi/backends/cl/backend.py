@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from functools import wraps
-from typing import Concatenate, Final, ParamSpec, TypeVar
+from typing import Any, Concatenate, Final, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -314,6 +314,13 @@ class ClBackend:
 
     def on_interruption(self, call: Callable[[], None]) -> None:
         """Ignore the callback: this backend shares no context, so nothing interrupts it."""
+
+    @_reports_errors_as("device.draw_clipped")
+    def draw_clipped(
+        self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], clips: NDArray[np.int64]
+    ) -> None:
+        """See `rhi.contract.backend.ClipsDraws`."""
+        self._draws.draw_clipped(vertex_array, primitive, draws, clips)
 
     @_reports_errors_as("device.draw_indirect")
     def draw_indirect(

@@ -518,6 +518,48 @@ def test_each_clipped_draw_is_cut_by_its_own_rectangle(device: Device, primitive
         assert_same(image.read(), expected.read())
 
 
+@pytest.mark.parametrize(
+    ("primitive", "indices"),
+    [
+        (Primitive.TRIANGLES, [0, 1, 2, 0, 2, 3]),
+        (Primitive.TRIANGLES, [0, 1, 2, 65535, 0, 2, 3, 65535]),
+        (Primitive.TRIANGLE_STRIP, [1, 2, 0, 3]),
+        (Primitive.TRIANGLE_STRIP, [1, 2, 0, 65535, 2, 3, 0]),
+    ],
+    ids=["lists", "lists with restarts", "strips", "strips with restarts"],
+)
+@pytest.mark.parametrize("written_by", ["cpu", "device"])
+def test_clipped_draws_are_assembled_as_others(
+    device: Device, primitive: Primitive, indices: list[int], written_by: str
+) -> None:
+    """Each of two draws reads the second half of the indices, or the first, from another vertex on."""
+    quad = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], float)
+    rows = corners(np.concatenate([quad * (0.25, 1), quad]))
+    count = len(indices)
+    both = np.array(indices * 2, np.uint16)
+    with (
+        device.texture(ROW, Format.RGBA32F) as image,
+        device.texture(ROW, Format.RGBA32F) as expected,
+        device.mesh(rows, both, primitive=primitive) as mesh,
+    ):
+        program = device.program(Numbered)
+        if written_by == "device" and mesh.indices is not None:
+            device.buffer(both).copy_to(mesh.indices)
+        firsts, bases, instances = [count, 0], [4, 0], [2, 3]
+        clips = [(1, 0, 3, 1), (2, 0, 6, 1)]
+        with device.states(BlendFunction.ADDITIVE, CullMode.NONE):
+            with device.render_pass(image, clear=(0, 0, 0, 0)):
+                draws = mesh.draws(firsts, count, base_vertex=bases, base_instance=instances)
+                device.draw_clipped(program, mesh, draws, clips)
+            with device.render_pass(expected, clear=(0, 0, 0, 0)):
+                for first, base, instance, clip in zip(firsts, bases, instances, clips, strict=True):
+                    part = mesh.view(first, count, base_vertex=base, base_instance=instance)
+                    with device.states(Scissor(*clip)):
+                        device.draw(program, part)
+        assert image.read()[0, :, 3].tolist() == [0, 1, 1, 2, 1, 0, 0, 0]
+        assert_same(image.read(), expected.read())
+
+
 def test_after_clipped_draws_the_scissor_is_the_one_around_them(device: Device) -> None:
     with device.texture(ROW, Format.RGBA32F) as image, device.mesh(rectangle()) as mesh:
         program = device.program(Numbered)

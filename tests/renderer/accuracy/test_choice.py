@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
@@ -25,6 +29,7 @@ from renderer.accuracy.choice import (
 from renderer.accuracy.jobs import load_report, save_report
 from renderer.accuracy.sweep import SweepFrame, list_views
 from renderer.cli import main
+from renderer.cli.accuracy import list_left_out
 from renderer.cli.executors import SerialExecutor, make_executor
 from renderer.content import load_scene
 from renderer.settings import RenderSettings
@@ -99,9 +104,9 @@ def test_held_out_views_are_others() -> None:
 
 
 def test_more_is_expected_of_other_views_than_the_mean() -> None:
-    assert expect_error([1.0, 2.0, 3.0]) == pytest.approx(2.0 + 3.0)
+    assert expect_error([1.0, 2.0, 3.0]) == pytest.approx(2.0 + 4.0)
     assert expect_error([2.0] * 9) == 2.0
-    assert expect_error([0.0] * 99 + [9.0]) == 9.0  # the greatest is known to be possible
+    assert expect_error([0.0] * 999 + [9.0]) == 9.0  # the greatest is known to be possible
     assert expect_error([4.0]) == 4.0
 
 
@@ -127,14 +132,14 @@ def test_a_choice_keeps_its_bound_with_a_margin(monkeypatch: pytest.MonkeyPatch)
             return [1.0 + spread * (number % 2) for number in range(len(frames))]
 
     monkeypatch.setattr(choice, "CombinationBench", Bench)
-    found = choose(replace(SITUATION, backend="null"), [cheap, dear], error_at_most=2.5)
+    found = choose(replace(SITUATION, backend="null"), [cheap, dear], error_at_most=3.0)
     assert (found.point, found.refused, found.error, found.held_out_error) == (dear, 1, 1.1, 1.1)
     assert (found.views, found.held_out_views) == (10, 20)
     assert len(drawn) == 10 + 10 + 20
     assert len(set(drawn)) == 30
-    found = choose(replace(SITUATION, backend="null"), [cheap, dear], error_at_most=3.5)
+    found = choose(replace(SITUATION, backend="null"), [cheap, dear], error_at_most=4.0)
     assert (found.point, found.refused) == (cheap, 0)
-    assert found.expected == pytest.approx(1.5 + 3.0 * np.std([1.0, 2.0] * 5, ddof=1))
+    assert found.expected == pytest.approx(1.5 + 4.0 * np.std([1.0, 2.0] * 5, ddof=1))
 
 
 def test_a_bound_that_no_settings_keep_is_refused() -> None:
@@ -227,9 +232,44 @@ def test_the_command_writes_a_page_and_settings_that_render_reads(
     assert json.loads(capsys.readouterr().out)["technique"] == "forward"
     assert main([*render, "--technique", "deferred"]) == 0  # an argument counts more than the file
     assert json.loads(capsys.readouterr().out)["technique"] == "deferred"
+    (tmp_path / "out/accuracy.json").unlink()
     with pytest.raises(SystemExit):
         main([*sweep, "--budget-ms", "1e-3"])
-    assert "accuracy-out-of-reach" in capsys.readouterr().err
+    said = capsys.readouterr()
+    assert "as that: 0.001 ms (allowed: " in said.err
+    assert "accuracy-out-of-reach" in said.err
+    assert json.loads(said.out)["chosen"] is None  # what was measured is shown all the same
+    assert (tmp_path / "out/accuracy.json").is_file()
+
+
+def test_what_is_left_out_is_said_once_for_all_values() -> None:
+    none = KnobReport("blending", "gl", "a device", (), dict.fromkeys(("weighted", "sorted"), "the scene lacks glass"))
+    some = replace(report_of("samples", ("1", 1.0, 1.0)), left_out={"2": "no 2", "8": "no 8"})
+    lines = ["blending: the scene lacks glass", "samples: 2: no 2", "samples: 8: no 8"]
+    assert list_left_out([none, some, report_of("fxaa", ("off", 1.0, 1.0))]) == lines
+
+
+@pytest.mark.nightly
+def test_a_sweep_that_was_killed_does_nothing_twice(tmp_path: Path) -> None:
+    with open_device("gl"):
+        pass
+    knobs = ("fxaa", "depth", "precision", "second_eye")
+    command = [sys.executable, "-m", "renderer", "accuracy", "city:blocks=2", "--backend", "gl", "--size", "32x18"]
+    command += ["--views", "1", "--rounds", "2", "--output", str(tmp_path)]
+    command += [text for knob in knobs for text in ("--knob", knob)]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    while not list(tmp_path.glob("jobs/*.json")):
+        assert process.poll() is None
+        time.sleep(0.01)
+    process.send_signal(signal.SIGKILL)
+    assert process.wait() == -signal.SIGKILL
+    kept = {path: path.stat().st_mtime_ns for path in tmp_path.glob("jobs/*.json")}
+    assert 1 <= len(kept) < len(knobs)
+    assert not (tmp_path / "accuracy.json").exists()
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    assert {path: path.stat().st_mtime_ns for path in kept} == kept
+    found = json.loads((tmp_path / "accuracy.json").read_text())
+    assert [one["knob"] for one in found["knobs"]] == list(knobs)
 
 
 def test_bounds_are_numbers_above_0(capsys: pytest.CaptureFixture[str]) -> None:

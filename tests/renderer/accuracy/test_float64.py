@@ -8,6 +8,7 @@ import pytest
 from renderer.accuracy.float64 import decode_levels, encode_levels, shade_exactly
 from renderer.accuracy.sweep import find_distances
 from renderer.content import load_scene, parse_camera
+from renderer.exam.scenes import make_views
 from renderer.scene import Depth
 from renderer.settings import RenderSettings
 from rhi.shading import Precision
@@ -49,3 +50,16 @@ def test_distances_are_those_that_depth_leads_back_to(direction: Depth) -> None:
     point = np.array([1.0, 0.5, -7.0, 1.0])  # 7 m before the eye
     clip = camera.projection.matrix @ point
     assert np.isclose(find_distances(camera, np.array(clip[2] / clip[3])), 7.0)
+
+
+def test_distances_under_a_parallel_projection_are_along_the_view() -> None:
+    scene, camera = make_views()["a parallel projection whose near plane cuts boxes"]
+    with open_device("gl") as device, SETTINGS.open(device, scene, (48, 28)) as renderer:
+        camera = SETTINGS.aim(camera)
+        exact = shade_exactly(renderer, camera)
+        depth = renderer.render(camera).depth.read().astype(np.float64)
+    seen = exact.objects >= 0
+    assert seen.any()
+    away = find_distances(camera.with_aspect(48 / 28), depth)
+    assert np.ptp(exact.distances[seen]) > 1.0
+    assert np.allclose(away[seen], exact.distances[seen], atol=1e-4)

@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from renderer.accuracy import KNOBS, Situation, sweep_knob
-from renderer.accuracy.sweep import count_reached, crop_worst, list_views, prepare_scene, shrink_picture
+from renderer.accuracy.sweep import (
+    KnobBench,
+    count_reached,
+    crop_worst,
+    list_views,
+    prepare_scene,
+    shrink_picture,
+)
 from renderer.content import load_scene
 from renderer.measure.alternate import Measurement, find_interval
 from renderer.scene import Camera
@@ -56,6 +63,16 @@ def test_a_knob_that_the_scene_has_no_use_for_has_no_rows() -> None:
     assert set(report.left_out.values()) == {"the scene lacks a transparent object"}
 
 
+def test_frames_that_remember_nothing_are_not_compared() -> None:
+    scene, knob = load_scene("city:blocks=4"), KNOBS["pyramid_texels"]
+    with open_device("gl") as device, KnobBench(device, scene, TINY, knob, ["8"]) as bench:
+        (first,) = bench.find_errors(bench.list_views()[:1]).values()
+        with KnobBench(device, scene, TINY, knob, ["8"]) as other:
+            other.draw_history()
+            (later,) = other.find_errors(other.list_views()[:1]).values()
+    assert first.summarize()[1] > 2.0 * later.summarize()[1] > 0.0  # all in view was drawn
+
+
 def test_encodings_are_measured_without_a_frame() -> None:
     rough, fine = sweep_knob(TINY, "tangent_packing").rows
     assert rough.max_error > fine.max_error > 0.0
@@ -66,6 +83,8 @@ def test_shadows_are_switched_on_for_their_knobs_only() -> None:
     scene = load_scene("city:blocks=2")
     assert prepare_scene(scene, KNOBS["fxaa"]) is None
     assert not scene.lights.point["casts_shadow"].any()
+    assert prepare_scene(scene, KNOBS["occluders"]) is None
+    assert "other triangles" in str(prepare_scene(load_scene("terrain:cells=8,trees=0"), KNOBS["occluders"]))
     assert prepare_scene(scene, KNOBS["shadow_size"]) is None
     assert scene.lights.point["casts_shadow"].all()
 

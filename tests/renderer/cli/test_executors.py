@@ -59,6 +59,12 @@ def test_each_process_has_cpus_and_threads_of_its_own(monkeypatch: pytest.Monkey
     assert look() == (cpus, [None, None, "7"])  # this process is as it was
 
 
+def test_a_process_that_is_ended_is_an_error_of_one_line() -> None:
+    with pytest.raises(OutputError, match="a process of processes:1 was ended"), make_executor("processes:1") as pool:
+        assert pool.submit(abs, -1).result() == 1
+        pool.submit(os._exit, 1).result()
+
+
 def test_an_executor_of_no_known_kind_is_refused() -> None:
     for text in ("process", "processes:0", "threads:x", "dask", "serial:2"):
         with pytest.raises(OutputError, match="is none of serial, processes"), make_executor(text):

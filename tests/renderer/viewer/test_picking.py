@@ -104,6 +104,15 @@ def test_boxes_are_entered_where_a_ray_is_parallel_to_their_sides() -> None:
     assert enter_boxes(ray, lower, upper).tolist() == [4, np.inf, 4, 0, np.inf]
 
 
+def test_a_ray_beside_a_triangle_in_its_own_plane_misses_it() -> None:
+    """Without a warning, too: its weights are infinities of both signs."""
+    triangle = np.array([[(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)]])
+    origin, direction = np.array([(0.0, 1.0, 0.0), (1.0, 0.0, -1.0)])
+    distances, weights = meet_triangles(origin, direction, triangle, both_sides=True)
+    assert sorted(weights[0]) == [-np.inf, np.inf]
+    assert distances.tolist() == [np.inf]
+
+
 def test_no_ray_passes_between_two_triangles() -> None:
     rng = np.random.default_rng(7)
     corners = rng.normal(size=(200, 4, 3))

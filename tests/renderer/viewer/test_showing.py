@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,10 @@ from screens_kit import open_display
 
 import renderer
 from renderer.cli import main
+from renderer.scene import Depth
+from renderer.settings import RenderSettings
+from renderer.techniques import TechniqueSettings
+from renderer.viewer import showing
 from renderer.viewer.showing import ViewerScreen, open_viewer
 from rhi import DeviceError
 from rhi_screen import Screen
@@ -115,6 +120,17 @@ def test_lines_that_come_over_the_socket_are_run_by_the_next_frame(shown: Viewer
     assert shown.viewer.stage.look.technique == "deferred"
 
 
+def test_a_saved_file_asks_the_loop_of_the_screen_for_a_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Any] = []
+    monkeypatch.setattr(showing, "find_loop", lambda canvas: SimpleNamespace(call_soon_threadsafe=asked.append))
+    made = open_viewer(SCENE, "null", canvas="offscreen", size=SIZE)
+    assert made.viewer.saved.is_watching
+    made.viewer.saved.wake()
+    assert asked == [made.screen.canvas.request_draw]
+    made.close()
+    assert not made.viewer.saved.is_watching
+
+
 def test_a_screen_that_exists_can_show_a_viewer(shown: ViewerScreen) -> None:
     again = ViewerScreen(shown.viewer, Screen(shown.screen.canvas, shown.screen.device))
     tick(again)
@@ -184,10 +200,15 @@ def test_without_glfw_one_line_says_what_to_install(
 def test_a_window_shows_the_frames_of_a_script(tmp_path: Path) -> None:
     script = tmp_path / "tour.txt"
     picture, walk = tmp_path / "shot.png", tmp_path / "walk.json"
-    script.write_text(f"camera overview\nscreenshot {picture}\nrecord {walk}\nwait 0.2\nrecord\nquit\n")
+    given, saved = tmp_path / "given.json", tmp_path / "saved.json"
+    RenderSettings(TechniqueSettings("deferred"), algorithm="none", depth=Depth.STANDARD).save(given)
+    lines = "camera overview", f"screenshot {picture}", f"record {walk}", "wait 0.2", "record", f"save settings {saved}"
+    script.write_text("\n".join([*lines, "quit"]))
+    settings = ("--settings", str(given), "--visibility", "frustum")
     with open_display(tmp_path) as display:
-        done = run_view(display.environment, "--backend", "gl", "--script", str(script))
+        done = run_view(display.environment, "--backend", "gl", "--script", str(script), *settings)
     assert (done.returncode, done.stderr) == (0, "")
+    assert RenderSettings.load(saved) == RenderSettings.load(given).change("algorithm", "frustum")
     assert picture.stat().st_size > 1000
     assert main(["render", SCENE, "--backend", "null", "--camera", str(walk), "--json"]) == 0
 

@@ -35,9 +35,10 @@ CORNERS: Final = {
     Primitive.POINTS: 1, Primitive.LINES: 2, Primitive.LINE_STRIP: 2, Primitive.TRIANGLES: 3,
     Primitive.TRIANGLE_STRIP: 3, Primitive.TRIANGLE_FAN: 3, Primitive.QUADS: 3,
 }  # fmt: skip
-_LISTS: Final = (Primitive.POINTS, Primitive.LINES, Primitive.TRIANGLES)
+LISTS: Final = (Primitive.POINTS, Primitive.LINES, Primitive.TRIANGLES)
 _NO_RESTART: Final = -1
 _SPAN: Final = 1024  # a range takes two scans of at most this many indices, and one of the spans between
+_MAX_SCANNED: Final = 1 << 16  # indices of many draws that are scanned at once
 _MAX_KEPT: Final = 4096
 _MAX_LISTED: Final = 1 << 22  # indices, in the lists kept for one buffer
 _MIN_PATTERN: Final = 1024
@@ -158,7 +159,7 @@ class Assembler(Generic[T]):
             return Assembly(corners, 0, 0)
         whole = count - count % corners
         if contents.bytes is None:
-            if contents.device_wrote and primitive in _LISTS:
+            if contents.device_wrote and primitive in LISTS:
                 return Assembly(corners, whole, first, indexed=True)
             contents.bytes = np.frombuffer(bytearray(self._read(buffer, 0, contents.size)), np.uint8)
         key = primitive, format, first, count
@@ -170,9 +171,29 @@ class Assembler(Generic[T]):
             contents.listed += 0 if made.memory is None else made.count
         return made
 
+    def find_ranges(
+        self, firsts: NDArray[np.int64], counts: NDArray[np.int64], buffer: Id, format: IndexFormat
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
+        """Return the lowest and the highest of each of some ranges of indices of a buffer, which is watched. None if
+        they lie too far apart for one scan, or aren't lists that can be used as they are: one is empty, ends beyond
+        the buffer or has a restart, or the device may have written the buffer."""
+        contents = self._buffers[buffer]
+        begin, end = int(firsts.min()), int((firsts + counts).max())
+        if contents.device_wrote or end > contents.size // format.size:
+            return None
+        if end - begin > _MAX_SCANNED or not counts.all():
+            return None
+        if contents.bytes is None:
+            contents.bytes = np.frombuffer(bytearray(self._read(buffer, 0, contents.size)), np.uint8)
+        indices = np.append(_view(contents.bytes, format)[begin:end], format.dtype.type(0))
+        bounds = (np.stack([firsts, firsts + counts], axis=1) - begin).reshape(-1)
+        lows = np.minimum.reduceat(indices, bounds)[::2].astype(np.int64)
+        highs = np.maximum.reduceat(indices, bounds)[::2].astype(np.int64)
+        return None if highs.max() == 256**format.size - 1 else (lows, highs)
+
     def _assemble_vertices(self, primitive: Primitive, first: int, count: int) -> Assembly[T]:
         corners = CORNERS[primitive]
-        if primitive in _LISTS:
+        if primitive in LISTS:
             whole = count - count % corners
             return Assembly(corners, whole, first, 0, False, None, first, first + whole - 1)
         listed = _listed(primitive, count)
@@ -190,7 +211,7 @@ class Assembler(Generic[T]):
         corners = CORNERS[primitive]
         restart = 256**format.size - 1
         low, high = contents.find_range(format, first, count)
-        if primitive in _LISTS and high != restart:
+        if primitive in LISTS and high != restart:
             return Assembly(corners, count - count % corners, first, 0, True, None, low, high)
         indices = _view(contents.bytes, format)[first : first + count]
         listed = list_primitives(primitive, indices, restart)

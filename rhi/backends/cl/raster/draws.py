@@ -5,6 +5,7 @@
 - A draw's prepared part is kept with its caller (`prepare_draw`) until the indices that it names change.
 - Indirect draws and their counts are read back and become direct draws.
 - Draws of programs that write memory are flushed one by one, since later draws may read what they wrote.
+- Draws in rectangles of their own are prepared together, unless they have to be assembled; each has its own view.
 - A draw that fails leaves the batch as it was: of its row nothing stays (`Batch.drop_partial_row`).
 """
 
@@ -26,8 +27,11 @@ from rhi.backends.cl.raster.pieces import DrawList, number_in_runs
 from rhi.backends.cl.raster.pipelines import Pipeline
 from rhi.backends.cl.raster.prepared import DrawSlot, PreparedDraws
 from rhi.backends.cl.raster.rows import COUNTER_BYTES, INSTANCES, PREPARED, VIEW
+from rhi.backends.cl.raster.states import cut_views
 from rhi.backends.cl.raster.vertex_arrays import VertexArray, VertexArrays
 from rhi.contract.descriptors import DRAW, DRAW_UNINDEXED, Binding, Id, Primitive
+from rhi.contract.queries import list_draws
+from rhi.contract.states import Scissor, StateChange, Viewport
 
 __rhi_internal__ = True
 
@@ -55,6 +59,7 @@ class Draws:
         self._state = state
         self._arrays = arrays.by_id
         self._prepare = arrays.prepare
+        self._prepare_lists = arrays.prepare_lists
         self._columns = columns
         self._buffers = buffers
         self._flush = flush
@@ -76,6 +81,42 @@ class Draws:
             self._batch.drop_partial_row()
             raise
         self._end(pipeline)
+
+    def draw_clipped(
+        self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], clips: NDArray[np.int64]
+    ) -> None:
+        """See `rhi.contract.backend.ClipsDraws`: all draws are prepared at once, and each has a view of its own."""
+        array, state, prepared = self._arrays[vertex_array], self._state, self._prepared
+        numbers = np.array([prepared.add() for _ in range(len(draws))])
+        try:
+            if array.pipeline.descriptor.writes_memory or not self._prepare_lists(numbers, array, primitive, draws):
+                self._draw_each_clipped(vertex_array, primitive, draws, clips)
+                return
+            pipeline = self._begin(array)
+            assert state.target is not None
+            batch, row = self._batch, pipeline.pick(self._columns)
+            rows = np.empty((len(draws), len(row)), np.uint64)
+            rows[:] = row
+            rows[:, PREPARED], rows[:, INSTANCES] = numbers, draws["instances"]
+            rows[:, VIEW] = np.arange(len(batch.views), len(batch.views) + len(draws))
+            batch.views += cut_views(batch.views[row[VIEW]], state.values[Viewport], state.target.size, clips)
+            batch.rows.frombytes(rows.tobytes())
+            state.ready_for = None  # the next draw has the view before
+        finally:
+            for number in numbers.tolist():
+                prepared.release(number)
+
+    def _draw_each_clipped(
+        self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], clips: NDArray[np.int64]
+    ) -> None:
+        state = self._state
+        before = StateChange(Scissor, state.values[Scissor])
+        try:
+            for clip, arguments in zip(clips.tolist(), list_draws(draws), strict=True):
+                state.set((StateChange(Scissor, Scissor(*clip)),))
+                self.draw(vertex_array, primitive, *arguments)
+        finally:
+            state.set((before,))
 
     def prepare_draw(
         self, vertex_array: Id, primitive: Primitive, first: int, count: int, base_vertex: int, base_instance: int

@@ -36,17 +36,15 @@ def make_view(
     """
     view = np.zeros((), VIEW_STRUCT)
     viewport, scissor = values[Viewport], values[Scissor]
-    x, y, width, height = viewport.x, viewport.y, viewport.width, viewport.height
-    if viewport is Viewport.TARGET:
-        width, height = size
+    x, y, width, height = _place(viewport, size)
     view["scale"] = width / 2, -height / 2, viewport.far - viewport.near, 0
     view["shift"] = x + width / 2, y + height / 2, viewport.near, 0
-    # A texel lies in the viewport if its centre does.
+    left, top, right, bottom = _find_box(viewport, size)
     view["box"] = (
-        max(0, scissor.x, _first_centre(x)),
-        max(0, scissor.y, _first_centre(y)),
-        min(size[0], scissor.x + scissor.width, _first_centre(x + width)) - 1,
-        min(size[1], scissor.y + scissor.height, _first_centre(y + height)) - 1,
+        max(scissor.x, left),
+        max(scissor.y, top),
+        min(scissor.x + scissor.width - 1, right),
+        min(scissor.y + scissor.height - 1, bottom),
     )
     front = values[FrontFace] is FrontFace.CLOCKWISE
     view["front"] = front
@@ -60,6 +58,35 @@ def make_view(
         view["bias_step"] = 1 / depth.depth_steps
     view["state"] = make_state(values, colors)
     return view
+
+
+def cut_views(view: bytes, viewport: Viewport, size: tuple[int, int], clips: NDArray[np.int64]) -> list[bytes]:
+    """Return a `VIEW_STRUCT` for each of some scissors (n, 4): x, y, width and height; `view` is that of another."""
+    views = np.frombuffer(view * len(clips), np.uint8).reshape(len(clips), -1).copy()
+    at, width = VIEW_STRUCT.fields["box"][1], 16  # type: ignore[index]
+    boxes = views[:, at : at + width].view(np.int32)
+    box = np.array(_find_box(viewport, size))
+    boxes[:, :2] = np.maximum(clips[:, :2], box[:2])
+    boxes[:, 2:] = np.minimum(clips[:, :2] + clips[:, 2:] - 1, box[2:])
+    cut, step = views.tobytes(), views.shape[1]
+    return [cut[begin : begin + step] for begin in range(0, len(cut), step)]
+
+
+def _place(viewport: Viewport, size: tuple[int, int]) -> tuple[float, float, float, float]:
+    if viewport is Viewport.TARGET:
+        return viewport.x, viewport.y, *size
+    return viewport.x, viewport.y, viewport.width, viewport.height
+
+
+def _find_box(viewport: Viewport, size: tuple[int, int]) -> tuple[int, int, int, int]:
+    """Return the first and the last column and row of texels in a viewport: a texel is in it if its centre is."""
+    x, y, width, height = _place(viewport, size)
+    return (
+        max(0, _first_centre(x)),
+        max(0, _first_centre(y)),
+        min(size[0], _first_centre(x + width)) - 1,
+        min(size[1], _first_centre(y + height)) - 1,
+    )
 
 
 def _first_centre(edge: float) -> int:

@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pyopencl as cl
@@ -18,12 +18,12 @@ from rhi.backends.cl.buffers import Buffers
 from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.pools import Addresses, IndexList, Retired
-from rhi.backends.cl.raster.assembly import Assembler
+from rhi.backends.cl.raster.assembly import CORNERS, LISTS, Assembler
 from rhi.backends.cl.raster.bindings import Bindings
 from rhi.backends.cl.raster.boxes import AttributeBoxes
 from rhi.backends.cl.raster.pipelines import Pipeline, VertexKernels
 from rhi.backends.cl.raster.prepared import DrawSlot, PreparedDraws
-from rhi.backends.cl.raster.tables import GROUP, MAX_STREAMS
+from rhi.backends.cl.raster.tables import DRAW_STRUCT, GROUP, MAX_STREAMS
 from rhi.contract.descriptors import Id, Primitive, VertexArrayDescriptor
 
 __rhi_internal__ = True
@@ -142,6 +142,43 @@ class VertexArrays:
         prepared.streams[slot.number, : len(made.streams)] = [
             self._bindings.find_buffer(stream.buffer) + stream.offset for stream in made.streams
         ]
+
+
+    def prepare_lists(
+        self, numbers: NDArray[np.int64], array: VertexArray, primitive: Primitive, draws: NDArray[Any]
+    ) -> bool:
+        """Fill in prepared draws, by their numbers, for an array of draws; return False if they have to be prepared one
+        by one, because of strips, restarts, or indices that aren't known."""
+        made, prepared, bindings = array.descriptor, self._prepared, self._bindings
+        if primitive not in LISTS:
+            return False
+        first, count = (draws[name].astype(np.int64) for name in ("first", "count"))
+        corners = CORNERS[primitive]
+        whole = count - count % corners
+        rows = np.zeros(len(draws), DRAW_STRUCT)
+        if made.index_buffer:
+            ranges = self._assembler.find_ranges(first, count, made.index_buffer, made.index_format)
+            if ranges is None:
+                return False
+            low, high = ranges
+            size = made.index_format.size
+            rows["indices"] = bindings.find_buffer(made.index_buffer) + size * first
+            rows["index_bytes"] = size
+            rows["first_vertex"] = low + draws["base_vertex"]
+        else:
+            low, high = first, first + whole - 1
+            rows["first_vertex"] = low
+        rows["lowest"], rows["vertices"] = low, high - low + 1
+        rows["primitives"], rows["primitive"] = whole // corners, corners
+        rows["primitive_groups"] = -(-rows["primitives"] // GROUP)
+        rows["vertex_groups"] = -(-rows["vertices"] // GROUP)
+        rows["base_instance"] = draws["base_instance"]
+        prepared.draws[numbers] = rows
+        prepared.arrays[numbers], prepared.seen[numbers] = array.id, False
+        prepared.streams[numbers, : len(made.streams)] = [
+            bindings.find_buffer(stream.buffer) + stream.offset for stream in made.streams
+        ]
+        return True
 
 
 def upload_indices(

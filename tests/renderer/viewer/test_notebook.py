@@ -1,0 +1,196 @@
+"""The widget in a notebook, in a browser without a display: it shows the picture, and is dragged and clicked.
+
+It needs `pip install jupyterlab selenium` and `apt install chromium chromium-driver`.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import io
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+from urllib.request import urlopen
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+import rhi
+
+webdriver = pytest.importorskip("selenium.webdriver", reason="no selenium: pip install selenium")
+errors = pytest.importorskip("selenium.common.exceptions")
+pytest.importorskip("jupyter_rfb", reason="no jupyter_rfb: pip install jupyter_rfb")
+
+pytestmark = [pytest.mark.nightly, pytest.mark.filterwarnings("ignore")]
+
+SIZE = (480, 270)
+PATIENCE = 180.0
+SHOW = f"""\
+import renderer, notes
+widget = renderer.view("city:blocks=6", size={SIZE})
+notes.take(widget)
+widget"""
+NOTES = """\
+import gc, json
+from renderer.viewer import Viewer
+
+def take(widget):
+    '''Write what the viewer says after each event.'''
+    stage = next(each for each in gc.get_objects() if isinstance(each, Viewer)).stage
+
+    def note(event):
+        if event["event_type"] not in ("pointer_up", "key_down"):
+            return
+        told = dict(kind=event["event_type"], forward=stage.camera.forward.tolist(), told=stage.told)
+        with open("seen.jsonl", "a") as file:
+            print(json.dumps(told | dict(technique=stage.look.technique)), file=file)
+
+    widget.add_event_handler(note, "*", order=9)  # after the viewer
+"""
+
+
+def wait_for(what: Callable[[], Any], name: str) -> Any:
+    """Return what something is, once it is something."""
+    until = time.monotonic() + PATIENCE
+    while time.monotonic() < until:
+        with suppress(errors.WebDriverException):  # JupyterLab is still building its page
+            found = what()
+            if found:
+                return found
+        time.sleep(0.2)
+    pytest.fail(f"waited for {name} in vain")
+
+
+def find_port() -> int:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
+
+
+def answers(url: str) -> bool:
+    try:
+        with urlopen(url, timeout=5):
+            return True
+    except OSError:
+        return False
+
+
+@pytest.fixture
+def browser() -> Iterator[Any]:
+    program, driver = (shutil.which(name) for name in ("chromium", "chromedriver"))
+    if program is None or driver is None:
+        pytest.skip("no browser: apt install chromium chromium-driver")
+    options = webdriver.ChromeOptions()
+    options.binary_location = program
+    for argument in ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"):
+        options.add_argument(argument)
+    options.add_argument("--window-size=1000,800")
+    opened = webdriver.Chrome(options, webdriver.ChromeService(driver))
+    yield opened
+    opened.quit()
+
+
+@pytest.fixture(scope="module", params=["cl", "gl"])
+def backend(request: pytest.FixtureRequest) -> str:
+    try:
+        rhi.create_device(request.param).close()
+    except rhi.DeviceError as error:
+        pytest.skip(f"no {request.param} device here: {error.given}")
+    return str(request.param)
+
+
+@pytest.fixture
+def notebook(tmp_path: Path, backend: str) -> Iterator[str]:
+    """The address of a notebook that shows a scene, in a server of its own."""
+    if importlib.util.find_spec("jupyterlab") is None:
+        pytest.skip("no JupyterLab: pip install jupyterlab")
+    cell = {"cell_type": "code", "execution_count": None, "metadata": {}, "outputs": [], "source": SHOW, "id": "show"}
+    kernel = {"name": "python3", "display_name": "Python", "language": "python"}
+    notebook = {"cells": [cell], "metadata": {"kernelspec": kernel}, "nbformat": 4, "nbformat_minor": 5}
+    (tmp_path / "view.ipynb").write_text(json.dumps(notebook))
+    (tmp_path / "notes.py").write_text(NOTES)
+    settings = tmp_path / "lab" / "@jupyterlab" / "apputils-extension"
+    settings.mkdir(parents=True)
+    (settings / "notification.jupyterlab-settings").write_text('{"fetchNews": "false"}')
+    port = find_port()
+    command = [
+        sys.executable, "-m", "jupyterlab", "--no-browser", "--allow-root", f"--ServerApp.port={port}",
+        "--ServerApp.port_retries=0", "--IdentityProvider.token=", f"--ServerApp.root_dir={tmp_path}",
+    ]  # fmt: skip
+    paths = {"JUPYTER_CONFIG_DIR": tmp_path / "config", "JUPYTER_RUNTIME_DIR": tmp_path / "run"}
+    paths |= {"IPYTHONDIR": tmp_path / "ipython", "JUPYTERLAB_SETTINGS_DIR": tmp_path / "lab"}
+    environment = os.environ | {name: str(path) for name, path in paths.items()} | {"RHI_BACKEND": backend}
+    environment = {name: value for name, value in environment.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    with (tmp_path / "server.log").open("w") as log:
+        server = subprocess.Popen(command, cwd=tmp_path, env=environment, stdout=log, stderr=log)
+    try:
+        wait_for(lambda: answers(f"http://127.0.0.1:{port}/api"), "the server")
+        yield f"http://127.0.0.1:{port}/lab/tree/view.ipynb?reset"
+    finally:
+        server.terminate()
+        server.wait()
+
+
+def look(widget: Any) -> NDArray[np.uint8]:
+    """Return the pixels of an element, as the browser shows it, without the counter."""
+    with Image.open(io.BytesIO(widget.screenshot_as_png)) as image:
+        return np.array(image.convert("RGB"))[50:]
+
+
+def count_colors(widget: Any) -> int:
+    return len(np.unique(look(widget).reshape(-1, 3), axis=0))
+
+
+def test_the_widget_is_dragged_clicked_and_told_by_keys(browser: Any, notebook: str, tmp_path: Path) -> None:
+    def seen(kind: str) -> list[Any]:
+        path = tmp_path / "seen.jsonl"
+        lines = path.read_text().splitlines() if path.exists() else []
+        return [one for one in map(json.loads, lines) if one["kind"] == kind]
+
+    def find_picture() -> Any:
+        for button in browser.find_elements("css selector", ".jp-Dialog .jp-mod-accept"):
+            button.click()  # asks for the kernel if that wasn't connected yet
+        found = browser.find_elements("css selector", ".jp-OutputArea-output img, .jp-OutputArea-output canvas")
+        return next((one for one in found if count_colors(one) > 500), None)  # before, it is plain
+
+    def click_cell() -> bool:
+        cells = browser.find_elements("css selector", ".jp-Cell .cm-content")
+        for cell in cells[:1]:
+            cell.click()
+        return bool(cells)
+
+    browser.get(notebook)
+    wait_for(lambda: "Idle" in browser.page_source, "the kernel")
+    wait_for(click_cell, "the notebook")
+    webdriver.ActionChains(browser).key_down(webdriver.Keys.SHIFT).send_keys(webdriver.Keys.ENTER).key_up(webdriver.Keys.SHIFT).perform()
+    picture = wait_for(find_picture, "the picture")
+    before = look(picture)
+
+    webdriver.ActionChains(browser).move_to_element(picture).click_and_hold().move_by_offset(120, 0).release().perform()
+    dragged = wait_for(lambda: seen("pointer_up"), "the end of the drag")[-1]
+    wait_for(lambda: (look(picture) != before).mean() > 0.1, "another picture")
+    after = look(picture)
+
+    webdriver.ActionChains(browser).move_to_element_with_offset(picture, 0, 60).click().perform()
+    clicked = wait_for(lambda: seen("pointer_up")[1:], "the click")[-1]
+    wait_for(lambda: (look(picture) != after).any(), "the outline of what was picked")
+    assert clicked["forward"] == dragged["forward"]
+    assert "m away" in clicked["told"][0]
+
+    webdriver.ActionChains(browser).send_keys("t").perform()
+    wait_for(lambda: [one for one in seen("key_down") if one["technique"] != "forward"], "the key")
+    turned = np.degrees(np.arccos(np.clip(np.dot(dragged["forward"], clicked["forward"]), -1, 1)))
+    assert turned < 0.1
+    folder = os.environ.get("RHI_SCREENSHOTS")
+    if folder:
+        browser.save_screenshot(str(Path(folder) / "notebook.png"))
