@@ -12,6 +12,6 @@ case "${1:-}" in
 esac
 # shellcheck source=scripts/setup.sh
 . scripts/setup.sh
-setup renderer libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri pocl-opencl-icd
+setup renderer libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri pocl-opencl-icd libfribidi0
 export RHI_KERNELS="${RHI_KERNELS:-optimised}"  # what is compared is the speed of a long run
 exec .venv/bin/python -m renderer demo "${1:-city}" --output out

@@ -55,9 +55,10 @@ setup() {
         say "creating .venv with $("$python" --version)"
         "$python" -m venv .venv
     fi
-    # A file named after the checksum of pyproject.toml records that it is installed, so that a second run starts at once.
+    # A file named after the checksum of pyproject.toml and of the packages' names records that they are installed, so
+    # that a second run starts at once.
     local stamp
-    stamp=".venv/.setup-$extra-$(cksum <pyproject.toml | tr ' ' '-')"
+    stamp=".venv/.setup-$extra-$( (cat pyproject.toml; ls -d ./*/__init__.py) | cksum | tr ' ' '-')"
     if [ ! -e "$stamp" ]; then
         say "installing Python packages: rhi[$extra]"
         local told  # pip warns of what isn't ours to change, such as being root: shown only if it fails

@@ -55,6 +55,7 @@ class Font:
         advance: (GLYPHS,) from a glyph to the next.
         place: (GLYPHS, 2) from the pen, at the line's top, to a glyph's top left. extent: (GLYPHS, 2) its size.
         texel: (GLYPHS, 2) its top left in the atlas.
+        is_kerned: whether pairs are kerned, for which Pillow needs HarfBuzz (on Debian `libfribidi0`).
     """
 
     def __init__(self, file: Path, size: int) -> None:
@@ -63,15 +64,15 @@ class Font:
             refuse(rules.FONT_SIZE, "Font.load", size, "4 to 256")
         try:
             self._font = ImageFont.truetype(file, size, layout_engine=ImageFont.Layout.BASIC)
-            kerns = features.check("raqm")
+            self.is_kerned = bool(features.check("raqm"))
             self._kerned = (
-                ImageFont.truetype(file, size, layout_engine=ImageFont.Layout.RAQM) if kerns else self._font
+                ImageFont.truetype(file, size, layout_engine=ImageFont.Layout.RAQM) if self.is_kerned else self._font
             )
         except (OSError, ImportError) as error:  # of a file that is no font, or a Pillow without FreeType
             refuse(
                 rules.FONT_FILE, "Font.load", f"{file.name}: {error}", "a file that Pillow reads as a font"
             )
-        self._pair_options: dict[str, Any] = {"features": ["-liga", "-clig"]} if kerns else {}
+        self._pair_options: dict[str, Any] = {"features": ["-liga", "-clig"]} if self.is_kerned else {}
         self.size = size
         ascent, descent = self._font.getmetrics()
         self.line_height = ascent + descent

@@ -152,7 +152,7 @@ class Lamps:
         else:
             for eye in moved:
                 for kind, some in zip(self._kinds, kinds, strict=True):
-                    kind.packed["position"] = some["position"] - eyes[eye]
+                    kind.packed["position"] = subtract_places(some["position"], eyes[eye])
                     kind.seen[eye].write(kind.packed)
 
     def _stop_kernels(self) -> None:
@@ -220,6 +220,16 @@ class Lamps:
     def destroy(self) -> None:
         """Destroy the resources on the device."""
         self._made.close()
+
+
+def subtract_places(places: Floats, eye: Floats) -> NDArray[np.float32]:
+    """Return positions (n, 3) relative to an eye (3,), to the bit as `subtract_exactly` on a device.
+
+    So a lamp is at the same place for one eye and for the same one of two."""
+    high, low = split_doubles(places)
+    eye_high, eye_low = split_doubles(eye)
+    relative: NDArray[np.float32] = (high - eye_high) + (low - eye_low)
+    return relative
 
 
 def _place(position: Floats) -> ExactPlace:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import ImageFont
+from PIL import ImageFont, features
 
 from renderer.canvas import BOX, Font, lay_out
 from renderer.canvas.font import LINE, TAB
@@ -15,6 +15,8 @@ from rhi import RhiError
 PRINTABLE = [*range(32, 127), *range(160, 256)]
 FILE = Path(__file__).parents[3] / "renderer" / "canvas" / "DejaVuSans.ttf"
 PANGRAM = "AVATAR To. WAVE Yo, LT 'P.' 0123456789 fi ffl Äöüß éñçø ÀÝÞ ÷×"
+
+kerns = pytest.mark.skipif(not features.check("raqm"), reason="Pillow has no HarfBuzz: apt install libfribidi0")
 
 
 @pytest.fixture(scope="module")
@@ -61,6 +63,7 @@ def check_layout(font: Font, text: str) -> None:
     assert (layout.width, layout.height) == (width, height), text
 
 
+@kerns
 @pytest.mark.parametrize(
     "text",
     [
@@ -72,6 +75,7 @@ def test_a_text_is_laid_out_as_one_by_one(font: Font, text: str) -> None:
     check_layout(font, text)
 
 
+@kerns
 @pytest.mark.parametrize("size", [9, 13, 32])
 def test_random_texts_are_laid_out_as_one_by_one(size: int) -> None:
     rng = np.random.default_rng(size)
@@ -80,6 +84,7 @@ def test_random_texts_are_laid_out_as_one_by_one(size: int) -> None:
         check_layout(Font.load(size), "".join(map(chr, rng.choice(codes, rng.integers(1, 80)))))
 
 
+@kerns
 def test_kerning_moves_pairs_together_and_leaves_others_alone(font: Font) -> None:
     assert lay_out(font, "AV").width < lay_out(font, "A").width + lay_out(font, "V").width
     assert lay_out(font, "11").width == 2 * lay_out(font, "1").width

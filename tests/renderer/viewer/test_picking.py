@@ -49,6 +49,14 @@ def test_the_distance_is_from_the_eye() -> None:
     assert hit.point[2] == pytest.approx(0.0, abs=1e-12)
 
 
+def test_a_triangle_without_an_area_is_not_met() -> None:
+    """Its weights are infinite or not numbers, which NumPy must not warn of."""
+    line, triangle = [(0, 0, 0), (0, 1, 0), (0, 2, 0)], [(-1, -1, 0), (1, -1, 0), (0, 1, 0)]
+    corners = np.array([line, [(0.1, 0, 0)] * 3, [(1, 0, 0), (1, -1, 0.5), (1, -0.3, 1)], triangle], float)
+    distances, _ = meet_triangles(np.array([0.0, 0.0, 3.0]), np.array([0.0, 0.0, -1.0]), corners, both_sides=True)
+    assert distances.tolist() == [np.inf, np.inf, np.inf, 3.0]
+
+
 def test_beside_the_object_there_is_nothing() -> None:
     assert pick(square(), FRONT, 0, 0) is None
 
