@@ -69,7 +69,7 @@ hundredth of the frame.
 3. **A rung.** Add a `Rung` to `LADDER` in `renderer/need/ladder.py`: what it places in the scene, how it is
    switched on and off in a renderer that runs, the modules of which nothing may run without it, and its footprint:
 
-   ```python
+   ```text
    Rung(
        "haze",
        "haze in the air",

@@ -69,7 +69,7 @@ class FrameCosts:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Counted:
+class CountedFrame:
     """A frame, all that was done for it, and its commands.
 
     Attributes:
@@ -138,7 +138,7 @@ class Ascent:
         self.renderer.visibility.destroy()
 
 
-def count_rung(number: int) -> Counted:
+def count_rung(number: int) -> CountedFrame:
     """Count a frame of the scene of a rung."""
     with rhi.create_device("null") as device:
         ascent = Ascent(device, number + 1)
@@ -148,7 +148,7 @@ def count_rung(number: int) -> Counted:
     return counted
 
 
-def count_frame(ascent: Ascent) -> Counted:
+def count_frame(ascent: Ascent) -> CountedFrame:
     """Count the next frame."""
     device = ascent.renderer.device
     steps, called = 0, Counter[tuple[str, str]]()
@@ -173,10 +173,10 @@ def count_frame(ascent: Ascent) -> Counted:
         steps=steps,
         calls=called.total(),
     )
-    return Counted(costs, called, commands, {(row.name, row.shape): row.bytes for row in held})
+    return CountedFrame(costs, called, commands, {(row.name, row.shape): row.bytes for row in held})
 
 
-def count_calls(number: int, counted: Counted) -> int:
+def count_calls(number: int, counted: CountedFrame) -> int:
     """Return how many calls of a frame are those of functions of a rung's own modules."""
     modules = LADDER[number].modules
     return sum(count for (module, _), count in counted.called.items() if modules and module.startswith(modules))
@@ -228,7 +228,7 @@ def remove(device: rhi.Device, number: int) -> Ascent:
     return ascent
 
 
-def remove_rung(number: int) -> tuple[Counted, Counted]:
+def remove_rung(number: int) -> tuple[CountedFrame, CountedFrame]:
     """Count a frame of a scene that never had the effect of a rung, and one of a scene from which it was removed."""
     with rhi.create_device("null") as one, rhi.create_device("null") as other:
         never = open_without(one, number)
@@ -238,7 +238,7 @@ def remove_rung(number: int) -> tuple[Counted, Counted]:
         return count_frame(never), count_frame(removed)
 
 
-def compare(never: Counted, removed: Counted) -> tuple[Left, Differences]:
+def compare(never: CountedFrame, removed: CountedFrame) -> tuple[Left, Differences]:
     """Return what is left of an effect that was removed, and how the commands of the two frames differ."""
     differences = diff(never.commands, removed.commands)
     calls = Counter[bool]()

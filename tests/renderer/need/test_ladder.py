@@ -8,7 +8,7 @@ import pytest
 
 import rhi
 from renderer.need import LADDER, Ascent, compare, count_need, count_rung, find_rungs, remove_rung
-from renderer.need.counting import Counted, count_calls, count_frame
+from renderer.need.counting import CountedFrame, count_calls, count_frame
 from rhi import Op
 from rhi.testing import assert_free, assert_same, expect
 
@@ -21,7 +21,7 @@ POOLS = {
 
 
 @cache
-def remove(number: int) -> tuple[Counted, Counted]:
+def remove(number: int) -> tuple[CountedFrame, CountedFrame]:
     return remove_rung(number)
 
 
