@@ -167,6 +167,7 @@ class Renderer:
             self._own.append(visibility)
         self._plans: dict[tuple[object, ...], Plan[Frame]] = {}
         self._planned: Technique | None = None
+        self._drawn: Plan[Frame] | None = None  # the plan of the last frame
         self._size = size
         self._pair: EyePair | None = None
         with ExitStack() as made:
@@ -329,6 +330,10 @@ class Renderer:
         resources.expect(around, expected)
         needs = self._find_needs(around)
         plan = self._plan(needs)
+        if plan is not self._drawn:
+            self._drawn = plan
+            if not needs.casts_shadows:
+                resources.release(ShadowMaps)
         left = Frame(device, self._view, resources, self._targets, needs, precision=self.precision)
         frames = [left]
         self._run(plan, left)

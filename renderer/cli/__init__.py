@@ -1,4 +1,4 @@
-"""The command line: `python -m renderer render|view|demo|compare|plan|capture|accuracy|tune|exam|debug|convert|scenes`.
+"""The command line: `python -m renderer COMMAND`, with the commands that are listed in `COMMANDS`.
 
 Results go to stdout, everything else to stderr. Bad input ends in one line, `error: …`, and exit code 2.
 """
@@ -24,6 +24,7 @@ from renderer.cli import (
     debug_visibility,
     demo,
     exam,
+    need,
     plan,
     render,
     scenes,
@@ -54,6 +55,7 @@ COMMANDS: Final[tuple[Subcommand | SubcommandGroup, ...]] = (
         ),
     ),
     plan.COMMAND,
+    need.COMMAND,
     capture.COMMAND,
     accuracy.COMMAND,
     tune.COMMAND,

@@ -112,11 +112,9 @@ class Lamps:
         with ExitStack() as made:
             for kind in self._kinds:
                 made.callback(kind.destroy)
-            nowhere = _place(np.zeros(3))
-            self._eyes = MirroredValue(device, EyePlaces(left=nowhere, right=nowhere))
-            made.callback(self._eyes.destroy)
+            self._eyes: MirroredValue[EyePlaces] | None = None  # made for kernels
             self._commands = RepeatedCommands(device, "")
-            made.callback(self._commands.forget)
+            made.callback(self._stop_kernels)
             self._made = made.pop_all()
         self._state: tuple[object, ...] = ()  # what the lights were packed from
         self._placed: dict[int, bytes] = {}  # where each eye was that they were placed for
@@ -140,6 +138,8 @@ class Lamps:
         state = runs, *(some.tobytes() for some in kinds)
         is_new = state != self._state
         if is_new:
+            if self._runs and not runs:
+                self._stop_kernels()
             self._runs = runs
             self._pack(lights, kinds)
             self._state = state
@@ -154,6 +154,18 @@ class Lamps:
                 for kind, some in zip(self._kinds, kinds, strict=True):
                     kind.packed["position"] = subtract_places(some["position"], eyes[eye])
                     kind.seen[eye].write(kind.packed)
+
+    def _stop_kernels(self) -> None:
+        """Destroy what two eyes need and one doesn't."""
+        self._commands.forget()
+        self._work = []
+        if self._eyes is not None:
+            self._eyes.destroy()
+            self._eyes = None
+        for kind in self._kinds:
+            kind.places.destroy()
+            for seen in kind.seen[1:]:
+                seen.destroy()
 
     def _pack(self, lights: Lights, kinds: tuple[NDArray[Any], ...]) -> None:
         """Upload the places of all lights, and pack the rest."""
@@ -172,25 +184,30 @@ class Lamps:
             for kind in self._kinds:
                 for seen in kind.seen:
                     seen.write(kind.packed)
-            self._work = self._list_work()
-        if self._work:
-            left, right = map(_place, eyes)
-            self._eyes.write(EyePlaces(left=left, right=right))
-            key = tuple(one for _, _, bindings in self._work for one in bindings.values())
-            self._commands.execute(key, self._issue)
+        if not any(len(kind.packed) for kind in self._kinds):
+            return
+        left, right = map(_place, eyes)
+        places = EyePlaces(left=left, right=right)
+        if self._eyes is None:
+            self._eyes = MirroredValue(self._device, places)
+        if is_new:
+            self._work = self._list_work(self._eyes)
+        self._eyes.write(places)
+        key = tuple(one for _, _, bindings in self._work for one in bindings.values())
+        self._commands.execute(key, self._issue)
 
     def _issue(self, encoder: Encoder) -> None:
         for program, groups, bindings in self._work:
             encoder.dispatch(program, groups, **bindings)
 
-    def _list_work(self) -> list[tuple[Any, int, dict[str, Any]]]:
+    def _list_work(self, eyes: MirroredValue[EyePlaces]) -> list[tuple[Any, int, dict[str, Any]]]:
         """Return the kernels that place the lights: programs, numbers of groups, and bindings."""
         return [
             (
                 self._device.program(kind.shader),
                 -(-len(kind.packed) // _GROUP),
                 {
-                    "eyes": self._eyes.buffer,
+                    "eyes": eyes.buffer,
                     "places": kind.places.buffer,
                     "left": kind.seen[0].buffer,
                     "right": kind.seen[1].buffer,

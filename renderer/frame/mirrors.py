@@ -18,6 +18,13 @@ class _Destroyable(Protocol):
     def destroy(self) -> None: ...
 
 
+class Releasable(_Destroyable, Protocol):
+    """What can destroy resources that it makes again when they are needed."""
+
+    def release(self) -> None:
+        """Destroy them."""
+
+
 R = TypeVar("R", bound=_Destroyable)
 S = TypeVar("S", bound=Struct)
 T = TypeVar("T")
@@ -122,6 +129,11 @@ class Workspaces:
         if kind not in self._made:
             self._made[kind] = kind(self._device)
         kept: R = self._made[kind]
+        return kept
+
+    def peek(self, kind: Callable[[Device], R]) -> R | None:
+        """Return `kind(device)` if it was made."""
+        kept: R | None = self._made.get(kind)
         return kept
 
     def destroy(self) -> None:

@@ -170,9 +170,14 @@ class Needs:
         return Effect.NORMAL_MAPS in self.effects and not self.effects.isdisjoint(SHADOW_EFFECTS)
 
     @property
+    def casts_shadows(self) -> bool:
+        """Whether the scene has lights that cast shadows, in view or not: their maps are kept."""
+        return any(self.counts[effect] for effect in SHADOW_EFFECTS)
+
+    @property
     def key(self) -> tuple[object, ...]:
         """What a technique's declaration depends on."""
-        return self.effects, self.has_sun, self.has_both_models, self.blending, self.glow
+        return self.effects, self.has_sun, self.has_both_models, self.casts_shadows, self.blending, self.glow
 
     def explain(self, effect: Effect) -> str:
         """Return why the effect is needed or not, such as `3 of 13 point lights reach what is in view`."""

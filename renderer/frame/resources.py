@@ -22,7 +22,15 @@ from numpy.typing import NDArray
 from renderer import rules, shaders
 from renderer.frame.images import AS_GIVEN, SceneImages, TextureSettings
 from renderer.frame.lamps import Lamps
-from renderer.frame.mirrors import MirroredArray, MirroredValue, R, Workspaces, join_runs, split_doubles
+from renderer.frame.mirrors import (
+    MirroredArray,
+    MirroredValue,
+    R,
+    Releasable,
+    Workspaces,
+    join_runs,
+    split_doubles,
+)
 from renderer.lights.lists import list_lights
 from renderer.scene import Camera, Deformed, DeformingOnDevice, Scene, Simulator, normal_matrices
 from renderer.visibility import SceneArrays
@@ -211,6 +219,12 @@ class SceneResources:
         destroyed with the resources. What depends on the camera is kept by its view (`View.workspace`)."""
         return self._workspaces.find(kind)
 
+    def release(self, kind: Callable[[Device], Releasable]) -> None:
+        """Let a workspace, if it was made, destroy what it can make again."""
+        kept = self._workspaces.peek(kind)
+        if kept is not None:
+            kept.release()
+
     def list_arrays(self, view: UniformRange[shaders.ViewConstants]) -> SceneArrays:
         """Return the buffers of objects and meshes, as visibility algorithms on the device read them, and the constants
         of a view."""
@@ -344,7 +358,7 @@ class SceneResources:
         self._lamps.update(scene.lights, self._reaching, [eye.position for eye in eyes])
         self.look_from(0)
         self.ambient.write(_ambient(scene))
-        if "haze" in self.__dict__:
+        if "haze" in self.__dict__ and scene.haze > 0.0:
             self.haze.write(_haze(scene))
 
     def look_from(self, eye: int) -> None:

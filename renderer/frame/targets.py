@@ -73,9 +73,11 @@ class Targets:
 
     def provide(self, textures: Sequence[SharedTexture]) -> None:
         """Provide the textures of a frame's plan, before each frame. If one can't be created, all stay as they were."""
-        if textures is not self._plan and textures != self._plan:
-            self._replace(textures)
-            return
+        if textures is not self._plan:
+            if textures != self._plan:
+                self._replace(textures)
+                return
+            self._plan = textures
         for name, other in self._others.items():
             self._last[name], self._held[name], self._others[name] = self._held[name], other, self._held[name]
 
@@ -92,9 +94,8 @@ class Targets:
                     texture = free[kind].pop(0)
                 else:
                     format, size, samples = kind
-                    label = ", ".join(shared.names)
                     texture = made.enter_context(
-                        self._device.texture(size, format, samples=samples, label=label)
+                        self._device.texture(size, format, samples=samples, label=shared.names[0])
                     )
                 used.setdefault(kind, []).append(texture)
                 return texture

@@ -60,6 +60,7 @@ class Overlay:
         self._counted = self._after = self._before
         self.draws = 0
         self.milliseconds = 0.0
+        self._device, self._was_timing = device, device.timing
         if device.capabilities.timestamps:
             device.timing = True
 
@@ -89,8 +90,10 @@ class Overlay:
         self.draws, self.milliseconds = 0, 0.0
 
     def destroy(self) -> None:
-        """Destroy the resources on the device."""
+        """Destroy the resources on the device, and stop its timing if the overlay has begun it."""
         self._canvas.destroy()
+        if not self._was_timing and self._device.timing:
+            self._device.timing = False
 
     def _add_left(self, device: Device, frame: Frame, counted: Statistics) -> None:
         """Add the panel of times and counters."""

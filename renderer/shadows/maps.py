@@ -22,8 +22,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from renderer.frame import SHADOW_EFFECTS, Frame, Needs, Pass
-from renderer.frame.lamps import EYES
+from renderer.frame import SHADOW_EFFECTS, Effect, Frame, Needs, Pass
 from renderer.frame.mirrors import MirroredValue, split_doubles
 from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Rows
@@ -144,12 +143,13 @@ class ShadowMaps:
         self._atlas: Texture | None = None
         self._kept: Texture | None = None  # the second texture
         self._triangle = device.mesh(3, label="shadow tile")
-        self._lamp_table = MirroredValue(device, _make_lamp_table([], 0.0, 0))
+        self._lamp_table: MirroredValue[LampTable] | None = None
         self._slot_texture: Texture | None = None
         self._placements = 0  # how often a tile was given to a map
         self._written: tuple[object, ...] = ()  # what the table of lamps was written from
         self._frame = 0
-        self._sun_tables = tuple(MirroredValue(device, _make_table([], 0.0)) for _ in range(EYES))
+        self._sun_tables: list[MirroredValue[SunTable]] = []  # of the eyes that there have been
+        self._casting: tuple[bytes, ...] = ()  # of the lights of each kind, which ones cast shadows
         self._eye = 0  # whose table is bound
 
     def count(self, state: str) -> int:
@@ -189,7 +189,7 @@ class ShadowMaps:
         """Return the names of the parts of the shadows of lamps, `point`, `spot` or both, and their bindings."""
         name, bindings = self.bind_filter()
         return [*(f"{kind}_shadows" for kind in kinds), name], bindings | {
-            "lamps": self._lamp_table.buffer,
+            "lamps": self._lamp_table.buffer if self._lamp_table is not None else None,
             "lamp_slots": self._slot_texture,
         }
 
@@ -211,10 +211,11 @@ class ShadowMaps:
         visible = np.unique(np.concatenate(seen))
         wanted = self._needed.find(resources, frame.needs, cameras, visible, frame.targets.size)
         self._reported = [(key, "skipped", because, None) for key, because in self._needed.skipped]
-        self._place({one.key: one.size for one in wanted})
+        shrinks = self._forget_lights(scene)
+        self._place({one.key: one.size for one in wanted}, shrinks=shrinks)
         self._draw(frame, self._decide(scene, wanted), bind_depth)
         self.aim(frame.camera)
-        self._write_lamps(scene)
+        self._write_lamps(scene, frame.needs)
 
     def aim(self, camera: Camera, eye: int = 0) -> None:
         """Give shaders the places of the maps of directional lights relative to the eye of `camera`, one of the `EYES`
@@ -240,14 +241,20 @@ class ShadowMaps:
                     is_last=int(next_row != row),
                 )
             )
+        while len(self._sun_tables) <= eye:
+            self._sun_tables.append(MirroredValue(self._device, _make_table([], 0.0)))
         self._sun_tables[eye].write(_make_table(maps, self.settings.bias))
 
-    def _write_lamps(self, scene: Scene) -> None:
+    def _write_lamps(self, scene: Scene, needs: Needs) -> None:
         """Give shaders the maps of lamps, if they have changed."""
+        if not len(needs.point_casting) + len(needs.spot_casting):
+            if not needs.counts[Effect.POINT_SHADOWS] + needs.counts[Effect.SPOT_SHADOWS]:
+                self._forget_lamps()
+            return  # no shader reads them
         assert self._needed is not None
         lamps, points, spots = self._needed.lamps, len(scene.lights.point), len(scene.lights.spot)
         written = (lamps, self._placements, points, spots)
-        if written == self._written or not points + spots:
+        if written == self._written:
             return
         self._written = written
         slots = np.full((-(-(points + spots) // SLOTS_WIDE), SLOTS_WIDE), -1, np.int32)
@@ -256,7 +263,10 @@ class ShadowMaps:
             slots.reshape(-1)[row + (points if kind == "spot" else 0)] = 2 * len(maps) + (len(keys) > 1)
             for camera, key in zip(faces.cameras, keys, strict=True):
                 maps.append((camera, _NO_TILE if key is None else self._maps[key].tile, faces.scale))
-        self._lamp_table.write(_make_lamp_table(maps, self.settings.bias, points))
+        table = _make_lamp_table(maps, self.settings.bias, points)
+        if self._lamp_table is None:
+            self._lamp_table = MirroredValue(self._device, table)
+        self._lamp_table.write(table)
         if self._slot_texture is None or self._slot_texture.size != slots.shape[::-1]:
             if self._slot_texture is not None:
                 self._slot_texture.destroy()
@@ -264,11 +274,32 @@ class ShadowMaps:
         else:
             self._slot_texture.write(slots)
 
-    def _place(self, sizes: dict[MapKey, int]) -> None:
-        """Give each map a tile of its size. Maps that aren't wanted keep theirs until others need the room."""
+    def _forget_lights(self, scene: Scene) -> bool:
+        """Forget the maps of lights that cast no shadows any more, and return whether there were any."""
+        lights = {SUN: scene.lights.directional, "point": scene.lights.point, "spot": scene.lights.spot}
+        casting = {kind: some["casts_shadow"].astype(bool) for kind, some in lights.items()}
+        state = tuple(some.tobytes() for some in casting.values())
+        if state == self._casting:
+            return False
+        self._casting = state
+        gone = [
+            (kind, row, part)
+            for kind, row, part in self._maps
+            if row >= len(casting[kind]) or not casting[kind][row]
+        ]
+        for key in gone:
+            self._forget(key)
+        return bool(gone)
+
+    def _place(self, sizes: dict[MapKey, int], *, shrinks: bool = False) -> None:
+        """Give each map a tile of its size. Maps that aren't wanted keep theirs until others need the room.
+
+        Args:
+            shrinks: whether the atlas becomes smaller if that is large enough.
+        """
         for key in [key for key, size in sizes.items() if key in self._maps and self._maps[key].tile.size != size]:
             self._forget(key)
-        self._grow(sizes)
+        self._fit(sizes, shrinks=shrinks)
         for key, size in sorted(sizes.items(), key=lambda item: -item[1]):
             if key in self._maps:
                 continue
@@ -284,10 +315,10 @@ class ShadowMaps:
             self._maps[key] = ShadowMap(tile, MirroredValue(self._device, _NO_VIEW))
             self._placements += 1
 
-    def _grow(self, sizes: dict[MapKey, int]) -> None:
-        """Make the atlas large enough for tiles of these sizes."""
+    def _fit(self, sizes: dict[MapKey, int], *, shrinks: bool) -> None:
+        """Make the atlas large enough for tiles of these sizes, and no larger if it `shrinks`."""
         area = sum(size * size for size in sizes.values())
-        side = self._tree.size if self._atlas is not None else 1
+        side = self._tree.size if self._atlas is not None and not shrinks else 1
         while side * side < area:
             side *= 2
         if self._atlas is not None and side == self._tree.size:
@@ -429,16 +460,30 @@ class ShadowMaps:
                 texture.destroy()
         self._atlas = self._kept = None
 
-    def destroy(self) -> None:
-        """Destroy all resources on the device."""
+    def _forget_lamps(self) -> None:
+        """Destroy what tells shaders of the maps of lamps."""
+        if self._lamp_table is not None:
+            self._lamp_table.destroy()
+        if self._slot_texture is not None:
+            self._slot_texture.destroy()
+        self._lamp_table = self._slot_texture = None
+        self._written = ()
+
+    def release(self) -> None:
+        """Destroy all maps and tables. They are made again when a frame needs them."""
+        self._scene = None
+        self._casting = ()
+        self._reported = []
         self._forget_all()
         self._destroy_textures()
         for table in self._sun_tables:
             table.destroy()
-        self._lamp_table.destroy()
-        if self._slot_texture is not None:
-            self._slot_texture.destroy()
-            self._slot_texture = None
+        self._sun_tables.clear()
+        self._forget_lamps()
+
+    def destroy(self) -> None:
+        """Destroy all resources on the device."""
+        self.release()
         self._triangle.destroy()
 
 

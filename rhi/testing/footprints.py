@@ -194,7 +194,8 @@ def assert_free(
 
 def assert_same(commands: Commands | Device, other: Commands | Device, *, what: str = "the streams") -> None:
     """Assert that two streams, or parts of streams, are the same, whatever the lines that issued them: operations,
-    numbers, bytes and the text of programs. Ids may differ if they stand for equal resources.
+    numbers, bytes and the text of programs. Ids may differ if they stand for equal resources, and so may places in
+    streamed buffers.
 
     Args:
         what: what is compared, for messages.

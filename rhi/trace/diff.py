@@ -7,6 +7,7 @@
   later command. A program is compared by its name and sources.
 - Parts of streams, such as frames, are compared in the same way: what existed before them has a name as well, and
   fences are counted from the first that the part signals.
+- Places in streamed buffers, whose ring goes on from frame to frame, are numbered as they are first mentioned.
 - Two commands of the same op at the same place are one change, described by the arguments that differ.
 - Refused calls are compared like commands, by rule and call.
 """
@@ -26,6 +27,7 @@ from rhi.commands.stream import Command, Commands, CommandStream, Refusal
 from rhi.commands.text import describe
 from rhi.contract.descriptors import (
     BufferDescriptor,
+    BufferUsage,
     Id,
     ProgramDescriptor,
     SamplerDescriptor,
@@ -105,6 +107,14 @@ class Differences(Sequence[Difference]):
         return "\n".join(lines) or "no differences"
 
 
+def _list_places(op: Op) -> dict[int, int]:
+    """Return the indices of the arguments that are offsets into buffers, with those of the buffers."""
+    names = list(op.parameters)
+    pairs = {f"{name.removesuffix('buffer').rstrip('_')}_offset".lstrip("_"): name for name in names}
+    return {names.index(offset): names.index(name) for offset, name in pairs.items() if offset in names}
+
+
+_PLACES: Final = {op: _list_places(op) for op in Op}
 _FENCES: Final = frozenset({Op.SIGNAL, Op.WAIT})
 
 
@@ -169,6 +179,8 @@ class _Side:
         first = next(signals, None)
         self._fence = 0 if first is None else stream.entry(first)[1][0]
         self._identities: dict[Id, Hashable] = {}
+        self._descriptors: dict[Id, Descriptor] = {}
+        self._offsets: dict[str, dict[tuple[Id, int], int]] = {}  # by ring, the number of each place
         self._seen: Counter[Hashable] = Counter()
         self._keys: dict[Hashable, Hashable] = {}
         self.root = _Node(-1)
@@ -201,7 +213,9 @@ class _Side:
         key = self._keys.get((op, values, failure))
         if key is None:
             places = ID_ARGUMENTS[op]
-            parts = (self.identify(v) if i in places else self.normalize(v) for i, v in enumerate(values))
+            parts = [self.identify(v) if i in places else self.normalize(v) for i, v in enumerate(values)]
+            for offset, buffer in _PLACES[op].items():
+                parts[offset] = self._locate(values[buffer], values[offset])
             key = self._keys[op, values, failure] = (op, *parts, failure)
         return key
 
@@ -215,6 +229,7 @@ class _Side:
         shown = repr(label) if label and isinstance(label, str) else "without a label"
         self.names[resource] = f"{kind} {shown} #{number}"
         self._identities[resource] = kind, what, number
+        self._descriptors[resource] = descriptor
         return what, number
 
     def name(self, resource: Id) -> str:
@@ -231,7 +246,23 @@ class _Side:
             if descriptor is None:
                 return "id", resource
             self._meet(resource, descriptor)
-        return self._identities[resource]
+        streamed = self._find_ring(resource)
+        return self._identities[resource] if streamed is None else ("streamed", streamed)
+
+    def _find_ring(self, buffer: Id) -> str | None:
+        """Return the label of a streamed buffer, None of any other. A ring goes on in the next when one is full."""
+        descriptor = self._descriptors.get(buffer)
+        if isinstance(descriptor, BufferDescriptor) and descriptor.usage is BufferUsage.STREAM:
+            return descriptor.label
+        return None
+
+    def _locate(self, buffer: Id, offset: int) -> Hashable:
+        """Return what an offset into a buffer stands for."""
+        ring = self._find_ring(buffer)
+        if ring is None:
+            return offset
+        found = self._offsets.setdefault(ring, {})
+        return "place", found.setdefault((buffer, offset), len(found))
 
     def normalize(self, value: Any) -> Hashable:
         """Return a value with what ids stand for in their place."""

@@ -1,0 +1,60 @@
+"""`need` on the command line: counts, times, and the page."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import rhi
+from renderer.cli import main
+from renderer.need import LADDER
+
+
+def test_counts_of_chosen_rungs_are_printed_as_json(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["need", "--rung", "sun", "--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)
+    assert row["name"] == "sun"
+    assert row["added"]["bindings"] == 1
+    assert row["left"]["differences"] == row["left"]["calls"] == 0
+
+
+def test_times_are_measured_on_each_backend_that_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["need", "--rung", "sun", "--backend", "null", "--rounds", "2", "--markdown"]) == 0
+    added, removed = capsys.readouterr().out.strip().split("\n\n")
+    assert added.splitlines()[0].endswith("ms on null |")
+    assert len(added.splitlines()) == len(removed.splitlines()) == 3
+    assert removed.splitlines()[0].endswith("time on null |")
+
+
+def test_the_page_has_the_tables_and_the_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    try:
+        rhi.create_device("gl").close()
+    except rhi.DeviceError as error:
+        pytest.skip(f"no gl device here: {error}")
+    assert main(["need", "--rung", "box", "--rounds", "2", "--output", str(tmp_path)]) == 0
+    table = capsys.readouterr().out
+    page = (tmp_path / "need.md").read_text()
+    assert "| box | a box on a ground |" in page
+    assert "a box on a ground" in table
+    assert "python -m renderer need --rung box --rounds 2 --output docs" in page
+    assert "% of a frame of the box on null" in page
+    assert (tmp_path / "images" / "need.png").stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [(["--rounds", "0"], "--rounds: 0 is less than 1"), (["--rung", "fire"], "invalid choice: 'fire'")],
+)
+def test_bad_arguments_end_in_one_line(
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["need", *arguments])
+    assert ended.value.code == 2
+    assert message in capsys.readouterr().err
+
+
+def test_every_rung_can_be_named() -> None:
+    assert len({rung.name for rung in LADDER}) == len(LADDER)
