@@ -99,8 +99,8 @@ def test_the_matrix_has_a_row_for_each_way_and_its_ratio_to_one_eye(capsys: pyte
         assert abs(more) <= 1, "once for both eyes, which see a little more than one"
         assert (mono["maps_drawn"] > 0) == mono["shadows"]
         if not mono["shadows"]:
-            scene, lamps = mono["calls"], 2  # kernels place the point and the spot lights of two eyes
-            assert halves["calls"] == 2 * (scene + lamps)
+            scene, lamps = mono["calls"], 2  # a kernel places the point lights for both eyes, another the spot lights
+            assert halves["calls"] == 2 * scene + lamps
             assert dubois["calls"] == halves["calls"] + 1, "a kernel mixes the colours"
             assert moved["calls"] == mono["calls"] + 3, "two kernels move pixels, and one mixes the colours"
             assert 0 < dubois["upload_bytes"] < 1.15 * mono["upload_bytes"] + 1000
