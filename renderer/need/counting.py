@@ -6,6 +6,7 @@ that make the same calls take the processor the same work.
 
 from __future__ import annotations
 
+import gc
 import sys
 from collections import Counter
 from collections.abc import Iterator
@@ -189,18 +190,22 @@ def _count_bytes(commands: Commands) -> int:
 @contextmanager
 def watch_calls(called: Calls) -> Iterator[None]:
     """Count the Python functions that a block calls, except for the comparisons and hashes of dataclasses: how often a
-    dictionary compares depends on the addresses of objects."""
+    dictionary compares depends on the addresses of objects. No garbage is collected meanwhile, since who asked to be
+    told of that would be counted."""
 
     def note(frame: FrameType, event: str, _: Any) -> None:
         if event == "call" and not frame.f_code.co_qualname.startswith("__create_fn__"):
             called[frame.f_globals.get("__name__", ""), frame.f_code.co_qualname] += 1
 
-    before = sys.getprofile()
+    before, collects = sys.getprofile(), gc.isenabled()
+    gc.disable()
     sys.setprofile(note)
     try:
         yield
     finally:
         sys.setprofile(before)
+        if collects:
+            gc.enable()
 
 
 def open_without(device: rhi.Device, number: int) -> Ascent:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import gc
+from collections import Counter
 from functools import cache
 
 import pytest
 
 import rhi
 from renderer.need import LADDER, Ascent, compare, count_need, count_rung, find_rungs, remove_rung
-from renderer.need.counting import CountedFrame, count_calls, count_frame
+from renderer.need.counting import CountedFrame, count_calls, count_frame, watch_calls
 from rhi import Op
 from rhi.testing import assert_free, assert_same, expect
 
@@ -65,6 +67,25 @@ def test_counts_are_the_same_each_time() -> None:
     assert one.costs == other.costs
     assert one.called == other.called
     assert_same(one.commands, other.commands)
+
+
+def test_calls_are_counted_without_those_of_the_garbage_collector() -> None:
+    told: list[str] = []
+    called = Counter[tuple[str, str]]()
+
+    def note(phase: str, _: dict[str, int]) -> None:
+        told.append(phase)
+
+    gc.callbacks.append(note)
+    try:
+        with watch_calls(called):
+            kept: list[list[int]] = [[] for _ in range(100_000)]
+        told.clear()
+        kept += [[] for _ in range(100_000)]
+    finally:
+        gc.callbacks.remove(note)
+    assert not [name for _, name in called if "note" in name]
+    assert told, "the control: outside of the block, garbage is collected"
 
 
 def test_a_row_says_what_a_rung_adds_to_the_one_before() -> None:
