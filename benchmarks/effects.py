@@ -17,6 +17,7 @@ import rhi
 from renderer.content import load_scene, parse_camera
 from renderer.measure import alternate
 from renderer.renderer import Renderer
+from renderer.scene import Camera
 from renderer.techniques import TECHNIQUES
 from renderer.visibility import FrustumCulling
 
@@ -48,8 +49,8 @@ def main() -> None:
                     )  # fmt: skip
                     camera = parse_camera(view, scene, frame)
 
-                    def draw(_: int, renderer: Renderer = renderer, camera: object = camera) -> None:
-                        renderer.render(camera)  # type: ignore[arg-type]
+                    def draw(_: int, renderer: Renderer = renderer, camera: Camera = camera) -> None:
+                        renderer.render(camera)
                         device.finish()
 
                     work[name] = draw

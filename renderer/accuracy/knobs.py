@@ -162,6 +162,7 @@ _FORWARD: Final = {"technique.name": "forward", "algorithm": "frustum"}
 _ROOM: Final = {**_FORWARD, "shadows.largest_atlas": 8192}
 _LOTS: Final = "CHC++ draws lots for when an object is asked about again, so neighbours may change places"
 _CHC: Final = {**_FORWARD, "algorithm": "chc_plus_plus"}
+_SOFTWARE: Final = {**_FORWARD, "algorithm": "software_depth"}
 
 KNOBS: Final[dict[str, Knob]] = {
     knob.name: knob
@@ -521,7 +522,7 @@ KNOBS: Final[dict[str, Knob]] = {
             Unit.OVERDRAW,
             SEEN,
             "what is smaller hides next to nothing",
-            {**_FORWARD, "algorithm": "software_depth"},
+            _SOFTWARE,
         ),
         Knob(
             "occluder_pixels",
@@ -531,7 +532,7 @@ KNOBS: Final[dict[str, Knob]] = {
             Unit.LEVELS,
             EVERYTHING,
             "nothing that is seen may be missing",
-            {**_FORWARD, "algorithm": "software_depth"},
+            _SOFTWARE,
             exception="a gap stays open if a sample falls into it, which is chance",
         ),
         Knob(

@@ -132,13 +132,9 @@ def _place_ball(builder: SceneBuilder) -> int:
 
 
 def _switch_metal(renderer: Renderer, material: int, is_on: bool) -> None:
-    one = renderer.scene.materials[material : material + 1]
-    _write_material(one, {"metallic": 1.0, "roughness": 0.3} if is_on else {})
-
-
-def _write_material(rows: Any, values: dict[str, float]) -> None:
-    """Make a row of materials what `make_material` makes of these values and its colour."""
-    rows[0] = make_material(tuple(rows["base_color"][0].tolist()), **values)  # type: ignore[arg-type]
+    materials = renderer.scene.materials
+    color = materials["base_color"][material].tolist()
+    materials[material] = make_material(color, metallic=1.0, roughness=0.3) if is_on else make_material(color)
 
 
 def _place_tube(builder: SceneBuilder) -> int:
