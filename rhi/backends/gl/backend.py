@@ -8,7 +8,8 @@
 - A context is current per thread, and a process may hold several. Each method therefore first checks whether another
   backend of this process has taken the thread (5 ns). Code outside of this package takes it unseen: `resume` asks the
   driver, where the device has time for that. A backend is used on one thread at a time.
-- Memory order: a full memory barrier follows each dispatch, and each draw of a program that writes memory.
+- Memory order: a full memory barrier follows each dispatch, and each draw of a program that writes memory. llvmpipe's
+  draws are waited for before anything but a fragment reads their targets (`unfinished`).
 """
 
 from __future__ import annotations
@@ -43,6 +44,7 @@ from rhi.backends.gl.query_sets import GlQuerySet
 from rhi.backends.gl.samplers import Samplers
 from rhi.backends.gl.states import RenderStates
 from rhi.backends.gl.textures import Textures
+from rhi.backends.gl.unfinished import UnfinishedDraws
 from rhi.contract.backend import Capabilities, PreparedQueries
 from rhi.contract.descriptors import (
     Attachment,
@@ -100,8 +102,10 @@ class GlBackend:
         gl = self.gl = EntryPoints(context.mglo._context.load)
         found = query_capabilities(gl, context.version_code, context.extensions)
         self._capabilities = replace(found, shares_textures=shared is not None)
-        if "llvmpipe" in self._capabilities.device:
+        is_llvmpipe = "llvmpipe" in self._capabilities.device
+        if is_llvmpipe:
             keep_freed_memory()
+        self._unfinished = UnfinishedDraws(gl, keeps_order=not is_llvmpipe)
         self._set_conventions()
 
         self._buffers = Buffers(context, gl)
@@ -109,7 +113,7 @@ class GlBackend:
         self._samplers = Samplers(gl)
         self._framebuffers = Framebuffers(gl, self._textures)
         self._arrays = VertexArrays(context, gl, self._buffers, self.check_context)
-        self._programs = Programs(context, gl, self._arrays)
+        self._programs = Programs(context, gl, self._arrays, self._unfinished.finish if is_llvmpipe else None)
         self._queries = Queries(gl)
         self._fence = Fence(gl)
         self._draws = Draws(context, gl, self._arrays, self._buffers)
@@ -375,6 +379,7 @@ class GlBackend:
     def read_texture(self, texture: Id, level: int, region: Region, stencil: bool) -> NDArray[np.generic]:
         if not self._is_current:
             self._activate()
+        self._unfinished.finish()
         return self._textures.read(texture, level, region, stencil)
 
     def copy_texture(
@@ -383,12 +388,14 @@ class GlBackend:
     ) -> None:  # fmt: skip
         if not self._is_current:
             self._activate()
+        self._unfinished.finish()
         self._textures.copy(source, source_level, source_region, target, target_level, x, y, layer)
 
     def copy_texture_to_buffer(
         self, source: Id, level: int, region: Region, target: Id, offset: int, row_bytes: int
     ) -> None:
         buffer = self._buffers.objects[target].glo
+        self._unfinished.finish()
         self._textures.copy_to_buffer(source, level, region, buffer, offset, row_bytes)
 
     def copy_buffer_to_texture(
@@ -406,12 +413,14 @@ class GlBackend:
                 self._framebuffers.find_color(source), self._framebuffers.find_color(target),
                 0, 0, width, height, 0, 0, width, height, enums.COLOR_BUFFER_BIT, enums.NEAREST,
             )  # fmt: skip
+        self._unfinished.add()
 
     def generate_mipmaps(self, texture: Id) -> None:
         if not self._is_current:
             self._activate()
         with self._unmasked(False, False, False):
             self.gl.GenerateTextureMipmap(self._textures[texture].name)
+        self._unfinished.add()
 
     # -- passes, state, binding --------------------------------------------------------------------------
 
@@ -426,6 +435,7 @@ class GlBackend:
 
     def end_pass(self) -> None:
         self._framebuffer = 0  # a framebuffer lives no longer than its textures
+        self._unfinished.add()
         for color in self._pass.colors:
             if color.resolve:
                 self.resolve_texture(color.texture, color.resolve)
@@ -598,6 +608,7 @@ class GlBackend:
     def dispatch(self, x: int, y: int, z: int) -> None:
         if not self._is_current:
             self._activate()
+        self._unfinished.finish()
         if self._condition is None:
             self._bound_program.dispatch(x, y, z)
         else:  # conditions apply to draws only, but OpenGL would drop the dispatch, too
@@ -607,6 +618,7 @@ class GlBackend:
     def dispatch_indirect(self, buffer: Id, offset: int) -> None:
         if not self._is_current:
             self._activate()
+        self._unfinished.finish()
         if self._condition is None:
             self._bound_program.dispatch_indirect(self._buffers.objects[buffer], offset)
         else:

@@ -8,6 +8,8 @@
   doesn't do this).
 - GL's core profile has no alpha test. Instead, a program gets a variant for each comparison, compiled on first use,
   whose fragment stage ends with the test. The reference is a uniform.
+- llvmpipe's vertex stages read textures while these may still be drawn, so a draw whose vertex stage reads one first
+  waits (`unfinished`).
 - Both endings are added by renaming `main` and calling it from a new one, which keeps the line numbers of the source.
 """
 
@@ -44,6 +46,7 @@ _OPERATORS: Final = {
 }
 _MAIN: Final = re.compile(r"\bvoid\s+main\s*\(\s*(?:void)?\s*\)")
 _OUTPUT: Final = re.compile(r"\blayout\s*\([^)]*\blocation\s*=\s*0\b[^)]*\)\s*out\s+vec4\s+(\w+)")
+_READS_TEXELS: Final = re.compile(r"\buniform\b[^;]*\b[iu]?(?:sampler|image)(?:2D|3D|Cube)")
 _TITLES: Final = {
     "vertex_shader": Stage.VERTEX,
     "fragment_shader": Stage.FRAGMENT,
@@ -102,18 +105,23 @@ class LinkedProgram(dict[Id, Render]):
     """
 
     def __init__(
-        self, gl: EntryPoints, arrays: VertexArrays, program: GlProgram, writes_memory: bool
-    ) -> None:
+        self, gl: EntryPoints, arrays: VertexArrays, program: GlProgram, writes_memory: bool,
+        finish: Callable[[], None] | None,
+    ) -> None:  # fmt: skip
+        """`finish` is called before each draw."""
         super().__init__()
         self._gl = gl
         self._arrays = arrays
         self._vertex_arrays: dict[Id, moderngl.VertexArray] = {}
         self.program = program
         self.writes_memory = writes_memory
+        self._finish = finish
 
     def __missing__(self, vertex_array: Id) -> Render:
         array = self._vertex_arrays[vertex_array] = self._arrays.create(vertex_array, self.program)
         render: Render = array.mglo.render
+        if self._finish is not None:
+            render = _precede(render, self._finish)
         self[vertex_array] = self.then_memory_barrier(render) if self.writes_memory else render
         return self[vertex_array]
 
@@ -135,8 +143,10 @@ class LinkedProgram(dict[Id, Render]):
         self.memory_barrier()
 
     def use(self, vertex_array: Id) -> int:
-        """Bind the program and a vertex array, for a draw through an entry point. Return GL's name of the latter."""
+        """Bind the program and a vertex array, for draws through an entry point. Return GL's name of the latter."""
         self.prepare(vertex_array)
+        if self._finish is not None:
+            self._finish()
         name: int = self._vertex_arrays[vertex_array].glo
         self._gl.UseProgram(self.program.glo)
         self._gl.BindVertexArray(name)
@@ -162,6 +172,16 @@ class LinkedProgram(dict[Id, Render]):
         return draw_and_barrier
 
 
+def _precede(draw: Render, finish: Callable[[], None]) -> Render:
+    """Return a function that calls `finish` and then `draw`."""
+
+    def finish_and_draw(mode: int, count: int, first: int, instances: int) -> None:
+        finish()
+        draw(mode, count, first, instances)
+
+    return finish_and_draw
+
+
 class _ProgramVariants:
     """A program's descriptor, its linked program, and its variants with an alpha test.
 
@@ -182,10 +202,15 @@ class _ProgramVariants:
 class Programs:
     """All programs of one context."""
 
-    def __init__(self, context: moderngl.Context, gl: EntryPoints, arrays: VertexArrays) -> None:
+    def __init__(
+        self, context: moderngl.Context, gl: EntryPoints, arrays: VertexArrays,
+        finish: Callable[[], None] | None,
+    ) -> None:  # fmt: skip
+        """`finish` is called before draws whose vertex stage reads textures, if the driver doesn't wait for them."""
         self._context = context
         self._gl = gl
         self._arrays = arrays
+        self._finish = finish
         self._programs: dict[Id, _ProgramVariants] = {}
 
     def __getitem__(self, program: Id) -> LinkedProgram:
@@ -243,7 +268,9 @@ class Programs:
             raise make_shader_error(descriptor, log, stage, source) from None
         if descriptor.name:
             self._gl.ObjectLabel(enums.PROGRAM, program.glo, -1, descriptor.name.encode())
-        return LinkedProgram(self._gl, self._arrays, program, descriptor.writes_memory)
+        vertex = sources.get(Stage.VERTEX)
+        finish = self._finish if vertex is not None and _READS_TEXELS.search(vertex.text) else None
+        return LinkedProgram(self._gl, self._arrays, program, descriptor.writes_memory, finish)
 
 
 def add_alpha_test(descriptor: ProgramDescriptor, function: AlphaFunction) -> StageText | None:

@@ -3,6 +3,7 @@ writes between two draws on the first draw."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -359,3 +360,159 @@ def test_points_of_two_devices_are_counted_by_their_own_queries(device: Device, 
         assert (qa.wait(), qb.wait()) == (na, nb)
         for resource in (ia, ma, qa):
             resource.destroy()
+
+# -- draws that aren't finished -----------------------------------------------------------------------------
+
+
+class SlowlyLoaded(Shader):
+    """Loads a texel and takes its time, so that the pass is still running when the next commands are issued."""
+
+    source: Texture2D
+
+    def vertex(self, v: Corner) -> Shade:
+        return Shade(clip=v.position, color=v.color)
+
+    def fragment(self, v: Shade) -> vec4:
+        color = self.source.load(ivec2(fragment_coordinate().xy))
+        for _ in range(2000):
+            color = color * 0.5 + v.color
+        return color
+
+
+class LoadedByVertices(Shader):
+    """Loads its color from a texture in the vertex stage."""
+
+    source: Texture2D
+
+    def vertex(self, v: Corner) -> Shade:
+        return Shade(clip=v.position, color=self.source.load(ivec2(3, 3)))
+
+    def fragment(self, v: Shade) -> vec4:
+        return v.color
+
+
+class LoadedByGroups(Shader):
+    """Stores a texel of a texture in a buffer."""
+
+    source: Texture2D
+    texels: StorageRW[vec4]
+
+    def compute(self) -> None:
+        self.texels[0] = self.source.load(ivec2(3, 3))
+
+
+LARGE = (128, 128)
+
+
+@pytest.fixture
+def slow(device: Device) -> Iterator[Callable[[rhi.Texture], None]]:
+    """Begin a pass that samples a texture and isn't finished for a while."""
+    with device.texture(LARGE, Format.RGBA32F) as image, device.mesh(rectangle()) as mesh:
+
+        def sample(texture: rhi.Texture) -> None:
+            with device.render_pass(image):
+                device.draw(device.program(SlowlyLoaded), mesh, source=texture)
+
+        yield sample
+
+
+def draw_color(device: Device, target: rhi.Texture, red: float, **passed: Any) -> None:
+    """Draw `red` to each texel, as color or as depth, and then something else to another target."""
+    rows = rectangle(depth=red, color=(red,) * 4)
+    with device.mesh(rows) as mesh, device.texture((1, 1), Format.RGBA8) as other:
+        if target.format.is_depth:
+            with device.render_pass(depth=target), device.states(DepthFunction.ALWAYS):
+                device.draw(device.program(Colored), mesh)
+        else:
+            with device.render_pass(target, **passed):
+                device.draw(device.program(Colored), mesh)
+        with device.render_pass(other):
+            device.draw(device.program(Colored), mesh)
+
+
+def read_by_copy(device: Device, texture: rhi.Texture) -> Any:
+    with device.texture(LARGE, texture.format) as copy:
+        texture.copy_to(copy)
+        return copy.read()
+
+
+def read_by_buffer(device: Device, texture: rhi.Texture) -> Any:
+    with device.buffer(4 * LARGE[0] * LARGE[1]) as buffer:
+        texture.copy_to_buffer(buffer)
+        return np.frombuffer(buffer.read(), np.float32)
+
+
+def read_by_vertices(device: Device, texture: rhi.Texture) -> Any:
+    with device.texture(SIZE, Format.R32F) as image, device.mesh(rectangle()) as mesh:
+        with device.render_pass(image):
+            device.draw(device.program(LoadedByVertices), mesh, source=texture)
+        return image.read()
+
+
+def read_by_dispatch(device: Device, texture: rhi.Texture) -> Any:
+    with device.storage(vec4, 1) as texels:
+        device.dispatch(device.program(LoadedByGroups), 1, source=texture, texels=texels)
+        return np.array(texels.read().tolist()).ravel()[0]
+
+
+def read_by_indirect_dispatch(device: Device, texture: rhi.Texture) -> Any:
+    with device.storage(vec4, 1) as texels, device.buffer(np.ones(3, np.uint32)) as groups:
+        program = device.program(LoadedByGroups)
+        device.dispatch_indirect(program, groups, source=texture, texels=texels)
+        return np.array(texels.read().tolist()).ravel()[0]
+
+
+WAYS: dict[str, tuple[Callable[[Device, rhi.Texture], Any], str]] = {
+    "read": (lambda _, texture: texture.read(), "draws"),
+    "asynchronous read": (lambda _, texture: texture.read_async().result(), "draws"),
+    "copy": (read_by_copy, "draws"),
+    "copy to a buffer": (read_by_buffer, "texture_buffer_copies"),
+    "vertex stage": (read_by_vertices, "draws"),
+    "work group": (read_by_dispatch, "compute"),
+    "indirect work group": (read_by_indirect_dispatch, "compute"),
+}
+
+
+@pytest.mark.needs("max_texture_slots")
+@pytest.mark.parametrize("format", [Format.R32F, Format.D32F], ids=["color", "depth"])
+@pytest.mark.parametrize("way", WAYS)
+def test_what_was_drawn_last_is_read_while_an_older_pass_samples_the_texture(
+    device: Device, slow: Callable[[rhi.Texture], None], way: str, format: Format
+) -> None:
+    read, needed = WAYS[way]
+    if not getattr(device.capabilities, needed):
+        pytest.skip(f"{device.backend_name} declares no {needed}")
+    with device.texture(LARGE, format) as texture:
+        for red in (0.25, 0.5, 0.75):  # the first pass may wait for a compiler
+            slow(texture)
+            draw_color(device, texture, red)
+            assert_same(read(device, texture), red)
+
+
+@pytest.mark.needs("max_texture_slots")
+def test_generated_levels_are_read_while_an_older_pass_samples_them(
+    device: Device, slow: Callable[[rhi.Texture], None]
+) -> None:
+    with device.texture(LARGE, Format.R32F, levels=2) as texture:
+        for red in (0.25, 0.5, 0.75):  # the first pass may wait for a compiler
+            slow(texture)
+            draw_color(device, texture, red)
+            texture.generate_mipmaps()
+            with device.texture((1, 1), Format.RGBA8) as other, device.render_pass(other, clear=(0, 0, 0, 0)):
+                pass
+            assert_same(texture.read(level=1), red)
+
+
+@pytest.mark.needs("max_texture_slots")
+def test_a_resolved_texture_is_read_while_an_older_pass_samples_it(
+    device: Device, slow: Callable[[rhi.Texture], None]
+) -> None:
+    require_samples(device, 4)
+    with (
+        device.texture(LARGE, Format.R32F) as texture,
+        device.texture(LARGE, Format.R32F, samples=4) as samples,
+    ):
+        for red in (0.25, 0.5, 0.75):  # the first pass may wait for a compiler
+            slow(texture)
+            draw_color(device, samples, red, resolve=texture)
+            assert_same(texture.read(), red)
