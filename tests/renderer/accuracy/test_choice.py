@@ -239,7 +239,27 @@ def test_the_command_writes_a_page_and_settings_that_render_reads(
     assert "as that: 0.001 ms (allowed: " in said.err
     assert "accuracy-out-of-reach" in said.err
     assert json.loads(said.out)["chosen"] is None  # what was measured is shown all the same
+    assert "removed out/settings.json" in said.err
+    assert not (tmp_path / "out/settings.json").exists()  # it isn't the answer to this question
     assert (tmp_path / "out/accuracy.json").is_file()
+
+
+def test_settings_that_are_no_answer_are_kept_without_a_question(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    RenderSettings().save(Path("settings.json"))
+    sweep = ["accuracy", "city:blocks=2", "--backend", "null", "--size", "16x16", "--knob", "fxaa"]
+    with pytest.raises(SystemExit):
+        main(sweep)  # null draws nothing: no knob is left
+    assert Path("settings.json").exists()
+    with pytest.raises(SystemExit):
+        main([*sweep, "--budget-ms", "9", "--settings", "settings.json"])
+    assert "copy it, and begin with the copy" in capsys.readouterr().err
+    assert Path("settings.json").exists()
+    with pytest.raises(SystemExit):
+        main([*sweep, "--budget-ms", "9"])
+    assert not Path("settings.json").exists()
 
 
 def test_what_is_left_out_is_said_once_for_all_values() -> None:
