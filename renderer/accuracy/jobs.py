@@ -27,8 +27,8 @@ from renderer.accuracy.sweep import (
     WHOLE,
     KnobReport,
     KnobSample,
-    Share,
     Situation,
+    SweepShare,
     ValueSample,
     join_shares,
     list_shares,
@@ -54,7 +54,7 @@ class SweepJob:
 
     situation: Situation
     knob: str
-    share: Share = WHOLE
+    share: SweepShare = WHOLE
 
     @property
     def key(self) -> str:

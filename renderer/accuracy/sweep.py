@@ -86,7 +86,7 @@ class Situation:
 
 
 @dataclass(frozen=True, slots=True)
-class Share:
+class SweepShare:
     """One of `count` parts of a sweep, of about the same size."""
 
     number: int = 0
@@ -98,15 +98,15 @@ class Share:
         return items[first:last]
 
 
-def list_shares(situation: Situation, name: str) -> list[Share]:
+def list_shares(situation: Situation, name: str) -> list[SweepShare]:
     """Return the shares into which the sweep of a knob is divided: as many as there are views, at most four. They don't
     depend on who does them, so that all of them can be kept."""
     knob = find_knob(name, "list_shares")
     count = 1 if knob.is_encoding else min(situation.views, situation.rounds, _MOST_SHARES)
-    return [Share(number, count) for number in range(count)]
+    return [SweepShare(number, count) for number in range(count)]
 
 
-WHOLE: Final = Share()
+WHOLE: Final = SweepShare()
 """The share of who does all."""
 
 
@@ -213,7 +213,7 @@ def sweep_knob(situation: Situation, name: str) -> KnobReport:
     return join_shares([sweep_share(situation, name, WHOLE)])
 
 
-def sweep_share(situation: Situation, name: str, share: Share) -> KnobSample:
+def sweep_share(situation: Situation, name: str, share: SweepShare) -> KnobSample:
     """Measure a share of a knob's sweep, on a device of its own."""
     knob = find_knob(name, "sweep_share")
     with rhi.create_device(situation.backend) as device:
@@ -374,7 +374,7 @@ class KnobBench:
 
     def __init__(
         self, device: Device, scene: Scene, situation: Situation, knob: Knob, values: Sequence[str],
-        share: Share = WHOLE,
+        share: SweepShare = WHOLE,
     ) -> None:  # fmt: skip
         self._device, self._scene, self._situation, self._knob = device, scene, situation, knob
         self._rounds = share.take(range(situation.rounds))
@@ -570,7 +570,7 @@ def list_views(
 
 
 def list_frames(
-    scene: Scene, situation: Situation, knob: Knob, share: Share
+    scene: Scene, situation: Situation, knob: Knob, share: SweepShare
 ) -> tuple[Sequence[SweepFrame], Sequence[SweepFrame], Sequence[SweepFrame]]:
     """Return the frames of a share that others depend on, those to compare, and those to time."""
     if not knob.remembers:

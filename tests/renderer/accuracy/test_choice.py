@@ -27,7 +27,7 @@ from renderer.accuracy.choice import (
     mark_best,
 )
 from renderer.accuracy.jobs import list_jobs, load_sample, order_jobs, save_sample
-from renderer.accuracy.sweep import KnobSample, Share, SweepFrame, ValueSample, list_views
+from renderer.accuracy.sweep import KnobSample, SweepFrame, SweepShare, ValueSample, list_views
 from renderer.cli import main
 from renderer.cli.accuracy import list_left_out
 from renderer.cli.executors import SerialExecutor, make_executor
@@ -200,8 +200,8 @@ def test_a_job_is_named_by_what_its_result_depends_on() -> None:
     assert job.key == SweepJob(replace(SITUATION), "fxaa").key
     others = [
         SweepJob(SITUATION, "samples"),
-        SweepJob(SITUATION, "fxaa", Share(0, 2)),
-        SweepJob(SITUATION, "fxaa", Share(1, 2)),
+        SweepJob(SITUATION, "fxaa", SweepShare(0, 2)),
+        SweepJob(SITUATION, "fxaa", SweepShare(1, 2)),
         SweepJob(replace(SITUATION, rounds=3), "fxaa"),
         SweepJob(replace(SITUATION, settings=RenderSettings().change("shadows.cascades", 2)), "fxaa"),
     ]

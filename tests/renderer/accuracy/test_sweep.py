@@ -10,7 +10,7 @@ import pytest
 from renderer.accuracy import KNOBS, Situation, sweep_knob
 from renderer.accuracy.sweep import (
     KnobBench,
-    Share,
+    SweepShare,
     count_reached,
     crop_worst,
     join_shares,
@@ -102,7 +102,7 @@ def test_frames_that_depend_on_earlier_ones_follow_each_other_in_each_share() ->
         stretches.append(frames)
     assert stretches[1][0] > stretches[0][-1] + 100  # they are other parts of the path
     short = replace(TINY, first=7, last=8)
-    history, compared, timed = list_frames(scene, short, knob, Share())
+    history, compared, timed = list_frames(scene, short, knob, SweepShare())
     assert [[one.number for one in some] for some in (history, compared, timed)] == [[], [7, 8], [7, 8]]
 
 
@@ -112,7 +112,7 @@ def test_shares_are_as_many_as_views_up_to_four() -> None:
     assert len(list_shares(replace(TINY, views=4, rounds=2), "fxaa")) == 2  # each has a round
     assert len(list_shares(replace(TINY, views=4), "normal_bits")) == 1
     for count in (1, 3, 4):
-        parts = [Share(number, count).take(range(11)) for number in range(count)]
+        parts = [SweepShare(number, count).take(range(11)) for number in range(count)]
         assert [item for part in parts for item in part] == list(range(11))
         assert max(map(len, parts)) - min(map(len, parts)) <= 1
 
