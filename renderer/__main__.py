@@ -2,6 +2,8 @@
 
 import sys
 
+from rhi.errors.readers import run_for_reader
+
 try:
     from renderer.cli import main
 except ModuleNotFoundError as missing:
@@ -11,4 +13,4 @@ except ModuleNotFoundError as missing:
     sys.exit(2)
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_for_reader(main))

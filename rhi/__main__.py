@@ -23,6 +23,7 @@ from rhi.accuracy import report as accuracy
 from rhi.conformance.template import write_package
 from rhi.device.registry import BackendReport
 from rhi.errors import RhiError
+from rhi.errors.readers import run_for_reader
 from rhi.trace import cli as trace_cli
 
 __rhi_internal__ = True
@@ -153,4 +154,4 @@ def _say_choice(reports: list[BackendReport]) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_for_reader(main))

@@ -1,6 +1,7 @@
 """The command line: `python -m renderer COMMAND`, with the commands that are listed in `COMMANDS`.
 
-Results go to stdout, everything else to stderr. Bad input ends in one line, `error: …`, and exit code 2.
+Results go to stdout, everything else to stderr. Bad input ends in one line, `error: …`, and exit code 2. A reader that
+goes away, as in `… --json | head`, ends a command quietly with exit code 141 (`rhi.errors.readers`).
 """
 
 from __future__ import annotations
@@ -83,6 +84,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         given.run(given)
     except RhiError as error:
         _fail(rules.describe(error))
+    except BrokenPipeError:
+        raise  # whoever reads the output has gone away
     except (OutputError, OSError) as error:
         _fail(str(error))
     except ModuleNotFoundError as error:

@@ -17,10 +17,10 @@ from renderer.accuracy import (
     FrontPoint,
     KnobReport,
     Situation,
-    SweepJob,
     choose,
     find_choices,
     keep_front,
+    list_jobs,
     run_jobs,
 )
 from renderer.cli.accuracy_report import plot_all, write_images, write_page
@@ -35,7 +35,7 @@ from renderer.cli.arguments import (
     parse_count,
 )
 from renderer.cli.executors import add_executor, make_executor
-from renderer.cli.output import note, prepare_image, show_progress
+from renderer.cli.output import OutputError, note, prepare_image, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import load_scene
 from renderer.measure import format_table
@@ -60,7 +60,8 @@ With --output, DIR gets one page with charts and pictures, the same as JSON, and
 sweep that was interrupted goes on where it stopped. With --budget-ms or --error-at-most, the knobs that change pictures
 of this scene are combined greedily, drawn and timed. The choice is checked by ten more views, where the mean of their
 errors and four standard deviations must be within the bound, and tried in twenty others. It is written to
-DIR/settings.json, which `render`, `compare techniques`, `compare visibility` and `accuracy` read with --settings."""
+DIR/settings.json, which `render`, `compare techniques`, `compare visibility` and `accuracy` read with --settings; an
+older one is removed before anything is measured, so none is left where the choice is refused."""
 
 
 def _add_arguments(parser: Parser) -> None:
@@ -90,7 +91,7 @@ def _add_arguments(parser: Parser) -> None:
         metavar="E",
         help="choose the fastest settings with a mean error within this, in levels of 255",
     )
-    add_executor(parser, "knobs")
+    add_executor(parser, "shares of knobs")
     parser.add_argument("--plot", type=Path, metavar="F.png", help="write charts of errors and times")
     parser.add_argument(
         "--output",
@@ -119,7 +120,11 @@ def _run(given: argparse.Namespace) -> None:
         rounds=given.rounds,
         settings=load_settings(given),
     )
-    jobs = [SweepJob(situation, name) for name in dict.fromkeys(given.knob or KNOBS)]
+    is_bounded = given.budget_ms is not None or given.error_at_most is not None
+    answer = (given.output or Path()) / "settings.json"
+    if is_bounded:
+        clear_answer(answer, given.settings)
+    jobs = list_jobs(situation, dict.fromkeys(given.knob or KNOBS))
     folder = None if given.output is None else given.output / "jobs"
     with make_executor(given.executor) as executor:
         reports = run_jobs(jobs, executor, folder, lambda items, total: show_progress(items, total, "accuracy"))
@@ -127,8 +132,7 @@ def _run(given: argparse.Namespace) -> None:
         note(f"left out: {line}")
     shown = [report for report in reports if report.rows]
     if not shown:
-        refuse(rules.NO_KNOBS, "accuracy", ", ".join(job.knob for job in jobs))
-    is_bounded = given.budget_ms is not None or given.error_at_most is not None
+        refuse(rules.NO_KNOBS, "accuracy", ", ".join(report.knob for report in reports))
     points, choice = list[FrontPoint](), None
     if is_bounded or (given.output is not None and find_choices(scene, situation.settings, shown)):
         points = keep_front(
@@ -152,14 +156,23 @@ def _run(given: argparse.Namespace) -> None:
         (given.output / "table.md").write_text(show_reports(shown, markdown=True) + "\n")
         note(f"wrote report.html, accuracy.json, table.md and images to {given.output}")
     if choice is not None:
-        path = (given.output or Path()) / "settings.json"
-        choice.point.settings.save(path, **found["chosen"])
-        note(f"wrote {path}")
+        choice.point.settings.save(answer, **found["chosen"])
+        note(f"wrote {answer}")
     print(json.dumps(found) if given.json else show_reports(shown, markdown=given.markdown))
     if choice is not None and not given.json:
         print(f"\nchosen: {show_choice(choice)}")
     if refusal is not None:
         raise refusal
+
+
+def clear_answer(path: Path, begun_with: Path | None) -> None:
+    """Remove settings that an earlier choice has left where a choice will be written: if this one is refused or
+    interrupted, they must not look like its answer."""
+    if begun_with is not None and path.exists() and path.samefile(begun_with):
+        raise OutputError(f"--settings: {path} is where the choice will be written; copy it, and begin with the copy")
+    if path.exists():
+        path.unlink()
+        note(f"removed {path} of an earlier choice")
 
 
 def list_left_out(reports: Sequence[KnobReport]) -> list[str]:

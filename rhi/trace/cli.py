@@ -45,6 +45,8 @@ def main(arguments: Sequence[str]) -> int:
         shown = f": {error.given}" if error.given else ""
         allowed = f" (allowed: {error.allowed})" if error.allowed else ""
         return _fail(f"{error.rule.sentence}{shown}{allowed} [{error.rule.id}]")
+    except BrokenPipeError:
+        raise  # whoever reads the output has gone away
     except (OSError, ValueError, ImportError) as error:
         return _fail(str(error))
     return code

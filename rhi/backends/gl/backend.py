@@ -108,7 +108,7 @@ class GlBackend:
         self._unfinished = UnfinishedDraws(gl, keeps_order=not is_llvmpipe)
         self._set_conventions()
 
-        self._buffers = Buffers(context, gl)
+        self._buffers = Buffers(context, gl, keeps_order=not is_llvmpipe)
         self._textures = Textures(gl)
         self._samplers = Samplers(gl)
         self._framebuffers = Framebuffers(gl, self._textures)

@@ -6,6 +6,8 @@
   as the contract allows. A READBACK buffer is mapped in the same way to be read.
 - NVIDIA's driver (580) executes a clear after a `BufferSubData` that follows it, unless the clear has finished. Copies,
   reads and draws keep their order. So new buffers get zeros as their data, and a write waits for a buffer's clears.
+- llvmpipe lets a write wait for the fragments that read a buffer only if the buffer was made for storage, which
+  moderngl's buffers aren't (Mesa 22.3). There a buffer's memory is therefore made anew.
 """
 
 from __future__ import annotations
@@ -47,9 +49,11 @@ class Buffers:
         objects: by id, moderngl's buffers.
     """
 
-    def __init__(self, context: moderngl.Context, gl: EntryPoints) -> None:
+    def __init__(self, context: moderngl.Context, gl: EntryPoints, keeps_order: bool) -> None:
+        """`keeps_order`: whether the driver's writes wait for draws that read the buffer, whatever it was made for."""
         self._context = context
         self._gl = gl
+        self._create_static = self._context.buffer if keeps_order else self._create_for_storage
         self.objects: dict[Id, moderngl.Buffer] = {}
         self.bind_uniform: dict[Id, BindRange] = {}
         self.bind_storage: dict[Id, BindRange] = {}
@@ -65,7 +69,7 @@ class Buffers:
         except MemoryError as failure:
             raise DeviceError(DEVICE_MEMORY, call, str(failure)) from None
         created, mapping = (
-            (self._context.buffer(zeros), None) if flags is None else self._create_mapped(zeros, flags)
+            (self._create_static(zeros), None) if flags is None else self._create_mapped(zeros, flags)
         )
         error = find_error(self._gl, call)
         if error is not None:
@@ -79,6 +83,15 @@ class Buffers:
         self.objects[buffer] = created
         self.bind_uniform[buffer] = created.mglo.bind_to_uniform_block
         self.bind_storage[buffer] = created.mglo.bind_to_storage_buffer
+
+    def _create_for_storage(self, zeros: NDArray[np.uint8]) -> moderngl.Buffer:
+        gl, created = self._gl, self._context.buffer(reserve=len(zeros))
+        gl.BindBuffer(enums.SHADER_STORAGE_BUFFER, created.glo)
+        # Mesa keeps the memory, and what it was made for, unless the hint is another one.
+        data = zeros.ctypes.data_as(ctypes.c_void_p)
+        gl.BufferData(enums.SHADER_STORAGE_BUFFER, len(zeros), data, enums.DYNAMIC_DRAW)
+        gl.BindBuffer(enums.SHADER_STORAGE_BUFFER, 0)
+        return created
 
     def _create_mapped(
         self, zeros: NDArray[np.uint8], flags: int

@@ -92,6 +92,7 @@ class EntryPoints:
     CreateBuffers: Callable[[Int, Reference], None]
     DeleteBuffers: Callable[[Int, Reference], None]
     BindBuffer: Callable[[Int, Int], None]
+    BufferData: Callable[[Int, Size, Reference, Int], None]
     NamedBufferStorage: Callable[[Int, Size, Reference, Int], None]
     MapNamedBufferRange: Callable[[Int, Size, Size, Int], Address]
     GetNamedBufferSubData: Annotated[Callable[[Int, Size, Size, Reference], None], _WAITS]

@@ -30,6 +30,7 @@ from rhi.conformance.shapes import centers, corners, rectangle
 from rhi.shading import (
     Image2D,
     Shader,
+    Storage,
     StorageRW,
     Texture2D,
     atomic_add,
@@ -37,6 +38,7 @@ from rhi.shading import (
     global_id,
     image,
     ivec2,
+    min,
     uint,
     vec4,
 )
@@ -516,3 +518,169 @@ def test_a_resolved_texture_is_read_while_an_older_pass_samples_it(
             slow(texture)
             draw_color(device, samples, red, resolve=texture)
             assert_same(texture.read(), red)
+
+
+# -- reads that aren't finished -----------------------------------------------------------------------------
+
+
+class ReadsElementLate(Shader):
+    """Loads an element of a buffer after a while, so that the next commands are issued before."""
+
+    elements: Storage[vec4]
+
+    def vertex(self, v: Corner) -> Shade:
+        return Shade(clip=v.position, color=v.color)
+
+    def fragment(self, v: Shade) -> vec4:
+        zero = v.color.x
+        for _ in range(2000):
+            zero = zero * 0.5 + 0.5 * v.color.x
+        return self.elements[int(min(zero, 0.0))]
+
+
+class ReadsTexelLate(Shader):
+    """Loads a texel after a while, so that the next commands are issued before."""
+
+    source: Texture2D
+
+    def vertex(self, v: Corner) -> Shade:
+        return Shade(clip=v.position, color=v.color)
+
+    def fragment(self, v: Shade) -> vec4:
+        zero = v.color.x
+        for _ in range(2000):
+            zero = zero * 0.5 + 0.5 * v.color.x
+        return self.source.load(ivec2(fragment_coordinate().xy) + ivec2(int(min(zero, 0.0)), 0))
+
+
+class StoredByGroups(Shader):
+    """Stores 7 in the first element."""
+
+    elements: StorageRW[vec4]
+
+    def compute(self) -> None:
+        self.elements[0] = vec4(7.0)
+
+
+class StoredByVertices(Shader):
+    """Stores 7 in the first element, in the vertex stage."""
+
+    elements: StorageRW[vec4]
+
+    def vertex(self, v: Corner) -> Shade:
+        self.elements[0] = vec4(7.0)
+        return Shade(clip=v.position, color=v.color)
+
+    def fragment(self, v: Shade) -> vec4:
+        return v.color
+
+
+class ImageFilled(Shader):
+    """Stores 7 in each texel."""
+
+    target: Image2D = image(Format.R32F)
+
+    def compute(self) -> None:
+        self.target.store(global_id().xy, vec4(7.0))
+
+
+BLACK = (0.0, 0.0, 0.0, 0.0)
+SEVENS = np.full(4, 7, np.float32)
+
+
+def write_elements(device: Device, elements: rhi.StorageBuffer[vec4]) -> None:
+    elements.owner.write(SEVENS)
+
+
+def copy_elements(device: Device, elements: rhi.StorageBuffer[vec4]) -> None:
+    with device.buffer(SEVENS) as sevens:
+        sevens.copy_to(elements.owner)
+
+
+def clear_elements(device: Device, elements: rhi.StorageBuffer[vec4]) -> None:
+    elements.owner.clear(int(SEVENS.view(np.uint32)[0]))
+
+
+def store_elements(device: Device, elements: rhi.StorageBuffer[vec4]) -> None:
+    device.dispatch(device.program(StoredByGroups), 1, elements=elements)
+
+
+def store_elements_by_vertices(device: Device, elements: rhi.StorageBuffer[vec4]) -> None:
+    with device.texture((1, 1), Format.RGBA8) as other, device.mesh(rectangle()) as mesh:
+        with device.render_pass(other):
+            device.draw(device.program(StoredByVertices), mesh, elements=elements)
+
+
+BUFFER_WRITES: dict[str, tuple[Callable[[Device, rhi.StorageBuffer[vec4]], None], str]] = {
+    "write": (write_elements, "draws"),
+    "copy": (copy_elements, "draws"),
+    "clear": (clear_elements, "draws"),
+    "work group": (store_elements, "compute"),
+    "vertex stage": (store_elements_by_vertices, "draws"),
+}
+
+
+@pytest.mark.needs("max_storage_slots")
+@pytest.mark.parametrize("way", BUFFER_WRITES)
+def test_a_buffer_is_written_after_an_older_pass_has_read_it(device: Device, way: str) -> None:
+    write, needed = BUFFER_WRITES[way]
+    if not getattr(device.capabilities, needed):
+        pytest.skip(f"{device.backend_name} declares no {needed}")
+    with (
+        device.texture(LARGE, Format.R32F) as image,
+        device.texture((1, 1), Format.RGBA8) as other,
+        device.mesh(rectangle(color=BLACK)) as mesh,
+    ):
+        for _ in range(3):  # the first pass may wait for a compiler
+            with device.storage(vec4, 4) as elements:
+                with device.render_pass(image):
+                    device.draw(device.program(ReadsElementLate), mesh, elements=elements)
+                with device.render_pass(other, clear=BLACK):
+                    pass
+                write(device, elements)
+                assert_same(image.read(), 0)
+                assert np.asarray(elements.owner.read()).tobytes()[:16] == SEVENS.tobytes()
+
+
+def write_texels(device: Device, texture: rhi.Texture) -> None:
+    texture.write(np.full(LARGE, 7, np.float32))
+
+
+def copy_texels(device: Device, texture: rhi.Texture) -> None:
+    with device.texture(np.full(LARGE, 7, np.float32), Format.R32F) as sevens:
+        sevens.copy_to(texture)
+
+
+def store_texels(device: Device, texture: rhi.Texture) -> None:
+    device.dispatch(device.program(ImageFilled), LARGE, target=texture.image())
+
+
+TEXTURE_WRITES: dict[str, tuple[Callable[[Device, rhi.Texture], None], str]] = {
+    "write": (write_texels, "draws"),
+    "copy": (copy_texels, "draws"),
+    "work group": (store_texels, "max_image_slots"),
+}
+
+
+@pytest.mark.needs("max_texture_slots")
+@pytest.mark.parametrize("way", TEXTURE_WRITES)
+def test_a_texture_is_written_after_an_older_pass_has_sampled_it(device: Device, way: str) -> None:
+    write, needed = TEXTURE_WRITES[way]
+    if not getattr(device.capabilities, needed):
+        pytest.skip(f"{device.backend_name} declares no {needed}")
+    zeros = np.zeros(LARGE, np.float32)
+    with (
+        device.texture(LARGE, Format.R32F) as image,
+        device.texture(zeros, Format.R32F) as texture,
+        device.texture((1, 1), Format.RGBA8) as other,
+        device.mesh(rectangle(color=BLACK)) as mesh,
+    ):
+        for _ in range(3):
+            texture.write(zeros)
+            with device.render_pass(image):
+                device.draw(device.program(ReadsTexelLate), mesh, source=texture)
+            with device.render_pass(other, clear=BLACK):
+                pass
+            write(device, texture)
+            assert_same(image.read(), 0)
+            assert_same(texture.read(), 7)

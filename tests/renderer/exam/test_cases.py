@@ -9,8 +9,11 @@ import pytest
 import rhi
 from renderer.exam import CASES, examine
 
-BUSY = {("cl", 48), ("cl", 63)}
-"""Cases that take a backend many seconds, for the kernels of shadows and of culling at other sizes."""
+BUSY = {("cl", number) for number in (4, 5, 15, 20, 43, 48, 63, 68)}
+"""Cases that take a backend seconds: walks with all algorithms of visibility, and kernels of shadows and of culling at
+other sizes. By day they run on gl, and on cl `tests/renderer/visibility` draws walks (`test_device_culling.py`,
+`test_software_depth.py`) and random scenes (`test_hard_cases.py`) with these algorithms, and
+`tests/renderer/techniques/test_technique_pixels.py` compares the techniques of tiles and clusters under all lenses."""
 
 
 def list_exams() -> list[object]:

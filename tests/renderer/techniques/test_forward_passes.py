@@ -94,6 +94,7 @@ def test_a_scene_looks_as_in_one_pass(
     assert farthest_apart(draw(drawing_device, scene, technique(), camera), wanted) <= 2
 
 
+@pytest.mark.cl_nightly  # by day one scene on cl; lenses on cl in test_technique_pixels.py
 @pytest.mark.parametrize("technique", TECHNIQUES)
 @pytest.mark.parametrize("depth", list(Depth))
 @pytest.mark.parametrize("lens", ["perspective", "far plane", "orthographic"])
