@@ -22,7 +22,7 @@ from rhi.backends.cl.cache import Request
 
 __rhi_internal__ = True
 
-LIMIT: Final = 64
+LIMIT: Final = 32
 """Programs in memory, of which none is released."""
 AGE: Final = 128
 """Values of the fence, some two seconds of frames, after which a program may be released."""
