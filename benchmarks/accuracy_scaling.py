@@ -1,7 +1,8 @@
 """How the sweep of all knobs (`python -m renderer accuracy`) scales with processes.
 
-The jobs are those of the command, a knob each, at a small size. They run on 1, 2, 4 … processes, begun afresh for each
-count and each with a device of its own, on the executor of `--executor processes:N`.
+The jobs are those of the command, shares of knobs, in its order, the longest first, at a small size. They run on 1, 2,
+4 … processes, begun afresh for each count and each with a device of its own, on the executor of `--executor
+processes:N`.
 
 Every process has the same number of CPUs and of drivers' threads, however many there are: an N-th of the machine, N
 being the largest count. So N processes have N times what one has. Left to itself, one process would use all CPUs in its
@@ -9,14 +10,19 @@ drivers' threads (PoCL, llvmpipe), and several would start as many threads as th
 
 - seconds: by the clock, from the start of the first process to the last result.
 - start: until the first job begins: the interpreter, imports and the driver.
+- longest: the longest job.
 - idle: the part of the processes' time in which they have no job any more, because others do the last ones.
 - work: of the time in jobs, what one process takes for all of them, in that of N. Below 1, they slow each other.
 - processor: the same by processor time, of start and jobs. Other programs disturb it less; it shows what is done more
   often by N processes, but not that they wait for memory or for the GPU.
 - efficiency: the seconds of one process, in N times those of N.
+- predicted: the efficiency that N processes would have if each job took as long as in the first run, and starts too:
+  every job, in order, goes to the process that is free first. It is computed, for numbers of processes that the
+  machine has no CPUs for, as well. It knows of idle processes, but not of processes that slow each other.
 
 A first run that isn't timed builds kernels into the caches on disk. On null, which draws nothing, a job records frames
-with all values of a knob: this is the part of Python.
+with all values of a knob: this is the part of Python. What is done is said on stderr, job by job, and rows are printed
+as soon as they are known.
 
     python benchmarks/accuracy_scaling.py [--json] [--backend null|cl|gl] [--processes 1,2,4] [--knob K]
 """
@@ -24,23 +30,28 @@ with all values of a knob: this is the part of Python.
 from __future__ import annotations
 
 import argparse
+import heapq
 import json
 import os
+import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import as_completed
 from dataclasses import asdict, dataclass, replace
 from typing import Final
 
 import rhi
-from renderer.accuracy import KNOBS, Situation, SweepJob
+from renderer.accuracy import KNOBS, Situation, SweepJob, list_jobs
+from renderer.accuracy.jobs import order_jobs
 from renderer.accuracy.sweep import DRAWS_NOTHING, find_lack, list_views, prepare_scene
 from renderer.cli.executors import list_cpus, open_processes, share_cpus
 from renderer.content import load_scene
 
-SITUATION: Final = Situation("city", size=(240, 135), views=1, rounds=3)
+SITUATION: Final = Situation("city", size=(240, 135), views=3, rounds=6)
 NULL_FRAMES: Final = 24
-"""Frames that are recorded with each value on null."""
+"""Frames that are recorded with each value on null, by all shares together."""
+PREDICTED: Final = (1, 2, 4, 8)
+"""Numbers of processes of which a prediction is made in any case."""
 
 
 @dataclass(frozen=True)
@@ -62,9 +73,20 @@ class ScalingRow:
     cpus_each: int
     seconds: float
     start: float
+    longest: float
     idle: float
     work: float
     processor: float
+    efficiency: float
+
+
+@dataclass(frozen=True)
+class PredictedRow:
+    """What a number of processes would take, as far as the first run tells."""
+
+    backend: str
+    processes: int
+    seconds: float
     efficiency: float
 
 
@@ -90,53 +112,78 @@ def record_frames(job: SweepJob) -> None:
             if find_lack(device, settings) not in (None, DRAWS_NOTHING):
                 continue
             with settings.open(device, scene, situation.size) as renderer:
-                for number in range(NULL_FRAMES):
+                for number in job.share.take(range(NULL_FRAMES)):
                     view = views[number % len(views)]
                     renderer.render(settings.aim(view.camera), view.seconds)
                     device.stream.clear()
 
 
-def list_jobs(backend: str, knobs: Sequence[str]) -> list[SweepJob]:
+def choose_jobs(backend: str, knobs: Sequence[str]) -> list[SweepJob]:
     """Return the jobs of a backend. Those on null leave out what depends on what has been drawn."""
-    situation = replace(SITUATION, backend=backend)
     is_recorded = backend == "null"
     chosen = (knob for knob in KNOBS.values() if not knobs or knob.name in knobs)
-    return [
-        SweepJob(situation, knob.name)
-        for knob in chosen
-        if not is_recorded or knob.within.get("algorithm") == "frustum"
-    ]
+    names = [knob.name for knob in chosen if not is_recorded or knob.within.get("algorithm") == "frustum"]
+    return order_jobs(list_jobs(replace(SITUATION, backend=backend), names))
 
 
-def run_jobs(jobs: Sequence[SweepJob], shares: Sequence[Sequence[int]]) -> tuple[float, list[JobTime]]:
-    """Do all jobs on a process for each share of the CPUs; return when the first process was started, and the times."""
+def run_jobs(jobs: Sequence[SweepJob], shares: Sequence[Sequence[int]], what: str) -> tuple[float, list[JobTime]]:
+    """Do all jobs on a process for each share of the CPUs; return when the first process was started, and the times in
+    the jobs' order."""
     began = time.time()
     with open_processes(shares) as pool:
-        return began, [one.result() for one in as_completed([pool.submit(run_job, job) for job in jobs])]
+        futures = [pool.submit(run_job, job) for job in jobs]
+        for done, _ in enumerate(as_completed(futures), 1):
+            print(f"{what}: {done} of {len(jobs)} jobs, {time.time() - began:.0f} s", file=sys.stderr)
+        return began, [one.result() for one in futures]
 
 
-def measure(backend: str, counts: Sequence[int], knobs: Sequence[str]) -> list[ScalingRow]:
-    """Return the figures of each number of processes; the first is what the others are compared with."""
-    jobs, shares = list_jobs(backend, knobs), share_cpus(max(counts))
+def find_makespan(durations: Sequence[float], processes: int) -> float:
+    """Return when the last job ends if each, in order, goes to the process that is free first."""
+    free = [0.0] * processes
+    for duration in durations:
+        heapq.heapreplace(free, free[0] + duration)
+    return max(free)
+
+
+def measure(backend: str, counts: Sequence[int], knobs: Sequence[str]) -> Iterator[ScalingRow | PredictedRow]:
+    """Yield the figures of each number of processes, and after those of the first, which the others are compared with,
+    what is predicted from them."""
+    jobs, shares = choose_jobs(backend, knobs), share_cpus(max(counts))
     if backend != "null":
-        run_jobs([replace(job, situation=replace(job.situation, rounds=1)) for job in jobs], shares)
-    rows: list[ScalingRow] = []
-    base = (0.0, 0.0, 0.0)
+        warm_ups = [replace(job, situation=replace(job.situation, rounds=job.share.count)) for job in jobs]
+        run_jobs(warm_ups, shares, f"{backend}, untimed")
+    base: tuple[float, float, float] | None = None
     for count in counts:
-        began, times = run_jobs(jobs, shares[:count])
+        began, times = run_jobs(jobs, shares[:count], f"{backend}, {count} processes")
         ended = max(one.ended for one in times)
-        work = sum(one.ended - one.began for one in times)
+        durations = [one.ended - one.began for one in times]
         last = {one.process: one for one in sorted(times, key=lambda one: one.ended)}
         processor = sum(one.processor for one in last.values())
         spent = count * (ended - began)
         idle = sum(ended - one.ended for one in last.values()) + (count - len(last)) * (ended - began)
-        if not rows:
-            base = work, processor, spent
-        first = min(one.began for one in times)
-        figures = (first - began, idle / spent, base[0] / work, base[1] / processor, base[2] / spent)
+        is_first = base is None
+        base = base or (sum(durations), processor, spent)
+        start = min(one.began for one in times) - began
+        figures = (
+            start, max(durations), idle / spent, base[0] / sum(durations), base[1] / processor, base[2] / spent,
+        )  # fmt: skip
         shown = (round(figure, 3) for figure in figures)
-        rows.append(ScalingRow(backend, count, len(shares[0]), round(ended - began, 2), *shown))
-    return rows
+        yield ScalingRow(backend, count, len(shares[0]), round(ended - began, 2), *shown)
+        for more in sorted({*PREDICTED, *counts} if is_first else ()):
+            seconds = start + find_makespan(durations, more)
+            yield PredictedRow(backend, more, round(seconds, 2), round(spent / (more * seconds), 3))
+
+
+def show(row: ScalingRow | PredictedRow) -> str:
+    """Format a row."""
+    begin = f"{row.backend:<5} {row.processes} processes"
+    if isinstance(row, PredictedRow):
+        return f"{begin}, predicted: {row.seconds:7.1f} s, efficiency {row.efficiency:4.0%}"
+    return (
+        f"{begin}, {row.cpus_each} CPUs each: {row.seconds:7.1f} s, start {row.start:.1f} s, "
+        f"longest {row.longest:.1f} s, idle {row.idle:4.0%}, work {row.work:4.0%}, "
+        f"processor {row.processor:4.0%}, efficiency {row.efficiency:4.0%}"
+    )
 
 
 def main() -> None:
@@ -152,16 +199,14 @@ def main() -> None:
     # By default optimised kernels are built meanwhile, in processes of their own.
     os.environ.setdefault("RHI_KERNELS", "quick")
     backends = options.backend or ("null", "cl", "gl")
-    rows = [row for backend in backends for row in measure(backend, counts, options.knob)]
+    rows: dict[type[ScalingRow | PredictedRow], list[ScalingRow | PredictedRow]] = {ScalingRow: [], PredictedRow: []}
+    for backend in backends:
+        for row in measure(backend, counts, options.knob):
+            rows[type(row)].append(row)
+            print(show(row), file=sys.stderr if options.json else sys.stdout, flush=True)
     if options.json:
-        print(json.dumps({"cpus": len(list_cpus()), "rows": [asdict(row) for row in rows]}, indent=2))
-        return
-    for row in rows:
-        print(
-            f"{row.backend:<5} {row.processes} processes, {row.cpus_each} CPUs each: {row.seconds:7.1f} s, "
-            f"start {row.start:.1f} s, idle {row.idle:4.0%}, work {row.work:4.0%}, "
-            f"processor {row.processor:4.0%}, efficiency {row.efficiency:4.0%}"
-        )
+        measured, predicted = ([asdict(row) for row in some] for some in rows.values())
+        print(json.dumps({"cpus": len(list_cpus()), "rows": measured, "predicted": predicted}, indent=2))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """What accuracy costs in time: all choices between the two, what each loses, and what it saves."""
 
 from renderer.accuracy.choice import CheckedChoice, FrontPoint, choose, find_choices, find_front
-from renderer.accuracy.jobs import SweepJob, keep_front, run_jobs
+from renderer.accuracy.jobs import SweepJob, keep_front, list_jobs, run_jobs
 from renderer.accuracy.knobs import KNOBS, NEUTRAL, Demand, Knob, Truth, Unit, find_knob
 from renderer.accuracy.sweep import KnobReport, Situation, ValueRow, sweep_knob
 
@@ -23,6 +23,7 @@ __all__ = [
     "find_front",
     "find_knob",
     "keep_front",
+    "list_jobs",
     "run_jobs",
     "sweep_knob",
 ]

@@ -84,7 +84,8 @@ class Knob:
             shaders have for good. values: by how tables call them, the least accurate first.
         unit: of the error. truth: what values are judged by.
         within: settings under which it matters. demand: what it needs in the scene.
-        remembers: whether a frame depends on earlier ones, so that frames must follow each other.
+        remembers: the number of earlier frames that a frame depends on, which are drawn before the first that counts; 0
+            if frames needn't follow each other.
         because: why we chose the default.
         exception: why errors needn't fall from each value to the next; empty where they must.
     """
@@ -98,7 +99,7 @@ class Knob:
     because: str
     within: Mapping[str, Any] = field(default_factory=dict)
     demand: Demand | None = None
-    remembers: bool = False
+    remembers: int = 0
     exception: str = ""
 
     @property
@@ -162,6 +163,8 @@ _FORWARD: Final = {"technique.name": "forward", "algorithm": "frustum"}
 _ROOM: Final = {**_FORWARD, "shadows.largest_atlas": 8192}
 _LOTS: Final = "CHC++ draws lots for when an object is asked about again, so neighbours may change places"
 _CHC: Final = {**_FORWARD, "algorithm": "chc_plus_plus"}
+_ASKED: Final = 24
+"""Frames after which CHC++ has asked about all that was visible in the first, when everything in view is drawn."""
 _SOFTWARE: Final = {**_FORWARD, "algorithm": "software_depth"}
 
 KNOBS: Final[dict[str, Knob]] = {
@@ -307,7 +310,7 @@ KNOBS: Final[dict[str, Knob]] = {
             "what moves far away may be late by some frames",
             _ROOM,
             Demand.SHADOWS,
-            remembers=True,
+            remembers=6,
         ),
         Knob(
             "inferred_scale",
@@ -410,7 +413,7 @@ KNOBS: Final[dict[str, Knob]] = {
             "half as many steps are seen to be uneven",
             _FORWARD,
             Demand.MOTION,
-            remembers=True,
+            remembers=8,
         ),
         Knob(
             "second_eye",
@@ -476,7 +479,7 @@ KNOBS: Final[dict[str, Knob]] = {
             SEEN,
             "queries cost more than what is drawn for nothing",
             _CHC,
-            remembers=True,
+            remembers=_ASKED,
             exception=_LOTS,
         ),
         Knob(
@@ -488,7 +491,7 @@ KNOBS: Final[dict[str, Knob]] = {
             SEEN,
             "what was visible nearly always still is",
             _CHC,
-            remembers=True,
+            remembers=64,
             exception=_LOTS,
         ),
         Knob(
@@ -500,7 +503,7 @@ KNOBS: Final[dict[str, Knob]] = {
             SEEN,
             "objects of our scenes are large enough for a query each",
             _CHC,
-            remembers=True,
+            remembers=_ASKED,
             exception="CHC++ draws lots for when nodes are asked about again, and larger nodes are fewer lots",
         ),
         Knob(
@@ -512,7 +515,7 @@ KNOBS: Final[dict[str, Knob]] = {
             EVERYTHING,
             "nothing that is seen may be missing",
             _CHC,
-            remembers=True,
+            remembers=_ASKED,
         ),
         Knob(
             "occluders",
@@ -544,7 +547,7 @@ KNOBS: Final[dict[str, Knob]] = {
             SEEN,
             "twice as many hide hardly more",
             {**_FORWARD, "algorithm": "depth_pyramid"},
-            remembers=True,
+            remembers=6,
         ),
         Knob(
             "normal_bits",

@@ -6,6 +6,11 @@ accurate value in the same round; the median of the rounds' ratios is given with
 
 A knob whose frames depend on earlier ones draws consecutive frames of the path, of which the first only make the memory
 of the others: a frame that remembers nothing is another case. The others draw frames that are spread over all of it.
+
+A sweep can be divided into shares, for several processes: each has some of the views and some of the rounds, and all
+values of the knob, so that it has ratios of its own. Together they have the same views and rounds as one that does all;
+nothing is drawn twice but a frame of each value before the first round. Frames that depend on earlier ones aren't
+divided: each share would have to draw these again.
 """
 
 from __future__ import annotations
@@ -16,7 +21,9 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Final
+from operator import truediv
+from statistics import median
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +48,8 @@ from rhi import Device
 
 __rhi_internal__ = True
 
+T = TypeVar("T")
+
 _CROP: Final = (112, 63)
 """Width and height of the part of a picture that shows its worst pixel."""
 _VALUES: Final = 1 << 14
@@ -49,8 +58,8 @@ _TRUTH_ROUNDS: Final = 3
 """How often a truth is timed: it may take many times as long as a value, and isn't chosen by time."""
 DRAWS_NOTHING: Final = "it draws nothing"
 """What a device lacks that only records."""
-_HISTORY: Final = 6
-"""Frames that are drawn before the first that counts, where frames depend on earlier ones."""
+_MOST_SHARES: Final = 2
+"""The most shares of a sweep. Each opens a device and renderers of all values, so more of them take longer in all."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +83,68 @@ class Situation:
     settings: RenderSettings = field(default_factory=RenderSettings)
     first: int = 0
     last: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SweepShare:
+    """One of `count` parts of a sweep, of about the same size."""
+
+    number: int = 0
+    count: int = 1
+
+    def take(self, items: Sequence[T]) -> Sequence[T]:
+        """Return the items of this share, which follow each other."""
+        first, last = (place * len(items) // self.count for place in (self.number, self.number + 1))
+        return items[first:last]
+
+
+def list_shares(situation: Situation, name: str) -> list[SweepShare]:
+    """Return the shares into which the sweep of a knob is divided: two, or one if frames depend on earlier ones. They
+    don't depend on who does them, so that all of them can be kept."""
+    knob = find_knob(name, "list_shares")
+    is_whole = knob.is_encoding or knob.remembers
+    count = 1 if is_whole else min(situation.views, situation.rounds, _MOST_SHARES)
+    return [SweepShare(number, count) for number in range(count)]
+
+
+WHOLE: Final = SweepShare()
+"""The share of who does all."""
+
+
+@dataclass(frozen=True, slots=True)
+class ValueSample:
+    """What a share of a sweep has found for a value.
+
+    Attributes:
+        sums: of each view that was compared, the sum of the errors, and the number of pixels that count.
+        max_error, worst: the greatest error, -1 if nothing was compared, and its frame, x and y. picture: its place, as
+            in `KnobReport`.
+        seconds, processor_seconds: of each round.
+    """
+
+    sums: tuple[tuple[float, int], ...]
+    max_error: float
+    worst: tuple[int, int, int] | None
+    picture: str
+    seconds: tuple[float, ...]
+    processor_seconds: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class KnobSample:
+    """What a share of a sweep has found.
+
+    Attributes:
+        left_out: as in `KnobReport`. values: by name, the least accurate first.
+        truth_ratios: the time of the truth in that of the most accurate value, round by round.
+    """
+
+    knob: str
+    backend: str
+    device: str
+    left_out: dict[str, str] = field(default_factory=dict)
+    values: dict[str, ValueSample] = field(default_factory=dict)
+    truth_ratios: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,29 +211,62 @@ class SweepFrame:
 
 def sweep_knob(situation: Situation, name: str) -> KnobReport:
     """Measure all values of a knob, on a device of its own."""
-    knob = find_knob(name, "sweep_knob")
+    return join_shares([sweep_share(situation, name, WHOLE)])
+
+
+def sweep_share(situation: Situation, name: str, share: SweepShare) -> KnobSample:
+    """Measure a share of a knob's sweep, on a device of its own."""
+    knob = find_knob(name, "sweep_share")
     with rhi.create_device(situation.backend) as device:
+        found = partial(KnobSample, knob.name, device.backend_name, device.capabilities.device)
         if knob.is_encoding:
-            return _sweep_encodings(situation, knob, device)
+            return _sweep_encodings(situation, knob, device, found)
         scene = load_scene(situation.scene)
         lack = prepare_scene(scene, knob)
-        report = partial(KnobReport, knob.name, device.backend_name, device.capabilities.device)
         if lack is not None:
-            return report((), dict.fromkeys(knob.values, lack))
+            return found(dict.fromkeys(knob.values, lack))
         left_out = list_left_out(device, situation.settings, knob)
         values = [value for value in knob.values if value not in left_out]
         if not values:
-            return report((), left_out)
-        with KnobBench(device, scene, situation, knob, values) as bench:
+            return found(left_out)
+        with KnobBench(device, scene, situation, knob, values, share) as bench:
             bench.draw_history()
             errors = bench.find_errors(bench.list_views())
-            times, truth_ratio = bench.time()
-        rows = [
-            _make_row(knob, value, times[value], times[values[-1]], *errors[value].summarize(), errors[value].worst)
-            for value in values
-        ]
-        pictures = {value: error.picture for value, error in errors.items() if error.picture}
-        return report(tuple(rows), left_out, truth_ratio, pictures)
+            times, truth_ratios = bench.time()
+        samples = {value: errors[value].sample(times[value]) for value in values}
+        return found(left_out, samples, truth_ratios)
+
+
+def join_shares(samples: Sequence[KnobSample]) -> KnobReport:
+    """Return what all shares of a sweep have found together."""
+    first = samples[0]
+    knob = find_knob(first.knob, "join_shares")
+    report = partial(KnobReport, first.knob, first.backend, first.device)
+    if not first.values:
+        return report((), first.left_out)
+    values = {value: _join_samples([sample.values[value] for sample in samples]) for value in first.values}
+    times = {value: Measurement(value, one.seconds, one.processor_seconds) for value, one in values.items()}
+    base = times[list(times)[-1]]
+    ratios = [ratio for sample in samples for ratio in sample.truth_ratios]
+    return report(
+        tuple(_make_row(knob, value, one, times[value], base) for value, one in values.items()),
+        first.left_out,
+        round(median(ratios), 2) if ratios else None,
+        {value: one.picture for value, one in values.items() if one.picture},
+    )
+
+
+def _join_samples(samples: Sequence[ValueSample]) -> ValueSample:
+    """Return one sample of all views and rounds."""
+    worst = max(samples, key=lambda sample: sample.max_error)  # the first of several
+    return ValueSample(
+        tuple(view for sample in samples for view in sample.sums),
+        worst.max_error,
+        worst.worst,
+        worst.picture,
+        tuple(time for sample in samples for time in sample.seconds),
+        tuple(time for sample in samples for time in sample.processor_seconds),
+    )
 
 
 def prepare_scene(scene: Scene, knob: Knob) -> str | None:
@@ -238,24 +342,31 @@ class ValueErrors:
 
     def summarize(self) -> tuple[float, float]:
         """Return the greatest error and the mean one."""
-        if not self._sums:
-            return 0.0, 0.0
-        total, count = (sum(some) for some in zip(*self._sums, strict=True))
-        return self._greatest, total / count
+        return max(self._greatest, 0.0), find_mean(self._sums)
+
+    def sample(self, time: Measurement) -> ValueSample:
+        """Return the errors, with times."""
+        return ValueSample(
+            tuple(self._sums), self._greatest, self.worst, self.picture, time.seconds, time.processor_seconds
+        )
 
 
-def _make_row(
-    knob: Knob, value: str, time: Measurement, base: Measurement, greatest: float, mean: float,
-    worst: tuple[int, int, int] | None, scale: float = 1e3,
-) -> ValueRow:  # fmt: skip
+def find_mean(sums: Sequence[tuple[float, int]]) -> float:
+    """Return the mean error of all views, given the sum of each and what it is a sum of."""
+    return sum(total for total, _ in sums) / max(sum(count for _, count in sums), 1)
+
+
+def _make_row(knob: Knob, value: str, sample: ValueSample, time: Measurement, base: Measurement) -> ValueRow:
+    greatest, mean = max(sample.max_error, 0.0), find_mean(sample.sums)
+    scale = 1e9 / _VALUES / TURNS if knob.is_encoding else 1e3
     low, high = time.ratio_interval(base)
     processor_low, processor_high = time.processor_ratio_interval(base)
     numbers = (low, high, processor_low, processor_high, time.ratio_to(base), time.processor_ratio_to(base))
     low, high, processor_low, processor_high, ratio, processor_ratio = (round(number, 4) for number in numbers)
     return ValueRow(
         knob.name, value, value == knob.default, knob.unit.value, float(f"{greatest:.5g}"), float(f"{mean:.5g}"),
-        worst, float(f"{scale * time.median:.4g}"), ratio, low, high, float(f"{scale * time.processor_median:.4g}"),
-        processor_ratio, processor_low, processor_high,
+        sample.worst, float(f"{scale * time.median:.4g}"), ratio, low, high,
+        float(f"{scale * time.processor_median:.4g}"), processor_ratio, processor_low, processor_high,
     )  # fmt: skip
 
 
@@ -263,9 +374,13 @@ class KnobBench:
     """The renderers of all values of a knob, and what judges them."""
 
     def __init__(
-        self, device: Device, scene: Scene, situation: Situation, knob: Knob, values: Sequence[str]
-    ) -> None:
+        self, device: Device, scene: Scene, situation: Situation, knob: Knob, values: Sequence[str],
+        share: SweepShare = WHOLE,
+    ) -> None:  # fmt: skip
         self._device, self._scene, self._situation, self._knob = device, scene, situation, knob
+        self._rounds = share.take(range(situation.rounds))
+        self._share = share
+        self._history, self._views, self._timed = list_frames(scene, situation, knob, share)
         self._settings = {value: knob.set(situation.settings, value) for value in values}
         best = self._settings[values[-1]]
         self._true_settings = best.change_all(knob.truth.changes)
@@ -305,25 +420,19 @@ class KnobBench:
         if self._knob.demand is not Demand.STEREO:
             return None
         width, height = self._situation.size
-        return find_rig(self._scene, settings.aim(self.list_views()[0].camera).with_aspect(width / height))
+        return find_rig(self._scene, settings.aim(self._timed[0].camera).with_aspect(width / height))
 
-    def list_views(self) -> list[SweepFrame]:
+    def list_views(self) -> Sequence[SweepFrame]:
         """Return the frames to compare."""
-        return self._list_all()[-self._situation.views :]
+        return self._views
 
     def draw_history(self) -> None:
         """Draw what frames to compare depend on, if they depend on earlier ones."""
-        for view in self._list_all()[: -self._situation.views]:
+        for view in self._history:
             for value in self._renderers:
                 self._draw(value, view)
             if self._true is not None and self._true not in self._renderers.values():
                 self._true.render(self._true_settings.aim(view.camera), view.seconds)
-
-    def _list_all(self) -> list[SweepFrame]:
-        """Return the frames to compare after those that they depend on."""
-        situation, remembers = self._situation, self._knob.remembers
-        count = situation.views + (_HISTORY if remembers else 0)
-        return list_views(self._scene, situation, consecutive=remembers, count=count)
 
     def find_errors(self, views: Sequence[SweepFrame]) -> dict[str, ValueErrors]:
         """Return the errors of each value in all views."""
@@ -397,51 +506,42 @@ class KnobBench:
             # Nothing is seen in some views, and a part of nothing is no error.
             yield value, (np.array([100.0 * (triangles / seen - 1.0) if seen else np.nan]), None)
 
-    def time(self) -> tuple[dict[str, Measurement], float | None]:
+    def time(self) -> tuple[dict[str, Measurement], tuple[float, ...]]:
         """Time frames of all values, and of the truth if it is a picture of a renderer of its own; return the latter's
-        time in that of the most accurate value."""
-        situation = self._situation
-        views = list_views(
-            self._scene, situation, consecutive=self._knob.remembers, count=situation.rounds + _HISTORY
-        )
-        if not self._knob.remembers:
-            views = views[: situation.views] or views
-        renderers = dict(self._renderers)
-        settings = dict(self._settings)
-        for name, renderer in renderers.items():
-            settle(renderer, settings[name].aim(views[0].camera), views[0].seconds)
+        times in those of the most accurate value."""
+        views, rounds, settings = self._timed, self._rounds, self._settings
+        names = list(self._renderers)
+        start = rounds[0] % len(names)  # another value is the first in each round, in all shares together, too
 
         def draw(name: str, number: int) -> None:
             view = views[number % len(views)]
-            renderers[name].render(settings[name].aim(view.camera), view.seconds)
+            self._renderers[name].render(settings[name].aim(view.camera), view.seconds)
             self._device.finish()
 
-        work: dict[str, Callable[[int], object]] = {name: partial(draw, name) for name in renderers}
-        warm_ups = 2
+        work: dict[str, Callable[[int], object]] = {
+            name: partial(draw, name) for name in names[start:] + names[:start]
+        }
         if self._knob.remembers:
-            for number in range(_HISTORY):
-                for one in work.values():
-                    one(number)
-            times = alternate(work, range(_HISTORY, _HISTORY + situation.rounds), 0)
-        else:
-            times = alternate(work, range(situation.rounds), warm_ups)
-        return times, self._time_truth(views, list(work)[-1], draw)
+            return alternate(work, range(len(rounds)), 0), self._time_truth(names[-1], draw)
+        for name, renderer in self._renderers.items():  # the view before that of the first round
+            view = views[(rounds[0] - 1) % len(views)]
+            settle(renderer, settings[name].aim(view.camera), view.seconds)
+        return alternate(work, rounds, 0), self._time_truth(names[-1], draw)
 
-    def _time_truth(
-        self, views: Sequence[SweepFrame], best: str, draw: Callable[[str, int], None]
-    ) -> float | None:
-        """Return the time of the truth in that of the most accurate value, None if it isn't a picture of its own."""
-        true, settings = self._true, self._true_settings
+    def _time_truth(self, best: str, draw: Callable[[str, int], None]) -> tuple[float, ...]:
+        """Return the times of the truth in those of the most accurate value, none if it isn't a picture of its own."""
+        true, settings, views = self._true, self._true_settings, self._timed
+        rounds = self._share.take(range(max(_TRUTH_ROUNDS, self._share.count)))
         if true is None or true in self._renderers.values():
-            return None
+            return ()
 
         def draw_truth(number: int) -> None:
             frame = views[number % len(views)]
             true.render(settings.aim(frame.camera), frame.seconds)
             self._device.finish()
 
-        times = alternate({"truth": draw_truth, "best": partial(draw, best)}, range(_TRUTH_ROUNDS))
-        return round(times["truth"].ratio_to(times["best"]), 2)
+        times = alternate({"truth": draw_truth, "best": partial(draw, best)}, rounds, 0 if self._views else 1)
+        return tuple(map(truediv, times["truth"].seconds, times["best"].seconds))
 
 
 def limit_anisotropy(settings: RenderSettings, device: Device) -> RenderSettings:
@@ -468,6 +568,20 @@ def list_views(
         return [SweepFrame(number, path.camera(number)) for number in range(begin, min(begin + wanted, last + 1))]
     places = np.linspace(first, last, wanted + 2)[1:-1]  # not the ends, where there may be nothing to see
     return [SweepFrame(number, path.camera(number)) for number in dict.fromkeys(int(place) for place in places)]
+
+
+def list_frames(
+    scene: Scene, situation: Situation, knob: Knob, share: SweepShare
+) -> tuple[Sequence[SweepFrame], Sequence[SweepFrame], Sequence[SweepFrame]]:
+    """Return the frames of a share that others depend on, those to compare, and those to time."""
+    if not knob.remembers:
+        views = list_views(scene, situation)
+        return [], share.take(views), views
+    compared, counted = situation.views, situation.views + situation.rounds
+    frames = list_views(scene, situation, consecutive=True, count=knob.remembers + counted)
+    first = max(len(frames) - counted, 0)
+    counting = frames[first:]
+    return frames[:first], counting[:compared], counting[compared:] or counting
 
 
 def read_picture(result: FrameResult) -> Floats:
@@ -522,23 +636,25 @@ def crop_worst(true: Floats, shown: Floats, x: int, y: int) -> str:
     return b64encode(file.getvalue()).decode()
 
 
-def _sweep_encodings(situation: Situation, knob: Knob, device: Device) -> KnobReport:
+def _sweep_encodings(
+    situation: Situation, knob: Knob, device: Device, found: Callable[..., KnobSample]
+) -> KnobSample:
     """Measure encodings: what they lose of random vectors, and the time to store and read one."""
     known = {one.name: one for one in ENCODINGS}
     chosen = {value: known[name] for value, name in knob.values.items()}
-    report = partial(KnobReport, knob.name, device.backend_name, device.capabilities.device)
     if not device.capabilities.compute or not device.capabilities.renders:
-        return report((), dict.fromkeys(knob.values, "it computes nothing"))
+        return found(dict.fromkeys(knob.values, "it computes nothing"))
     errors, work = {}, {}
     for value, one in chosen.items():
         vectors = one.sample(np.random.default_rng(0), _VALUES)
         errors[value] = one.measure(vectors, run_round_trip(device, one.shader, vectors, **one.uniforms))
         work[value] = time_round_trip(device, one.shader, vectors, **one.uniforms)
     times = alternate(work, range(situation.rounds), 2)
-    base = times[list(times)[-1]]
-    rows = [
-        _make_row(knob, value, times[value], base, float(errors[value].max()), float(errors[value].mean()), None,
-                  1e9 / _VALUES / TURNS)
-        for value in chosen
-    ]  # fmt: skip
-    return report(tuple(rows))
+    samples = {
+        value: ValueSample(
+            ((float(error.sum()), error.size),), float(error.max()), None, "", times[value].seconds,
+            times[value].processor_seconds,
+        )
+        for value, error in errors.items()
+    }  # fmt: skip
+    return found({}, samples)

@@ -9,9 +9,9 @@ with device.render_pass(image):
 """
 
 from renderer.canvas.canvas import Canvas, srgb
-from renderer.canvas.font import BOX, Font
+from renderer.canvas.font import BOX, MONOSPACED, Font
 from renderer.canvas.text import TextLayout, lay_out
 
 __rhi_internal__ = True
 
-__all__ = ["BOX", "Canvas", "Font", "TextLayout", "lay_out", "srgb"]
+__all__ = ["BOX", "MONOSPACED", "Canvas", "Font", "TextLayout", "lay_out", "srgb"]

@@ -8,6 +8,8 @@
   by HarfBuzz; a Pillow without it doesn't kern.
 - The default font is DejaVu Sans, cut down to Latin-1, which lies beside this file with its licence:
   `pyftsubset DejaVuSans.ttf --unicodes=20-7E,A0-FF,FFFD --legacy-kern --layout-features=kern --notdef-outline`.
+- DejaVu Sans Mono, cut down in the same way without kerning, is for text whose columns mean something: source code with
+  marks below it, tables of errors.
 """
 
 from __future__ import annotations
@@ -43,6 +45,8 @@ _GAP: Final = 1  # texels between glyphs
 _WIDTH: Final = 256  # of the atlas
 _UNKNOWN: Final = 127  # kerning of a pair that wasn't asked for
 _FILE: Final = Path(__file__).with_name("DejaVuSans.ttf")
+MONOSPACED: Final = Path(__file__).with_name("DejaVuSansMono.ttf")
+"""The file of a font all of whose characters are equally wide: `Font.load(file=MONOSPACED)`."""
 
 
 class Font:

@@ -17,10 +17,10 @@ from renderer.accuracy import (
     FrontPoint,
     KnobReport,
     Situation,
-    SweepJob,
     choose,
     find_choices,
     keep_front,
+    list_jobs,
     run_jobs,
 )
 from renderer.cli.accuracy_report import plot_all, write_images, write_page
@@ -91,7 +91,7 @@ def _add_arguments(parser: Parser) -> None:
         metavar="E",
         help="choose the fastest settings with a mean error within this, in levels of 255",
     )
-    add_executor(parser, "knobs")
+    add_executor(parser, "shares of knobs")
     parser.add_argument("--plot", type=Path, metavar="F.png", help="write charts of errors and times")
     parser.add_argument(
         "--output",
@@ -124,7 +124,7 @@ def _run(given: argparse.Namespace) -> None:
     answer = (given.output or Path()) / "settings.json"
     if is_bounded:
         clear_answer(answer, given.settings)
-    jobs = [SweepJob(situation, name) for name in dict.fromkeys(given.knob or KNOBS)]
+    jobs = list_jobs(situation, dict.fromkeys(given.knob or KNOBS))
     folder = None if given.output is None else given.output / "jobs"
     with make_executor(given.executor) as executor:
         reports = run_jobs(jobs, executor, folder, lambda items, total: show_progress(items, total, "accuracy"))
@@ -132,7 +132,7 @@ def _run(given: argparse.Namespace) -> None:
         note(f"left out: {line}")
     shown = [report for report in reports if report.rows]
     if not shown:
-        refuse(rules.NO_KNOBS, "accuracy", ", ".join(job.knob for job in jobs))
+        refuse(rules.NO_KNOBS, "accuracy", ", ".join(report.knob for report in reports))
     points, choice = list[FrontPoint](), None
     if is_bounded or (given.output is not None and find_choices(scene, situation.settings, shown)):
         points = keep_front(

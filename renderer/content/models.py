@@ -171,7 +171,7 @@ def _read(path: str) -> tuple[dict[str, Any], list[_FileNode], list[Path]]:
 
 
 def _make_resolver(file: Path) -> Any:
-    """Return trimesh's reader of materials and images beside a file, which notes those that there are in `files`."""
+    """Return trimesh's reader of materials and images beside a file, which notes in `files` what it looks for."""
     from trimesh.resolvers import FilePathResolver
 
     class Noting(FilePathResolver):
@@ -180,10 +180,9 @@ def _make_resolver(file: Path) -> Any:
             self.files = [Path(source)]
 
         def get(self, name: str) -> Any:
-            content = super().get(name)
-            beside = (Path(self.parent) / one for one in (name.strip().lstrip("/"), Path(name).name))
-            self.files += [path for path in beside if path.is_file()][:1]
-            return content
+            beside = [Path(self.parent) / one for one in (name.strip().lstrip("/"), Path(name).name)]
+            self.files += [path for path in beside if path.is_file()][:1] or beside[:1]
+            return super().get(name)
 
     return Noting(str(file))
 

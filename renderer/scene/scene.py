@@ -68,7 +68,7 @@ class Scene:
         seconds: the time of the last update or frame.
         views: named cameras, the first of which is the default. paths: named camera paths.
         omissions: what the file that it was loaded from has and the scene hasn't.
-        files: those that `load_model` has read it from, and could read it from again; none of other scenes.
+        files: those that `load_model` has read it from or looked for, and would again; none of other scenes.
         height_fields: by the rows of their objects; the triangles of these are chosen for each view.
     """
 

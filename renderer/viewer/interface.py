@@ -1,4 +1,7 @@
-"""The interface: a layer that draws what the viewer says over its frames, in text and lines."""
+"""The interface: a layer that draws what the viewer says over its frames, in text and lines.
+
+Text is monospaced: errors mark columns of source lines, and help and console are tables.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.canvas import Canvas, Font, srgb
+from renderer.canvas import MONOSPACED, Canvas, Font, srgb
 from renderer.frame import Frame
 from renderer.scene import Camera
 from renderer.scene.arrays import Floats
@@ -72,7 +75,7 @@ class InterfaceLayer:
     """
 
     def __init__(self, device: Device, font: Font | None = None) -> None:
-        self._canvas = Canvas(device, font or Font.load())
+        self._canvas = Canvas(device, font or Font.load(file=MONOSPACED))
         self.shown = Shown()
         self.scale = 1
         self.is_hidden = False

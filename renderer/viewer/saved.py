@@ -3,7 +3,7 @@
 - **Modules of shaders**, the renderer's and the program's, are exchanged by `rhi.Reloader`. A frame is tried after it,
   which isn't shown: if it can't be drawn, the texts before come back.
 - **The scene's files**, if it is a model file with its buffers, materials and textures: the scene is read and uploaded
-  beside the old one, and takes its place once a frame of it could be drawn.
+  beside the old one, and takes its place once a frame of it could be drawn. A texture that is missing is waited for.
 - **The settings** that were read last.
 
 Whatever fails is said, stays in the picture for as long as the file is at fault, and what was drawn before goes on.
@@ -122,8 +122,8 @@ class SavedFiles:
         reloader = self._reloader
         if reloader is None:
             return
-        files = [path for path in self._stage.scene.files if path.is_file()]
-        reloader.watch(*files, reload=self._read_scene)
+        files = [path for path in self._stage.scene.files if path.parent.is_dir()]
+        reloader.watch(*files, reload=self._read_scene, missing_ok=True)
         if self._settings is not None:
             reloader.watch(self._settings, reload=self._read_saved_settings)
 

@@ -89,11 +89,15 @@ class Reloader:
         return next(reversed(self.errors.values()), None)
 
     def watch(
-        self, *what: ModuleType | str | Path, reload: Callable[[Path], object] | None = None
+        self,
+        *what: ModuleType | str | Path,
+        reload: Callable[[Path], object] | None = None,
+        missing_ok: bool = False,
     ) -> None:
         """Watch modules of shaders, and files for which `reload(path)` is called, by `update`, when they were saved.
 
-        An error that `reload` raises is reported like those of shaders.
+        An error that `reload` raises is reported like those of shaders. With `missing_ok`, a file may be missing as
+        long as its folder is there; it is reloaded when it appears.
 
         Raises:
             ValidationError: `reload-watch`: watchfiles is missing, or something isn't a file. Then nothing of it is
@@ -103,7 +107,7 @@ class Reloader:
         reloads, texts = dict(self._reloads), dict(self._texts)
         for each in what:
             path = Path(_file_of(each)).resolve()
-            if not path.is_file():
+            if not path.is_file() and not (missing_ok and not path.exists() and path.parent.is_dir()):
                 refuse(RELOAD_WATCH, call, f"{each!r}, which is no file")
             if isinstance(each, ModuleType):
                 texts.setdefault(each.__name__, path.read_text(encoding="utf-8"))

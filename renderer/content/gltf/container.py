@@ -44,7 +44,7 @@ class GltfFile:
     Attributes:
         path: the path as the user gave it.
         root: the document.
-        files: what was read so far, this file first.
+        files: those that were read or looked for so far, this one first.
     """
 
     def __init__(self, path: str) -> None:
@@ -108,12 +108,12 @@ class GltfFile:
         file = self.locate(uri)
         if file is None:
             fields.refuse("uri", uri, "a file's name, or data:…;base64,…")
+        self.files.append(file)  # also if it is missing: it may be saved later
         try:
             content = np.fromfile(file, np.uint8)
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or str(error)
             fields.refuse("uri", f"{uri}: {reason}", f"a file in {self._folder.resolve()}")
-        self.files.append(file)
         return content
 
     def locate(self, uri: str) -> Path | None:

@@ -55,15 +55,16 @@ class Word(enum.IntEnum):
     MIP = 7
     ONE_FILTER = 8  # one level with one filter: the level of detail has no effect
     PLAIN8 = 9  # four channels of 8 bits, 2D or a 2D array, no border
-    WRAP_U = 10
-    WRAP_V = 11
-    WRAP_W = 12
-    HAS_BORDER = 13
-    COMPARISON = 14
-    BORDER_COLOR = 15
-    CLAMPED = 19  # whether references of comparisons are clamped: depth is in fixed point
-    ANISOTROPY = 20  # a float: the most that a footprint's longer axis is of its shorter one; 0 for a sampler without
-    LEVELS = 21
+    PLAIN_HALF = 10  # the same of half floats
+    WRAP_U = 11
+    WRAP_V = 12
+    WRAP_W = 13
+    HAS_BORDER = 14
+    COMPARISON = 15
+    BORDER_COLOR = 16
+    CLAMPED = 20  # whether references of comparisons are clamped: depth is in fixed point
+    ANISOTROPY = 21  # a float: the most that a footprint's longer axis is of its shorter one; 0 for a sampler without
+    LEVELS = 22
 
 
 class LevelWord(enum.IntEnum):
@@ -177,12 +178,9 @@ def describe_texture(
     words[Word.MINIFY], words[Word.MAGNIFY] = linear
     words[Word.MIP] = mip
     words[Word.ONE_FILTER] = mip is Mip.NO_MIP and linear[0] == linear[1] and kind is not TextureKind.CUBE
-    words[Word.PLAIN8] = (
-        texel == 4
-        and stored in (Stored.UNORM8, Stored.SRGB8)
-        and kind in (TextureKind.D2, TextureKind.D2_ARRAY)
-        and Edge.BORDER not in used
-    )
+    plain = format.channels == 4 and kind in (TextureKind.D2, TextureKind.D2_ARRAY) and Edge.BORDER not in used
+    words[Word.PLAIN8] = plain and stored in (Stored.UNORM8, Stored.SRGB8)
+    words[Word.PLAIN_HALF] = plain and stored is Stored.HALF
     words[Word.WRAP_U : Word.WRAP_W + 1] = edges
     words[Word.HAS_BORDER] = Edge.BORDER in used
     words[Word.COMPARISON] = _COMPARISONS[sampler.compare] if sampler.compare is not None else 0

@@ -368,6 +368,43 @@ static RHI_INLINE void rhi_bilinear8(
     }
 }
 
+// The same for four half floats; a block of pixels that lies inside reads whole rows.
+static RHI_INLINE void rhi_bilinear_half(
+    rhi_texture t, rhi_description w, rhi_description level, FLOAT u, FLOAT v, INT layer, UINT *r
+) {
+    INT x, y;
+    int width = level[RHI_WIDTH], height = level[RHI_HEIGHT], row = level[RHI_ROW];
+    FLOAT at_x = rhi_before(w[RHI_WRAP_U], width, u, &x), at_y = rhi_before(w[RHI_WRAP_V], height, v, &y);
+    rhi_texture p = rhi_start(t, level);
+    INT first = layer * level[RHI_LAYER];
+    UINT a[2], b[2], c[2], d[2];
+    if (rhi_inside(width, x) && rhi_inside(height, y)) {
+        first += y * row;
+#ifdef RHI_GRID
+        if (RHI_GRID(p, row, first, x, at_x, at_y, r)) return;
+#endif
+        first += x;
+        rhi_long_pair(p, first, a, b);
+        rhi_long_pair(p + 8 * row, first, c, d);
+    } else {
+        INT right, below;
+        rhi_edge(w[RHI_WRAP_U], width, &x, &right);
+        rhi_edge(w[RHI_WRAP_V], height, &y, &below);
+        INT above = first + y * row;
+        below = first + below * row;
+        rhi_pair(p, (above + x) * 2, a, a + 1);
+        rhi_pair(p, (above + right) * 2, b, b + 1);
+        rhi_pair(p, (below + x) * 2, c, c + 1);
+        rhi_pair(p, (below + right) * 2, d, d + 1);
+    }
+    _Pragma("unroll") for (int k = 0; k < 4; ++k) {
+        uint shift = 16u * (k & 1);
+        FLOAT e = rhi_from_half(a[k >> 1] >> shift & 65535u), f = rhi_from_half(b[k >> 1] >> shift & 65535u);
+        FLOAT g = rhi_from_half(c[k >> 1] >> shift & 65535u), h = rhi_from_half(d[k >> 1] >> shift & 65535u);
+        r[k] = as_UINT(rhi_mix(rhi_mix(e, f, at_x), rhi_mix(g, h, at_x), at_y));
+    }
+}
+
 // Filters one level, or comparisons of its texels. In 2D and arrays `z` is the layer, in a cube the face.
 static RHI_CALLED void rhi_filter(
     rhi_texture t, rhi_description w, rhi_description level, int linear, int compared, FLOAT u, FLOAT v, FLOAT z,
@@ -384,6 +421,10 @@ static RHI_CALLED void rhi_filter(
     }
     if (w[RHI_PLAIN8]) {
         rhi_bilinear8(t, w, level, u, v, rhi_layer(w, level, z), r);
+        return;
+    }
+    if (w[RHI_PLAIN_HALF]) {
+        rhi_bilinear_half(t, w, level, u, v, rhi_layer(w, level, z), r);
         return;
     }
     int channels = w[RHI_CHANNELS];
@@ -631,8 +672,13 @@ static RHI_CALLED void rhi_load(rhi_texture t, rhi_description w, INT x, INT y, 
     rhi_description level = w + RHI_LEVELS + RHI_LEVEL_WORDS * clamp(number, 0, count - 1);
     INT i = rhi_within(x, level[RHI_WIDTH]), j = rhi_within(y, level[RHI_HEIGHT]), k = rhi_within(z, level[RHI_DEPTH]);
     INT inside = BOTH(BOTH(i == x, j == y), k == z);
-    rhi_texel(rhi_start(t, level), w, k * level[RHI_LAYER] + j * level[RHI_ROW] + i, r);
-    for (int c = 0; c < 4; ++c) r[c] = number >= 0 && number < count ? SELECT((UINT)0u, r[c], inside) : (UINT)0u;
+    if (number < 0 || number >= count) inside = (INT)0;
+    rhi_texture p = rhi_start(t, level);
+#ifdef RHI_BLOCK
+    if (!RHI_BLOCK(p, w, level, x, y, k, r))
+#endif
+    rhi_texel(p, w, k * level[RHI_LAYER] + j * level[RHI_ROW] + i, r);
+    _Pragma("unroll") for (int c = 0; c < 4; ++c) r[c] = SELECT((UINT)0u, r[c], inside);
 }
 
 // Reads a texel from a different level in each lane.

@@ -3,7 +3,8 @@
 - A texture is described by words in memory (sizes, format, filters, wraps; `rhi.shading.ir.texture_words`). They are
   uniform over the lanes: branches on them are real, and the text of a kernel doesn't depend on the bound textures.
 - Functions aren't inlined, so that a kernel contains each of them once however often it samples.
-- Two adjacent texels are one load. Lanes that need different mip levels are served level by level.
+- Two adjacent texels are one load; those of a whole block of pixels are a few (`blocks.cl`). Lanes that need different
+  mip levels are served level by level.
 """
 
 from __future__ import annotations
@@ -71,13 +72,18 @@ def textures_text(width: int, shapes: Iterable[TextureKind], precision: Precisio
 
 @cache
 def _text(width: int) -> str:
-    template = importlib.resources.files(__package__).joinpath("textures.cl").read_text("utf-8")
+    template = _read("textures.cl")
     for name, coefficients in (("FAST_SRGB_CURVE", _FAST_SRGB), ("SRGB_CURVE", _SRGB)):
         scaled = tuple(coefficient / 255**power for power, coefficient in enumerate(coefficients))
         template = template.replace(name, _polynomial(scaled, "c"))
     curve = _polynomial(_LOG2, "m")
     template = template.replace("LOG2_CURVE", f"m * fma(m - 1.0f, {curve}, (FLOAT)1.0f)")
-    return _specialized("\n".join([_memory_text(width), template]), width)
+    blocks = _read("blocks.cl") if width == 16 else ""
+    return _specialized("\n".join([_memory_text(width), blocks, template]), width)
+
+
+def _read(name: str) -> str:
+    return importlib.resources.files(__package__).joinpath(name).read_text("utf-8")
 
 
 def _polynomial(coefficients: tuple[float, ...], name: str) -> str:

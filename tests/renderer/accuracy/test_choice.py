@@ -26,8 +26,8 @@ from renderer.accuracy.choice import (
     list_steps,
     mark_best,
 )
-from renderer.accuracy.jobs import load_report, save_report
-from renderer.accuracy.sweep import SweepFrame, list_views
+from renderer.accuracy.jobs import list_jobs, load_sample, order_jobs, save_sample
+from renderer.accuracy.sweep import KnobSample, SweepFrame, SweepShare, ValueSample, list_views
 from renderer.cli import main
 from renderer.cli.accuracy import list_left_out
 from renderer.cli.executors import SerialExecutor, make_executor
@@ -150,32 +150,49 @@ def test_a_bound_that_no_settings_keep_is_refused() -> None:
         choose(SITUATION, points, error_at_most=0.5)
 
 
+def sample_of(job: SweepJob) -> KnobSample:
+    """Make what a share may have found for one value."""
+    view = (2.0 * (1 + job.share.number), 2)
+    value = ValueSample((view,), view[0], (job.share.number, 1, 2), "", (0.5, 0.25), (0.125, 0.5))
+    return KnobSample(job.knob, "gl", "a device", {"b": "no b"}, {"a": value}, (3.0, 1.5))
+
+
 class CrashingExecutor(SerialExecutor):
     """Runs a number of jobs, and then ends as a process does that is killed."""
 
-    def __init__(self, count: int, ran: list[str]) -> None:
+    def __init__(self, count: int, ran: list[SweepJob]) -> None:
         self.count, self.ran = count, ran
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         if len(self.ran) == self.count:
             raise KeyboardInterrupt
-        self.ran.append(args[0].knob)
-        return super().submit(lambda job: report_of(job.knob, ("a", 1.0, 1.0)), *args)
+        self.ran.append(args[0])
+        return super().submit(sample_of, *args)
 
 
 def test_a_sweep_goes_on_where_it_was_interrupted(tmp_path: Path) -> None:
-    jobs = [SweepJob(SITUATION, name) for name in ("fxaa", "samples", "precision")]
-    first, second, third = list[str](), list[str](), list[str]()
+    jobs = list_jobs(SITUATION, ("fxaa", "samples", "precision"))
+    first, second, third = list[SweepJob](), list[SweepJob](), list[SweepJob]()
     with pytest.raises(KeyboardInterrupt):
         run_jobs(jobs, CrashingExecutor(2, first), tmp_path)
     reports = run_jobs(jobs, CrashingExecutor(9, second), tmp_path)
-    assert (first, second) == (["fxaa", "samples"], ["precision"])
+    assert (len(jobs), len(first), len(second)) == (6, 2, 4)
+    assert {*first, *second} == {*jobs}
     assert [report.knob for report in reports] == ["fxaa", "samples", "precision"]
+    assert [(row.mean_error, row.max_error, row.worst) for row in reports[0].rows] == [(1.5, 4.0, (1, 1, 2))]
     damaged = tmp_path / f"{jobs[1].key}.json"
     damaged.write_text(damaged.read_text()[:-9])
-    run_jobs(jobs, CrashingExecutor(9, third), tmp_path)
-    assert third == ["samples"]
-    assert sorted(path.suffix for path in tmp_path.iterdir()) == [".json"] * 3
+    assert run_jobs(jobs, CrashingExecutor(9, third), tmp_path) == reports
+    assert third == [jobs[1]]
+    assert sorted(path.suffix for path in tmp_path.iterdir()) == [".json"] * 6
+
+
+def test_the_longest_jobs_are_handed_out_first(tmp_path: Path) -> None:
+    ran = list[SweepJob]()
+    jobs = list_jobs(replace(SITUATION, views=1), ("tangent_packing", "precision", "query_persistence", "shadow_size"))
+    run_jobs(jobs, CrashingExecutor(9, ran), tmp_path)
+    assert [job.knob for job in ran] == ["query_persistence", "shadow_size", "precision", "tangent_packing"]
+    assert ran == order_jobs(jobs)
 
 
 def test_a_job_is_named_by_what_its_result_depends_on() -> None:
@@ -183,10 +200,12 @@ def test_a_job_is_named_by_what_its_result_depends_on() -> None:
     assert job.key == SweepJob(replace(SITUATION), "fxaa").key
     others = [
         SweepJob(SITUATION, "samples"),
+        SweepJob(SITUATION, "fxaa", SweepShare(0, 2)),
+        SweepJob(SITUATION, "fxaa", SweepShare(1, 2)),
         SweepJob(replace(SITUATION, rounds=3), "fxaa"),
         SweepJob(replace(SITUATION, settings=RenderSettings().change("shadows.cascades", 2)), "fxaa"),
     ]
-    assert len({job.key, *(one.key for one in others)}) == 4
+    assert len({job.key, *(one.key for one in others)}) == 6
 
 
 def test_a_job_that_fails_leaves_the_results_of_others(tmp_path: Path) -> None:
@@ -196,11 +215,11 @@ def test_a_job_that_fails_leaves_the_results_of_others(tmp_path: Path) -> None:
     assert [path.stem for path in tmp_path.iterdir()] == [jobs[1].key]
 
 
-def test_a_report_is_read_as_it_was_written(tmp_path: Path) -> None:
-    report = report_of("fxaa", ("off", 1.0, 0.5), ("on", 0.5, 1.0))
-    save_report(tmp_path / "r.json", report)
-    assert load_report(tmp_path / "r.json") == report
-    assert load_report(tmp_path / "other.json") is None
+def test_what_a_job_has_found_is_read_as_it_was_written(tmp_path: Path) -> None:
+    sample = sample_of(SweepJob(SITUATION, "fxaa"))
+    save_sample(tmp_path / "r.json", sample)
+    assert load_sample(tmp_path / "r.json") == sample
+    assert load_sample(tmp_path / "other.json") is None
 
 
 def test_the_command_writes_a_page_and_settings_that_render_reads(

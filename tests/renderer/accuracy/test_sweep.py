@@ -10,11 +10,16 @@ import pytest
 from renderer.accuracy import KNOBS, Situation, sweep_knob
 from renderer.accuracy.sweep import (
     KnobBench,
+    SweepShare,
     count_reached,
     crop_worst,
+    join_shares,
+    list_frames,
+    list_shares,
     list_views,
     prepare_scene,
     shrink_picture,
+    sweep_share,
 )
 from renderer.content import load_scene
 from renderer.measure.alternate import Measurement, find_interval
@@ -71,6 +76,40 @@ def test_frames_that_remember_nothing_are_not_compared() -> None:
             other.draw_history()
             (later,) = other.find_errors(other.list_views()[:1]).values()
     assert first.summarize()[1] > 2.0 * later.summarize()[1] > 0.0  # all in view was drawn
+
+
+def test_shares_find_together_what_one_finds_that_does_all() -> None:
+    situation = replace(TINY, rounds=3)
+    shares = list_shares(situation, "fxaa")
+    samples = [sweep_share(situation, "fxaa", share) for share in shares]
+    joined, whole = join_shares(samples), sweep_knob(situation, "fxaa")
+    found = [[(row.value, row.mean_error, row.max_error, row.worst) for row in one.rows] for one in (joined, whole)]
+    assert found[0] == found[1]
+    assert joined.pictures == whole.pictures
+    assert [[len(value.seconds) for value in sample.values.values()] for sample in samples] == [[1, 1], [2, 2]]
+    assert [len(sample.truth_ratios) for sample in samples] == [1, 2]
+    assert joined.rows[-1].ratio == 1.0
+
+
+def test_frames_that_depend_on_earlier_ones_follow_each_other() -> None:
+    scene, knob = load_scene("city:blocks=2"), KNOBS["pyramid_texels"]
+    parts = list_frames(scene, TINY, knob, SweepShare())
+    assert [len(some) for some in parts] == [knob.remembers, 2, 2]
+    assert np.diff([one.number for some in parts for one in some]).tolist() == [1] * (knob.remembers + 3)
+    short = replace(TINY, first=7, last=8)
+    history, compared, timed = list_frames(scene, short, knob, SweepShare())
+    assert [[one.number for one in some] for some in (history, compared, timed)] == [[], [7, 8], [7, 8]]
+
+
+def test_a_sweep_has_two_shares_unless_frames_depend_on_earlier_ones() -> None:
+    counts = {views: len(list_shares(replace(TINY, views=views, rounds=9), "fxaa")) for views in (1, 2, 9)}
+    assert counts == {1: 1, 2: 2, 9: 2}
+    assert len(list_shares(replace(TINY, rounds=1), "fxaa")) == 1  # each has a round
+    assert len(list_shares(TINY, "pyramid_texels")) == len(list_shares(TINY, "normal_bits")) == 1
+    for count in (1, 2, 4):
+        parts = [SweepShare(number, count).take(range(11)) for number in range(count)]
+        assert [item for part in parts for item in part] == list(range(11))
+        assert max(map(len, parts)) - min(map(len, parts)) <= 1
 
 
 def test_encodings_are_measured_without_a_frame() -> None:

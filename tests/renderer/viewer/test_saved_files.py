@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 pytest.importorskip("watchfiles", reason="no watchfiles: pip install rhi[viewer]")
 
@@ -152,6 +153,21 @@ def test_a_faulty_shader_is_named_in_the_picture_for_as_long_as_it_is(viewer: Vi
     assert shown(viewer) == []
 
 
+def test_carets_are_below_what_they_mark(viewer: Viewer, shaders: Any) -> None:
+    viewer.stage.renderer.layers.append(CornerLayer(viewer.stage.renderer.device, shaders))
+    viewer.draw()
+    save(Path(shaders.__file__), TEXT.replace("vec4(RED", "vec4(RAD"))
+    settle(viewer, lambda: viewer.saved.faults)
+    viewer.draw()
+    lines, canvas = shown(viewer), viewer._interface._canvas
+    number = next(n for n, line in enumerate(lines) if "^" in line)
+    source, carets = lines[number - 1], lines[number]
+    first, end = carets.index("^"), carets.rindex("^") + 1
+    assert "RAD" in source[first:end]
+    for column in (first, end):
+        assert canvas.measure(source[:column]) == canvas.measure(carets[:column])
+
+
 def test_a_shader_with_which_no_frame_can_be_drawn_is_put_back(viewer: Viewer, shaders: Any) -> None:
     viewer.stage.renderer.layers.append(CornerLayer(viewer.stage.renderer.device, shaders))
     viewer.draw()
@@ -247,6 +263,26 @@ def test_buffers_beside_a_scene_are_watched_too(model: tuple[Path, Viewer]) -> N
     before, buffer = viewer.stage.scene, path.with_suffix(".bin")
     buffer.write_bytes(buffer.read_bytes())
     settle(viewer, lambda: viewer.stage.scene is not before)
+
+
+def test_a_missing_texture_is_seen_when_it_appears(model: tuple[Path, Viewer]) -> None:
+    path, viewer = model
+
+    def ask(document: Any) -> None:
+        document["images"] = [{"uri": "late.png"}, {"uri": "no folder/never.png"}]
+        document["textures"] = [{"source": 0}, {"source": 1}]
+        for number, material in enumerate(document["materials"]):
+            material["pbrMetallicRoughness"]["baseColorTexture"] = {"index": min(number, 1)}
+
+    before = viewer.stage.scene
+    edit(path, ask)
+    settle(viewer, lambda: viewer.stage.scene is not before)
+    bare = viewer.stage.scene
+    assert len(bare.images) == 0
+    assert not viewer.saved.faults
+    Image.new("RGB", (4, 4), (255, 128, 0)).save(path.with_name("late.png"))
+    settle(viewer, lambda: viewer.stage.scene is not bare and len(viewer.stage.scene.images))
+    assert "read late.png again" in [line for line, _ in viewer.console.lines]
 
 
 @pytest.mark.parametrize("fault", ["syntax", "device"])

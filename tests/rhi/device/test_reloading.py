@@ -385,6 +385,23 @@ def test_other_files_are_given_to_a_function(
         assert "invalid literal" in caplog.text
 
 
+def test_a_file_that_may_be_missing_is_given_to_the_function_when_it_appears(
+    device: rhi.Device, tmp_path: Path
+) -> None:
+    pytest.importorskip("watchfiles", reason="no watchfiles: pip install rhi[viewer]")
+    path = tmp_path.resolve() / "late.txt"
+    seen: list[Path] = []
+    with Reloader(device) as reloader:
+        reloader.watch(path, reload=seen.append, missing_ok=True)
+        for wrong in (tmp_path, tmp_path / "no folder" / "late.txt"):
+            with pytest.raises(ValidationError) as error:
+                reloader.watch(wrong, reload=seen.append, missing_ok=True)
+            assert error.value.rule.id == "reload-watch"
+        path.write_text("1")
+        assert update(reloader)
+    assert seen == [path]
+
+
 def test_what_cannot_be_watched_is_refused(
     device: rhi.Device, shaders: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

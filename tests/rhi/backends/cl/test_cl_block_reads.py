@@ -1,0 +1,143 @@
+"""Blocks of pixels whose texels lie beside each other: what they read at once is what each lane reads by itself."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import rhi
+from rhi import CullMode, Device, Format, SamplerDescriptor, TextureKind, Wrap
+from rhi.shading import (
+    Shader,
+    Struct,
+    Texture2D,
+    Texture2DArray,
+    Uniform,
+    fragment_coordinate,
+    ivec2,
+    vec2,
+    vec3,
+    vec4,
+    vertex_index,
+)
+
+SIZE = (36, 20)
+"""That of the target: blocks of 4 × 4 pixels, all of them whole."""
+
+Floats = NDArray[np.float32]
+
+
+class Places(Struct):
+    """Where a pixel reads: `start + x across + y down`, in texels; the layer is the sum of products with `layers`."""
+
+    start: vec2
+    across: vec2
+    down: vec2
+    layers: vec2
+
+
+class Reading(Shader):
+    places: Uniform[Places]
+
+    def vertex(self) -> vec4:
+        corner = vertex_index()
+        return vec4(float(corner % 2) * 4.0 - 1.0, float(corner // 2) * 4.0 - 1.0, 0.5, 1.0)
+
+    def place(self) -> vec2:
+        pixel = vec2(ivec2(fragment_coordinate().xy))
+        return self.places.start + self.places.across * pixel.x + self.places.down * pixel.y
+
+    def layer(self) -> float:
+        pixel = vec2(ivec2(fragment_coordinate().xy))
+        return self.places.layers.x * pixel.x + self.places.layers.y * pixel.y
+
+
+class Filtered(Reading):
+    """Shows bilinear samples of layers."""
+
+    image: Texture2DArray
+
+    def fragment(self) -> vec4:
+        size = vec2(self.image.size().xy)
+        return self.image.sample_lod(vec3(self.place() / size, self.layer()), 0.0)
+
+
+class Loaded(Reading):
+    """Shows texels."""
+
+    image: Texture2D
+
+    def fragment(self) -> vec4:
+        return self.image.load(ivec2(self.place()))
+
+
+@pytest.fixture(scope="module")
+def device() -> Iterator[Device]:
+    with rhi.create_device("cl") as made:
+        yield made
+
+
+def show(device: Device, shader: type[Reading], image: object, **places: tuple[float, float]) -> Floats:
+    target = device.texture(SIZE, Format.RGBA32F)
+    given = {"start": (0, 0), "across": (1, 0), "down": (0, 1), "layers": (0, 0)} | places
+    with device.render_pass(target, clear=(9, 9, 9, 9)), device.states(CullMode.NONE):
+        device.draw(device.program(shader), device.mesh(3), image=image, places=device.uniform(Places(**given)))
+    return np.asarray(target.read())
+
+
+STEPS: dict[str, dict[str, tuple[float, float]]] = {
+    "as large": {"start": (3.25, 2.75)},
+    "as large, beyond all edges": {"start": (-9.5, -7.25), "across": (1.5, 0), "down": (0, 1.75)},
+    "twice as large": {"start": (10.25, 10.75), "across": (0.5, 0), "down": (0, 0.5)},
+    "half as large, the widest that is read at once": {"start": (7, 3), "across": (2, 0), "down": (0, 2)},
+    "a little too wide": {"start": (7, 3), "across": (2.2, 0), "down": (0, 2.2)},
+    "mirrored": {"start": (60.3, 40.6), "across": (-1, 0), "down": (0, -1)},
+    "turned": {"start": (30.4, 9.1), "across": (0.8, 0.6), "down": (-0.6, 0.8)},
+    "slanted in a row only": {"start": (9.0, 9.0), "across": (1, 0.3), "down": (0, 1)},
+    "slanted in a column only": {"start": (9.0, 9.0), "across": (1, 0), "down": (0.3, 1)},
+    "a layer for each row": {"start": (9.3, 9.3), "layers": (0, 0.7)},
+    "a layer for each column": {"start": (9.3, 9.3), "layers": (0.7, 0)},
+}
+
+
+@pytest.mark.parametrize("wrap", [Wrap.CLAMP, Wrap.REPEAT])
+def test_half_floats_are_filtered_like_the_same_numbers_in_float32(device: Device, wrap: Wrap) -> None:
+    """Texels of 16 bytes are always read lane by lane. Both compute the same, to the last bit."""
+    texels = np.random.default_rng(0).normal(0.0, 100.0, (5, 44, 76, 4)).astype(np.float16)
+    sampler = SamplerDescriptor(mip=None, wrap_u=wrap, wrap_v=wrap)
+    halves, singles = (
+        device.texture(texels.astype(f.dtype), f, kind=TextureKind.D2_ARRAY).sampled(sampler)
+        for f in (Format.RGBA16F, Format.RGBA32F)
+    )
+    for name, step in STEPS.items():
+        expected = show(device, Filtered, singles, **step)
+        assert len(np.unique(expected)) > 100, name
+        np.testing.assert_array_equal(show(device, Filtered, halves, **step), expected, name)
+
+
+@pytest.mark.parametrize("format", [Format.RGBA16F, Format.R32F, Format.RGBA8])
+def test_a_load_is_the_texel_wherever_a_block_of_pixels_reads(device: Device, format: Format) -> None:
+    numbers = np.random.default_rng(1).integers(0, 256, (23, 41, format.channels))
+    texels = (numbers / (255.0 if format is Format.RGBA8 else 1.0)).astype(np.float32)
+    image = device.texture(numbers.astype(format.dtype), format)
+    y, x = np.mgrid[: SIZE[1], : SIZE[0]]
+    for start, across, down in (
+        ((0, 0), (1, 0), (0, 1)),
+        ((4, 8), (1, 0), (0, 1)),
+        ((7, 5), (1, 0), (0, 1)),
+        ((-3, -2), (1, 0), (0, 1)),
+        ((0, 2**30), (1, 0), (0, 1)),
+        ((0, 0), (2, 0), (0, 1)),
+        ((0, 0), (1, 0), (1, 1)),
+        ((0, 0), (1, 1), (0, 1)),
+    ):
+        u, v = (start[i] + across[i] * x + down[i] * y for i in (0, 1))
+        inside = (u >= 0) & (u < 41) & (v >= 0) & (v < 23)
+        expected = np.zeros((*x.shape, 4), np.float32)
+        expected[..., 3] = inside if format.channels < 4 else 0
+        expected[inside, : format.channels] = texels[v[inside], u[inside]]
+        read = show(device, Loaded, image, start=start, across=across, down=down)
+        np.testing.assert_allclose(read, expected, rtol=1e-6, err_msg=f"{start} {across} {down}")
