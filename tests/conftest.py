@@ -29,6 +29,8 @@ settings.register_profile("nightly", settings.get_profile("exploring"))
 settings.load_profile("repeatable")
 
 NIGHTLY_FACTOR = 20
+COLLECTED_AFTER = (10_000, 10, 50)
+"""Thresholds of the garbage collector. With Python's own, tests full of Python spend a quarter of their time there."""
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:
@@ -59,6 +61,7 @@ def pytest_collection() -> Generator[None, object, object]:
     finally:
         gc.collect()
         gc.freeze()
+        gc.set_threshold(*COLLECTED_AFTER)
         gc.enable()
 
 
