@@ -100,6 +100,7 @@ class ClBackend:
         self._sample_queries = self._rasteriser.queries
         self._flush = self._rasteriser.flush
         self._fence = Fence(context.queue, staging, self._rasteriser.retired)
+        self._held = context.programs
         self._destroyers: dict[Id, Callable[[Id], None]] = {}
         self._kinds: dict[Id, QueryKind] = {}
 
@@ -352,6 +353,7 @@ class ClBackend:
     def signal(self, value: int) -> None:
         self._flush()
         self._fence.signal(value)
+        self._held.reach(value)
 
     def completed(self) -> int:
         return self._fence.poll()

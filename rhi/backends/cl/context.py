@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from rhi.backends.cl.cache import CachedProgram, KernelCache, Request, choose_folder, make_mark
 from rhi.backends.cl.drivers import Loading
 from rhi.backends.cl.errors import shorten
+from rhi.backends.cl.held_programs import HeldProgram, HeldPrograms
 from rhi.backends.cl.workers import list_threads, spread_threads
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_DRIVER
@@ -73,6 +74,7 @@ class ClContext:
         shares_memory: whether kernels read and write the host memory of a `USE_HOST_PTR` buffer in place.
         passed_over: the devices that were tried before, each with the reason why it can't be used.
         cache: the compiled programs of this device.
+        programs: those in memory.
     """
 
     device: cl.Device
@@ -82,13 +84,25 @@ class ClContext:
     shares_memory: bool
     passed_over: tuple[str, ...]
     cache: KernelCache
+    programs: HeldPrograms
 
-    def compile(self, source: str, options: Sequence[str] = ()) -> cl.Program:
+    def compile(self, source: str, options: Sequence[str] = ()) -> HeldProgram:
         """Build a program (`build`), which is looked for and kept in the cache. It is optimised, unless the user
         wants quick kernels only."""
         if os.environ.get(KERNELS_ENVIRONMENT) == "quick":
             options = (*options, *QUICK)
         request = self.cache.request(source, options)
+        return self.hold(self._build(request), request)
+
+    def hold(self, program: cl.Program, request: Request, types: Sequence[type] | None = None) -> HeldProgram:
+        """Return a program that was built as `request` says, and is again when it has been released.
+
+        Args:
+            types: those of each kernel's arguments, if they are scalars.
+        """
+        return self.programs.add(program, request, self._build, types)
+
+    def _build(self, request: Request) -> cl.Program:
         return build_cached(self.context, self.cache, request, self.cache.find(request.key))
 
 
@@ -122,7 +136,8 @@ def open_context(loading: Loading | None = None) -> ClContext:
             begun = list_threads() - threads
             if len(begun) == device.max_compute_units:  # PoCL starts workers with its first device
                 spread_threads(begun)
-            return ClContext(device, context, queue, program, shares_memory, tuple(passed_over), cache)
+            programs = HeldPrograms(releases=cache.works)
+            return ClContext(device, context, queue, program, shares_memory, tuple(passed_over), cache, programs)
     if not devices:
         _refuse_nothing()
     given = "\n".join(passed_over)

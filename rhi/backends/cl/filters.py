@@ -14,6 +14,7 @@ import pyopencl as cl
 
 from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.errors import translate_errors
+from rhi.backends.cl.held_programs import HeldProgram
 from rhi.backends.cl.planes import TexelPlane
 from rhi.contract.formats import ChannelKind, Format
 from rhi.contract.texels import from_srgb
@@ -165,7 +166,7 @@ class Filters:
 
     def __init__(self, context: ClContext) -> None:
         self._context = context
-        self._kernels: dict[str, cl.Kernel] = {}
+        self._program: HeldProgram | None = None
 
     def halve(self, format: Format, above: TexelPlane, below: TexelPlane) -> None:
         """Compute the mip level `below` from the next larger one, in the same buffer."""
@@ -194,11 +195,10 @@ class Filters:
         )  # fmt: skip
 
     def _run(self, name: str, size: tuple[int, ...], *arguments: Any) -> None:
-        if not self._kernels:
-            with translate_errors("the kernels of mip levels and resolves"):
-                program = self._context.compile(_write_source())
-            self._kernels = {each: cl.Kernel(program, each) for each in ("halve", "resolve")}
-        kernel = self._kernels[name]
+        with translate_errors("the kernels of mip levels and resolves"):
+            if self._program is None:
+                self._program = self._context.compile(_write_source())
+            kernel = self._program.find(name)
         kernel.set_args(*arguments)
         cl.enqueue_nd_range_kernel(self._context.queue, kernel, size, None)
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import pyopencl as cl
@@ -105,9 +105,8 @@ class ComputeProgram:
         try:
             program = context.compile(source.text, [FLUSHES_DENORMALS] if descriptor.flushes_denormals else [])
             # By name: kernels of `all_kernels` keep a reference to the program that is never released.
-            names: Any = program.get_info(cl.program_info.KERNEL_NAMES)
-            (name,) = filter(None, names.split(";"))
-            kernel = cl.Kernel(program, name)
+            (name,) = program.list_names()
+            kernel = program.find(name)
         except cl.Error as error:
             raise make_shader_error(descriptor, Stage.COMPUTE, source, str(error)) from error
         except ValueError as error:
@@ -116,7 +115,8 @@ class ComputeProgram:
         required = kernel.get_work_group_info(
             cl.kernel_work_group_info.COMPILE_WORK_GROUP_SIZE, context.device
         )
-        self._kernel = kernel
+        self._program = program
+        self._name = name
         self._group = tuple(required) if any(required) else descriptor.work_group
         self.written = [binding for binding in descriptor.bindings if binding.writes]
         self._arguments = arguments
@@ -128,24 +128,31 @@ class ComputeProgram:
         self._faults: FaultBuffer | None = None
         if descriptor.checked:
             self._faults = FaultBuffer(context.context, source.origins)
-            kernel.set_arg(place, self._faults.memory)
+        self._fault_place = place
         # The last bound resources, by ids that are never reused, and the arguments made of them. The arguments are kept
         # alive here because OpenCL doesn't promise that a kernel does.
         self._bound: dict[int, tuple[int, ...]] = {}
         self._given: dict[int, tuple[cl.Buffer | np.int32, ...]] = {}
+        self._builds = 0  # of the program, at the last launch
 
     def launch(self, queue: cl.CommandQueue, state: CommandState, groups: tuple[int, int, int]) -> None:
         """Run work-groups with the bound resources."""
+        kernel = self._program.find(self._name)
+        if self._builds != self._program.builds:  # the kernel has no arguments yet
+            self._builds = self._program.builds
+            self._bound.clear()
+            if self._faults is not None:
+                kernel.set_arg(self._fault_place, self._faults.memory)
         for place, binding in self._bindings:
             bound = state.slots[binding.kind, binding.slot]
             if self._bound.get(place) != bound:
                 given = self._given[place] = self._arguments.find(binding, bound)
                 for i, argument in enumerate(given):
-                    self._kernel.set_arg(place + i, argument)
+                    kernel.set_arg(place + i, argument)
                 self._bound[place] = bound
         if 0 not in groups:
             whole = tuple(count * items for count, items in zip(groups, self._group, strict=True))
-            cl.enqueue_nd_range_kernel(queue, self._kernel, whole, self._group)
+            cl.enqueue_nd_range_kernel(queue, kernel, whole, self._group)
             if self._faults is not None:
                 self._faults.read(queue)
 

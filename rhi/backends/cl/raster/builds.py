@@ -38,6 +38,7 @@ from rhi.backends.cl.context import (
 from rhi.backends.cl.raster.tables import BATCH_STRUCT
 
 if TYPE_CHECKING:
+    from rhi.backends.cl.held_programs import HeldProgram
     from rhi.backends.cl.raster.compiler import Compiler
 
 __rhi_internal__ = True
@@ -47,6 +48,8 @@ HOT: Final = 2000
 """Work-items after which a kernel is optimised: tiles of 64×64 texels, or a thousand vertices each. Up to here the time
 lost is of the order of what optimising takes."""
 _MOST_COMPILERS: Final = 4
+_ARGUMENTS: Final = (np.uint64,)
+"""The types of the arguments of kernels that draw: the address of a batch table."""
 
 
 class Text(NamedTuple):
@@ -75,7 +78,7 @@ class Optimisation:
 
     def __init__(self, text: Text, begin: Callable[[Optimisation], Future[None]]) -> None:
         self.text = text
-        self.program: cl.Program | None = None
+        self.program: HeldProgram | None = None
         self.done: Future[None] | None = None
         self._begin = begin
         self._heat = 0
@@ -96,17 +99,17 @@ class Optimisation:
 class Kernel:
     """A kernel that draws. Its only argument is the address of a batch table."""
 
-    __slots__ = ("_kernel", "_name", "_optimisation")
+    __slots__ = ("_name", "_optimisation", "_program")
 
-    def __init__(self, program: cl.Program, name: str, optimisation: Optimisation | None = None) -> None:
+    def __init__(self, program: HeldProgram, name: str, optimisation: Optimisation | None = None) -> None:
         """`optimisation`: what is going to replace the kernel, if anything."""
         self._name = name
         self._optimisation = optimisation
         self._take(program)
 
-    def _take(self, program: cl.Program) -> None:
-        self._kernel = cl.Kernel(program, self._name)
-        self._kernel.set_scalar_arg_dtypes([np.uint64])
+    def _take(self, program: HeldProgram) -> None:
+        self._program = program
+        program.find(self._name)
 
     @property
     def is_quick(self) -> bool:
@@ -126,8 +129,9 @@ class Kernel:
                 self._optimisation = None
             else:
                 optimisation.warm(items)
-        self._kernel.set_args(batch)  # with the argument's type set, 20 times as fast as `set_arg`
-        event: cl.Event = cl.enqueue_nd_range_kernel(queue, self._kernel, (items,), (1,))
+        kernel = self._program.find(self._name)
+        kernel.set_args(batch)  # with the argument's type set, 20 times as fast as `set_arg`
+        event: cl.Event = cl.enqueue_nd_range_kernel(queue, kernel, (items,), (1,))
         return event
 
 
@@ -173,7 +177,7 @@ class Builds:
         """Return the optimisation of a text, which hasn't begun."""
         return Optimisation(text, self._begin)
 
-    def compile(self, text: Text, quick: bool = False) -> cl.Program:
+    def compile(self, text: Text, quick: bool = False) -> HeldProgram:
         """Compile source code, or take it from the cache.
 
         Raises:
@@ -187,7 +191,8 @@ class Builds:
             self.built += 1
             self._count(count, 0)
         try:
-            return build_cached(self._context.context, self._cache, request, stored)
+            program = build_cached(self._context.context, self._cache, request, stored)
+            return self._context.hold(program, request, _ARGUMENTS)
         finally:
             if stored is None:
                 self._count(0, count)
@@ -278,7 +283,8 @@ class Builds:
             compile_kernels(*cache.choose(request), text.names)
             cache.record(request.key)
         if cache.knows(request.key, text.names):
-            optimisation.program = build_again(self._context.context, *cache.choose(request))
+            program = build_again(self._context.context, *cache.choose(request))
+            optimisation.program = self._context.hold(program, request, _ARGUMENTS)
 
     def _count(self, begun: int, done: int) -> None:
         with self._lock:

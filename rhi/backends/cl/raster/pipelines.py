@@ -24,6 +24,7 @@ import pyopencl as cl
 
 from rhi.backends.cl.cache import strip_comments
 from rhi.backends.cl.context import ClContext
+from rhi.backends.cl.held_programs import HeldProgram
 from rhi.backends.cl.pools import Addresses
 from rhi.backends.cl.programs import FaultBuffer, make_shader_error
 from rhi.backends.cl.raster import merger, tables
@@ -99,7 +100,7 @@ class Pipeline:
             self._fault_places[stage] = addresses.find(self.faults[stage].memory)
         self._vertex: dict[StreamLayout, VertexKernels] = {}
         self._raster: dict[merger.MergerKey, Kernel] = {}
-        self._general_raster: cl.Program | None = None
+        self._general_raster: HeldProgram | None = None
         self._optimisations: dict[merger.MergerKey, Optimisation] = {}  # of kernels that no draw has needed yet
 
     def find_vertex(self, streams: Sequence[VertexStream]) -> VertexKernels:
@@ -149,7 +150,7 @@ class Pipeline:
             self._optimisations[key] = self._builds.optimise(special)
         return self._optimisations[key].begin()
 
-    def _general(self, output_words: int) -> cl.Program:
+    def _general(self, output_words: int) -> HeldProgram:
         """Return the raster kernel for all keys, building it on first use."""
         if self._general_raster is None:
             text, shades = self._fragment_text, Stage.FRAGMENT in self.descriptor.stages

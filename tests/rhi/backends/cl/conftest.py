@@ -33,7 +33,7 @@ def launches(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     launch = Kernel.launch
 
     def note(kernel: Any, queue: Any, batch: int, items: int) -> Any:
-        names.append(kernel._kernel.function_name)
+        names.append(kernel._name)
         return launch(kernel, queue, batch, items)
 
     monkeypatch.setattr(Kernel, "launch", note)
