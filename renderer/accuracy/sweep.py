@@ -9,8 +9,8 @@ of the others: a frame that remembers nothing is another case. The others draw f
 
 A sweep can be divided into shares, for several processes: each has some of the views and some of the rounds, and all
 values of the knob, so that it has ratios of its own. Together they have the same views and rounds as one that does all;
-nothing is drawn twice but a frame of each value before the first round, and the memory of frames that need one: then
-each share is another stretch of the path.
+nothing is drawn twice but a frame of each value before the first round. Frames that depend on earlier ones aren't
+divided: each share would have to draw these again.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ _TRUTH_ROUNDS: Final = 3
 """How often a truth is timed: it may take many times as long as a value, and isn't chosen by time."""
 DRAWS_NOTHING: Final = "it draws nothing"
 """What a device lacks that only records."""
-_MOST_SHARES: Final = 4
-"""The most shares of a sweep: each has a device of its own, and renderers of all values."""
+_MOST_SHARES: Final = 2
+"""The most shares of a sweep. Each opens a device and renderers of all values, so more of them take longer in all."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,10 +99,11 @@ class SweepShare:
 
 
 def list_shares(situation: Situation, name: str) -> list[SweepShare]:
-    """Return the shares into which the sweep of a knob is divided: as many as there are views, at most four. They don't
-    depend on who does them, so that all of them can be kept."""
+    """Return the shares into which the sweep of a knob is divided: two, or one if frames depend on earlier ones. They
+    don't depend on who does them, so that all of them can be kept."""
     knob = find_knob(name, "list_shares")
-    count = 1 if knob.is_encoding else min(situation.views, situation.rounds, _MOST_SHARES)
+    is_whole = knob.is_encoding or knob.remembers
+    count = 1 if is_whole else min(situation.views, situation.rounds, _MOST_SHARES)
     return [SweepShare(number, count) for number in range(count)]
 
 
@@ -550,9 +551,9 @@ def limit_anisotropy(settings: RenderSettings, device: Device) -> RenderSettings
 
 
 def list_views(
-    scene: Scene, situation: Situation, *, consecutive: bool = False, count: int | None = None, place: float = 0.5
+    scene: Scene, situation: Situation, *, consecutive: bool = False, count: int | None = None
 ) -> list[SweepFrame]:
-    """Return frames of the situation's camera: consecutive ones from a place of its path on, or spread over all of it.
+    """Return frames of the situation's camera: consecutive ones from the middle of its path, or spread over all of it.
     A camera that isn't a path has one."""
     text = situation.camera or ("ground" if "ground" in scene.paths else next(iter(scene.views)))
     wanted = count or situation.views
@@ -563,7 +564,7 @@ def list_views(
     last = len(path) - 1 if situation.last is None else min(situation.last, len(path) - 1)
     first = min(situation.first, last)
     if consecutive:
-        begin = max(first, min(first + int(place * (last - first)), last - wanted + 1))
+        begin = max(first, min((first + last) // 2, last - wanted + 1))
         return [SweepFrame(number, path.camera(number)) for number in range(begin, min(begin + wanted, last + 1))]
     places = np.linspace(first, last, wanted + 2)[1:-1]  # not the ends, where there may be nothing to see
     return [SweepFrame(number, path.camera(number)) for number in dict.fromkeys(int(place) for place in places)]
@@ -576,10 +577,8 @@ def list_frames(
     if not knob.remembers:
         views = list_views(scene, situation)
         return [], share.take(views), views
-    compared = len(share.take(range(situation.views)))
-    counted = compared + len(share.take(range(situation.rounds)))
-    place = (share.number + 0.5) / share.count
-    frames = list_views(scene, situation, consecutive=True, count=knob.remembers + counted, place=place)
+    compared, counted = situation.views, situation.views + situation.rounds
+    frames = list_views(scene, situation, consecutive=True, count=knob.remembers + counted)
     first = max(len(frames) - counted, 0)
     counting = frames[first:]
     return frames[:first], counting[:compared], counting[compared:] or counting

@@ -91,27 +91,22 @@ def test_shares_find_together_what_one_finds_that_does_all() -> None:
     assert joined.rows[-1].ratio == 1.0
 
 
-def test_frames_that_depend_on_earlier_ones_follow_each_other_in_each_share() -> None:
+def test_frames_that_depend_on_earlier_ones_follow_each_other() -> None:
     scene, knob = load_scene("city:blocks=2"), KNOBS["pyramid_texels"]
-    stretches = []
-    for share in list_shares(TINY, knob.name):
-        parts = list_frames(scene, TINY, knob, share)
-        frames = [one.number for some in parts for one in some]
-        assert [len(some) for some in parts] == [knob.remembers, 1, 1]
-        assert np.diff(frames).tolist() == [1] * (knob.remembers + 1)
-        stretches.append(frames)
-    assert stretches[1][0] > stretches[0][-1] + 100  # they are other parts of the path
+    parts = list_frames(scene, TINY, knob, SweepShare())
+    assert [len(some) for some in parts] == [knob.remembers, 2, 2]
+    assert np.diff([one.number for some in parts for one in some]).tolist() == [1] * (knob.remembers + 3)
     short = replace(TINY, first=7, last=8)
     history, compared, timed = list_frames(scene, short, knob, SweepShare())
     assert [[one.number for one in some] for some in (history, compared, timed)] == [[], [7, 8], [7, 8]]
 
 
-def test_shares_are_as_many_as_views_up_to_four() -> None:
-    counts = {views: len(list_shares(replace(TINY, views=views, rounds=9), "fxaa")) for views in (1, 3, 4, 9)}
-    assert counts == {1: 1, 3: 3, 4: 4, 9: 4}
-    assert len(list_shares(replace(TINY, views=4, rounds=2), "fxaa")) == 2  # each has a round
-    assert len(list_shares(replace(TINY, views=4), "normal_bits")) == 1
-    for count in (1, 3, 4):
+def test_a_sweep_has_two_shares_unless_frames_depend_on_earlier_ones() -> None:
+    counts = {views: len(list_shares(replace(TINY, views=views, rounds=9), "fxaa")) for views in (1, 2, 9)}
+    assert counts == {1: 1, 2: 2, 9: 2}
+    assert len(list_shares(replace(TINY, rounds=1), "fxaa")) == 1  # each has a round
+    assert len(list_shares(TINY, "pyramid_texels")) == len(list_shares(TINY, "normal_bits")) == 1
+    for count in (1, 2, 4):
         parts = [SweepShare(number, count).take(range(11)) for number in range(count)]
         assert [item for part in parts for item in part] == list(range(11))
         assert max(map(len, parts)) - min(map(len, parts)) <= 1
