@@ -13,11 +13,11 @@ from rhi import CullMode, Device, Format, SamplerDescriptor, TextureKind, Wrap
 from rhi.shading import (
     Shader,
     Struct,
-    Texture2D,
     Texture2DArray,
     Uniform,
     fragment_coordinate,
     ivec2,
+    ivec3,
     vec2,
     vec3,
     vec4,
@@ -37,41 +37,26 @@ class Places(Struct):
     across: vec2
     down: vec2
     layers: vec2
+    is_filtered: int
 
 
 class Reading(Shader):
+    """Shows bilinear samples, or texels."""
+
     places: Uniform[Places]
+    image: Texture2DArray
 
     def vertex(self) -> vec4:
         corner = vertex_index()
         return vec4(float(corner % 2) * 4.0 - 1.0, float(corner // 2) * 4.0 - 1.0, 0.5, 1.0)
 
-    def place(self) -> vec2:
-        pixel = vec2(ivec2(fragment_coordinate().xy))
-        return self.places.start + self.places.across * pixel.x + self.places.down * pixel.y
-
-    def layer(self) -> float:
-        pixel = vec2(ivec2(fragment_coordinate().xy))
-        return self.places.layers.x * pixel.x + self.places.layers.y * pixel.y
-
-
-class Filtered(Reading):
-    """Shows bilinear samples of layers."""
-
-    image: Texture2DArray
-
     def fragment(self) -> vec4:
-        size = vec2(self.image.size().xy)
-        return self.image.sample_lod(vec3(self.place() / size, self.layer()), 0.0)
-
-
-class Loaded(Reading):
-    """Shows texels."""
-
-    image: Texture2D
-
-    def fragment(self) -> vec4:
-        return self.image.load(ivec2(self.place()))
+        pixel = vec2(ivec2(fragment_coordinate().xy))
+        place = self.places.start + self.places.across * pixel.x + self.places.down * pixel.y
+        layer = self.places.layers.x * pixel.x + self.places.layers.y * pixel.y
+        if self.places.is_filtered == 0:
+            return self.image.load(ivec3(vec3(place, layer)))
+        return self.image.sample_lod(vec3(place / vec2(self.image.size().xy), layer), 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -80,11 +65,12 @@ def device() -> Iterator[Device]:
         yield made
 
 
-def show(device: Device, shader: type[Reading], image: object, **places: tuple[float, float]) -> Floats:
+def show(device: Device, image: object, *, is_filtered: int, **places: tuple[float, float]) -> Floats:
     target = device.texture(SIZE, Format.RGBA32F)
     given = {"start": (0, 0), "across": (1, 0), "down": (0, 1), "layers": (0, 0)} | places
+    constants = device.uniform(Places(is_filtered=is_filtered, **given))
     with device.render_pass(target, clear=(9, 9, 9, 9)), device.states(CullMode.NONE):
-        device.draw(device.program(shader), device.mesh(3), image=image, places=device.uniform(Places(**given)))
+        device.draw(device.program(Reading), device.mesh(3), image=image, places=constants)
     return np.asarray(target.read())
 
 
@@ -113,31 +99,34 @@ def test_half_floats_are_filtered_like_the_same_numbers_in_float32(device: Devic
         for f in (Format.RGBA16F, Format.RGBA32F)
     )
     for name, step in STEPS.items():
-        expected = show(device, Filtered, singles, **step)
+        expected = show(device, singles, is_filtered=1, **step)
         assert len(np.unique(expected)) > 100, name
-        np.testing.assert_array_equal(show(device, Filtered, halves, **step), expected, name)
+        np.testing.assert_array_equal(show(device, halves, is_filtered=1, **step), expected, name)
 
 
 @pytest.mark.parametrize("format", [Format.RGBA16F, Format.R32F, Format.RGBA8])
 def test_a_load_is_the_texel_wherever_a_block_of_pixels_reads(device: Device, format: Format) -> None:
-    numbers = np.random.default_rng(1).integers(0, 256, (23, 41, format.channels))
+    numbers = np.random.default_rng(1).integers(0, 256, (3, 23, 41, format.channels))
     texels = (numbers / (255.0 if format is Format.RGBA8 else 1.0)).astype(np.float32)
-    image = device.texture(numbers.astype(format.dtype), format)
+    image = device.texture(numbers.astype(format.dtype), format, kind=TextureKind.D2_ARRAY)
     y, x = np.mgrid[: SIZE[1], : SIZE[0]]
-    for start, across, down in (
-        ((0, 0), (1, 0), (0, 1)),
-        ((4, 8), (1, 0), (0, 1)),
-        ((7, 5), (1, 0), (0, 1)),
-        ((-3, -2), (1, 0), (0, 1)),
-        ((0, 2**30), (1, 0), (0, 1)),
-        ((0, 0), (2, 0), (0, 1)),
-        ((0, 0), (1, 0), (1, 1)),
-        ((0, 0), (1, 1), (0, 1)),
+    for start, across, down, layers in (
+        ((0, 0), (1, 0), (0, 1), (0, 0)),
+        ((4, 8), (1, 0), (0, 1), (0, 0)),
+        ((7, 5), (1, 0), (0, 1), (0, 0)),
+        ((-3, -2), (1, 0), (0, 1), (0, 0)),
+        ((0, 2**30), (1, 0), (0, 1), (0, 0)),
+        ((0, 0), (2, 0), (0, 1), (0, 0)),
+        ((0, 0), (1, 0), (1, 1), (0, 0)),
+        ((0, 0), (1, 1), (0, 1), (0, 0)),
+        ((0, 0), (1, 0), (0, 1), (0.0625, 0)),
+        ((0, 0), (1, 0), (0, 1), (0, 0.375)),
     ):
         u, v = (start[i] + across[i] * x + down[i] * y for i in (0, 1))
-        inside = (u >= 0) & (u < 41) & (v >= 0) & (v < 23)
+        layer = (layers[0] * x + layers[1] * y).astype(int)
+        inside = (u >= 0) & (u < 41) & (v >= 0) & (v < 23) & (layer < 3)
         expected = np.zeros((*x.shape, 4), np.float32)
         expected[..., 3] = inside if format.channels < 4 else 0
-        expected[inside, : format.channels] = texels[v[inside], u[inside]]
-        read = show(device, Loaded, image, start=start, across=across, down=down)
-        np.testing.assert_allclose(read, expected, rtol=1e-6, err_msg=f"{start} {across} {down}")
+        expected[inside, : format.channels] = texels[layer[inside], v[inside], u[inside]]
+        read = show(device, image, is_filtered=0, start=start, across=across, down=down, layers=layers)
+        np.testing.assert_allclose(read, expected, rtol=1e-6, err_msg=f"{start} {across} {down} {layers}")

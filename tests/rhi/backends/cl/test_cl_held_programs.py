@@ -117,6 +117,17 @@ def test_as_many_programs_as_the_limit_are_kept_however_old_those_used_last(
     assert not oldest.is_held
 
 
+def test_memory_is_handed_back_when_programs_were_released_and_only_then(
+    device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    times: list[int] = []
+    monkeypatch.setattr(held_programs, "hand_back", lambda: times.append(held(device).now))
+    draw(device)
+    last = held(device).now
+    wait(device, 10)
+    assert times == [last + 3]
+
+
 def test_without_a_folder_of_kernels_programs_stay(device: Device) -> None:
     """They would be built from their source again."""
     held(device)._releases = False
