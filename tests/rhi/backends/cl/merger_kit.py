@@ -74,7 +74,7 @@ _addresses = cache(lambda: Addresses(_context()))
 @cache
 def _build(defines: str) -> cl.Kernel:
     source = "#define AT(type, address) ((global type *)(address))\n" + defines + read_source() + _KERNEL
-    return cl.Kernel(_context().compile(source, QUICK), "merge")
+    return _context().compile(source, QUICK).find("merge")
 
 
 @dataclass
