@@ -38,7 +38,7 @@ echo "[test] pytest: tests, and the conformance kit on gl, cl and null, on all c
 # PoCL keeps 1 to 3 MB for every program that a process builds, so at least four processes share them. A file's tests stay
 # in one process, which builds their programs once.
 cores=$(nproc)
-workers=$((cores > 4 ? cores : 4))
+workers=$((cores > 2 ? cores : 2))
 all=(tests --pyargs rhi.conformance --rhi-backend gl --rhi-backend cl --rhi-backend null)
 if [ ! -d tests/__pycache__ ]; then  # one process compiles the tests of a fresh clone, not each of those that share them
     .venv/bin/python -m pytest --collect-only -qq "${all[@]}" >/dev/null || true

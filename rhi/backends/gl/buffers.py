@@ -7,14 +7,16 @@
 - NVIDIA's driver (580) executes a clear after a `BufferSubData` that follows it, unless the clear has finished. Copies,
   reads and draws keep their order. So new buffers get zeros as their data, and a write waits for a buffer's clears.
 - llvmpipe lets a write wait for the fragments that read a buffer only if the buffer was made for storage, which
-  moderngl's buffers aren't (Mesa 22.3). There a buffer's memory is therefore made anew.
+  moderngl's buffers aren't (Mesa 22.3). There a buffer's memory is therefore made anew; and again by each whole write
+  of one that is bound as storage, such as that of a frame's lights: then nothing is waited for, and frames overlap.
 """
 
 from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
-from typing import Final, TypeAlias
+from functools import partial
+from typing import Any, Final, TypeAlias
 
 import moderngl
 import numpy as np
@@ -38,6 +40,7 @@ _MAP_FLAGS: Final = {
     BufferUsage.STREAM: enums.MAP_WRITE_BIT | _PERSISTENT,
     BufferUsage.READBACK: enums.MAP_READ_BIT | _PERSISTENT,
 }
+_MOST_RENEWED: Final = 1 << 20  # bytes; a write of a larger buffer waits rather than taking as much memory again
 _MODERNGL_MAX_SIZE: Final = (1 << 31) - 1  # of an external buffer; binding its ranges is 64-bit
 
 
@@ -54,6 +57,8 @@ class Buffers:
         self._context = context
         self._gl = gl
         self._create_static = self._context.buffer if keeps_order else self._create_for_storage
+        self._keeps_order = keeps_order
+        self._hints: dict[Id, int] = {}  # of buffers that writes renew
         self.objects: dict[Id, moderngl.Buffer] = {}
         self.bind_uniform: dict[Id, BindRange] = {}
         self.bind_storage: dict[Id, BindRange] = {}
@@ -83,15 +88,27 @@ class Buffers:
         self.objects[buffer] = created
         self.bind_uniform[buffer] = created.mglo.bind_to_uniform_block
         self.bind_storage[buffer] = created.mglo.bind_to_storage_buffer
+        if not self._keeps_order and mapping is None and descriptor.size <= _MOST_RENEWED:
+            self.bind_storage[buffer] = partial(self._begin_renewing, buffer)
+
+    def _begin_renewing(self, buffer: Id, slot: int, offset: int, size: int) -> None:
+        """Bind a buffer as storage for the first time: from now on, whole writes renew it."""
+        self._hints[buffer] = enums.DYNAMIC_DRAW
+        bind = self.bind_storage[buffer] = self.objects[buffer].mglo.bind_to_storage_buffer
+        bind(slot, offset, size)
 
     def _create_for_storage(self, zeros: NDArray[np.uint8]) -> moderngl.Buffer:
-        gl, created = self._gl, self._context.buffer(reserve=len(zeros))
-        gl.BindBuffer(enums.SHADER_STORAGE_BUFFER, created.glo)
-        # Mesa keeps the memory, and what it was made for, unless the hint is another one.
-        data = zeros.ctypes.data_as(ctypes.c_void_p)
-        gl.BufferData(enums.SHADER_STORAGE_BUFFER, len(zeros), data, enums.DYNAMIC_DRAW)
-        gl.BindBuffer(enums.SHADER_STORAGE_BUFFER, 0)
+        created = self._context.buffer(reserve=len(zeros))
+        self._renew(created, zeros, enums.DYNAMIC_DRAW)
         return created
+
+    def _renew(self, buffer: moderngl.Buffer, data: NDArray[Any], hint: int) -> None:
+        """Give a buffer new memory with this data; draws in flight keep the old one. Mesa makes new memory only if the
+        hint is another one than before."""
+        gl, target = self._gl, enums.SHADER_STORAGE_BUFFER
+        gl.BindBuffer(target, buffer.glo)
+        gl.BufferData(target, data.nbytes, ctypes.c_void_p(data.ctypes.data), hint)
+        gl.BindBuffer(target, 0)
 
     def _create_mapped(
         self, zeros: NDArray[np.uint8], flags: int
@@ -110,6 +127,7 @@ class Buffers:
         self._mappings.pop(buffer, None)
         self._readable.pop(buffer, None)
         self._cleared.discard(buffer)
+        self._hints.pop(buffer, None)
         self.objects.pop(buffer).release()
 
     def write(self, buffer: Id, offset: int, data: BytesLike) -> None:
@@ -118,7 +136,13 @@ class Buffers:
             if buffer in self._cleared:
                 self._gl.Finish()
                 self._cleared.clear()
-            self.objects[buffer].mglo.write(data, offset)
+            written, hint = self.objects[buffer], self._hints.get(buffer)
+            if hint is None or memoryview(data).nbytes < written.size:
+                written.mglo.write(data, offset)
+                return
+            hint = enums.DYNAMIC_DRAW if hint == enums.DYNAMIC_COPY else enums.DYNAMIC_COPY
+            self._hints[buffer] = hint
+            self._renew(written, np.frombuffer(memoryview(data), np.uint8), hint)
             return
         try:
             mapping[offset : offset + len(data)] = data  # type: ignore[arg-type]

@@ -592,6 +592,10 @@ def write_elements(device: Device, elements: rhi.StorageBuffer[vec4]) -> None:
     elements.owner.write(SEVENS)
 
 
+def write_all_elements(device: Device, elements: rhi.StorageBuffer[vec4]) -> None:
+    elements.write(np.full((elements.count, 4), 7, np.float32))
+
+
 def copy_elements(device: Device, elements: rhi.StorageBuffer[vec4]) -> None:
     with device.buffer(SEVENS) as sevens:
         sevens.copy_to(elements.owner)
@@ -613,6 +617,7 @@ def store_elements_by_vertices(device: Device, elements: rhi.StorageBuffer[vec4]
 
 BUFFER_WRITES: dict[str, tuple[Callable[[Device, rhi.StorageBuffer[vec4]], None], str]] = {
     "write": (write_elements, "draws"),
+    "write of all": (write_all_elements, "draws"),
     "copy": (copy_elements, "draws"),
     "clear": (clear_elements, "draws"),
     "work group": (store_elements, "compute"),
@@ -621,8 +626,8 @@ BUFFER_WRITES: dict[str, tuple[Callable[[Device, rhi.StorageBuffer[vec4]], None]
 
 
 @pytest.mark.needs("max_storage_slots")
-@pytest.mark.parametrize("way", BUFFER_WRITES)
-def test_a_buffer_is_written_after_an_older_pass_has_read_it(device: Device, way: str) -> None:
+@pytest.mark.parametrize(("way", "count"), [*((way, 4) for way in BUFFER_WRITES), ("write of all", 100_000)])
+def test_a_buffer_is_written_after_an_older_pass_has_read_it(device: Device, way: str, count: int) -> None:
     write, needed = BUFFER_WRITES[way]
     if not getattr(device.capabilities, needed):
         pytest.skip(f"{device.backend_name} declares no {needed}")
@@ -632,7 +637,7 @@ def test_a_buffer_is_written_after_an_older_pass_has_read_it(device: Device, way
         device.mesh(rectangle(color=BLACK)) as mesh,
     ):
         for _ in range(3):  # the first pass may wait for a compiler
-            with device.storage(vec4, 4) as elements:
+            with device.storage(vec4, count) as elements:
                 with device.render_pass(image):
                     device.draw(device.program(ReadsElementLate), mesh, elements=elements)
                 with device.render_pass(other, clear=BLACK):
