@@ -35,8 +35,7 @@ echo "[test] mypy --strict"
 echo "[test] import order"
 .venv/bin/lint-imports --no-cache
 echo "[test] pytest: tests, and the conformance kit on gl, cl and null, on all cores"
-# PoCL keeps 1 to 3 MB for every program that a process builds, so at least four processes share them. A file's tests stay
-# in one process, which builds their programs once.
+# A file's tests stay in one process, which builds their programs once.
 cores=$(nproc)
 workers=$((cores > 2 ? cores : 2))
 all=(tests --pyargs rhi.conformance --rhi-backend gl --rhi-backend cl --rhi-backend null)
