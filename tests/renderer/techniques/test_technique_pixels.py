@@ -224,7 +224,6 @@ def test_a_light_reaches_what_it_reaches_in_forward_shading(
     assert np.abs(image - unlit).max() > 2, "the light can be seen"
 
 
-@pytest.mark.cl_nightly  # no light of radius 0 gets to the device
 def test_a_light_of_radius_0_lights_nothing(drawing_device: rhi.Device) -> None:
     builder = stage()
     builder.lights.add_point((0, 0.5, 3), 0.0, intensity=1e4)
@@ -286,7 +285,6 @@ def test_a_missing_light_is_seen_by_the_comparison(drawing_device: rhi.Device) -
     assert min(np.abs(image - expected).max() for image in images) > 2
 
 
-@pytest.mark.cl_nightly
 def test_one_specular_channel_is_exact_for_one_light_and_loses_hues_for_two(
     drawing_device: rhi.Device,
 ) -> None:
