@@ -2,37 +2,14 @@
 
 from __future__ import annotations
 
-import os
-import runpy
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from pathlib import Path
-from types import ModuleType
+from collections.abc import Callable
 from typing import NoReturn
 
 import pytest
+from pipe_kit import stream_to_pipe
 
-import renderer
-import rhi
-from renderer import cli
-from renderer.cli.subcommand import Subcommand
 from rhi.errors.readers import GONE, run_for_reader
-
-VERSION_1 = Path(__file__).parents[1] / "trace/version-1.zip"
-
-
-@contextmanager
-def stream_to_pipe(monkeypatch: pytest.MonkeyPatch, name: str, *, is_read: bool) -> Iterator[Callable[[], str]]:
-    """Make a stream of the process a pipe, whose reader goes away at once or stays; yield what reads it."""
-    source, sink = os.pipe()
-    if not is_read:
-        os.close(source)
-    with open(sink, "w", encoding="utf-8") as stream:
-        monkeypatch.setattr(sys, name, stream)
-        yield lambda: os.read(source, 1 << 16).decode()
-    if is_read:
-        os.close(source)
 
 
 def write_much() -> int:
@@ -81,24 +58,3 @@ def test_another_pipe_that_breaks_is_an_error_in_one_line(capfd: pytest.CaptureF
 
     assert run_for_reader(write_elsewhere) == 2
     assert capfd.readouterr().err == "error: the socket of a scheduler\n"
-
-
-@pytest.mark.parametrize(
-    ("package", "arguments"),
-    [
-        (renderer, ["much"]),
-        (renderer, ["accuracy", "--help"]),
-        (rhi, ["trace", "--help"]),
-        (rhi, ["trace", "show", str(VERSION_1)]),
-    ],
-)
-def test_commands_of_both_packages_end_quietly(
-    package: ModuleType, arguments: list[str], monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    much = Subcommand("much", "print much", lambda parser: None, lambda given: print(write_much()), "")
-    monkeypatch.setattr(cli, "COMMANDS", (*cli.COMMANDS, much))
-    monkeypatch.setattr(sys, "argv", [package.__name__, *arguments])
-    with stream_to_pipe(monkeypatch, "stdout", is_read=False), pytest.raises(SystemExit) as ended:
-        runpy.run_path(str(Path(str(package.__file__)).parent / "__main__.py"), run_name="__main__")
-    assert ended.value.code == GONE
-    assert capfd.readouterr().err == ""
