@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from importlib.machinery import ModuleSpec
 from types import CellType, FunctionType, ModuleType
-from typing import Any, Final, TypeVar, cast, get_args, get_origin
+from typing import Any, Final, NoReturn, TypeVar, cast, get_args, get_origin
 
 from rhi.contract.layout import ArrayType, HostType, StructType
 from rhi.errors import CallSite, RhiError, ShaderError, find_call_site
@@ -242,7 +242,7 @@ class Edit:
             self._undo.append(partial(_set_members, old, before, names))
             _set_members(old, {name: vars(new)[name] for name in names if name in vars(new)}, names)
 
-    def _refuse(self, call: str, given: str) -> None:
+    def _refuse(self, call: str, given: str) -> NoReturn:
         site = find_call_site()
         name = call.split()[-1]
         for number, line in enumerate(self._file.lines, 1):
