@@ -13,8 +13,8 @@ import rhi
 
 def pytest_itemcollected(item: pytest.Item) -> None:
     """Leave to the nightly run what is marked `cl_nightly`, where it is run on cl: kernels that no other test needs."""
-    if item.get_closest_marker("cl_nightly") is not None:
-        parameters = item.callspec.params  # type: ignore[attr-defined]
+    if isinstance(item, pytest.Function) and item.get_closest_marker("cl_nightly") is not None:
+        parameters = item.callspec.params
         if "cl" in (parameters.get("drawing_device"), parameters.get("device")):
             item.add_marker(pytest.mark.nightly)
 

@@ -56,7 +56,6 @@ class Buffers:
         """`keeps_order`: whether the driver's writes wait for draws that read the buffer, whatever it was made for."""
         self._context = context
         self._gl = gl
-        self._create_static = self._context.buffer if keeps_order else self._create_for_storage
         self._keeps_order = keeps_order
         self._hints: dict[Id, int] = {}  # of buffers that writes renew
         self.objects: dict[Id, moderngl.Buffer] = {}
@@ -97,7 +96,9 @@ class Buffers:
         bind = self.bind_storage[buffer] = self.objects[buffer].mglo.bind_to_storage_buffer
         bind(slot, offset, size)
 
-    def _create_for_storage(self, zeros: NDArray[np.uint8]) -> moderngl.Buffer:
+    def _create_static(self, zeros: NDArray[np.uint8]) -> moderngl.Buffer:
+        if self._keeps_order:
+            return self._context.buffer(zeros)
         created = self._context.buffer(reserve=len(zeros))
         self._renew(created, zeros, enums.DYNAMIC_DRAW)
         return created

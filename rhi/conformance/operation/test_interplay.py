@@ -363,16 +363,12 @@ def test_points_of_two_devices_are_counted_by_their_own_queries(device: Device, 
         for resource in (ia, ma, qa):
             resource.destroy()
 
+
 # -- draws that aren't finished -----------------------------------------------------------------------------
 
 
-class SlowlyLoaded(Shader):
+class SlowlyLoaded(Loaded):
     """Loads a texel and takes its time, so that the pass is still running when the next commands are issued."""
-
-    source: Texture2D
-
-    def vertex(self, v: Corner) -> Shade:
-        return Shade(clip=v.position, color=v.color)
 
     def fragment(self, v: Shade) -> vec4:
         color = self.source.load(ivec2(fragment_coordinate().xy))
@@ -381,16 +377,13 @@ class SlowlyLoaded(Shader):
         return color
 
 
-class LoadedByVertices(Shader):
+class LoadedByVertices(Colored):
     """Loads its color from a texture in the vertex stage."""
 
     source: Texture2D
 
     def vertex(self, v: Corner) -> Shade:
         return Shade(clip=v.position, color=self.source.load(ivec2(3, 3)))
-
-    def fragment(self, v: Shade) -> vec4:
-        return v.color
 
 
 class LoadedByGroups(Shader):
@@ -464,26 +457,23 @@ def read_by_indirect_dispatch(device: Device, texture: rhi.Texture) -> Any:
         return np.array(texels.read().tolist()).ravel()[0]
 
 
-WAYS: dict[str, tuple[Callable[[Device, rhi.Texture], Any], str]] = {
-    "read": (lambda _, texture: texture.read(), "draws"),
-    "asynchronous read": (lambda _, texture: texture.read_async().result(), "draws"),
-    "copy": (read_by_copy, "draws"),
-    "copy to a buffer": (read_by_buffer, "texture_buffer_copies"),
-    "vertex stage": (read_by_vertices, "draws"),
-    "work group": (read_by_dispatch, "compute"),
-    "indirect work group": (read_by_indirect_dispatch, "compute"),
-}
+READS = [
+    pytest.param(lambda _, texture: texture.read(), id="read"),
+    pytest.param(lambda _, texture: texture.read_async().result(), id="asynchronous read"),
+    pytest.param(read_by_copy, id="copy"),
+    pytest.param(read_by_buffer, id="copy to a buffer", marks=pytest.mark.needs("texture_buffer_copies")),
+    pytest.param(read_by_vertices, id="vertex stage"),
+    pytest.param(read_by_dispatch, id="work group", marks=pytest.mark.needs("compute")),
+    pytest.param(read_by_indirect_dispatch, id="indirect work group", marks=pytest.mark.needs("compute")),
+]
 
 
 @pytest.mark.needs("max_texture_slots")
 @pytest.mark.parametrize("format", [Format.R32F, Format.D32F], ids=["color", "depth"])
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("read", READS)
 def test_what_was_drawn_last_is_read_while_an_older_pass_samples_the_texture(
-    device: Device, slow: Callable[[rhi.Texture], None], way: str, format: Format
+    device: Device, slow: Callable[[rhi.Texture], None], read: Callable[[Device, rhi.Texture], Any], format: Format
 ) -> None:
-    read, needed = WAYS[way]
-    if not getattr(device.capabilities, needed):
-        pytest.skip(f"{device.backend_name} declares no {needed}")
     with device.texture(LARGE, format) as texture:
         for red in (0.25, 0.5, 0.75):  # the first pass may wait for a compiler
             slow(texture)
@@ -523,34 +513,33 @@ def test_a_resolved_texture_is_read_while_an_older_pass_samples_it(
 # -- reads that aren't finished -----------------------------------------------------------------------------
 
 
-class ReadsElementLate(Shader):
-    """Loads an element of a buffer after a while, so that the next commands are issued before."""
+class ReadsLate(Colored):
+    """Takes a while before it reads, so that the next commands are issued before."""
+
+    def wait(self, zero: float) -> int:
+        """Return 0, given 0."""
+        waited = zero
+        for _ in range(2000):
+            waited = waited * 0.5 + 0.5 * zero
+        return int(min(waited, 0.0))
+
+
+class ReadsElementLate(ReadsLate):
+    """Loads an element of a buffer."""
 
     elements: Storage[vec4]
 
-    def vertex(self, v: Corner) -> Shade:
-        return Shade(clip=v.position, color=v.color)
-
     def fragment(self, v: Shade) -> vec4:
-        zero = v.color.x
-        for _ in range(2000):
-            zero = zero * 0.5 + 0.5 * v.color.x
-        return self.elements[int(min(zero, 0.0))]
+        return self.elements[self.wait(v.color.x)]
 
 
-class ReadsTexelLate(Shader):
-    """Loads a texel after a while, so that the next commands are issued before."""
+class ReadsTexelLate(ReadsLate):
+    """Loads a texel."""
 
     source: Texture2D
 
-    def vertex(self, v: Corner) -> Shade:
-        return Shade(clip=v.position, color=v.color)
-
     def fragment(self, v: Shade) -> vec4:
-        zero = v.color.x
-        for _ in range(2000):
-            zero = zero * 0.5 + 0.5 * v.color.x
-        return self.source.load(ivec2(fragment_coordinate().xy) + ivec2(int(min(zero, 0.0)), 0))
+        return self.source.load(ivec2(fragment_coordinate().xy) + ivec2(self.wait(v.color.x), 0))
 
 
 class StoredByGroups(Shader):
@@ -562,7 +551,7 @@ class StoredByGroups(Shader):
         self.elements[0] = vec4(7.0)
 
 
-class StoredByVertices(Shader):
+class StoredByVertices(Colored):
     """Stores 7 in the first element, in the vertex stage."""
 
     elements: StorageRW[vec4]
@@ -570,9 +559,6 @@ class StoredByVertices(Shader):
     def vertex(self, v: Corner) -> Shade:
         self.elements[0] = vec4(7.0)
         return Shade(clip=v.position, color=v.color)
-
-    def fragment(self, v: Shade) -> vec4:
-        return v.color
 
 
 class ImageFilled(Shader):
@@ -615,22 +601,22 @@ def store_elements_by_vertices(device: Device, elements: rhi.StorageBuffer[vec4]
             device.draw(device.program(StoredByVertices), mesh, elements=elements)
 
 
-BUFFER_WRITES: dict[str, tuple[Callable[[Device, rhi.StorageBuffer[vec4]], None], str]] = {
-    "write": (write_elements, "draws"),
-    "write of all": (write_all_elements, "draws"),
-    "copy": (copy_elements, "draws"),
-    "clear": (clear_elements, "draws"),
-    "work group": (store_elements, "compute"),
-    "vertex stage": (store_elements_by_vertices, "draws"),
-}
+BUFFER_WRITES = [
+    pytest.param(write_elements, 4, id="write"),
+    pytest.param(write_all_elements, 4, id="write of all"),
+    pytest.param(copy_elements, 4, id="copy"),
+    pytest.param(clear_elements, 4, id="clear"),
+    pytest.param(store_elements, 4, id="work group", marks=pytest.mark.needs("compute")),
+    pytest.param(store_elements_by_vertices, 4, id="vertex stage"),
+    pytest.param(write_all_elements, 100_000, id="write of all of many"),
+]
 
 
 @pytest.mark.needs("max_storage_slots")
-@pytest.mark.parametrize(("way", "count"), [*((way, 4) for way in BUFFER_WRITES), ("write of all", 100_000)])
-def test_a_buffer_is_written_after_an_older_pass_has_read_it(device: Device, way: str, count: int) -> None:
-    write, needed = BUFFER_WRITES[way]
-    if not getattr(device.capabilities, needed):
-        pytest.skip(f"{device.backend_name} declares no {needed}")
+@pytest.mark.parametrize(("write", "count"), BUFFER_WRITES)
+def test_a_buffer_is_written_after_an_older_pass_has_read_it(
+    device: Device, write: Callable[[Device, rhi.StorageBuffer[vec4]], None], count: int
+) -> None:
     with (
         device.texture(LARGE, Format.R32F) as image,
         device.texture((1, 1), Format.RGBA8) as other,
@@ -660,19 +646,18 @@ def store_texels(device: Device, texture: rhi.Texture) -> None:
     device.dispatch(device.program(ImageFilled), LARGE, target=texture.image())
 
 
-TEXTURE_WRITES: dict[str, tuple[Callable[[Device, rhi.Texture], None], str]] = {
-    "write": (write_texels, "draws"),
-    "copy": (copy_texels, "draws"),
-    "work group": (store_texels, "max_image_slots"),
-}
+TEXTURE_WRITES = [
+    pytest.param(write_texels, id="write"),
+    pytest.param(copy_texels, id="copy"),
+    pytest.param(store_texels, id="work group", marks=pytest.mark.needs("max_image_slots")),
+]
 
 
 @pytest.mark.needs("max_texture_slots")
-@pytest.mark.parametrize("way", TEXTURE_WRITES)
-def test_a_texture_is_written_after_an_older_pass_has_sampled_it(device: Device, way: str) -> None:
-    write, needed = TEXTURE_WRITES[way]
-    if not getattr(device.capabilities, needed):
-        pytest.skip(f"{device.backend_name} declares no {needed}")
+@pytest.mark.parametrize("write", TEXTURE_WRITES)
+def test_a_texture_is_written_after_an_older_pass_has_sampled_it(
+    device: Device, write: Callable[[Device, rhi.Texture], None]
+) -> None:
     zeros = np.zeros(LARGE, np.float32)
     with (
         device.texture(LARGE, Format.R32F) as image,
