@@ -30,6 +30,8 @@ if [ $# -gt 0 ]; then
 fi
 echo "[test] ruff"
 .venv/bin/ruff check .
+echo "[test] lines of code"
+.venv/bin/python scripts/count_lines.py --check
 echo "[test] mypy --strict"
 .venv/bin/python scripts/check_types.py
 echo "[test] import order"
