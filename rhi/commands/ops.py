@@ -90,6 +90,12 @@ def _read_parameters(op: Op) -> dict[str, str]:
 
 
 _PARAMETERS: Final = {op: _read_parameters(op) for op in Op}
+ID_KINDS: Final[dict[str, type]] = {
+    "Id": object, "BufferId": BufferDescriptor, "TextureId": TextureDescriptor, "SamplerId": SamplerDescriptor,
+    "ProgramId": ProgramDescriptor, "VertexArrayId": VertexArrayDescriptor, "QueryId": QueryKind,
+}  # fmt: skip
+"""What an id stands for, by its annotation in the contract."""
+CREATIONS: Final = frozenset(op for op in Op if op.method.startswith("create_"))
 DRAWS: Final = frozenset({Op.DRAW, Op.DRAW_INDIRECT})
 DISPATCHES: Final = frozenset({Op.DISPATCH, Op.DISPATCH_INDIRECT})
 WIDTHS: Final = tuple(1 + len(op.parameters) + 2 for op in Op)

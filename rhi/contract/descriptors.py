@@ -23,6 +23,13 @@ __rhi_internal__ = True
 
 Id: TypeAlias = int
 """The name of a resource. The device assigns it and never uses it again; 0 means none."""
+BufferId: TypeAlias = Id
+TextureId: TypeAlias = Id
+SamplerId: TypeAlias = Id
+ProgramId: TypeAlias = Id
+VertexArrayId: TypeAlias = Id
+QueryId: TypeAlias = Id
+# The annotations say what an id stands for; traces are checked by them.
 
 Vec4: TypeAlias = tuple[float, float, float, float]
 
@@ -240,7 +247,7 @@ class VertexAttribute:
 class VertexStream:
     """A buffer of vertices or, with `per_instance`, of instances. Offset and stride are in bytes."""
 
-    buffer: Id
+    buffer: BufferId
     offset: int
     stride: int
     per_instance: bool
@@ -251,9 +258,9 @@ class VertexStream:
 class VertexArrayDescriptor:
     """The vertex streams and the index buffer that draws of one program read."""
 
-    program: Id
+    program: ProgramId
     streams: tuple[VertexStream, ...]
-    index_buffer: Id = 0
+    index_buffer: BufferId = 0
     index_format: IndexFormat = IndexFormat.UINT32
 
 
@@ -265,18 +272,18 @@ class Attachment:
     """A color target: one level and layer of a texture. `clear` None loads its contents. `resolve` names the texture
     that receives the resolved samples at the end of the pass, in its level and layer 0."""
 
-    texture: Id
+    texture: TextureId
     level: int = 0
     layer: int = 0
     clear: Vec4 | None = None
-    resolve: Id = 0
+    resolve: TextureId = 0
 
 
 @dataclass(frozen=True, slots=True)
 class DepthAttachment:
     """A depth target, with or without stencil. A clear value of None loads the contents."""
 
-    texture: Id
+    texture: TextureId
     level: int = 0
     layer: int = 0
     clear: float | None = None

@@ -22,7 +22,7 @@ from typing import Any, Final, overload
 
 import numpy as np
 
-from rhi.commands.ops import Descriptor, Op
+from rhi.commands.ops import ID_KINDS, Descriptor, Op
 from rhi.commands.stream import Command, Commands, CommandStream, Refusal
 from rhi.commands.text import describe
 from rhi.contract.descriptors import (
@@ -273,7 +273,7 @@ class _Side:
         if dataclasses.is_dataclass(value) and not isinstance(value, type):
             fields = dataclasses.fields(value)
             return (type(value), *(
-                self.identify(getattr(value, f.name)) if f.type == "Id" else self.normalize(getattr(value, f.name))
+                self.identify(getattr(value, f.name)) if f.type in ID_KINDS else self.normalize(getattr(value, f.name))
                 for f in fields
             ))  # fmt: skip
         hashable: Hashable = value
@@ -329,7 +329,7 @@ def _changes(left: _Side, right: _Side, a: Thing, b: Thing) -> list[str]:
         return [f"{name}: {old} → {new}" for name, old, new in parts if old != new]
     changes = []
     for (name, annotation), old, new in zip(a.op.parameters.items(), a.values, b.values, strict=True):
-        if annotation == "Id":
+        if annotation in ID_KINDS:
             if a.op.method.startswith("create_"):
                 continue
             old, new = left.name(old), right.name(new)
