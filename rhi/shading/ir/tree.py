@@ -10,10 +10,12 @@
 
 from __future__ import annotations
 
+import ast
 import enum
-from collections.abc import Iterator
+import operator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import Any, Final, TypeAlias
 
 from rhi.contract.descriptors import Stage
 from rhi.contract.layout import StructType
@@ -30,34 +32,51 @@ __rhi_internal__ = True
 
 
 class Operator(enum.Enum):
-    """Operators on values of one type, or on a scalar and a vector or matrix by component."""
+    """Operators on values of one type, or on a scalar and a vector or matrix by component.
 
-    ADD = "+"
-    SUBTRACT = "-"
-    MULTIPLY = "*"
-    DIVIDE = "/"
-    FLOOR_DIVIDE = "//"
-    MODULO = "%"
-    POWER = "**"
-    MATRIX_MULTIPLY = "@"
-    BIT_AND = "&"
-    BIT_OR = "|"
-    BIT_XOR = "^"
-    SHIFT_LEFT = "<<"
-    SHIFT_RIGHT = ">>"
-    EQUAL = "=="
-    NOT_EQUAL = "!="
-    LESS = "<"
-    LESS_EQUAL = "<="
-    GREATER = ">"
-    GREATER_EQUAL = ">="
-    NEGATE = "neg"
-    INVERT = "~"
-    NOT = "not"
-    AND = "and"
-    OR = "or"
+    Attributes:
+        sign: the operator in Python.
+        syntax: its class in Python's syntax tree.
+        fold: the function that computes it from constants.
+        primitive: its name in lane code (`rhi.shading.ir.primitives`), "" if it takes more than one operation.
+    """
+
+    ADD = "+", ast.Add, operator.add, "add"
+    SUBTRACT = "-", ast.Sub, operator.sub, "subtract"
+    MULTIPLY = "*", ast.Mult, operator.mul, "multiply"
+    DIVIDE = "/", ast.Div, operator.truediv, "divide"
+    FLOOR_DIVIDE = "//", ast.FloorDiv, operator.floordiv, "floor_divide"
+    MODULO = "%", ast.Mod, operator.mod, "modulo"
+    POWER = "**", ast.Pow, operator.pow, ""
+    MATRIX_MULTIPLY = "@", ast.MatMult, operator.matmul, ""
+    BIT_AND = "&", ast.BitAnd, operator.and_, "and"
+    BIT_OR = "|", ast.BitOr, operator.or_, "or"
+    BIT_XOR = "^", ast.BitXor, operator.xor, "xor"
+    SHIFT_LEFT = "<<", ast.LShift, operator.lshift, "shift_left"
+    SHIFT_RIGHT = ">>", ast.RShift, operator.rshift, "shift_right"
+    EQUAL = "==", ast.Eq, operator.eq, "equal"
+    NOT_EQUAL = "!=", ast.NotEq, operator.ne, "not_equal"
+    LESS = "<", ast.Lt, operator.lt, "less"
+    LESS_EQUAL = "<=", ast.LtE, operator.le, "less_equal"
+    GREATER = ">", ast.Gt, operator.gt, "greater"
+    GREATER_EQUAL = ">=", ast.GtE, operator.ge, "greater_equal"
+    NEGATE = "neg", ast.USub, operator.neg, "negate"
+    INVERT = "~", ast.Invert, operator.invert, "invert"
+    NOT = "not", ast.Not, operator.not_, "not"
+    AND = "and", ast.And, lambda a, b: a and b, ""
+    OR = "or", ast.Or, lambda a, b: a or b, ""
+
+    def __init__(self, sign: str, syntax: type[ast.AST], fold: Callable[..., Any], primitive: str) -> None:
+        self.sign = sign
+        self.syntax = syntax
+        self.fold = fold
+        self.primitive = primitive
 
     __hash__ = object.__hash__
+
+
+OPERATORS: Final = {op.syntax: op for op in Operator}
+"""The operators by their classes in Python's syntax tree."""
 
 
 @dataclass(slots=True, eq=False)

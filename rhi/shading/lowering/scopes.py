@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Final, NoReturn
 
-from rhi.errors import CallSite, Rule, ShaderError
+from rhi.errors import Rule
 from rhi.shading.ir import lanes, tree
 from rhi.shading.ir.lanes import (
     FALSE,
@@ -29,7 +29,7 @@ from rhi.shading.ir.lanes import (
     apply,
     get,
 )
-from rhi.shading.language.source import SourceSpan, show
+from rhi.shading.language.source import SourceSpan, refuse_at
 from rhi.shading.lowering.lvalues import Home, Slot
 
 __rhi_internal__ = True
@@ -167,14 +167,7 @@ class ScopeLowering:
     def refuse(self, rule: Rule, given: str, allowed: str = "", tip: str = "") -> NoReturn:
         """Refuse the statement at the current span."""
         function = self.frame.function
-        raise ShaderError(
-            rule,
-            f"{function.name}\n{show(function.file, self.span)}",
-            given,
-            allowed,
-            tip,
-            CallSite(str(function.file), self.span.line, function.name),
-        )
+        refuse_at(rule, function.name, function.file, self.span, given, allowed, tip)
 
     # -- masks
 
