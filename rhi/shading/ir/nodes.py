@@ -5,21 +5,20 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields
-from functools import cache
 from operator import attrgetter
-from typing import Any, TypeAlias
+from typing import Any, Final, TypeAlias
 
 __rhi_internal__ = True
 
 _Reader: TypeAlias = Callable[[Any], tuple[Any, ...]]
 
 
-@cache
-def _reader(kind: type, of: str) -> _Reader:
-    """Return the function that reads the fields of a class of nodes that are declared as `of`, or as a tuple of it.
+_readers: Final[dict[tuple[type, str], _Reader]] = {}
+"""The function that reads the operands of each class of nodes, chosen once: all that is parsed and lowered is read."""
 
-    It is chosen once for each class, because all that is parsed and lowered passes here.
-    """
+
+def _choose_reader(kind: type, of: str) -> _Reader:
+    """Return the function that reads the fields of a class of nodes that are declared as `of`, or as a tuple of it."""
     found = [(field.name, str(field.type)) for field in fields(kind) if re.search(rf"\b{of}\b", str(field.type))]
     if not found:
         return _read_nothing
@@ -45,7 +44,11 @@ def _read_nothing(node: Any) -> tuple[Any, ...]:
 
 def operands(node: Any, of: str) -> tuple[Any, ...]:
     """Return the direct operands of a node, in order; `of` is the name of their base class."""
-    return _reader(type(node), of)(node)
+    key = (type(node), of)
+    read = _readers.get(key)
+    if read is None:
+        read = _readers[key] = _choose_reader(*key)
+    return read(node)
 
 
 def walk(block: Sequence[Any]) -> Iterator[Any]:

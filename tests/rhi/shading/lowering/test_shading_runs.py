@@ -32,7 +32,7 @@ class Raised(Straight):
     def compute(self) -> None:
         i = int(global_id().x)
         step = 1.0
-        total = 0.0
+        total = self.given[i]
         for _ in range(4):
             total += step
             step = self.given[i]
@@ -46,7 +46,7 @@ class RaisedTwice(Straight):
         i = int(global_id().x)
         first = 1.0
         second = 1.0
-        total = 0.0
+        total = self.given[i]
         for _ in range(4):
             total += first
             first = second

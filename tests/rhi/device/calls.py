@@ -1,4 +1,4 @@
-"""A call of every public method, with what each of its parameters takes.
+"""A call of every public method, with what each of its parameters takes: laws about all calls are tested over it.
 
 - `SAMPLES` holds for each method a call that works and, for each parameter, the value of that call and a predicate: the
   values that the documentation allows. The test replaces one value at a time by every value of `WRONG`.
@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 import enum
+import inspect
 import math
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -19,6 +20,7 @@ import numpy as np
 
 import rhi
 from rhi import Access, BufferUsage, Device, Filter, Format, Primitive, Region, TextureKind, Wrap
+from rhi.conformance.compare import assert_same
 from rhi.conformance.shaders import Colored, Corner, Tint, Tinted
 from rhi.conformance.shapes import rectangle
 from rhi.contract.states import BlendFactor, BlendOperation, Comparison, StencilOperation
@@ -65,6 +67,8 @@ class House:
         self.sampler = device.sampler(rhi.SamplerDescriptor())
         with device.render_pass(self.target), self.query:
             device.draw(self.plain, self.mesh)
+        with device.render_pass(self.target):
+            device.draw_counted(self.plain, self.mesh, self.mesh.draws(), self.queries)
         with device.record() as self.commands:
             pass
         self.resources = [
@@ -75,6 +79,35 @@ class House:
     def owns(self, value: object) -> bool:
         """Return whether a value is one of this house's objects."""
         return any(value is each for each in vars(self).values())
+
+
+CLASSES: Final[list[Any]] = [
+    rhi.Device, rhi.CommandBuffer, rhi.TransientMemory, rhi.Buffer, rhi.UniformBuffer, rhi.UniformArray,
+    rhi.StorageBuffer, rhi.Texture, rhi.Mesh, rhi.TransientMesh, rhi.Program, rhi.OcclusionQuery, rhi.QuerySet,
+    rhi.Immediate, rhi.ColorWrite, rhi.BlendFunction,
+]  # fmt: skip
+"""The classes whose methods are called."""
+
+INTERNAL: Final = {
+    "CommandBuffer": {"note_retired"},
+    "TransientMemory": {"mark", "note_retired", "place_mesh"},
+    "Mesh": {"create_vertex_array", "place_draws"},
+    "TransientMesh": {"create_vertex_array", "place_draws"},
+    "Program": {
+        "bind", "bind_current", "build", "check", "check_can_dispatch", "check_can_draw", "check_instances",
+        "check_names", "draw_unprepared", "draw_with", "exchange", "explain", "find_vertex_array", "make_current",
+        "note_retired", "prepare_draw",
+    },
+    "OcclusionQuery": {
+        "abandon", "check_ended", "check_usable", "complete", "cut_off", "describe", "discard_answer", "find_block",
+        "finish", "mark_submitted", "write_begin", "write_end",
+    },
+    "QuerySet": {
+        "check_conditions", "check_ended", "check_rows", "counted", "discard_answer", "draw", "draw_conditional",
+        "mark_rows_drawn", "mark_rows_submitted", "mark_submitted",
+    },
+}  # fmt: skip
+"""Methods that the package's own modules call on each other."""
 
 
 # -- what parameters take ----------------------------------------------------------------------------------
@@ -230,7 +263,7 @@ def encoder_samples(open_encoder: Callable[[House], Any]) -> dict[str, Sample]:
         def make(house: House, **given: Any) -> Any:
             with open_encoder(house) as encoder:
                 with ExitStack() as stack:
-                    if name.startswith(("draw", "immediate")):
+                    if name.startswith(("draw", "immediate")) and house.device._core.render_pass is None:
                         stack.enter_context(encoder.render_pass(house.target))
                     if name == "draw_conditional":
                         draws = house.mesh.draws([0, 3], 3)
@@ -688,3 +721,36 @@ SAMPLES: Final[dict[str, Sample]] = {
     "LineWidth": fields(rhi.LineWidth, {"width": (1.5, number(1))}),
     "PolygonOffset": fields(rhi.PolygonOffset, {"slope": (0.5, number()), "clamp": (0.5, number())}),
 }
+
+
+# -- making a call -----------------------------------------------------------------------------------------
+
+
+def run(house: House, sample: Sample, arguments: dict[str, Any]) -> None:
+    """Make a call, and enter and leave the scope that it returns; destroy what it creates, but no view."""
+    with ExitStack() as stack:
+        sample.within(house, stack)
+        made = sample.call(house, **arguments)
+        if sample.enters:
+            with made:
+                pass
+        viewed = getattr(made, "owner", None) or getattr(getattr(made, "data", None), "vertices", None)
+        if hasattr(made, "destroy") and not house.owns(viewed) and viewed is not house.mesh.vertices:
+            made.destroy()
+
+
+def given_arguments(house: House, sample: Sample) -> dict[str, Any]:
+    """Return the arguments of a call that works, by name."""
+    made = {name: value for name, (value, _) in sample.parameters.items()}
+    return {name: value(house) if inspect.isfunction(value) else value for name, value in made.items()}
+
+
+def check_drawing(house: House) -> None:
+    """Check that the device draws, and that no draw before it left anything that shifts or hides this one."""
+    device = house.device
+    assert not device.transient._core.locked
+    with device.render_pass(house.target, clear=(0, 0, 0, 0)):
+        device.draw(house.program, house.mesh, tint=house.tint)
+        device.draw(house.plain, house.mesh)
+    if device.capabilities.renders:
+        assert_same(house.target.read(), 255)
