@@ -21,7 +21,7 @@ _OPTIONAL: Final = frozenset({(Op.PRESENT, "texture"), (Op.DRAW_INDIRECT, "count
 """Arguments that are 0 for no resource. Of a descriptor's fields, those with a default may be."""
 
 
-class _Part(NamedTuple):
+class _IdPlace(NamedTuple):
     """A part of a command or descriptor that is an id (`kind`: what of) or that may contain ids (None)."""
 
     place: Any  # the argument's index, or the field's name
@@ -31,7 +31,7 @@ class _Part(NamedTuple):
 
 _ARGUMENTS: Final = {
     op: tuple(
-        _Part(i, ID_KINDS.get(annotation), (op, name) in _OPTIONAL)
+        _IdPlace(i, ID_KINDS.get(annotation), (op, name) in _OPTIONAL)
         for i, (name, annotation) in enumerate(op.parameters.items())
         if annotation not in _PLAIN
     )
@@ -39,15 +39,15 @@ _ARGUMENTS: Final = {
 }
 
 
-_FIELDS: Final[dict[type, tuple[_Part, ...]]] = {}
+_FIELDS: Final[dict[type, tuple[_IdPlace, ...]]] = {}
 
 
-def _parts_of(value: object) -> tuple[_Part, ...]:
+def _parts_of(value: object) -> tuple[_IdPlace, ...]:
     parts = _FIELDS.get(type(value))
     if parts is None:
         fields = dataclasses.fields(value) if dataclasses.is_dataclass(value) else ()
         parts = _FIELDS[type(value)] = tuple(
-            _Part(each.name, ID_KINDS.get(str(each.type)), each.default is not dataclasses.MISSING)
+            _IdPlace(each.name, ID_KINDS.get(str(each.type)), each.default is not dataclasses.MISSING)
             for each in fields
             if each.type not in _PLAIN
         )
