@@ -15,7 +15,7 @@ from typing import Final, TypeAlias
 import numpy as np
 
 from rhi.contract.blocks import CompressedFormat
-from rhi.contract.formats import Format, IndexFormat
+from rhi.contract.formats import Choice, Format, IndexFormat
 from rhi.contract.states import Comparison
 from rhi.errors.arguments import Fields
 
@@ -37,7 +37,7 @@ WHOLE: Final = -1
 """As a size: everything from the offset to the end."""
 
 
-class Primitive(enum.Enum):
+class Primitive(Choice):
     """Primitive topology. Each of the QUADS is drawn as two triangles (0 1 2, 0 2 3)."""
 
     POINTS = "points"
@@ -47,8 +47,6 @@ class Primitive(enum.Enum):
     TRIANGLE_STRIP = "triangle_strip"
     TRIANGLE_FAN = "triangle_fan"
     QUADS = "quads"
-
-    __hash__ = object.__hash__
 
 
 class Access(enum.Enum):
@@ -90,15 +88,13 @@ class BufferDescriptor:
     label: str = ""
 
 
-class TextureKind(enum.Enum):
+class TextureKind(Choice):
     """The dimensions of a texture. A cube has 6 layers: +X −X +Y −Y +Z −Z."""
 
     D2 = "2d"
     D2_ARRAY = "2d_array"
     D3 = "3d"
     CUBE = "cube"
-
-    __hash__ = object.__hash__
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,7 +192,7 @@ class Region:
 # -- vertex arrays ---------------------------------------------------------------------------------------
 
 
-class VertexFormat(enum.Enum):
+class VertexFormat(Choice):
     """The format of a vertex attribute: (NumPy code, components, normalised, scalar type in the shader)."""
 
     FLOAT = ("f4", 1, False, "float")
@@ -219,8 +215,6 @@ class VertexFormat(enum.Enum):
     SNORM16X2 = ("i2", 2, True, "float")
     UINT8X4 = ("u1", 4, False, "uint")
     UINT16X2 = ("u2", 2, False, "uint")
-
-    __hash__ = object.__hash__
 
     code: str
     components: int
@@ -316,25 +310,21 @@ class QueryKind(enum.Enum):
 # -- programs --------------------------------------------------------------------------------------------
 
 
-class Stage(enum.Enum):
+class Stage(Choice):
     """A shader stage of a program."""
 
     VERTEX = "vertex"
     FRAGMENT = "fragment"
     COMPUTE = "compute"
 
-    __hash__ = object.__hash__
 
-
-class BindingKind(enum.Enum):
+class BindingKind(Choice):
     """Type of a binding slot."""
 
     UNIFORM = "uniform"
     STORAGE = "storage"
     TEXTURE = "texture"
     IMAGE = "image"
-
-    __hash__ = object.__hash__
 
 
 @dataclass(frozen=True, slots=True)
@@ -372,15 +362,13 @@ class FragmentOutput:
     components: int
 
 
-class Interpolation(enum.Enum):
+class Interpolation(Choice):
     """How a varying is interpolated: SMOOTH with perspective correction, FLAT from the first vertex, or NO_PERSPECTIVE,
     linearly in screen space."""
 
     SMOOTH = "smooth"
     FLAT = "flat"
     NO_PERSPECTIVE = "no_perspective"
-
-    __hash__ = object.__hash__
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,11 +11,6 @@ from rhi.contract.descriptors import Id
 
 __rhi_internal__ = True
 
-ID_ARGUMENTS: Final = {
-    op: tuple(i for i, annotation in enumerate(op.parameters.values()) if annotation in ID_KINDS) for op in Op
-}
-"""The indices of the arguments that are resource ids, by op."""
-
 _PLAIN: Final = frozenset({"int", "float", "bool", "str", "bytes", "BytesLike", "Primitive"})
 _OPTIONAL: Final = frozenset({(Op.PRESENT, "texture"), (Op.DRAW_INDIRECT, "count_buffer")})
 """Arguments that are 0 for no resource. Of a descriptor's fields, those with a default may be."""

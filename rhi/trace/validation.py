@@ -135,14 +135,12 @@ class SequenceValidator:
         self._valid: set[tuple[Any, ...]] = set()
         self._memory: dict[Id, int] = {}
         self._total = 0
-        self._query: Id = 0
-        self._conditional = False
         self._signalled = 0
 
     def check(self, op: Op, values: Sequence[Any], failed: bool, where: str, reader: ArchiveReader) -> None:
         """Refuse the file if this command isn't valid next. A command that `failed` when it was recorded has no effect,
         and may have requested more memory than there was."""
-        before = self._total, self._query, self._conditional, self._signalled
+        before = self._total, self._signalled
         rule = _RULES[op]
         try:
             self._check_place(op)
@@ -161,7 +159,7 @@ class SequenceValidator:
             if not failed:
                 reader.refuse(TRACE_SIZE, f"{where}: {op.method}: {error}", f"{MAX_MEMORY:,} bytes")
         if failed:
-            self._total, self._query, self._conditional, self._signalled = before
+            self._total, self._signalled = before
         else:
             self.context.follow(op, values)
 
@@ -222,24 +220,20 @@ class SequenceValidator:
 
     def begin_query(self, query: Id) -> None:
         _need(self._find(query, QueryKind) is QueryKind.OCCLUSION, "not an occlusion query")
-        _need(not self._query, "another query is open")
-        self._query = query
+        _need(not self.context.open_query, "another query is open")
 
     def end_query(self, query: Id) -> None:
-        _need(query == self._query, "it isn't open")
-        self._query = 0
+        _need(query == self.context.open_query, "it isn't open")
 
     def write_query(self, query: Id) -> None:
         _need(self._find(query, QueryKind) is not QueryKind.OCCLUSION, "an occlusion query")
 
     def begin_conditional(self, query: Id, inverted: bool) -> None:
         _need(self._find(query, QueryKind) is QueryKind.OCCLUSION, "not an occlusion query")
-        _need(not self._conditional, "another condition is open")
-        self._conditional = True
+        _need(not self.context.condition, "another condition is open")
 
     def end_conditional(self) -> None:
-        _need(self._conditional, "no condition is open")
-        self._conditional = False
+        _need(bool(self.context.condition), "no condition is open")
 
     def push_label(self, text: str) -> None:
         _need(len(self.context.labels) < MAX_LABELS, "too many labels")
