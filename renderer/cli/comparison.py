@@ -42,7 +42,7 @@ def repeat(given: argparse.Namespace, *names: str) -> Record:
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class ComparisonProgram:
     """A comparison that can be asked for: a subject of `compare`, or a program of `benchmarks`.
 
     Attributes:
@@ -111,7 +111,7 @@ def run_benchmark(
     Unless RHI_KERNELS says otherwise, cl runs optimised kernels, as a long run does.
     """
     os.environ.setdefault("RHI_KERNELS", "optimised")
-    comparison = Comparison("", "", "", add_arguments, lambda given: Report({}, list(measure(given))))
+    comparison = ComparisonProgram("", "", "", add_arguments, lambda given: Report({}, list(measure(given))))
     parser = Parser(description=text)
     comparison.add_all_arguments(parser)
     comparison.run(parser.parse_args())
