@@ -522,6 +522,8 @@ def _finish(block: BlockBuilder) -> tree.Block:
         match statement:
             case Splice(block=inner):
                 result.extend(_finish(inner))
+                if result and isinstance(result[-1], tree.Return):
+                    break  # what follows is never reached
                 continue
             case tree.If(then=BlockBuilder() as then, otherwise=BlockBuilder() as otherwise):
                 statement.then, statement.otherwise = _finish(then), _finish(otherwise)
