@@ -153,15 +153,15 @@ def draw_all(device: rhi.Device, folder: Path) -> None:
     )
     write_image(folder / "shadow-filters.png", filters)
     biased = [render(device, still, eye, SMALL, replace(near, bias=bias))[0] for bias in (0.0, 1.0)]
-    write_image(folder / "shadow-bias.png", place(biased))
+    write_image(folder / "shadow-bias.webp", place(biased))
 
     city = load_scene("city:blocks=8,shadows=1")
     street = [render(device, city, city.views["street"], WIDE, None, one)[0] for one in (None, TintedCascades())]
-    write_image(folder / "shadow-cascades.png", place(street))
+    write_image(folder / "shadow-cascades.webp", place(street))
 
     nights = [load_scene(f"night:blocks=6,lights=64,shadows={on}") for on in (0, 1)]
     (plain, _), (shadowed, atlas) = (render(device, one, one.views["crossing"], WIDE) for one in nights)
-    write_image(folder / "shadow-night.png", place([plain, shadowed]))
+    write_image(folder / "shadow-night.webp", place([plain, shadowed]))
     write_image(folder / "shadow-atlas.png", picture_atlas(atlas))
 
 

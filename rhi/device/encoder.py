@@ -15,6 +15,13 @@ from numpy.typing import ArrayLike, NDArray
 from typing_extensions import ParamSpec
 
 from rhi.contract.descriptors import DRAW, Primitive
+from rhi.contract.limits import (
+    condition_faults,
+    count_faults,
+    dispatch_faults,
+    indirect_dispatch_faults,
+    indirect_faults,
+)
 from rhi.contract.states import State
 from rhi.device.core.core import Core
 from rhi.device.core.state_cache import StateScope, ValidatedScope
@@ -33,8 +40,6 @@ from rhi.errors.rules import (
     CONDITION_NESTED,
     DEVICE_ARGUMENT,
     DEVICE_CAPABILITY,
-    DISPATCH_SIZE,
-    INDIRECT_RANGE,
     QUERY_NESTED,
     RESOURCE_FOREIGN,
 )
@@ -269,10 +274,7 @@ class Encoder:
         check = Arguments(call, core.refuse)
         check.instance("queries", queries, QuerySet, "a QuerySet from device.query_set(…)")
         core.check_usable(queries, call)
-        if not core.capabilities.conditional_rendering:
-            core.refuse(
-                DEVICE_CAPABILITY, call, "conditional rendering", "needs capabilities.conditional_rendering"
-            )
+        core.require(call, condition_faults(core.capabilities))
         if queries.emulated:
             core.refuse(DEVICE_CAPABILITY, call, "an emulated query set", "a native one: device.query_set(…)")
         if core.condition_open:
@@ -323,34 +325,13 @@ class Encoder:
         buffer = check_buffer(check, "buffer", arguments.buffer)
         count = None if arguments.count is None else check_buffer(check, "count", arguments.count)
         core.check_usable(buffer, call)
-        end = arguments.offset + (arguments.draws - 1) * arguments.stride + DRAW.itemsize
-        if arguments.draws < 1 or arguments.offset < 0 or end > buffer.size:
-            given = f"{arguments.draws} draws from byte {arguments.offset}, {arguments.stride} apart"
-            core.refuse(INDIRECT_RANGE, call, given, f"1 draw or more within {buffer.size} bytes")
-        if (
-            arguments.stride < DRAW.itemsize
-            or arguments.stride % 4
-            or arguments.offset % 4
-            or arguments.count_offset % 4
-        ):
-            given = f"stride {arguments.stride}, offset {arguments.offset}"
-            allowed = f"a stride of {DRAW.itemsize} or more and offsets, all multiples of 4"
-            core.refuse(INDIRECT_RANGE, call, given, allowed)
+        places = (arguments.draws, arguments.offset, arguments.stride, arguments.count_offset)
+        core.require(call, indirect_faults(*places, buffer.size))
         if mesh.primitive is Primitive.QUADS:
             core.refuse(DEVICE_CAPABILITY, call, "Primitive.QUADS", "any other primitive")
         if count is not None:
-            if not core.capabilities.indirect_count:
-                core.refuse(
-                    DEVICE_CAPABILITY, call, "a count from a buffer", "needs capabilities.indirect_count"
-                )
             core.check_usable(count, call)
-            if not 0 <= arguments.count_offset <= count.size - 4:
-                core.refuse(
-                    INDIRECT_RANGE,
-                    call,
-                    f"count at byte {arguments.count_offset}",
-                    f"within {count.size} bytes",
-                )
+            core.require(call, count_faults(arguments.count_offset, count.size, core.capabilities))
         vertex_array = self._bind_draws(own, mesh, bindings)
         core.backend.draw_indirect(
             vertex_array,
@@ -377,14 +358,10 @@ class Encoder:
         several = isinstance(groups, (tuple, list)) or (isinstance(groups, np.ndarray) and groups.ndim)
         given: Any = groups if several else (groups,)
         sizes: list[int | None] = [*map(as_whole, given), *_ONES[len(given) :]]
-        x, y, z, *more = sizes
-        most_x, most_y, most_z = most = self._core.capabilities.max_dispatch
-        if (
-            more or not len(given) or x is None or y is None or z is None
-            or not (0 <= x <= most_x and 0 <= y <= most_y and 0 <= z <= most_z)
-        ):  # fmt: skip
-            self._core.refuse(DISPATCH_SIZE, call, repr(groups), f"1 to 3 whole numbers from 0 to {most}")
+        faults = dispatch_faults(sizes if len(given) else (), repr(groups), self._core.capabilities)
+        self._core.require(call, faults)
         own.bind(own.check_can_dispatch, None, bindings)
+        x, y, z = (size or 0 for size in sizes)
         if x and y and z:
             self._core.backend.dispatch(x, y, z)
             self._core.dispatches += 1
@@ -406,10 +383,7 @@ class Encoder:
         offset = check.whole("offset", offset)
         self._core.check_ready()
         self._core.check_usable(source, call)
-        if offset < 0 or offset % 4 or offset + 12 > source.size:
-            self._core.refuse(
-                INDIRECT_RANGE, call, f"byte {offset}", f"a multiple of 4 up to {source.size - 12}"
-            )
+        self._core.require(call, indirect_dispatch_faults(offset, source.size))
         own.bind(own.check_can_dispatch, None, bindings)
         self._core.backend.dispatch_indirect(source.id, offset)
         self._core.dispatches += 1

@@ -73,7 +73,7 @@ def devices() -> Iterator[list[rhi.Device]]:
 def test_each_is_on_the_page_and_in_the_table() -> None:
     page = (FOLDER.parents[1] / "docs" / "gallery.md").read_text()
     assert sorted(COSTS) == PROGRAMS
-    assert [name for name in PROGRAMS if f"programs/{name}.py" not in page or f"gallery/{name}.png" not in page] == []
+    assert [name for name in PROGRAMS if f"programs/{name}.py" not in page or f"gallery/{name}.webp" not in page] == []
 
 
 @pytest.mark.parametrize("name", PROGRAMS)

@@ -134,8 +134,9 @@ def test_without_depth_write_the_test_still_drops_fragments(device: Device) -> N
             assert_same(image.read(), seen)
 
 
-def test_without_depth_test_every_fragment_passes_and_is_written(device: Device) -> None:
-    assert_same(depth_after(device, rectangle(depth=0.25), clear=0.5, states=(DepthTest.OFF,)), 0.25)
+@pytest.mark.parametrize("drawn", [0.25, 0.75], ids=["nearer", "farther"])
+def test_without_depth_test_every_fragment_passes_and_is_written(device: Device, drawn: float) -> None:
+    assert_same(depth_after(device, rectangle(depth=drawn), clear=0.5, states=(DepthTest.OFF,)), drawn)
 
 
 def test_without_depth_test_and_write_depth_stays(device: Device) -> None:

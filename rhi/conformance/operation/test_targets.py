@@ -290,14 +290,6 @@ def test_a_resolve_keeps_row_0_on_top(device: Device) -> None:
         assert_mask(target.read(), expected)
 
 
-def test_a_clear_reaches_all_samples(device: Device) -> None:
-    require_samples(device, 4)
-    with device.texture(SIZE, Format.RGBA8, samples=4) as image, device.texture(SIZE, Format.RGBA8) as target:
-        with device.render_pass(image, clear=(0.2, 0.4, 0.6, 0.8), resolve=target):
-            pass
-        assert_same(target.read(), (51, 102, 153, 204))
-
-
 def test_depth_is_tested_for_each_sample(device: Device) -> None:
     """A triangle covers half of each texel on the diagonal; the other samples show the surface behind it."""
     require_samples(device, 4)

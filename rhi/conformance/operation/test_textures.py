@@ -10,7 +10,13 @@ import pytest
 
 from rhi import Access, Device, Format, Region, TextureKind
 from rhi.conformance.compare import assert_near, assert_same
-from rhi.conformance.formats import random_texels, require_format, require_renderable, squeezed
+from rhi.conformance.formats import (
+    random_texels,
+    require_format,
+    require_renderable,
+    require_samples,
+    squeezed,
+)
 from rhi.conformance.reference import channels_of, decode, encode, halve, largest, rounding
 from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, ChannelKind
 
@@ -488,6 +494,28 @@ def test_a_clear_of_one_layer_leaves_the_others(device: Device, kind: TextureKin
         expected = np.zeros((layers, 4, 4, 4))
         expected[2] = 255
         assert_same(texture.read_layers(), expected)
+
+
+def test_a_clear_of_one_layer_of_depth_and_stencil_leaves_the_others(device: Device) -> None:
+    require_format(device, Format.D24S8)
+    with device.texture((4, 4), Format.D24S8, kind=TextureKind.D2_ARRAY, layers=3) as texture:
+        with device.render_pass(depth=texture.at(layer=1), clear_depth=1.0, clear_stencil=7):
+            pass
+        for layer, cleared in enumerate((0, 1, 0)):
+            assert_same(texture.read(0, layer), cleared)
+            assert_same(texture.read_stencil(0, layer), 7 * cleared)
+
+
+@pytest.mark.parametrize("at_end", [True, False], ids=["end of pass", "command"])
+def test_a_clear_reaches_all_samples_and_their_mean(device: Device, at_end: bool) -> None:
+    require_samples(device, 4)
+    with device.texture((3, 2), Format.RGBA8, samples=4) as source, device.texture((3, 2), Format.RGBA8) as target:
+        with device.render_pass(source, clear=(0.2, 0.4, 0.6, 0.8), resolve=target if at_end else None):
+            pass
+        if not at_end:
+            assert_same(target.read(), 0)
+            source.resolve_to(target)
+        assert_same(target.read(), (51, 102, 153, 204))
 
 
 def test_a_clear_of_one_level_leaves_the_others(device: Device) -> None:

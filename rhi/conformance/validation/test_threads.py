@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import nullcontext
-from functools import partial
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 import pytest
 
 import rhi
-from rhi import Access, CullMode, Device, Format, Op, Primitive, SamplerDescriptor, TextureKind
+from rhi import Access, CullMode, Device, Format, Op, Primitive, SamplerDescriptor
 from rhi.conformance.compare import assert_same
 from rhi.conformance.shaders import Colored, Tint, Tinted
 from rhi.conformance.shapes import rectangle
 from rhi.conformance.validation.refusal import check_working, refuses
-from rhi.device.transient import TransientMemory
 from rhi.errors import rules
 from rhi.shading import Shader, StorageRW, global_id, uint
 
@@ -50,7 +47,7 @@ class Resources:
         self.buffer = device.buffer(np.arange(4))
         self.texture = device.texture(SIZE, Format.RGBA8)
         self.uniform = device.uniform(Tint(color=(1, 1, 1, 1)))
-        self.commands = device.record()
+        self.device, self.commands = device, device.record()
         with self.commands:
             self.commands.clear(self.buffer)
 
@@ -179,210 +176,21 @@ def test_without_validation_a_first_draw_is_refused(backend: str, elsewhere: Els
             assert_same(image.read(), 255)
 
 
-# -- every public member ----------------------------------------------------------------------------------------
-
-SAFE = {
-    "Device": "NAME backend_as backend_name capabilities closed conditional event immediate record render_pass states "
-    "stream timing transient",
-    "Buffer": "bind_uniform core count dtype id label size destroyed lock",
-    "UniformBuffer": "buffer kind offset owner size type",
-    "UniformArray": "buffer count dtype label lock struct type",
-    "StorageBuffer": "buffer count dtype element id lock offset owner size type",
-    "Texture": "at compressed core descriptor destroyed format id image kind label layers levels lock owner sampled "
-    "sampler samples size texture",
-    "Mesh": "base_instance base_vertex buffers core count data draws element_count first index_count indices instances "
-    "is_indexed keep_vertex_array place_draws create_vertex_array prepared_draws primitive vertex_arrays vertex_count "
-    "vertices view",
-    "Program": "core descriptor destroyed draw_code id label name recorded_code",
-    "OcclusionQuery": "core destroyed emulated id ids label",
-    "QuerySet": "core destroyed emulated id ids label",
-    "TransientMemory": "arguments capacity",
-}
-"""Members that any thread may use: they read what never changes, or create a block, view or recording that is checked
-when it is used. (A member that isn't documented for users, such as `bind_uniform`, belongs to the front end.)"""
-
-INNER = {
-    "Program": "bind bind_current build check check_can_dispatch check_can_draw check_instances check_names "
-    "draw_unprepared draw_with exchange explain find_vertex_array make_current note_retired prepare_draw",
-    "OcclusionQuery": "abandon check_ended check_usable complete cut_off describe discard_answer find_block finish "
-    "mark_submitted write_begin write_end",
-    "QuerySet": "check_conditions check_ended check_rows counted discard_answer draw draw_conditional mark_rows_drawn "
-    "mark_rows_submitted mark_submitted",
-    "TransientMemory": "mark note_retired place_mesh",
-}  # fmt: skip
-"""Members by which the front end's parts call each other, after their checks."""
-
-
-class Everything:
-    """An object of each class."""
-
-    def __init__(self, device: Device) -> None:
-        self.device = device
-        self.buffer, self.other = device.buffer(np.zeros(8, "u4")), device.buffer(np.zeros(8, "u4"))
-        self.large = device.buffer(4096)
-        self.texture, self.second = device.texture(SIZE, Format.RGBA8, levels=None), device.texture(SIZE, Format.RGBA8)
-        self.several = device.texture(SIZE, Format.RGBA8, samples=device.capabilities.sample_counts[-1])
-        self.layered = device.texture(SIZE, Format.RGBA8, kind=TextureKind.D2_ARRAY, layers=2)
-        self.stencil = device.texture(SIZE, Format.D24S8)
-        self.uniform = device.uniform(Tint(color=(1, 1, 1, 1)))
-        self.array = device.uniform_array(Tint, 2)
-        self.storage = device.storage(uint, 4)
-        self.mesh, self.unused = device.mesh(rectangle()), device.mesh(rectangle())
-        self.program, self.tinted = device.program(Colored), device.program(Tinted)
-        self.compute = device.program(Numbered)
-        self.draws = device.storage(uint, 5)
-        self.query, self.queries = device.occlusion_query(), device.query_set(2)
-        self.commands = device.record()
-        with self.commands:
-            self.commands.clear(self.buffer)
-        with device.render_pass(self.texture):
-            with self.query:
-                device.draw(self.program, self.mesh)
-            device.draw_counted(self.program, self.mesh, self.mesh.draws(), self.queries)
-
-
-def use_device(use: Callable[[Device, Any], object], everything: Everything) -> object:
-    """Call one of `USES`."""
-    return use(everything.device, everything)
-
-
-EVERY: dict[str, dict[str, Callable[[Everything], object]]] = {
-    "Device": {
-        **{name: partial(use_device, use) for name, use in USES.items() if name.isidentifier()},
-        "uniform_array": lambda e: e.device.uniform_array(Tint, 1),
-        "program": lambda e: e.device.program(Unseen),
-        "prepare": lambda e: e.device.prepare(e.program),
-        "wait": lambda e: e.device.wait(0),
-        "adopt_texture": lambda e: e.device.adopt_texture(1),
-        "native_texture": lambda e: e.device.native_texture(e.texture),
-        "occlusion_query": lambda e: e.device.occlusion_query(),
-        "query_set": lambda e: e.device.query_set(1),
-        "timers": lambda e: e.device.timers,
-        "statistics": lambda e: e.device.statistics,
-        "reset_statistics": lambda e: e.device.reset_statistics(),
-        "make_current": lambda e: e.device.make_current(),
-        "release_current": lambda e: e.device.release_current(),
-        "dispatch": lambda e: e.device.dispatch(e.compute, 1, numbers=e.storage),
-        "dispatch_indirect": lambda e: e.device.dispatch_indirect(e.compute, e.draws, numbers=e.storage),
-        "draw": lambda e: e.device.draw(e.program, e.unused),
-        "draw_many": lambda e: e.device.draw_many(e.program, e.unused, e.unused.draws()),
-        "draw_clipped": lambda e: e.device.draw_clipped(e.program, e.unused, e.unused.draws(), [(0, 0, 4, 4)]),
-        "draw_counted": lambda e: e.device.draw_counted(e.program, e.unused, e.unused.draws(), e.queries),
-        "draw_conditional": lambda e: e.device.draw_conditional(e.program, e.unused, e.unused.draws(), e.queries),
-        "draw_indirect": lambda e: e.device.draw_indirect(e.program, e.unused, rhi.IndirectDraws(e.draws, 1)),
-    },
-    "Buffer": {
-        "clear": lambda e: e.buffer.clear(1),
-        "copy_to": lambda e: e.buffer.copy_to(e.other),
-        "destroy": lambda e: e.buffer.destroy(),
-        "read": lambda e: e.buffer.read(),
-        "read_async": lambda e: e.buffer.read_async(),
-        "write": lambda e: e.buffer.write(np.ones(8, "u4")),
-    },
-    "UniformBuffer": {
-        "write": lambda e: e.uniform.write(Tint(color=(0, 0, 0, 0))),
-        "destroy": lambda e: e.uniform.destroy(),
-    },
-    "UniformArray": {
-        "write": lambda e: e.array.write(np.zeros(2, e.array.dtype)),
-        "destroy": lambda e: e.array.destroy(),
-    },
-    "StorageBuffer": {
-        "clear": lambda e: e.storage.clear(1),
-        "destroy": lambda e: e.storage.destroy(),
-        "read": lambda e: e.storage.read(),
-        "read_async": lambda e: e.storage.read_async(),
-        "write": lambda e: e.storage.write(np.ones(4, "u4")),
-    },
-    "Texture": {
-        "copy_from_buffer": lambda e: e.texture.copy_from_buffer(e.large),
-        "copy_to": lambda e: e.texture.copy_to(e.second),
-        "copy_to_buffer": lambda e: e.texture.copy_to_buffer(e.large),
-        "destroy": lambda e: e.texture.destroy(),
-        "generate_mipmaps": lambda e: e.texture.generate_mipmaps(),
-        "read": lambda e: e.texture.read(),
-        "read_async": lambda e: e.texture.read_async(),
-        "read_layers": lambda e: e.layered.read_layers(),
-        "read_stencil": lambda e: e.stencil.read_stencil(),
-        "resolve_to": lambda e: e.several.resolve_to(e.second),
-        "write": lambda e: e.texture.write(np.ones((*SIZE, 4), "u1")),
-    },
-    "Mesh": {"destroy": lambda e: e.mesh.destroy()},
-    "Program": {
-        "destroy": lambda e: e.tinted.destroy(),
-        "draw": lambda e: e.program.draw(e.unused),
-    },
-    "OcclusionQuery": {
-        "begin": lambda e: e.query.begin(),
-        "end": lambda e: e.query.end(),
-        "destroy": lambda e: e.query.destroy(),
-        "is_finished": lambda e: e.query.is_finished,
-        "visible_samples": lambda e: e.query.visible_samples,
-        "wait": lambda e: e.query.wait(),
-    },
-    "QuerySet": {
-        "destroy": lambda e: e.queries.destroy(),
-        "is_finished": lambda e: e.queries.is_finished,
-        "visible_samples": lambda e: e.queries.visible_samples,
-        "wait": lambda e: e.queries.wait(),
-    },
-    "TransientMemory": {
-        "mesh": lambda e: e.device.transient.mesh(e.program, rectangle()),
-        "storage": lambda e: e.device.transient.storage(uint, 1),
-        "uniform": lambda e: e.device.transient.uniform(Tint(color=(1, 1, 1, 1))),
-    },
-}
-"""Calls of all other members, by class. With validation each is refused on another thread."""
-
-KINDS = {
-    kind.__name__: kind
-    for kind in (
-        Device, rhi.Buffer, rhi.UniformBuffer, rhi.UniformArray, rhi.StorageBuffer, rhi.Texture, rhi.Mesh, rhi.Program,
-        rhi.OcclusionQuery, rhi.QuerySet, TransientMemory,
-    )
-}  # fmt: skip
-
-
-class Unseen(Numbered):
-    """A shader that no test has made a program of."""
-
-
-@pytest.mark.parametrize("name", EVERY)
-def test_every_public_member_is_examined(name: str) -> None:
-    kind = KINDS[name]
-    members = {member for member in dir(kind) if not member.startswith("_") and not member.isupper()}
-    known = {*SAFE[name].split(), *INNER.get(name, "").split(), *EVERY[name]}
-    assert members <= known, f"{name}: {sorted(members - known)} in no table"
-
-
-@pytest.mark.needs("draws", "compute", "occlusion_queries")
-@pytest.mark.parametrize("kind", EVERY)
-def test_every_member_is_refused_on_another_thread(
-    fresh_device: Device, elsewhere: Elsewhere[Any], kind: str
-) -> None:
-    everything = Everything(fresh_device)
-    fresh_device.finish()
-    image = fresh_device.texture(SIZE, Format.R8)
-    for name, call in EVERY[kind].items():
-        in_pass = name.startswith("draw") or (kind, name) in {("OcclusionQuery", "begin"), ("OcclusionQuery", "end")}
-        with fresh_device.render_pass(image) if in_pass else nullcontext():
-            if name == "end":
-                everything.query.begin()
-            with refuses(rules.DEVICE_THREAD) as refusal:
-                elsewhere(partial(call, everything))
-            if name == "end":
-                everything.query.end()
-        assert "elsewhere_0" in refusal.error.given, name
-    check_working(fresh_device)
-
-
 # -- ends of blocks ---------------------------------------------------------------------------------------------
 
-BLOCKS: dict[str, Callable[[Everything], Any]] = {
+def answered(device: Device) -> rhi.OcclusionQuery:
+    """Return a query that was ended."""
+    query = device.occlusion_query()
+    with device.render_pass(device.texture(SIZE, Format.RGBA8)), query:
+        pass
+    return query
+
+
+BLOCKS: dict[str, Callable[[Resources], Any]] = {
     "states": lambda e: e.device.states(CullMode.NONE),
     "event": lambda e: e.device.event("here"),
     "pass": lambda e: e.device.render_pass(e.texture),
-    "condition": lambda e: e.device.conditional(e.query),
+    "condition": lambda e: e.device.conditional(answered(e.device)),
     "lock": lambda e: e.buffer.lock(Access.WRITE),
     "recording": lambda e: e.device.record(),
 }
@@ -394,8 +202,7 @@ def test_a_block_ends_on_the_thread_of_its_begin(
     fresh_device: Device, elsewhere: Elsewhere[Any], kind: str
 ) -> None:
     """A refused end has no effect: the block is left here afterwards."""
-    everything = Everything(fresh_device)
-    block = BLOCKS[kind](everything)
+    block = BLOCKS[kind](Resources(fresh_device))
     with block:
         with refuses(rules.DEVICE_THREAD) as refusal:
             elsewhere(lambda: block.__exit__(None, None, None))

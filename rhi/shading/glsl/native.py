@@ -11,10 +11,9 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Final, NoReturn
 
-from rhi.errors import CallSite, ShaderError
 from rhi.shading.ir import tree
 from rhi.shading.language import rules
-from rhi.shading.language.source import SourceSpan, show, suggest
+from rhi.shading.language.source import SourceSpan, refuse_at, suggest
 
 __rhi_internal__ = True
 
@@ -53,6 +52,10 @@ def lines_of(
         ShaderError: `shading-native`: a declaration differs from the class.
     """
     native = function.native["glsl"]
+
+    def refuse(line: int, given: str, allowed: str, tip: str = "") -> NoReturn:
+        refuse_at(rules.NATIVE, function.name, function.file, SourceSpan(line), given, allowed, tip)
+
     for offset, line in enumerate(native.body.splitlines()):
         number = native.line + offset if native.line else function.span.line
         text = line
@@ -61,9 +64,7 @@ def lines_of(
         elif group := re.match(_GROUP, line):
             sizes = {"x": 1, "y": 1, "z": 1} | {axis: int(size) for axis, size in re.findall(_SIZE, group[1])}
             if tuple(sizes.values()) != work_group:
-                _refuse(
-                    function, number, f"a work-group of {tuple(sizes.values())}", f"work_group = {work_group}"
-                )
+                refuse(number, f"a work-group of {tuple(sizes.values())}", f"work_group = {work_group}")
             text = ""
         elif found := re.match(_DECLARATION, line):
             direction, type, name = found[1], found[2] + (found[4] or ""), found[3]
@@ -75,22 +76,9 @@ def lines_of(
                     if wanted is None
                     else ""
                 )
-                _refuse(
-                    function, number, f"{direction} {type} {name}", ", ".join(known) or f"no {direction}", tip
-                )
+                refuse(number, f"{direction} {type} {name}", ", ".join(known) or f"no {direction}", tip)
             text = line[: found.start()] + line[found.end() :]
         elif (block := re.match(_BLOCK, line)) and (block[1] != "struct" or block[2] in structs):
             tip = "remove it: the class declares it; a uniform's fields are read as `camera.view`"
-            _refuse(function, number, f"{block[1]} {block[2]}", "declarations of the class", tip)
+            refuse(number, f"{block[1]} {block[2]}", "declarations of the class", tip)
         yield text, number if native.line else 0
-
-
-def _refuse(function: tree.Function, line: int, given: str, allowed: str, tip: str = "") -> NoReturn:
-    raise ShaderError(
-        rules.NATIVE,
-        f"{function.name}\n{show(function.file, SourceSpan(line))}",
-        given,
-        allowed,
-        tip,
-        CallSite(str(function.file), line, function.name),
-    )

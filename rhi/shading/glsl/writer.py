@@ -23,13 +23,12 @@ from rhi.contract.layout import (
     StructType,
     VectorType,
 )
-from rhi.errors import CallSite, ShaderError
 from rhi.shading.glsl.names import Names, legal
 from rhi.shading.ir import tree
 from rhi.shading.ir.text import Lines, power_steps
 from rhi.shading.ir.tree import Expression, Operator
 from rhi.shading.language import rules
-from rhi.shading.language.source import SourceSpan, show
+from rhi.shading.language.source import SourceSpan, refuse_at
 from rhi.shading.language.types import ImageType, TextureType, Type, VoidType, scalar_of
 
 __rhi_internal__ = True
@@ -234,7 +233,7 @@ class Writer:
             and isinstance(node.type, MatrixType)
         ):
             return f"matrixCompMult({left}, {right})"
-        sign = {Operator.AND: "&&", Operator.OR: "||", Operator.MATRIX_MULTIPLY: "*"}.get(op, op.value)
+        sign = {Operator.AND: "&&", Operator.OR: "||", Operator.MATRIX_MULTIPLY: "*"}.get(op, op.sign)
         return f"({left} {sign} {right})"
 
     def floored(self, node: tree.Binary, left: str, right: str) -> str:
@@ -470,13 +469,9 @@ class Writer:
                     if line.strip():
                         self.line(line, SourceSpan(native.line + offset if native.line else node.span.line))
             elif node.native and not node.body:
-                raise ShaderError(
-                    rules.NATIVE,
-                    f"{node.name}\n{show(node.file, node.span)}",
-                    f"no body for GLSL, only for {', '.join(node.native)}",
-                    tip='add @native("glsl", …) or a Python body',
-                    site=CallSite(str(node.file), node.span.line, node.name),
-                )
+                given = f"no body for GLSL, only for {', '.join(node.native)}"
+                tip = 'add @native("glsl", …) or a Python body'
+                refuse_at(rules.NATIVE, node.name, node.file, node.span, given, tip=tip)
             elif count_returns(node.body) > _MOST_RETURNS:
                 self.left_by_break(node)
             else:

@@ -10,13 +10,16 @@
 
 from __future__ import annotations
 
+import ast
 import enum
-from collections.abc import Iterator
+import operator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import Any, Final, TypeAlias
 
 from rhi.contract.descriptors import Stage
 from rhi.contract.layout import StructType
+from rhi.shading.ir import nodes
 from rhi.shading.language.builtins import Builtin, Overload, SideEffect
 from rhi.shading.language.function import Native
 from rhi.shading.language.shader import Declaration
@@ -30,34 +33,51 @@ __rhi_internal__ = True
 
 
 class Operator(enum.Enum):
-    """Operators on values of one type, or on a scalar and a vector or matrix by component."""
+    """Operators on values of one type, or on a scalar and a vector or matrix by component.
 
-    ADD = "+"
-    SUBTRACT = "-"
-    MULTIPLY = "*"
-    DIVIDE = "/"
-    FLOOR_DIVIDE = "//"
-    MODULO = "%"
-    POWER = "**"
-    MATRIX_MULTIPLY = "@"
-    BIT_AND = "&"
-    BIT_OR = "|"
-    BIT_XOR = "^"
-    SHIFT_LEFT = "<<"
-    SHIFT_RIGHT = ">>"
-    EQUAL = "=="
-    NOT_EQUAL = "!="
-    LESS = "<"
-    LESS_EQUAL = "<="
-    GREATER = ">"
-    GREATER_EQUAL = ">="
-    NEGATE = "neg"
-    INVERT = "~"
-    NOT = "not"
-    AND = "and"
-    OR = "or"
+    Attributes:
+        sign: the operator in Python.
+        syntax: its class in Python's syntax tree.
+        fold: the function that computes it from constants.
+        primitive: its name in lane code (`rhi.shading.ir.primitives`), "" if it takes more than one operation.
+    """
+
+    ADD = "+", ast.Add, operator.add, "add"
+    SUBTRACT = "-", ast.Sub, operator.sub, "subtract"
+    MULTIPLY = "*", ast.Mult, operator.mul, "multiply"
+    DIVIDE = "/", ast.Div, operator.truediv, "divide"
+    FLOOR_DIVIDE = "//", ast.FloorDiv, operator.floordiv, "floor_divide"
+    MODULO = "%", ast.Mod, operator.mod, "modulo"
+    POWER = "**", ast.Pow, operator.pow, ""
+    MATRIX_MULTIPLY = "@", ast.MatMult, operator.matmul, ""
+    BIT_AND = "&", ast.BitAnd, operator.and_, "and"
+    BIT_OR = "|", ast.BitOr, operator.or_, "or"
+    BIT_XOR = "^", ast.BitXor, operator.xor, "xor"
+    SHIFT_LEFT = "<<", ast.LShift, operator.lshift, "shift_left"
+    SHIFT_RIGHT = ">>", ast.RShift, operator.rshift, "shift_right"
+    EQUAL = "==", ast.Eq, operator.eq, "equal"
+    NOT_EQUAL = "!=", ast.NotEq, operator.ne, "not_equal"
+    LESS = "<", ast.Lt, operator.lt, "less"
+    LESS_EQUAL = "<=", ast.LtE, operator.le, "less_equal"
+    GREATER = ">", ast.Gt, operator.gt, "greater"
+    GREATER_EQUAL = ">=", ast.GtE, operator.ge, "greater_equal"
+    NEGATE = "neg", ast.USub, operator.neg, "negate"
+    INVERT = "~", ast.Invert, operator.invert, "invert"
+    NOT = "not", ast.Not, operator.not_, "not"
+    AND = "and", ast.And, lambda a, b: a and b, ""
+    OR = "or", ast.Or, lambda a, b: a or b, ""
+
+    def __init__(self, sign: str, syntax: type[ast.AST], fold: Callable[..., Any], primitive: str) -> None:
+        self.sign = sign
+        self.syntax = syntax
+        self.fold = fold
+        self.primitive = primitive
 
     __hash__ = object.__hash__
+
+
+OPERATORS: Final = {op.syntax: op for op in Operator}
+"""The operators by their classes in Python's syntax tree."""
 
 
 @dataclass(slots=True, eq=False)
@@ -340,27 +360,9 @@ def may_overflow(loop: For) -> bool:
 # -- walking -----------------------------------------------------------------------------------------------
 
 
-def parts_of(node: Expression) -> tuple[Expression, ...]:
-    """Return the direct operands of an expression."""
-    match node:
-        case Member(base=base) | Swizzle(base=base) | Length(base=base):
-            return (base,)
-        case Index(base=base, index=index):
-            return (base, index)
-        case Unary(operand=operand):
-            return (operand,)
-        case Binary(left=left, right=right):
-            return (left, right)
-        case Select(condition=condition, then=then, otherwise=otherwise):
-            return (condition, then, otherwise)
-        case Convert(value=value):
-            return (value,)
-        case Construct(parts=parts) | ConstantArray(elements=parts):
-            return parts
-        case Call(arguments=arguments) | BuiltinCall(arguments=arguments):
-            return arguments
-        case _:
-            return ()
+def parts_of(node: Expression | Statement) -> tuple[Expression, ...]:
+    """Return the direct operands of an expression or statement."""
+    return nodes.operands(node, "Expression")
 
 
 def left_chain(node: Binary) -> list[Binary]:
@@ -392,14 +394,7 @@ def has_early_return(body: Block) -> bool:
 
 
 def _returns(statement: Statement) -> bool:
-    match statement:
-        case Return():
-            return True
-        case If(then=then, otherwise=otherwise):
-            return any(map(_returns, then)) or any(map(_returns, otherwise))
-        case For(body=body) | While(body=body):
-            return any(map(_returns, body))
-    return False
+    return any(isinstance(part, Return) for part in nodes.walk([statement]))
 
 
 def root_of(lvalue: Expression) -> Expression:
@@ -411,28 +406,11 @@ def root_of(lvalue: Expression) -> Expression:
 
 def walk(block: Block) -> Iterator[Statement | Expression]:
     """Yield all statements and expressions of a block. Of the target of an assignment only the indices are included."""
-    for statement in block:
+    for statement in nodes.walk(block):
         yield statement
-        match statement:
-            case Declare(value=value) | Return(value=value):
-                if value is not None:
-                    yield from _expressions(value)
-            case Evaluate(value=value):
-                yield from _expressions(value)
-            case Assign(target=target, value=value):
-                yield from _indices(target)
-                yield from _expressions(value)
-            case If(condition=condition, then=then, otherwise=otherwise):
-                yield from _expressions(condition)
-                yield from walk(then)
-                yield from walk(otherwise)
-            case For(start=start, stop=stop, step=step, body=body):
-                for bound in (start, stop, step):
-                    yield from _expressions(bound)
-                yield from walk(body)
-            case While(condition=condition, body=body):
-                yield from _expressions(condition)
-                yield from walk(body)
+        for part in parts_of(statement):
+            is_target = isinstance(statement, Assign) and part is statement.target
+            yield from _indices(part) if is_target else _expressions(part)
 
 
 def _indices(lvalue: Expression) -> Iterator[Expression]:
@@ -447,4 +425,4 @@ def _expressions(node: Expression) -> Iterator[Expression]:
     while stack:
         node = stack.pop()
         yield node
-        stack.extend(reversed(parts_of(node)))
+        stack += parts_of(node)[::-1]

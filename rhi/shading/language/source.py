@@ -148,14 +148,15 @@ class Source:
     ) -> NoReturn:
         """Raise a `ShaderError` that shows the source line of `at` with carets below it."""
         span = at if isinstance(at, SourceSpan) else span_of(at)
-        raise ShaderError(
-            rule,
-            f"{self.name}\n{show(self.file, span)}",
-            given,
-            allowed,
-            tip,
-            CallSite(str(self.file), span.line, self.name),
-        )
+        refuse_at(rule, self.name, self.file, span, given, allowed, tip)
+
+
+def refuse_at(
+    rule: Rule, function: str, file: str, span: SourceSpan, given: str, allowed: str = "", tip: str = ""
+) -> NoReturn:
+    """Raise a `ShaderError` that shows the source line of a span of a function."""
+    site = CallSite(str(file), span.line, function)
+    raise ShaderError(rule, f"{function}\n{show(file, span)}", given, allowed, tip, site)
 
 
 def show(file: str, span: SourceSpan) -> str:

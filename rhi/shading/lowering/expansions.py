@@ -13,6 +13,7 @@ from functools import cache
 from typing import Final, TypeAlias
 
 from rhi.shading.ir.lanes import ScalarKind, Value, apply, literal
+from rhi.shading.ir.tree import OPERATORS
 from rhi.shading.language.builtins import BUILTINS, Builtin
 
 __rhi_internal__ = True
@@ -42,13 +43,6 @@ def _if(condition: Value, then: Value, otherwise: Value) -> Value:
 
 
 # -- expressions -------------------------------------------------------------------------------------------
-
-_OPERATORS: Final[dict[type[ast.AST], str]] = {
-    ast.Add: "add", ast.Sub: "subtract", ast.Mult: "multiply", ast.Div: "divide", ast.USub: "negate", ast.Not: "not",
-    ast.Eq: "equal", ast.NotEq: "not_equal", ast.Lt: "less", ast.LtE: "less_equal", ast.Gt: "greater",
-    ast.GtE: "greater_equal",
-}  # fmt: skip
-
 
 @cache
 def _parse(text: str) -> ast.expr:
@@ -80,11 +74,11 @@ class _ExpressionExpansion:
             case ast.Constant(value=bool() | int() | float() as value):
                 return [literal(value, self.kind)]
             case ast.BinOp(left=left, op=op, right=right):
-                return self.apply(_OPERATORS[type(op)], left, right)
+                return self.apply(OPERATORS[type(op)].primitive, left, right)
             case ast.UnaryOp(op=op, operand=operand):
-                return self.apply(_OPERATORS[type(op)], operand)
+                return self.apply(OPERATORS[type(op)].primitive, operand)
             case ast.Compare(left=left, ops=[op], comparators=[right]):
-                return self.apply(_OPERATORS[type(op)], left, right)
+                return self.apply(OPERATORS[type(op)].primitive, left, right)
             case ast.IfExp(test=test, body=body, orelse=otherwise):
                 return self.apply("select", test, body, otherwise)
             case ast.Attribute(value=base, attr=letters):

@@ -43,25 +43,6 @@ from rhi.shading.lowering.scopes import ScopeLowering
 
 __rhi_internal__ = True
 
-_OPERATIONS: Final = {
-    Operator.ADD: "add",
-    Operator.SUBTRACT: "subtract",
-    Operator.MULTIPLY: "multiply",
-    Operator.DIVIDE: "divide",
-    Operator.BIT_AND: "and",
-    Operator.BIT_OR: "or",
-    Operator.BIT_XOR: "xor",
-    Operator.EQUAL: "equal",
-    Operator.NOT_EQUAL: "not_equal",
-    Operator.LESS: "less",
-    Operator.LESS_EQUAL: "less_equal",
-    Operator.GREATER: "greater",
-    Operator.GREATER_EQUAL: "greater_equal",
-    Operator.NEGATE: "negate",
-    Operator.INVERT: "invert",
-    Operator.NOT: "not",
-}
-
 DEEPEST_VALUE: Final = 24
 """The most operations that nest in one expression of a text: C's compilers and Python's parser limit brackets."""
 
@@ -132,7 +113,7 @@ class ExpressionLowering(ScopeLowering):
                     lanes.ElementCount(ScalarKind.INT, Uniformity.DISPATCH, self.memory(base.declaration))
                 ]
             case tree.Unary(operator=operator, operand=operand):
-                return self.shallow([apply(_OPERATIONS[operator], value) for value in self.lower(operand)])
+                return self.shallow([apply(operator.primitive, value) for value in self.lower(operand)])
             case tree.Binary():
                 return self.binary(node)
             case tree.Select(condition=condition, then=then, otherwise=otherwise):
@@ -349,9 +330,8 @@ class ExpressionLowering(ScopeLowering):
         if op in (Operator.FLOOR_DIVIDE, Operator.MODULO):
             return [self.floored(op is Operator.FLOOR_DIVIDE, a, b) for a, b in pairs]
         if op in (Operator.SHIFT_LEFT, Operator.SHIFT_RIGHT):
-            name = "shift_left" if op is Operator.SHIFT_LEFT else "shift_right"
-            return [apply(name, a, self.convert(b, a.kind)) for a, b in pairs]
-        results = [apply(_OPERATIONS[op], a, b) for a, b in pairs]
+            return [apply(op.primitive, a, self.convert(b, a.kind)) for a, b in pairs]
+        results = [apply(op.primitive, a, b) for a, b in pairs]
         if op is Operator.EQUAL:
             return all_of(self.let, results)
         return any_of(self.let, results) if op is Operator.NOT_EQUAL else results

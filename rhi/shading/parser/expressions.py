@@ -47,34 +47,6 @@ from rhi.shading.parser.signatures import Callee
 
 __rhi_internal__ = True
 
-BINARY: Final[dict[type[ast.operator], Operator]] = {
-    ast.Add: Operator.ADD,
-    ast.Sub: Operator.SUBTRACT,
-    ast.Mult: Operator.MULTIPLY,
-    ast.Div: Operator.DIVIDE,
-    ast.FloorDiv: Operator.FLOOR_DIVIDE,
-    ast.Mod: Operator.MODULO,
-    ast.Pow: Operator.POWER,
-    ast.MatMult: Operator.MATRIX_MULTIPLY,
-    ast.BitAnd: Operator.BIT_AND,
-    ast.BitOr: Operator.BIT_OR,
-    ast.BitXor: Operator.BIT_XOR,
-    ast.LShift: Operator.SHIFT_LEFT,
-    ast.RShift: Operator.SHIFT_RIGHT,
-}
-_UNARY: Final[dict[type[ast.unaryop], Operator]] = {
-    ast.USub: Operator.NEGATE,
-    ast.Invert: Operator.INVERT,
-    ast.Not: Operator.NOT,
-}
-_COMPARE: Final[dict[type[ast.cmpop], Operator]] = {
-    ast.Eq: Operator.EQUAL,
-    ast.NotEq: Operator.NOT_EQUAL,
-    ast.Lt: Operator.LESS,
-    ast.LtE: Operator.LESS_EQUAL,
-    ast.Gt: Operator.GREATER,
-    ast.GtE: Operator.GREATER_EQUAL,
-}
 _ORDER_FUNCTIONS: Final = {
     "<": "less_than",
     "<=": "less_than_equal",
@@ -224,11 +196,11 @@ class ExpressionParser:
         operand = self.expression(node.operand)
         if isinstance(node.op, ast.UAdd):
             return operand
-        op = _UNARY[type(node.op)]
+        op = tree.OPERATORS[type(node.op)]
         result = unary(op, operand, span_of(node))
         if result is None:
             tip = "use invert(v)" if op is Operator.NOT and isinstance(operand.type, VectorType) else ""
-            self.refuse(rules.WRONG_TYPE, node, f"{op.value} {operand.type}", tip=tip)
+            self.refuse(rules.WRONG_TYPE, node, f"{op.sign} {operand.type}", tip=tip)
         return result
 
     def _binop(self, node: ast.BinOp) -> Expression:
@@ -237,7 +209,7 @@ class ExpressionParser:
             chain.append(chain[-1].left)
         result = self.expression(chain[-1].left)
         for one in reversed(chain):
-            result = self.binary(BINARY[type(one.op)], result, self.expression(one.right), one)
+            result = self.binary(tree.OPERATORS[type(one.op)], result, self.expression(one.right), one)
         return result
 
     def binary(self, op: Operator, left: Expression, right: Expression, at: ast.AST) -> Expression:
@@ -252,7 +224,7 @@ class ExpressionParser:
             self.refuse(
                 rules.WRONG_TYPE,
                 at,
-                f"{left.type} {op.value} {right.type}",
+                f"{left.type} {op.sign} {right.type}",
                 tip=_operator_tip(op, left, right),
             )
         return result
@@ -286,12 +258,12 @@ class ExpressionParser:
         left = self.expression(node.left)
         results = []
         for index, (op, right_node) in enumerate(zip(node.ops, node.comparators, strict=True)):
-            if type(op) not in _COMPARE:
+            if type(op) not in tree.OPERATORS:
                 self.refuse(rules.SYNTAX, node, f"`{ast.unparse(node)}`", "== != < <= > >=")
             right = self.expression(right_node)
             if index + 1 < len(node.ops) and tree.has_effect(right):
                 self.refuse(rules.EVALUATED_TWICE, right_node)
-            results.append(self.binary(_COMPARE[type(op)], left, right, node))
+            results.append(self.binary(tree.OPERATORS[type(op)], left, right, node))
             left = right
         result = self._join(Operator.AND, results, node)
         assert result is not None
@@ -458,8 +430,8 @@ def _conversion_tip(source: Type, target: Type) -> str:
 def _operator_tip(op: Operator, left: Expression, right: Expression) -> str:
     a, b = scalar_of(left.type), scalar_of(right.type)
     vectors = isinstance(left.type, VectorType) or isinstance(right.type, VectorType)
-    if op.value in _ORDER_FUNCTIONS and vectors:
-        return f"use {_ORDER_FUNCTIONS[op.value]}(a, b), which compares by component"
+    if op.sign in _ORDER_FUNCTIONS and vectors:
+        return f"use {_ORDER_FUNCTIONS[op.sign]}(a, b), which compares by component"
     if op is Operator.MATRIX_MULTIPLY:
         if isinstance(left.type, MatrixType) and isinstance(right.type, VectorType):
             size = left.type.size

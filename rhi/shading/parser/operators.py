@@ -8,9 +8,7 @@
 
 from __future__ import annotations
 
-import operator
-from collections.abc import Callable
-from typing import Any, Final
+from typing import Final
 
 from rhi.contract.layout import BOOL, FLOAT, INT, UINT, MatrixType, ScalarType, VectorType
 from rhi.shading.ir.tree import Binary, Constant, Construct, Convert, Expression, Operator, Unary
@@ -19,28 +17,6 @@ from rhi.shading.language.types import Type, converts, scalar_of, with_scalar
 
 __rhi_internal__ = True
 
-_FOLD: Final[dict[Operator, Callable[[Any, Any], Any]]] = {
-    Operator.ADD: operator.add,
-    Operator.SUBTRACT: operator.sub,
-    Operator.MULTIPLY: operator.mul,
-    Operator.DIVIDE: operator.truediv,
-    Operator.FLOOR_DIVIDE: operator.floordiv,
-    Operator.MODULO: operator.mod,
-    Operator.POWER: operator.pow,
-    Operator.BIT_AND: operator.and_,
-    Operator.BIT_OR: operator.or_,
-    Operator.BIT_XOR: operator.xor,
-    Operator.SHIFT_LEFT: operator.lshift,
-    Operator.SHIFT_RIGHT: operator.rshift,
-    Operator.EQUAL: operator.eq,
-    Operator.NOT_EQUAL: operator.ne,
-    Operator.LESS: operator.lt,
-    Operator.LESS_EQUAL: operator.le,
-    Operator.GREATER: operator.gt,
-    Operator.GREATER_EQUAL: operator.ge,
-    Operator.AND: lambda a, b: a and b,
-    Operator.OR: lambda a, b: a or b,
-}
 BITWISE: Final = frozenset({Operator.BIT_AND, Operator.BIT_OR, Operator.BIT_XOR})
 _DIVISIONS: Final = frozenset({Operator.DIVIDE, Operator.FLOOR_DIVIDE, Operator.MODULO})
 SHIFTS: Final = frozenset({Operator.SHIFT_LEFT, Operator.SHIFT_RIGHT})
@@ -75,9 +51,7 @@ def unary(op: Operator, operand: Expression, span: SourceSpan) -> Expression | N
     if not allowed:
         return None
     if isinstance(operand, Constant) and operand.type is not UINT:
-        value = operand.value
-        result = not value if op is Operator.NOT else ~int(value) if op is Operator.INVERT else -value
-        return Constant(operand.type, span, result, operand.literal)
+        return Constant(operand.type, span, op.fold(operand.value), operand.literal)
     return Unary(operand.type, span, op, operand)
 
 
@@ -104,7 +78,7 @@ def binary(op: Operator, left: Expression, right: Expression, span: SourceSpan) 
         if not 0 <= count < 32:
             raise ValueError(f"a shift by {count}")
     if isinstance(node.left, Constant) and isinstance(node.right, Constant):
-        value = _FOLD[op](node.left.value, node.right.value)
+        value = op.fold(node.left.value, node.right.value)
         literal = node.type is INT and getattr(left, "literal", False) and getattr(right, "literal", False)
         if node.type is UINT:
             value &= 0xFFFFFFFF

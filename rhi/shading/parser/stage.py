@@ -15,12 +15,11 @@ from typing import Final
 
 from rhi.contract.descriptors import Stage
 from rhi.contract.layout import INT, ArrayType, StructType
-from rhi.errors import CallSite, ShaderError
 from rhi.shading.ir import tree
 from rhi.shading.language import rules
 from rhi.shading.language.builtins import Builtin, SideEffect
 from rhi.shading.language.shader import Shader, StorageClass
-from rhi.shading.language.source import Source, show, span_of
+from rhi.shading.language.source import Source, refuse_at, span_of
 from rhi.shading.language.types import StorageType, Type, count_scalars, has_array
 from rhi.shading.parser.signatures import Callee, UnsizedArray, find_method
 from rhi.shading.parser.statements import FunctionParser
@@ -146,14 +145,8 @@ def _collect(
                         if isinstance(root, tree.BindingRead):
                             stored.add(root.declaration.name)
                 case tree.Constant(type=type, value=value) if type is INT and not -(2**31) <= value < 2**31:
-                    raise ShaderError(
-                        rules.OUT_OF_RANGE,
-                        f"{function.name}\n{show(function.file, node.span)}",
-                        str(value),
-                        "an int of 32 bits",
-                        "write uint(…) for numbers above 2147483647",
-                        CallSite(str(function.file), node.span.line, function.name),
-                    )
+                    allowed, tip = "an int of 32 bits", "write uint(…) for numbers above 2147483647"
+                    refuse_at(rules.OUT_OF_RANGE, function.name, function.file, node.span, str(value), allowed, tip)
     _check_locals(stage, entry, finished, shader)
     bindings = tuple(d for d in shader._declared.values() if d.name in declared)
     for declaration in bindings:
@@ -193,14 +186,8 @@ def _check_locals(
     invocations = math.prod(shader.work_group) if stage is Stage.COMPUTE else PIXELS
     if words[entry] * invocations > MAX_STACK:
         given = f"arrays of {words[entry]} numbers, those of every call included, for each of {invocations} invocations"
-        raise ShaderError(
-            rules.TOO_LARGE,
-            f"{entry.name}\n{show(entry.file, entry.span)}",
-            given,
-            f"up to {MAX_STACK} numbers together",
-            "use smaller work-groups, or a buffer: StorageRW[…]",
-            CallSite(str(entry.file), entry.span.line, entry.name),
-        )
+        allowed, tip = f"up to {MAX_STACK} numbers together", "use smaller work-groups, or a buffer: StorageRW[…]"
+        refuse_at(rules.TOO_LARGE, entry.name, entry.file, entry.span, given, allowed, tip)
 
 
 def _add_structs(type: Type, structs: dict[StructType, None]) -> None:

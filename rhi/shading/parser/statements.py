@@ -26,7 +26,7 @@ from rhi.shading.language.shader import StorageClass
 from rhi.shading.language.source import SourceSpan, span_of
 from rhi.shading.language.types import VOID, StorageType, Type
 from rhi.shading.parser.calls import CallParser
-from rhi.shading.parser.expressions import BINARY, StageContext
+from rhi.shading.parser.expressions import StageContext
 from rhi.shading.parser.operators import convert
 from rhi.shading.parser.signatures import Callee, evaluate_annotation
 
@@ -305,7 +305,7 @@ class FunctionParser(CallParser):
         target = self._assignment_target(node.target)
         if tree.has_effect(target):
             self.refuse(rules.EVALUATED_TWICE, node.target)
-        value = self.binary(BINARY[type(node.op)], target, self.expression(node.value), node)
+        value = self.binary(tree.OPERATORS[type(node.op)], target, self.expression(node.value), node)
         if isinstance(node.target, ast.Name):
             self._assign_name(node.target, value, node)
             return

@@ -24,32 +24,14 @@ from numpy.typing import NDArray
 
 import rhi
 from rhi import (
-    BlendColor,
-    BlendFactor,
     BlendFunction,
-    BlendOperation,
-    ColorWrite,
-    Comparison,
     CullMode,
-    DepthFunction,
-    DepthTest,
-    DepthWrite,
     Device,
     Format,
-    FrontFace,
     Primitive,
-    Scissor,
-    State,
-    StencilBack,
-    StencilFront,
-    StencilOperation,
-    StencilReadMask,
-    StencilReference,
-    StencilTest,
-    StencilWriteMask,
     Viewport,
 )
-from rhi.conformance.shaders import Colored, FlatColored
+from rhi.conformance.shaders import FlatColored
 from rhi.conformance.shapes import corners, window_to_clip
 from rhi.contract.texels import decode
 from rhi.shading import Shader
@@ -203,33 +185,6 @@ def test_triangles_beyond_the_target_cover_what_whole_numbers_say(devices: Devic
     assert different <= pixels / 50_000, (different, pixels)
 
 
-def test_depth_and_color_of_random_triangles_agree(devices: Devices) -> None:
-    """Triangles in layers of depth, so that rounding doesn't decide which one is nearest."""
-    for seed in range(4):
-        places = random_triangles(200, seed, reach=1.0)
-        layer = np.linspace(0.05, 0.95, 200)[:, None] * places[..., 3]
-        places[..., 2] = layer + places[..., 3] * np.random.default_rng(seed).uniform(0, 0.004, (200, 3))
-        color = np.random.default_rng(seed).random((600, 4))
-        rows = corners(places.reshape(-1, 4), color)
-        results = []
-        for device in devices:
-            with (
-                device.texture(SIZE, Format.RGBA8) as image,
-                device.texture(SIZE, Format.D32F) as depth,
-                device.mesh(rows) as mesh,
-            ):
-                with (
-                    device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.0),
-                    device.states(CullMode.NONE),
-                ):
-                    device.draw(device.program(Colored), mesh)
-                results.append((image.read().astype(int), depth.read()))
-        (gl_color, gl_depth), (cl_color, cl_depth) = results
-        same = np.abs(gl_depth - cl_depth) <= 1e-5
-        assert (~same).sum() <= gl_depth.size / 100_000
-        assert np.abs(gl_color - cl_color)[same].max() <= 2
-
-
 @pytest.mark.parametrize("samples", [4])
 def test_samples_of_random_triangles_agree(devices: Devices, samples: int) -> None:
     """Both have the same sample positions, so the covered share of each pixel is the same."""
@@ -274,77 +229,6 @@ def test_lines_and_points_cover_the_same_pixels(devices: Devices, primitive: Pri
         different[y, x] = False
     assert images[0].sum() > 190
     assert different.sum() <= images[0].sum() / (1e9 if primitive is Primitive.POINTS else 400)
-
-
-# -- random states -------------------------------------------------------------------------------------------
-
-FACTORS, OPERATIONS = st.sampled_from(BlendFactor), st.sampled_from(BlendOperation)
-STENCIL = [st.sampled_from(Comparison), *[st.sampled_from(StencilOperation)] * 3]
-BYTE = st.integers(0, 255)
-UNIT = st.floats(0, 1, width=32)
-STATES: dict[type, st.SearchStrategy[Any]] = {
-    CullMode: st.sampled_from(CullMode),
-    FrontFace: st.sampled_from(FrontFace),
-    DepthTest: st.sampled_from(DepthTest),
-    DepthWrite: st.sampled_from(DepthWrite),
-    DepthFunction: st.sampled_from(DepthFunction),
-    ColorWrite: st.builds(ColorWrite, *[st.booleans()] * 4),
-    BlendFunction: st.builds(
-        BlendFunction, FACTORS, FACTORS, OPERATIONS, st.none() | FACTORS, st.none() | FACTORS, st.none() | OPERATIONS
-    ),
-    BlendColor: st.builds(BlendColor, UNIT, UNIT, UNIT, UNIT),
-    StencilTest: st.sampled_from(StencilTest),
-    StencilFront: st.builds(StencilFront, *STENCIL),
-    StencilBack: st.builds(StencilBack, *STENCIL),
-    StencilReference: st.builds(StencilReference, BYTE, BYTE),
-    StencilReadMask: st.builds(StencilReadMask, BYTE, BYTE),
-    StencilWriteMask: st.builds(StencilWriteMask, BYTE, BYTE),
-    Scissor: st.builds(Scissor, *[st.integers(-4, 20)] * 2, *[st.integers(0, 30)] * 2),
-    Viewport: st.builds(
-        Viewport, *[st.integers(-8, 16)] * 2, *[st.sampled_from([0, 8, 16, 32, 64])] * 2,
-        *[st.sampled_from([0.0, 0.25, 1.0])] * 2,
-    ),
-}  # fmt: skip
-
-
-@st.composite
-def draws(draw: st.DrawFn) -> list[tuple[tuple[State, ...], NDArray[Any]]]:
-    """Return some draws, each with its own states and the triangles of two rectangles on a grid of 1/16 pixel, at
-    depths that any device interpolates exactly."""
-    made = []
-    for _ in range(draw(st.integers(1, 4))):
-        chosen = draw(st.lists(st.sampled_from(list(STATES)), unique=True, max_size=8))
-        states = tuple(draw(STATES[state]) for state in chosen)
-        rng = np.random.default_rng(draw(st.integers(0, 999)))
-        points = rng.integers(0, 513, (12, 2)) / 16  # within the viewport: gl cuts what reaches beyond
-        depth = np.repeat(rng.choice([0.25, 0.5, 0.75], 4), 3)
-        color = np.repeat(rng.random((4, 4)), 3, axis=0)
-        made.append((states or (CullMode.BACK,), corners(window_to_clip(points, (32, 32)), color, depth)))
-    return made
-
-
-@settings(max_examples=4)  # of up to eight states each
-@given(given_draws=draws())
-def test_random_states_give_the_same_targets(
-    devices: Devices, given_draws: list[tuple[tuple[State, ...], NDArray[Any]]]
-) -> None:
-    results = []
-    for device in devices:
-        with (
-            device.texture((32, 32), Format.RGBA8) as image,
-            device.texture((32, 32), Format.D24S8) as depth,
-        ):
-            with device.render_pass(
-                image, depth, clear=(0.2, 0.4, 0.6, 0.8), clear_depth=0.5, clear_stencil=100
-            ):
-                for states, rows in given_draws:
-                    with device.mesh(rows) as mesh, device.states(*states):
-                        device.draw(device.program(FlatColored), mesh)
-            results.append((image.read().astype(int), depth.read(), depth.read_stencil()))
-    (gl_color, gl_depth, gl_stencil), (cl_color, cl_depth, cl_stencil) = results
-    np.testing.assert_array_equal(gl_stencil, cl_stencil)
-    np.testing.assert_allclose(gl_depth, cl_depth, atol=1e-5)
-    assert np.abs(gl_color - cl_color).max() <= 2
 
 
 # -- levels ----------------------------------------------------------------------------------------------------

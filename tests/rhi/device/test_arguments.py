@@ -9,44 +9,20 @@ import dataclasses
 import enum
 import inspect
 from collections.abc import Iterator
-from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
 import pytest
-from argument_samples import NOT_USED, SAMPLES, House, Sample
+from calls import CLASSES, INTERNAL, NOT_USED, SAMPLES, House, check_drawing, given_arguments, run
 
 import rhi
-from rhi.conformance.compare import assert_same
 from rhi.conformance.shapes import rectangle
 from rhi.contract.states import STATE_TYPES
 
-CLASSES: list[Any] = [
-    rhi.Device, rhi.CommandBuffer, rhi.TransientMemory, rhi.Buffer, rhi.UniformBuffer, rhi.UniformArray,
-    rhi.StorageBuffer, rhi.Texture, rhi.Mesh, rhi.TransientMesh, rhi.Program, rhi.OcclusionQuery, rhi.QuerySet,
-    rhi.Immediate, rhi.ColorWrite, rhi.BlendFunction,
-]  # fmt: skip
 VALUES: list[Any] = [
     rhi.Region, rhi.SamplerDescriptor, rhi.IndirectDraws, rhi.TextureTarget, rhi.Sampler, rhi.FixedStack,
     rhi.FixedQueue, rhi.ProgramDescriptor, *(kind for kind in STATE_TYPES if dataclasses.is_dataclass(kind)),
 ]  # fmt: skip
-INTERNAL = {
-    "CommandBuffer": {"note_retired"},
-    "TransientMemory": {"mark", "note_retired", "place_mesh"},
-    "Mesh": {"create_vertex_array", "place_draws"},
-    "TransientMesh": {"create_vertex_array", "place_draws"},
-    "Program": {
-        "build", "check", "check_can_dispatch", "check_can_draw", "check_instances", "check_names", "draw_unprepared",
-        "exchange", "explain", "find_vertex_array", "prepare_draw",
-    },
-    "OcclusionQuery": {"check_ended", "check_usable", "finish", "mark_submitted", "write_begin", "write_end"},
-    "QuerySet": {
-        "check_conditions", "check_ended", "check_rows", "draw", "draw_conditional", "mark_rows_drawn",
-        "mark_rows_submitted", "mark_submitted",
-    },
-}  # fmt: skip
-"""Methods that the package's own modules call on each other."""
-
 EXTRA = {"args", "bindings", "fields", "options"}
 """Parameters that stand for any number of others; samples name those of their own program."""
 PLAIN: dict[str, Any] = {
@@ -77,37 +53,6 @@ def street(request: pytest.FixtureRequest) -> Iterator[tuple[House, dict[str, An
         wrong["a binding"] = house.image.sampled(house.sampler)
         wrong["the device"] = device
         yield house, wrong
-
-
-def run(house: House, sample: Sample, arguments: dict[str, Any]) -> None:
-    """Make a call, and enter and leave the scope that it returns; destroy what it creates, but no view."""
-    with ExitStack() as stack:
-        sample.within(house, stack)
-        made = sample.call(house, **arguments)
-        if sample.enters:
-            with made:
-                pass
-        viewed = getattr(made, "owner", None) or getattr(getattr(made, "data", None), "vertices", None)
-        if hasattr(made, "destroy") and not house.owns(viewed) and viewed is not house.mesh.vertices:
-            made.destroy()
-
-
-def given_arguments(house: House, sample: Sample) -> dict[str, Any]:
-    made = {name: value for name, (value, _) in sample.parameters.items()}
-    return {
-        name: value(house) if inspect.isfunction(value) else value for name, value in made.items()
-    }
-
-
-def check_drawing(house: House) -> None:
-    """Check that the device draws, and that no draw before it left anything that shifts or hides this one."""
-    device = house.device
-    assert not device.transient._core.locked
-    with device.render_pass(house.target, clear=(0, 0, 0, 0)):
-        device.draw(house.program, house.mesh, tint=house.tint)
-        device.draw(house.plain, house.mesh)
-    if device.capabilities.renders:
-        assert_same(house.target.read(), 255)
 
 
 @pytest.mark.parametrize("name", SAMPLES)

@@ -14,11 +14,18 @@ from typing_extensions import Buffer as BytesLike
 
 from rhi.backends.null.draws import ExecutedIndirectDraws
 from rhi.backends.null.execution import DrawOutcome, ExecutionState
-from rhi.backends.null.programs import Programs
 from rhi.backends.null.simulation.cost import CommandWork, CostModel, count_primitives
 from rhi.backends.null.textures import Textures
 from rhi.commands.ops import Op
-from rhi.contract.descriptors import Attachment, DepthAttachment, Id, PassDescriptor, Primitive, Region
+from rhi.contract.descriptors import (
+    Attachment,
+    DepthAttachment,
+    Id,
+    PassDescriptor,
+    Primitive,
+    ProgramDescriptor,
+    Region,
+)
 from rhi.contract.states import Scissor, StateChange, Viewport
 
 __rhi_internal__ = True
@@ -34,11 +41,10 @@ class WorkMeter:
     """
 
     def __init__(
-        self, cost: CostModel, textures: Textures, programs: Programs, state: ExecutionState
+        self, cost: CostModel, textures: Textures, state: ExecutionState
     ) -> None:
         self._cost = cost
         self._textures = textures
-        self._programs = programs
         self._state = state
         self._begun: PassDescriptor | None = None
         self._known_area: tuple[tuple[object, object, object], int] = ((None, None, None), 0)
@@ -150,8 +156,8 @@ class WorkMeter:
         return region.width * region.height * region.layers * texel
 
     def _work_group(self) -> int:
-        program = self._programs.programs.get(self._state.program)
-        x, y, z = program.work_group if program is not None else (1, 1, 1)
+        program = self._state.resources.get(self._state.program)
+        x, y, z = program.work_group if isinstance(program, ProgramDescriptor) else (1, 1, 1)
         return x * y * z
 
     def _pixels(self, primitives: int) -> float:

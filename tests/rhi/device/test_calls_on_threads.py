@@ -1,0 +1,118 @@
+"""Every public call of a device with validation is refused on another thread, in the null device: the check is the
+front end's own, in front of all backends."""
+
+from __future__ import annotations
+
+import contextlib
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import replace
+
+import calls
+import pytest
+from calls import CLASSES, INTERNAL, SAMPLES, Doubled, House, check_drawing, given_arguments, in_pass, run
+
+import rhi
+from rhi.errors import rules
+
+FREE = {
+    "Device.backend_as", "Device.close", "Device.record", "Device.states", "Texture.at", "Texture.image",
+    "Texture.sampled", "Mesh.draws", "Mesh.view", "TransientMesh.view", "ColorWrite.at", "BlendFunction.at",
+}  # fmt: skip
+"""Calls that any thread may make: they read what never changes. So may a command buffer be recorded on any."""
+
+
+class Unseen(Doubled):
+    """A shader that no test has made a program of."""
+
+
+FRESH = {
+    "Device.program": {"shader": Unseen},
+    "Device.sampler": {"descriptor": rhi.SamplerDescriptor(mip=None)},
+}
+"""Arguments of which the device has made nothing yet; what it has made, any thread may ask for."""
+OBJECTS = {
+    "Device": "device", "Buffer": "buffer", "UniformBuffer": "tint", "UniformArray": "tints",
+    "StorageBuffer": "numbers", "Texture": "image", "Mesh": "mesh", "Program": "program", "OcclusionQuery": "query",
+    "QuerySet": "queries",
+}  # fmt: skip
+QUERY = "is_finished visible_samples wait destroy"
+MORE = [
+    f"{kind}.{name}"
+    for kind, names in {
+        "Device": "finish signal completed timers statistics reset_statistics make_current release_current",
+        **dict.fromkeys(
+            ("Buffer", "UniformBuffer", "UniformArray", "StorageBuffer", "Mesh", "Program"), "destroy"
+        ),
+        "Texture": "generate_mipmaps destroy",
+        "OcclusionQuery": f"begin end {QUERY}",
+        "QuerySet": QUERY,
+    }.items()
+    for name in names.split()
+]
+"""Members without parameters."""
+SAFE = {
+    "Device": "NAME backend_as backend_name capabilities closed conditional event immediate record render_pass states "
+    "stream timing transient",
+    "Buffer": "bind_uniform core count dtype id label size destroyed lock",
+    "UniformBuffer": "buffer kind offset owner size type",
+    "UniformArray": "buffer count dtype label lock struct type",
+    "StorageBuffer": "buffer count dtype element id lock offset owner size type",
+    "Texture": "at compressed core descriptor destroyed format id image kind label layers levels lock owner sampled "
+    "sampler samples size texture",
+    "Mesh": "base_instance base_vertex buffers core count data draws element_count first index_count indices instances "
+    "is_indexed keep_vertex_array place_draws create_vertex_array prepared_draws primitive vertex_arrays vertex_count "
+    "vertices view",
+    "Program": "core descriptor destroyed draw_code id label name recorded_code",
+    "OcclusionQuery": "core destroyed emulated id ids label",
+    "QuerySet": "core destroyed emulated id ids label",
+    "TransientMemory": "arguments capacity",
+}
+"""Members that any thread may use: they read what never changes, or create a block, view or recording that is checked
+when it is used."""
+
+
+def test_every_public_member_has_a_call() -> None:
+    for kind in CLASSES:
+        name = kind.__name__
+        if name in SAFE:
+            members = {member for member in dir(kind) if not member.startswith("_") and not member.isupper()}
+            called = {each.partition(".")[2] for each in [*SAMPLES, *MORE] if each.startswith(f"{name}.")}
+            assert members <= called | {*SAFE[name].split(), *INTERNAL.get(name, ())}, members
+
+
+THREADED = [
+    name for name in SAMPLES if "." in name and name not in FREE and not name.startswith("CommandBuffer.")
+]
+
+
+@pytest.mark.parametrize("name", [*THREADED, *MORE])
+def test_a_call_on_another_thread_is_refused(name: str) -> None:
+    with (
+        rhi.create_device("null", validation=True) as device,
+        ThreadPoolExecutor(1) as pool,
+        ExitStack() as stack,
+    ):
+        house = House(device)
+
+        def call() -> object:
+            if name in SAMPLES:
+                right = given_arguments(house, SAMPLES[name]) | FRESH.get(name, {})
+                return run(house, replace(SAMPLES[name], within=lambda house, stack: None), right)
+            kind, _, member = name.partition(".")
+            found = getattr(getattr(house, OBJECTS[kind]), member)
+            return found() if callable(found) else found
+
+        if "draw" in name or name == "OcclusionQuery.end":
+            in_pass(house, stack)
+        if name == "OcclusionQuery.end":
+            stack.enter_context(house.query)
+        before = len(device.stream)
+        with pytest.raises(rhi.ValidationError) as caught:
+            pool.submit(call).result()
+        assert caught.value.rule is rules.DEVICE_THREAD
+        assert caught.value.site is not None
+        assert caught.value.site.file in (__file__, calls.__file__, contextlib.__file__)
+        assert len(device.stream) == before
+        stack.close()
+        check_drawing(house)

@@ -1,0 +1,116 @@
+"""The dump of shader texts: it sees what changed, and the language writes the recorded texts (nightly)."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from rhi.shading import Shader, Storage, StorageRW, function, global_id
+
+ROOT = Path(__file__).parents[1]
+sys.path.append(str(ROOT / "scripts"))
+
+from dump_shaders import RECORD, compare, read_dump, said_by, texts_of, write_dump  # noqa: E402
+
+BEFORE = {
+    "kit.Same": {"said": "aaaa", "vertex-glsl": "1111", "vertex-opencl16": "2222"},
+    "kit.Other": {"said": "bbbb", "vertex-glsl": "3333"},
+}
+
+
+def test_a_dump_is_read_as_it_was_written() -> None:
+    assert read_dump(write_dump(BEFORE)) == BEFORE
+
+
+def test_a_text_that_changed_though_its_shader_says_the_same_is_named() -> None:
+    now = BEFORE | {"kit.Same": BEFORE["kit.Same"] | {"vertex-opencl16": "9999"}}
+    assert compare(BEFORE, now) == (["kit.Same vertex-opencl16"], 4 + 1)
+    assert compare(BEFORE, BEFORE) == ([], 4 + 1)
+
+
+def test_a_language_that_a_shader_no_longer_has_is_named() -> None:
+    now = BEFORE | {"kit.Same": {"said": "aaaa", "vertex-glsl": "1111", "vertex-vulkan": "4444"}}
+    assert compare(BEFORE, now)[0] == ["kit.Same vertex-opencl16", "kit.Same vertex-vulkan"]
+
+
+def test_shaders_that_say_something_else_or_are_missing_are_compared_on_demand_only() -> None:
+    now = {"kit.Other": {"said": "cccc", "vertex-glsl": "5555"}}
+    assert compare(BEFORE, now) == ([], 0)
+    differ, _ = compare(BEFORE, now, everything=True)
+    assert {"kit.Other vertex-glsl", "kit.Same vertex-glsl"} <= set(differ)
+
+
+@function
+def doubled(value: float) -> float:
+    return value * 2.0
+
+
+@function
+def tripled(value: float) -> float:
+    return value * FACTOR
+
+
+FACTOR = 3.0
+
+
+class Plain(Shader):
+    given: Storage[float]
+    found: StorageRW[float]
+    scale = 1.0
+    work_group = (64,)
+
+    def compute(self) -> None:
+        i = int(global_id().x)
+        self.found[i] = self.scale * doubled(self.given[i])
+
+
+class Scaled(Plain):
+    scale = 2.0
+
+
+class Tripled(Plain):
+    def compute(self) -> None:
+        i = int(global_id().x)
+        self.found[i] = self.scale * tripled(self.given[i])
+
+
+class Refused(Plain):
+    unused: Storage[float]
+
+
+def test_what_a_shader_says_includes_its_numbers_and_the_functions_and_constants_that_it_names(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    said = [said_by(shader) for shader in (Plain, Scaled, Tripled)]
+    assert len(set(said)) == 3
+    monkeypatch.setitem(globals(), "FACTOR", 4.0)
+    assert [said_by(shader) == before for shader, before in zip((Plain, Scaled, Tripled), said, strict=True)] == [
+        True,
+        True,
+        False,
+    ]
+
+
+def test_a_refusal_is_a_text_and_origins_are_added_on_demand() -> None:
+    assert list(texts_of(Refused, origins=False)) == ["refused"]
+    plain, lines = (texts_of(Plain, origins=origins)["compute-glsl"] for origins in (False, True))
+    assert "void main()" in plain
+    assert "test_shader_texts.py" not in plain
+    assert re.search(r"^tests/test_shader_texts.py:\d+$", lines, re.MULTILINE)
+
+
+@pytest.mark.nightly
+def test_the_language_writes_the_recorded_texts() -> None:
+    run = subprocess.run(
+        [sys.executable, ROOT / "scripts" / "dump_shaders.py", "--compare", RECORD],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    again = "python scripts/dump_shaders.py -o tests/shader_texts.txt"
+    assert run.returncode == 0, f"these texts changed; if they are meant to, `{again}`:\n{run.stdout}\n{run.stderr}"
+    (compared,) = re.findall(r"^(\d+) compared", run.stderr, re.MULTILINE)
+    recorded = sum(len(row) for row in read_dump(RECORD.read_text()).values())
+    assert int(compared) > recorded / 2, f"most shaders say something else than the record: `{again}`"
