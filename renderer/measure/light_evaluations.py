@@ -44,7 +44,7 @@ from renderer.techniques.light_indexed import INDICES, LIGHT_BITS, LIGHTS_FULL, 
 from renderer.techniques.light_volumes import VolumeShader, VolumeVarying, draw_volumes
 from renderer.techniques.resolve import LIGHT_FORMAT
 from renderer.techniques.scene_shader import SceneShader
-from renderer.techniques.variants import bind, draw_full_screen, find_variant, list_lamps
+from renderer.techniques.variants import bind, draw_full_screen, list_lamps
 from rhi import BlendFunction, DepthFunction, DepthWrite, Format, State
 from rhi.shading import (
     Shader,

@@ -110,8 +110,13 @@ def light_geometry(
 
 
 def resolve(frame: Frame, *, lights: Sequence[str]) -> None:
-    """Make the image: shade each pixel of the geometry buffer and add the light that was collected, if any was."""
-    resolve_geometry(frame, GeometryResolve, {"light": frame.targets[name] for name in lights}, has_light=bool(lights))
+    """Make the image: shade each pixel of the geometry buffer and add the light that was collected, if any was.
+
+    Args:
+        lights: the name of the contents with the collected light, the last of its passes; empty without any.
+    """
+    own = {"light": frame.targets[lights[0]]} if lights else {}
+    resolve_geometry(frame, GeometryResolve, own, has_light=bool(lights))
 
 
 def resolve_geometry(

@@ -220,5 +220,6 @@ def _map_tones(frame: Frame) -> None:
     scene = frame.resources.scene
     assert scene.glow is not None, "glow is made where the scene has some"
     spread = frame.targets["glow 1"].sampled(_EDGE)
-    bindings: dict[str, Any] = {"light": frame.image, "spread": spread, "mixture": frame.resources.mirror(Share(share=scene.glow.share))}
+    mixture = frame.resources.mirror(Share(share=scene.glow.share))
+    bindings: dict[str, Any] = {"light": frame.image, "spread": spread, "mixture": mixture}
     draw_full_screen(frame, Tones, frame.targets["image"], bindings)

@@ -1,4 +1,4 @@
-"""What the shaders of all techniques share: the vertex stage of the scene, its surfaces, and the light that reaches them.
+"""The shared shaders of techniques: the vertex stage of the scene, its surfaces, and the light that reaches them.
 
 Techniques combine these classes with their own. What a scene may lack is a switch, a constant `has_…` that
 `renderer.techniques.variants` sets: a stage keeps the branches that are taken, and a program binds what they read. So
@@ -263,8 +263,8 @@ class SceneShader(Shader):
         return vec2(dot(use.u, below), dot(use.v, below))
 
     def read_images(self, array: int, place: vec3, right: vec2, below: vec2) -> vec4:
-        """Return a texel of an array of colours, given the changes of texture coordinates to the pixels on the right and
-        below."""
+        """Return a texel of an array of colours, given the changes of texture coordinates to the pixels on the right
+        and below."""
         if self.image_arrays > 1 and array == 1:
             return self.images_1.sample_grad(place, right, below)
         if self.image_arrays > 2 and array == 2:

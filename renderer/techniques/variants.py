@@ -12,6 +12,7 @@ from functools import cache, partial
 from typing import Any, Final
 
 from renderer.frame import DEPTH_FORMAT, SHADOW_EFFECTS, Effect, Frame, Needs, Pass, Target, TechniquePass
+from renderer.frame.images import MOST_ARRAYS, SceneImages
 from renderer.shadows import FILTERS, ShadowMaps, ShadowReceiver
 from renderer.techniques.air import bind_fog, bind_haze
 from renderer.techniques.full_screen import BEHIND, Color, bind_rays, make_triangle
@@ -19,6 +20,7 @@ from renderer.techniques.scene_shader import VERTEX_STAGES, ForwardShader, Scene
 from rhi import BlendFunction, CullMode, DepthFunction, DepthTest, DepthWrite, Program, State, Texture
 
 __rhi_internal__ = True
+
 
 @dataclass(frozen=True, slots=True)
 class Lighting:
@@ -89,16 +91,13 @@ SOURCES: Final[dict[str, Callable[[Frame], Any]]] = {
     "point_lights": lambda frame: frame.resources.point.buffer,
     "spot_lights": lambda frame: frame.resources.spot.buffer,
     "light_rows": lambda frame: frame.resources.light_rows.buffer,
+    "textures": lambda frame: _images_of(frame).table,
     "fog": bind_fog,
     "haze": bind_haze,
 }
 """What shaders bind by these names."""
 _SHADOWS: Final = ("suns", "lamps", "lamp_slots", "shadow_compare", "shadow_atlas")
-_IMAGES: Final = {
-    "textures": lambda images: images.table,
-    **{f"images_{i}" if i else "images": lambda images, i=i: images.colors[i] for i in range(8)},
-    **{f"maps_{i}" if i else "maps": lambda images, i=i: images.data[i] for i in range(8)},
-}
+_IMAGES: Final = {f"{kind}_{i}" if i else kind: (kind, i) for kind in ("images", "maps") for i in range(MOST_ARRAYS)}
 
 
 def find_binding(frame: Frame, name: str) -> Any:
@@ -108,8 +107,16 @@ def find_binding(frame: Frame, name: str) -> Any:
     if name in _SHADOWS:
         return frame.resources.workspace(ShadowMaps).find(name)
     if name in _IMAGES:
-        return _IMAGES[name](frame.resources.images)
+        kind, number = _IMAGES[name]
+        images = _images_of(frame)
+        return (images.colors if kind == "images" else images.data)[number]
     return frame.targets[name]
+
+
+def _images_of(frame: Frame) -> SceneImages:
+    images = frame.resources.images
+    assert images is not None, "images are bound where the scene has some"
+    return images
 
 
 def bind(frame: Frame, program: Program[Any], own: Mapping[str, Any]) -> dict[str, Any]:

@@ -97,7 +97,7 @@ class Shader:
             that don't set it.
         early_depth: test depth and stencil before the fragment stage, which then can't change them.
         lean: leave out bindings that no stage reads once constant conditions are decided, so that a variant binds only
-            what it reads.
+            what it reads. Branches that aren't taken, and what follows a return, aren't checked either.
     """
 
     work_group: ClassVar[tuple[int, ...]] = (1,)
