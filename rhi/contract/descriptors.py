@@ -23,13 +23,19 @@ __rhi_internal__ = True
 
 Id: TypeAlias = int
 """The name of a resource. The device assigns it and never uses it again; 0 means none."""
+# Traces are checked by these annotations, which say what an id stands for.
 BufferId: TypeAlias = Id
+"""The `Id` of a buffer."""
 TextureId: TypeAlias = Id
+"""The `Id` of a texture."""
 SamplerId: TypeAlias = Id
+"""The `Id` of a sampler."""
 ProgramId: TypeAlias = Id
+"""The `Id` of a program."""
 VertexArrayId: TypeAlias = Id
+"""The `Id` of a vertex array."""
 QueryId: TypeAlias = Id
-# The annotations say what an id stands for; traces are checked by them.
+"""The `Id` of a query."""
 
 Vec4: TypeAlias = tuple[float, float, float, float]
 

@@ -417,7 +417,7 @@ def state_faults(state: Any, limits: Capabilities) -> Faults:
     """Yield what a device lacks for a state."""
     if isinstance(state, PlatformState) and type(state) not in limits.platform_states:
         have = ", ".join(sorted(each.__name__ for each in limits.platform_states)) or "none"
-        yield Fault(PLATFORM_STATE, f"{state!r} of {state.platform()!r}", f"this device's own: {have}")
+        yield Fault(PLATFORM_STATE, f"{state.full_name} of {state.platform()!r}", f"this device's own: {have}")
     needs = _NEEDS.get(type(state))
     if needs is not None and not getattr(limits, needs[0]) and needs[1](state):
         yield Fault(STATE_CAPABILITY, repr(state), f"needs capabilities.{needs[0]}")

@@ -376,6 +376,7 @@ class GlBackend:
     def copy_texture_to_buffer(
         self, source: Id, level: int, region: Region, target: Id, offset: int, row_bytes: int
     ) -> None:
+        self._buffers.note_change(target)
         buffer = self._buffers.objects[target].glo
         self._unfinished.finish()
         self._textures.copy_to_buffer(source, level, region, buffer, offset, row_bytes)
