@@ -30,7 +30,7 @@ class Sums(Shader):
     def find(self, i: int) -> float:
         if self.has_most:
             return self.most[i]
-        elif self.has_more:
+        if self.has_more:
             return self.more[i] + self.less[i]
         return self.less[i]
 
