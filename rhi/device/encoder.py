@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from typing_extensions import ParamSpec
 
-from rhi.contract.descriptors import DRAW, Primitive
+from rhi.contract.descriptors import DRAW, Id, Primitive
 from rhi.contract.limits import (
     condition_faults,
     count_faults,
@@ -149,22 +149,16 @@ class Encoder:
         counts from `base_instance`) or `draw_index()`.
         """
         call = f"{self.NAME}.draw_many"
-        own = self._resolve_program(program, call)
-        check_drawable(self._core, mesh, call)
-        array = check_draws(self._core, mesh, draws, call)
-        if mesh.primitive is Primitive.QUADS:
-            self._core.refuse(DEVICE_CAPABILITY, call, "Primitive.QUADS", "any other primitive")
+        own, array = self._check_draws(program, mesh, draws, call)
+        self._refuse_quads(mesh, call)
         vertex_array = self._bind_draws(own, mesh, bindings)
         if not len(array):
             return
-        core = self._core
-        core.upload_bytes += array.nbytes
-        arguments = self._transient.arguments
-        offset = arguments.write(array.view(np.uint8).data, array.nbytes, 4)
-        core.backend.draw_indirect(
-            vertex_array, mesh.primitive, arguments.buffer, offset, len(array), array.dtype.itemsize, 0, 0
+        buffer, offset = self._upload_draws(array)
+        self._core.backend.draw_indirect(
+            vertex_array, mesh.primitive, buffer, offset, len(array), array.dtype.itemsize, 0, 0
         )
-        core.draws += 1
+        self._core.draws += 1
 
     def draw_clipped(
         self,
@@ -190,9 +184,7 @@ class Encoder:
             ValidationError: the errors of `draw` and `draw_many`; nothing is drawn or bound then.
         """
         call = f"{self.NAME}.draw_clipped"
-        own = self._resolve_program(program, call)
-        check_drawable(self._core, mesh, call)
-        array = check_draws(self._core, mesh, draws, call)
+        own, array = self._check_draws(program, mesh, draws, call)
         rectangles = check_clips(self._core, clips, len(array), call)
         vertex_array = self._bind_draws(own, mesh, bindings)
         shown = (rectangles[:, 2:] > 0).all(1) & (array["count"] > 0) & (array["instances"] > 0)
@@ -226,9 +218,7 @@ class Encoder:
                 `draw_many`; nothing is drawn, bound or discarded then.
         """
         call = f"{self.NAME}.draw_counted"
-        own = self._resolve_program(program, call)
-        check_drawable(self._core, mesh, call)
-        array = check_draws(self._core, mesh, draws, call)
+        own, array = self._check_draws(program, mesh, draws, call)
         check = Arguments(call, self._core.refuse)
         check.instance("queries", queries, QuerySet, "a QuerySet from device.query_set(…)")
         self._check_query_set(queries, call)
@@ -267,10 +257,8 @@ class Encoder:
                 and the errors of `draw_many`; nothing is drawn or bound then.
         """
         call = f"{self.NAME}.draw_conditional"
-        own = self._resolve_program(program, call)
+        own, array = self._check_draws(program, mesh, draws, call)
         core = self._core
-        check_drawable(core, mesh, call)
-        array = check_draws(core, mesh, draws, call)
         check = Arguments(call, core.refuse)
         check.instance("queries", queries, QuerySet, "a QuerySet from device.query_set(…)")
         core.check_usable(queries, call)
@@ -279,19 +267,35 @@ class Encoder:
             core.refuse(DEVICE_CAPABILITY, call, "an emulated query set", "a native one: device.query_set(…)")
         if core.condition_open:
             core.refuse(CONDITION_NESTED, call, "a condition inside another")
-        if mesh.primitive is Primitive.QUADS:
-            core.refuse(DEVICE_CAPABILITY, call, "Primitive.QUADS", "any other primitive")
+        self._refuse_quads(mesh, call)
         each = queries.check_conditions(rows, len(array), self._find_counted(queries, call), call)
         vertex_array = self._bind_draws(own, mesh, bindings)
         if not len(array):
             return
-        core.upload_bytes += array.nbytes
-        arguments = self._transient.arguments
-        offset = arguments.write(array.view(np.uint8).data, array.nbytes, 4)
-        queries.draw_conditional(core, vertex_array, mesh.primitive, arguments.buffer, offset, each)
+        queries.draw_conditional(core, vertex_array, mesh.primitive, *self._upload_draws(array), each)
         runs = len(find_runs(each))
         core.condition_count += runs
         core.draws += runs
+
+    def _check_draws(
+        self, program: Program[Any], mesh: Drawable, draws: NDArray[Any], call: str
+    ) -> tuple[Program[Any], NDArray[Any]]:
+        """Return the program as this encoder uses it, and the array of draws as backends need it."""
+        own = self._resolve_program(program, call)
+        check_drawable(self._core, mesh, call)
+        return own, check_draws(self._core, mesh, draws, call)
+
+    def _refuse_quads(self, mesh: Drawable, call: str) -> None:
+        """Refuse quads, whose indices can't be expanded where the GPU reads the arguments of draws."""
+        if mesh.primitive is Primitive.QUADS:
+            self._core.refuse(DEVICE_CAPABILITY, call, "Primitive.QUADS", "any other primitive")
+
+    def _upload_draws(self, draws: NDArray[Any]) -> tuple[Id, int]:
+        """Copy an array of draws to transient memory, and return its buffer and offset."""
+        self._core.upload_bytes += draws.nbytes
+        arguments = self._transient.arguments
+        offset = arguments.write(draws.view(np.uint8).data, draws.nbytes, 4)
+        return arguments.buffer, offset
 
     def _find_counted(self, queries: QuerySet, call: str) -> NDArray[np.int64]:
         """Return the rows whose answers a condition can use; `query-state` if the set wasn't used."""
@@ -327,8 +331,7 @@ class Encoder:
         core.check_usable(buffer, call)
         places = (arguments.draws, arguments.offset, arguments.stride, arguments.count_offset)
         core.require(call, indirect_faults(*places, buffer.size))
-        if mesh.primitive is Primitive.QUADS:
-            core.refuse(DEVICE_CAPABILITY, call, "Primitive.QUADS", "any other primitive")
+        self._refuse_quads(mesh, call)
         if count is not None:
             core.check_usable(count, call)
             core.require(call, count_faults(arguments.count_offset, count.size, core.capabilities))
