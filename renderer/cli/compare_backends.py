@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable
-from pathlib import Path
-from typing import Final
+from collections.abc import Iterable, Sequence
+from typing import Any, Final
 
 import numpy as np
 
@@ -18,11 +17,13 @@ from renderer.cli.arguments import (
     parse_frame,
     parse_names,
 )
-from renderer.cli.output import draw_chart, note, prepare_image, print_report, show_progress
-from renderer.cli.subcommand import Parser, Subcommand
+from renderer.cli.comparison import ComparisonProgram, Report, repeat
+from renderer.cli.output import show_progress
+from renderer.cli.subcommand import Parser
 from renderer.content import find_path
-from renderer.lab.measure import format_table
-from renderer.lab.measure.backends import PASSES, BackendRow, compare_backends
+from renderer.lab.backends import compare_backends
+from renderer.lab.comparison import Record
+from renderer.lab.measure.backends import PASSES
 
 _NOTES: Final = """\
   python -m renderer compare backends city --passes depth,lit,textured,queries --size 1280x720
@@ -32,7 +33,9 @@ _NOTES: Final = """\
 All objects are drawn without culling, front to back, with one camera. A round runs a pass once on each backend;
 each round starts with another backend. Times are medians over the rounds, from the first command until the device is
 finished. `ratio to gl` says how many times as fast as gl a backend is: the median of the rounds' ratios. `queries`
-queries up to 1,000 boxes and then reads all results; `waited` reads each result before it issues the next query."""
+queries up to 1,000 boxes and then reads all results; `waited` reads each result before it issues the next query.
+`kernels` says which kernels cl ran in the rounds: a long run has `optimised` ones, so figures of `quick` ones hold for
+a first run only; RHI_KERNELS=optimised measures a long run."""
 _BASE = "gl"
 
 
@@ -61,73 +64,48 @@ def _add_arguments(parser: Parser) -> None:
     )
     add_rounds(parser, "rounds of each pass", 15)
     add_size(parser, (1280, 720), "size of the targets in pixels")
-    parser.add_argument("--json", action="store_true", help="print the result as JSON")
-    parser.add_argument("--plot", type=Path, metavar="F.png", help="write a chart of the times")
 
 
-def _run(given: argparse.Namespace) -> None:
-    if given.plot is not None:
-        prepare_image(given.plot)
+def _measure(given: argparse.Namespace) -> Report:
     scene = open_scene(given.scene)
     path = find_path(given.camera_path, scene)
-    frame = len(path) // 2 if given.frame is None else given.frame
-    camera = path.camera(frame)
+    given.frame = len(path) // 2 if given.frame is None else given.frame
     backends = [_BASE, *(name for name in given.backends if name != _BASE)]
 
     def rounds(name: str) -> Iterable[int]:
         return show_progress(range(given.rounds), given.rounds, name)
 
-    devices, rows = compare_backends(scene, camera, backends, given.passes, given.size, rounds)
-    report = {
-        "scene": scene.name,
-        "triangles": scene.count_triangles(np.arange(len(scene.objects))),
-        "camera_path": given.camera_path,
-        "frame": frame,
-        "size": list(given.size),
-        "rounds": given.rounds,
-        "devices": devices,
-        "rows": [
-            {
-                "pass": row.name,
-                "backend": row.backend,
-                "milliseconds": row.milliseconds,
-                "ratio_to_gl": row.speed,
-            }
-            for row in rows
-        ],
-    }
-    if given.plot is not None:
-        plot_backends(rows, f"{scene.name}, {given.camera_path}, {given.size[0]}×{given.size[1]}", given.plot)
-        note(f"wrote {given.plot}")
-    if given.json:
-        print_report(report, scene)
-    else:
-        cells = [[row.name, row.backend, row.milliseconds, row.speed] for row in rows]
-        print(format_table(["pass", "backend", "ms", "ratio to gl"], cells))
+    devices: dict[str, str] = {}
+    camera = path.camera(given.frame)
+    rows = list(compare_backends(scene, camera, backends, given.passes, given.size, rounds, devices))
+    triangles = scene.count_triangles(np.arange(len(scene.objects)))
+    about = {"scene": scene.name, "triangles": triangles} | repeat(given, "camera_path", "frame", "size", "rounds")
+    title = f"{scene.name}, {given.camera_path}, {given.size[0]}×{given.size[1]}"
+    return Report(about | {"devices": devices}, rows, title, scene)
 
 
-def plot_backends(rows: list[BackendRow], title: str, path: Path) -> None:
-    """Write a chart of the times: a group of bars for each pass, a bar for each backend."""
-    with draw_chart(path, dpi=110) as figure:
-        axes = figure.subplots()
-        names = list(dict.fromkeys(row.name for row in rows))
-        backends = list(dict.fromkeys(row.backend for row in rows))
-        height = 0.8 / len(backends)
-        for place, backend in enumerate(backends):
-            chosen = [row for row in rows if row.backend == backend]
-            bars = axes.barh(
-                [names.index(row.name) + place * height for row in chosen],
-                [row.milliseconds for row in chosen],
-                height,
-                label=backend,
-            )
-            axes.bar_label(bars, [f" {row.milliseconds:,.1f} ms, ×{row.speed:,.1f}" for row in chosen])
-        axes.set(title=title, xlabel="milliseconds", yticks=range(len(names)), yticklabels=names)
-        axes.invert_yaxis()
-        axes.margins(x=0.2)
-        axes.legend()
+def plot_backends(figure: Any, rows: Sequence[Record]) -> None:
+    """Draw the times: a group of bars for each pass, a bar for each backend."""
+    axes = figure.subplots()
+    names = list(dict.fromkeys(row["pass"] for row in rows))
+    backends = list(dict.fromkeys(row["backend"] for row in rows))
+    height = 0.8 / len(backends)
+    for place, backend in enumerate(backends):
+        chosen = [row for row in rows if row["backend"] == backend]
+        bars = axes.barh(
+            [names.index(row["pass"]) + place * height for row in chosen],
+            [row["milliseconds"] for row in chosen],
+            height,
+            label=backend,
+        )
+        axes.bar_label(bars, [f" {row['milliseconds']:,.1f} ms, ×{row['ratio_to_gl']:,.1f}" for row in chosen])
+    axes.set(xlabel="milliseconds", yticks=range(len(names)), yticklabels=names)
+    axes.invert_yaxis()
+    axes.margins(x=0.2)
+    axes.legend()
 
 
-COMMAND: Final = Subcommand(
-    "backends", "compare what a scene's passes cost on each backend", _add_arguments, _run, _NOTES
-)
+COMMAND: Final = ComparisonProgram(
+    "backends", "compare what a scene's passes cost on each backend", _NOTES, _add_arguments, _measure,
+    plot=plot_backends,
+).command  # fmt: skip

@@ -10,12 +10,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean
-from typing import Any
+from typing import Any, Final, Protocol, runtime_checkable
 
+import rhi
 from renderer.lab.measure.alternate import Measurement, alternate
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import Camera
 
+QUICK: Final = "ran quick kernels"
+"""The count that every subject has: whether kernels ran that aren't optimised.
+
+None stands for a device that has no such kernels."""
 Record = dict[str, Any]
 """A row: its cells by the names of its columns."""
 
@@ -29,6 +34,7 @@ class Subject:
         run: does the work of a round, given its number, and waits for it.
         before: called before each run, untimed.
         count: returns what the run that was just timed has done, by name.
+        device: where it runs, for the column `kernels`.
         find: returns the last cells of its row, once all rounds are over.
     """
 
@@ -36,6 +42,7 @@ class Subject:
     run: Callable[[int], object]
     before: Callable[[], object] = lambda: None
     count: Callable[[], Mapping[str, Any]] = dict
+    device: rhi.Device | None = None
     find: Callable[[], Mapping[str, Any]] = dict
 
 
@@ -92,6 +99,35 @@ def largest(found: Result, name: str) -> Any:
     return max(found.counts[name])
 
 
+@runtime_checkable
+class RunsQuickKernels(Protocol):
+    """A backend whose kernels are built quickly at first, and replaced by optimised ones while they are used."""
+
+    @property
+    def quick_work(self) -> int:
+        """The work-items of draws that kernels were given which aren't optimised."""
+
+
+def find_quick_work(device: rhi.Device | None) -> int | None:
+    """Return the work-items that quick kernels of a device were given; None if it has no such kernels."""
+    kind: Any = RunsQuickKernels  # mypy takes no protocol for a class
+    try:
+        return None if device is None else int(device.backend_as(kind).quick_work)
+    except rhi.ValidationError:
+        return None
+
+
+def kernels(found: Result, _: str) -> str | None:
+    """Return which kernels a device ran in the rounds: quick ones, optimised ones as in a long run, or first these and
+    then those; None if its backend has no such kernels."""
+    ran = found.counts[QUICK]
+    if None in ran:
+        return None
+    if all(ran):
+        return "quick"
+    return "quick, then optimised" if any(ran) else "optimised"
+
+
 def compare(
     subjects: Sequence[Subject], columns: Mapping[str, Column], rounds: Iterable[int], *, warm_ups: int = 1,
     within: Sequence[str] = (),
@@ -112,10 +148,18 @@ def compare(
     for name, one in named.items():
         bases.setdefault(tuple(one.about[key] for key in within), name)
     counted: dict[str, list[Mapping[str, Any]]] = {name: [] for name in named}
-    times = alternate(
-        {name: one.run for name, one in named.items()}, rounds, warm_ups,
-        before=lambda name: named[name].before(), after=lambda name: counted[name].append(named[name].count()),
-    )  # fmt: skip
+    quick: dict[str, int | None] = {}
+
+    def prepare(name: str) -> None:
+        named[name].before()
+        quick[name] = find_quick_work(named[name].device)
+
+    def count(name: str) -> None:
+        done = find_quick_work(named[name].device)
+        ran = None if done is None else done > (quick[name] or 0)
+        counted[name].append({**named[name].count(), QUICK: ran})
+
+    times = alternate({name: one.run for name, one in named.items()}, rounds, warm_ups, prepare, count)
     rows = []
     for name, one in named.items():
         counts = {key: [some[key] for some in counted[name]] for key in counted[name][0]}

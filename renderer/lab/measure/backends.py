@@ -7,16 +7,15 @@ command until the device is finished.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 import rhi
-from renderer import rules, shaders
+from renderer import shaders
 from renderer.frame import Effect, Frame, SceneResources, Targets, TechniquePass, View, find_needs, make_plan
-from renderer.lab.measure.alternate import alternate
 from renderer.scene import Camera, Depth, Scene
 from renderer.shaders import Object, ObjectPosition, Vertex, relative_position
 from renderer.techniques.forward import Forward
@@ -32,7 +31,6 @@ from rhi import (
     OcclusionQuery,
     QuerySet,
     StateScope,
-    refuse,
 )
 from rhi.shading import Shader, Storage, Struct, Uniform, instance_index, vec3, vec4
 
@@ -48,17 +46,6 @@ _QUERIES: Final = 1000
 _CORNERS: Final = np.array([(x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1)], bool)
 _FACES: Final = np.array([(0, 4, 6, 2), (1, 3, 7, 5), (0, 1, 5, 4), (2, 6, 7, 3), (0, 2, 3, 1), (4, 5, 7, 6)])
 _TRIANGLES: Final = _FACES[:, [0, 1, 2, 0, 2, 3]].reshape(-1)  # counter-clockwise seen from outside
-
-
-@dataclass(frozen=True, slots=True)
-class BackendRow:
-    """The cost of a pass on a backend: the median time, and `speed`, how many times as fast as the first backend it
-    is (the median over the rounds)."""
-
-    name: str
-    backend: str
-    milliseconds: float
-    speed: float
 
 
 class DepthShader(Shader):
@@ -205,47 +192,3 @@ class BackendPasses:
         self.resources.destroy()
         self.view.destroy()
         self.targets.destroy()
-
-
-def compare_backends(
-    scene: Scene, camera: Camera, backends: Sequence[str], passes: Sequence[str], size: tuple[int, int],
-    rounds: Callable[[str], Iterable[int]],
-) -> tuple[dict[str, str], list[BackendRow]]:  # fmt: skip
-    """Return the backends' devices by name, and a row for each pass on each backend. Backends alternate within a
-    pass.
-
-    Args:
-        backends: names of backends; the others are compared with the first.
-        passes: names in `PASSES`.
-        rounds: the rounds of a pass, by its name: a `range`, or a progress bar around one.
-
-    Raises:
-        ValidationError: `measure-no-images` for a textured pass of a scene without images, `measure-no-pictures`
-            for a backend that doesn't draw.
-    """
-    call = "compare_backends"
-    if "textured" in passes and not scene.images:
-        refuse(rules.NO_IMAGES, call, f"textured, of {scene.name}", "depth, lit, queries, waited")
-    made: dict[str, BackendPasses] = {}
-    rows: list[BackendRow] = []
-    devices: list[Device] = []
-    try:
-        for backend in backends:
-            devices.append(rhi.create_device(backend))
-            if not devices[-1].capabilities.renders:
-                refuse(rules.NO_PICTURES, call, backend, "a backend that draws")
-            made[backend] = BackendPasses(devices[-1], scene, camera, size)
-        for name in passes:
-            work = {backend: one.work(name) for backend, one in made.items()}
-            times = alternate(work, rounds(name), warm_ups=2)
-            base = times[backends[0]]
-            rows += [
-                BackendRow(name, backend, round(1e3 * time.median, 3), round(1.0 / time.compare_to(base).median, 2))
-                for backend, time in times.items()
-            ]
-        return {name: one.device.capabilities.device for name, one in made.items()}, rows
-    finally:
-        for one in made.values():
-            one.destroy()
-        for device in devices:
-            device.close()

@@ -108,6 +108,11 @@ class ClBackend:
     def capabilities(self) -> Capabilities:
         return self._capabilities
 
+    @property
+    def quick_work(self) -> int:
+        """The work-items of draws that kernels were given which aren't optimised (`rhi.backends.cl.raster.builds`)."""
+        return self._rasteriser.quick_work
+
     def close(self) -> None:
         try:
             self._flush()

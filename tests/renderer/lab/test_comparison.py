@@ -7,9 +7,11 @@ import os
 import time as clock
 from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
+from typing import Any
 
 import pytest
 
+import rhi
 from renderer.cli.arguments import add_rounds
 from renderer.cli.comparison import run_benchmark
 from renderer.lab.comparison import (
@@ -19,6 +21,7 @@ from renderer.lab.comparison import (
     average,
     compare,
     interval,
+    kernels,
     largest,
     rate,
     ratio,
@@ -129,3 +132,31 @@ def test_a_benchmark_keeps_the_kernels_that_were_asked_for(
     run_benchmark("Says what it is.", lambda parser: None, lambda given: [{"a": 1}])
     assert os.environ["RHI_KERNELS"] == "quick"
     capsys.readouterr()
+
+
+class SlowlyBetter:
+    """A device whose backend runs quick kernels until `good` runs were done."""
+
+    def __init__(self, good: int) -> None:
+        self.good, self.runs, self.quick_work = good, 0, 0
+
+    def backend_as(self, kind: type) -> Any:
+        return self
+
+    def run(self, _: int) -> None:
+        self.runs += 1
+        self.quick_work += self.runs <= self.good
+
+
+@pytest.mark.parametrize(
+    ("good", "said"), [(0, "optimised"), (2, "optimised"), (3, "quick, then optimised"), (9, "quick")]
+)
+def test_kernels_are_those_of_the_timed_rounds(good: int, said: str | None) -> None:
+    device: Any = SlowlyBetter(good)
+    rows = compare([Subject({}, device.run, device=device)], {"kernels": kernels}, range(3), warm_ups=2)
+    assert rows == [{"kernels": said}]
+
+
+def test_a_device_without_quick_kernels_says_nothing_of_them() -> None:
+    with rhi.create_device("null") as device:
+        assert compare([Subject({}, lambda _: None, device=device)], {"kernels": kernels}, [0]) == [{"kernels": None}]

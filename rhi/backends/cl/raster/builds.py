@@ -72,21 +72,22 @@ class Optimisation:
         text: their source code.
         program: None until they are built.
         done: the end of the build, with or without success; None until it begins.
+        heat: the work-items that the kernels to be replaced were given.
     """
 
-    __slots__ = ("_begin", "_heat", "done", "program", "text")
+    __slots__ = ("_begin", "done", "heat", "program", "text")
 
     def __init__(self, text: Text, begin: Callable[[Optimisation], Future[None]]) -> None:
         self.text = text
         self.program: HeldProgram | None = None
         self.done: Future[None] | None = None
         self._begin = begin
-        self._heat = 0
+        self.heat = 0
 
     def warm(self, items: int) -> None:
         """Count the work-items that the kernels to be replaced were given; begin when they are hot."""
-        self._heat += items
-        if self._heat >= HOT and self.done is None:
+        self.heat += items
+        if self.heat >= HOT and self.done is None:
             self.begin()
 
     def begin(self) -> Future[None]:
@@ -155,7 +156,13 @@ class Builds:
         self._begun = self._done = 0
         self._waiting = 0
         self._closed = False
+        self._optimisations: list[Optimisation] = []
         self.built = 0
+
+    @property
+    def quick_work(self) -> int:
+        """The work-items that kernels were given which aren't optimised."""
+        return sum(one.heat for one in self._optimisations)
 
     def build(self, text: Text) -> list[Kernel]:
         """Return kernels, which are optimised later unless they are in the cache.
@@ -175,7 +182,8 @@ class Builds:
 
     def optimise(self, text: Text) -> Optimisation:
         """Return the optimisation of a text, which hasn't begun."""
-        return Optimisation(text, self._begin)
+        self._optimisations.append(Optimisation(text, self._begin))
+        return self._optimisations[-1]
 
     def compile(self, text: Text, quick: bool = False) -> HeldProgram:
         """Compile source code, or take it from the cache.

@@ -80,6 +80,11 @@ class Rasteriser:
             self._flush_batch, self.change_stored,
         )  # fmt: skip
 
+    @property
+    def quick_work(self) -> int:
+        """The work-items of draws that kernels were given which aren't optimised."""
+        return self._builds.quick_work
+
     def close(self) -> None:
         """End what is being built in the background, and release kernels and memory, which reference cycles would keep
         until Python's next collection."""

@@ -13,7 +13,8 @@ import pytest
 import rhi
 from renderer.cli import main
 from renderer.content import find_path, load_scene
-from renderer.lab.measure.backends import PASSES, BackendPasses, compare_backends
+from renderer.lab.backends import compare_backends
+from renderer.lab.measure.backends import PASSES, BackendPasses
 
 SCENE = "city:blocks=6"
 
@@ -29,7 +30,7 @@ def test_each_pass_has_a_row_for_each_backend(capsys: pytest.CaptureFixture[str]
     report = compare(capsys, "--passes", ",".join(PASSES))
     assert [row["pass"] for row in report["rows"]] == list(PASSES)
     for row in report["rows"]:
-        assert set(row) == {"pass", "backend", "milliseconds", "ratio_to_gl"}
+        assert set(row) == {"pass", "backend", "milliseconds", "ratio_to_gl", "kernels"}
         assert row["backend"] == "gl"
         assert row["milliseconds"] > 0.0
         assert row["ratio_to_gl"] == 1.0
@@ -63,7 +64,7 @@ def test_rows_of_backends_are_a_table_and_a_chart(tmp_path: Path, capsys: pytest
     ]
     assert main(["compare", "backends", SCENE, *arguments]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].split() == ["pass", "backend", "ms", "ratio", "to", "gl"]
+    assert lines[0].split() == ["pass", "backend", "ms", "ratio", "to", "gl", "kernels"]
     assert lines[2].split()[:2] == ["depth", "gl"]
     assert chart.read_bytes().startswith(b"\x89PNG")
 
@@ -124,6 +125,26 @@ def test_rounds_are_those_asked_for() -> None:
         asked.append(name)
         return range(1)
 
-    _, rows = compare_backends(scene, camera, ["gl"], ["queries", "depth"], (32, 32), rounds)
+    rows = list(compare_backends(scene, camera, ["gl"], ["queries", "depth"], (32, 32), rounds, {}))
     assert asked == ["queries", "depth"]
-    assert [row.name for row in rows] == asked
+    assert [row["pass"] for row in rows] == asked
+
+
+@pytest.mark.parametrize("mode", ["quick", "optimised"])
+def test_a_row_says_which_kernels_ran(
+    mode: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("RHI_KERNELS", mode)
+    if mode == "quick":  # and no optimised ones are in the cache
+        monkeypatch.setenv("RHI_CACHE", str(tmp_path))
+    rows = compare(capsys, "--passes", "depth", "--backends", "cl")["rows"]
+    assert [row["kernels"] for row in rows] == [None, mode]
+
+
+def test_rows_of_backends_are_markdown(capsys: pytest.CaptureFixture[str]) -> None:
+    small = ("--passes", "depth", "--rounds", "1", "--backends", "gl", "--size", "32x32")
+    assert main(["compare", "backends", SCENE, *small, "--markdown"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "| pass | backend | ms | ratio to gl | kernels |"
+    assert lines[2].startswith("| depth | gl |")
+    assert lines[2].endswith("| 1.00 | - |")
