@@ -240,7 +240,7 @@ def compare_backends(
             times = alternate(work, rounds(name), warm_ups=2)
             base = times[backends[0]]
             rows += [
-                BackendRow(name, backend, round(1e3 * time.median, 3), round(1.0 / time.ratio_to(base), 2))
+                BackendRow(name, backend, round(1e3 * time.median, 3), round(1.0 / time.compare_to(base).median, 2))
                 for backend, time in times.items()
             ]
         return {name: one.device.capabilities.device for name, one in made.items()}, rows
