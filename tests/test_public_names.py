@@ -9,9 +9,9 @@ from types import ModuleType
 
 import pytest
 
-import renderer.accuracy
 import renderer.frame
-import renderer.measure
+import renderer.lab.accuracy
+import renderer.lab.measure
 import renderer.scene
 import renderer.techniques
 import renderer.visibility
@@ -23,8 +23,8 @@ import rhi_screen
 DERIVED = [rhi, rhi.contract]  # whose `__all__` follows from their imports
 MODULES = [
     rhi, rhi.contract, rhi.shading, rhi_screen,
-    renderer.scene, renderer.visibility, renderer.frame, renderer.techniques, renderer.measure,
-    renderer.accuracy,
+    renderer.scene, renderer.visibility, renderer.frame, renderer.techniques, renderer.lab.measure,
+    renderer.lab.accuracy,
 ]  # fmt: skip
 
 
