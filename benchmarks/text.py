@@ -17,7 +17,7 @@ from statistics import median
 from typing import Final
 
 import rhi
-from renderer.canvas import Canvas, Font, lay_out, srgb
+from renderer.layers.canvas import Canvas, Font, lay_out, srgb
 
 WHITE: Final = srgb("#ffffff")
 LINE: Final = "The quick brown fox jumps over 13 lazy dogs; AVATAR To. Wörter mit Öl,\t1,204 bytes\t12.5 ms\n"
