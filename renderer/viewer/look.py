@@ -14,14 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.frame import Blending, Frame, Layer
-<<<<<<< HEAD
+from renderer.lab.measure.contents import picture_contents
 from renderer.layers.overlay import Overlay
 from renderer.layers.particles import Particles
-from renderer.measure.contents import picture_contents
-=======
-from renderer.lab.measure.contents import picture_contents
-from renderer.overlay import Overlay
->>>>>>> main
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene
 from renderer.settings import RenderSettings

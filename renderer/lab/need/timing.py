@@ -13,19 +13,11 @@ from typing import Final
 
 import rhi
 from renderer.frame import find_needs
-<<<<<<< HEAD:renderer/need/timing.py
-from renderer.layers.overlay import Overlay
-from renderer.measure import Measurement, alternate
-from renderer.measure.alternate import find_interval
-from renderer.need.counting import Ascent, open_without, remove
-from renderer.need.ladder import move_eye
-=======
 from renderer.lab.measure import Measurement, alternate
 from renderer.lab.measure.alternate import Interval
 from renderer.lab.need.counting import Ascent, open_without, remove
 from renderer.lab.need.ladder import move_eye
-from renderer.overlay import Overlay
->>>>>>> main:renderer/lab/need/timing.py
+from renderer.layers.overlay import Overlay
 
 __rhi_internal__ = True
 
