@@ -231,7 +231,7 @@ def measure(name: str, rounds: int) -> list[dict[str, Any]]:
         devices = {backend: rhi.create_device(backend) for backend in BACKENDS}
         work = {backend: make(device, size) for backend, device in devices.items()}
         times = alternate(work, range(rounds), warm_ups=2)
-        ratio = times["gl"].ratio_to(times["cl"])
+        ratio = times["gl"].compare_to(times["cl"]).median
         rows.append(
             {"n": size, "gl": 1e3 * times["gl"].median, "cl": 1e3 * times["cl"].median, "ratio": ratio}
         )

@@ -232,9 +232,10 @@ class CombinationBench:
         work: dict[str, Callable[[int], object]] = {name: partial(draw, name) for name in combinations}
         times = alternate(work, progress(range(self._situation.rounds)), 1, exchange)
         base = times[next(iter(combinations))]
+        ratios = {name: one.compare_to(base) for name, one in times.items()}
         return {
-            name: (round(1e3 * one.median, 3), round(one.ratio_to(base), 4), *one.ratio_interval(base))
-            for name, one in times.items()
+            name: (round(1e3 * times[name].median, 3), round(ratio.median, 4), ratio.low, ratio.high)
+            for name, ratio in ratios.items()
         }
 
 

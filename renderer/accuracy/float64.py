@@ -21,7 +21,8 @@ from renderer.scene import Camera, Orthographic
 from renderer.scene.arrays import Floats
 from renderer.shaders import Object, ObjectPosition, Vertex, ViewConstants, relative_position
 from renderer.techniques import Forward
-from renderer.techniques.forward import find_forward
+from renderer.techniques.scene_shader import ForwardShader
+from renderer.techniques.variants import bind, find_variant
 from rhi import Format, StorageBuffer, Texture, TextureKind, UniformBuffer
 from rhi.shading import (
     HostTexture,
@@ -91,7 +92,8 @@ class TracedForward:
 
     def _read(self, frame: Frame) -> None:
         self.numbers = frame.targets[_TRIANGLES].read()
-        self.shader, bindings = find_forward(frame)
+        self.shader = find_variant(frame, ForwardShader)
+        bindings = bind(frame, frame.program(self.shader), {})
         images = frame.resources.images
         samplers = {} if images is None else dict(zip(images.arrays, images.samplers, strict=True))
         self.bindings = {name: _take(one, samplers) for name, one in bindings.items()}

@@ -19,7 +19,7 @@ import io
 from base64 import b64encode
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 from functools import partial
 from operator import truediv
 from statistics import median
@@ -359,10 +359,11 @@ def find_mean(sums: Sequence[tuple[float, int]]) -> float:
 def _make_row(knob: Knob, value: str, sample: ValueSample, time: Measurement, base: Measurement) -> ValueRow:
     greatest, mean = max(sample.max_error, 0.0), find_mean(sample.sums)
     scale = 1e9 / _VALUES / TURNS if knob.is_encoding else 1e3
-    low, high = time.ratio_interval(base)
-    processor_low, processor_high = time.processor_ratio_interval(base)
-    numbers = (low, high, processor_low, processor_high, time.ratio_to(base), time.processor_ratio_to(base))
-    low, high, processor_low, processor_high, ratio, processor_ratio = (round(number, 4) for number in numbers)
+    ratios = (
+        round(number, 4) for is_processor in (False, True)
+        for number in astuple(time.compare_to(base, processor=is_processor))
+    )  # fmt: skip
+    ratio, low, high, processor_ratio, processor_low, processor_high = ratios
     return ValueRow(
         knob.name, value, value == knob.default, knob.unit.value, float(f"{greatest:.5g}"), float(f"{mean:.5g}"),
         sample.worst, float(f"{scale * time.median:.4g}"), ratio, low, high,

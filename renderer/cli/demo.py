@@ -181,7 +181,7 @@ def tabulate(variants: list[RenderVariant], times: dict[str, Measurement]) -> st
                 variant.visibility,
                 variant.backend,
                 1e3 * time.median,
-                time.ratio_to(base),
+                time.compare_to(base).median,
                 *(variant.mean(counter) for counter in counters),
             )
         )

@@ -19,7 +19,8 @@ from renderer.frame import Effect, Frame, SceneResources, Targets, TechniquePass
 from renderer.measure.alternate import alternate
 from renderer.scene import Camera, Depth, Scene
 from renderer.shaders import Object, ObjectPosition, Vertex, relative_position
-from renderer.techniques.forward import Forward, draw_lit
+from renderer.techniques.forward import Forward
+from renderer.techniques.variants import draw_lit
 from renderer.visibility import NoCulling
 from renderer.visibility.boxes.bounds import pad_boxes
 from rhi import (
@@ -239,7 +240,7 @@ def compare_backends(
             times = alternate(work, rounds(name), warm_ups=2)
             base = times[backends[0]]
             rows += [
-                BackendRow(name, backend, round(1e3 * time.median, 3), round(1.0 / time.ratio_to(base), 2))
+                BackendRow(name, backend, round(1e3 * time.median, 3), round(1.0 / time.compare_to(base).median, 2))
                 for backend, time in times.items()
             ]
         return {name: one.device.capabilities.device for name, one in made.items()}, rows

@@ -34,9 +34,10 @@ from renderer.scene import Camera, Lights
 from renderer.scene.arrays import Floats
 from renderer.techniques.cell_lists import list_pass
 from renderer.techniques.depth import draw_depth
-from renderer.techniques.forward_plus import draw_listed
+from renderer.techniques.forward_plus import by_cells
 from renderer.techniques.full_screen import find_rays
 from renderer.techniques.glow import glow_passes
+from renderer.techniques.variants import draw_lit
 from rhi import Device, Texture
 from rhi.errors import refuse
 from rhi.shading import evaluate
@@ -128,7 +129,7 @@ class ListedForward:
     def _draw(self, frame: Frame) -> None:
         frame.device.finish()
         began = perf_counter()
-        draw_listed(frame, self._kind, after_depth=True)
+        draw_lit(frame, by_cells(self._kind), after_depth=True)
         frame.device.finish()
         self.seconds.append(perf_counter() - began)
 

@@ -38,15 +38,13 @@ from renderer.techniques import (
 )
 from renderer.techniques.cell_lists import CLUSTERS, CellReader, LightCells, bind_lists
 from renderer.techniques.deferred_cells import TiledLighting, dispatch_tiles
-from renderer.techniques.forward import list_lamps
 from renderer.techniques.forward_multipass import PointPairs, SpotPairs, draw_pairs
-from renderer.techniques.full_screen import bind_rays, draw_full_screen
-from renderer.techniques.geometry_buffer import SurfaceReader, bind_surface
+from renderer.techniques.geometry_buffer import SurfaceReader
 from renderer.techniques.light_indexed import INDICES, LIGHT_BITS, LIGHTS_FULL, next_light
-from renderer.techniques.light_volumes import VolumeShader, VolumeVarying, draw_volumes, lit_variant
+from renderer.techniques.light_volumes import VolumeShader, VolumeVarying, draw_volumes
 from renderer.techniques.resolve import LIGHT_FORMAT
 from renderer.techniques.scene_shader import SceneShader
-from renderer.techniques.surfaces import bind_surfaces
+from renderer.techniques.variants import bind, draw_full_screen, list_lamps
 from rhi import BlendFunction, DepthFunction, DepthWrite, Format, State
 from rhi.shading import (
     Shader,
@@ -266,14 +264,14 @@ def _count_kinds(frame: Frame, base: type[Shader]) -> type[Shader]:
 def _count_fragments(frame: Frame, base: type[Shader], *, after_depth: bool, **bindings: Any) -> None:
     """Draw the visible objects with a shader that counts: those that are seen, or all as if they were lit at once."""
     resources = frame.resources
-    own = {"view": frame.view.buffer, "objects": resources.objects.buffer, "places": resources.places.buffer}
+    program = frame.program(_count_kinds(frame, base))
     frame.draw_visible(
         TechniquePass(
             frame.device,
             resources,
             frame.view,
-            frame.program(_count_kinds(frame, base)),
-            own | bindings,
+            program,
+            bind(frame, program, bindings),
             color=frame.targets[EVALUATIONS],
             depth=frame.targets["depth" if after_depth else "counted depth"],
             clear=(0.0, 0.0, 0.0, 0.0),
@@ -288,7 +286,7 @@ def _count_objects(frame: Frame) -> None:
 
 
 def _count_cells(frame: Frame, *, cells: LightCells, after_depth: bool) -> None:
-    bindings = bind_rays(frame) | bind_lists(frame, cells)
+    bindings = bind_lists(frame, cells)
     _count_fragments(frame, CellLights, after_depth=after_depth, **bindings)
 
 
@@ -298,7 +296,7 @@ def _count_indices(frame: Frame) -> None:
 
 def _count_pixels(frame: Frame) -> None:
     targets, shader = frame.targets, cast("type[FullScreen]", _count_kinds(frame, PixelLights))
-    bindings = bind_surface(frame) | bind_lists(frame, CLUSTERS)
+    bindings = bind_lists(frame, CLUSTERS)
     draw_full_screen(
         frame, shader, targets[EVALUATIONS], bindings, depth=targets["depth"], clear=(0.0, 0.0, 0.0, 0.0)
     )
@@ -311,22 +309,20 @@ def _count_places(frame: Frame) -> None:
 
 
 def _count_tiles(frame: Frame) -> None:
-    dispatch_tiles(frame, frame.targets[EVALUATIONS], (TileLights,))
+    dispatch_tiles(frame, frame.targets[EVALUATIONS], TileLights)
 
 
 def _count_volumes(frame: Frame, *, stencil: bool, depth: str) -> None:
     for number, effect in enumerate(list_lamps(frame.needs)):
-        shader = lit_variant(VolumeFragments, effect)
-        targets = [EVALUATIONS]
         draw_volumes(
-            frame, effect, shader, bind_rays(frame), targets, depth=depth, clears=not number, is_masked=stencil
+            frame, effect, VolumeFragments, [EVALUATIONS], depth=depth, clears=not number, is_masked=stencil
         )
 
 
 def _count_pairs(frame: Frame) -> None:
-    targets, (_, bindings) = frame.targets, bind_surfaces(frame, ())
+    targets = frame.targets
     with frame.device.render_pass(targets[EVALUATIONS], clear=(0.0, 0.0, 0.0, 0.0)):
         pass
     for effect in list_lamps(frame.needs):
         shader = PointPairFragments if effect is Effect.POINT_LIGHTS else SpotPairFragments
-        draw_pairs(frame, effect, shader, targets[EVALUATIONS], **bindings)
+        draw_pairs(frame, effect, shader, targets[EVALUATIONS])

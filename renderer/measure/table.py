@@ -37,7 +37,7 @@ def format_rows(rows: Sequence[Mapping[str, object]], *, markdown: bool = False)
 
     What is true is "on", what is false "off", and what is None a dash.
     """
-    cells = [[_as_word(value) for value in row.values()] for row in rows]
+    cells = [[format_value(value) for value in row.values()] for row in rows]
     return format_table([title_of(name) for name in rows[0]], cells, markdown=markdown)
 
 
@@ -46,7 +46,8 @@ def title_of(name: str) -> str:
     return name.replace("_", " ").replace("milliseconds", "ms").replace(" changes", "s")
 
 
-def _as_word(value: object) -> object:
+def format_value(value: object) -> object:
+    """Return what stands in a cell."""
     if isinstance(value, bool):
         return "on" if value else "off"
     return "-" if value is None else value

@@ -8,9 +8,10 @@ from typing import Final
 
 import rhi
 from renderer.measure import format_table
+from renderer.measure.alternate import Interval
 from renderer.need.counting import FrameCosts, Left, compare, count_rung, remove_rung
 from renderer.need.ladder import LADDER
-from renderer.need.timing import Interval, RungTime, time_removal, time_rungs
+from renderer.need.timing import RungTime, time_removal, time_rungs
 
 __rhi_internal__ = True
 

@@ -9,13 +9,12 @@ from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
-from statistics import median
 from typing import Final
 
 import rhi
 from renderer.frame import find_needs
 from renderer.measure import Measurement, alternate
-from renderer.measure.alternate import find_interval
+from renderer.measure.alternate import Interval
 from renderer.need.counting import Ascent, open_without, remove
 from renderer.need.ladder import move_eye
 from renderer.overlay import Overlay
@@ -26,20 +25,6 @@ _WARM: Final = 12
 """Frames that aren't timed: kernels are built and replaced by better ones."""
 _ASKED: Final = 20
 """How often a frame's needs are found for one measurement, which a clock can tell."""
-
-
-@dataclass(frozen=True, slots=True)
-class Interval:
-    """A median, and the limits between which it is with 95 % confidence."""
-
-    median: float
-    low: float
-    high: float
-
-    @classmethod
-    def of(cls, values: Sequence[float]) -> Interval:
-        """Return the median of what was sampled."""
-        return cls(median(values), *find_interval(values))
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,13 +46,12 @@ def time_rungs(device: rhi.Device, numbers: Sequence[int], rounds: Iterable[int]
         for number in drawn:
             ascents[str(number)] = ascent = Ascent(device, number + 1)
             made.callback(ascent.destroy)
-        times = _alternate(ascents, rounds)
-    found: dict[int, RungTime] = {}
-    for number in numbers:
-        one, before = times[str(number)], times.get(str(number - 1))
-        added = None if before is None else _subtract(one, before)
-        found[number] = RungTime(Interval.of(_in_milliseconds(one)), added)
-    return found
+        times = {int(name): time.in_milliseconds() for name, time in _alternate(ascents, rounds).items()}
+    added = {number: times[number] - times[number - 1] for number in numbers if number - 1 in times}
+    return {
+        number: RungTime(Interval.of(times[number]), Interval.of(added[number]) if number in added else None)
+        for number in numbers
+    }
 
 
 def time_removal(device: rhi.Device, number: int, rounds: Iterable[int]) -> Interval:
@@ -79,9 +63,7 @@ def time_removal(device: rhi.Device, number: int, rounds: Iterable[int]) -> Inte
         removed = remove(device, number)
         made.callback(removed.destroy)
         times = _alternate({"never": never, "removed": removed}, rounds)
-    one, other = times["removed"], times["never"]
-    both = zip(one.processor_seconds, other.processor_seconds, strict=True)
-    return Interval.of([a / b for a, b in both])
+    return Interval.of(times["removed"].in_milliseconds() / times["never"].in_milliseconds())
 
 
 def _alternate(ascents: dict[str, Ascent], rounds: Iterable[int]) -> dict[str, Measurement]:
@@ -102,15 +84,6 @@ def _alternate(ascents: dict[str, Ascent], rounds: Iterable[int]) -> dict[str, M
     return alternate(
         {name: partial(draw, ascent) for name, ascent in ascents.items()}, rounds, warm_ups=_WARM, before=prepare
     )
-
-
-def _in_milliseconds(one: Measurement) -> list[float]:
-    return [1e3 * seconds for seconds in one.processor_seconds]
-
-
-def _subtract(one: Measurement, other: Measurement) -> Interval:
-    both = zip(_in_milliseconds(one), _in_milliseconds(other), strict=True)
-    return Interval.of([a - b for a, b in both])
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +113,5 @@ def time_asking(device: rhi.Device, rounds: int) -> Asking:
 
     times = alternate({"ask": ask, "frame": draw}, range(rounds), warm_ups=_WARM, before=prepare)
     ascent.destroy()
-    asked = [seconds / _ASKED for seconds in times["ask"].processor_seconds]
-    both = zip(asked, times["frame"].processor_seconds, strict=True)
-    return Asking(Interval.of([1e6 * seconds for seconds in asked]), Interval.of([a / b for a, b in both]))
+    asked, drawn = times["ask"].in_milliseconds() / _ASKED, times["frame"].in_milliseconds()
+    return Asking(Interval.of(1e3 * asked), Interval.of(asked / drawn))

@@ -14,7 +14,7 @@ from typing import Any, Final
 from renderer.frame import Frame, Needs, Pass
 from renderer.lights.culling.cells import CellGrid, cell_index
 from renderer.lights.culling.grid import LightGrid
-from renderer.techniques.forward import explain_lamps
+from renderer.techniques.variants import explain_lamps
 from rhi import Device
 from rhi.shading import Shader, Storage, Uniform, fragment_coordinate, ivec2, ivec3
 
@@ -51,6 +51,8 @@ CLUSTERS: Final = LightCells(64, 24)
 
 class CellReader(Shader):
     """The base of shaders that are lit by the lights of a cell."""
+
+    lean = True
 
     grid: Uniform[CellGrid]
     light_rows: Storage[int]

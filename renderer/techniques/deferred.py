@@ -12,33 +12,20 @@ buffer and only the passes 1 and 3.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, Final
 
 from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass
 from renderer.shaders.lighting import BRIGHTEST
+from renderer.shaders.pixels import FullScreen
 from renderer.shaders.structs import SurfacePoint
 from renderer.techniques.finish import finish_image
-from renderer.techniques.forward import bind_shading, find_forward
-from renderer.techniques.geometry_buffer import (
-    GeometryReader,
-    bind_geometry,
-    find_layout,
-    geometry_pass,
-    list_contents,
-    list_planes,
-    list_readers,
-)
-from renderer.techniques.light_volumes import (
-    VolumeShader,
-    VolumeVarying,
-    declare_lights,
-    draw_volumes,
-    lit_variant,
-)
-from renderer.techniques.resolve import ResolveShader, draw_resolve, resolve_pass
+from renderer.techniques.geometry_buffer import GeometryReader, find_contents, geometry_pass, list_contents
+from renderer.techniques.light_volumes import VolumeShader, VolumeVarying, declare_lights, draw_volumes
+from renderer.techniques.resolve import resolve_pass
 from renderer.techniques.scene_shader import ShadingShader
+from renderer.techniques.variants import FORWARD, draw_full_screen
 from rhi import Format
 from rhi.shading import (
     Precision,
@@ -69,8 +56,11 @@ class LightingShader(VolumeShader, GeometryReader):
         return vec4(self.unblocked(light, position, surface.plane, v.light), 0.0)
 
 
-class GeometryResolve(ResolveShader, GeometryReader, ShadingShader):
-    """Makes the image from the geometry buffer."""
+class GeometryResolve(FullScreen, GeometryReader, ShadingShader):
+    """Makes the image from the geometry buffer, and from the light of volumes if there is any."""
+
+    has_light = False
+    light: Texture2D
 
     def fragment(self) -> vec4:
         place = ivec2(fragment_coordinate().xy)
@@ -84,16 +74,7 @@ class GeometryResolve(ResolveShader, GeometryReader, ShadingShader):
         return self.finish(color, position)
 
     def local_light(self, surface: SurfacePoint, pixel: ivec2, distance: float) -> vec3:
-        return vec3(0.0)
-
-
-class WithLightBuffer(GeometryResolve):
-    """Adds the light of volumes."""
-
-    light: Texture2D
-
-    def local_light(self, surface: SurfacePoint, pixel: ivec2, distance: float) -> vec3:
-        return min(self.light.load(pixel).rgb, BRIGHTEST)
+        return min(self.light.load(pixel).rgb, BRIGHTEST) if self.has_light else vec3(0.0)
 
 
 class Deferred:
@@ -116,7 +97,7 @@ class Deferred:
             resolve_pass(
                 needs, partial(resolve, lights=last), "lights surfaces by what reaches all of them", (*reads, *last)
             ),
-            *finish_image(needs, find_forward),
+            *finish_image(needs, FORWARD),
         )
 
 
@@ -124,21 +105,24 @@ def light_geometry(
     frame: Frame, *, effect: Effect, targets: Sequence[str], clears: bool, stencil: bool
 ) -> None:
     """Add the light of the point or spot lights in view to the light buffer."""
-    shader = lit_variant(LightingShader, effect, list_readers(frame.needs))
-    draw_volumes(frame, effect, shader, bind_geometry(frame), targets, clears=clears, is_masked=stencil)
+    switches = find_contents(frame.needs)
+    draw_volumes(frame, effect, LightingShader, targets, switches=switches, clears=clears, is_masked=stencil)
 
 
 def resolve(frame: Frame, *, lights: Sequence[str]) -> None:
-    """Make the image: shade each pixel of the geometry buffer and add the light that was collected, if any was."""
-    features, bindings = bind_shading(frame)
-    if lights:
-        (bindings["light"],) = (frame.targets[name] for name in lights)
-    resolve_geometry(frame, WithLightBuffer if lights else GeometryResolve, features, bindings)
+    """Make the image: shade each pixel of the geometry buffer and add the light that was collected, if any was.
+
+    Args:
+        lights: the name of the contents with the collected light, the last of its passes; empty without any.
+    """
+    own = {"light": frame.targets[lights[0]]} if lights else {}
+    resolve_geometry(frame, GeometryResolve, own, has_light=bool(lights))
 
 
 def resolve_geometry(
-    frame: Frame, base: type[GeometryResolve], parts: Sequence[str], bindings: dict[str, Any]
+    frame: Frame, shader: type[GeometryResolve], own: Mapping[str, Any], **switches: bool
 ) -> None:
-    """Make the image with a shader and parts of it, and their bindings besides those of the geometry buffer."""
-    readers = (*list_planes(frame.needs), *find_layout(frame.needs).parts)
-    draw_resolve(frame, (*readers, base), parts, bindings | bind_geometry(frame), depth=frame.targets["depth"])
+    """Make the image with a shader, bindings of its own, and its switches."""
+    targets, switches = frame.targets, find_contents(frame.needs) | switches
+    depth, clear = targets["depth"], frame.background
+    draw_full_screen(frame, shader, frame.image, own, depth=depth, clear=clear, switches=switches)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from renderer.frame import Frame, TechniquePass
+from renderer.frame import DEPTH_FORMAT, Effect, Frame, Pass, Target
 from renderer.shaders.depth import DepthOnly
 from renderer.shaders.structs import SurfaceVarying
 from renderer.techniques.scene_shader import SceneShader
-from renderer.techniques.surfaces import Aspect, bind_surfaces, surface_variant
+from renderer.techniques.variants import COVERAGE, bind, find_variant, scene_pass
 from rhi import Program
 
 __rhi_internal__ = True
@@ -18,26 +18,24 @@ class PartialDepth(SceneShader):
     """Draws depth, of what isn't left out."""
 
     def fragment(self, v: SurfaceVarying) -> None:
-        _ = self.find_texel(v)  # which leaves out what isn't drawn
+        self.cut(v)
+
+
+def _find_shader(frame: Frame) -> type[Any]:
+    return PartialDepth if Effect.MASKS in frame.needs.effects else DepthOnly
 
 
 def bind_depth(frame: Frame) -> tuple[Program[Any], dict[str, Any]]:
     """Return the program that draws the depth of the scene's objects, of masks what they leave, and its bindings."""
-    parts, bindings = bind_surfaces(frame, (Aspect.COVERAGE,), has_materials=False)
-    return frame.program(surface_variant(PartialDepth, parts) if parts else DepthOnly), bindings
+    program: Program[Any] = frame.program(find_variant(frame, _find_shader(frame), **COVERAGE))
+    return program, bind(frame, program, {})
+
+
+def depth_pass(because: str) -> Pass[Frame]:
+    """Return the pass that draws the depth of the visible objects to `depth`."""
+    return Pass("depth", draw_depth, because, writes=(Target("depth", DEPTH_FORMAT),))
 
 
 def draw_depth(frame: Frame) -> None:
     """Draw the depth of the visible objects to `depth`."""
-    program, bindings = bind_depth(frame)
-    frame.draw_visible(
-        TechniquePass(
-            frame.device,
-            frame.resources,
-            frame.view,
-            program,
-            bindings,
-            color=None,
-            depth=frame.targets["depth"],
-        )
-    )
+    frame.draw_visible(scene_pass(frame, _find_shader(frame), color=None, switches=COVERAGE))

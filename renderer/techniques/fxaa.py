@@ -13,8 +13,8 @@ from typing import Final
 
 from renderer.frame import IMAGE_FORMAT, Frame, Needs, Pass, Target, find_last
 from renderer.shaders.pixels import FullScreen
-from renderer.techniques.full_screen import draw_full_screen
 from renderer.techniques.technique import Technique
+from renderer.techniques.variants import draw_full_screen
 from rhi.shading import (
     Texture2D,
     abs,

@@ -24,25 +24,14 @@ background by a depth test (`draw_full_screen`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
-
-from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target, TechniquePass
+from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target
 from renderer.shaders.encodings import decode_normal, encode_normal
 from renderer.shaders.lighting import safe_normalize
 from renderer.shaders.pixels import PixelRays, place_pixel
 from renderer.shaders.structs import Material, SurfacePoint, SurfaceVarying
-from renderer.techniques.full_screen import bind_rays
-from renderer.techniques.scene_shader import SHADING_PARTS, ReflectingShader, SceneShader
-from renderer.techniques.surfaces import (
-    Aspect,
-    MaterialShader,
-    bind_surfaces,
-    list_models,
-    surface_variant,
-)
-from rhi import Format, Texture
+from renderer.techniques.scene_shader import MaterialShader, ReflectingShader, SceneShader
+from renderer.techniques.variants import scene_pass
+from rhi import Format
 from rhi.shading import (
     Shader,
     Storage,
@@ -59,7 +48,6 @@ from rhi.shading import (
     sqrt,
     uint,
     uint_bits_to_float,
-    uvec2,
     uvec4,
     vec2,
     vec3,
@@ -109,33 +97,18 @@ def decode_details(bits: uint) -> vec3:
 
 
 class GeometryTexels(Struct):
-    """What `GeometryShader` writes."""
+    """What `GeometryShader` writes; what a format has no room for is left out."""
 
     surface: uvec4
-    material: uint
-
-
-class TexturedTexels(Struct):
-    """What `TexturedGeometry` writes."""
-
-    surface: uvec4
-    material: uvec2
+    material: uvec4
 
 
 class DetailedTexels(Struct):
     """What `DetailedGeometry` writes."""
 
     surface: uvec4
-    material: uvec2
-    details: uint
-
-
-class EmissiveTexels(Struct):
-    """What `EmissiveGeometry` writes."""
-
-    surface: uvec4
-    material: uvec2
-    details: uvec2
+    material: uvec4
+    details: uvec4
 
 
 class SurfaceShader(SceneShader):
@@ -153,79 +126,63 @@ class SurfaceShader(SceneShader):
         return uvec4(encode_normal(normal), float_bits_to_uint(distance), plane, uint(0))
 
 
-class GeometryShader(SurfaceShader):
-    """Writes the geometry buffer of a scene without textures and colours of vertices."""
+class GeometryShader(MaterialShader, SurfaceShader):
+    """Writes the geometry buffer of a scene without maps but those of normals."""
+
+    has_texels = False
 
     def fragment(self, v: SurfaceVarying) -> GeometryTexels:
-        _ = self.find_texel(v)  # which leaves out what isn't drawn
-        return GeometryTexels(surface=self.encode_surface(v), material=uint(v.material))
+        return GeometryTexels(surface=self.encode_surface(v), material=self.encode_material(v))
+
+    def encode_material(self, v: SurfaceVarying) -> uvec4:
+        """Return what `material` holds."""
+        texel = uint(0)
+        if self.has_texels:
+            texel = encode_texel(self.find_texel(v).rgb)
+        else:
+            self.cut(v)
+        return uvec4(uint(v.material), texel, uint(0), uint(0))
 
 
-class TexturedGeometry(SurfaceShader):
-    """Writes the geometry buffer of a scene with texels."""
+class DetailedGeometry(GeometryShader):
+    """Writes the geometry buffer of a scene with maps of roughness, occlusion or emitted light."""
 
-    def fragment(self, v: SurfaceVarying) -> TexturedTexels:
-        texel = encode_texel(self.find_texel(v).rgb)
-        return TexturedTexels(surface=self.encode_surface(v), material=uvec2(uint(v.material), texel))
-
-
-class DetailedGeometry(MaterialShader, SurfaceShader):
-    """Writes the geometry buffer of a scene with maps of roughness or occlusion."""
-
-    def fragment(self, v: SurfaceVarying) -> DetailedTexels:
-        texel = encode_texel(self.find_texel(v).rgb)
+    def fragment(self, v: SurfaceVarying) -> DetailedTexels:  # type: ignore[override]  # more targets
+        details = encode_details(self.find_metal(v), self.find_occlusion(v))
         return DetailedTexels(
             surface=self.encode_surface(v),
-            material=uvec2(uint(v.material), texel),
-            details=encode_details(self.find_metal(v), self.find_occlusion(v)),
+            material=self.encode_material(v),
+            details=uvec4(details, encode_texel(self.find_emissive(v)), uint(0), uint(0)),
         )
 
 
-class EmissiveGeometry(MaterialShader, SurfaceShader):
-    """Writes the geometry buffer of a scene with emissive maps."""
-
-    def fragment(self, v: SurfaceVarying) -> EmissiveTexels:
-        texel = encode_texel(self.find_texel(v).rgb)
-        details = encode_details(self.find_metal(v), self.find_occlusion(v))
-        return EmissiveTexels(
-            surface=self.encode_surface(v),
-            material=uvec2(uint(v.material), texel),
-            details=uvec2(details, encode_texel(self.find_emissive(v))),
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class GeometryLayout:
-    """What a geometry buffer holds: the shader that writes it, the aspects of surfaces that it reads, the formats of
-    `material` and `details`, and the parts by which a `GeometryReader` reads more than normal and material."""
-
-    shader: type[SceneShader]
-    aspects: tuple[Aspect, ...]
-    material: Format
-    details: Format | None
-    parts: tuple[type[Shader], ...]
-
-
-def find_layout(needs: Needs) -> GeometryLayout:
-    """Return the layout that holds what the scene has, and no more."""
+def find_formats(needs: Needs) -> dict[str, Format]:
+    """Return the formats of the geometry buffer's contents but `depth`, which hold what the scene has and no more."""
     effects = needs.effects
-    aspects = (Aspect.COVERAGE, Aspect.NORMAL, Aspect.COLOR, Aspect.METAL, Aspect.AMBIENT)
-    if Effect.EMISSIVE_MAPS in effects:
-        parts: tuple[type[Shader], ...] = (WithEmissiveTexels, WithDetails, WithTexels)
-        return GeometryLayout(EmissiveGeometry, aspects, Format.RG32UI, Format.RG32UI, parts)
-    if not effects.isdisjoint((Effect.ROUGHNESS_MAPS, Effect.OCCLUSION_MAPS)):
-        return GeometryLayout(DetailedGeometry, aspects, Format.RG32UI, Format.R32UI, (WithDetails, WithTexels))
-    if not effects.isdisjoint((Effect.IMAGES, Effect.VERTEX_COLORS)):
-        return GeometryLayout(TexturedGeometry, aspects[:3], Format.RG32UI, None, (WithTexels,))
-    return GeometryLayout(GeometryShader, aspects[:2], Format.R32UI, None, ())
+    has_emissive = Effect.EMISSIVE_MAPS in effects
+    has_details = has_emissive or not effects.isdisjoint((Effect.ROUGHNESS_MAPS, Effect.OCCLUSION_MAPS))
+    has_texels = has_details or not effects.isdisjoint((Effect.IMAGES, Effect.VERTEX_COLORS))
+    formats = {"surface": find_surface_format(needs), "material": Format.RG32UI if has_texels else Format.R32UI}
+    return formats | ({"details": Format.RG32UI if has_emissive else Format.R32UI} if has_details else {})
+
+
+def find_contents(needs: Needs) -> dict[str, bool]:
+    """Return the switches of a `GeometryReader` that say what the geometry buffer holds."""
+    formats = find_formats(needs)
+    texels, details = formats["material"] is Format.RG32UI, formats.get("details")
+    emissive = details is Format.RG32UI
+    return {"has_texels": texels, "has_details": details is not None, "has_emissive_texels": emissive}
 
 
 class SurfaceReader(Shader):
     """The base of shaders that light what is in `surface`. If that `is_shrunk`, it has every so many pixels only."""
 
+    lean = True
+    is_shrunk = False
+    has_planes = False
+
     rays: Uniform[PixelRays]
     surface: UintTexture2D
-    is_shrunk = False
 
     def find_place(self, texel: uvec4, place: ivec2) -> vec3:
         """Return the position of the surface whose texel, at `place`, was loaded."""
@@ -236,158 +193,65 @@ class SurfaceReader(Shader):
 
     def read_plane(self, texel: uvec4, normal: vec3) -> vec3:
         """Return the normal that maps don't bend of the surface whose texel was loaded, given the `normal`."""
-        return normal
-
-
-class StoredPlanes(SurfaceReader):
-    """Normals that maps don't bend are stored."""
-
-    def read_plane(self, texel: uvec4, normal: vec3) -> vec3:
-        return decode_normal(texel.z)
+        return decode_normal(texel.z) if self.has_planes else normal
 
 
 class GeometryReader(SurfaceReader, ReflectingShader):
     """The base of shaders that light what is in the geometry buffer."""
 
+    has_texels = False
+    has_details = False
+    has_emissive_texels = False
+
     material: UintTexture2D
+    details: UintTexture2D
     materials: Storage[Material]
 
     def read_surface(self, row: uvec4, texel: uvec4, place: ivec2, position: vec3) -> SurfacePoint:
         """Return the surface at a place of the buffer, whose texels of `material` and `surface` were loaded."""
         material = self.materials[int(row.x)]
-        details = self.load_details(place)
         normal = decode_normal(texel.x)
+        base_color = material.base_color.rgb
+        metal = vec2(material.metallic, material.roughness)
+        occlusion = 1.0
+        emissive = vec3(1.0)
+        if self.has_texels:
+            base_color = base_color * decode_texel(row.y)
+        if self.has_details:
+            bits = self.details.load(place)
+            details = decode_details(bits.x)
+            metal = details.xy
+            occlusion = details.z
+            if self.has_emissive_texels:
+                emissive = decode_texel(bits.y)
         surface = SurfacePoint(
             position=position,
             normal=normal,
             plane=self.read_plane(texel, normal),
             to_eye=safe_normalize(-position),
-            base_color=material.base_color.rgb * self.read_texel(row),
+            base_color=base_color,
             specular_color=material.specular_color,
             shininess=material.shininess,
-            occlusion=self.read_occlusion(details),
-            emissive=self.read_emissive(details),
+            occlusion=occlusion,
+            emissive=emissive,
         )
-        return self.with_model(surface, material, self.read_metal(material, details))
-
-    def load_details(self, place: ivec2) -> uvec4:
-        return uvec4(0)
-
-    def read_texel(self, row: uvec4) -> vec3:
-        return vec3(1.0)
-
-    def read_metal(self, material: Material, details: uvec4) -> vec2:
-        return vec2(material.metallic, material.roughness)
-
-    def read_occlusion(self, details: uvec4) -> float:
-        return 1.0
-
-    def read_emissive(self, details: uvec4) -> vec3:
-        return vec3(1.0)
-
-
-class WithTexels(GeometryReader):
-    """Base colours are multiplied with texels."""
-
-    def read_texel(self, row: uvec4) -> vec3:
-        return decode_texel(row.y)
-
-
-class WithDetails(GeometryReader):
-    """How metallic, rough and occluded a surface is comes from the buffer."""
-
-    details: UintTexture2D
-
-    def load_details(self, place: ivec2) -> uvec4:
-        return self.details.load(place)
-
-    def read_metal(self, material: Material, details: uvec4) -> vec2:
-        return decode_details(details.x).xy
-
-    def read_occlusion(self, details: uvec4) -> float:
-        return decode_details(details.x).z
-
-
-class WithEmissiveTexels(GeometryReader):
-    """Emissive colours are multiplied with texels."""
-
-    def read_emissive(self, details: uvec4) -> vec3:
-        return decode_texel(details.y)
+        return self.with_model(surface, material, metal)
 
 
 def geometry_pass(needs: Needs, depth_format: Format = DEPTH_FORMAT) -> Pass[Frame]:
     """Return the pass that draws the geometry buffer: `surface`, `material`, `details` if it has any, and `depth`."""
-    layout = find_layout(needs)
-    details = [] if layout.details is None else [Target("details", layout.details)]
-    return Pass(
-        "geometry",
-        draw_geometry,
-        "stores the nearest surface of each pixel",
-        writes=(
-            Target("surface", find_surface_format(needs)),
-            Target("material", layout.material),
-            *details,
-            Target("depth", depth_format),
-        ),
-    )
+    formats = find_formats(needs)
+
+    def draw(frame: Frame) -> None:
+        shader = DetailedGeometry if "details" in formats else GeometryShader
+        color = [frame.targets[name] for name in formats]
+        frame.draw_visible(scene_pass(frame, shader, color=color, switches=find_contents(needs)))
+
+    targets = (Target(name, format) for name, format in formats.items())
+    because = "stores the nearest surface of each pixel"
+    return Pass("geometry", draw, because, writes=(*targets, Target("depth", depth_format)))
 
 
 def list_contents(needs: Needs) -> tuple[str, ...]:
     """Return the names of the geometry buffer's contents."""
-    return "surface", "material", *(["details"] if find_layout(needs).details is not None else []), "depth"
-
-
-def list_planes(needs: Needs) -> tuple[type[SurfaceReader], ...]:
-    """Return the parts by which a `SurfaceReader` reads normals that maps don't bend."""
-    return (StoredPlanes,) if needs.has_planes else ()
-
-
-def list_readers(needs: Needs) -> tuple[type[Shader], ...]:
-    """Return the parts by which a `GeometryReader` reads and reflects what the scene has."""
-    return (*list_planes(needs), *find_layout(needs).parts, *(SHADING_PARTS[name] for name in list_models(needs)))
-
-
-def draw_geometry(frame: Frame) -> None:
-    """Draw the visible objects to the geometry buffer."""
-    layout, targets = find_layout(frame.needs), frame.targets
-    draw_surfaces(
-        frame,
-        layout.shader,
-        layout.aspects,
-        [targets[name] for name in list_contents(frame.needs)[:-1]],
-    )
-
-
-def draw_surfaces(
-    frame: Frame,
-    base: type[SceneShader],
-    aspects: tuple[Aspect, ...],
-    color: list[Texture],
-    models: Sequence[str] = (),
-) -> None:
-    """Draw the visible objects to textures and `depth` by a `SurfaceShader`, with parts for what it reads and for the
-    `models` of materials."""
-    has_materials = issubclass(base, MaterialShader)
-    parts, scene = bind_surfaces(frame, aspects, has_materials=has_materials)
-    frame.draw_visible(
-        TechniquePass(
-            frame.device,
-            frame.resources,
-            frame.view,
-            frame.program(surface_variant(base, [*models, *parts])),
-            bind_rays(frame) | scene,
-            color=color,
-            depth=frame.targets["depth"],
-        )
-    )
-
-
-def bind_surface(frame: Frame, surface: str = "surface") -> dict[str, Any]:
-    """Return the bindings of a `SurfaceReader`; `surface` is the name of its contents."""
-    return bind_rays(frame) | {"surface": frame.targets[surface]}
-
-
-def bind_geometry(frame: Frame) -> dict[str, Any]:
-    """Return the bindings of a `GeometryReader`."""
-    contents = {name: frame.targets[name] for name in list_contents(frame.needs)[1:-1]}
-    return bind_surface(frame) | contents | {"materials": frame.resources.materials.buffer}
+    return *find_formats(needs), "depth"

@@ -22,15 +22,13 @@ from functools import partial
 from typing import Any, Final
 
 from renderer.frame import IMAGE_FORMAT, Effect, Frame, GlowSettings, Needs, Pass, Target
-from renderer.frame.mirrors import MirroredValue
 from renderer.shaders.lighting import tone_map
 from renderer.shaders.pixels import FullScreen
-from renderer.techniques.full_screen import draw_full_screen
+from renderer.techniques.variants import draw_full_screen
 from rhi import (
     BlendColor,
     BlendFactor,
     BlendFunction,
-    Device,
     Format,
     SamplerDescriptor,
     Wrap,
@@ -180,17 +178,6 @@ class Tones(Spreading):
         return vec4(tone_map(mix(light, self.read_spread(), self.mixture.share)), 1.0)
 
 
-class GlowMixture:
-    """How much light is scattered, on the device."""
-
-    def __init__(self, device: Device) -> None:
-        self.share = MirroredValue(device, Share(share=0.0))
-
-    def destroy(self) -> None:
-        """Destroy the buffer."""
-        self.share.destroy()
-
-
 def glow_passes(needs: Needs, light: str) -> tuple[Pass[Frame], ...]:
     """Return the passes that make `image` of the contents `light`: none without glow."""
     if Effect.GLOW not in needs.effects:
@@ -232,8 +219,7 @@ def _spread_light(frame: Frame, *, settings: GlowSettings) -> None:
 def _map_tones(frame: Frame) -> None:
     scene = frame.resources.scene
     assert scene.glow is not None, "glow is made where the scene has some"
-    mixture = frame.resources.workspace(GlowMixture).share
-    mixture.write(Share(share=scene.glow.share))
     spread = frame.targets["glow 1"].sampled(_EDGE)
-    bindings: dict[str, Any] = {"light": frame.image, "spread": spread, "mixture": mixture.buffer}
+    mixture = frame.resources.mirror(Share(share=scene.glow.share))
+    bindings: dict[str, Any] = {"light": frame.image, "spread": spread, "mixture": mixture}
     draw_full_screen(frame, Tones, frame.targets["image"], bindings)

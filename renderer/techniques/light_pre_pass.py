@@ -16,35 +16,21 @@ the alpha of the diffuse term, and gets that term's hue. That is right where one
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cache, partial
-from typing import Any, Final
+from functools import partial
+from typing import Final
 
 from renderer import rules
-from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target, TechniquePass
+from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target
 from renderer.shaders.encodings import decode_normal
 from renderer.shaders.lighting import BRIGHTEST, safe_normalize
 from renderer.shaders.structs import SurfacePoint, SurfaceVarying
 from renderer.techniques.finish import finish_image
-from renderer.techniques.forward import Forward, bind_materials, find_forward
-from renderer.techniques.forward_shader import ForwardShader, forward_variant
-from renderer.techniques.geometry_buffer import (
-    SurfaceReader,
-    SurfaceShader,
-    bind_surface,
-    draw_surfaces,
-    find_surface_format,
-    list_planes,
-)
-from renderer.techniques.light_volumes import (
-    VolumeShader,
-    VolumeVarying,
-    declare_lights,
-    draw_volumes,
-    lit_variant,
-)
-from renderer.techniques.scene_shader import SHADING_PARTS, ReflectingShader
-from renderer.techniques.surfaces import Aspect, MaterialShader, list_models
-from rhi import DepthFunction, DepthWrite, Format, Program, Texture, refuse
+from renderer.techniques.forward import Forward
+from renderer.techniques.geometry_buffer import SurfaceReader, SurfaceShader, find_surface_format
+from renderer.techniques.light_volumes import VolumeShader, VolumeVarying, declare_lights, draw_volumes
+from renderer.techniques.scene_shader import ForwardShader, MaterialShader, ReflectingShader
+from renderer.techniques.variants import FORWARD, Lighting, lit_pass, scene_pass
+from rhi import Format, Texture, refuse
 from rhi.shading import (
     Precision,
     Struct,
@@ -53,6 +39,7 @@ from rhi.shading import (
     fragment_coordinate,
     function,
     ivec2,
+    ivec3,
     max,
     min,
     uvec4,
@@ -76,7 +63,7 @@ class NormalShader(MaterialShader, SurfaceShader):
     """Writes normal, distance and shininess."""
 
     def fragment(self, v: SurfaceVarying) -> NormalTexels:
-        _ = self.find_texel(v)  # which leaves out what isn't drawn
+        self.cut(v)
         shininess = self.find_shininess(self.materials[v.material], self.find_metal(v))
         return NormalTexels(surface=self.encode_surface(v), shininess=shininess * _SHININESS_SCALE)
 
@@ -179,38 +166,25 @@ class PackedMetals(TermShader):
         return PackedMetalTerms(diffuse=terms.diffuse, grazing=terms.grazing)
 
 
-class WithTerms(ForwardShader):
-    """Adds the light of terms."""
+class LitByTerms(ForwardShader):
+    """Adds the light of terms. Where they are packed, the specular one is a luminance."""
+
+    is_packed = False
 
     diffuse: Texture2D
     specular: Texture2D
-
-    def pointlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
-        place = ivec2(fragment_coordinate().xy)
-        diffuse = min(self.diffuse.load(place).rgb, BRIGHTEST)
-        specular = min(self.specular.load(place).rgb, BRIGHTEST)
-        return surface.base_color * diffuse + surface.specular_color * specular
-
-
-class WithPackedTerms(ForwardShader):
-    """Adds the light of terms whose specular one is a luminance."""
-
-    diffuse: Texture2D
-
-    def pointlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
-        terms = min(self.diffuse.load(ivec2(fragment_coordinate().xy)), BRIGHTEST)
-        hue = terms.rgb / max(luminance(terms.rgb), 1e-6)
-        return surface.base_color * terms.rgb + surface.specular_color * hue * terms.a
-
-
-class WithGrazingTerms(ForwardShader):
-    """Adds the light of the term of white."""
-
     grazing: Texture2D
 
-    def pointlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
-        grazing = min(self.grazing.load(ivec2(fragment_coordinate().xy)).rgb, BRIGHTEST)
-        return super().pointlight(surface, begin, end) + grazing
+    def lamplight(self, surface: SurfacePoint, lights: ivec3) -> vec3:
+        place = ivec2(fragment_coordinate().xy)
+        terms = min(self.diffuse.load(place), BRIGHTEST)
+        specular = terms.rgb / max(luminance(terms.rgb), 1e-6) * terms.a
+        if not self.is_packed:
+            specular = min(self.specular.load(place).rgb, BRIGHTEST)
+        color = surface.base_color * terms.rgb + surface.specular_color * specular
+        if self.has_metals:
+            color += min(self.grazing.load(place).rgb, BRIGHTEST)
+        return color
 
 
 class LightPrePass:
@@ -233,17 +207,14 @@ class LightPrePass:
         lights, last = declare_lights(needs, buffers, reads, partial(collect_terms, stencil=self.stencil))
         if not lights:
             return Forward().declare(needs)
+        own, packed = dict(zip(buffers, last, strict=True)), self.specular_channels == 1
+        lighting = Lighting((LitByTerms,), {"is_packed": packed}, partial(bind_contents, names=own), tuple(last))
+        because = "draws the visible objects, lit by what was collected"
         return (
             normals_pass(needs, Format.D32FS8 if self.stencil else DEPTH_FORMAT),
             *lights,
-            Pass(
-                "materials",
-                partial(draw_materials, terms=dict(zip(buffers, last, strict=True))),
-                "draws the visible objects, lit by what was collected",
-                reads=("depth", *last),
-                writes=(needs.image,),
-            ),
-            *finish_image(needs, find_forward),
+            lit_pass(needs, lighting, because, after_depth=True, name="materials"),
+            *finish_image(needs, FORWARD),
         )
 
 
@@ -263,14 +234,8 @@ def normals_pass(needs: Needs, depth_format: Format = DEPTH_FORMAT) -> Pass[Fram
 
 def draw_normals(frame: Frame) -> None:
     """Draw the visible objects: what lights must know of them."""
-    targets = frame.targets
-    draw_surfaces(
-        frame,
-        NormalShader,
-        (Aspect.COVERAGE, Aspect.NORMAL, Aspect.METAL),
-        [targets["surface"], targets["shininess"]],
-        list_models(frame.needs),
-    )
+    color = [frame.targets["surface"], frame.targets["shininess"]]
+    frame.draw_visible(scene_pass(frame, NormalShader, color=color))
 
 
 def list_terms(needs: Needs, *, packed: bool = False) -> list[str]:
@@ -296,54 +261,19 @@ def collect_terms(
     shaders = {1: PackedTerms, 2: PlainTerms}
     if Effect.METALS in frame.needs.effects:
         shaders = {2: PackedMetals, 3: MetalTerms}
-    models = (SHADING_PARTS[name] for name in list_models(frame.needs))
-    parts = (*list_planes(frame.needs), *models)
     draw_volumes(
         frame,
         effect,
-        lit_variant(shaders[len(targets)], effect, parts, is_shrunk=bool(prefix)),
-        bind_surface(frame, f"{prefix}surface") | {"shininess": frame.targets[f"{prefix}shininess"]},
+        shaders[len(targets)],
         targets,
+        own={name: frame.targets[f"{prefix}{name}"] for name in ("surface", "shininess")},
+        switches={"is_shrunk": bool(prefix)},
         depth=f"{prefix}depth",
         clears=clears,
         is_masked=stencil,
     )
 
 
-@cache
-def materials_variant(parts: tuple[str, ...], terms: tuple[str, ...], *, has_sun: bool) -> type[ForwardShader]:
-    """Return the forward shader with these of `PARTS` that takes the light of lamps from these terms."""
-    lit = WithTerms if "specular" in terms else WithPackedTerms
-    grazing = [WithGrazingTerms] if "grazing" in terms else []
-    return type("Materials", (*grazing, lit, forward_variant(*parts, has_sun=has_sun)), {"__module__": __name__})
-
-
-def draw_materials(frame: Frame, *, terms: Mapping[str, str]) -> None:
-    """Draw the visible objects again, lit by the terms: the contents of each."""
-    features, bindings = bind_materials(frame)
-    shader = materials_variant(tuple(features), tuple(terms), has_sun=frame.needs.has_sun)
-    draw_again(frame, frame.program(shader), bindings | bind_terms(frame, terms))
-
-
-def bind_terms(frame: Frame, terms: Mapping[str, str]) -> dict[str, Texture]:
-    """Return the bindings of the terms."""
-    return {term: frame.targets[name] for term, name in terms.items()}
-
-
-def draw_again(frame: Frame, program: Program[Any], bindings: dict[str, Any]) -> None:
-    """Draw the image: the visible objects, whose depth was drawn before."""
-    targets, resources = frame.targets, frame.resources
-    frame.draw_visible(
-        TechniquePass(
-            frame.device,
-            resources,
-            frame.view,
-            program,
-            bindings,
-            color=frame.image,
-            depth=targets["depth"],
-            clear=frame.background,
-            states=(DepthFunction.EQUAL, DepthWrite.OFF),
-            clears=False,
-        )
-    )
+def bind_contents(frame: Frame, names: Mapping[str, str]) -> dict[str, Texture]:
+    """Return bindings that are contents of these names."""
+    return {binding: frame.targets[name] for binding, name in names.items()}

@@ -17,8 +17,8 @@ as a whole, which never hides a lit pixel.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import cache, partial
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -29,11 +29,11 @@ from renderer.frame.passes import NEARER
 from renderer.lights.hulls import make_cone, make_sphere
 from renderer.shaders.lighting import is_near, point_incidence, spot_incidence
 from renderer.shaders.pixels import PixelRays
-from renderer.shaders.structs import Incidence, PointLight, SpotLight, ViewConstants
-from renderer.shadows import SHADOW_PARTS, ShadowReceiver
-from renderer.techniques.forward import bind_lamp_shadows
+from renderer.shaders.structs import Incidence, ViewConstants
+from renderer.shadows import ShadowReceiver
 from renderer.techniques.full_screen import BEHIND, find_far
 from renderer.techniques.resolve import LIGHT_FORMAT
+from renderer.techniques.variants import bind, find_variant
 from rhi import (
     BlendFunction,
     ColorWrite,
@@ -43,7 +43,6 @@ from rhi import (
     DepthWrite,
     Device,
     Mesh,
-    Program,
     State,
     StencilBack,
     StencilFront,
@@ -51,7 +50,6 @@ from rhi import (
     StencilTest,
 )
 from rhi.shading import (
-    Shader,
     Storage,
     Struct,
     Uniform,
@@ -102,7 +100,7 @@ def project_volume(center: vec3, offset: vec3, reach: float, view: ViewConstants
 
 class VolumeShader(ShadowReceiver):
     """The base of shaders that draw light volumes; `rows` are the rows of the lights to be drawn. A technique's
-    fragment stage is combined with the volumes of one kind of lights (`lit_variant`)."""
+    fragment stage is combined with the volumes of one kind of lights."""
 
     view: Uniform[ViewConstants]
     rays: Uniform[PixelRays]
@@ -123,8 +121,6 @@ class VolumeShader(ShadowReceiver):
 
 class PointVolumes(VolumeShader):
     """Draws the spheres of point lights."""
-
-    point_lights: Storage[PointLight]
 
     def vertex(self, v: VolumeCorner) -> VolumeVarying:
         row = self.rows[instance_index()]
@@ -147,8 +143,6 @@ class PointVolumes(VolumeShader):
 
 class SpotVolumes(VolumeShader):
     """Draws the cones of narrow spot lights, or the spheres of wide ones."""
-
-    spot_lights: Storage[SpotLight]
 
     def vertex(self, v: VolumeCorner) -> VolumeVarying:
         row = self.rows[instance_index()]
@@ -184,46 +178,14 @@ VOLUMES: Final[dict[Effect, type[VolumeShader]]] = {
 """The volumes of each kind of lights."""
 
 
-@cache
-def lit_variant(
-    base: type[VolumeShader], effect: Effect, parts: tuple[type[Shader], ...] = (), **constants: bool
-) -> type[VolumeShader]:
-    """Return the shader whose fragments are those of `base`, in the volumes of point or spot lights, with these parts
-    and attributes."""
-    return type(base.__name__, (*parts, base, VOLUMES[effect]), {"__module__": __name__, **constants})
+def _make_sphere(device: Device) -> Mesh:
+    """Make the sphere around a light's range."""
+    return _make_mesh(device, "light spheres", *make_sphere(), cone=0.0)
 
 
-@cache
-def shadowed_variant(shader: type[VolumeShader], *parts: str) -> type[VolumeShader]:
-    """Return a shader of light volumes with parts of shadows."""
-    return type(shader.__name__, (*(SHADOW_PARTS[part] for part in parts), shader), {"__module__": __name__})
-
-
-class VolumeMeshes:
-    """The meshes of light volumes, each created when it is first drawn."""
-
-    def __init__(self, device: Device) -> None:
-        self._device = device
-        self._made: dict[str, Mesh] = {}
-
-    @property
-    def sphere(self) -> Mesh:
-        """The sphere around a light's range."""
-        if "sphere" not in self._made:
-            self._made["sphere"] = _make_mesh(self._device, "light spheres", *make_sphere(), cone=0.0)
-        return self._made["sphere"]
-
-    @property
-    def cone(self) -> Mesh:
-        """The cone of a narrow spot light."""
-        if "cone" not in self._made:
-            self._made["cone"] = _make_mesh(self._device, "light cones", *make_cone(), cone=1.0)
-        return self._made["cone"]
-
-    def destroy(self) -> None:
-        """Destroy the meshes."""
-        for mesh in self._made.values():
-            mesh.destroy()
+def _make_cone(device: Device) -> Mesh:
+    """Make the cone of a narrow spot light."""
+    return _make_mesh(device, "light cones", *make_cone(), cone=1.0)
 
 
 def _make_mesh(
@@ -271,16 +233,16 @@ def declare_lights(
 
 def list_volumes(frame: Frame, effect: Effect) -> list[tuple[Mesh, NDArray[np.int64]]]:
     """Return the meshes of the point or spot lights in view, each with the rows of its lights."""
-    meshes = frame.resources.workspace(VolumeMeshes)
+    find_mesh = frame.resources.workspace
     if effect is Effect.POINT_LIGHTS:
-        return [(meshes.sphere, frame.needs.point_rows)]
+        return [(find_mesh(_make_sphere), frame.needs.point_rows)]
     rows = frame.needs.spot_rows
     narrow = frame.resources.scene.lights.spot["outer"][rows] <= WIDEST_CONE
     volumes = []
     if narrow.any():
-        volumes.append((meshes.cone, rows[narrow]))
+        volumes.append((find_mesh(_make_cone), rows[narrow]))
     if not narrow.all():
-        volumes.append((meshes.sphere, rows[~narrow]))
+        volumes.append((find_mesh(_make_sphere), rows[~narrow]))
     return volumes
 
 
@@ -288,9 +250,10 @@ def draw_volumes(
     frame: Frame,
     effect: Effect,
     shader: type[VolumeShader],
-    bindings: dict[str, Any],
     targets: Sequence[str],
     *,
+    own: Mapping[str, Any] = {},
+    switches: Mapping[str, Any] = {},
     depth: str = "depth",
     clears: bool,
     is_masked: bool = False,
@@ -299,20 +262,14 @@ def draw_volumes(
     """Draw the volumes of the point or spot lights in view, and add what the shader returns to contents.
 
     Args:
-        shader: a `lit_variant`, with its `bindings` but those of the volumes.
+        shader: lights what is in a volume, with bindings of its `own` and its `switches`.
         targets, depth: the names of the contents. clears: whether they are cleared to 0 first.
         is_masked: whether each light is masked in the stencil buffer; otherwise all are one draw.
         states: states instead of those that light what is in a volume.
     """
-    device, resources = frame.device, frame.resources
-    parts, maps = bind_lamp_shadows(frame, [effect])
-    lit: Any = shader
-    program: Program[Any] = frame.program(shadowed_variant(lit, *parts) if parts else lit)
-    bindings = bindings | maps
-    mask: Program[Any] | None = device.program(VOLUMES[effect]) if is_masked else None
-    lights = resources.point if effect is Effect.POINT_LIGHTS else resources.spot
-    name = "point_lights" if effect is Effect.POINT_LIGHTS else "spot_lights"
-    own: dict[str, Any] = {"view": frame.view.buffer, name: lights.buffer}
+    device = frame.device
+    program: Any = frame.program(find_variant(frame, shader, VOLUMES[effect], **switches))
+    mask: Any = device.program(VOLUMES[effect]) if is_masked else None
     behind, nearer = (table[frame.camera.projection.depth] for table in (BEHIND, NEARER))
     with (
         device.render_pass(
@@ -324,18 +281,19 @@ def draw_volumes(
         device.states(*(states or (DepthWrite.OFF, CullMode.FRONT, behind, BlendFunction.ADDITIVE))),
     ):
         for mesh, rows in list_volumes(frame, effect):
-            own["rows"] = device.transient.storage(int, rows.astype(np.int32))
+            given = {**own, "rows": device.transient.storage(int, rows.astype(np.int32))}
+            bindings = bind(frame, program, given)
             if mask is None:
-                device.draw(program, mesh, len(rows), **bindings, **own)
+                device.draw(program, mesh, len(rows), **bindings)
                 continue
             draws = mesh.draws(base_instance=np.arange(len(rows)))
             cut = find_cut(frame, effect, rows)
-            device.draw_many(program, mesh, draws[cut], **bindings, **own)
+            device.draw_many(program, mesh, draws[cut], **bindings)
             for draw in draws[~cut, None]:
                 with device.states(CullMode.NONE, nearer, ColorWrite.OFF, *_MARKING):
-                    device.draw_many(mask, mesh, draw, rays=bindings["rays"], **own)
+                    device.draw_many(mask, mesh, draw, **bind(frame, mask, given))
                 with device.states(DepthTest.OFF, *_MARKED):
-                    device.draw_many(program, mesh, draw, **bindings, **own)
+                    device.draw_many(program, mesh, draw, **bindings)
 
 
 def find_cut(frame: Frame, effect: Effect, rows: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -15,6 +15,7 @@ each: no shared memory, and no limit on their number.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -24,8 +25,9 @@ from renderer.frame import Frame, Pass, Target
 from renderer.frame.mirrors import MirroredValue
 from renderer.shaders.encodings import material_depth
 from renderer.shaders.pixels import FullScreen
-from renderer.techniques.full_screen import WholeTarget, bind_rays
+from renderer.techniques.full_screen import bind_rays, make_triangle
 from renderer.techniques.packed_geometry import MOST_MATERIALS
+from renderer.techniques.variants import bind, find_variant
 from rhi import (
     CullMode,
     DepthFunction,
@@ -251,11 +253,11 @@ def ids_pass() -> Pass[Frame]:
 def draw_ids(frame: Frame) -> None:
     """Write the material of each pixel as a depth; the background has the last one, 1."""
     device, targets = frame.device, frame.targets
-    bindings = bind_rays(frame) | {"packed": targets["packed"], "depth": targets["depth"]}
+    bindings = {"rays": bind_rays(frame), "packed": targets["packed"], "depth": targets["depth"]}
     states = CullMode.NONE, DepthTest.ON, DepthWrite.ON, DepthFunction.ALWAYS
     program: Program[Any] = device.program(MaterialIds)
     with device.render_pass(None, targets["material ids"], clear_depth=1.0), device.states(*states):
-        device.draw(program, frame.view.workspace(WholeTarget).triangle, **bindings)
+        device.draw(program, frame.view.workspace(make_triangle), **bindings)
 
 
 def rectangles_pass() -> Pass[Frame]:
@@ -274,18 +276,14 @@ def rectangles_pass() -> Pass[Frame]:
     )
 
 
-def draw_rectangles(frame: Frame, shader: type[RectangleShader], bindings: dict[str, Any]) -> None:
+def draw_rectangles(
+    frame: Frame, shader: type[RectangleShader], own: Mapping[str, Any], switches: Mapping[str, Any]
+) -> None:
     """Make the image: run a shader for the pixels of each material, before the background."""
-    device, targets = frame.device, frame.targets
-    found = frame.view.workspace(MaterialRectangles)
-    program: Program[Any] = frame.program(shader)
+    device, found = frame.device, frame.view.workspace(MaterialRectangles)
+    program: Program[Any] = frame.program(find_variant(frame, shader, **switches))
+    bindings = bind(frame, program, {**own, "rectangles": found.rectangles})
     states = CullMode.NONE, DepthTest.ON, DepthWrite.OFF, DepthFunction.EQUAL
-    clear = frame.background
-    with device.render_pass(frame.image, targets["material ids"], clear=clear), device.states(*states):
-        device.draw_indirect(
-            program,
-            found.corners,
-            IndirectDraws(found.draw, 1),
-            rectangles=found.rectangles,
-            **(bind_rays(frame) | bindings),
-        )
+    ids, clear = frame.targets["material ids"], frame.background
+    with device.render_pass(frame.image, ids, clear=clear), device.states(*states):
+        device.draw_indirect(program, found.corners, IndirectDraws(found.draw, 1), **bindings)

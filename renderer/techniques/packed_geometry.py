@@ -20,10 +20,10 @@ The encodings are those of `renderer.shaders.encodings`.
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Final
 
 from renderer import rules
-from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target, TechniquePass
+from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target
 from renderer.shaders.encodings import (
     TangentFrame,
     away_from_zero,
@@ -38,22 +38,11 @@ from renderer.shaders.encodings import (
 )
 from renderer.shaders.lighting import safe_normalize
 from renderer.shaders.pixels import FullScreen
-from renderer.shaders.structs import Material, SurfaceVarying, TextureUse
-from renderer.techniques.scene_shader import SceneShader
-from renderer.techniques.surfaces import (
-    SURFACE_PARTS,
-    Aspect,
-    ColorShader,
-    DataShader,
-    MaterialShader,
-    TableShader,
-    bind_surfaces,
-    surface_variant,
-)
+from renderer.shaders.structs import SurfaceVarying, TextureUse
+from renderer.techniques.scene_shader import MaterialShader, SceneShader
+from renderer.techniques.variants import scene_pass
 from rhi import Format, refuse
 from rhi.shading import (
-    Shader,
-    Storage,
     Struct,
     Texture2D,
     UintTexture2D,
@@ -78,7 +67,6 @@ MOST_MATERIALS: Final = 1 << 16
 """The number of materials that the buffer can tell apart."""
 
 _UNPACKED: Final = (Effect.VERTEX_COLORS, Effect.SECOND_UVS, Effect.MIXED_COORDINATES)
-_EVALUATED: Final = (Aspect.COLOR, Aspect.NORMAL, Aspect.METAL, Aspect.AMBIENT)
 
 
 class PlainWords(Struct):
@@ -93,59 +81,49 @@ class TexturedWords(Struct):
     packed: uvec4
 
 
-class PackedShader(SceneShader):
-    """The base of shaders that write the packed geometry buffer."""
-
-    def encode_directions(self, v: SurfaceVarying) -> uint:
-        return encode_normal(self.find_normal(v))
-
-
-class PackedPlain(PackedShader):
+class PackedPlain(SceneShader):
     """Writes the packed geometry buffer of a scene without images."""
 
     def fragment(self, v: SurfaceVarying) -> PlainWords:
-        _ = self.find_texel(v)  # which leaves out what isn't drawn
-        return PlainWords(packed=uvec2(self.encode_directions(v), uint(v.material)))
+        self.cut(v)
+        return PlainWords(packed=uvec2(encode_normal(self.find_side(v)), uint(v.material)))
+
+    def find_side(self, v: SurfaceVarying) -> vec3:
+        """Return the normal of the side that is seen, not bent."""
+        return self.turn_side(safe_normalize(v.normal))
 
 
-class PackedTextures(PackedShader):
+class PackedTextures(PackedPlain):
     """Writes the packed geometry buffer of a scene with images."""
 
-    def fragment(self, v: SurfaceVarying) -> TexturedWords:
-        x = encode_change(self.place(v, vec3(ddx(v.uv), 0.0)))
-        y = encode_change(self.place(v, vec3(ddy(v.uv), 0.0)))
-        _ = self.find_texel(v)  # which leaves out what isn't drawn
+    has_texture_transforms = False
+
+    def fragment(self, v: SurfaceVarying) -> TexturedWords:  # type: ignore[override]  # more words
+        x = encode_change(self.put(v, vec3(ddx(v.uv), 0.0)))
+        y = encode_change(self.put(v, vec3(ddy(v.uv), 0.0)))
+        self.cut(v)
         words = uvec4(
             self.encode_directions(v),
             uint(v.material) | y >> 8 << 16,
-            encode_uv(self.place(v, vec3(v.uv, 1.0))),
+            encode_uv(self.put(v, vec3(v.uv, 1.0))),
             x | y << 24,
         )
         return TexturedWords(packed=words)
 
-    def place(self, v: SurfaceVarying, uv: vec3) -> vec2:
-        """Return texture coordinates (u, v, 1), or changes of them (u, v, 0), as the material's textures are read."""
-        return uv.xy
-
-
-class PackedFrames(PackedTextures):
-    """Writes the packed geometry buffer of a scene with normal maps."""
-
     def encode_directions(self, v: SurfaceVarying) -> uint:
+        normal = self.find_side(v)
+        if not self.has_normal_maps:
+            return encode_normal(normal)
         # Of a back the bent normal is turned, and so are all vectors that it is made of.
-        normal = self.find_normal(v)
         turned = away_from_zero(dot(normal, v.normal))
         tangent = safe_normalize(v.tangent.xyz) * turned
         return encode_frame(TangentFrame(normal=normal, tangent=tangent, side=away_from_zero(v.tangent.w) * turned))
 
-
-class PlacedTextures(PackedTextures):
-    """Writes texture coordinates as textures are read: all of a material have the same transform."""
-
-    materials: Storage[Material]
-    textures: Storage[TextureUse]
-
-    def place(self, v: SurfaceVarying, uv: vec3) -> vec2:
+    def put(self, v: SurfaceVarying, uv: vec3) -> vec2:
+        """Return texture coordinates (u, v, 1), or changes of them (u, v, 0), as the material's textures are read: all
+        of a material have the same transform."""
+        if not self.has_texture_transforms:
+            return uv.xy
         material = self.materials[v.material]
         maps = max(max(material.texture, material.normal_texture), material.metallic_roughness_texture)
         row = max(maps, max(material.occlusion_texture, material.emissive_texture))
@@ -153,10 +131,6 @@ class PlacedTextures(PackedTextures):
             return uv.xy
         use = self.textures[row]
         return vec2(dot(use.u, uv), dot(use.v, uv))
-
-
-class PlacedFrames(PlacedTextures, PackedFrames):
-    """Writes both of these."""
 
 
 # Where `PackedReader` is a base, mypy finds two vertex stages of different types: that of `FullScreen`, which it has,
@@ -188,7 +162,12 @@ class PackedReader(FullScreen, MaterialShader):  # type: ignore[misc]
         )
 
     def decode_directions(self, bits: uint) -> TangentFrame:
+        if self.has_normal_maps:
+            return decode_frame(bits)
         return TangentFrame(normal=decode_normal(bits), tangent=vec3(1.0, 0.0, 0.0), side=1.0)
+
+    def turn_side(self, normal: vec3) -> vec3:
+        return normal  # which side is seen was found when the geometry was drawn
 
     def find_change(self) -> vec4:
         """Return the changes of texture coordinates to the next pixel on the right, and to that below."""
@@ -197,34 +176,21 @@ class PackedReader(FullScreen, MaterialShader):  # type: ignore[misc]
         y = decode_change(words.w >> 24 | words.y >> 16 << 8)
         return vec4(x, y)
 
-
-class StoredFrames(PackedReader):
-    """Pixels have tangents."""
-
-    def decode_directions(self, bits: uint) -> TangentFrame:
-        return decode_frame(bits)
-
-
-class StoredColors(ColorShader, PackedReader):  # type: ignore[misc]  # as `PackedReader`
-    """Textures of colours are filtered as they would have been when the geometry was drawn."""
+    # Textures are filtered as they would have been when the geometry was drawn, at the coordinates that are stored.
 
     def read_color(self, texture: int, v: SurfaceVarying) -> vec4:
+        if self.has_table:
+            return super().read_color(texture, v)
         change = self.find_change()
         return self.images.sample_grad(vec3(v.uv, float(texture)), change.xy, change.zw)
 
-
-class StoredData(DataShader, PackedReader):  # type: ignore[misc]  # as `PackedReader`
-    """Likewise textures of data."""
-
     def read_data(self, texture: int, v: SurfaceVarying) -> vec4:
+        if self.has_table:
+            return super().read_data(texture, v)
         change = self.find_change()
         return self.maps.sample_grad(vec3(v.uv, float(texture)), change.xy, change.zw)
 
-
-class StoredTable(TableShader, PackedReader):  # type: ignore[misc]  # as `PackedReader`
-    """Likewise, where textures are found by a table: they are stored as a texture is read."""
-
-    def place_texture(self, use: TextureUse, v: SurfaceVarying) -> vec3:
+    def place(self, use: TextureUse, v: SurfaceVarying) -> vec3:
         return vec3(v.uv, use.layer)
 
     def change_right(self, use: TextureUse, v: SurfaceVarying) -> vec2:
@@ -260,45 +226,12 @@ def packed_pass(needs: Needs) -> Pass[Frame]:
 
 def draw_packed(frame: Frame) -> None:
     """Draw the visible objects to the packed geometry buffer."""
-    resources, effects = frame.resources, frame.needs.effects
-    count = len(resources.scene.materials)
+    count = len(frame.resources.scene.materials)
     if count > MOST_MATERIALS:
         refuse(rules.MANY_MATERIALS, "render", f"{count:,} materials", f"at most {MOST_MATERIALS:,}")
-    has_tangents = Effect.NORMAL_MAPS in effects
-    aspects = Aspect.COVERAGE, Aspect.SIDE
-    parts, bindings = bind_surfaces(frame, aspects, has_materials=False, has_tangents=has_tangents)
-    base: type[PackedShader] = PackedPlain
-    if Effect.TEXTURE_TRANSFORMS in effects:
-        base = PlacedFrames if has_tangents else PlacedTextures
-        assert resources.images is not None, "textures are read"
-        bindings |= {"textures": resources.images.table, "materials": resources.materials.buffer}
-    elif _has_textures(frame.needs):
-        base = PackedFrames if has_tangents else PackedTextures
-    frame.draw_visible(
-        TechniquePass(
-            frame.device,
-            resources,
-            frame.view,
-            frame.program(surface_variant(base, parts)),
-            bindings,
-            color=frame.targets["packed"],
-            depth=frame.targets["depth"],
-        )
-    )
+    shader = PackedTextures if _has_textures(frame.needs) else PackedPlain
+    frame.draw_visible(scene_pass(frame, shader, color=frame.targets["packed"]))
 
 
-def bind_packed(frame: Frame) -> tuple[tuple[type[Shader], ...], dict[str, Any]]:
-    """Return the parts by which a `PackedReader` evaluates the scene's materials, and its bindings."""
-    names, bindings = bind_surfaces(frame, _EVALUATED)
-    # Which side is seen, and the attributes of vertices, were found when the geometry was drawn.
-    maps = [name for name in names if name != "two_sides" and "vertex" not in vars(SURFACE_PARTS[name])]
-    parts = [SURFACE_PARTS[name] for name in maps]
-    if Effect.NORMAL_MAPS in frame.needs.effects:
-        parts.append(StoredFrames)
-    if "textures" in bindings:
-        parts.append(StoredTable)
-    elif any(issubclass(part, ColorShader) for part in parts):
-        parts.append(StoredColors)
-    elif any(issubclass(part, DataShader) for part in parts):
-        parts.append(StoredData)
-    return tuple(parts), bindings | {"packed": frame.targets["packed"], "depth": frame.targets["depth"]}
+UNPACKED: Final = {"has_masks": False, "has_vertex_colors": False}
+"""Switches of shaders that read the buffer: what was cut is left out."""

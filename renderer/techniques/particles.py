@@ -20,7 +20,7 @@ from renderer.frame.passes import NEARER
 from renderer.scene.arrays import Floats, Rows
 from renderer.shaders import ViewConstants, tone_map
 from renderer.shaders.fog import FogConstants, pass_fog
-from renderer.techniques.air import ViewFog
+from renderer.techniques.air import bind_fog
 from rhi import BlendFunction, CullMode, DepthTest, DepthWrite, Device
 from rhi.shading import (
     Shader,
@@ -177,7 +177,7 @@ def _find_shader(frame: Frame) -> tuple[type[ParticleShader], dict[str, Any]]:
     """Return the shader for the air of the frame, and what it binds for that."""
     if Effect.FOG not in frame.needs.effects:
         return ParticleShader, {}
-    return FoggedParticles, {"air": frame.view.workspace(ViewFog).aim(frame.camera, frame.resources.scene)}
+    return FoggedParticles, {"air": bind_fog(frame)}
 
 
 def find_particles(frame: Frame) -> Iterator[NDArray[np.float32]]:

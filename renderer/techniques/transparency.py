@@ -18,17 +18,18 @@ nearest one, as those of clusters do.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import cache, partial
-from typing import Any, Final
+from collections.abc import Sequence
+from functools import partial
+from typing import Final
 
-from renderer.frame import Blending, Effect, Frame, Needs, Pass, Target, TechniquePass
+from renderer.frame import Blending, Effect, Frame, Needs, Pass, Target
 from renderer.shaders.lighting import BRIGHTEST
 from renderer.shaders.pixels import FullScreen
 from renderer.shaders.structs import Material, SurfaceVarying
-from renderer.techniques.forward_shader import ForwardShader
-from renderer.techniques.full_screen import Color, draw_full_screen
-from rhi import BlendFactor, BlendFunction, DepthWrite, Format, Program
+from renderer.techniques.full_screen import Color
+from renderer.techniques.scene_shader import ForwardShader
+from renderer.techniques.variants import Lighting, draw_full_screen, scene_pass
+from rhi import BlendFactor, BlendFunction, DepthWrite, Format
 from rhi.shading import (
     Struct,
     Texture2D,
@@ -42,9 +43,6 @@ from rhi.shading import (
     saturate,
     vec4,
 )
-
-Lighting = Callable[[Frame], tuple[type[ForwardShader], dict[str, Any]]]
-"""Returns the forward shader that lights surfaces as a technique does, and its bindings."""
 
 COLORS: Final = "transparent colors"
 WEIGHTS: Final = "transparent weights"
@@ -108,24 +106,20 @@ class BlendShader(FullScreen):
 
 
 def declare_transparency(
-    needs: Needs, lighting: Lighting, *, reads: tuple[str, ...] = (), image: str = "image"
+    needs: Needs, lighting: Lighting, *, image: str = "image"
 ) -> tuple[Pass[Frame], ...]:
     """Return the passes that draw transparent surfaces over the contents `image`, tested against `depth`: none if no
-    transparent object is in view.
-
-    Args:
-        reads: contents that the lighting reads.
-    """
+    transparent object is in view."""
     if Effect.TRANSPARENCY not in needs.effects:
         return ()
     if needs.blending is Blending.SORTED:
-        return (sorted_pass(needs, lighting, reads, image=image),)
+        return (sorted_pass(needs, lighting, image=image),)
     return (
         Pass(
             "transparency",
             partial(_add_weighted, lighting=lighting),
             needs.explain(Effect.TRANSPARENCY),
-            reads=("depth", *reads),
+            reads=("depth", *lighting.reads),
             writes=(Target(COLORS, Format.RGBA16F), Target(WEIGHTS, Format.R16F)),
         ),
         Pass(
@@ -141,7 +135,6 @@ def declare_transparency(
 def sorted_pass(
     needs: Needs,
     lighting: Lighting,
-    reads: tuple[str, ...] = (),
     *,
     image: str = "image",
     depth: str = "depth",
@@ -151,15 +144,9 @@ def sorted_pass(
         "transparency",
         partial(_draw_sorted, lighting=lighting, image=image, depth=depth),
         needs.explain(Effect.TRANSPARENCY),
-        reads=(depth, *reads),
+        reads=(depth, *lighting.reads),
         changes={image: f"{image} with transparency"},
     )
-
-
-@cache
-def transparent_variant(bases: tuple[type[ForwardShader], ...]) -> type[ForwardShader]:
-    """Return the shader of transparent surfaces: a `TransparentShader`, lit as the forward shader after it does."""
-    return type("Transparent", bases, {"__module__": __name__})
 
 
 def _draw_sorted(frame: Frame, *, lighting: Lighting, image: str, depth: str) -> None:
@@ -184,23 +171,19 @@ def _draw(
 ) -> None:
     """Draw the transparent objects in view to `contents`, tested against `depth`."""
     targets = frame.targets
-    base, bindings = lighting(frame)
-    program: Program[Any] = frame.program(transparent_variant((shader, base)))
-    frame.draw_transparent(
-        TechniquePass(
-            frame.device,
-            frame.resources,
-            frame.view,
-            program,
-            bindings,
-            color=[targets[name] for name in contents],
-            depth=targets[depth],
-            clear=clear,
-            states=(DepthWrite.OFF, blending),
-            clears=False,
-        ),
-        in_order=in_order,
+    surfaces = scene_pass(
+        frame,
+        shader,
+        *lighting.bases,
+        own=lighting.bind(frame),
+        switches=lighting.switches,
+        color=[targets[name] for name in contents],
+        depth=targets[depth],
+        clear=clear,
+        states=(DepthWrite.OFF, blending),
+        clears=False,
     )
+    frame.draw_transparent(surfaces, in_order=in_order)
 
 
 def _blend(frame: Frame, *, image: str) -> None:

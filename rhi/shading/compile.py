@@ -128,7 +128,7 @@ def _compile(shader: type[Shader]) -> tuple[ProgramDescriptor, ShaderCode]:
     stored = frozenset().union(*(stage.stored for stage in stages.values()))
     used = frozenset(declaration.name for stage in stages.values() for declaration in stage.bindings)
     check_bindings_are_used(shader, used)
-    bindings = tuple(_bindings(shader, stored))
+    bindings = tuple(_bindings(shader, stored, used))
     fragment = stages.get(Stage.FRAGMENT)
     if shader.early_depth and interface.depth:
         source = entries[Stage.FRAGMENT].source
@@ -237,9 +237,11 @@ _KINDS = {
 }
 
 
-def _bindings(shader: type[Shader], stored: frozenset[str]) -> Iterator[Binding]:
+def _bindings(shader: type[Shader], stored: frozenset[str], used: frozenset[str]) -> Iterator[Binding]:
     slots = dict.fromkeys(BindingKind, 0)
     for declaration in shader._declared.values():
+        if shader.lean and declaration.name not in used:
+            continue
         if declaration.storage_class is not StorageClass.SHARED:
             kind = _KINDS[declaration.storage_class]
             yield _binding(declaration, kind, slots[kind], declaration.name in stored)

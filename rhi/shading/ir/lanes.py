@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 from typing import Final, TypeAlias
 
 from rhi.contract.descriptors import TextureKind
+from rhi.shading.ir import nodes
 
 __rhi_internal__ = True
 
@@ -491,64 +492,23 @@ def _split(value: Value) -> tuple[Value | None, int]:
 # -- walking -----------------------------------------------------------------------------------------------
 
 
-def parts_of(value: Value) -> tuple[Value, ...]:
-    """Return the direct operands of a value."""
-    match value:
-        case Apply(arguments=arguments):
-            return arguments
-        case Affine(base=base):
-            return (base,)
-        case Load(index=index):
-            return (index,)
-        case _:
-            return ()
+def parts_of(node: Value | Statement) -> tuple[Value, ...]:
+    """Return the direct operands of a value or statement."""
+    return nodes.operands(node, "Value")
+
+
+def within(node: Value) -> Iterator[Value]:
+    """Yield a value and all values that it is computed from."""
+    left = [node]
+    while left:
+        node = left.pop()
+        yield node
+        left += parts_of(node)[::-1]
 
 
 def variables_of(value: Value) -> Iterator[Variable]:
     """Yield the variables that a value reads."""
-    if isinstance(value, Get):
-        yield value.variable
-    for part in parts_of(value):
-        yield from variables_of(part)
-
-
-def loads(value: Value) -> bool:
-    """Return whether a value reads memory."""
-    return isinstance(value, Load) or any(loads(part) for part in parts_of(value))
-
-
-def walk(block: Block) -> Iterator[Statement]:
-    """Yield all statements of a block; nested ones follow the statement that contains them."""
-    for statement in block:
-        yield statement
-        match statement:
-            case If(then=then, otherwise=otherwise):
-                yield from walk(then)
-                yield from walk(otherwise)
-            case Loop(body=body, advance=advance):
-                yield from walk(body)
-                yield from walk(advance)
-            case InlinedCall(block=inner):
-                yield from walk(inner)
-
-
-def values_of(statement: Statement) -> tuple[Value, ...]:
-    """Return the direct operands of a statement."""
-    match statement:
-        case Let(value=value):
-            return (value,) if value is not None else ()
-        case Set(value=value):
-            return (value,)
-        case Store(index=index, values=values) | Atomic(index=index, values=values):
-            return (index, *values)
-        case TextureAccess(arguments=arguments):
-            return arguments
-        case If(condition=condition):
-            return (condition,)
-        case Check(wrong=wrong, given=given, limit=limit):
-            return (wrong, given, limit)
-        case _:
-            return ()
+    return (part.variable for part in within(value) if isinstance(part, Get))
 
 
 WIDTH: Final = 16

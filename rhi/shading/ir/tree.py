@@ -19,6 +19,7 @@ from typing import Any, Final, TypeAlias
 
 from rhi.contract.descriptors import Stage
 from rhi.contract.layout import StructType
+from rhi.shading.ir import nodes
 from rhi.shading.language.builtins import Builtin, Overload, SideEffect
 from rhi.shading.language.function import Native
 from rhi.shading.language.shader import Declaration
@@ -359,27 +360,9 @@ def may_overflow(loop: For) -> bool:
 # -- walking -----------------------------------------------------------------------------------------------
 
 
-def parts_of(node: Expression) -> tuple[Expression, ...]:
-    """Return the direct operands of an expression."""
-    match node:
-        case Member(base=base) | Swizzle(base=base) | Length(base=base):
-            return (base,)
-        case Index(base=base, index=index):
-            return (base, index)
-        case Unary(operand=operand):
-            return (operand,)
-        case Binary(left=left, right=right):
-            return (left, right)
-        case Select(condition=condition, then=then, otherwise=otherwise):
-            return (condition, then, otherwise)
-        case Convert(value=value):
-            return (value,)
-        case Construct(parts=parts) | ConstantArray(elements=parts):
-            return parts
-        case Call(arguments=arguments) | BuiltinCall(arguments=arguments):
-            return arguments
-        case _:
-            return ()
+def parts_of(node: Expression | Statement) -> tuple[Expression, ...]:
+    """Return the direct operands of an expression or statement."""
+    return nodes.operands(node, "Expression")
 
 
 def left_chain(node: Binary) -> list[Binary]:
@@ -411,14 +394,7 @@ def has_early_return(body: Block) -> bool:
 
 
 def _returns(statement: Statement) -> bool:
-    match statement:
-        case Return():
-            return True
-        case If(then=then, otherwise=otherwise):
-            return any(map(_returns, then)) or any(map(_returns, otherwise))
-        case For(body=body) | While(body=body):
-            return any(map(_returns, body))
-    return False
+    return any(isinstance(part, Return) for part in nodes.walk([statement]))
 
 
 def root_of(lvalue: Expression) -> Expression:
@@ -430,28 +406,11 @@ def root_of(lvalue: Expression) -> Expression:
 
 def walk(block: Block) -> Iterator[Statement | Expression]:
     """Yield all statements and expressions of a block. Of the target of an assignment only the indices are included."""
-    for statement in block:
+    for statement in nodes.walk(block):
         yield statement
-        match statement:
-            case Declare(value=value) | Return(value=value):
-                if value is not None:
-                    yield from _expressions(value)
-            case Evaluate(value=value):
-                yield from _expressions(value)
-            case Assign(target=target, value=value):
-                yield from _indices(target)
-                yield from _expressions(value)
-            case If(condition=condition, then=then, otherwise=otherwise):
-                yield from _expressions(condition)
-                yield from walk(then)
-                yield from walk(otherwise)
-            case For(start=start, stop=stop, step=step, body=body):
-                for bound in (start, stop, step):
-                    yield from _expressions(bound)
-                yield from walk(body)
-            case While(condition=condition, body=body):
-                yield from _expressions(condition)
-                yield from walk(body)
+        for part in parts_of(statement):
+            is_target = isinstance(statement, Assign) and part is statement.target
+            yield from _indices(part) if is_target else _expressions(part)
 
 
 def _indices(lvalue: Expression) -> Iterator[Expression]:
@@ -466,4 +425,4 @@ def _expressions(node: Expression) -> Iterator[Expression]:
     while stack:
         node = stack.pop()
         yield node
-        stack.extend(reversed(parts_of(node)))
+        stack += parts_of(node)[::-1]

@@ -22,7 +22,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Final, TypeAlias, TypeGuard
 
-from rhi.shading.ir import lanes
+from rhi.shading.ir import lanes, nodes
 from rhi.shading.ir.lanes import (
     AddressSpace,
     Apply,
@@ -59,7 +59,7 @@ def bound_positions(stage: StageCode) -> PositionBounds | None:
     """Return the bounds of a vertex stage; None if positions aren't affine or it does more than compute outputs."""
     code = stage.code
     positions = [value for word, value in zip(stage.words, code.results, strict=False) if word < 4]
-    if len(positions) < 4 or code.checked or any(map(_has_effect, lanes.walk(code.block))):
+    if len(positions) < 4 or code.checked or any(map(_has_effect, nodes.walk(code.block))):
         return None
     analysis = _Analysis()
     for statement in code.block:
@@ -70,7 +70,7 @@ def bound_positions(stage: StageCode) -> PositionBounds | None:
     block = _slice(analysis.block, results)
     if len(slacks) < 4 or block is None:
         return None
-    read = [value for statement in block for value in lanes.values_of(statement)]
+    read = [value for statement in block for value in lanes.parts_of(statement)]
     inputs = sorted({number for value in (*read, *results) for number in _inputs_of(value)})
     if not inputs:
         return None
@@ -138,21 +138,19 @@ def _extend(value: Value) -> Value:
 
 def _inputs_of(value: Value) -> Iterator[int]:
     """Yield the inputs that a value reads."""
-    if isinstance(value, Argument) and value.name.startswith(_INPUTS):
-        yield int(value.name[len(_INPUTS) :])
-    for part in lanes.parts_of(value):
-        yield from _inputs_of(part)
+    for part in lanes.within(value):
+        if isinstance(part, Argument) and part.name.startswith(_INPUTS):
+            yield int(part.name[len(_INPUTS) :])
 
 
 def _is_fixed(value: Value) -> bool:
     """Return whether all vertices of an instance share a value."""
-    if value.uniformity is Uniformity.VARYING:
-        return False
-    if isinstance(value, Get) and value.variable.uniformity is Uniformity.VARYING:
-        return False
-    if isinstance(value, Load) and value.memory.space not in _FIXED:
-        return False
-    return all(map(_is_fixed, lanes.parts_of(value)))
+    return not any(
+        part.uniformity is Uniformity.VARYING
+        or (isinstance(part, Get) and part.variable.uniformity is Uniformity.VARYING)
+        or (isinstance(part, Load) and part.memory.space not in _FIXED)
+        for part in lanes.within(value)
+    )
 
 
 def _has_effect(statement: lanes.Statement) -> bool:
@@ -167,7 +165,7 @@ def _has_effect(statement: lanes.Statement) -> bool:
 
 def _written(statement: lanes.Statement) -> Iterator[Variable]:
     """Yield the variables that a statement and its nested statements write."""
-    for one in lanes.walk([statement]):
+    for one in nodes.walk([statement]):
         match one:
             case Let(variable=variable) | Set(variable=variable):
                 yield variable
@@ -203,6 +201,4 @@ def _slice(block: lanes.Block, results: tuple[Value, ...]) -> lanes.Block | None
 
 def _is_plain(value: Value) -> bool:
     """Return whether a value reads memory at fixed indices only."""
-    if isinstance(value, Load) and not _is_fixed(value):
-        return False
-    return all(map(_is_plain, lanes.parts_of(value)))
+    return all(_is_fixed(part) for part in lanes.within(value) if isinstance(part, Load))

@@ -64,11 +64,7 @@ def lower_compute(
     """
     lowering = Lowering(width, work_group)
     lowering.checked = checked
-    while True:
-        lowering.start()
-        lowering.entry(stage.entry, ())
-        if not lowering.changed:
-            break
+    lowering.settle(lambda: lowering.entry(stage.entry, ()))
     memories = tuple(lowering.memories.values())
     return Code(name, width, lowering.block, memories, work_group=work_group, checked=checked)
 
@@ -80,11 +76,7 @@ def lower_function(function: tree.Function) -> Code:
     for parameter in function.parameters:
         kinds += all_kinds(parameter.type)  # type: ignore[arg-type]
     arguments = tuple(lanes.Argument(kind, Uniformity.VARYING, f"a{i}") for i, kind in enumerate(kinds))
-    while True:
-        lowering.start()
-        results = lowering.entry(function, arguments)
-        if not lowering.changed:
-            break
+    results = lowering.settle(lambda: lowering.entry(function, arguments))
     memories = tuple(lowering.memories.values())
     return Code(function.name, 0, lowering.block, memories, arguments, tuple(results))
 
@@ -200,7 +192,7 @@ class Lowering(TextureLowering):
         stride = value.stride if isinstance(value, Affine) else 0
         if value is not None:
             self.join(key, value.uniformity, stride)
-        uniformity, stride = self.joined.get(key, (Uniformity.DISPATCH, 0))
+        uniformity, stride = self.known(key)
         variable = self.variable(name, kind, Uniformity.LANES if stride else uniformity)
         if stride and isinstance(value, Affine):
             value = value.base

@@ -5,18 +5,19 @@
   don't hold its declaration varies at least as they do, and the assignment is blended if one of them owns a mask.
 - The uniformity of a variable, of a loop's exits and of a function's returns is found by iteration to a fixpoint: each
   run joins what it finds with what is known, so that values only rise in the semilattice of `Uniformity`. Lowering runs
-  again until a run changes nothing. The last run therefore knows at a loop's beginning what its end implies.
+  again until all that a run was told holds at its end. The last run therefore knows at a loop's beginning what its end
+  implies.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Final, NoReturn
+from typing import Final, NoReturn, TypeVar
 
 from rhi.errors import Rule
-from rhi.shading.ir import lanes, tree
+from rhi.shading.ir import lanes, nodes, tree
 from rhi.shading.ir.lanes import (
     FALSE,
     TRUE,
@@ -33,6 +34,10 @@ from rhi.shading.language.source import SourceSpan, refuse_at
 from rhi.shading.lowering.lvalues import Home, Slot
 
 __rhi_internal__ = True
+
+R = TypeVar("R")
+
+_UNKNOWN: Final = (Uniformity.DISPATCH, 0)
 
 HEAVY: Final = 24
 """A masked block with more statements than this is skipped if no lane is active, even if it accesses no memory."""
@@ -83,18 +88,25 @@ class ScopeLowering:
     Attributes:
         joined: for each key (a local, a loop's exits, a function's returns), the join of the uniformities and strides
             found so far, in all runs.
-        changed: whether this run has changed `joined`, so that another run is needed.
+        told: what this run was told of each key, first. Whatever it was told later is above that, as is its end.
     """
 
     def __init__(self, width: int) -> None:
         self.width = width
         self.joined: dict[object, tuple[Uniformity, int]] = {}
-        self.changed = False
         self.start()
+
+    def settle(self, run: Callable[[], R]) -> R:
+        """Run until nothing that a run was told turns out to be otherwise at its end, and return the last result."""
+        while True:
+            self.start()
+            result = run()
+            if all(self.joined.get(key, _UNKNOWN) == told for key, told in self.told.items()):
+                return result
 
     def start(self) -> None:
         """Start a run."""
-        self.changed = False
+        self.told: dict[object, tuple[Uniformity, int]] = {}
         self.block: lanes.Block = []
         self.count = 0
         self.span = SourceSpan(0)
@@ -119,7 +131,13 @@ class ScopeLowering:
 
     def known_uniformity(self, key: object) -> Uniformity:
         """Return the uniformity known so far."""
-        return self.joined.get(key, (Uniformity.DISPATCH, 0))[0]
+        return self.known(key)[0]
+
+    def known(self, key: object) -> tuple[Uniformity, int]:
+        """Return the uniformity and stride known so far."""
+        known = self.joined.get(key, _UNKNOWN)
+        self.told.setdefault(key, known)
+        return known
 
     def join(self, key: object, uniformity: Uniformity, stride: int = 0) -> tuple[Uniformity, int]:
         """Join a uniformity and stride with those known for a key, and return the join.
@@ -130,10 +148,8 @@ class ScopeLowering:
         now = (uniformity, stride)
         if known is not None and known != now:
             now = (max(known[0], uniformity), 0)
-        if now != known:
-            self.joined[key] = now
-            self.changed = True
-        return now
+        self.joined[key] = now
+        return self.known(key)
 
     # -- emitting
 
@@ -254,11 +270,11 @@ class ScopeLowering:
 
 def is_heavy(block: lanes.Block) -> bool:
     """Return whether skipping a block if no lane is active is faster than executing it, or needed for safety."""
-    statements = list(lanes.walk(block))
+    statements = list(nodes.walk(block))
     if len(statements) > HEAVY:
         return True
     return any(
         isinstance(statement, lanes.Store | lanes.Atomic | lanes.TextureAccess | lanes.Loop)
-        or any(lanes.loads(value) for value in lanes.values_of(statement))
+        or any(isinstance(part, lanes.Load) for value in lanes.parts_of(statement) for part in lanes.within(value))
         for statement in statements
     )

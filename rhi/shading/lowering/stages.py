@@ -98,11 +98,7 @@ def lower_stage(
         arguments, words = _vertex_arguments(stage), _vertex_words(stage, interface, varyings)
     else:
         arguments, words = _fragment_arguments(stage, varyings), _fragment_words(stage, interface)
-    while True:
-        lowering.start()
-        results = lowering.run(arguments)
-        if not lowering.changed:
-            break
+    results = lowering.settle(lambda: lowering.run(arguments))
     outputs = [(word, value) for word, value in zip(words, results, strict=True) if word is not None]
     depth = [value for word, value in outputs if word == _DEPTH]
     outputs = [(word, value) for word, value in outputs if word != _DEPTH]

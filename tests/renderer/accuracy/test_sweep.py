@@ -22,7 +22,7 @@ from renderer.accuracy.sweep import (
     sweep_share,
 )
 from renderer.content import load_scene
-from renderer.measure.alternate import Measurement, find_interval
+from renderer.measure.alternate import Interval, Measurement
 from renderer.scene import Camera
 from tests.renderer.conftest import open_device
 
@@ -176,10 +176,10 @@ def test_a_picture_of_the_worst_place_has_three_parts() -> None:
 
 def test_an_interval_holds_the_median_and_narrows_with_more_samples() -> None:
     few, many = np.random.default_rng(1).normal(1.0, 0.1, 8), np.random.default_rng(2).normal(1.0, 0.1, 400)
-    (low, high), (lower, higher) = find_interval(few), find_interval(many)
-    assert low <= float(np.median(few)) <= high
-    assert higher - lower < 0.5 * (high - low)
-    assert find_interval([2.0] * 5) == (2.0, 2.0)
-    one, other = Measurement("a", (2.0, 4.0), (1.0, 1.0)), Measurement("b", (1.0, 1.0), (1.0, 2.0))
-    assert one.ratio_interval(other) == (2.0, 4.0)
-    assert one.processor_ratio_interval(other) == (0.5, 1.0)
+    one, other = Interval.of(few), Interval.of(many)
+    assert one.low <= float(np.median(few)) == one.median <= one.high
+    assert other.high - other.low < 0.5 * (one.high - one.low)
+    assert Interval.of(np.full(5, 2.0)) == Interval(2.0, 2.0, 2.0)
+    a, b = Measurement("a", (2.0, 4.0), (1.0, 1.0)), Measurement("b", (1.0, 1.0), (1.0, 2.0))
+    assert a.compare_to(b) == Interval(3.0, 2.0, 4.0)
+    assert a.compare_to(b, processor=True) == Interval(0.75, 0.5, 1.0)

@@ -44,11 +44,11 @@ def test_each_run_is_got_ready_for() -> None:
 def test_a_ratio_is_the_median_of_the_rounds_ratios() -> None:
     # The second round was disturbed; its ratio is not.
     fast, slow = Measurement("fast", (1.0, 50.0, 1.0)), Measurement("slow", (2.0, 100.0, 2.2))
-    assert slow.ratio_to(fast) == pytest.approx(2.0)
+    assert slow.compare_to(fast).median == pytest.approx(2.0)
     assert slow.median == 2.2
     fast = Measurement("fast", (9.0, 9.0, 9.0), (1.0, 2.0, 30.0))
     slow = Measurement("slow", (9.0, 9.0, 9.0), (3.0, 6.0, 30.0))
-    assert slow.processor_ratio_to(fast) == pytest.approx(3.0)
+    assert slow.compare_to(fast, processor=True).median == pytest.approx(3.0)
 
 
 def test_a_summary_has_least_median_and_most_time_and_mean_counters() -> None:

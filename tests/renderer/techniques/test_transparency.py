@@ -28,7 +28,7 @@ from renderer.scene import (
     translation,
 )
 from renderer.shadows.casters import SceneCasters
-from renderer.techniques import TECHNIQUES, Forward, Inferred, Smoothed, Technique, inferred
+from renderer.techniques import TECHNIQUES, Forward, Inferred, Smoothed, Technique, inferred, variants
 from renderer.visibility import ALGORITHMS, NoCulling, TwoPassCulling, list_algorithms, make_visibility
 from renderer.visibility.gpu.occludees import DRAWN, OUTSIDE
 from rhi import DepthWrite, Op
@@ -217,10 +217,10 @@ def test_inferred_light_reaches_three_transparent_surfaces_behind_each_other(
     scene = builder.build()
     expected = render(gl, scene)
     image = render(gl, scene, Inferred(scale=scale))
-    inferred.inferred_variant.cache_clear()
+    variants.combine.cache_clear()
     monkeypatch.setattr(inferred, "_LAYERS", 1)  # the control: all three have the same texel
     wrong = render(gl, scene, Inferred(scale=scale))
-    inferred.inferred_variant.cache_clear()
+    variants.combine.cache_clear()
     assert np.abs(image - expected).max() <= 8
     assert np.abs(wrong - expected).max() > 15
 

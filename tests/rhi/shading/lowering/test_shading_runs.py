@@ -1,0 +1,64 @@
+"""How often a stage is lowered: again only where a run was told of a value what its end shows to be otherwise."""
+
+from __future__ import annotations
+
+import pytest
+
+from rhi.contract.descriptors import Stage
+from rhi.shading import Shader, Storage, StorageRW, global_id
+from rhi.shading.compile import stage_trees
+from rhi.shading.lowering.functions import Lowering, lower_compute
+
+
+class Straight(Shader):
+    given: Storage[float]
+    found: StorageRW[float]
+    work_group = (64,)
+
+    def compute(self) -> None:
+        i = int(global_id().x)
+        value = self.given[i]
+        if value < 0.0:
+            value = -value
+        total = value
+        for _ in range(4):
+            total += value
+        self.found[i] = total
+
+
+class Raised(Straight):
+    """`step` is read at the loop's beginning as the same for all, and varies from its second turn on."""
+
+    def compute(self) -> None:
+        i = int(global_id().x)
+        step = 1.0
+        total = self.given[i]
+        for _ in range(4):
+            total += step
+            step = self.given[i]
+        self.found[i] = total
+
+
+class RaisedTwice(Straight):
+    """`first` varies once `second` does, which stands behind it in the loop."""
+
+    def compute(self) -> None:
+        i = int(global_id().x)
+        first = 1.0
+        second = 1.0
+        total = self.given[i]
+        for _ in range(4):
+            total += first
+            first = second
+            second = self.given[i]
+        self.found[i] = total
+
+
+@pytest.mark.parametrize(("shader", "runs"), [(Straight, 1), (Raised, 2), (RaisedTwice, 3)])
+def test_a_stage_is_lowered_again_only_where_a_value_rose_after_it_was_used(
+    shader: type[Shader], runs: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lowered, entry = [], Lowering.entry
+    monkeypatch.setattr(Lowering, "entry", lambda *given: lowered.append(given) or entry(*given))
+    lower_compute(stage_trees(shader)[Stage.COMPUTE], "shader", (64, 1, 1), 16)
+    assert len(lowered) == runs
