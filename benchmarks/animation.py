@@ -19,7 +19,7 @@ import numpy as np
 
 import rhi
 from renderer.content import BUILT_IN
-from renderer.measure import alternate
+from renderer.lab.measure import alternate
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Orthographic, Recompute, Scene, SceneBuilder, rotation, translation
 from renderer.visibility import FrustumCulling

@@ -33,8 +33,8 @@ os.environ.setdefault("RHI_KERNELS", "optimised")  # what is measured is the spe
 
 import rhi
 from renderer.content import find_path, load_scene
-from renderer.measure import alternate
-from renderer.measure.backends import BackendPasses, DepthShader
+from renderer.lab.measure import alternate
+from renderer.lab.measure.backends import BackendPasses, DepthShader
 from rhi import CullMode, Device, Format, Mesh
 from rhi.contract.texels import encode
 from rhi.shading import Shader, Storage, Struct, Texture2D, Uniform, dot, max, vec2, vec3, vec4

@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import rhi
 from renderer.content import BUILT_IN, load_scene
-from renderer.measure import alternate
+from renderer.lab.measure import alternate
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene, SceneBuilder, scaling, translation
 from renderer.scene.transforms import multiply

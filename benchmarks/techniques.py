@@ -31,8 +31,8 @@ os.environ.setdefault("RHI_KERNELS", "optimised")  # what is measured is the spe
 
 import rhi
 from renderer.content import BUILT_IN, load_scene, parse_camera
-from renderer.measure import Measurement, alternate, format_table, settle
-from renderer.measure.light_evaluations import count_light_evaluations
+from renderer.lab.measure import Measurement, alternate, format_table, settle
+from renderer.lab.measure.light_evaluations import count_light_evaluations
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene, SceneBuilder, scaling
 from renderer.techniques import (

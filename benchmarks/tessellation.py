@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 import rhi
 from renderer.content import load_scene, parse_camera
 from renderer.frame import SceneResources
-from renderer.measure import format_records
+from renderer.lab.measure import format_records
 from renderer.renderer import Renderer
 from renderer.scene import Camera, HeightField
 from renderer.scene.height_fields import bisect

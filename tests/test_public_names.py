@@ -8,9 +8,9 @@ from types import ModuleType
 
 import pytest
 
-import renderer.accuracy
 import renderer.frame
-import renderer.measure
+import renderer.lab.accuracy
+import renderer.lab.measure
 import renderer.scene
 import renderer.techniques
 import renderer.visibility
@@ -20,8 +20,8 @@ import rhi_screen
 
 MODULES = [
     rhi, rhi.shading, rhi_screen,
-    renderer.scene, renderer.visibility, renderer.frame, renderer.techniques, renderer.measure,
-    renderer.accuracy,
+    renderer.scene, renderer.visibility, renderer.frame, renderer.techniques, renderer.lab.measure,
+    renderer.lab.accuracy,
 ]  # fmt: skip
 
 

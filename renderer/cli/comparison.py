@@ -15,7 +15,7 @@ from renderer.cli.arguments import add_form
 from renderer.cli.output import draw_chart, list_left_out, note, prepare_chart
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.lab.comparison import Record
-from renderer.measure.table import format_table, format_value, title_of
+from renderer.lab.measure.table import format_table, format_value, title_of
 from renderer.scene import Scene
 
 

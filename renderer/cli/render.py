@@ -32,8 +32,8 @@ from renderer.cli.output import list_left_out, name_of, note, prepare_image, sho
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import parse_camera
 from renderer.frame import Blending
-from renderer.measure import FrameCost, measure_frame
-from renderer.measure.contents import picture_contents
+from renderer.lab.measure import FrameCost, measure_frame
+from renderer.lab.measure.contents import picture_contents
 from renderer.overlay import Overlay
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import FRAMES_PER_SECOND, CameraPath, Depth, Scene

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from statistics import fmean
 from typing import Any
 
-from renderer.measure.alternate import Measurement, alternate
+from renderer.lab.measure.alternate import Measurement, alternate
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import Camera
 

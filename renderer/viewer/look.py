@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.frame import Blending, Frame, Layer
-from renderer.measure.contents import picture_contents
+from renderer.lab.measure.contents import picture_contents
 from renderer.overlay import Overlay
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene

@@ -500,7 +500,7 @@ def examine_mutant(mutation: Mutation) -> dict[int, dict[str, Any]]:
     with tempfile.TemporaryDirectory() as folder:
         sys.meta_path.insert(0, Mutant(mutation, Path(folder)))
         import rhi
-        from renderer.exam import CASES, examine
+        from renderer.lab.exam import CASES, examine
 
         with rhi.create_device(mutation.backend) as device:
             rows = list(examine(device, [CASES[number] for number in mutation.cases]))

@@ -9,7 +9,7 @@ import pytest
 
 import rhi
 from renderer.cli import main
-from renderer.need import LADDER
+from renderer.lab.need import LADDER
 
 
 def test_counts_of_chosen_rungs_are_printed_as_json(capsys: pytest.CaptureFixture[str]) -> None:

@@ -33,7 +33,7 @@ def ticks(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
     """Clocks that only go on when they are told to; called, it lets seconds pass."""
     now = [0.0]
     for name in ("perf_counter", "process_time"):
-        monkeypatch.setattr(import_module("renderer.measure.alternate"), name, lambda: now[0])
+        monkeypatch.setattr(import_module("renderer.lab.measure.alternate"), name, lambda: now[0])
 
     def pass_by(seconds: float) -> None:
         now[0] += seconds

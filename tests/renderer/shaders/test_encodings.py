@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from renderer.exam import CASES, Found
-from renderer.exam.encodings import (
+from renderer.lab.exam import CASES, Found
+from renderer.lab.exam.encodings import (
     ACROSS,
     LENSES,
     EveryEncoding,
@@ -24,7 +24,7 @@ from renderer.exam.encodings import (
     list_far_pixels,
     list_values,
 )
-from renderer.measure.encodings import (
+from renderer.lab.measure.encodings import (
     GROUP,
     Turns,
     find_degrees,
@@ -33,7 +33,7 @@ from renderer.measure.encodings import (
     sample_changes,
     sample_frames,
 )
-from renderer.measure.published_encodings import (
+from renderer.lab.measure.published_encodings import (
     decode_derivatives,
     decode_octahedral_truncated,
     decode_tangent_frame,

@@ -8,7 +8,7 @@ import pytest
 
 import rhi
 from renderer.content import BUILT_IN
-from renderer.measure.plans import describe_plan
+from renderer.lab.measure.plans import describe_plan
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene, SceneBuilder
 from renderer.techniques import (

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import rhi
 from renderer import rules
 from renderer.content import BUILT_IN
-from renderer.measure.plans import describe_plan
+from renderer.lab.measure.plans import describe_plan
 from renderer.renderer import Renderer
 from renderer.scene import (
     AlphaMode,

@@ -17,7 +17,7 @@ import rhi
 from renderer.cli import main
 from renderer.cli.output import show_progress
 from renderer.content import load_scene
-from renderer.measure.visibility import FORGETFUL, Picture, WalkFrame, list_contenders, list_frames
+from renderer.lab.measure.visibility import FORGETFUL, Picture, WalkFrame, list_contenders, list_frames
 from renderer.renderer import Renderer
 from renderer.visibility import ALGORITHMS, Settings, make_visibility
 from renderer.visibility.software_depth import can_rasterise

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from renderer.exam.cell_pairs import LENSES, OffAxis, make_test_grid
-from renderer.exam.lights import SLICED
+from renderer.lab.exam.cell_pairs import LENSES, OffAxis, make_test_grid
+from renderer.lab.exam.lights import SLICED
 from renderer.lights.culling.cells import (
     block_cell,
     distance_of,

@@ -9,7 +9,7 @@ import pytest
 from depth_textures import put_depths
 
 import rhi
-from renderer.exam.cell_pairs import OffAxis, distances, find_corners
+from renderer.lab.exam.cell_pairs import OffAxis, distances, find_corners
 from renderer.lights.culling.cells import CellGrid, slice_start
 from renderer.lights.culling.cone_tests import bounding_sphere
 from renderer.lights.culling.grid import CellLists, LightGrid
