@@ -1,6 +1,6 @@
 """Whatever culls, images are those without culling, to the last pixel: each situation with each algorithm.
 
-The hard cases, which the exam measures on every device, are in `renderer.exam.scenes`.
+The hard cases, which the exam measures on every device, are in `renderer.lab.exam.scenes`.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from occlusion_scenes import DEVICE, look
 import rhi
 from renderer.content import load_scene
 from renderer.content.shapes import box
-from renderer.exam.scenes import CullingImage, Shots, Uncut, along, make_city, walk
-from renderer.exam.visibility import NAMES
+from renderer.lab.exam.scenes import CullingImage, Shots, Uncut, along, make_city, walk
+from renderer.lab.exam.visibility import NAMES
 from renderer.scene import Camera, Depth, MeshGeometry, Orthographic, Perspective, Scene, SceneBuilder
 from renderer.visibility import (
     CallbackPass,
