@@ -44,9 +44,11 @@ from renderer.lab.measure.published_encodings import (
 from renderer.shaders.encodings import (
     TangentFrame,
     decode_change,
+    decode_direction,
     decode_frame,
     decode_octahedral,
     encode_change,
+    encode_direction,
     encode_frame,
     encode_octahedral,
     encode_octahedral_best,
@@ -154,3 +156,15 @@ def test_positions_far_from_the_origin_are_read_in_float64(lens: str) -> None:
     along, across = find_position_errors(camera, values, read)
     assert along.max() < 1e-6
     assert across.max() < ACROSS
+
+
+@pytest.mark.parametrize("codes", [4, 512, 2048])
+def test_a_direction_of_any_number_of_codes_comes_back(codes: int) -> None:
+    read = evaluate(decode_direction, np.arange(codes), codes)
+    assert (np.abs(read).sum(1) == 1.0).all()
+    assert (evaluate(encode_direction, read, codes) == np.arange(codes)).all()
+
+
+@pytest.mark.parametrize("codes", [4, 512, 2048])
+def test_a_vector_of_length_0_has_a_direction(codes: int) -> None:
+    assert evaluate(encode_direction, np.zeros(2, np.float32), codes) == codes // 4
