@@ -10,12 +10,12 @@ from typing import Final
 from renderer import rules
 from renderer.scene import Scene
 from renderer.techniques.auto import CANDIDATES, AutoTechnique
-from renderer.techniques.cell_lists import CLUSTERS, TILES, LightCells
 from renderer.techniques.forward import Forward
 from renderer.techniques.forward_plus import Clustered, ForwardPlus
-from renderer.techniques.fxaa import Smoothed
 from renderer.techniques.inferred import Inferred
 from renderer.techniques.light_pre_pass import LightPrePass
+from renderer.techniques.parts.cell_lists import CLUSTERS, TILES, LightCells
+from renderer.techniques.parts.fxaa import Smoothed
 from renderer.techniques.table import TECHNIQUES
 from renderer.techniques.technique import Technique
 from rhi import Device, refuse

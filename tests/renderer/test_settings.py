@@ -14,7 +14,7 @@ from renderer.scene import Depth, StereoRig
 from renderer.settings import RenderSettings
 from renderer.shadows import ShadowFilter, ShadowSettings
 from renderer.techniques import TECHNIQUES, Clustered, Forward, Inferred, TechniqueSettings
-from renderer.techniques.cell_lists import LightCells
+from renderer.techniques.parts.cell_lists import LightCells
 from renderer.visibility import ChcPlusPlus, FrustumCulling, Settings
 from rhi import Filter, SamplerDescriptor
 from rhi.shading import Precision, Shader

@@ -28,7 +28,8 @@ from renderer.scene import (
     translation,
 )
 from renderer.shadows.casters import SceneCasters
-from renderer.techniques import TECHNIQUES, Forward, Inferred, Smoothed, Technique, inferred, variants
+from renderer.techniques import TECHNIQUES, Forward, Inferred, Smoothed, Technique, inferred
+from renderer.techniques.parts import variants
 from renderer.visibility import ALGORITHMS, NoCulling, TwoPassCulling, list_algorithms, make_visibility
 from renderer.visibility.gpu.occludees import DRAWN, OUTSIDE
 from rhi import DepthWrite, Op
