@@ -200,6 +200,12 @@ class Inference(ForwardShader, SurfaceReader):
         return 1.0
 
 
+def check_scale(scale: float, call: str) -> None:
+    """Refuse a size of the light buffers, in that of the image, that is out of its range."""
+    if not 0.0 < scale <= 1.0:
+        refuse(rules.BAD_TECHNIQUE, f"{call}(scale=...)", scale, "more than 0, at most 1; 0.4 and more look well")
+
+
 class Inferred:
     """Collects the terms of light at a part of the pixels, and takes them for the others from their surface."""
 
@@ -210,8 +216,7 @@ class Inferred:
 
         If they aren't `stippled`, transparent surfaces are lit by the lists of their objects.
         """
-        if not 0.0 < scale <= 1.0:
-            refuse(rules.BAD_TECHNIQUE, "Inferred(scale=...)", scale, "more than 0, at most 1; 0.4 and more look well")
+        check_scale(scale, "Inferred")
         self.scale = scale
         self.stippled = stippled
 

@@ -66,6 +66,12 @@ class LitByTerms(ForwardShader):
         return color
 
 
+def check_channels(specular_channels: int, call: str) -> None:
+    """Refuse a number of channels of highlights that isn't 1 or 3."""
+    if specular_channels not in (1, 3):
+        refuse(rules.BAD_TECHNIQUE, f"{call}(specular_channels=...)", specular_channels, "1 or 3")
+
+
 class LightPrePass:
     """Collects the terms of light before materials complete the equation."""
 
@@ -73,8 +79,7 @@ class LightPrePass:
 
     def __init__(self, *, specular_channels: int = 3, stencil: bool = False) -> None:
         """`specular_channels` is 3 or 1. With `stencil`, each light is masked in a stencil buffer."""
-        if specular_channels not in (1, 3):
-            refuse(rules.BAD_TECHNIQUE, "LightPrePass(specular_channels=...)", specular_channels, "1 or 3")
+        check_channels(specular_channels, "LightPrePass")
         self.specular_channels = specular_channels
         self.stencil = stencil
 

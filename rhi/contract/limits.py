@@ -427,12 +427,10 @@ def state_faults(state: Any, limits: Capabilities) -> Faults:
 
 
 def pass_faults(descriptor: PassDescriptor, textures: Mapping[Id, TextureDescriptor], limits: Capabilities) -> Faults:
-    """Yield what is wrong with a render pass whose attachments are among `textures`."""
+    """Yield what is wrong with a render pass whose attachments, levels and layers of `textures`, exist."""
     colors, depth = descriptor.colors, descriptor.depth
     targets: list[Attachment | DepthAttachment] = [*colors, *([] if depth is None else [depth])]
     used = [textures[target.texture] for target in targets]
-    for target, texture in zip(targets, used, strict=True):
-        yield from level_faults(texture, target.level, target.layer)
     if len(colors) > limits.max_color_targets:
         yield Fault(DEVICE_CAPABILITY, f"{len(colors)} color targets", f"{limits.max_color_targets}")
     if len({(t.texture, t.level, t.layer) for t in targets}) < len(targets):
@@ -448,9 +446,9 @@ def pass_faults(descriptor: PassDescriptor, textures: Mapping[Id, TextureDescrip
     if sizes != {descriptor.size}:
         shown = ", ".join(f"{w}×{h}" for w, h in sorted({*sizes, descriptor.size}))
         yield Fault(PASS_SIZE, shown, "one size")
-    samples = {descriptor.samples, *(texture.samples for texture in used)}
-    if len(samples) > 1:
-        yield Fault(PASS_SAMPLES, f"samples {sorted(samples)}", "one number of samples")
+    samples = {texture.samples for texture in used}
+    if samples != {descriptor.samples}:
+        yield Fault(PASS_SAMPLES, f"samples {sorted({*samples, descriptor.samples})}", "one number of samples")
     for color, source in zip(colors, used, strict=False):  # a depth target is the last one
         if not color.resolve:
             continue

@@ -12,14 +12,16 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
 
+from renderer import rules
 from renderer.frame import Frame, Needs, Pass
 from renderer.lights.culling.cells import CellGrid, cell_index
 from renderer.lights.culling.grid import LightGrid
+from renderer.lights.culling.table import find_sphere_test
 from renderer.shaders.pixels import PixelRays
 from renderer.shaders.structs import SurfaceVarying
 from renderer.techniques.parts.scene_shader import ForwardShader
 from renderer.techniques.parts.variants import Lighting, explain_lamps
-from rhi import Device
+from rhi import Device, refuse
 from rhi.shading import Shader, Storage, Uniform, dot, fragment_coordinate, ivec2, ivec3
 
 __rhi_internal__ = True
@@ -38,6 +40,13 @@ class LightCells:
     tile: int
     slices: int = 1
     sphere_test: str = "exact"
+
+    def __post_init__(self) -> None:
+        for name in ("tile", "slices"):
+            given = getattr(self, name)
+            if type(given) is not int or given < 1:
+                refuse(rules.BAD_TECHNIQUE, f"LightCells({name}=...)", given, "a whole number of 1 or more")
+        find_sphere_test(self.sphere_test, "LightCells(sphere_test=...)")
 
     def __call__(self, device: Device) -> LightGrid:
         """Return new lists."""

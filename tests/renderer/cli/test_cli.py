@@ -363,6 +363,27 @@ def test_plan_says_why_each_pass_is_there_and_what_is_left_out(capsys: pytest.Ca
     assert shown.startswith("technique: forward, a null device draws nothing that could be measured\n")
 
 
+@pytest.mark.parametrize(("technique", "way", "more"), [
+    ("clustered", "--depth-first", ["depth"]),
+    ("deferred_plus", "--multi-pass", ["material ids", "rectangles"]),
+    ("forward", "--multi-pass", []),
+])  # fmt: skip
+def test_techniques_draw_in_other_ways_on_demand(
+    technique: str, way: str, more: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def list_passes(*arguments: str) -> set[str]:
+        command = ["plan", "grid:mesh=box,count=9,lights=4", "--backend", "null", "--json", *arguments]
+        assert main(command) == 0
+        return {one["name"] for one in json.loads(capsys.readouterr().out)["passes"]}
+
+    usual = list_passes("--technique", technique)
+    assert list_passes("--technique", technique, way) - usual == set(more)
+    name = way.removeprefix("--").replace("-", "_")
+    (tmp_path / "s.json").write_text(f'{{"rendering": {{"technique": {{"name": "{technique}", "{name}": true}}}}}}')
+    render = ["render", "grid:mesh=box,count=9,lights=4", "--backend", "null", "--frames", "1"]
+    assert main([*render, "--settings", str(tmp_path / "s.json")]) == 0
+
+
 @pytest.mark.parametrize(("arguments", "technique", "because"), [
     ([], "forward", "a null device draws nothing that could be measured"),
     (["--technique", "deferred"], "deferred", "was asked for"),

@@ -207,7 +207,7 @@ def general_defines(output_words: int) -> str:
 
 def _define(fields: Mapping[str, object], samples: int, colors: int, output_words: int, rows: str) -> str:
     sizes = {"MAX_SAMPLES": samples, "MAX_COLORS": colors, "OUTPUT_WORDS": output_words, "COLOR_TARGETS(X)": rows}
-    defines = "".join(f"#define {name} {value}\n" for name, value in (fields | sizes).items())
+    defines = "".join(f"#define {name} {value}\n" for name, value in {**fields, **sizes}.items())
     return declare_struct("Merger", MERGER_STRUCT) + _constants() + defines
 
 
