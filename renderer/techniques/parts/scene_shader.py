@@ -414,13 +414,18 @@ class MaterialShader(SceneShader, ReflectingShader):
     has_emissive_maps = False
 
     def find_surface(self, v: SurfaceVarying, material: Material) -> SurfacePoint:
-        normal = self.find_normal(v)
+        """Return the surface that the fragment shows."""
+        normal = self.find_normal(v)  # before a mask leaves a fragment out, whose neighbours derive from it
+        return self.color_surface(v, material, normal, self.find_texel(v))
+
+    def color_surface(self, v: SurfaceVarying, material: Material, normal: vec3, texel: vec4) -> SurfacePoint:
+        """Return the surface with this normal, and with a texel that multiplies its base colour."""
         surface = SurfacePoint(
             position=v.position,
             normal=normal,
             plane=self.find_plane(v, normal),
             to_eye=safe_normalize(-v.position),
-            base_color=material.base_color.rgb * self.find_texel(v).rgb,
+            base_color=material.base_color.rgb * texel.rgb,
             specular_color=material.specular_color,
             shininess=material.shininess,
             occlusion=self.find_occlusion(v),
@@ -560,7 +565,10 @@ class ForwardShader(MaterialShader, LampShader, ShadingShader):
 
     def light(self, v: SurfaceVarying, material: Material) -> vec4:
         """Return the pixel of the lit surface."""
-        surface = self.find_surface(v, material)
+        return self.light_surface(self.find_surface(v, material), v, material)
+
+    def light_surface(self, surface: SurfacePoint, v: SurfaceVarying, material: Material) -> vec4:
+        """Return the pixel of a surface that the fragment shows."""
         color = self.shade(surface, material)
         color += self.lamplight(surface, self.find_lights(v))
         return self.finish(color, v.position)

@@ -25,7 +25,7 @@ from typing import Final
 from renderer.frame import Blending, Effect, Frame, Needs, Pass, Target
 from renderer.shaders.lighting import BRIGHTEST
 from renderer.shaders.pixels import FullScreen
-from renderer.shaders.structs import Material, SurfaceVarying
+from renderer.shaders.structs import SurfaceVarying
 from renderer.techniques.parts.full_screen import Color
 from renderer.techniques.parts.scene_shader import ForwardShader
 from renderer.techniques.parts.variants import Lighting, draw_full_screen, scene_pass
@@ -63,13 +63,15 @@ class TransparentShader(ForwardShader):
     """Covers a part of what is behind the surface."""
 
     def fragment(self, v: SurfaceVarying) -> vec4:
-        material = self.materials[v.material]
-        opacity = self.find_opacity(v, material)
-        return vec4(self.light(v, material).rgb * opacity, opacity)
+        seen = self.see(v)
+        return vec4(seen.rgb * seen.a, seen.a)
 
-    def find_opacity(self, v: SurfaceVarying, material: Material) -> float:
-        """Return the share of the background that the surface covers."""
-        return saturate(material.base_color.a * self.find_texel(v).a)
+    def see(self, v: SurfaceVarying) -> vec4:
+        """Return the colour of the surface, and the share of the background that it covers."""
+        material = self.materials[v.material]
+        texel = self.find_texel(v)
+        surface = self.color_surface(v, material, self.find_normal(v), texel)
+        return vec4(self.light_surface(surface, v, material).rgb, saturate(material.base_color.a * texel.a))
 
 
 class WeightedTexels(Struct):
@@ -83,11 +85,10 @@ class WeightedShader(TransparentShader):
     """Adds a surface to weighted sums."""
 
     def fragment(self, v: SurfaceVarying) -> WeightedTexels:  # type: ignore[override]  # other targets than the image
-        material = self.materials[v.material]
-        opacity = self.find_opacity(v, material)
+        seen = self.see(v)
         near = dot(v.position, v.position) / 40000.0  # squared distances in 200 m
-        weight = opacity * clamp(0.03 / (1e-5 + near * near), 1e-2, _HEAVIEST)
-        return WeightedTexels(colors=vec4(self.light(v, material).rgb * weight, opacity), weights=weight)
+        weight = seen.a * clamp(0.03 / (1e-5 + near * near), 1e-2, _HEAVIEST)
+        return WeightedTexels(colors=vec4(seen.rgb * weight, seen.a), weights=weight)
 
 
 class BlendShader(FullScreen):
