@@ -90,6 +90,7 @@ class Request:
     key: str
     options: tuple[str, ...]
     source: str
+    kernels: tuple[str, ...]
     declares: bool
     marked: bool
 
@@ -144,11 +145,11 @@ class KernelCache:
         """Whether compiled programs are found again."""
         return self._folder is not None
 
-    def request(self, source: str, options: Sequence[str]) -> Request:
+    def request(self, source: str, options: Sequence[str], kernels: Sequence[str] = ()) -> Request:
         """Return a program's request. Its key doesn't depend on comments, nor on how functions are declared."""
         whole = "\0".join((self._driver, *options, strip_comments(source)))
         key = hashlib.sha256(whole.encode()).hexdigest()[:24]
-        return Request(key, tuple(options), source, self.declares, self.works)
+        return Request(key, tuple(options), source, tuple(kernels), self.declares, self.works)
 
     def find(self, key: str) -> CachedProgram | None:
         """Return a program that is there and undamaged. What is damaged is removed."""

@@ -5,9 +5,17 @@ from __future__ import annotations
 import re
 from importlib.resources import files
 
+import numpy as np
+import pyopencl as cl
 import pytest
 
 from rhi.backends.cl.cache import strip_comments
+from rhi.backends.cl.context import QUICK, open_context
+from rhi.backends.cl.raster.kernel_text import declare_struct
+from rhi.backends.cl.raster.merger import MERGER_STRUCT
+from rhi.backends.cl.raster.tables import BATCH_STRUCT, DRAW_STRUCT, VIEW_STRUCT
+
+_STRUCTS = {"Batch": BATCH_STRUCT, "Draw": DRAW_STRUCT, "View": VIEW_STRUCT, "Merger": MERGER_STRUCT}
 
 _HEADER = re.compile(r"^(?!typedef\b|struct\b)(\w[^;{}#=]*\)) *\{", re.M)
 
@@ -24,6 +32,7 @@ def test_kernels_give_structs_by_address() -> None:
     """PoCL never frees the types of a function's structs, so programs that come and go would make a process grow."""
     kernels = files("rhi.backends.cl.raster").joinpath("kernels")
     text = "\n".join(each.read_text() for each in kernels.iterdir() if each.name.endswith(".cl"))
+    text += "".join(declare_struct(*each) for each in _STRUCTS.items())
     assert len(_HEADER.findall(text)) > 100
     assert not find_structs_by_value(text)
 
@@ -41,3 +50,23 @@ def test_kernels_give_structs_by_address() -> None:
 def test_structs_by_value_are_found(head: str, found: bool) -> None:
     text = f"typedef struct {{\n    int a, b;\n}} Pair;\n\n{head} {{\n    Pair c, d;\n    use(c, d);\n}}\n"
     assert find_structs_by_value(text) == ([head] if found else [])
+
+
+@pytest.mark.parametrize("name", _STRUCTS)
+def test_declared_structs_lie_in_memory_as_their_dtypes(name: str) -> None:
+    struct = _STRUCTS[name]
+    offsets = "".join(
+        f"answer[{place}] = (uint)(ulong)&((global {name} *)0)->{field};"
+        for place, field in enumerate(struct.names or ())
+    )
+    size = f"answer[{len(struct)}] = sizeof({name});"
+    source = f"{declare_struct(name, struct)}kernel void lay_out(global uint *answer) {{ {offsets}{size} }}"
+    context, answer = open_context(), np.zeros(len(struct) + 1, np.uint32)
+    memory = cl.Buffer(context.context, cl.mem_flags.READ_WRITE, answer.nbytes)
+    kernel = context.compile(source, QUICK).find("lay_out")
+    kernel.set_args(memory)
+    cl.enqueue_nd_range_kernel(context.queue, kernel, (1,), (1,))
+    cl.enqueue_copy(context.queue, answer, memory)
+    assert struct.fields is not None
+    expected = [struct.fields[field][1] for field in struct.names or ()]
+    assert answer.tolist() == [*expected, struct.itemsize]
