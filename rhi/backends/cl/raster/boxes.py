@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.backends.cl.pools import Pool
+from rhi.backends.cl.memory.pools import Pool
 from rhi.backends.cl.raster.prepared import PreparedDraws
 from rhi.contract.descriptors import Id
 

@@ -12,7 +12,8 @@ from typing import Any, Final
 import pyopencl as cl
 
 from rhi.backends.cl.errors import translate_errors
-from rhi.backends.cl.planes import TexelPlane
+from rhi.backends.cl.memory.planes import TexelPlane
+from rhi.backends.cl.memory.textures import Textures
 from rhi.backends.cl.raster.batch_state import describe_batch
 from rhi.backends.cl.raster.bindings import Bindings
 from rhi.backends.cl.raster.builds import Kernel
@@ -26,7 +27,6 @@ from rhi.backends.cl.raster.targets import (
     depth_clear,
     stencil_clear,
 )
-from rhi.backends.cl.textures import Textures
 from rhi.contract.descriptors import Attachment, DepthAttachment, PassDescriptor
 from rhi.contract.formats import Format
 from rhi.contract.states import DEFAULTS, MAX_TARGETS, PER_TARGET, PolygonMode, StateChange

@@ -17,8 +17,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.backends.cl.buffers import Buffers
 from rhi.backends.cl.errors import translate_errors
+from rhi.backends.cl.memory.buffers import Buffers
 from rhi.backends.cl.raster.batch_state import BatchState
 from rhi.backends.cl.raster.batches import Batch
 from rhi.backends.cl.raster.draw_lists import DrawListCache

@@ -14,7 +14,7 @@ from typing import Final
 import pyopencl as cl
 
 from rhi.backends.cl.context import ClContext
-from rhi.backends.cl.pools import Addresses, Pool, Retired, Uploads
+from rhi.backends.cl.memory.pools import Addresses, Pool, Retired, Uploads
 from rhi.backends.cl.raster.batch_state import BatchState
 from rhi.backends.cl.raster.batches import GatheredDraws
 from rhi.backends.cl.raster.boxes import AttributeBoxes

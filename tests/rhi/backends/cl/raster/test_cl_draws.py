@@ -26,8 +26,8 @@ from rhi import (
     Viewport,
 )
 from rhi.backends.cl import context
-from rhi.backends.cl import pools as memory
 from rhi.backends.cl.backend import ClBackend
+from rhi.backends.cl.memory import pools as memory
 from rhi.backends.cl.raster import launcher, pieces
 from rhi.conformance.compare import assert_mask
 from rhi.conformance.reference import SUBTEXELS, rasterise
