@@ -130,8 +130,13 @@ class SceneShader(Shader):
     has_planes = False
     has_two_sides = False
 
-    def vertex(self, v: Vertex) -> SurfaceVarying:
-        return self.transform(v, vec2(0.0), vec4(1.0, 0.0, 0.0, 1.0), vec4(1.0))
+    def vertex(self, v: Vertex, second: SecondUv, tangent: Tangent, color: VertexColor) -> SurfaceVarying:
+        return self.transform(
+            v,
+            second.uv2 if self.has_second_uvs else vec2(0.0),
+            tangent.tangent if self.has_normal_maps else vec4(1.0, 0.0, 0.0, 1.0),
+            color.color if self.has_vertex_colors else vec4(1.0),
+        )
 
     def transform(self, v: Vertex, uv2: vec2, tangent: vec4, color: vec4) -> SurfaceVarying:
         row = self.find_object()
@@ -299,71 +304,6 @@ class SceneShader(Shader):
         if self.map_arrays > 7 and array == 7:
             return self.maps_7.sample_grad(place, right, below)
         return self.maps.sample_grad(place, right, below)
-
-
-# The vertex stages of the following parts read more attributes than that of `SceneShader`. To mypy, what overrides a
-# method can be called as that is; but stages aren't called, a device runs them.
-
-
-class WithUv2(SceneShader):
-    """Vertices have a second set of texture coordinates."""
-
-    def vertex(self, v: Vertex, a: SecondUv) -> SurfaceVarying:  # type: ignore[override]
-        return self.transform(v, a.uv2, vec4(1.0, 0.0, 0.0, 1.0), vec4(1.0))
-
-
-class WithTangents(SceneShader):
-    """Vertices have tangents."""
-
-    def vertex(self, v: Vertex, a: Tangent) -> SurfaceVarying:  # type: ignore[override]
-        return self.transform(v, vec2(0.0), a.tangent, vec4(1.0))
-
-
-class WithColors(SceneShader):
-    """Vertices have colours."""
-
-    def vertex(self, v: Vertex, a: VertexColor) -> SurfaceVarying:  # type: ignore[override]
-        return self.transform(v, vec2(0.0), vec4(1.0, 0.0, 0.0, 1.0), a.color)
-
-
-class WithUv2Tangents(SceneShader):
-    """Vertices have a second set of texture coordinates and tangents."""
-
-    def vertex(self, v: Vertex, a: SecondUv, b: Tangent) -> SurfaceVarying:  # type: ignore[override]
-        return self.transform(v, a.uv2, b.tangent, vec4(1.0))
-
-
-class WithUv2Colors(SceneShader):
-    """Vertices have a second set of texture coordinates and colours."""
-
-    def vertex(self, v: Vertex, a: SecondUv, b: VertexColor) -> SurfaceVarying:  # type: ignore[override]
-        return self.transform(v, a.uv2, vec4(1.0, 0.0, 0.0, 1.0), b.color)
-
-
-class WithTangentsColors(SceneShader):
-    """Vertices have tangents and colours."""
-
-    def vertex(self, v: Vertex, a: Tangent, b: VertexColor) -> SurfaceVarying:  # type: ignore[override]
-        return self.transform(v, vec2(0.0), a.tangent, b.color)
-
-
-class WithUv2TangentsColors(SceneShader):
-    """Vertices have all of these."""
-
-    def vertex(self, v: Vertex, a: SecondUv, b: Tangent, c: VertexColor) -> SurfaceVarying:  # type: ignore[override]
-        return self.transform(v, a.uv2, b.tangent, c.color)
-
-
-VERTEX_STAGES: Final[dict[tuple[bool, bool, bool], type[SceneShader]]] = {
-    (True, False, False): WithUv2,
-    (False, True, False): WithTangents,
-    (False, False, True): WithColors,
-    (True, True, False): WithUv2Tangents,
-    (True, False, True): WithUv2Colors,
-    (False, True, True): WithTangentsColors,
-    (True, True, True): WithUv2TangentsColors,
-}
-"""Vertex stages, by whether vertices have a second set of texture coordinates, tangents and colours."""
 
 
 class ReflectingShader(Shader):

@@ -16,7 +16,7 @@ from renderer.frame.air import bind_fog, bind_haze
 from renderer.frame.images import MOST_ARRAYS, SceneImages
 from renderer.shadows import FILTERS, ShadowMaps, ShadowReceiver
 from renderer.techniques.parts.full_screen import BEHIND, Color, bind_rays, make_triangle
-from renderer.techniques.parts.scene_shader import VERTEX_STAGES, ForwardShader, SceneShader
+from renderer.techniques.parts.scene_shader import ForwardShader
 from rhi import BlendFunction, CullMode, DepthFunction, DepthTest, DepthWrite, Program, State, Texture
 
 __rhi_internal__ = True
@@ -73,9 +73,6 @@ def find_variant(frame: Frame, *bases: type[Any], **fixed: Any) -> type[Any]:
     switches["has_second_uvs"] = switches["has_second_uvs"] and switches.get("has_table", False)
     if any(issubclass(base, ShadowReceiver) for base in bases) and not needs.effects.isdisjoint(SHADOW_EFFECTS):
         bases = (FILTERS[frame.resources.workspace(ShadowMaps).settings.filter], *bases)
-    if any(base.vertex is SceneShader.vertex for base in bases if issubclass(base, SceneShader)):
-        stage = tuple(switches[name] for name in ("has_second_uvs", "has_normal_maps", "has_vertex_colors"))
-        bases = (VERTEX_STAGES[stage], *bases) if any(stage) else bases
     known = (one for one in switches.items() if any(hasattr(base, one[0]) for base in bases))
     return combine(bases, tuple(known))
 
