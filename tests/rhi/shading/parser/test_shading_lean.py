@@ -71,6 +71,31 @@ def test_a_lean_program_has_the_bindings_that_its_stages_read_in_slots_without_g
     assert [name for name, _ in list_bindings(Whole)] == ["found", "less", "more", "most"]
 
 
+class Decided(Shader):
+    """Returns by a condition that is constant."""
+
+    work_group = (4,)
+    doubles = True
+    found: StorageRW[float]
+
+    def compute(self) -> None:
+        self.found[int(global_id().x)] = self.find(3.0)
+
+    def find(self, value: float) -> float:
+        if self.doubles:
+            return value + value
+        return value * 7.0
+
+
+class Undecided(Decided):
+    doubles = False
+
+
+def test_what_follows_a_return_that_is_taken_is_left_out_of_any_program() -> None:
+    texts = [compile_shader(shader).emit("glsl", Stage.COMPUTE).text for shader in (Decided, Undecided)]
+    assert ["7.0" in text for text in texts] == [False, True]
+
+
 def test_a_lean_program_computes_as_the_whole_one_does() -> None:
     words = {name: np.arange(4, dtype=np.float32) * k for name, k in (("less", 1), ("more", 10), ("most", 100))}
     for shader, expected in ((Sums, "less"), (Whole, "less"), (Most, "most")):
