@@ -26,11 +26,11 @@ from rhi.backends.cl.raster.bindings import Bindings
 from rhi.backends.cl.raster.boxes import AttributeBoxes
 from rhi.backends.cl.raster.builds import Builds, Kernel
 from rhi.backends.cl.raster.draw_state import DrawState
+from rhi.backends.cl.raster.draw_tables import PreparedDraws
 from rhi.backends.cl.raster.draws import Draws
 from rhi.backends.cl.raster.launcher import Launcher
 from rhi.backends.cl.raster.merger import make_key
 from rhi.backends.cl.raster.pipelines import Pipeline
-from rhi.backends.cl.raster.prepared import PreparedDraws
 from rhi.backends.cl.raster.queries import SampleQueries
 from rhi.backends.cl.raster.rows import CONDITION, INVERTED, SAMPLES
 from rhi.backends.cl.raster.vertex_arrays import VertexArrays, upload_indices

@@ -21,8 +21,8 @@ from rhi.backends.cl.memory.pools import Addresses, IndexList, Retired
 from rhi.backends.cl.raster.assembly import CORNERS, LISTS, Assembler
 from rhi.backends.cl.raster.bindings import Bindings
 from rhi.backends.cl.raster.boxes import AttributeBoxes
+from rhi.backends.cl.raster.draw_tables import DrawSlot, PreparedDraws
 from rhi.backends.cl.raster.pipelines import Pipeline, VertexKernels
-from rhi.backends.cl.raster.prepared import DrawSlot, PreparedDraws
 from rhi.backends.cl.raster.tables import DRAW_STRUCT, GROUP, MAX_STREAMS
 from rhi.contract.descriptors import Id, Primitive, VertexArrayDescriptor
 
