@@ -8,7 +8,7 @@
 - `Kernel.optimise` begins that before the kernel is hot.
 - `RHI_KERNELS=quick` keeps the first kernels (and compute programs aren't optimised either, `ClContext.compile`),
   `RHI_KERNELS=optimised` builds optimised ones at once. Drivers whose
-  cache isn't a folder (`rhi.backends.cl.cache`) always do the latter.
+  cache isn't a folder (`rhi.backends.cl.pocl.cache`) always do the latter.
 - The logger `rhi.kernels` reports at level INFO how many kernels are built. Cached kernels aren't reported.
 """
 
@@ -25,7 +25,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import pyopencl as cl
 
-from rhi.backends.cl.cache import Request, make_mark
 from rhi.backends.cl.context import (
     FLUSHES_DENORMALS,
     KERNELS_ENVIRONMENT,
@@ -35,10 +34,11 @@ from rhi.backends.cl.context import (
     build_again,
     build_cached,
 )
+from rhi.backends.cl.pocl.cache import Request, make_mark
 from rhi.backends.cl.raster.tables import BATCH_STRUCT
 
 if TYPE_CHECKING:
-    from rhi.backends.cl.held_programs import HeldProgram
+    from rhi.backends.cl.pocl.held_programs import HeldProgram
     from rhi.backends.cl.raster.compiler import Compiler
 
 __rhi_internal__ = True

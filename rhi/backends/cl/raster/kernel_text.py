@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from rhi.backends.cl.cache import strip_comments
+from rhi.backends.cl.pocl.cache import strip_comments
 
 __rhi_internal__ = True
 

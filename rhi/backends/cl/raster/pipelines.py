@@ -20,10 +20,10 @@ from typing import Final, TypeAlias
 
 import pyopencl as cl
 
-from rhi.backends.cl.cache import Request
 from rhi.backends.cl.context import ClContext
-from rhi.backends.cl.held_programs import HeldProgram
-from rhi.backends.cl.pools import Addresses
+from rhi.backends.cl.memory.pools import Addresses
+from rhi.backends.cl.pocl.cache import Request
+from rhi.backends.cl.pocl.held_programs import HeldProgram
 from rhi.backends.cl.programs import FaultBuffer, make_shader_error
 from rhi.backends.cl.raster import merger, tables
 from rhi.backends.cl.raster.builds import Builds, Kernel, Optimisation

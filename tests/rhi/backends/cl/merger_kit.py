@@ -17,7 +17,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from rhi.backends.cl.context import QUICK, open_context
-from rhi.backends.cl.pools import Addresses
+from rhi.backends.cl.memory.pools import Addresses
 from rhi.backends.cl.raster.kernel_text import read_kernels
 from rhi.backends.cl.raster.merger import MergerKey, general_defines, make_key, make_state
 from rhi.conformance import reference

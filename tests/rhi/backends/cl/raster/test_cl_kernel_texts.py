@@ -9,8 +9,8 @@ import numpy as np
 import pyopencl as cl
 import pytest
 
-from rhi.backends.cl.cache import strip_comments
 from rhi.backends.cl.context import QUICK, open_context
+from rhi.backends.cl.pocl.cache import strip_comments
 from rhi.backends.cl.raster.kernel_text import declare_struct
 from rhi.backends.cl.raster.merger import MERGER_STRUCT
 from rhi.backends.cl.raster.tables import BATCH_STRUCT, DRAW_STRUCT, VIEW_STRUCT

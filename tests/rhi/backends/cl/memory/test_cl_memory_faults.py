@@ -25,7 +25,7 @@ from rhi import (
     Region,
     TextureKind,
 )
-from rhi.backends.cl import planes
+from rhi.backends.cl.memory import planes
 from rhi.conformance.shaders import Colored, Corner
 from rhi.conformance.shapes import corners, rectangle
 from rhi.shading import Shader, StorageRW, Struct, Texture2D, global_id, vec2, vec4

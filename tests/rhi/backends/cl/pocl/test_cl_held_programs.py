@@ -10,9 +10,9 @@ import pytest
 
 import rhi
 from rhi import Device, Format
-from rhi.backends.cl import held_programs
 from rhi.backends.cl.backend import ClBackend
-from rhi.backends.cl.held_programs import HeldPrograms
+from rhi.backends.cl.pocl import held_programs
+from rhi.backends.cl.pocl.held_programs import HeldPrograms
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
 from rhi.shading import Shader, StorageRW, Struct, Uniform, global_id

@@ -10,8 +10,8 @@ import pyopencl as cl
 import pytest
 from cl_kit import FILL, ClKit, describe_program
 
-from rhi.backends.cl import buffers, textures
 from rhi.backends.cl.backend import ClBackend
+from rhi.backends.cl.memory import buffers, textures
 from rhi.conformance.formats import random_texels
 from rhi.contract.descriptors import (
     Attachment,

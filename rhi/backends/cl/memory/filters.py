@@ -14,8 +14,8 @@ import pyopencl as cl
 
 from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.errors import translate_errors
-from rhi.backends.cl.held_programs import HeldProgram
-from rhi.backends.cl.planes import TexelPlane
+from rhi.backends.cl.memory.planes import TexelPlane
+from rhi.backends.cl.pocl.held_programs import HeldProgram
 from rhi.contract.formats import ChannelKind, Format
 from rhi.contract.texels import from_srgb
 

@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 
 import rhi
 from rhi import BlendFunction, CullMode, DepthFunction, DepthTest, DepthWrite, Device, Format, Program
-from rhi.backends.cl import cache, context
+from rhi.backends.cl import context
 from rhi.backends.cl.backend import ClBackend
 from rhi.backends.cl.context import KERNELS_ENVIRONMENT
+from rhi.backends.cl.pocl import cache
 from rhi.backends.cl.raster import builds, compiler
 from rhi.backends.cl.raster.compiler import Compiler, Job
 from rhi.conformance.patience import comes_true

@@ -26,9 +26,9 @@ from rhi import (
     Viewport,
 )
 from rhi.backends.cl import context
-from rhi.backends.cl import pools as memory
 from rhi.backends.cl.backend import ClBackend
-from rhi.backends.cl.raster import launcher, pieces
+from rhi.backends.cl.memory import pools as memory
+from rhi.backends.cl.raster import draw_tables, launcher
 from rhi.conformance.compare import assert_mask
 from rhi.conformance.reference import SUBTEXELS, rasterise
 from rhi.conformance.shaders import Colored, Corner
@@ -234,7 +234,7 @@ def test_limits_of_memory_do_not_show(
     usual = picture(device, rows, parts=3)
     before = len(launches)
     for name, value in limits.items():
-        monkeypatch.setattr(pieces if name == "_PIECE_GROUPS" else launcher, name, value)
+        monkeypatch.setattr(draw_tables if name == "_PIECE_GROUPS" else launcher, name, value)
     assert (picture(device, rows, parts=3) == usual).all()
     assert (usual[..., 3] > 0).mean() > 0.9
     if set(limits) & {"_SLICE_GROUPS", "_PIECE_GROUPS"}:
@@ -293,9 +293,9 @@ def test_many_instances_take_no_more_memory_than_many_draws(device: Device, befo
 def test_draws_split_into_pieces_are_each_instance_once(
     monkeypatch: pytest.MonkeyPatch, instances: int
 ) -> None:
-    monkeypatch.setattr(pieces, "_FIRST_PIECE_GROUPS", 1 << 19)
+    monkeypatch.setattr(draw_tables, "_FIRST_PIECE_GROUPS", 1 << 19)
     groups, counts = np.array([1, 3, 1 << 20, 0, 7], np.int32), np.array([instances, 0, 3, 5, 1])
-    which, parts, done = pieces.split_instances(groups, counts)
+    which, parts, done = draw_tables.split_instances(groups, counts)
     assert np.array_equal(np.bincount(which, parts), counts)
     assert (parts * groups[which] <= np.maximum(1 << 19, groups[which])).all()
     ends = np.cumsum(parts) - np.repeat(np.cumsum(counts) - counts, np.bincount(which))
@@ -371,13 +371,13 @@ def test_an_array_of_draws_that_comes_again_brings_its_table(
     device: Device, bars: rhi.Mesh, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made: list[int] = []
-    number = pieces.number_groups
+    number = draw_tables.number_groups
 
     def note(*args: Any) -> Any:
         made.append(len(args[0]))
         return number(*args)
 
-    monkeypatch.setattr(pieces, "number_groups", note)
+    monkeypatch.setattr(draw_tables, "number_groups", note)
     queries = device.query_set(16)
     array = bars.draws(6 * np.arange(16), 6)
     with device.texture((16, 4), Format.R8) as image, device.states(ColorWrite.OFF, DepthWrite.OFF):

@@ -11,8 +11,8 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from rhi.backends.cl.errors import translate_errors
-from rhi.backends.cl.planes import TexelPlane
-from rhi.backends.cl.textures import ClTexture
+from rhi.backends.cl.memory.planes import TexelPlane
+from rhi.backends.cl.memory.textures import ClTexture
 from rhi.contract.descriptors import Id, SamplerDescriptor, TextureKind
 from rhi.shading.ir.texture_words import LevelLayout, describe_texture
 

@@ -17,9 +17,9 @@ from typing_extensions import Buffer as BytesLike
 
 from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.errors import translate_errors
-from rhi.backends.cl.filters import Filters
-from rhi.backends.cl.planes import TexelPlane, allocate, pitches_of, round_to_grain
-from rhi.backends.cl.staging import Staging
+from rhi.backends.cl.memory.filters import Filters
+from rhi.backends.cl.memory.planes import TexelPlane, allocate, pitches_of, round_to_grain
+from rhi.backends.cl.memory.staging import Staging
 from rhi.contract.descriptors import Id, Region, TextureDescriptor
 
 __rhi_internal__ = True

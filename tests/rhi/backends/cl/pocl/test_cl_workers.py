@@ -10,14 +10,14 @@ from collections.abc import Iterator
 
 import pytest
 
-from rhi.backends.cl.workers import list_threads, spread_threads
+from rhi.backends.cl.pocl.workers import list_threads, spread_threads
 
 CPUS = sorted(os.sched_getaffinity(0)) if sys.platform == "linux" else []
 pytestmark = pytest.mark.skipif(len(CPUS) < 2, reason="needs two CPUs of a Linux machine")
 
 WHERE = """
 import os, rhi
-from rhi.backends.cl.workers import list_threads
+from rhi.backends.cl.pocl.workers import list_threads
 before = list_threads()
 rhi.create_device("cl").close()
 print(sorted(sorted(os.sched_getaffinity(thread)) for thread in list_threads() - before))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rhi.backends.cl.raster import draw_lists
 from rhi.backends.cl.raster.draw_lists import DrawListCache
-from rhi.backends.cl.raster.prepared import DrawSlot, PreparedDraws
+from rhi.backends.cl.raster.draw_tables import DrawSlot, PreparedDraws
 from rhi.contract.descriptors import DRAW, Primitive
 
 Key = tuple[int, Primitive, int]

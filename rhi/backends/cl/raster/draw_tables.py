@@ -1,5 +1,6 @@
-"""Tables of draws as kernels read them, in pieces that bound the memory in flight.
+"""Tables of draws as kernels read them: rows that stay from frame to frame, and pieces that bound the memory in flight.
 
+- What stays the same of a draw from frame to frame is a row of `PreparedDraws`; whoever holds its `DrawSlot` keeps it.
 - A piece is a part of a batch: a table of draws, and the words that these draws bind. Its vertices are transformed all
   at once. The first piece of a batch is small and the following ones double, so that later pieces know the bounds of
   depth that earlier ones left.
@@ -12,13 +13,11 @@ from __future__ import annotations
 from array import array
 from collections.abc import Iterable, Iterator, Sequence
 from struct import Struct
-from typing import Any, Final, TypeAlias
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.backends.cl.raster.batch_state import BatchState
-from rhi.backends.cl.raster.prepared import PreparedDraws
 from rhi.backends.cl.raster.rows import (
     CONDITION,
     FIXED_COLUMNS,
@@ -28,7 +27,7 @@ from rhi.backends.cl.raster.rows import (
     SAMPLES,
     VIEW,
 )
-from rhi.backends.cl.raster.tables import DRAW_STRUCT
+from rhi.backends.cl.raster.tables import DRAW_STRUCT, MAX_STREAMS
 
 __rhi_internal__ = True
 
@@ -45,6 +44,84 @@ Table: TypeAlias = tuple[int, int, int, bytes]
 """Number of draws, their groups of vertices and of primitives, and the draws as `DRAW_STRUCT`s."""
 Piece: TypeAlias = tuple[Table, bytes]
 """Some draws of a batch, and the words that they bind."""
+
+
+class PreparedDraws:
+    """The prepared draws of one device: tables that grow, with a row for each.
+
+    Attributes:
+        draws: (n,) of `DRAW_STRUCT`, without the fields that are numbered batch by batch.
+        streams: (n, MAX_STREAMS) addresses of the vertex streams.
+        arrays: (n,) ids of the vertex arrays.
+        seen: (n,) whether the draw was drawn since it was prepared or its vertices changed.
+        version: changes whenever boxes do (rhi.backends.cl.raster.boxes). As long as it stays, rows that are in use
+            don't change.
+    """
+
+    def __init__(self) -> None:
+        size = 256
+        self.draws = np.zeros(size, DRAW_STRUCT)
+        self.streams = np.zeros((size, MAX_STREAMS), np.uint64)
+        self.arrays = np.zeros(size, np.int64)
+        self.seen = np.zeros(size, bool)
+        self.version = 0
+        self._free: list[int] = list(range(size))
+        self._released: list[int] = []  # still referenced by gathered draws
+
+    def add(self) -> int:
+        """Return a free row's number."""
+        if not self._free:
+            size = len(self.draws)
+            self.draws = np.concatenate([self.draws, np.zeros_like(self.draws)])
+            self.streams = np.concatenate([self.streams, np.zeros_like(self.streams)])
+            self.arrays = np.concatenate([self.arrays, np.zeros_like(self.arrays)])
+            self.seen = np.concatenate([self.seen, np.zeros_like(self.seen)])
+            self._free = list(range(size, 2 * size))
+        return self._free.pop()
+
+    def release(self, number: int) -> None:
+        """Free a row once the draws gathered so far are flushed."""
+        self._released.append(number)
+
+    def take(self, numbers: NDArray[np.int64]) -> NDArray[Any]:
+        """Return a copy of rows of `draws`. They are copied as plain words: NumPy copies structs field by field."""
+        words = self.draws.view(np.uint64).reshape(len(self.draws), -1)
+        return words.take(numbers, axis=0).view(DRAW_STRUCT).reshape(-1)
+
+    def recycle(self) -> None:
+        """Free the released rows, since the gathered draws have been flushed."""
+        self._free += self._released
+        self._released.clear()
+
+
+class DrawSlot:
+    """A row of the prepared draws; released together with its holder.
+
+    Attributes:
+        memory: the index list that the row refers to, kept alive here.
+    """
+
+    __slots__ = ("_release", "memory", "number")
+
+    def __init__(self, prepared: PreparedDraws) -> None:
+        self.number = prepared.add()
+        self.memory: object = None
+        self._release = prepared.release
+
+    def __del__(self) -> None:
+        self._release(self.number)
+
+
+class BoundWords(NamedTuple):
+    """The words that a draw binds.
+
+    Attributes:
+        elements: for each size among the words of its row its place, and the bytes of an element.
+        streams: number of vertex streams, whose addresses follow.
+    """
+
+    elements: Sequence[tuple[int, int]]
+    streams: int
 
 
 class DrawList:
@@ -125,29 +202,29 @@ def number_in_runs(rows: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def tabulate(
-    state: BatchState, prepared: PreparedDraws, rows: NDArray[np.uint64], numbers: NDArray[np.int64],
+    prepared: PreparedDraws, layout: BoundWords, rows: NDArray[np.uint64], numbers: NDArray[np.int64],
     instances: NDArray[np.int64],
 ) -> Iterator[Piece]:  # fmt: skip
     """Yield the pieces of many draws.
 
     Args:
-        rows: (n, state.width) the draws' rows.
+        rows: (n, …) the draws' rows.
         numbers: (n,) their prepared draws.
         instances: (n, 2) their numbers of instances, and their numbers in their arrays.
     """
-    draws, streams = prepared.take(numbers), prepared.streams[numbers, : state.streams]
+    draws, streams = prepared.take(numbers), prepared.streams[numbers, : layout.streams]
     for part, table in number_groups(draws, instances[:, 0]):
         mine, own = rows[part], table[:-1]
         own["view"], own["samples"] = mine[:, VIEW], mine[:, SAMPLES]
         own["condition"], own["inverted"] = mine[:, CONDITION], mine[:, INVERTED]
         own["row"], own["number"] = np.arange(len(mine)), instances[part, 1]
         bound = np.concatenate([mine[:, FIXED_COLUMNS:], streams[part]], axis=1)
-        for at, size in state.pipeline.elements:
+        for at, size in layout.elements:
             bound[:, at] //= np.uint64(size)
         yield pack_table(table), bound.tobytes()
 
 
-def tabulate_one(state: BatchState, prepared: PreparedDraws, words: array[int]) -> Piece | None:
+def tabulate_one(prepared: PreparedDraws, layout: BoundWords, words: array[int]) -> Piece | None:
     """Return the piece of a single draw, or None if its instances need several pieces."""
     place, numbered, view, samples, condition, inverted, *bound = words
     draw = prepared.draws[place].tobytes()
@@ -160,14 +237,14 @@ def tabulate_one(state: BatchState, prepared: PreparedDraws, words: array[int]) 
     _COUNTERS.pack_into(table, _AT["samples"], samples, condition)
     _STATES.pack_into(table, _AT["number"], numbered >> 32, 0, view, inverted)
     _GROUPS.pack_into(table, DRAW_STRUCT.itemsize + _AT["vertex_group"], vertex_groups, groups)
-    streams = prepared.streams[place, : state.streams].tolist()
-    return (1, vertex_groups, groups, bytes(table)), bind_words(state, bound, streams)
+    streams = prepared.streams[place, : layout.streams].tolist()
+    return (1, vertex_groups, groups, bytes(table)), bind_words(layout, bound, streams)
 
 
-def bind_words(state: BatchState, words: Iterable[int], streams: list[int]) -> bytes:
+def bind_words(layout: BoundWords, words: Iterable[int], streams: list[int]) -> bytes:
     """Return the words that a draw binds as kernels read them: sizes become numbers of elements."""
     bound = [*words, *streams]
-    for at, size in state.pipeline.elements:
+    for at, size in layout.elements:
         bound[at] //= size
     return array("Q", bound).tobytes()
 

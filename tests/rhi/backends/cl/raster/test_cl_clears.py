@@ -22,8 +22,8 @@ from rhi import (
     State,
     Texture,
 )
-from rhi.backends.cl import buffers, planes
-from rhi.backends.cl import pools as memory
+from rhi.backends.cl.memory import buffers, planes
+from rhi.backends.cl.memory import pools as memory
 from rhi.conformance.compare import assert_same
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle

@@ -21,8 +21,8 @@ from typing_extensions import Buffer as BytesLike
 
 from rhi.backends.cl.context import ClContext, allocate_pages
 from rhi.backends.cl.errors import translate_errors
-from rhi.backends.cl.planes import GRAIN, allocate, fill, round_to_grain
-from rhi.backends.cl.staging import Staging
+from rhi.backends.cl.memory.planes import GRAIN, allocate, fill, round_to_grain
+from rhi.backends.cl.memory.staging import Staging
 from rhi.contract.descriptors import BufferDescriptor, BufferUsage, Id
 
 __rhi_internal__ = True

@@ -35,7 +35,7 @@ try:
 except ImportError:  # not on Windows, where PoCL's users are few
     fcntl = None  # type: ignore[assignment]
 
-from rhi.backends.cl.declarations import GUARD, declare
+from rhi.backends.cl.pocl.declarations import GUARD, declare
 
 __rhi_internal__ = True
 
@@ -129,7 +129,7 @@ class KernelCache:
     Attributes:
         takes_code: whether programs are made of LLVM code, as far as is known.
         declares: whether programs declare the functions that they use, instead of the driver's header
-            (`rhi.backends.cl.declarations`).
+            (`rhi.backends.cl.pocl.declarations`).
     """
 
     def __init__(self, folder: Path | None, driver: str, declares: bool = False) -> None:

@@ -14,9 +14,9 @@ from cl_kit import ClKit, describe_program
 
 import rhi
 from rhi.backends.cl import context
-from rhi.backends.cl.cache import KernelCache
 from rhi.backends.cl.context import open_context
-from rhi.backends.cl.declarations import GUARD, declare, declare_function
+from rhi.backends.cl.pocl.cache import KernelCache
+from rhi.backends.cl.pocl.declarations import GUARD, declare, declare_function
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
 
@@ -158,7 +158,8 @@ def test_a_program_that_uses_other_functions_gets_the_header(
 def test_a_driver_that_cannot_do_without_its_header_keeps_it(
     monkeypatch: pytest.MonkeyPatch, requests: list[tuple[str, tuple[str, ...]]]
 ) -> None:
-    monkeypatch.setattr("rhi.backends.cl.cache.declare", lambda source: "typedef int uint;\nthis is no declaration\n")
+    broken = "typedef int uint;\nthis is no declaration\n"
+    monkeypatch.setattr("rhi.backends.cl.pocl.cache.declare", lambda source: broken)
     opened = open_context()
     assert not opened.cache.declares
     assert [GUARD in options for _, options in requests] == [True, False]

@@ -9,18 +9,19 @@ import threading
 import pyopencl as cl
 import pytest
 
-from rhi.backends.cl import create_backend, drivers
+from rhi.backends.cl import create_backend
 from rhi.backends.cl.context import find_devices, open_context
-from rhi.backends.cl.drivers import Loading
-from rhi.backends.cl.workers import list_threads
+from rhi.backends.cl.pocl import drivers
+from rhi.backends.cl.pocl.drivers import Loading
+from rhi.backends.cl.pocl.workers import list_threads
 
 LIBRARY = cl._cl.__file__
 FIRST = """
 import ctypes, sys
 import pyopencl
-from rhi.backends.cl import workers
-from rhi.backends.cl.drivers import Loading
-from rhi.backends.cl.workers import list_threads
+from rhi.backends.cl.pocl import workers
+from rhi.backends.cl.pocl.drivers import Loading
+from rhi.backends.cl.pocl.workers import list_threads
 loading = Loading(pyopencl._cl.__file__)
 before = loading.finish()
 loaded = "libpocl" in open("/proc/self/maps").read()

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 import rhi
 from rhi import Buffer, Device, Format, IndirectDraws, Mesh
-from rhi.backends.cl import buffers
-from rhi.backends.cl.buffers import Buffers
+from rhi.backends.cl.memory import buffers
+from rhi.backends.cl.memory.buffers import Buffers
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
 from rhi.contract.descriptors import Id

@@ -151,6 +151,50 @@ def test_a_range_is_exact_wherever_it_begins_and_ends(first: int, count: int) ->
     assert (made.lowest, made.highest) == (chosen.min(), chosen.max())
 
 
+@settings(max_examples=100)
+@given(st.data(), st.sampled_from([IndexFormat.UINT16, IndexFormat.UINT32]))
+def test_a_range_is_exact_after_any_writes(data: st.DataObject, format: IndexFormat) -> None:
+    numbers = np.random.default_rng(1)
+    host = Host()
+    buffer = host.buffer(1, numbers.integers(0, 1 << 15, 9000).astype(format.dtype))
+    size = len(host.data[buffer])
+    for offset in data.draw(st.lists(st.integers(0, size - 1), min_size=1, max_size=4)):
+        host.assembler.assemble(Primitive.POINTS, 0, 8000, buffer, format)
+        length = data.draw(st.integers(0, size - offset))
+        written = numbers.integers(0, 1 << 14, length // 2 + 1).astype(np.uint16).tobytes()[:length]
+        host.write(buffer, offset, written)
+        first, count = data.draw(st.integers(0, 4000)), data.draw(st.integers(1, 5000))
+        made = host.assembler.assemble(Primitive.POINTS, first, count, buffer, format)
+        chosen = np.frombuffer(host.data[buffer], format.dtype)[first : first + count]
+        assert (made.lowest, made.highest) == (chosen.min(), chosen.max())
+
+
+def test_after_a_small_write_few_indices_are_scanned_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    scanned: list[int] = []
+    find = assembly._find_extremes
+    monkeypatch.setattr(assembly, "_find_extremes", lambda part: scanned.append(len(part)) or find(part))
+    host = Host()
+    buffer = host.buffer(1, np.arange(100_000, dtype=np.uint32))
+    host.assembler.assemble(Primitive.POINTS, 0, 90_000, buffer)
+    host.write(buffer, 40_000, np.array([200_000], np.uint32).tobytes())
+    made = host.assembler.assemble(Primitive.POINTS, 0, 90_000, buffer)
+    assert (made.lowest, made.highest) == (0, 200_000)
+    assert scanned == [100_000, 1024]
+
+
+def test_a_draw_within_two_spans_scans_its_own_indices_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    scanned: list[int] = []
+    find = assembly._find_extremes
+    monkeypatch.setattr(assembly, "_find_extremes", lambda part: scanned.append(len(part)) or find(part))
+    host = Host()
+    buffer = host.buffer(1, np.arange(100_000, dtype=np.uint32))
+    made = host.assembler.assemble(Primitive.POINTS, 900, 300, buffer)
+    assert (made.lowest, made.highest) == (900, 1199)
+    assert not scanned
+    host.assembler.assemble(Primitive.POINTS, 900, 3000, buffer)
+    assert scanned == [100_000]
+
+
 # -- what is kept --------------------------------------------------------------------------------------------
 
 STRIP = np.array([0, 1, 2, 3, 0xFFFF, 4, 5, 6], np.uint16)

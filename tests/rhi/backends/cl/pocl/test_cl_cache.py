@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from rhi.backends.cl import cache
-from rhi.backends.cl.cache import KernelCache
+from rhi.backends.cl.pocl import cache
+from rhi.backends.cl.pocl.cache import KernelCache
 
 DRAW = """
 import hashlib, sys, threading, warnings

@@ -22,7 +22,7 @@ from typing import Any, Final
 
 import pyopencl as cl
 
-from rhi.backends.cl.cache import Request
+from rhi.backends.cl.pocl.cache import Request
 
 __rhi_internal__ = True
 

@@ -28,7 +28,7 @@ from rhi import (
     Viewport,
 )
 from rhi.backends.cl.backend import ClBackend
-from rhi.backends.cl.raster import boxes, pieces
+from rhi.backends.cl.raster import boxes, draw_tables
 from rhi.backends.cl.raster.tables import GROUP
 from rhi.shading import (
     Shader,
@@ -462,8 +462,8 @@ def scatter(rng: np.random.Generator, kind: dict[str, Any]) -> list[NDArray[Any]
 
 @pytest.fixture
 def allow_boxes(monkeypatch: pytest.MonkeyPatch) -> Callable[[bool], None]:
-    monkeypatch.setattr(pieces, "_FIRST_PIECE_GROUPS", 100)  # later pieces know what earlier ones hide
-    monkeypatch.setattr(pieces, "_PIECE_GROUPS", 200)
+    monkeypatch.setattr(draw_tables, "_FIRST_PIECE_GROUPS", 100)  # later pieces know what earlier ones hide
+    monkeypatch.setattr(draw_tables, "_PIECE_GROUPS", 200)
     return lambda allowed: monkeypatch.setattr(boxes, "_MIN_GROUPS", 1 if allowed else 1 << 30)
 
 

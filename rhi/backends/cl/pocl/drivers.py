@@ -12,7 +12,7 @@ import ctypes
 import threading
 from contextlib import suppress
 
-from rhi.backends.cl.workers import list_threads
+from rhi.backends.cl.pocl.workers import list_threads
 
 __rhi_internal__ = True
 
