@@ -15,11 +15,11 @@ from functools import partial
 from typing import Final
 
 import rhi
-from renderer.canvas import Canvas, Font, lay_out, srgb
 from renderer.cli.arguments import add_rounds
 from renderer.cli.comparison import run_benchmark
 from renderer.cli.subcommand import Parser
 from renderer.lab.comparison import Record, Subject, compare, rate
+from renderer.layers.canvas import Canvas, Font, lay_out, srgb
 
 WHITE: Final = srgb("#ffffff")
 LINE: Final = "The quick brown fox jumps over 13 lazy dogs; AVATAR To. Wörter mit Öl,\t1,204 bytes\t12.5 ms\n"

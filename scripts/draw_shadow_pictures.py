@@ -21,8 +21,8 @@ from renderer.shaders.structs import SurfaceVarying
 from renderer.shadows import ShadowFilter, ShadowSettings
 from renderer.shadows.lamps import NEAR
 from renderer.techniques import Forward, Technique
-from renderer.techniques.scene_shader import ForwardShader
-from renderer.techniques.variants import Lighting, lit_pass
+from renderer.techniques.parts.scene_shader import ForwardShader
+from renderer.techniques.parts.variants import Lighting, lit_pass
 from renderer.visibility import NoCulling
 from rhi.shading import abs, max, vec3, vec4
 

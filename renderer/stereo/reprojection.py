@@ -25,7 +25,7 @@ from renderer.frame.passes import FARTHEST
 from renderer.scene import Camera, Depth
 from renderer.shaders.pixels import FullScreen
 from renderer.stereo.words import Words
-from renderer.techniques.full_screen import bind_rays, make_triangle
+from renderer.techniques.parts.full_screen import bind_rays, make_triangle
 from renderer.visibility.repeated import RepeatedCommands, clear, copy
 from rhi import CullMode, DepthFunction, DepthTest, DepthWrite, Device, Encoder, StorageBuffer
 from rhi.shading import (

@@ -21,14 +21,17 @@ from renderer.lights.culling.sphere_tests import overlaps_hybrid
 from renderer.lights.culling.uploads import LightUploads
 from renderer.lights.culling.volumes import WORD
 from renderer.shaders.structs import SurfacePoint
-from renderer.techniques.cell_lists import CLUSTERS, CellReader, bind_lists, list_pass
-from renderer.techniques.deferred import Deferred, GeometryResolve, resolve, resolve_geometry
-from renderer.techniques.finish import finish_image
-from renderer.techniques.forward_plus import by_cells
-from renderer.techniques.geometry_buffer import GeometryReader, find_contents, geometry_pass, list_contents
-from renderer.techniques.resolve import LIGHT_FORMAT, resolve_pass
-from renderer.techniques.scene_shader import LampShader
-from renderer.techniques.variants import FORWARD, bind, explain_lamps, find_variant, list_lamps
+from renderer.techniques.parts.deferred_lighting import cluster_passes, resolve, volume_passes
+from renderer.techniques.parts.finish import finish_image
+from renderer.techniques.parts.geometry_buffer import (
+    GeometryReader,
+    find_contents,
+    geometry_pass,
+    list_contents,
+)
+from renderer.techniques.parts.resolve import LIGHT_FORMAT, resolve_pass
+from renderer.techniques.parts.scene_shader import LampShader
+from renderer.techniques.parts.variants import FORWARD, bind, explain_lamps, find_variant, list_lamps
 from rhi import Texture
 from rhi.shading import (
     Image2D,
@@ -63,13 +66,6 @@ TILE: Final = 16
 _GROUP: Final = TILE * TILE
 _CHUNK: Final = 64
 """Number of words of lights that a tile holds at a time."""
-
-
-class LitByLists(CellReader, LampShader, GeometryResolve):
-    """Makes the image from the geometry buffer, lit by the lights of clusters."""
-
-    def local_light(self, surface: SurfacePoint, pixel: ivec2, distance: float) -> vec3:
-        return self.lamplight(surface, self.find_cell_lights(distance))
 
 
 class TiledLighting(GeometryReader, LampShader):
@@ -184,7 +180,7 @@ class TiledDeferred:
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the passes `geometry`, `tiles` and `resolve`; those of `Deferred` without lights to test."""
         if not list_lamps(needs):
-            return Deferred().declare(needs)
+            return volume_passes(needs)
         reads = list_contents(needs)
         return (
             geometry_pass(needs),
@@ -206,20 +202,7 @@ class ClusteredDeferred:
 
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the passes `geometry`, `light lists` and `resolve`; those of `Deferred` without lights to list."""
-        if not list_lamps(needs):
-            return Deferred().declare(needs)
-        reads = list_contents(needs)
-        return (
-            geometry_pass(needs),
-            list_pass(needs, CLUSTERS),
-            resolve_pass(
-                needs,
-                light_clusters,
-                "lights surfaces by what reaches all of them and by their clusters' lights",
-                (*reads, "light lists"),
-            ),
-            *finish_image(needs, by_cells(CLUSTERS)),
-        )
+        return cluster_passes(needs)
 
 
 def light_tiles(frame: Frame) -> None:
@@ -236,8 +219,3 @@ def dispatch_tiles(frame: Frame, lit: Texture, shader: type[TiledLighting] = Til
     cones = uploads.cones if Effect.SPOT_LIGHTS in frame.needs.effects else {}
     own = {"lit": lit.image(0), **uploads.bindings, **cones}
     frame.device.dispatch(program, (count.x, count.y), **bind(frame, program, own))
-
-
-def light_clusters(frame: Frame) -> None:
-    """Make the image: shade each pixel of the geometry buffer by the light of everything and of its cluster."""
-    resolve_geometry(frame, LitByLists, bind_lists(frame, CLUSTERS))

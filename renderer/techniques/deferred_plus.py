@@ -22,19 +22,18 @@ from typing import Any, Final
 
 from renderer.frame import DEPTH_FORMAT, Frame, Needs, Pass, Target
 from renderer.shaders.pixels import distance_at, nearness_of, place_pixel
-from renderer.techniques.cell_lists import CLUSTERS, CellReader, bind_lists, list_pass
-from renderer.techniques.deferred_cells import ClusteredDeferred
-from renderer.techniques.finish import finish_image
-from renderer.techniques.forward_plus import by_cells
-from renderer.techniques.material_rectangles import (
+from renderer.techniques.parts.cell_lists import CLUSTERS, CellReader, bind_lists, by_cells, list_pass
+from renderer.techniques.parts.deferred_lighting import cluster_passes
+from renderer.techniques.parts.finish import finish_image
+from renderer.techniques.parts.material_rectangles import (
     RectangleShader,
     draw_rectangles,
     ids_pass,
     rectangles_pass,
 )
-from renderer.techniques.packed_geometry import UNPACKED, PackedReader, can_pack, packed_pass
-from renderer.techniques.scene_shader import LampShader, ShadingShader
-from renderer.techniques.variants import FORWARD, draw_full_screen, list_lamps
+from renderer.techniques.parts.packed_geometry import UNPACKED, PackedReader, can_pack, packed_pass
+from renderer.techniques.parts.scene_shader import LampShader, ShadingShader
+from renderer.techniques.parts.variants import FORWARD, draw_full_screen, list_lamps
 from rhi.shading import discard, fragment_coordinate, ivec2, vec4
 
 __rhi_internal__ = True
@@ -81,7 +80,7 @@ class DeferredPlus:
         """Return the passes `geometry`, `light lists` if there are lights to list, and `shading`; with `multi_pass`
         also `material ids` and `rectangles`; and those of transparent surfaces."""
         if not can_pack(needs):
-            return ClusteredDeferred().declare(needs)
+            return cluster_passes(needs)
         lists = (list_pass(needs, CLUSTERS),) if list_lamps(needs) else ()
         found = (ids_pass(), rectangles_pass()) if self.multi_pass else ()
         # A pass can't read the depth that it tests. Rectangles test `material ids`.

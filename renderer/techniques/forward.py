@@ -8,9 +8,9 @@ from __future__ import annotations
 from typing import Final
 
 from renderer.frame import DEPTH_FORMAT, Frame, Needs, Pass, Target
-from renderer.techniques.depth import depth_pass
-from renderer.techniques.finish import finish_image, name_samples
-from renderer.techniques.variants import FORWARD, draw_lit, lit_pass
+from renderer.techniques.parts.depth import depth_pass
+from renderer.techniques.parts.finish import finish_image, forward_passes, name_samples
+from renderer.techniques.parts.variants import FORWARD, draw_lit
 
 
 class Forward:
@@ -29,18 +29,17 @@ class Forward:
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the pass `forward`; with several samples, one that draws depth before it, and one that resolves them;
         and those of transparent surfaces."""
-        because, image = "draws the visible objects, lit", needs.image
         if self.samples == 1:
-            return (lit_pass(needs, FORWARD, because), *finish_image(needs, FORWARD))
+            return forward_passes(needs)
         return (
             depth_pass("layers and culling can't read depth of several samples"),
             Pass(
                 "forward",
                 _draw_samples,
-                f"{because}, {self.samples} samples per pixel",
+                f"draws the visible objects, lit, {self.samples} samples per pixel",
                 reads=("depth",),
                 writes=(
-                    Target(name_samples(image.name), image.format, samples=self.samples),
+                    Target(name_samples(needs.image.name), needs.image.format, samples=self.samples),
                     Target(name_samples("depth"), DEPTH_FORMAT, samples=self.samples),
                 ),
             ),

@@ -19,11 +19,18 @@ import numpy as np
 from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target
 from renderer.scene.arrays import Rows
 from renderer.shaders.structs import Object, SurfaceVarying
-from renderer.techniques.finish import finish_image
-from renderer.techniques.forward import Forward
-from renderer.techniques.resolve import LIGHT_FORMAT, sum_pass
-from renderer.techniques.scene_shader import ForwardShader, LampShader, MaterialShader
-from renderer.techniques.variants import FORWARD, LAMPS, NO_LAMPS, bind, find_variant, list_lamps, scene_pass
+from renderer.techniques.parts.finish import finish_image, forward_passes
+from renderer.techniques.parts.resolve import LIGHT_FORMAT, sum_pass
+from renderer.techniques.parts.scene_shader import ForwardShader, LampShader, MaterialShader
+from renderer.techniques.parts.variants import (
+    FORWARD,
+    LAMPS,
+    NO_LAMPS,
+    bind,
+    find_variant,
+    list_lamps,
+    scene_pass,
+)
 from rhi import BlendFunction, CullMode, DepthFunction, DepthTest, DepthWrite, Program, State, Texture
 from rhi.shading import Shader, Storage, Struct, instance_index, ivec3, vec3, vec4
 
@@ -82,7 +89,7 @@ class ForwardMultipass:
         """Return a base pass, one for each kind of lamp in view, and one that maps their sum to colours."""
         lamps = list_lamps(needs)
         if not lamps:
-            return Forward().declare(needs)
+            return forward_passes(needs)
         base = Pass(
             "base",
             _draw_base,

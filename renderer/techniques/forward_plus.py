@@ -9,41 +9,19 @@ Without point and spot lights in view there is nothing to list, and both are pla
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Final
 
 from renderer.frame import Frame, Needs, Pass
-from renderer.shaders.pixels import PixelRays
-from renderer.shaders.structs import SurfaceVarying
-from renderer.techniques.cell_lists import (
+from renderer.techniques.parts.cell_lists import (
     CLUSTERS,
     TILES,
-    CellReader,
     LightCells,
-    LightLists,
-    bind_lists,
+    by_cells,
     list_pass,
 )
-from renderer.techniques.depth import depth_pass
-from renderer.techniques.finish import finish_image
-from renderer.techniques.forward import Forward
-from renderer.techniques.scene_shader import ForwardShader
-from renderer.techniques.variants import FORWARD, Lighting, list_lamps, lit_pass
-from rhi.shading import Uniform, dot, ivec3
-
-
-class LitByCells(CellReader, ForwardShader):
-    """Lights a fragment by the lights of its cell instead of those of its object."""
-
-    rays: Uniform[PixelRays]
-
-    def find_lights(self, v: SurfaceVarying) -> ivec3:
-        return self.find_cell_lights(dot(v.position, self.rays.forward))
-
-
-def by_cells(cells: LightLists) -> Lighting:
-    """Return the lighting by the lights of cells."""
-    return Lighting((LitByCells,), bind=partial(bind_lists, cells=cells), reads=("light lists",))
+from renderer.techniques.parts.depth import depth_pass
+from renderer.techniques.parts.finish import finish_image, forward_passes
+from renderer.techniques.parts.variants import FORWARD, list_lamps, lit_pass
 
 
 class ForwardPlus:
@@ -58,7 +36,7 @@ class ForwardPlus:
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the passes `depth`, `light lists` and `forward`; only the last one without lights to list."""
         if not list_lamps(needs):
-            return Forward().declare(needs)
+            return forward_passes(needs)
         because = "draws what is seen, lit by its tile's lights"
         return (
             depth_pass("lights are listed for what is seen"),
@@ -83,7 +61,7 @@ class Clustered:
         """Return the passes `light lists` and `forward`, and before them `depth` if that is drawn first; only the last
         one without lights to list."""
         if not list_lamps(needs):
-            return Forward().declare(needs)
+            return forward_passes(needs)
         lighting, because = by_cells(self.cells), "draws the visible objects, lit by their clusters' lights"
         return (
             *([depth_pass("no hidden fragment is lit")] if self.depth_first else []),

@@ -29,10 +29,9 @@ from renderer.shaders.encodings import decode_normal
 from renderer.shaders.lighting import BRIGHTEST
 from renderer.shaders.pixels import FullScreen
 from renderer.shaders.structs import Object, SurfacePoint, SurfaceVarying
-from renderer.techniques.finish import finish_image
-from renderer.techniques.forward import Forward
-from renderer.techniques.geometry_buffer import SurfaceReader, find_shrunk, find_surface_format
-from renderer.techniques.light_pre_pass import (
+from renderer.techniques.parts.finish import finish_image, forward_passes
+from renderer.techniques.parts.geometry_buffer import SurfaceReader, find_shrunk, find_surface_format
+from renderer.techniques.parts.light_terms import (
     SHININESS_FORMAT,
     NormalShader,
     NormalTexels,
@@ -41,9 +40,9 @@ from renderer.techniques.light_pre_pass import (
     list_terms,
     normals_pass,
 )
-from renderer.techniques.light_volumes import declare_lights
-from renderer.techniques.scene_shader import ForwardShader, SceneShader
-from renderer.techniques.variants import FORWARD, Lighting, draw_full_screen, lit_pass, scene_pass
+from renderer.techniques.parts.light_volumes import declare_lights
+from renderer.techniques.parts.scene_shader import ForwardShader, SceneShader
+from renderer.techniques.parts.variants import FORWARD, Lighting, draw_full_screen, lit_pass, scene_pass
 from rhi import DepthFunction, DepthWrite, refuse
 from rhi.shading import (
     FragmentDepth,
@@ -201,6 +200,12 @@ class Inference(ForwardShader, SurfaceReader):
         return 1.0
 
 
+def check_scale(scale: float, call: str) -> None:
+    """Refuse a size of the light buffers, in that of the image, that is out of its range."""
+    if not 0.0 < scale <= 1.0:
+        refuse(rules.BAD_TECHNIQUE, f"{call}(scale=...)", scale, "more than 0, at most 1; 0.4 and more look well")
+
+
 class Inferred:
     """Collects the terms of light at a part of the pixels, and takes them for the others from their surface."""
 
@@ -211,8 +216,7 @@ class Inferred:
 
         If they aren't `stippled`, transparent surfaces are lit by the lists of their objects.
         """
-        if not 0.0 < scale <= 1.0:
-            refuse(rules.BAD_TECHNIQUE, "Inferred(scale=...)", scale, "more than 0, at most 1; 0.4 and more look well")
+        check_scale(scale, "Inferred")
         self.scale = scale
         self.stippled = stippled
 
@@ -224,7 +228,7 @@ class Inferred:
         collect = partial(collect_terms, prefix="stippled " if stippled else "small ")
         lights, last = declare_lights(needs, list_terms(needs), lit, collect, scale)
         if not lights:
-            return Forward().declare(needs)
+            return forward_passes(needs)
         own = dict(zip(list_terms(needs), last, strict=True), surface=lit[0])
         formats = (find_surface_format(needs), SHININESS_FORMAT, DEPTH_FORMAT)
         lighting = Lighting((Inference,), bind=partial(bind_contents, names=own), reads=(lit[0], *last))

@@ -26,12 +26,12 @@ from renderer.lights.culling.cells import CellGrid, cell_index
 from renderer.shaders.lighting import in_range
 from renderer.shaders.pixels import FullScreen, distance_at, nearness_of, place_pixel
 from renderer.shaders.structs import SurfacePoint, SurfaceVarying, Vertex
-from renderer.techniques.cell_lists import TILES, bind_lists, list_pass
-from renderer.techniques.depth import depth_pass
-from renderer.techniques.forward import Forward
-from renderer.techniques.light_volumes import VolumeShader, VolumeVarying, draw_volumes
-from renderer.techniques.scene_shader import LampShader, MaterialShader, SceneShader
-from renderer.techniques.variants import COVERAGE, draw_full_screen, list_lamps, scene_pass
+from renderer.techniques.parts.cell_lists import TILES, bind_lists, list_pass
+from renderer.techniques.parts.depth import depth_pass
+from renderer.techniques.parts.finish import forward_passes
+from renderer.techniques.parts.light_volumes import VolumeShader, VolumeVarying, draw_volumes
+from renderer.techniques.parts.scene_shader import LampShader, MaterialShader, SceneShader
+from renderer.techniques.parts.variants import COVERAGE, draw_full_screen, list_lamps, scene_pass
 from rhi import BlendFunction, CullMode, DepthWrite, Format, PolygonMode, State, refuse
 from rhi.shading import (
     Storage,
@@ -247,7 +247,7 @@ def _show_tiles(frame: Frame) -> None:
 
 
 def _declare_volumes(needs: Needs) -> tuple[Pass[Frame], ...]:
-    passes = Forward().declare(needs)
+    passes = forward_passes(needs)
     if not list_lamps(needs):
         return passes
     last = find_last(passes, "image")
@@ -263,7 +263,7 @@ def _show_volumes(frame: Frame) -> None:
 
 
 def _declare_edges(needs: Needs) -> tuple[Pass[Frame], ...]:
-    passes = Forward().declare(needs)
+    passes = forward_passes(needs)
     last, depth = find_last(passes, "image"), find_last(passes, "depth")
     changes = {last: "image with edges", depth: "depth with edges"}
     return *passes, Pass("edges", _draw_edges, _BECAUSE, changes=changes)

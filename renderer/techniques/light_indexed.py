@@ -25,12 +25,11 @@ from renderer.lights.rectangles import bound_cones, bound_spheres
 from renderer.shaders.lighting import safe_normalize
 from renderer.shaders.pixels import PixelRays, distance_at, nearness_of, place_pixel
 from renderer.shaders.structs import SurfacePoint
-from renderer.techniques.depth import depth_pass
-from renderer.techniques.finish import finish_image
-from renderer.techniques.forward import Forward
-from renderer.techniques.full_screen import bind_rays
-from renderer.techniques.scene_shader import ForwardShader
-from renderer.techniques.variants import FORWARD, Lighting, explain_lamps, list_lamps, lit_pass
+from renderer.techniques.parts.depth import depth_pass
+from renderer.techniques.parts.finish import finish_image, forward_passes
+from renderer.techniques.parts.full_screen import bind_rays
+from renderer.techniques.parts.scene_shader import ForwardShader
+from renderer.techniques.parts.variants import FORWARD, Lighting, explain_lamps, list_lamps, lit_pass
 from rhi import (
     BlendColor,
     BlendFactor,
@@ -179,7 +178,7 @@ class LightIndexed:
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the three passes, and those of transparent surfaces."""
         if not list_lamps(needs):
-            return Forward().declare(needs)
+            return forward_passes(needs)
         because = "draws the visible objects, lit by the lights of each pixel"
         return (
             depth_pass("finds the surface that lights reach at each pixel"),

@@ -427,42 +427,38 @@ def state_faults(state: Any, limits: Capabilities) -> Faults:
 
 
 def pass_faults(descriptor: PassDescriptor, textures: Mapping[Id, TextureDescriptor], limits: Capabilities) -> Faults:
-    """Yield what is wrong with a render pass whose attachments are among `textures`."""
+    """Yield what is wrong with a render pass whose attachments, levels and layers of `textures`, exist."""
     colors, depth = descriptor.colors, descriptor.depth
     targets: list[Attachment | DepthAttachment] = [*colors, *([] if depth is None else [depth])]
-    for target in targets:
-        yield from level_faults(textures[target.texture], target.level, target.layer)
+    used = [textures[target.texture] for target in targets]
     if len(colors) > limits.max_color_targets:
         yield Fault(DEVICE_CAPABILITY, f"{len(colors)} color targets", f"{limits.max_color_targets}")
     if len({(t.texture, t.level, t.layer) for t in targets}) < len(targets):
         yield Fault(PASS_TARGET, "the same texture twice", "each level and layer once")
-    for color in colors:
-        form, compressed = textures[color.texture].format, textures[color.texture].compressed
+    for texture in used[: len(colors)]:
+        form, compressed = texture.format, texture.compressed
         if form.is_depth or form in limits.unrenderable_formats or compressed is not None:
             given = f"{(compressed or form).name} as color target"
             yield Fault(PASS_TARGET, given, "a color format the device can render to")
-    if depth is not None and not textures[depth.texture].format.is_depth:
-        yield Fault(PASS_TARGET, f"{textures[depth.texture].format.name} as depth target", "a depth format")
-    used = [textures[target.texture] for target in targets]
-    if any(texture.kind is TextureKind.D3 and texture.samples > 1 for texture in used):
-        yield Fault(PASS_TARGET, "a multi-sampled 3D texture")
+    if depth is not None and not used[-1].format.is_depth:
+        yield Fault(PASS_TARGET, f"{used[-1].format.name} as depth target", "a depth format")
     sizes = {texture.level_size(target.level) for texture, target in zip(used, targets, strict=True)}
     if sizes != {descriptor.size}:
         shown = ", ".join(f"{w}×{h}" for w, h in sorted({*sizes, descriptor.size}))
         yield Fault(PASS_SIZE, shown, "one size")
-    samples = {descriptor.samples, *(texture.samples for texture in used)}
-    if len(samples) > 1:
-        yield Fault(PASS_SAMPLES, f"samples {sorted(samples)}", "one number of samples")
-    for color in colors:
+    samples = {texture.samples for texture in used}
+    if samples != {descriptor.samples}:
+        yield Fault(PASS_SAMPLES, f"samples {sorted({*samples, descriptor.samples})}", "one number of samples")
+    for color, source in zip(colors, used, strict=False):  # a depth target is the last one
         if not color.resolve:
             continue
-        source, end = textures[color.texture], textures[color.resolve]
+        end = textures[color.resolve]
         fits = source.samples > 1 and end.samples == 1 and end.format is source.format and end.size == descriptor.size
         if not fits or source.format.is_integer:  # integers have no average
             allowed = "from several samples to 1, equal size and format, no integers"
             yield Fault(PASS_TARGET, f"{show_texture(source)} resolved to {show_texture(end)}", allowed)
     if depth is not None:
-        yield from _clear_faults(depth, textures[depth.texture])
+        yield from _clear_faults(depth, used[-1])
 
 
 def _clear_faults(depth: DepthAttachment, texture: TextureDescriptor) -> Faults:

@@ -81,9 +81,10 @@ class RenderPass(Scope):
         if len(resolves) != len(colors):
             given, allowed = f"{len(resolves)} resolve textures", f"{len(colors)}, one per color target"
             core.refuse(PASS_TARGET, check.call, given, allowed)
-        for name, value in (("clear_depth", clear_depth), ("clear_stencil", clear_stencil)):
-            if value is not None and depth_target is None:
-                core.refuse(PASS_CLEAR, check.call, f"{name}={value}", "None without a depth target")
+        if depth_target is None:
+            for name, value in (("clear_depth", clear_depth), ("clear_stencil", clear_stencil)):
+                if value is not None:
+                    core.refuse(PASS_CLEAR, check.call, f"{name}={value}", "None without a depth target")
         self._kinds = tuple(shader_kind(t.texture.format) for t in colors)
         self._descriptor = PassDescriptor(
             first.size,

@@ -347,8 +347,11 @@ def _copy_buffer_to_texture(
 
 
 def _begin_pass(made: _Made, limits: Capabilities, descriptor: PassDescriptor) -> Faults:
-    if not descriptor.colors and descriptor.depth is None:
+    targets = [target for target in (*descriptor.colors, descriptor.depth) if target is not None]
+    if not targets:
         yield Fault(PASS_EMPTY, "no color and no depth", "a target")
+    for target in targets:
+        yield from level_faults(made[target.texture], target.level, target.layer)
     yield from pass_faults(descriptor, made, limits)
 
 

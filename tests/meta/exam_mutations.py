@@ -445,14 +445,14 @@ MUTATIONS: tuple[Mutation, ...] = (
     Mutation(
         (64,),
         "images have two pixels or more",
-        "renderer.techniques.full_screen",
+        "renderer.techniques.parts.full_screen",
         "(width, height), matrix = size, camera.projection.matrix",
         "(width, height), matrix = (max(size[0], 2), max(size[1], 2)), camera.projection.matrix",
     ),
     Mutation(
         (66,),
         "rays have half precision",
-        "renderer.techniques.full_screen",
+        "renderer.techniques.parts.full_screen",
         "across=camera.rotation.T @ across",
         "across=(camera.rotation.T @ across).astype(np.float16).astype(np.float32)",
     ),

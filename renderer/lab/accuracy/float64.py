@@ -21,8 +21,8 @@ from renderer.scene import Camera, Orthographic
 from renderer.scene.arrays import Floats
 from renderer.shaders import Object, ObjectPosition, Vertex, ViewConstants, relative_position
 from renderer.techniques import Forward
-from renderer.techniques.scene_shader import ForwardShader
-from renderer.techniques.variants import bind, find_variant
+from renderer.techniques.parts.scene_shader import ForwardShader
+from renderer.techniques.parts.variants import bind, find_variant
 from rhi import Format, StorageBuffer, Texture, TextureKind, UniformBuffer
 from rhi.shading import (
     HostTexture,

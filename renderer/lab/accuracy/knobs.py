@@ -606,6 +606,9 @@ _CHOSEN: Final = {
 
 NEUTRAL: Final[Mapping[str, str]] = {
     "technique.name": "pictures differ by rounding; `compare techniques`",
+    "technique.stencil": "the same lights at the same pixels in another way",
+    "technique.depth_first": "the same pixels without what is hidden",
+    "technique.multi_pass": "the same pixels in another order",
     "algorithm": "pictures are the same; `compare visibility`",
     "technique.tiles.slices": "tiles end at the surfaces that they show",
     "technique.tiles.sphere_test": "as that of clusters, which is a knob",

@@ -42,7 +42,7 @@ from renderer.shaders.encodings import (
     find_bitangent,
     material_depth,
 )
-from renderer.techniques.full_screen import find_rays
+from renderer.techniques.parts.full_screen import find_rays
 from rhi import CullMode, DepthFunction, DepthTest, DepthWrite, Device, Format
 from rhi.shading import (
     FragmentDepth,

@@ -19,7 +19,7 @@ from renderer.frame import Effect, Frame, SceneResources, Targets, TechniquePass
 from renderer.scene import Camera, Depth, Scene
 from renderer.shaders import Object, ObjectPosition, Vertex, relative_position
 from renderer.techniques.forward import Forward
-from renderer.techniques.variants import draw_lit
+from renderer.techniques.parts.variants import draw_lit
 from renderer.visibility import NoCulling
 from renderer.visibility.boxes.bounds import pad_boxes
 from rhi import (

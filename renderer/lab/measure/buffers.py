@@ -12,7 +12,7 @@ from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Floats
 from renderer.shaders.encodings import decode_change, decode_normal, decode_uv
 from renderer.techniques import DeferredPlus
-from renderer.techniques.material_rectangles import MaterialRectangles
+from renderer.techniques.parts.material_rectangles import MaterialRectangles
 from renderer.visibility import FrustumCulling
 from rhi import Device
 from rhi.shading import evaluate

@@ -39,7 +39,7 @@ from renderer.shaders.encodings import (
     encode_uv,
 )
 from renderer.shaders.pixels import PixelRays, distance_at, nearness_of, place_pixel
-from renderer.techniques.full_screen import find_rays
+from renderer.techniques.parts.full_screen import find_rays
 from rhi import Device, Program
 from rhi.shading import (
     Precision,

@@ -32,12 +32,11 @@ from renderer.lights.culling.volumes import LightVolumes, find_volumes
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Lights
 from renderer.scene.arrays import Floats
-from renderer.techniques.cell_lists import list_pass
-from renderer.techniques.depth import draw_depth
-from renderer.techniques.forward_plus import by_cells
-from renderer.techniques.full_screen import find_rays
-from renderer.techniques.glow import glow_passes
-from renderer.techniques.variants import draw_lit
+from renderer.techniques.parts.cell_lists import by_cells, list_pass
+from renderer.techniques.parts.depth import draw_depth
+from renderer.techniques.parts.full_screen import find_rays
+from renderer.techniques.parts.glow import glow_passes
+from renderer.techniques.parts.variants import draw_lit
 from rhi import Device, Texture
 from rhi.errors import refuse
 from rhi.shading import evaluate

@@ -36,15 +36,15 @@ from renderer.techniques import (
     Technique,
     TiledDeferred,
 )
-from renderer.techniques.cell_lists import CLUSTERS, CellReader, LightCells, bind_lists
 from renderer.techniques.deferred_cells import TiledLighting, dispatch_tiles
 from renderer.techniques.forward_multipass import PointPairs, SpotPairs, draw_pairs
-from renderer.techniques.geometry_buffer import SurfaceReader
 from renderer.techniques.light_indexed import INDICES, LIGHT_BITS, LIGHTS_FULL, next_light
-from renderer.techniques.light_volumes import VolumeShader, VolumeVarying, draw_volumes
-from renderer.techniques.resolve import LIGHT_FORMAT
-from renderer.techniques.scene_shader import SceneShader
-from renderer.techniques.variants import bind, draw_full_screen, list_lamps
+from renderer.techniques.parts.cell_lists import CLUSTERS, CellReader, LightCells, bind_lists
+from renderer.techniques.parts.geometry_buffer import SurfaceReader
+from renderer.techniques.parts.light_volumes import VolumeShader, VolumeVarying, draw_volumes
+from renderer.techniques.parts.resolve import LIGHT_FORMAT
+from renderer.techniques.parts.scene_shader import SceneShader
+from renderer.techniques.parts.variants import bind, draw_full_screen, list_lamps
 from rhi import BlendFunction, DepthFunction, DepthWrite, Format, State
 from rhi.shading import (
     Shader,

@@ -16,7 +16,8 @@ import numpy as np
 from renderer.cloth import Cloths, Gust, Wind, make_sheet
 from renderer.content import BUILT_IN
 from renderer.content.fountains import BOUNDS, Fountains, make_drops
-from renderer.overlay import Overlay
+from renderer.layers.overlay import Overlay
+from renderer.layers.particles import Particles
 from renderer.renderer import Renderer
 from renderer.scene import (
     AlphaMode,
@@ -31,7 +32,7 @@ from renderer.scene import (
     translation,
 )
 from renderer.stereo import Stereo
-from renderer.techniques import Forward, Particles, Smoothed
+from renderer.techniques import Forward, Smoothed
 from rhi import BlendFunction, Op
 from rhi.testing import Footprint
 
@@ -299,7 +300,7 @@ LADDER: Final = (
             events=("glow", "tones"),
         ),
         switch=_switch_glow,
-        modules=("renderer.techniques.glow",),
+        modules=("renderer.techniques.parts.glow",),
     ),
     Rung(
         "glass",
@@ -307,7 +308,7 @@ LADDER: Final = (
         Footprint("glass", events=("transparency",), states=(BlendFunction.PREMULTIPLIED,)),
         _place_pane,
         _switch_glass,
-        modules=("renderer.techniques.transparency",),
+        modules=("renderer.techniques.parts.transparency",),
     ),
     Rung(
         "haze",
@@ -344,7 +345,7 @@ LADDER: Final = (
             "particles", programs=("*Particle*",), bindings=("particles",), events=("particles",),
         ),
         switch=_switch_particles,
-        modules=("renderer.techniques.particles",),
+        modules=("renderer.layers.particles",),
     ),
     Rung(
         "cloth",
@@ -358,7 +359,7 @@ LADDER: Final = (
         "edges of the image smoothed",
         Footprint("fxaa", programs=("Fxaa",), events=("fxaa",)),
         switch=_switch_fxaa,
-        modules=("renderer.techniques.fxaa",),
+        modules=("renderer.techniques.parts.fxaa",),
     ),
     Rung(
         "msaa",
@@ -378,7 +379,7 @@ LADDER: Final = (
         "the debug overlay",
         Footprint("overlay", programs=("Canvas*",), events=("overlay",)),
         switch=_switch_overlay,
-        modules=("renderer.overlay", "renderer.canvas"),
+        modules=("renderer.layers.overlay", "renderer.layers.canvas"),
     ),
 )  # fmt: skip
 """The rungs, each with all that those before it have."""

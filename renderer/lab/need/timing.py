@@ -17,7 +17,7 @@ from renderer.lab.measure import Measurement, alternate
 from renderer.lab.measure.alternate import Interval
 from renderer.lab.need.counting import Ascent, open_without, remove
 from renderer.lab.need.ladder import move_eye
-from renderer.overlay import Overlay
+from renderer.layers.overlay import Overlay
 
 __rhi_internal__ = True
 

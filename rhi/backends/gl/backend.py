@@ -9,7 +9,7 @@
   backend of this process has taken the thread (5 ns). Code outside of this package takes it unseen: `resume` asks the
   driver, where the device has time for that. A backend is used on one thread at a time.
 - Memory order: a full memory barrier follows each dispatch, and each draw of a program that writes memory. llvmpipe's
-  draws are waited for before anything but a fragment reads their targets (`unfinished`).
+  draws are waited for before anything but a fragment reads their targets (`llvmpipe`).
 """
 
 from __future__ import annotations
@@ -36,15 +36,14 @@ from rhi.backends.gl.entry_points import EntryPoints
 from rhi.backends.gl.errors import drain_errors
 from rhi.backends.gl.fence import Fence
 from rhi.backends.gl.framebuffers import Framebuffers
-from rhi.backends.gl.heap import keep_freed_memory
 from rhi.backends.gl.host import HostFramebuffer, SharedContext
+from rhi.backends.gl.llvmpipe import UnfinishedDraws, keep_freed_memory
 from rhi.backends.gl.programs import LinkedProgram, Programs, VertexArrays
 from rhi.backends.gl.queries import Queries
 from rhi.backends.gl.query_sets import GlQuerySet
 from rhi.backends.gl.samplers import Samplers
 from rhi.backends.gl.states import RenderStates
 from rhi.backends.gl.textures import Textures
-from rhi.backends.gl.unfinished import UnfinishedDraws
 from rhi.commands.recorder import CommandMethods
 from rhi.contract.backend import Capabilities, PreparedQueries
 from rhi.contract.descriptors import (

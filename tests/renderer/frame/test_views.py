@@ -25,8 +25,8 @@ from renderer.scene import Camera, Scene
 from renderer.shaders import ViewConstants
 from renderer.shaders.depth import DepthOnly
 from renderer.techniques import Forward
-from renderer.techniques.scene_shader import ForwardShader
-from renderer.techniques.variants import bind, find_variant
+from renderer.techniques.parts.scene_shader import ForwardShader
+from renderer.techniques.parts.variants import bind, find_variant
 from renderer.visibility import FrustumCulling, list_algorithms, make_visibility
 from rhi import DepthFunction, DepthWrite, Format
 from rhi.backends.null import NullBackend

@@ -19,7 +19,7 @@ from renderer.techniques import (
     Technique,
     TiledDeferred,
 )
-from renderer.techniques.cell_lists import CLUSTERS
+from renderer.techniques.parts.cell_lists import CLUSTERS
 from renderer.visibility import NoCulling
 from rhi import Op
 

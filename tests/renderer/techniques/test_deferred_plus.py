@@ -26,8 +26,8 @@ from renderer.scene import (
 )
 from renderer.techniques import DeferredPlus, Forward
 from renderer.techniques.deferred_plus import PackedShading
-from renderer.techniques.material_rectangles import MaterialRectangles
-from renderer.techniques.packed_geometry import MOST_MATERIALS, PackedPlain, PackedTextures
+from renderer.techniques.parts.material_rectangles import MaterialRectangles
+from renderer.techniques.parts.packed_geometry import MOST_MATERIALS, PackedPlain, PackedTextures
 from renderer.visibility import FrustumCulling, NoCulling, TwoPassCulling
 from rhi import Op, Stage
 from rhi.shading import compile_shader

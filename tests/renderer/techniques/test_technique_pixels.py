@@ -34,8 +34,8 @@ from renderer.techniques import (
     Technique,
     TiledDeferred,
     inferred,
-    variants,
 )
+from renderer.techniques.parts import variants
 from renderer.visibility import ALGORITHMS, NoCulling, make_visibility
 
 SIZE = (96, 64)

@@ -22,8 +22,6 @@ from tests.renderer.conftest import open_device
 
 SETTABLE = [knob for knob in KNOBS.values() if knob.path]
 TECHNIQUE_FIELDS = {one.name for one in fields(TechniqueSettings)} | {"cells"}
-SAME_PICTURE = {"stencil", "depth_first", "multi_pass"}
-"""Arguments of techniques that lead to the same picture in another way: tests of techniques compare them."""
 
 
 def list_leaves(settings: Any, path: str = "") -> Iterator[str]:
@@ -51,7 +49,7 @@ def test_each_setting_is_a_knob_or_has_a_reason_not_to_be_one() -> None:
 @pytest.mark.parametrize("name", TECHNIQUES)
 def test_no_technique_has_a_choice_that_settings_lack(name: str) -> None:
     chosen = inspect.signature(TECHNIQUES[name]).parameters
-    assert set(chosen) <= TECHNIQUE_FIELDS | SAME_PICTURE
+    assert set(chosen) <= TECHNIQUE_FIELDS
 
 
 @pytest.mark.parametrize("knob", SETTABLE, ids=lambda knob: knob.name)

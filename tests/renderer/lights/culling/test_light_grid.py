@@ -316,9 +316,8 @@ def test_lists_can_be_made_in_a_recorded_command_buffer(device: rhi.Device, make
 
 def test_a_test_of_another_name_is_refused(device: rhi.Device) -> None:
     for name in ("sphere_test", "cone_test", "block_test"):
-        with pytest.raises(ValidationError) as refused:
+        with pytest.raises(ValidationError, match="lights-unknown-test"):
             LightGrid(device, **{name: "hybrit"})
-        assert refused.value.rule.id == "lights-unknown-test"
 
 
 def test_a_frame_issues_three_dispatches_and_one_more_for_depth() -> None:

@@ -6,8 +6,20 @@ import numpy as np
 import pytest
 
 import rhi
+from rhi.contract.descriptors import Stage
 from rhi.errors import ShaderError
-from rhi.shading import Shader, Storage, StorageRW, compile_shader, global_id, run_compute
+from rhi.shading import (
+    Shader,
+    Storage,
+    StorageRW,
+    Struct,
+    compile_shader,
+    global_id,
+    run_compute,
+    vec2,
+    vec4,
+)
+from tests.renderer.conftest import open_device
 
 
 class Sums(Shader):
@@ -59,6 +71,31 @@ def test_a_lean_program_has_the_bindings_that_its_stages_read_in_slots_without_g
     assert [name for name, _ in list_bindings(Whole)] == ["found", "less", "more", "most"]
 
 
+class Decided(Shader):
+    """Returns by a condition that is constant."""
+
+    work_group = (4,)
+    doubles = True
+    found: StorageRW[float]
+
+    def compute(self) -> None:
+        self.found[int(global_id().x)] = self.find(3.0)
+
+    def find(self, value: float) -> float:
+        if self.doubles:
+            return value + value
+        return value * 7.0
+
+
+class Undecided(Decided):
+    doubles = False
+
+
+def test_what_follows_a_return_that_is_taken_is_left_out_of_any_program() -> None:
+    texts = [compile_shader(shader).emit("glsl", Stage.COMPUTE).text for shader in (Decided, Undecided)]
+    assert ["7.0" in text for text in texts] == [False, True]
+
+
 def test_a_lean_program_computes_as_the_whole_one_does() -> None:
     words = {name: np.arange(4, dtype=np.float32) * k for name, k in (("less", 1), ("more", 10), ("most", 100))}
     for shader, expected in ((Sums, "less"), (Whole, "less"), (Most, "most")):
@@ -89,3 +126,64 @@ def test_a_lean_program_is_bound_by_the_names_that_it_has() -> None:
     with rhi.create_device("null") as device:
         program = device.program(Most)
         assert [binding.name for binding in program.descriptor.bindings] == ["found", "most"]
+
+
+class Place(Struct):
+    place: vec2
+
+
+class Shades(Struct):
+    dark: float
+    light: vec4
+
+
+class Shaded(Struct):
+    clip: vec4
+    color: vec4
+
+
+class Painted(Shader):
+    """Draws vertices in one of their colours."""
+
+    lean = True
+    is_light = True
+
+    def vertex(self, v: Place, shades: Shades) -> Shaded:
+        return Shaded(clip=vec4(v.place, 0.0, 1.0), color=shades.light if self.is_light else vec4(shades.dark))
+
+    def fragment(self, v: Shaded) -> vec4:
+        return v.color
+
+
+class Dark(Painted):
+    is_light = False
+
+
+class Unsparing(Painted):
+    lean = False
+
+
+def test_a_lean_program_has_the_attributes_that_its_vertex_stage_reads() -> None:
+    found = {
+        shader: [(attribute.name, attribute.location) for attribute in compile_shader(shader).attributes]
+        for shader in (Painted, Dark, Unsparing)
+    }
+    assert found[Painted] == [("place", 0), ("light", 1)]
+    assert found[Dark] == [("place", 0), ("dark", 1)]
+    assert found[Unsparing] == [("place", 0), ("dark", 1), ("light", 2)]
+    assert "in_dark" not in compile_shader(Painted).emit("glsl", Stage.VERTEX).text
+
+
+@pytest.mark.parametrize("name", ["gl", "cl"])
+def test_a_mesh_may_lack_the_attributes_that_a_lean_program_does_not_read(name: str) -> None:
+    corners = np.array([(-1, -1), (3, -1), (-1, 3)], np.float32)
+    for shader, extra, expected in (
+        (Painted, {"light": np.tile(np.float32([0.2, 0.4, 0.6, 1.0]), (3, 1))}, [51, 102, 153, 255]),
+        (Dark, {"dark": np.full(3, 0.8, np.float32)}, [204, 204, 204, 204]),
+    ):
+        with open_device(name) as device:
+            image = device.texture((2, 2), rhi.Format.RGBA8)
+            mesh = device.mesh({"place": corners, **extra})
+            with device.render_pass(image, clear=(0.0, 0.0, 0.0, 0.0)):
+                device.draw(device.program(shader), mesh)
+            assert (image.read() == expected).all()
