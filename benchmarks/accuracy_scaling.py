@@ -41,11 +41,11 @@ from dataclasses import asdict, dataclass, replace
 from typing import Final
 
 import rhi
-from renderer.accuracy import KNOBS, Situation, SweepJob, list_jobs
-from renderer.accuracy.jobs import order_jobs
-from renderer.accuracy.sweep import DRAWS_NOTHING, find_lack, list_views, prepare_scene
 from renderer.cli.executors import list_cpus, open_processes, share_cpus
 from renderer.content import load_scene
+from renderer.lab.accuracy import KNOBS, Situation, SweepJob, list_jobs
+from renderer.lab.accuracy.jobs import order_jobs
+from renderer.lab.accuracy.sweep import DRAWS_NOTHING, find_lack, list_views, prepare_scene
 
 SITUATION: Final = Situation("city", size=(240, 135), views=3, rounds=6)
 NULL_FRAMES: Final = 24

@@ -19,7 +19,7 @@ import numpy as np
 
 import rhi
 from renderer.content import BUILT_IN
-from renderer.measure import alternate
+from renderer.lab.measure import alternate
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Orthographic, Recompute, Scene, SceneBuilder, rotation, translation
 from renderer.visibility import FrustumCulling
@@ -121,7 +121,7 @@ def measure(backend: str, count: int, rounds: int) -> list[Row]:
             base = times["everywhere"]
             for name, one in variants.items():
                 cost = (one.sums / rounds).tolist()
-                rows.append(Row(view, name, *cost, 1e3 * times[name].median, times[name].ratio_to(base)))
+                rows.append(Row(view, name, *cost, 1e3 * times[name].median, times[name].compare_to(base).median))
         for one in variants.values():
             one.renderer.destroy()
     return rows

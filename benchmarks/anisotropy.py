@@ -15,19 +15,17 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
-import time
-from pathlib import Path
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
 os.environ.setdefault("RHI_KERNELS", "optimised")  # what is measured is the speed of a long run
 
 import rhi
+from renderer.lab.comparison import Subject, compare
+from renderer.lab.comparison import ratio as ratio_column
 from rhi import CullMode, Format, SamplerDescriptor
 from rhi.shading import HostTexture, Shader, Struct, Texture2D, vec2, vec4
 
@@ -138,17 +136,16 @@ def measure_costs(rounds: int, size: tuple[int, int]) -> None:
             w = np.where(corners[:, 1] > 0, far, 1.0)[:, None]
             position = np.concatenate([corners * w, 0.5 * w, w], axis=1).astype(np.float32)
             mesh = device.mesh({"position": position, "uv": (corners * w + 1).astype(np.float32)})
-            times: dict[int, list[float]] = {most: [] for most in MOST}
-            for _ in range(rounds + 1):
-                for most in MOST:
-                    sampled = source.sampled(SamplerDescriptor(max_anisotropy=most))
-                    begin = time.process_time()
-                    with device.render_pass(image), device.states(CullMode.NONE):
-                        device.draw(program, mesh, source=sampled)
-                    device.finish()
-                    times[most].append(time.process_time() - begin)
-            ratios = [np.median(np.array(times[most][1:]) / times[1][1:]) for most in MOST]
-            print(f"| {name} | " + " | ".join(f"{ratio:.1f}" for ratio in ratios) + " |")
+
+            def draw(most: int, _: int, mesh: rhi.Mesh = mesh) -> None:
+                sampled = source.sampled(SamplerDescriptor(max_anisotropy=most))
+                with device.render_pass(image), device.states(CullMode.NONE):
+                    device.draw(program, mesh, source=sampled)
+                device.finish()
+
+            subjects = [Subject({"most": most}, partial(draw, most)) for most in MOST]
+            rows = compare(subjects, {"ratio": ratio_column(processor=True)}, range(rounds))
+            print(f"| {name} | " + " | ".join(f"{row['ratio']:.1f}" for row in rows) + " |")
 
 
 def main() -> None:

@@ -33,8 +33,8 @@ os.environ.setdefault("RHI_KERNELS", "optimised")  # what is measured is the spe
 
 import rhi
 from renderer.content import find_path, load_scene
-from renderer.measure import alternate
-from renderer.measure.backends import BackendPasses, DepthShader
+from renderer.lab.measure import alternate
+from renderer.lab.measure.backends import BackendPasses, DepthShader
 from rhi import CullMode, Device, Format, Mesh
 from rhi.contract.texels import encode
 from rhi.shading import Shader, Storage, Struct, Texture2D, Uniform, dot, max, vec2, vec3, vec4
@@ -231,7 +231,7 @@ def measure(name: str, rounds: int) -> list[dict[str, Any]]:
         devices = {backend: rhi.create_device(backend) for backend in BACKENDS}
         work = {backend: make(device, size) for backend, device in devices.items()}
         times = alternate(work, range(rounds), warm_ups=2)
-        ratio = times["gl"].ratio_to(times["cl"])
+        ratio = times["gl"].compare_to(times["cl"]).median
         rows.append(
             {"n": size, "gl": 1e3 * times["gl"].median, "cl": 1e3 * times["cl"].median, "ratio": ratio}
         )

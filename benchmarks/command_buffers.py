@@ -20,20 +20,22 @@ from __future__ import annotations
 
 import argparse
 import gc
-import json
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 from scenes import Scene
 
 import rhi
-from renderer.measure import alternate
+from renderer.cli.arguments import add_rounds
+from renderer.cli.comparison import run_benchmark
+from renderer.cli.subcommand import Parser
+from renderer.lab.comparison import Record, Subject, compare, time
 
 
-def measure(backend: str, draws: int, rounds: int) -> dict[str, float]:
-    """Return the microseconds per draw of each variant."""
-    with rhi.create_device(backend, record=False) as device:
-        scene = Scene(device, draws, scale=0.0)
+def measure(given: argparse.Namespace) -> Iterator[Record]:
+    """Yield the microseconds per draw of each variant."""
+    with rhi.create_device(given.backend, record=False) as device:
+        scene = Scene(device, given.draws, scale=0.0)
 
         def record(draw: Callable[[rhi.Encoder], None]) -> rhi.CommandBuffer:
             with device.record() as commands:
@@ -63,8 +65,8 @@ def measure(backend: str, draws: int, rounds: int) -> dict[str, float]:
             "drawn at once, transient constants": lambda _: scene.draw_transient(device),
             "recorded on 4 threads, together": lambda _: record_on_threads(scene, 4),
         }
-        times = alternate(work, range(rounds), before=prepare)
-        return {name: each.median / draws * 1e6 for name, each in times.items()}
+        subjects = [Subject({"variant": name}, run, lambda name=name: prepare(name)) for name, run in work.items()]
+        yield from compare(subjects, {"µs per draw": time(1e6 / given.draws, 2)}, range(given.rounds))
 
 
 def record_on_threads(scene: Scene, count: int) -> None:
@@ -83,20 +85,11 @@ def record_on_threads(scene: Scene, count: int) -> None:
         thread.join()
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+def add_arguments(parser: Parser) -> None:
     parser.add_argument("--backend", default="gl", help="backend to measure (default: %(default)s)")
     parser.add_argument("--draws", type=int, default=5000, help="draws per round (default: %(default)s)")
-    parser.add_argument("--rounds", type=int, default=15, help="rounds (default: %(default)s)")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
-    arguments = parser.parse_args()
-    result = measure(arguments.backend, arguments.draws, arguments.rounds)
-    if arguments.json:
-        print(json.dumps(result, indent=2))
-        return
-    for name, microseconds in result.items():
-        print(f"{name:40} {microseconds:8.2f} µs per draw")
+    add_rounds(parser, "rounds", 15)
 
 
 if __name__ == "__main__":
-    main()
+    run_benchmark(__doc__, add_arguments, measure)

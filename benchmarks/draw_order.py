@@ -29,7 +29,7 @@ import moderngl
 import numpy as np
 
 import rhi
-from renderer.measure.draw_order import count_changes
+from renderer.lab.measure.draw_order import count_changes
 from rhi.shading import Shader, Storage, Struct, Uniform, instance_index, vec2, vec4
 
 RASTERIZER_DISCARD = 0x8C89

@@ -9,67 +9,45 @@ Figures are medians over the rounds.
 from __future__ import annotations
 
 import argparse
-import json
-from collections.abc import Callable
+from collections.abc import Iterator
 from contextlib import ExitStack
 
 import rhi
+from renderer.cli.arguments import add_backend, add_rounds, add_size
+from renderer.cli.comparison import run_benchmark
+from renderer.cli.subcommand import Parser
 from renderer.content import load_scene, parse_camera
-from renderer.measure import alternate
-from renderer.renderer import Renderer
-from renderer.scene import Camera
+from renderer.lab.comparison import Frames, Record, Subject, compare, interval, ratio, time
+from renderer.settings import RenderSettings
 from renderer.techniques import TECHNIQUES
-from renderer.visibility import FrustumCulling
 
 AIRS = {"nothing": "", "fog": ",fog=0.015", "glow": ",glow=0.1", "both": ",fog=0.015,glow=0.1"}
 VIEWS = {"night:lights=256": ("ground", 900), "hall:lights=96": ("overview", 0)}
+COLUMNS = {
+    "milliseconds": time(digits=2), "time": ratio(), "processor time": ratio(processor=True), "interval": interval()
+}  # fmt: skip
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--backend", default="gl")
-    parser.add_argument("--size", default="960x540")
+def add_arguments(parser: Parser) -> None:
+    add_backend(parser)
+    add_size(parser)
     parser.add_argument("--technique", default="forward", choices=list(TECHNIQUES))
-    parser.add_argument("--rounds", type=int, default=15)
-    parser.add_argument("--json", action="store_true")
-    given = parser.parse_args()
-    width, height = map(int, given.size.split("x"))
-    rows = []
+    add_rounds(parser, "rounds", 15)
+
+
+def measure(given: argparse.Namespace) -> Iterator[Record]:
+    settings = RenderSettings().change_all({"technique.name": given.technique, "algorithm": "frustum"})
     with rhi.create_device(given.backend) as device:
         for text, (view, frame) in VIEWS.items():
             with ExitStack() as opened:
-                work: dict[str, Callable[[int], object]] = {}
+                subjects = []
                 for name, air in AIRS.items():
                     scene = load_scene(text + air)
-                    renderer = opened.enter_context(
-                        Renderer(
-                            device, scene, technique=TECHNIQUES[given.technique](),
-                            visibility=FrustumCulling(scene), size=(width, height),
-                        )
-                    )  # fmt: skip
-                    camera = parse_camera(view, scene, frame)
-
-                    def draw(_: int, renderer: Renderer = renderer, camera: Camera = camera) -> None:
-                        renderer.render(camera)
-                        device.finish()
-
-                    work[name] = draw
-                times = alternate(work, range(given.rounds), warm_ups=2)
-            plain = times["nothing"]
-            for name, one in times.items():
-                rows.append(
-                    {
-                        "scene": text,
-                        "air": name,
-                        "milliseconds": round(1e3 * one.median, 2),
-                        "time": round(one.ratio_to(plain), 3),
-                        "processor time": round(one.processor_ratio_to(plain), 3),
-                        "interval": [round(limit, 3) for limit in one.processor_ratio_interval(plain)],
-                    }
-                )
-    for row in rows:
-        print(json.dumps(row) if given.json else "  ".join(f"{key}: {value}" for key, value in row.items()))
+                    renderer = opened.enter_context(settings.open(device, scene, given.size))
+                    camera = settings.aim(parse_camera(view, scene, frame))
+                    subjects.append(Subject({"scene": text, "air": name}, Frames(renderer, camera)))
+                yield from compare(subjects, COLUMNS, range(given.rounds), warm_ups=2)
 
 
 if __name__ == "__main__":
-    main()
+    run_benchmark(__doc__, add_arguments, measure)

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 import rhi
-from renderer.measure import alternate, format_table
+from renderer.lab.measure import alternate, format_table
 from rhi import Format
 from rhi.backends.null import Activity, CostModel, Lane, SimulatedBackend, Simulation
 from rhi.shading import Shader, Struct, vec2, vec4

@@ -12,25 +12,21 @@ the medians. "cold" is the same measurement with 64 MB of other memory read befo
 from __future__ import annotations
 
 import argparse
-import json
-import sys
-import time
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
+from renderer.cli.comparison import run_benchmark
+from renderer.cli.subcommand import Parser
+from renderer.lab.comparison import Record, Subject, compare, ratio, time
 from renderer.scene import Camera, Perspective
 from renderer.visibility import Culler, build_by_area, find_visible
 
 Rows = NDArray[np.int64]
 Floats = NDArray[np.float64]
 FRAMES = 200
-TARGET = 0.2
+COLUMNS = {"microseconds": time(1e6, 1), "ratio": ratio(4)}
 
 
 def make_boxes(count: int, cube: bool) -> tuple[Floats, Floats]:
@@ -69,74 +65,45 @@ def cull_with_early_out(planes: Floats, lower: Floats, upper: Floats) -> Rows:
     return left
 
 
-def measure(count: int, cube: bool) -> dict[str, Any]:
-    """Measure all methods on `count` boxes.
+def add_arguments(parser: Parser) -> None:
+    parser.add_argument("--boxes", type=int, default=100_000, help="number of boxes (default: %(default)s)")
+    parser.add_argument("--cube", action="store_true", help="spread the boxes in a cube: more cross planes")
+
+
+def measure(given: argparse.Namespace) -> Iterator[Record]:
+    """Yield a row for each method.
 
     Raises:
         AssertionError: if a method finds other boxes than the reference.
     """
-    lower, upper = make_boxes(count, cube)
+    lower, upper = make_boxes(given.boxes, given.cube)
     columns = np.ascontiguousarray(lower.T).T, np.ascontiguousarray(upper.T).T
-    started = time.perf_counter()
-    hierarchy = build_by_area(lower, upper)
-    seconds = time.perf_counter() - started
-    culler = Culler(hierarchy, lower, upper)
+    culler = Culler(build_by_area(lower, upper), lower, upper)
     ways: dict[str, Callable[[Floats], Rows]] = {
         "every box": lambda planes: find_visible(planes, *columns).nonzero()[0],
         "every box, early out": lambda planes: cull_with_early_out(planes, *columns),
         "every box, rows of three": lambda planes: find_visible(planes, lower, upper).nonzero()[0],
         "hierarchy": lambda planes: culler.find_visible(planes)[0],
     }
-    frames = [camera.frustum.planes for camera in make_cameras(cube)]
-    reference = ways["every box"]
-    expected = [reference(planes) for planes in frames]
-    rows = []
-    for name, way in ways.items():
-        row: dict[str, Any] = {"way": name}
-        for label, other in (("", None), ("cold_", np.ones(8_000_000))):
-            spent: tuple[list[float], list[float]] = ([], [])
-            for planes, rows_expected in zip(frames, expected, strict=True):
-                for candidate, times in ((reference, spent[0]), (way, spent[1])):
-                    if other is not None:
-                        other.sum()
-                    started = time.perf_counter()
-                    found = candidate(planes)
-                    times.append(time.perf_counter() - started)
-                    if not np.array_equal(found, rows_expected):
+    frames = [camera.frustum.planes for camera in make_cameras(given.cube)]
+    expected = [ways["every box"](planes) for planes in frames]
+    for memory, other in (("warm", np.ones(0)), ("cold", np.ones(8_000_000))):
+        for name, way in ways.items():  # in pairs: what else runs in a round decides what is in the caches
+            found: list[Rows] = []
+
+            def run(number: int, way: Callable[[Floats], Rows] = way, found: list[Rows] = found) -> None:
+                found[:] = [way(frames[number])]
+
+            def rounds(name: str = name, found: list[Rows] = found) -> Iterator[int]:
+                for number in range(FRAMES):
+                    yield number
+                    if not np.array_equal(found[0], expected[number]):
                         raise AssertionError(f"{name}: finds other boxes than the test of every box")
-            base, median = (float(np.median(times)) for times in spent)
-            row[f"{label}microseconds"] = round(1e6 * median, 1)
-            row[f"{label}ratio"] = round(median / base, 4)
-        rows.append(row)
-    return {
-        "boxes": count,
-        "shape": "cube" if cube else "plain",
-        "frames": FRAMES,
-        "visible_share": round(float(np.mean([len(rows) / count for rows in expected])), 4),
-        "plane_tests_per_frame": round(float(np.mean([culler.find_visible(p)[1].planes for p in frames])), 1),
-        "build_seconds": round(seconds, 3),
-        "target_ratio": TARGET,
-        "ways": rows,
-    }
 
-
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument("--boxes", type=int, default=100_000, help="number of boxes (default: %(default)s)")
-    parser.add_argument("--cube", action="store_true", help="spread the boxes in a cube: more cross planes")
-    given = parser.parse_args()
-    result = measure(given.boxes, given.cube)
-    if given.json:
-        print(json.dumps(result, indent=2))
-        return 0
-    print(f"{given.boxes} boxes in a {result['shape']}, visible: {result['visible_share']}")
-    print(f"{'':26}{'us':>9}{'ratio':>9}{'cold us':>9}{'ratio':>9}")
-    for row in result["ways"]:
-        numbers = (row["microseconds"], row["ratio"], row["cold_microseconds"], row["cold_ratio"])
-        print(f"{row['way']:26}" + "".join(f"{number:9}" for number in numbers))
-    return 0
+            base = Subject({}, lambda number: ways["every box"](frames[number]), other.sum)
+            one = Subject({"way": name, "memory": memory}, run, other.sum)
+            yield compare([base, one], COLUMNS, rounds())[1]
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    run_benchmark(__doc__, add_arguments, measure)

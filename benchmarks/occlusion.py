@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import rhi
 from renderer.content import BUILT_IN, load_scene
-from renderer.measure import alternate
+from renderer.lab.measure import alternate
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene, SceneBuilder, scaling, translation
 from renderer.scene.transforms import multiply
@@ -151,7 +151,7 @@ def measure_doubling(backend: str | None, boxes: int) -> dict[str, Any]:
             "backend": device.backend_name,
             "boxes": [boxes, 2 * boxes],
             "milliseconds": [round(1e3 * time.median, 2) for time in (one, two)],
-            "doubling_ratio": round(two.ratio_to(one), 3),
+            "doubling_ratio": round(two.compare_to(one).median, 3),
             "target_doubling_ratio": DOUBLING,
         }
 

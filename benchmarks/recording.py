@@ -18,7 +18,7 @@ from collections.abc import Callable
 from scenes import Scene
 
 import rhi
-from renderer.measure import alternate
+from renderer.lab.measure import alternate
 from rhi.backends.null import create_backend
 from rhi.commands.recorder import Recorder
 from rhi.contract.descriptors import Primitive

@@ -10,12 +10,15 @@ from __future__ import annotations
 
 import argparse
 import gc
-import json
+from collections.abc import Iterator
 
 from scenes import Scene
 
 import rhi
-from renderer.measure import alternate
+from renderer.cli.arguments import add_rounds
+from renderer.cli.comparison import run_benchmark
+from renderer.cli.subcommand import Parser
+from renderer.lab.comparison import Record, Subject, compare, rate
 from rhi.backends.null import Simulation
 
 
@@ -25,42 +28,32 @@ def make(draws: int, simulation: Simulation | None) -> Scene:
     return Scene(rhi.create_device("null", **options), draws, size=256)
 
 
-def measure(draws: int, rounds: int) -> dict[str, float]:
-    """Return the commands per second of each variant, with constants in a uniform array or in transient memory."""
-    scenes = {
-        "executed": make(draws, None),
-        "simulated": make(draws, Simulation()),
-        "executed, transient": make(draws, None),
-        "simulated, transient": make(draws, Simulation()),
-    }
+def measure(given: argparse.Namespace) -> Iterator[Record]:
+    """Yield the commands per second of each variant, with constants in a uniform array or in transient memory."""
+    subjects, scenes = [], []
+    for suffix, transient in (("", False), (", transient", True)):
+        for name, simulation in (("executed", None), ("simulated", Simulation())):
+            scene = make(given.draws, simulation)
 
-    def clear(name: str) -> None:
-        scenes[name].device.stream.clear()
-        gc.collect()
+            def clear(scene: Scene = scene) -> None:
+                scene.device.stream.clear()
+                gc.collect()
 
-    def frame(name: str) -> None:
-        scene = scenes[name]
-        draw = scene.draw_transient if "transient" in name else scene.draw
-        draw(scene.device)
-        scene.present()
+            def frame(_: int, scene: Scene = scene, draw: bool = transient) -> None:
+                (scene.draw_transient if draw else scene.draw)(scene.device)
+                scene.present()
 
-    times = alternate({name: lambda _, name=name: frame(name) for name in scenes}, range(rounds), before=clear)
-    return {name: len(scenes[name].device.stream) / each.median for name, each in times.items()}
+            subjects.append(Subject({"variant": name + suffix}, frame, clear))
+            scenes.append(scene)
+    rows = compare(subjects, {"commands/s": rate(1.0)}, range(given.rounds))
+    for row, scene in zip(rows, scenes, strict=True):
+        yield row | {"commands/s": round(len(scene.device.stream) * row["commands/s"])}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+def add_arguments(parser: Parser) -> None:
     parser.add_argument("--draws", type=int, default=5000, help="draws per frame (default: %(default)s)")
-    parser.add_argument("--rounds", type=int, default=9, help="rounds (default: %(default)s)")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
-    arguments = parser.parse_args()
-    result = measure(arguments.draws, arguments.rounds)
-    if arguments.json:
-        print(json.dumps(result, indent=2))
-        return
-    for name, rate in result.items():
-        print(f"{name:22} {rate:12,.0f} commands/s")
+    add_rounds(parser, "rounds", 9)
 
 
 if __name__ == "__main__":
-    main()
+    run_benchmark(__doc__, add_arguments, measure)

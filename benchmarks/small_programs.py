@@ -23,19 +23,20 @@ if they are in the cache. `--kernels quick` measures those that it draws with un
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import tempfile
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from statistics import median
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 import rhi
+from renderer.cli.arguments import add_rounds, add_size, parse_names
+from renderer.cli.comparison import run_benchmark
+from renderer.cli.subcommand import Parser
+from renderer.lab.comparison import Record, Subject, compare, ratio, time
 from rhi import BlendFactor, BlendFunction, CullMode, DepthTest, DepthWrite, Format, Primitive
 from rhi.shading import (
     Precision,
@@ -59,6 +60,11 @@ from rhi.shading import (
     vertex_index,
 )
 
+COLUMNS: Final = {
+    "milliseconds": time(),
+    "times as fast": ratio(2, inverse=True),
+    "processor": ratio(2, processor=True, inverse=True),
+}
 SIDE: Final = 256
 PARTICLES: Final = 20_000
 GLYPHS: Final = 2000
@@ -303,6 +309,16 @@ class Bench:
         instances["offset"], instances["turn"] = rng.uniform(-4, 4, (CUBES, 3)), rng.uniform(0, 6, CUBES)
         self.cubes = device.mesh(make_cube(), instances=instances)
 
+    def run(self, name: str, fast: bool) -> Callable[[int], None]:
+        """Return the function that draws one frame of a program and waits for the device."""
+        work = self.make_work(name, fast)
+
+        def draw(_: int) -> None:
+            work()
+            self.device.finish()
+
+        return draw
+
     def make_work(self, name: str, fast: bool) -> Callable[[], None]:
         """Return the function that draws one frame of a program."""
         device, frame, target = self.device, self.frames[0], self.color
@@ -357,62 +373,28 @@ class Bench:
         return work.get(name, draw_flat)
 
 
-def measure(benches: dict[str, Bench], name: str, fast: bool, rounds: int) -> dict[str, Any]:
-    """Return the times of a program's frame on both backends in milliseconds, and their ratios."""
-    work = {backend: bench.make_work(name, fast) for backend, bench in benches.items()}
-    times: dict[str, list[tuple[float, float]]] = {backend: [] for backend in benches}
-    for number in range(-3, rounds):
-        for backend, bench in benches.items():
-            began, spent = time.perf_counter(), time.process_time()
-            work[backend]()
-            bench.device.finish()
-            if number >= 0:
-                times[backend].append((time.perf_counter() - began, time.process_time() - spent))
-    pairs = list(zip(times["gl"], times["cl"], strict=True))
-    clock, processor = (median(gl[i] / cl[i] for gl, cl in pairs) for i in range(2))
-    row: dict[str, Any] = {"program": name, "precision": "fast" if fast else "default"}
-    row["kernels"] = os.environ["RHI_KERNELS"]
-    row |= {f"{backend}_milliseconds": 1e3 * median(t for t, _ in times[backend]) for backend in times}
-    return row | {"ratio": clock, "processor": processor}
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rounds", type=int, default=21)
-    parser.add_argument("--size", default="640x360")
-    parser.add_argument("--only", default=",".join(["empty", *SHADERS]))
+def add_arguments(parser: Parser) -> None:
+    add_rounds(parser, "rounds", 21)
+    add_size(parser, (640, 360))
+    parser.add_argument("--only", type=parse_names(["empty", *SHADERS], "is no program"), default=["empty", *SHADERS])
     parser.add_argument("--kernels", choices=("optimised", "quick"), default="optimised")
-    parser.add_argument("--json", action="store_true")
-    options = parser.parse_args()
-    os.environ["RHI_KERNELS"] = options.kernels
+
+
+def measure(given: argparse.Namespace) -> Iterator[Record]:
+    """Yield the times of each program's frame on both backends in milliseconds, and their ratios."""
+    os.environ["RHI_KERNELS"] = given.kernels
     with ExitStack() as stack:
-        if options.kernels == "quick":  # the optimised ones of the cache would be taken instead
+        if given.kernels == "quick":  # the optimised ones of the cache would be taken instead
             os.environ["RHI_CACHE"] = stack.enter_context(tempfile.TemporaryDirectory())
-        run(options)
-
-
-def run(options: argparse.Namespace) -> None:
-    """Measure the programs that were asked for, and print the results."""
-    width, height = map(int, options.size.split("x"))
-    benches = {backend: Bench(backend, (width, height)) for backend in ("gl", "cl")}
-    rows = [
-        measure(benches, name, fast, options.rounds)
-        for name in options.only.split(",")
-        for fast in ((False,) if name == "empty" else (False, True))
-    ]
-    for bench in benches.values():
-        bench.device.close()
-    if options.json:
-        print(json.dumps(rows))
-        return
-    print(f"{options.kernels} kernels")
-    print(f"{'program':14} {'precision':9} {'gl ms':>8} {'cl ms':>8} {'ratio':>6} {'processor':>9}")
-    for row in rows:
-        print(
-            f"{row['program']:14} {row['precision']:9} {row['gl_milliseconds']:8.2f} {row['cl_milliseconds']:8.2f}"
-            f" {row['ratio']:6.2f} {row['processor']:9.2f}"
-        )
+        benches = {backend: Bench(backend, given.size) for backend in ("gl", "cl")}
+        for bench in benches.values():
+            stack.callback(bench.device.close)
+        for name in given.only:
+            for fast in (False,) if name == "empty" else (False, True):
+                about = {"program": name, "precision": "fast" if fast else "default", "kernels": given.kernels}
+                subjects = [Subject(about | {"backend": one}, benches[one].run(name, fast)) for one in benches]
+                yield from compare(subjects, COLUMNS, range(given.rounds), warm_ups=3)
 
 
 if __name__ == "__main__":
-    main()
+    run_benchmark(__doc__, add_arguments, measure)

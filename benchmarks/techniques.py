@@ -31,8 +31,8 @@ os.environ.setdefault("RHI_KERNELS", "optimised")  # what is measured is the spe
 
 import rhi
 from renderer.content import BUILT_IN, load_scene, parse_camera
-from renderer.measure import Measurement, alternate, format_table, settle
-from renderer.measure.light_evaluations import count_light_evaluations
+from renderer.lab.measure import Measurement, alternate, format_table, settle
+from renderer.lab.measure.light_evaluations import count_light_evaluations
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene, SceneBuilder, scaling
 from renderer.techniques import (
@@ -100,9 +100,9 @@ class Result:
         times = {name: one for name, one in self.times.items() if name != "auto"}
         chosen = times[self.chosen]
         return (
-            max(chosen.ratio_to(one) for one in times.values()),
-            max(chosen.processor_ratio_to(one) for one in times.values()),
-            self.times["auto"].processor_ratio_to(chosen),
+            max(chosen.compare_to(one).median for one in times.values()),
+            max(chosen.compare_to(one, processor=True).median for one in times.values()),
+            self.times["auto"].compare_to(chosen, processor=True).median,
         )
 
 
@@ -172,7 +172,7 @@ def measure(
             lights = count_light_evaluations(renderer, camera)
             print(
                 f"  {name:26}{1e3 * times[name].processor_median:8.2f} ms{1e3 * times[name].median:8.2f} by the clock"
-                f"{times[name].processor_ratio_to(times['forward']):8.2f} x forward"
+                f"{times[name].compare_to(times['forward'], processor=True).median:8.2f} x forward"
                 f"{plan.count_bytes(size) / (size[0] * size[1]):6.0f} bytes a pixel"
                 f"{'' if lights is None else f'{lights / pixels:8.2f} lights'}",
                 flush=True,

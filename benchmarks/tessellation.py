@@ -1,9 +1,9 @@
 """What the length of edges costs and loses: triangles, time, and how far they are from the full height field.
 
-For each length, frames along a path of the terrain are drawn. The lengths take turns in one process. "choose" is the
-time of choosing the triangles, "draw" that of a frame without it, both in milliseconds of processor time, all threads
-together (medians). The error of a vertex of the full field is its distance on screen from the chosen triangles, of
-those in the frustum and above the sea, hidden ones included.
+For each length, frames along a path of the terrain are drawn. The lengths take turns in one process; each round starts
+with another one. "choose" is the time of choosing the triangles, "draw" that of a frame without it, both in
+milliseconds of processor time, all threads together (medians). The error of a vertex of the full field is its distance
+on screen from the chosen triangles, of those in the frustum and above the sea, hidden ones included.
 
     python benchmarks/tessellation.py [--backend cl] [--scene terrain] [--rounds 5] [--json]
 """
@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 import rhi
 from renderer.content import load_scene, parse_camera
 from renderer.frame import SceneResources
-from renderer.measure import format_records
+from renderer.lab.measure import format_records
 from renderer.renderer import Renderer
 from renderer.scene import Camera, HeightField
 from renderer.scene.height_fields import bisect
@@ -85,7 +85,9 @@ def measure(backend: str, spec: str, rounds: int) -> list[dict[str, Any]]:
         with Renderer(device, scene, size=SIZE, visibility=visibility) as renderer:
             tessellator, resources = renderer.tessellator, renderer.resources
             for turn in range(rounds + 1):
-                for edge, one in found.items():
+                start = turn % len(EDGES)
+                for edge in EDGES[start:] + EDGES[:start]:
+                    one = found[edge]
                     for camera in cameras:
                         tessellator.settings = TessellationSettings(edge)
                         device.finish()

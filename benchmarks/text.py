@@ -10,76 +10,66 @@ the processor's time, of all threads: that of a device on the CPU is part of it.
 from __future__ import annotations
 
 import argparse
-import json
-import time
-from collections.abc import Callable
-from statistics import median
+from collections.abc import Iterator
+from functools import partial
 from typing import Final
 
 import rhi
-from renderer.canvas import Canvas, Font, lay_out, srgb
+from renderer.cli.arguments import add_rounds
+from renderer.cli.comparison import run_benchmark
+from renderer.cli.subcommand import Parser
+from renderer.lab.comparison import Record, Subject, compare, rate
+from renderer.layers.canvas import Canvas, Font, lay_out, srgb
 
 WHITE: Final = srgb("#ffffff")
 LINE: Final = "The quick brown fox jumps over 13 lazy dogs; AVATAR To. Wörter mit Öl,\t1,204 bytes\t12.5 ms\n"
 TEXTS: Final = {"line": LINE.rstrip(), "page": LINE * 40}
 
 
-def measure(backend: str, rounds: int) -> dict[str, float]:
-    """Return the glyphs in a millisecond of each variant on a device."""
-    with rhi.create_device(backend) as device:
-        canvas = Canvas(device, Font.load())
-        image = device.texture((960, 720), rhi.Format.RGBA8_SRGB)
-
-        def add(text: str) -> None:
-            canvas.text(8, 8, text, WHITE)
-            canvas.forget()
-
-        def draw(text: str) -> None:
-            canvas.text(8, 8, text, WHITE)
-            with device.render_pass(image):
-                canvas.draw(image.size)
-            device.present(image)
-            device.finish()
-
-        def lay(text: str) -> None:
-            lay_out(canvas.font, text)
-
-        steps: dict[str, Callable[[str], None]] = {"lay out": lay, "text": add, "draw": draw}
-        counts = {f"{step}, a {name}": len(lay_out(canvas.font, text).glyphs)
-                  for step in steps for name, text in TEXTS.items()}  # fmt: skip
-
-        def run(variant: str) -> None:
-            step, _, name = variant.partition(", a ")
-            steps[step](TEXTS[name])
-
-        for variant in counts:
-            for _ in range(30):  # kernels get hot, rings get their size
-                run(variant)
-        times: dict[str, list[float]] = {variant: [] for variant in counts}
-        for _ in range(rounds):
-            for variant, spent in times.items():
-                began = time.process_time()
-                run(variant)
-                spent.append(1e3 * (time.process_time() - began))
-            if backend == "null":
-                device.stream.clear()
-        return {variant: counts[variant] / median(spent) for variant, spent in times.items()}
+def forget_commands(device: rhi.Device) -> None:
+    if device.backend_name == "null":
+        device.stream.clear()
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+def add_arguments(parser: Parser) -> None:
     parser.add_argument("--backends", default=",".join(rhi.backend_names()), help="default: %(default)s")
-    parser.add_argument("--rounds", type=int, default=41, help="rounds (default: %(default)s)")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
-    arguments = parser.parse_args()
-    rates = {name: measure(name, arguments.rounds) for name in arguments.backends.split(",")}
-    if arguments.json:
-        print(json.dumps(rates, indent=2))
-        return
-    for name, each in rates.items():
-        for variant, rate in each.items():
-            print(f"{name:5} {variant:18} {rate:8,.0f} glyphs/ms")
+    add_rounds(parser, "rounds", 41)
+
+
+def measure(given: argparse.Namespace) -> Iterator[Record]:
+    """Yield the glyphs in a millisecond of each step and text on each device."""
+    for backend in given.backends.split(","):
+        with rhi.create_device(backend) as device:
+            yield from measure_device(device, given.rounds)
+
+
+def measure_device(device: rhi.Device, rounds: int) -> Iterator[Record]:
+    canvas = Canvas(device, Font.load())
+    image = device.texture((960, 720), rhi.Format.RGBA8_SRGB)
+
+    def lay(text: str, _: int) -> None:
+        lay_out(canvas.font, text)
+
+    def add(text: str, _: int) -> None:
+        canvas.text(8, 8, text, WHITE)
+        canvas.forget()
+
+    def draw(text: str, _: int) -> None:
+        canvas.text(8, 8, text, WHITE)
+        with device.render_pass(image):
+            canvas.draw(image.size)
+        device.present(image)
+        device.finish()
+
+    subjects = []
+    for step, run in {"lay out": lay, "text": add, "draw": draw}.items():
+        for name, text in TEXTS.items():
+            glyphs = len(lay_out(canvas.font, text).glyphs)
+            about = {"backend": device.backend_name, "step": step, "text": name, "glyphs": glyphs}
+            subjects.append(Subject(about, partial(run, text), lambda: forget_commands(device)))
+    for row in compare(subjects, {"glyphs/ms": rate(1e-3, processor=True)}, range(rounds), warm_ups=30):
+        yield row | {"glyphs/ms": row["glyphs"] * row["glyphs/ms"]}
 
 
 if __name__ == "__main__":
-    main()
+    run_benchmark(__doc__, add_arguments, measure)

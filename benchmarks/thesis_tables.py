@@ -27,8 +27,8 @@ from renderer.cli.arguments import add_size, parse_count, parse_frame
 from renderer.cli.output import draw_chart, show_progress
 from renderer.cli.subcommand import Parser
 from renderer.content import load_scene
-from renderer.measure import format_table
-from renderer.measure.visibility import compare_algorithms, list_contenders, list_frames
+from renderer.lab.measure import format_table
+from renderer.lab.measure.visibility import compare_algorithms, list_contenders, list_frames
 from renderer.renderer import Renderer
 from renderer.visibility import Settings, list_algorithms
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from scenes import Scene
 
 import rhi
-from renderer.measure import alternate
+from renderer.lab.measure import alternate
 from rhi import CullMode, DepthWrite
 from rhi.trace import Trace, diff, load, replay, save
 

@@ -27,8 +27,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 import rhi
 from renderer.cli.arguments import parse_size
 from renderer.content import load_scene
-from renderer.measure.exact import ExactVisibility
-from renderer.measure.visibility import Picture
+from renderer.lab.measure.exact import ExactVisibility
+from renderer.lab.measure.visibility import Picture
 from renderer.renderer import Renderer
 from renderer.scene import Scene
 from renderer.visibility import (

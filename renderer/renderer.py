@@ -41,8 +41,8 @@ from renderer.scene.finite import check_finite
 from renderer.shadows import ShadowMaps, shadow_passes
 from renderer.stereo import EyePair, Stereo, fit_picture
 from renderer.techniques import AutoTechnique, Forward, Technique
-from renderer.techniques.depth import bind_depth
 from renderer.techniques.inspection import Inspection
+from renderer.techniques.parts.depth import bind_depth
 from renderer.tessellation import Tessellator, tessellation_passes
 from renderer.visibility import AutoCulling, VisibilityAlgorithm, VisibilityStatistics, make_visibility
 from rhi import Device, Texture, refuse

@@ -13,185 +13,108 @@ command.
 Drivers are loaded when a device is created, not when this package is imported.
 """
 
-from rhi.commands.recorder import Recorder
-from rhi.commands.stream import Command, Commands, CommandStream, Op, Refusal
-from rhi.contract.backend import Backend, Capabilities
-from rhi.contract.blocks import CompressedFormat
-from rhi.contract.clip_space import convert_projection
-from rhi.contract.descriptors import (
-    DRAW,
-    DRAW_UNINDEXED,
-    Access,
-    BufferUsage,
-    Filter,
-    Primitive,
-    ProgramDescriptor,
-    Region,
-    SamplerDescriptor,
-    Stage,
-    StageText,
-    TextureKind,
-    VertexFormat,
-    Wrap,
-)
-from rhi.contract.formats import Format, IndexFormat
-from rhi.contract.states import (
-    AlphaFunction,
-    AlphaReference,
-    AlphaTest,
-    AlphaToCoverage,
-    BlendColor,
-    BlendFactor,
-    BlendFunction,
-    BlendOperation,
-    ColorWrite,
-    Comparison,
-    CullMode,
-    DepthBias,
-    DepthFunction,
-    DepthTest,
-    DepthWrite,
-    FrontFace,
-    LineWidth,
-    PlatformState,
-    PolygonMode,
-    PolygonOffset,
-    Scissor,
-    State,
-    StateChange,
-    StencilBack,
-    StencilFront,
-    StencilOperation,
-    StencilReadMask,
-    StencilReference,
-    StencilTest,
-    StencilWriteMask,
-    Viewport,
-)
-from rhi.contract.texels import from_srgb, to_srgb
-from rhi.device.command_buffer import CommandBuffer
-from rhi.device.core.containers import FixedQueue, FixedStack
-from rhi.device.core.core import Statistics
-from rhi.device.core.state_cache import StateScope, StateVector
-from rhi.device.device import Device
-from rhi.device.encoder import Encoder, IndirectDraws
-from rhi.device.immediate import Immediate
-from rhi.device.passes import RenderPass
-from rhi.device.preparation import DrawPlan, Preparation
-from rhi.device.queries.occlusion import OcclusionQuery
-from rhi.device.queries.sets import QuerySet
-from rhi.device.queries.timers import TimerNode
-from rhi.device.registry import backend_names, create_device, report
-from rhi.device.reloading import Reloader
-from rhi.device.resources.buffers import Buffer, StorageBuffer, UniformArray, UniformBuffer
-from rhi.device.resources.meshes import Drawable, Mesh
-from rhi.device.resources.programs import Program
-from rhi.device.resources.readbacks import Readback
-from rhi.device.resources.textures import Sampler, Texture, TextureTarget
-from rhi.device.transient import TransientMemory, TransientMesh
-from rhi.errors import RULES, CallSite, DeviceError, RhiError, Rule, ShaderError, ValidationError, refuse
+from rhi.commands.recorder import Recorder as Recorder
+from rhi.commands.stream import Command as Command
+from rhi.commands.stream import Commands as Commands
+from rhi.commands.stream import CommandStream as CommandStream
+from rhi.commands.stream import Op as Op
+from rhi.commands.stream import Refusal as Refusal
+from rhi.contract.backend import Backend as Backend
+from rhi.contract.backend import Capabilities as Capabilities
+from rhi.contract.blocks import CompressedFormat as CompressedFormat
+from rhi.contract.clip_space import convert_projection as convert_projection
+from rhi.contract.descriptors import DRAW as DRAW
+from rhi.contract.descriptors import DRAW_UNINDEXED as DRAW_UNINDEXED
+from rhi.contract.descriptors import Access as Access
+from rhi.contract.descriptors import BufferUsage as BufferUsage
+from rhi.contract.descriptors import Filter as Filter
+from rhi.contract.descriptors import Primitive as Primitive
+from rhi.contract.descriptors import ProgramDescriptor as ProgramDescriptor
+from rhi.contract.descriptors import Region as Region
+from rhi.contract.descriptors import SamplerDescriptor as SamplerDescriptor
+from rhi.contract.descriptors import Stage as Stage
+from rhi.contract.descriptors import StageText as StageText
+from rhi.contract.descriptors import TextureKind as TextureKind
+from rhi.contract.descriptors import VertexFormat as VertexFormat
+from rhi.contract.descriptors import Wrap as Wrap
+from rhi.contract.formats import Format as Format
+from rhi.contract.formats import IndexFormat as IndexFormat
+from rhi.contract.states import AlphaFunction as AlphaFunction
+from rhi.contract.states import AlphaReference as AlphaReference
+from rhi.contract.states import AlphaTest as AlphaTest
+from rhi.contract.states import AlphaToCoverage as AlphaToCoverage
+from rhi.contract.states import BlendColor as BlendColor
+from rhi.contract.states import BlendFactor as BlendFactor
+from rhi.contract.states import BlendFunction as BlendFunction
+from rhi.contract.states import BlendOperation as BlendOperation
+from rhi.contract.states import ColorWrite as ColorWrite
+from rhi.contract.states import Comparison as Comparison
+from rhi.contract.states import CullMode as CullMode
+from rhi.contract.states import DepthBias as DepthBias
+from rhi.contract.states import DepthFunction as DepthFunction
+from rhi.contract.states import DepthTest as DepthTest
+from rhi.contract.states import DepthWrite as DepthWrite
+from rhi.contract.states import FrontFace as FrontFace
+from rhi.contract.states import LineWidth as LineWidth
+from rhi.contract.states import PlatformState as PlatformState
+from rhi.contract.states import PolygonMode as PolygonMode
+from rhi.contract.states import PolygonOffset as PolygonOffset
+from rhi.contract.states import Scissor as Scissor
+from rhi.contract.states import State as State
+from rhi.contract.states import StateChange as StateChange
+from rhi.contract.states import StencilBack as StencilBack
+from rhi.contract.states import StencilFront as StencilFront
+from rhi.contract.states import StencilOperation as StencilOperation
+from rhi.contract.states import StencilReadMask as StencilReadMask
+from rhi.contract.states import StencilReference as StencilReference
+from rhi.contract.states import StencilTest as StencilTest
+from rhi.contract.states import StencilWriteMask as StencilWriteMask
+from rhi.contract.states import Viewport as Viewport
+from rhi.contract.texels import from_srgb as from_srgb
+from rhi.contract.texels import to_srgb as to_srgb
+from rhi.device.command_buffer import CommandBuffer as CommandBuffer
+from rhi.device.core.containers import FixedQueue as FixedQueue
+from rhi.device.core.containers import FixedStack as FixedStack
+from rhi.device.core.core import Statistics as Statistics
+from rhi.device.core.state_cache import StateScope as StateScope
+from rhi.device.core.state_cache import StateVector as StateVector
+from rhi.device.device import Device as Device
+from rhi.device.encoder import Encoder as Encoder
+from rhi.device.encoder import IndirectDraws as IndirectDraws
+from rhi.device.immediate import Immediate as Immediate
+from rhi.device.passes import RenderPass as RenderPass
+from rhi.device.preparation import DrawPlan as DrawPlan
+from rhi.device.preparation import Preparation as Preparation
+from rhi.device.queries.occlusion import OcclusionQuery as OcclusionQuery
+from rhi.device.queries.sets import QuerySet as QuerySet
+from rhi.device.queries.timers import TimerNode as TimerNode
+from rhi.device.registry import backend_names as backend_names
+from rhi.device.registry import create_device as create_device
+from rhi.device.registry import report as report
+from rhi.device.reloading import Reloader as Reloader
+from rhi.device.resources.buffers import Buffer as Buffer
+from rhi.device.resources.buffers import StorageBuffer as StorageBuffer
+from rhi.device.resources.buffers import UniformArray as UniformArray
+from rhi.device.resources.buffers import UniformBuffer as UniformBuffer
+from rhi.device.resources.meshes import Drawable as Drawable
+from rhi.device.resources.meshes import Mesh as Mesh
+from rhi.device.resources.programs import Program as Program
+from rhi.device.resources.readbacks import Readback as Readback
+from rhi.device.resources.textures import Sampler as Sampler
+from rhi.device.resources.textures import Texture as Texture
+from rhi.device.resources.textures import TextureTarget as TextureTarget
+from rhi.device.transient import TransientMemory as TransientMemory
+from rhi.device.transient import TransientMesh as TransientMesh
+from rhi.errors import RULES as RULES
+from rhi.errors import CallSite as CallSite
+from rhi.errors import DeviceError as DeviceError
+from rhi.errors import RhiError as RhiError
+from rhi.errors import Rule as Rule
+from rhi.errors import ShaderError as ShaderError
+from rhi.errors import ValidationError as ValidationError
+from rhi.errors import refuse as refuse
+from rhi.errors.exports import list_public as _list_public
 
 __version__ = "0.1.0"
 
-__all__ = [
-    "DRAW",
-    "DRAW_UNINDEXED",
-    "RULES",
-    "Access",
-    "AlphaFunction",
-    "AlphaReference",
-    "AlphaTest",
-    "AlphaToCoverage",
-    "Backend",
-    "BlendColor",
-    "BlendFactor",
-    "BlendFunction",
-    "BlendOperation",
-    "Buffer",
-    "BufferUsage",
-    "CallSite",
-    "Capabilities",
-    "ColorWrite",
-    "Command",
-    "CommandBuffer",
-    "CommandStream",
-    "Commands",
-    "Comparison",
-    "CompressedFormat",
-    "CullMode",
-    "DepthBias",
-    "DepthFunction",
-    "DepthTest",
-    "DepthWrite",
-    "Device",
-    "DeviceError",
-    "DrawPlan",
-    "Drawable",
-    "Encoder",
-    "Filter",
-    "FixedQueue",
-    "FixedStack",
-    "Format",
-    "FrontFace",
-    "Immediate",
-    "IndexFormat",
-    "IndirectDraws",
-    "LineWidth",
-    "Mesh",
-    "OcclusionQuery",
-    "Op",
-    "PlatformState",
-    "PolygonMode",
-    "PolygonOffset",
-    "Preparation",
-    "Primitive",
-    "Program",
-    "ProgramDescriptor",
-    "QuerySet",
-    "Readback",
-    "Recorder",
-    "Refusal",
-    "Region",
-    "Reloader",
-    "RenderPass",
-    "RhiError",
-    "Rule",
-    "Sampler",
-    "SamplerDescriptor",
-    "Scissor",
-    "ShaderError",
-    "Stage",
-    "StageText",
-    "State",
-    "StateChange",
-    "StateScope",
-    "StateVector",
-    "Statistics",
-    "StencilBack",
-    "StencilFront",
-    "StencilOperation",
-    "StencilReadMask",
-    "StencilReference",
-    "StencilTest",
-    "StencilWriteMask",
-    "StorageBuffer",
-    "Texture",
-    "TextureKind",
-    "TextureTarget",
-    "TimerNode",
-    "TransientMemory",
-    "TransientMesh",
-    "UniformArray",
-    "UniformBuffer",
-    "ValidationError",
-    "VertexFormat",
-    "Viewport",
-    "Wrap",
-    "backend_names",
-    "convert_projection",
-    "create_device",
-    "from_srgb",
-    "refuse",
-    "report",
-    "to_srgb",
-]
+__all__ = _list_public(globals())

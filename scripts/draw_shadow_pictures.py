@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,16 +14,15 @@ from numpy.typing import NDArray
 import rhi
 from renderer.cli.output import write_image
 from renderer.content import BUILT_IN, load_scene
-from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target, TechniquePass
+from renderer.frame import Frame, Needs, Pass
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Perspective, Scene, SceneBuilder, rotation, scaling, translation
 from renderer.shaders.structs import SurfaceVarying
 from renderer.shadows import ShadowFilter, ShadowSettings
 from renderer.shadows.lamps import NEAR
-from renderer.shadows.receiver import WithSunShadows
 from renderer.techniques import Forward, Technique
-from renderer.techniques.forward import find_forward
-from renderer.techniques.forward_shader import ForwardShader
+from renderer.techniques.parts.scene_shader import ForwardShader
+from renderer.techniques.parts.variants import Lighting, lit_pass
 from renderer.visibility import NoCulling
 from rhi.shading import abs, max, vec3, vec4
 
@@ -36,7 +35,7 @@ GAP: Final = 4
 """White pixels between two pictures."""
 
 
-class CascadeColors(WithSunShadows, ForwardShader):
+class CascadeColors(ForwardShader):
     """Tints surfaces by the map in which the shadow of the sun is looked up: red, green, blue, yellow."""
 
     def fragment(self, v: SurfaceVarying) -> vec4:
@@ -66,21 +65,7 @@ class TintedCascades:
 
     def declare(self, needs: Needs) -> Sequence[Pass[Frame]]:
         """Return the pass `forward`."""
-        written = Target("image", IMAGE_FORMAT), Target("depth", DEPTH_FORMAT)
-        return (Pass("forward", _draw_tinted, "was asked for", writes=written),)
-
-
-def _draw_tinted(frame: Frame) -> None:
-    shader, bindings = find_forward(frame)
-    kind: Any = type("Tinted", (CascadeColors, shader), {"__module__": __name__})
-    color, depth = frame.targets["image"], frame.targets["depth"]
-    clear = (*frame.resources.scene.background, 1.0)
-    program = frame.program(kind)
-    frame.draw_visible(
-        TechniquePass(
-            frame.device, frame.resources, frame.view, program, bindings, color=color, depth=depth, clear=clear
-        )
-    )
+        return (lit_pass(needs, Lighting((CascadeColors,)), "was asked for"),)
 
 
 def render(

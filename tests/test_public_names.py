@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from types import ModuleType
 
 import pytest
 
-import renderer.accuracy
 import renderer.frame
-import renderer.measure
+import renderer.lab.accuracy
+import renderer.lab.measure
 import renderer.scene
 import renderer.techniques
 import renderer.visibility
 import rhi
+import rhi.contract
 import rhi.shading
 import rhi_screen
 
+DERIVED = [rhi, rhi.contract]  # whose `__all__` follows from their imports
 MODULES = [
-    rhi, rhi.shading, rhi_screen,
-    renderer.scene, renderer.visibility, renderer.frame, renderer.techniques, renderer.measure,
-    renderer.accuracy,
+    rhi, rhi.contract, rhi.shading, rhi_screen,
+    renderer.scene, renderer.visibility, renderer.frame, renderer.techniques, renderer.lab.measure,
+    renderer.lab.accuracy,
 ]  # fmt: skip
 
 
@@ -50,3 +53,29 @@ def test_every_public_name_has_a_docstring(module: ModuleType) -> None:
 def test_public_names_are_listed_once_and_exist(module: ModuleType) -> None:
     assert len(set(module.__all__)) == len(module.__all__)
     assert all(hasattr(module, name) for name in module.__all__)
+
+
+@pytest.mark.parametrize("module", DERIVED, ids=lambda module: module.__name__)
+def test_a_derived_list_has_what_a_star_imports(module: ModuleType) -> None:
+    scope: dict[str, object] = {}
+    exec(f"from {module.__name__} import *", scope)
+    del scope["__builtins__"]
+    assert sorted(scope) == sorted(module.__all__)
+    assert {"Device", "Backend"} & scope.keys()
+    modules = {name for name, value in scope.items() if inspect.ismodule(value)}
+    assert modules == ({"rules"} if module is rhi.contract else set())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("module", DERIVED, ids=lambda module: module.__name__)
+def test_type_checkers_find_what_a_derived_list_names(
+    mypy_strict: Callable[..., tuple[str, int]], tmp_path: Path, module: ModuleType
+) -> None:
+    def check(names: list[str]) -> list[str]:
+        file = tmp_path / "uses.py"
+        file.write_text("".join(f"from {module.__name__} import {name} as {name}\n" for name in names))
+        return [line for line in mypy_strict(file)[0].splitlines() if "uses.py" in line]
+
+    assert check(module.__all__) == []
+    (error,) = check(["_list_public"])
+    assert "does not explicitly export" in error

@@ -116,7 +116,7 @@ def test_every_file_in_back_ticks_exists() -> None:
         "rhi.Device",
         "rhi.contract.Backend.draw",
         "rhi.contract.backend",
-        "renderer.measure",
+        "renderer.lab.measure",
         "rhi.Capabilities.draws",
     ],
 )

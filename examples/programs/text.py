@@ -6,7 +6,7 @@ import numpy as np
 from frame import main
 
 import rhi
-from renderer.canvas import Canvas, Font, srgb
+from renderer.layers.canvas import Canvas, Font, srgb
 
 VERSE = """Im Anfang war die Tat.
 Ægir, Þór & Ærø? Kerning: AVATAR, To, LT.

@@ -11,18 +11,6 @@ from typing import Any, Final
 
 import rhi
 from renderer import rules
-from renderer.accuracy import (
-    KNOBS,
-    CheckedChoice,
-    FrontPoint,
-    KnobReport,
-    Situation,
-    choose,
-    find_choices,
-    keep_front,
-    list_jobs,
-    run_jobs,
-)
 from renderer.cli.accuracy_report import plot_all, write_images, write_page
 from renderer.cli.arguments import (
     add_backend,
@@ -38,7 +26,19 @@ from renderer.cli.executors import add_executor, make_executor
 from renderer.cli.output import OutputError, note, prepare_image, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import load_scene
-from renderer.measure import format_table
+from renderer.lab.accuracy import (
+    KNOBS,
+    CheckedChoice,
+    FrontPoint,
+    KnobReport,
+    Situation,
+    choose,
+    find_choices,
+    keep_front,
+    list_jobs,
+    run_jobs,
+)
+from renderer.lab.measure import format_table
 from renderer.settings import to_plain
 from rhi import RhiError, refuse
 

@@ -11,7 +11,8 @@ from typing import Any, Final
 
 from PIL import Image
 
-from renderer.accuracy import (
+from renderer.cli.output import draw_chart
+from renderer.lab.accuracy import (
     KNOBS,
     CheckedChoice,
     Demand,
@@ -22,7 +23,6 @@ from renderer.accuracy import (
     Unit,
     ValueRow,
 )
-from renderer.cli.output import draw_chart
 
 _LEAST: Final = 1e-3
 """Where some error is 0, errors are drawn on a scale of equal ratios from here on, and below it of equal steps."""

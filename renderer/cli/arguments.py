@@ -65,8 +65,16 @@ def add_size(
     parser.add_argument("--size", type=parse_size, default=size, metavar="WxH", help=help)
 
 
+WAYS: Final = {
+    "stencil": "deferred and light_pre_pass mask each light in a stencil buffer",
+    "depth_first": "clustered draws depth before, so that no hidden fragment is lit",
+    "multi_pass": "deferred_plus shades each material by draws of its own",
+}
+"""Other ways of some techniques to the same picture, settings of `TechniqueSettings`."""
+
+
 def add_technique(parser: Parser, default: str = AutoTechnique.name) -> None:
-    """Add `--technique NAME`, `--samples N` and `--fxaa`, which `make_technique` reads."""
+    """Add `--technique NAME`, `--samples N`, `--fxaa` and the options of `WAYS`, which `make_technique` reads."""
     parser.add_argument(
         "--technique",
         choices=[AutoTechnique.name, *TECHNIQUES],
@@ -83,11 +91,14 @@ def add_technique(parser: Parser, default: str = AutoTechnique.name) -> None:
     parser.add_argument(
         "--fxaa", action="store_true", help="smooth the edges of the image, with any technique"
     )
+    for name, help in WAYS.items():
+        parser.add_argument(f"--{name.replace('_', '-')}", action="store_true", help=help)
 
 
 def make_technique(given: argparse.Namespace, scene: Scene, device: rhi.Device) -> Technique:
     """Return the technique that the arguments of `add_technique` describe, for a scene and a device."""
-    return TechniqueSettings(given.technique, samples=given.samples, fxaa=given.fxaa).make(scene, device)
+    ways = {name: getattr(given, name) for name in WAYS}
+    return TechniqueSettings(given.technique, samples=given.samples, fxaa=given.fxaa, **ways).make(scene, device)
 
 
 def explain_technique(technique: Technique, given: argparse.Namespace) -> dict[str, str]:
@@ -206,10 +217,13 @@ def merge_settings(given: argparse.Namespace) -> RenderSettings:
     those of `add_technique`, `--visibility`, `--queries`, `--depth`, `--blending`, `--edge-pixels` and `--reproject`,
     None where they aren't given. Those of `add_technique` then hold what is merged."""
     settings = load_settings(given)
-    of_technique = {"name": given.technique, "samples": given.samples, "fxaa": given.fxaa or None}
+    ways = {name: getattr(given, name) or None for name in WAYS}
+    of_technique = {"name": given.technique, "samples": given.samples, "fxaa": given.fxaa or None, **ways}
     chosen = {name: value for name, value in of_technique.items() if value is not None}
     technique = replace(settings.technique, **chosen)
     given.technique, given.samples, given.fxaa = technique.name, technique.samples, technique.fxaa
+    for name in WAYS:
+        setattr(given, name, getattr(technique, name))
     changes = {
         "technique": technique,
         "algorithm": given.visibility,

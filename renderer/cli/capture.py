@@ -23,8 +23,8 @@ from renderer.cli.arguments import (
 from renderer.cli.output import draw_chart, note, prepare_chart, print_report, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import parse_camera
-from renderer.measure.capture import CapturedFrame, capture_frames, list_passes, write_frames
-from renderer.measure.table import format_table
+from renderer.lab.measure.capture import CapturedFrame, capture_frames, list_passes, write_frames
+from renderer.lab.measure.table import format_table
 from renderer.renderer import Renderer
 from renderer.scene import FRAMES_PER_SECOND
 from renderer.visibility import ALGORITHMS, check_algorithm, make_visibility

@@ -21,8 +21,8 @@ from renderer.cli.arguments import (
 from renderer.cli.output import draw_chart, note, prepare_image, print_report, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import find_path
-from renderer.measure import format_table
-from renderer.measure.backends import PASSES, BackendRow, compare_backends
+from renderer.lab.measure import format_table
+from renderer.lab.measure.backends import PASSES, BackendRow, compare_backends
 
 _NOTES: Final = """\
   python -m renderer compare backends city --passes depth,lit,textured,queries --size 1280x720

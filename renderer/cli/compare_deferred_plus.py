@@ -22,9 +22,9 @@ from renderer.cli.arguments import (
 from renderer.cli.output import note, prepare_image, print_report, show_progress, write_image
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import find_path
-from renderer.measure import format_table
-from renderer.measure.buffers import picture_buffers
-from renderer.measure.deferred_plus import STEPS, DeferredPlusReport, compare_deferred_plus
+from renderer.lab.measure import format_table
+from renderer.lab.measure.buffers import picture_buffers
+from renderer.lab.measure.deferred_plus import STEPS, DeferredPlusReport, compare_deferred_plus
 
 _NOTES: Final = """\
   python -m renderer compare deferred-plus city --camera-path ground --frames 30

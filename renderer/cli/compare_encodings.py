@@ -13,8 +13,8 @@ import rhi
 from renderer.cli.arguments import add_form, add_rounds, parse_count
 from renderer.cli.output import draw_chart, note, prepare_image, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
-from renderer.measure import format_table
-from renderer.measure.encodings import ENCODINGS, EncodingRow, compare_encodings
+from renderer.lab.measure import format_table
+from renderer.lab.measure.encodings import ENCODINGS, EncodingRow, compare_encodings
 
 _NOTES: Final = """\
   python -m renderer compare encodings

@@ -22,9 +22,9 @@ from renderer.cli.arguments import (
 from renderer.cli.output import print_report, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import parse_camera
+from renderer.lab.measure import format_rows
+from renderer.lab.measure.light_culling import LightCullingRow, compare_light_culling
 from renderer.lights.culling import CONE_TESTS, SPHERE_TESTS
-from renderer.measure import format_rows
-from renderer.measure.light_culling import LightCullingRow, compare_light_culling
 from renderer.renderer import Renderer
 from renderer.visibility import make_visibility
 

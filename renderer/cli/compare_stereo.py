@@ -22,8 +22,8 @@ from renderer.cli.arguments import (
 from renderer.cli.output import print_report, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import find_path, load_scene
-from renderer.measure import format_rows
-from renderer.measure.stereo import StereoRow, compare_stereo, list_stereos
+from renderer.lab.measure import format_rows
+from renderer.lab.measure.stereo import StereoRow, compare_stereo, list_stereos
 from renderer.scene import Scene
 from renderer.stereo import find_rig
 from renderer.techniques import TECHNIQUES

@@ -25,8 +25,8 @@ from renderer.cli.arguments import (
 )
 from renderer.cli.output import draw_chart, note, prepare_image, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
-from renderer.measure import format_rows
-from renderer.measure.techniques import TechniqueRow, compare_techniques
+from renderer.lab.measure import format_rows
+from renderer.lab.measure.techniques import TechniqueRow, compare_techniques
 from renderer.techniques import TECHNIQUES
 
 _NOTES: Final = """\

@@ -24,8 +24,8 @@ from renderer.cli.arguments import (
 from renderer.cli.output import OutputError, draw_chart, note, prepare_image, print_report, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import find_path
-from renderer.measure import format_rows
-from renderer.measure.visibility import AlgorithmRow, compare_algorithms, list_contenders, list_frames
+from renderer.lab.measure import format_rows
+from renderer.lab.measure.visibility import AlgorithmRow, compare_algorithms, list_contenders, list_frames
 from renderer.renderer import Renderer
 from renderer.visibility import ALGORITHMS, Settings, check_algorithm, list_algorithms
 

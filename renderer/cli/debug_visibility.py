@@ -26,7 +26,7 @@ from renderer.cli.arguments import (
 from renderer.cli.output import OutputError, note, prepare_image, print_report
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import parse_camera
-from renderer.measure.pictures import (
+from renderer.lab.measure.pictures import (
     COLORS,
     MEANINGS,
     CullingOutcome,

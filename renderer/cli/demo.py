@@ -13,7 +13,7 @@ import rhi
 from renderer.cli.arguments import add_frames, add_size, open_scene
 from renderer.cli.output import name_of, note, prepare_image, show_progress, write_image
 from renderer.cli.subcommand import Parser, Subcommand
-from renderer.measure import Measurement, alternate, format_table, title_of
+from renderer.lab.measure import Measurement, alternate, format_table, title_of
 from renderer.renderer import FrameResult, FrameStatistics, Renderer
 from renderer.scene import FRAME_COUNT, FRAMES_PER_SECOND
 from renderer.visibility import make_visibility
@@ -181,7 +181,7 @@ def tabulate(variants: list[RenderVariant], times: dict[str, Measurement]) -> st
                 variant.visibility,
                 variant.backend,
                 1e3 * time.median,
-                time.ratio_to(base),
+                time.compare_to(base).median,
                 *(variant.mean(counter) for counter in counters),
             )
         )

@@ -14,9 +14,9 @@ import rhi
 from renderer.cli.arguments import add_form
 from renderer.cli.output import note, prepare_image, show_progress, write_image
 from renderer.cli.subcommand import Parser, Subcommand
-from renderer.exam import CASES, Case, ExamRow, examine, find_cases
-from renderer.exam.pictures import join_pictures
-from renderer.measure import format_table
+from renderer.lab.exam import CASES, Case, ExamRow, examine, find_cases
+from renderer.lab.exam.pictures import join_pictures
+from renderer.lab.measure import format_table
 
 _NOTES: Final = """\
   python -m renderer exam

@@ -1,8 +1,9 @@
 """Executors by the texts of `--executor`.
 
-Each of several processes gets CPUs of its own, and its drivers as many threads. PoCL and llvmpipe would otherwise start
-a thread for every CPU in each process, and PoCL's are pinned (`rhi.backends.cl.workers`): those of all processes to the
-same CPUs. Then N processes would be no faster than one, and times would be those of waiting for the others.
+Each of several processes gets CPUs of its own, and its drivers as many threads. PoCL and llvmpipe would otherwise
+start a thread for every CPU in each process, and PoCL's are pinned (`rhi.backends.cl.pocl.workers`): those of all
+processes to the same CPUs. Then N processes would be no faster than one, and times would be those of waiting for the
+others.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from renderer.cli.arguments import add_form
 from renderer.cli.need_page import PAGE
 from renderer.cli.output import OutputError, draw_chart, note, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
-from renderer.need import (
+from renderer.lab.need import (
     LADDER,
     SIZE,
     Ascent,

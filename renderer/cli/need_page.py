@@ -66,7 +66,7 @@ hundredth of the frame.
 2. **Passes and programs.** A technique declares passes of the effect only if it is in `needs.effects`, and adds the
    class with the effect's binding to its shader only then. What it keeps between frames is made on first use
    (`SceneResources.workspace`). What is large and can be made again is given back by a method `release`.
-3. **A rung.** Add a `Rung` to `LADDER` in `renderer/need/ladder.py`: what it places in the scene, how it is
+3. **A rung.** Add a `Rung` to `LADDER` in `renderer/lab/need/ladder.py`: what it places in the scene, how it is
    switched on and off in a renderer that runs, the modules of which nothing may run without it, and its footprint:
 
    ```text
@@ -78,7 +78,7 @@ hundredth of the frame.
    )
    ```
 
-   From then on the tests of the ladder (`tests/renderer/need`) assert that a scene without it has no command of it
+   From then on the tests of the ladder (`tests/renderer/lab/need`) assert that a scene without it has no command of it
    ([`assert_free`](testing.md#6-effects-that-cost-nothing-when-they-are-absent), with the scene that has it as
    control), and that a frame after its removal is the frame of a scene that never had it. This page and its picture
    have it as well.

@@ -22,9 +22,9 @@ from renderer.cli.arguments import (
 from renderer.cli.output import draw_chart, note, prepare_chart
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import parse_camera
-from renderer.measure import format_table, settle
-from renderer.measure.memory import MemoryReport
-from renderer.measure.plans import PlanReport, SimulationReport, describe_plan
+from renderer.lab.measure import format_table, settle
+from renderer.lab.measure.memory import MemoryReport
+from renderer.lab.measure.plans import PlanReport, SimulationReport, describe_plan
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene
 from renderer.techniques import AutoTechnique, Technique

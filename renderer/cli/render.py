@@ -32,14 +32,15 @@ from renderer.cli.output import list_left_out, name_of, note, prepare_image, sho
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import parse_camera
 from renderer.frame import Blending
-from renderer.measure import FrameCost, measure_frame
-from renderer.measure.contents import picture_contents
-from renderer.overlay import Overlay
+from renderer.lab.measure import FrameCost, measure_frame
+from renderer.lab.measure.contents import picture_contents
+from renderer.layers.overlay import Overlay
+from renderer.layers.particles import Particles
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import FRAMES_PER_SECOND, CameraPath, Depth, Scene
 from renderer.settings import RenderSettings
 from renderer.stereo import Stereo, find_holes
-from renderer.techniques import AutoTechnique, Forward, Particles, Technique, Watched
+from renderer.techniques import AutoTechnique, Forward, Technique, Watched
 from renderer.techniques.inspection import INSPECTIONS, Inspection
 from renderer.techniques.light_indexed import count_overflowing
 from renderer.visibility import ALGORITHMS

@@ -24,8 +24,8 @@ from renderer.cli.executors import add_executor, make_executor
 from renderer.cli.output import OutputError, draw_chart, note, print_report, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import find_path
-from renderer.measure import format_table, title_of
-from renderer.measure.tuning import ParameterPair, Trial, Walk, find_best, search, space_evenly, try_pairs
+from renderer.lab.measure import format_table, title_of
+from renderer.lab.measure.tuning import ParameterPair, Trial, Walk, find_best, search, space_evenly, try_pairs
 from renderer.scene import CameraPath
 from renderer.visibility import Settings, list_algorithms
 

@@ -131,6 +131,15 @@ class Workspaces:
         kept: R = self._made[kind]
         return kept
 
+    def mirror(self, value: S) -> UniformBuffer[S]:
+        """Return the uniform buffer of this type of struct; it is written where the value is another one."""
+        kept = self._made.get(type(value))
+        if kept is None:
+            kept = self._made[type(value)] = MirroredValue(self._device, value)
+        kept.write(value)
+        buffer: UniformBuffer[S] = kept.buffer
+        return buffer
+
     def peek(self, kind: Callable[[Device], R]) -> R | None:
         """Return `kind(device)` if it was made."""
         kept: R | None = self._made.get(kind)

@@ -27,6 +27,7 @@ from renderer.frame.mirrors import (
     MirroredValue,
     R,
     Releasable,
+    S,
     Workspaces,
     join_runs,
     split_doubles,
@@ -48,6 +49,7 @@ from rhi import (
     Program,
     State,
     StorageBuffer,
+    UniformBuffer,
     refuse,
 )
 from rhi.shading import UniformRange, uint
@@ -200,11 +202,6 @@ class SceneResources:
         encoder.draw_indirect(program, self.mesh, draw, **bindings)
 
     @cached_property
-    def haze(self) -> MirroredValue[shaders.Haze]:
-        """The constants of haze; created on first use, because most scenes have none."""
-        return self._keep(MirroredValue(self._device, _haze(self.scene)))
-
-    @cached_property
     def parts(self) -> StorageBuffer[shaders.MeshPart]:
         """The meshes' boxes and index ranges, for shaders that make draws; created on first use."""
         meshes = self.scene.meshes
@@ -213,6 +210,10 @@ class SceneResources:
         parts["first"], parts["count"] = meshes.ranges["first_index"], meshes.ranges["index_count"]
         parts["base_vertex"] = meshes.ranges["base_vertex"]
         return self._keep(self._device.storage(shaders.MeshPart, parts, label="mesh parts"))
+
+    def mirror(self, value: S) -> UniformBuffer[S]:
+        """Return a uniform buffer with this value, the same one for each type of struct."""
+        return self._workspaces.mirror(value)
 
     def workspace(self, kind: Callable[[Device], R]) -> R:
         """Return what a technique keeps between frames beside the scene: `kind(device)`, which is made on first use and
@@ -358,8 +359,6 @@ class SceneResources:
         self._lamps.update(scene.lights, self._reaching, [eye.position for eye in eyes])
         self.look_from(0)
         self.ambient.write(_ambient(scene))
-        if "haze" in self.__dict__ and scene.haze > 0.0:
-            self.haze.write(_haze(scene))
 
     def look_from(self, eye: int) -> None:
         """Let `point` and `spot` be the lights relative to one of the frame's eyes."""
@@ -444,7 +443,3 @@ class SceneResources:
 
 def _ambient(scene: Scene) -> shaders.Ambient:
     return shaders.Ambient(sky=scene.lights.sky, ground=scene.lights.ground)
-
-
-def _haze(scene: Scene) -> shaders.Haze:
-    return shaders.Haze(color=scene.background, density=scene.haze)

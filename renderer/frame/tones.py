@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
-from numpy.typing import ArrayLike
 
 __rhi_internal__ = True
 
 Color = tuple[float, float, float]
 
 
-def find_light(color: ArrayLike) -> Color:
+@lru_cache
+def find_light(color: Color) -> Color:
     """Return the light that `renderer.shaders.tone_map` maps to a linear colour (3,) from 0 to 1; white is 12.07."""
     y = np.clip(np.asarray(color, np.float64), 0.0, 1.0)
     # x (2.51 x + 0.03) = y (x (2.43 x + 0.59) + 0.14), where x is the light times the exposure.

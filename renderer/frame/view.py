@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from renderer import shaders
 from renderer.frame.batch import BatchCommands, FrameBatch
-from renderer.frame.mirrors import MirroredValue, R, Workspaces, split_doubles
+from renderer.frame.mirrors import MirroredValue, R, S, Workspaces, split_doubles
 from renderer.scene import Camera
 from renderer.visibility import VisibilityAlgorithm
 from rhi import Device, UniformBuffer
@@ -56,6 +56,10 @@ class View:
     def buffer(self) -> UniformBuffer[shaders.ViewConstants]:
         """The camera's constants for shaders."""
         return self._constants.buffer
+
+    def mirror(self, value: S) -> UniformBuffer[S]:
+        """Return a uniform buffer with this value, the same one for each type of struct."""
+        return self._workspaces.mirror(value)
 
     def workspace(self, kind: Callable[[Device], R]) -> R:
         """Return what a technique keeps between frames of this view: `kind(device)`, which is made on first use and

@@ -2,9 +2,9 @@
 
 A position is a *distance*, along the view, times the *ray* of the pixel, relative to the eye and along the axes of the
 world. A geometry buffer stores the distance; elsewhere it follows from the depth (`distance_at`). The numbers of all
-rays are computed in float64 (`renderer.techniques.full_screen`), and nothing is inverted in float32. So a position is
-as exact 3,000 km from the world's origin as near it, with every lens: perspective with or without a far plane,
-parallel, off-axis.
+rays are computed in float64 (`renderer.techniques.parts.full_screen`), and nothing is inverted in float32. So a
+position is as exact 3,000 km from the world's origin as near it, with every lens: perspective with or without a far
+plane, parallel, off-axis.
 
 *Nearness* is how far a depth is from the farthest one: 0 is farthest, in both directions of depth. For standard depth
 it is exact in floats where depth is coarse (1 - d for d above 1/2), so that nothing is lost on the way back from it.

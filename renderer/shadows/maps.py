@@ -32,7 +32,7 @@ from renderer.shadows.casters import find_coverage
 from renderer.shadows.lamps import turn_into_quaternion
 from renderer.shadows.needed import SUN, MapKey, NeededMaps, WantedMap
 from renderer.shadows.receiver import MOST_CASCADES, MOST_LAMP_MAPS, SLOTS_WIDE, LampTable, SunMap, SunTable
-from renderer.shadows.settings import ShadowFilter, ShadowSettings
+from renderer.shadows.settings import ShadowSettings
 from renderer.shadows.tiles import Tile, TileTree
 from rhi import (
     Comparison,
@@ -172,26 +172,18 @@ class ShadowMaps:
         """The tile of each map."""
         return {key: one.tile for key, one in self._maps.items()}
 
-    def bind_filter(self) -> tuple[str, dict[str, Any]]:
-        """Return the name of the part that reads the atlas, and its bindings."""
-        filter = self.settings.filter
-        name = f"{filter.value}_shadows"
-        if filter is ShadowFilter.HARDWARE:
-            return name, {"shadow_compare": self.atlas.sampled(_COMPARING)}
-        return name, {"shadow_atlas": self.atlas}
-
-    def bind_sun(self) -> tuple[list[str], dict[str, Any]]:
-        """Return the names of the parts of the shadows of directional lights, and their bindings."""
-        name, bindings = self.bind_filter()
-        return ["sun_shadows", name], bindings | {"suns": self._sun_tables[self._eye].buffer}
-
-    def bind_lamps(self, kinds: Sequence[str]) -> tuple[list[str], dict[str, Any]]:
-        """Return the names of the parts of the shadows of lamps, `point`, `spot` or both, and their bindings."""
-        name, bindings = self.bind_filter()
-        return [*(f"{kind}_shadows" for kind in kinds), name], bindings | {
-            "lamps": self._lamp_table.buffer if self._lamp_table is not None else None,
-            "lamp_slots": self._slot_texture,
-        }
+    def find(self, name: str) -> Any:
+        """Return what a `ShadowReceiver` binds by a name."""
+        match name:
+            case "suns":
+                return self._sun_tables[self._eye].buffer
+            case "lamps":
+                return self._lamp_table.buffer if self._lamp_table is not None else None
+            case "lamp_slots":
+                return self._slot_texture
+            case "shadow_compare":
+                return self.atlas.sampled(_COMPARING)
+        return self.atlas
 
     def update(self, frame: Frame, cameras: Sequence[Camera], bind_depth: BindDepth) -> None:
         """Bring all maps that a frame needs up to date, for views of `cameras`.

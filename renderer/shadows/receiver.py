@@ -135,24 +135,23 @@ def cube_face(v: vec3) -> int:
     return 4 if v.z > 0.0 else 5
 
 
-class ShadowReceiver(Shader):
-    """The base of shaders that light surfaces: nothing blocks light. `plane` is the normal that maps don't bend."""
+class LampTable(Struct):
+    """The maps of point and spot lights: for each the rotation from the world to its right, up and back, as a
+    quaternion, and its tile: its middle and half its width in texels, and the texels in a unit of the tangent.
 
-    def unblocked_sun(self, light: vec3, position: vec3, plane: vec3, row: int) -> vec3:
-        """Return what arrives of the light of a directional light at a surface."""
-        return light
+    The width of a face without casters is 0. Spot lights are numbered after the `points` point lights.
+    """
 
-    def unblocked_point(self, light: vec3, position: vec3, plane: vec3, row: int) -> vec3:
-        """Return what arrives of the light of a point light at a surface."""
-        return light
-
-    def unblocked_spot(self, light: vec3, position: vec3, plane: vec3, row: int) -> vec3:
-        """Return what arrives of the light of a spot light at a surface."""
-        return light
+    turns: Array[vec4] = array(vec4, MOST_LAMP_MAPS)
+    tiles: Array[vec4] = array(vec4, MOST_LAMP_MAPS)
+    bias: vec3
+    points: int
 
 
 class ShadowReader(Shader):
     """The base of filters: reads the atlas."""
+
+    lean = True
 
     def find_lit_share(self, at: vec2, depth: float, slope: vec2, middle: vec2, half: float) -> float:
         """Return the share of the texels around a point that are lit.
@@ -231,12 +230,42 @@ class PoissonShadows(TexelReader):
         return lit / float(len(DISC))
 
 
-class WithSunShadows(ShadowReceiver, ShadowReader):
-    """Adds the shadows of directional lights."""
+class ShadowReceiver(ShadowReader):
+    """The base of shaders that light surfaces: takes from light what casters block. `plane` is the normal that maps
+    don't bend. Without shadows nothing blocks light; with any, a filter is combined with it.
+
+    `lamp_slots` has for each lamp twice the number of its first map, and 1 more if its maps are the faces of a cube; -1
+    without maps.
+    """
+
+    has_sun_shadows = False
+    has_point_shadows = False
+    has_spot_shadows = False
 
     suns: Uniform[SunTable]
+    lamps: Uniform[LampTable]
+    lamp_slots: IntTexture2D
+    point_lights: Storage[PointLight]
+    spot_lights: Storage[SpotLight]
+
+    def unblocked_point(self, light: vec3, position: vec3, plane: vec3, row: int) -> vec3:
+        """Return what arrives of the light of a point light at a surface."""
+        if not self.has_point_shadows:
+            return light
+        away = position - self.point_lights[row].position
+        return self.past_casters(light, away, self.point_lights[row].range, plane, row)
+
+    def unblocked_spot(self, light: vec3, position: vec3, plane: vec3, row: int) -> vec3:
+        """Return what arrives of the light of a spot light at a surface."""
+        if not self.has_spot_shadows:
+            return light
+        away = position - self.spot_lights[row].position
+        return self.past_casters(light, away, self.spot_lights[row].range, plane, row + self.lamps.points)
 
     def unblocked_sun(self, light: vec3, position: vec3, plane: vec3, row: int) -> vec3:
+        """Return what arrives of the light of a directional light at a surface."""
+        if not self.has_sun_shadows:
+            return light
         if light.x + light.y + light.z <= 0.0:
             return light
         # The first map that the position is in, if it has casters. What is read of it is read in the loop, where all
@@ -266,30 +295,6 @@ class WithSunShadows(ShadowReceiver, ShadowReader):
         if facing.z > 0.0:
             share = self.find_lit_share(at, 1.0 + place.z / deep, slope, tile.xy, tile.z)
         return light * mix(share, 1.0, smoothstep(0.9, 1.0, edge))
-
-
-class LampTable(Struct):
-    """The maps of point and spot lights: for each the rotation from the world to its right, up and back, as a
-    quaternion, and its tile: its middle and half its width in texels, and the texels in a unit of the tangent.
-
-    The width of a face without casters is 0. Spot lights are numbered after the `points` point lights.
-    """
-
-    turns: Array[vec4] = array(vec4, MOST_LAMP_MAPS)
-    tiles: Array[vec4] = array(vec4, MOST_LAMP_MAPS)
-    bias: vec3
-    points: int
-
-
-class WithLampShadows(ShadowReceiver, ShadowReader):
-    """The base of the shadows of point and spot lights: finds the maps of a light, and looks a surface up in them.
-
-    `lamp_slots` has for each light twice the number of its first map, and 1 more if its maps are the faces of a cube;
-    -1 without maps.
-    """
-
-    lamps: Uniform[LampTable]
-    lamp_slots: IntTexture2D
 
     def past_casters(self, light: vec3, away: vec3, reach: float, normal: vec3, number: int) -> vec3:
         """Return what arrives of a lamp's light at a surface.
@@ -331,26 +336,6 @@ class WithLampShadows(ShadowReceiver, ShadowReader):
         return light * self.find_lit_share(at, near * nearness, slope, tile.xy, tile.z)
 
 
-class WithPointShadows(WithLampShadows):
-    """Adds the shadows of point lights."""
-
-    point_lights: Storage[PointLight]
-
-    def unblocked_point(self, light: vec3, position: vec3, plane: vec3, row: int) -> vec3:
-        away = position - self.point_lights[row].position
-        return self.past_casters(light, away, self.point_lights[row].range, plane, row)
-
-
-class WithSpotShadows(WithLampShadows):
-    """Adds the shadows of spot lights."""
-
-    spot_lights: Storage[SpotLight]
-
-    def unblocked_spot(self, light: vec3, position: vec3, plane: vec3, row: int) -> vec3:
-        away = position - self.spot_lights[row].position
-        return self.past_casters(light, away, self.spot_lights[row].range, plane, row + self.lamps.points)
-
-
 FILTERS: Final[dict[ShadowFilter, type[ShadowReader]]] = {
     ShadowFilter.HARD: HardShadows,
     ShadowFilter.HARDWARE: HardwareShadows,
@@ -358,11 +343,3 @@ FILTERS: Final[dict[ShadowFilter, type[ShadowReader]]] = {
     ShadowFilter.POISSON: PoissonShadows,
 }
 """The shader part of each filter."""
-
-SHADOW_PARTS: Final[dict[str, type[Shader]]] = {
-    "sun_shadows": WithSunShadows,
-    "point_shadows": WithPointShadows,
-    "spot_shadows": WithSpotShadows,
-    **{f"{filter.value}_shadows": reader for filter, reader in FILTERS.items()},
-}
-"""The parts that can be added to a `ShadowReceiver`, by name."""

@@ -73,6 +73,7 @@ class ShadowSettings:
                 "a power of two, at least as large as each map",
             ),
             ("budget", self.budget >= 1, "1 or more"),
+            ("far_size", self.far_size >= 0, "0 or more"),
             ("bias", 0.0 <= self.bias < float("inf"), "0 or more, finite"),
         ):
             if not fine:

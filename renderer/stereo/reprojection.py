@@ -25,7 +25,7 @@ from renderer.frame.passes import FARTHEST
 from renderer.scene import Camera, Depth
 from renderer.shaders.pixels import FullScreen
 from renderer.stereo.words import Words
-from renderer.techniques.full_screen import WholeTarget, bind_rays
+from renderer.techniques.parts.full_screen import bind_rays, make_triangle
 from renderer.visibility.repeated import RepeatedCommands, clear, copy
 from rhi import CullMode, DepthFunction, DepthTest, DepthWrite, Device, Encoder, StorageBuffer
 from rhi.shading import (
@@ -222,10 +222,10 @@ def _move_depth(frame: Frame) -> None:
     kept.move(device, size, picture, moved)
     states = (CullMode.NONE, DepthTest.ON, DepthWrite.ON, DepthFunction.ALWAYS)
     program: Any = device.program(TakeDepth)
-    triangle = frame.view.workspace(WholeTarget).triangle
+    triangle = frame.view.workspace(make_triangle)
     with device.render_pass(None, frame.targets.depth), device.states(*states):
         given = {"shift": kept.shift.buffer, "picture": picture}
-        device.draw(program, triangle, **bind_rays(frame), **given)
+        device.draw(program, triangle, rays=bind_rays(frame), **given)
 
 
 def _left_of(frame: Frame) -> Frame:

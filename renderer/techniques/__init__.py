@@ -7,11 +7,10 @@ from renderer.techniques.deferred_plus import DeferredPlus
 from renderer.techniques.forward import Forward
 from renderer.techniques.forward_multipass import ForwardMultipass
 from renderer.techniques.forward_plus import Clustered, ForwardPlus
-from renderer.techniques.fxaa import Smoothed
 from renderer.techniques.inferred import Inferred
 from renderer.techniques.light_indexed import LightIndexed
 from renderer.techniques.light_pre_pass import LightPrePass
-from renderer.techniques.particles import Particles
+from renderer.techniques.parts.fxaa import Smoothed
 from renderer.techniques.settings import TechniqueSettings
 from renderer.techniques.table import TECHNIQUES
 from renderer.techniques.technique import Technique
@@ -30,7 +29,6 @@ __all__ = [
     "Inferred",
     "LightIndexed",
     "LightPrePass",
-    "Particles",
     "Smoothed",
     "Technique",
     "TechniqueSettings",

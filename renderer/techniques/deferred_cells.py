@@ -10,8 +10,8 @@ Without point and spot lights in view, both are deferred shading.
 
 from __future__ import annotations
 
-from functools import cache, partial
-from typing import Final
+from functools import partial
+from typing import Any, Final
 
 from renderer.frame import Effect, Frame, Needs, Pass, Target
 from renderer.lights.culling.cells import Cell, CellGrid, block_cell, padded_radius, range_of
@@ -20,28 +20,22 @@ from renderer.lights.culling.kernels import LightCounts
 from renderer.lights.culling.sphere_tests import overlaps_hybrid
 from renderer.lights.culling.uploads import LightUploads
 from renderer.lights.culling.volumes import WORD
-from renderer.shaders.lighting import is_near, point_incidence, spot_incidence
-from renderer.shaders.structs import PointLight, SpotLight, SurfacePoint
-from renderer.shadows import SHADOW_PARTS, ShadowReceiver
-from renderer.techniques.cell_lists import CLUSTERS, CellReader, bind_lists, list_pass
-from renderer.techniques.deferred import Deferred, GeometryResolve, resolve, resolve_geometry
-from renderer.techniques.finish import finish_image
-from renderer.techniques.forward import bind_lamps, bind_shading, explain_lamps, find_forward, list_lamps
-from renderer.techniques.forward_plus import find_listed
-from renderer.techniques.forward_shader import LampShader
-from renderer.techniques.geometry_buffer import (
+from renderer.shaders.structs import SurfacePoint
+from renderer.techniques.parts.deferred_lighting import cluster_passes, resolve, volume_passes
+from renderer.techniques.parts.finish import finish_image
+from renderer.techniques.parts.geometry_buffer import (
     GeometryReader,
-    bind_geometry,
+    find_contents,
     geometry_pass,
     list_contents,
-    list_readers,
 )
-from renderer.techniques.resolve import LIGHT_FORMAT, resolve_pass
-from rhi import Device, Texture
+from renderer.techniques.parts.resolve import LIGHT_FORMAT, resolve_pass
+from renderer.techniques.parts.scene_shader import LampShader
+from renderer.techniques.parts.variants import FORWARD, bind, explain_lamps, find_variant, list_lamps
+from rhi import Texture
 from rhi.shading import (
     Image2D,
     Precision,
-    Shader,
     Storage,
     Texture2D,
     Uniform,
@@ -74,14 +68,7 @@ _CHUNK: Final = 64
 """Number of words of lights that a tile holds at a time."""
 
 
-class LitByLists(CellReader, LampShader, GeometryResolve):
-    """Makes the image from the geometry buffer, lit by the lights of clusters."""
-
-    def local_light(self, surface: SurfacePoint, pixel: ivec2, distance: float) -> vec3:
-        return self.lamplight(surface, self.find_cell_lights(distance))
-
-
-class TiledLighting(GeometryReader, ShadowReceiver):
+class TiledLighting(GeometryReader, LampShader):
     """Adds up the light of each pixel. A work-group has one tile."""
 
     # As in other passes: highlights end up in 8 bits.
@@ -91,6 +78,7 @@ class TiledLighting(GeometryReader, ShadowReceiver):
     grid: Uniform[CellGrid]
     lights: Uniform[LightCounts]
     spheres: Storage[vec4]
+    cones: Storage[Cone]
     depth: Texture2D
     lit: Image2D = image(LIGHT_FORMAT)
     least = shared(uint)
@@ -164,59 +152,24 @@ class TiledLighting(GeometryReader, ShadowReceiver):
         return self.reaches_in_cone(light - WORD * self.lights.point_words, cell)
 
     def reaches_in_cone(self, spot: int, cell: Cell) -> bool:
-        return True
-
-    def light_of(self, surface: SurfacePoint, light: int) -> vec3:
-        spot = light - WORD * self.lights.point_words
-        if spot < 0:
-            return self.point_lamp(surface, light)
-        return self.spot_lamp(surface, spot)
-
-    def point_lamp(self, surface: SurfacePoint, row: int) -> vec3:
-        return vec3(0.0)
-
-    def spot_lamp(self, surface: SurfacePoint, row: int) -> vec3:
-        return vec3(0.0)
-
-
-class TiledPointLights(TiledLighting):
-    """Adds point lights."""
-
-    point_lights: Storage[PointLight]
-
-    def point_lamp(self, surface: SurfacePoint, row: int) -> vec3:
-        light = self.point_lights[row]
-        if not is_near(surface.position, light.position, light.range):
-            return vec3(0.0)
-        reflected = self.reflect_light(surface, point_incidence(surface.position, light))
-        return self.unblocked_point(reflected, surface.position, surface.plane, row)
-
-
-class TiledSpotLights(TiledLighting):
-    """Adds spot lights."""
-
-    cones: Storage[Cone]
-    spot_lights: Storage[SpotLight]
-
-    def reaches_in_cone(self, spot: int, cell: Cell) -> bool:
+        if not self.has_spot_lights:
+            return True
         if spot < 0:
             return True
         cone = self.cones[spot]
         return cone_overlaps_tightly(cell, cone, padded_radius(cell, cone.apex, cone.range) - cone.range)
 
-    def spot_lamp(self, surface: SurfacePoint, row: int) -> vec3:
-        light = self.spot_lights[row]
-        if not is_near(surface.position, light.position, light.range):
-            return vec3(0.0)
-        reflected = self.reflect_light(surface, spot_incidence(surface.position, light))
-        return self.unblocked_spot(reflected, surface.position, surface.plane, row)
+    def light_of(self, surface: SurfacePoint, light: int) -> vec3:
+        spot = light - WORD * self.lights.point_words
+        if self.has_point_lights and spot < 0:
+            return self.pointlight(surface, light)
+        if self.has_spot_lights and spot >= 0:
+            return self.spotlight(surface, spot)
+        return vec3(0.0)
 
 
-class TileUploads(LightUploads):
-    """The lights of a frame, for tiles as large as the work-groups of `TiledLighting`."""
-
-    def __init__(self, device: Device) -> None:
-        super().__init__(device, tile=TILE)
+_make_uploads: Final = partial(LightUploads, tile=TILE)
+"""Makes the lights of a frame, for tiles as large as the work-groups of `TiledLighting`."""
 
 
 class TiledDeferred:
@@ -227,7 +180,7 @@ class TiledDeferred:
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the passes `geometry`, `tiles` and `resolve`; those of `Deferred` without lights to test."""
         if not list_lamps(needs):
-            return Deferred().declare(needs)
+            return volume_passes(needs)
         reads = list_contents(needs)
         return (
             geometry_pass(needs),
@@ -238,7 +191,7 @@ class TiledDeferred:
                 "lights surfaces by what reaches all of them",
                 (*reads, "light"),
             ),
-            *finish_image(needs, find_forward),
+            *finish_image(needs, FORWARD),
         )
 
 
@@ -249,31 +202,7 @@ class ClusteredDeferred:
 
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the passes `geometry`, `light lists` and `resolve`; those of `Deferred` without lights to list."""
-        if not list_lamps(needs):
-            return Deferred().declare(needs)
-        reads = list_contents(needs)
-        return (
-            geometry_pass(needs),
-            list_pass(needs, CLUSTERS),
-            resolve_pass(
-                needs,
-                light_clusters,
-                "lights surfaces by what reaches all of them and by their clusters' lights",
-                (*reads, "light lists"),
-            ),
-            *finish_image(needs, partial(find_listed, cells=CLUSTERS), reads=("light lists",)),
-        )
-
-
-@cache
-def tiled_variant(
-    parts: tuple[str, ...], readers: tuple[type[Shader], ...], added: tuple[type[TiledLighting], ...] = ()
-) -> type[Shader]:
-    """Return the compute shader for point lights, spot lights or both, which reads the geometry buffer by `readers`;
-    bases that are `added` come first."""
-    known = {"point_lights": TiledPointLights, "spot_lights": TiledSpotLights, **SHADOW_PARTS}
-    bases = (*added, *readers, *(known[part] for part in parts))
-    return type("TiledLights", bases, {"__module__": __name__})
+        return cluster_passes(needs)
 
 
 def light_tiles(frame: Frame) -> None:
@@ -281,27 +210,12 @@ def light_tiles(frame: Frame) -> None:
     dispatch_tiles(frame, frame.targets["light"])
 
 
-def dispatch_tiles(frame: Frame, lit: Texture, added: tuple[type[TiledLighting], ...] = ()) -> None:
-    """Run the compute shader for all tiles. With bases that are `added`, it adds up something else than light."""
-    resources = frame.resources
-    uploads = frame.view.workspace(TileUploads)
-    uploads.write(frame.camera, frame.targets.size, resources.scene.lights)
-    parts, lamps = bind_lamps(frame)
-    lamps.pop("light_rows")
+def dispatch_tiles(frame: Frame, lit: Texture, shader: type[TiledLighting] = TiledLighting) -> None:
+    """Run the compute shader for all tiles."""
+    uploads = frame.view.workspace(_make_uploads)
+    uploads.write(frame.camera, frame.targets.size, frame.resources.scene.lights)
     count = uploads.layout.count
-    frame.device.dispatch(
-        frame.program(tiled_variant(tuple(parts), list_readers(frame.needs), added)),
-        (count.x, count.y),
-        depth=frame.targets["depth"],
-        lit=lit.image(0),
-        **uploads.bindings,
-        **(uploads.cones if Effect.SPOT_LIGHTS in frame.needs.effects else {}),
-        **bind_geometry(frame),
-        **lamps,
-    )
-
-
-def light_clusters(frame: Frame) -> None:
-    """Make the image: shade each pixel of the geometry buffer by the light of everything and of its cluster."""
-    (features, bindings), (parts, lamps) = bind_shading(frame), bind_lamps(frame)
-    resolve_geometry(frame, LitByLists, [*features, *parts], bindings | lamps | bind_lists(frame, CLUSTERS))
+    program: Any = frame.program(find_variant(frame, shader, **find_contents(frame.needs)))
+    cones = uploads.cones if Effect.SPOT_LIGHTS in frame.needs.effects else {}
+    own = {"lit": lit.image(0), **uploads.bindings, **cones}
+    frame.device.dispatch(program, (count.x, count.y), **bind(frame, program, own))

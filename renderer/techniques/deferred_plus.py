@@ -18,34 +18,31 @@ are drawn as by `clustered_deferred`.
 
 from __future__ import annotations
 
-from functools import cache, partial
 from typing import Any, Final
 
 from renderer.frame import DEPTH_FORMAT, Frame, Needs, Pass, Target
 from renderer.shaders.pixels import distance_at, nearness_of, place_pixel
-from renderer.shaders.structs import SurfacePoint
-from renderer.techniques.cell_lists import CLUSTERS, CellReader, bind_lists, list_pass
-from renderer.techniques.deferred_cells import ClusteredDeferred
-from renderer.techniques.finish import finish_image
-from renderer.techniques.forward import bind_lamps, bind_shading, find_forward, list_lamps
-from renderer.techniques.forward_plus import find_listed
-from renderer.techniques.forward_shader import LampShader, find_parts
-from renderer.techniques.full_screen import draw_full_screen
-from renderer.techniques.material_rectangles import (
+from renderer.techniques.parts.cell_lists import CLUSTERS, CellReader, bind_lists, by_cells, list_pass
+from renderer.techniques.parts.deferred_lighting import cluster_passes
+from renderer.techniques.parts.finish import finish_image
+from renderer.techniques.parts.material_rectangles import (
     RectangleShader,
     draw_rectangles,
     ids_pass,
     rectangles_pass,
 )
-from renderer.techniques.packed_geometry import PackedReader, bind_packed, can_pack, packed_pass
-from renderer.techniques.scene_shader import ShadingShader
-from rhi.shading import Shader, discard, fragment_coordinate, ivec2, vec3, vec4
+from renderer.techniques.parts.packed_geometry import UNPACKED, PackedReader, can_pack, packed_pass
+from renderer.techniques.parts.scene_shader import LampShader, ShadingShader
+from renderer.techniques.parts.variants import FORWARD, draw_full_screen, list_lamps
+from rhi.shading import discard, fragment_coordinate, ivec2, vec4
 
 __rhi_internal__ = True
 
 
-class PackedShading(PackedReader, ShadingShader):  # type: ignore[misc]  # as `PackedReader`
-    """Shades the pixels of the packed geometry buffer."""
+class PackedShading(PackedReader, CellReader, LampShader, ShadingShader):  # type: ignore[misc]  # as `PackedReader`
+    """Shades the pixels of the packed geometry buffer, by the lights of clusters if there are any."""
+
+    has_lamps = False
 
     def fragment(self) -> vec4:
         place = fragment_coordinate().xy
@@ -55,18 +52,10 @@ class PackedShading(PackedReader, ShadingShader):  # type: ignore[misc]  # as `P
         material = self.materials[v.material]
         surface = self.find_surface(v, material)
         color = self.shade(surface, material)
-        color += self.local_light(surface, distance)
+        if self.has_lamps:
+            color += self.lamplight(surface, self.find_cell_lights(distance))
         return self.finish(color, position)
 
-    def local_light(self, surface: SurfacePoint, distance: float) -> vec3:
-        return vec3(0.0)
-
-
-class PackedLamps(CellReader, LampShader, PackedShading):  # type: ignore[misc]  # as `PackedReader`
-    """Adds the lights of clusters."""
-
-    def local_light(self, surface: SurfacePoint, distance: float) -> vec3:
-        return self.lamplight(surface, self.find_cell_lights(distance))
 
 
 class PackedRectangles(RectangleShader, PackedShading):  # type: ignore[misc]  # as `PackedReader`
@@ -91,7 +80,7 @@ class DeferredPlus:
         """Return the passes `geometry`, `light lists` if there are lights to list, and `shading`; with `multi_pass`
         also `material ids` and `rectangles`; and those of transparent surfaces."""
         if not can_pack(needs):
-            return ClusteredDeferred().declare(needs)
+            return cluster_passes(needs)
         lists = (list_pass(needs, CLUSTERS),) if list_lamps(needs) else ()
         found = (ids_pass(), rectangles_pass()) if self.multi_pass else ()
         # A pass can't read the depth that it tests. Rectangles test `material ids`.
@@ -106,47 +95,17 @@ class DeferredPlus:
             reads=tuple(reads),
             writes=(needs.image, *copied),
         )
-        if lists:
-            lit_by_cells = partial(find_listed, cells=CLUSTERS)
-            transparency = finish_image(needs, lit_by_cells, reads=("light lists",))
-        else:
-            transparency = finish_image(needs, find_forward)
-        return (packed_pass(needs), *lists, *found, shading, *transparency)
+        lighting = by_cells(CLUSTERS) if lists else FORWARD
+        return (packed_pass(needs), *lists, *found, shading, *finish_image(needs, lighting))
 
     def _shade(self, frame: Frame) -> None:
-        (features, bindings), (parts, lamps) = bind_shading(frame), bind_lamps(frame)
-        readers, packed = bind_packed(frame)
-        bindings |= packed | lamps
-        if lamps:
-            bindings |= bind_lists(frame, CLUSTERS)
-        shader = shading_variant(
-            (*features, *parts),
-            readers,
-            has_lamps=bool(lamps),
-            has_sun=frame.needs.has_sun,
-            multi_pass=self.multi_pass,
-        )
+        targets, has_lamps = frame.targets, bool(list_lamps(frame.needs))
+        own: dict[str, Any] = bind_lists(frame, CLUSTERS) if has_lamps else {}
+        switches = {**UNPACKED, "has_lamps": has_lamps}
         if self.multi_pass:
-            draw_rectangles(frame, shader, bindings)
-        else:
-            targets, clear = frame.targets, frame.background
-            targets["depth"].copy_to(targets["depth copy"])
-            bindings["depth"] = targets["depth copy"]
-            draw_full_screen(frame, shader, frame.image, bindings, depth=targets["depth"], clear=clear)
-
-
-@cache
-def shading_variant(
-    parts: tuple[str, ...],
-    readers: tuple[type[Shader], ...],
-    *,
-    has_lamps: bool,
-    has_sun: bool,
-    multi_pass: bool,
-) -> type[Any]:
-    """Return the shader of the last pass with these parts (`find_parts`), and these that read the buffer."""
-    bases = [*find_parts(parts, has_sun=has_sun)]
-    bases += [PackedRectangles] if multi_pass else []
-    bases += readers
-    bases.append(PackedLamps if has_lamps else PackedShading)
-    return type("PackedShading", tuple(bases), {"__module__": __name__})
+            draw_rectangles(frame, PackedRectangles, own, switches)
+            return
+        targets["depth"].copy_to(targets["depth copy"])
+        own["depth"] = targets["depth copy"]
+        depth, clear = targets["depth"], frame.background
+        draw_full_screen(frame, PackedShading, frame.image, own, depth=depth, clear=clear, switches=switches)

@@ -11,34 +11,26 @@ the lights, in which an instance is a pair of an object and a light; so are all 
 
 from __future__ import annotations
 
-from functools import cache, partial
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
 
-from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target, TechniquePass
+from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target
 from renderer.scene.arrays import Rows
 from renderer.shaders.structs import Object, SurfaceVarying
-from renderer.techniques.finish import finish_image
-from renderer.techniques.forward import (
+from renderer.techniques.parts.finish import finish_image, forward_passes
+from renderer.techniques.parts.resolve import LIGHT_FORMAT, sum_pass
+from renderer.techniques.parts.scene_shader import ForwardShader, LampShader, MaterialShader
+from renderer.techniques.parts.variants import (
+    FORWARD,
     LAMPS,
-    Forward,
-    bind_lamp_shadows,
-    bind_materials,
-    bind_plain_lamps,
-    find_forward,
+    NO_LAMPS,
+    bind,
+    find_variant,
     list_lamps,
+    scene_pass,
 )
-from renderer.techniques.forward_shader import (
-    PARTS,
-    ForwardShader,
-    LampShader,
-    WithPointLights,
-    WithSpotLights,
-    forward_variant,
-)
-from renderer.techniques.resolve import LIGHT_FORMAT, sum_pass
-from renderer.techniques.surfaces import Aspect, MaterialShader, bind_surfaces, list_models
 from rhi import BlendFunction, CullMode, DepthFunction, DepthTest, DepthWrite, Program, State, Texture
 from rhi.shading import Shader, Storage, Struct, instance_index, ivec3, vec3, vec4
 
@@ -97,7 +89,7 @@ class ForwardMultipass:
         """Return a base pass, one for each kind of lamp in view, and one that maps their sum to colours."""
         lamps = list_lamps(needs)
         if not lamps:
-            return Forward().declare(needs)
+            return forward_passes(needs)
         base = Pass(
             "base",
             _draw_base,
@@ -117,53 +109,29 @@ class ForwardMultipass:
                 )
             )
             light = result
-        return *passes, sum_pass(needs, light), *finish_image(needs, find_forward)
-
-
-@cache
-def unmapped_variant(parts: tuple[str, ...], *, has_sun: bool) -> type[Shader]:
-    """Return the forward shader with these parts that leaves light unmapped."""
-    return type("Base", (Unmapped, forward_variant(*parts, has_sun=has_sun)), {"__module__": __name__})
-
-
-@cache
-def pair_variant(effect: Effect, parts: tuple[str, ...]) -> type[Shader]:
-    """Return the shader that adds the light of pairs with one kind of lamp, with these of `PARTS`."""
-    is_point = effect is Effect.POINT_LIGHTS
-    bases = (PointPairs, WithPointLights) if is_point else (SpotPairs, WithSpotLights)
-    return type("Pairs", (*(PARTS[part] for part in parts), *bases), {"__module__": __name__})
+        return *passes, sum_pass(needs, light), *finish_image(needs, FORWARD)
 
 
 def _draw_base(frame: Frame) -> None:
-    parts, bindings = bind_materials(frame, is_finished=False)
-    program: Program[Any] = frame.program(unmapped_variant(tuple(parts), has_sun=frame.needs.has_sun))
-    frame.draw_visible(
-        TechniquePass(
-            frame.device,
-            frame.resources,
-            frame.view,
-            program,
-            bindings,
-            color=frame.targets["light"],
-            depth=frame.targets["depth"],
-            clear=(0.0, 0.0, 0.0, 0.0),
-        )
+    switches = {**NO_LAMPS, "has_haze": False, "has_fog": False}
+    base = scene_pass(
+        frame, Unmapped, switches=switches, color=frame.targets["light"], clear=(0.0, 0.0, 0.0, 0.0)
     )
+    frame.draw_visible(base)
 
 
 def _add_lamps(frame: Frame, effect: Effect) -> None:
-    parts, bindings = bind_surfaces(frame, (Aspect.COVERAGE, Aspect.COLOR, Aspect.NORMAL, Aspect.METAL))
-    shadows, maps = bind_lamp_shadows(frame, [effect])
-    shader = pair_variant(effect, (*shadows, *parts, *list_models(frame.needs)))
-    bindings |= bind_plain_lamps(frame, [effect])[1] | maps
-    draw_pairs(frame, effect, shader, frame.targets["light"], **bindings)
+    is_point = effect is Effect.POINT_LIGHTS
+    kinds = {"has_point_lights": is_point, "has_spot_lights": not is_point}
+    shader = find_variant(frame, PointPairs if is_point else SpotPairs, **kinds)
+    draw_pairs(frame, effect, shader, frame.targets["light"])
 
 
 def draw_pairs(frame: Frame, effect: Effect, shader: type[Shader], color: Texture, **bindings: Any) -> None:
     """Draw every pair of a visible object and a light that reaches it, adding up what the shader returns.
 
     Args:
-        shader: a subclass of `PointPairs` or `SpotPairs`, with its `bindings` but `pairs`.
+        shader: a variant of `PointPairs` or `SpotPairs`, with those of its `bindings` that are its own.
     """
     device, resources = frame.device, frame.resources
     is_point = effect is Effect.POINT_LIGHTS
@@ -176,7 +144,7 @@ def draw_pairs(frame: Frame, effect: Effect, shader: type[Shader], color: Textur
     draws = resources.draws[objects]
     draws["base_instance"] = np.arange(len(objects))
     program: Program[Any] = frame.program(shader)
-    bindings["pairs"] = device.transient.storage(Pair, pairs)
+    bindings = bind(frame, program, {**bindings, "pairs": device.transient.storage(Pair, pairs)})
     with device.render_pass(color, frame.targets["depth"]), device.states(CullMode.BACK, *_ADDED):
         for number, states in resources.groups:
             chosen = draws[resources.find_group(objects, number)]

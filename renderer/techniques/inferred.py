@@ -18,39 +18,31 @@ another buffer. What is lit is an exact position of the image, also where the sc
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from functools import cache, partial
-from typing import Any, Final
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Final
 
 from renderer import rules
-from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target, TechniquePass
+from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target
 from renderer.shaders.encodings import decode_normal
 from renderer.shaders.lighting import BRIGHTEST
 from renderer.shaders.pixels import FullScreen
 from renderer.shaders.structs import Object, SurfacePoint, SurfaceVarying
-from renderer.techniques.finish import finish_image
-from renderer.techniques.forward import Forward, bind_materials, find_forward
-from renderer.techniques.forward_shader import ForwardShader, forward_variant
-from renderer.techniques.full_screen import bind_rays, draw_full_screen
-from renderer.techniques.geometry_buffer import (
-    SurfaceReader,
-    bind_surface,
-    find_shrunk,
-    find_surface_format,
-)
-from renderer.techniques.light_pre_pass import (
+from renderer.techniques.parts.finish import finish_image, forward_passes
+from renderer.techniques.parts.geometry_buffer import SurfaceReader, find_shrunk, find_surface_format
+from renderer.techniques.parts.light_terms import (
     SHININESS_FORMAT,
     NormalShader,
     NormalTexels,
-    bind_terms,
+    bind_contents,
     collect_terms,
-    draw_again,
     list_terms,
     normals_pass,
 )
-from renderer.techniques.light_volumes import declare_lights
-from renderer.techniques.scene_shader import SceneShader
-from renderer.techniques.surfaces import Aspect, bind_surfaces, list_models, surface_variant
+from renderer.techniques.parts.light_volumes import declare_lights
+from renderer.techniques.parts.scene_shader import ForwardShader, SceneShader
+from renderer.techniques.parts.variants import FORWARD, Lighting, draw_full_screen, lit_pass, scene_pass
 from rhi import DepthFunction, DepthWrite, refuse
 from rhi.shading import (
     FragmentDepth,
@@ -162,16 +154,17 @@ class Inference(ForwardShader, SurfaceReader):
 
     diffuse: Texture2D
     specular: Texture2D
+    grazing: Texture2D
     is_shrunk = True
     is_stippled = False
 
-    def pointlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
-        return self.complete(surface, self.find_taps(surface, begin))
-
-    def complete(self, surface: SurfacePoint, taps: Taps) -> vec3:
-        """Return the light that the surface reflects, by the terms of these texels."""
+    def lamplight(self, surface: SurfacePoint, lights: ivec3) -> vec3:
+        taps = self.find_taps(surface, lights.x)
         diffuse = filter_light(self.diffuse, taps)
-        return surface.base_color * diffuse + surface.specular_color * filter_light(self.specular, taps)
+        color = surface.base_color * diffuse + surface.specular_color * filter_light(self.specular, taps)
+        if self.has_metals:
+            color += filter_light(self.grazing, taps)
+        return color
 
     def find_taps(self, surface: SurfacePoint, begin: int) -> Taps:
         """Return the texels that the surface's pixel takes its light from."""
@@ -207,13 +200,10 @@ class Inference(ForwardShader, SurfaceReader):
         return 1.0
 
 
-class MetalInference(Inference):
-    """Adds the light of the term of white."""
-
-    grazing: Texture2D
-
-    def complete(self, surface: SurfacePoint, taps: Taps) -> vec3:
-        return super().complete(surface, taps) + filter_light(self.grazing, taps)
+def check_scale(scale: float, call: str) -> None:
+    """Refuse a size of the light buffers, in that of the image, that is out of its range."""
+    if not 0.0 < scale <= 1.0:
+        refuse(rules.BAD_TECHNIQUE, f"{call}(scale=...)", scale, "more than 0, at most 1; 0.4 and more look well")
 
 
 class Inferred:
@@ -226,8 +216,7 @@ class Inferred:
 
         If they aren't `stippled`, transparent surfaces are lit by the lists of their objects.
         """
-        if not 0.0 < scale <= 1.0:
-            refuse(rules.BAD_TECHNIQUE, "Inferred(scale=...)", scale, "more than 0, at most 1; 0.4 and more look well")
+        check_scale(scale, "Inferred")
         self.scale = scale
         self.stippled = stippled
 
@@ -239,9 +228,12 @@ class Inferred:
         collect = partial(collect_terms, prefix="stippled " if stippled else "small ")
         lights, last = declare_lights(needs, list_terms(needs), lit, collect, scale)
         if not lights:
-            return Forward().declare(needs)
-        terms = dict(zip(list_terms(needs), last, strict=True))
+            return forward_passes(needs)
+        own = dict(zip(list_terms(needs), last, strict=True), surface=lit[0])
         formats = (find_surface_format(needs), SHININESS_FORMAT, DEPTH_FORMAT)
+        lighting = Lighting((Inference,), bind=partial(bind_contents, names=own), reads=(lit[0], *last))
+        through = replace(lighting, bases=(Stippled, Inference), switches={"is_stippled": True})
+        because = "draws the visible objects, lit by what was collected"
         return (
             normals_pass(needs),
             Pass(
@@ -253,18 +245,8 @@ class Inferred:
             ),
             *([_stipple_pass(needs, small, lit)] if stippled else []),
             *lights,
-            Pass(
-                "materials",
-                partial(draw_inferred, surface=lit[0], terms=terms),
-                "draws the visible objects, lit by what was collected",
-                reads=("depth", lit[0], *last),
-                writes=(needs.image,),
-            ),
-            *finish_image(
-                needs,
-                partial(find_inferred, surface=lit[0], terms=terms, stippled=True) if stippled else find_forward,
-                reads=(lit[0], *last) if stippled else (),
-            ),
+            lit_pass(needs, lighting, because, after_depth=True, name="materials"),
+            *finish_image(needs, through if stippled else FORWARD),
         )
 
 
@@ -285,69 +267,19 @@ def _stipple_pass(needs: Needs, small: Sequence[str], stippled: Sequence[str]) -
 
 def _stipple(frame: Frame) -> None:
     surface, shininess, depth = (frame.targets[name] for name in name_small("stippled "))
-    parts, scene = bind_surfaces(frame, (Aspect.COVERAGE, Aspect.NORMAL, Aspect.METAL))
-    shader = surface_variant(StippleShader, [*list_models(frame.needs), *parts])
-    frame.draw_transparent(
-        TechniquePass(
-            frame.device,
-            frame.resources,
-            frame.view,
-            frame.program(shader),
-            bind_rays(frame) | scene,
-            color=[surface, shininess],
-            depth=depth,
-            clears=False,
-        ),
-        in_order=False,
-    )
+    stippled = scene_pass(frame, StippleShader, color=[surface, shininess], depth=depth, clears=False)
+    frame.draw_transparent(stippled, in_order=False)
 
 
 def shrink(frame: Frame) -> None:
     """Keep the surfaces of every so many pixels."""
-    device, targets = frame.device, frame.targets
+    targets = frame.targets
     small = targets["small surface"]
     draw_full_screen(
         frame,
         ShrinkShader,
         [small, targets["small shininess"]],
-        {
-            "surface": targets["surface"],
-            "shininess": targets["shininess"],
-            "depth": targets["depth"],
-            "shrunk": device.transient.uniform(Shrunk(size=small.size)),
-        },
+        {"shrunk": frame.device.transient.uniform(Shrunk(size=small.size))},
         depth=targets["small depth"],
         states=(DepthFunction.ALWAYS, DepthWrite.ON),
     )
-
-
-@cache
-def inferred_variant(
-    parts: tuple[str, ...], *, has_sun: bool, has_metals: bool, is_stippled: bool = False
-) -> type[ForwardShader]:
-    """Return the forward shader with these of `PARTS` that infers the light of point and spot lights."""
-    base = MetalInference if has_metals else Inference
-    bases = (*([Stippled] if is_stippled else []), base, forward_variant(*parts, has_sun=has_sun))
-    return type("Inferred", bases, {"__module__": __name__, "is_stippled": is_stippled})
-
-
-def find_inferred(
-    frame: Frame, *, surface: str, terms: Mapping[str, str], stippled: bool = False
-) -> tuple[type[ForwardShader], dict[str, Any]]:
-    """Return the forward shader that is lit by the terms, the contents of each, and its bindings.
-
-    Args:
-        surface: the contents with the surfaces that were lit.
-        stippled: whether the shader is that of transparent objects.
-    """
-    features, bindings = bind_materials(frame)
-    shader = inferred_variant(
-        tuple(features), has_sun=frame.needs.has_sun, has_metals="grazing" in terms, is_stippled=stippled
-    )
-    return shader, bindings | bind_surface(frame, surface) | bind_terms(frame, terms)
-
-
-def draw_inferred(frame: Frame, *, surface: str, terms: Mapping[str, str]) -> None:
-    """Draw the visible objects again, lit by the terms: the contents of each."""
-    shader, bindings = find_inferred(frame, surface=surface, terms=terms)
-    draw_again(frame, frame.program(shader), bindings)

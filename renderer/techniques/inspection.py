@@ -15,26 +15,24 @@ Other pictures are those of a technique's own buffers (`watched`).
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cache, partial
-from typing import Any, Final
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Final
 
 from renderer import rules
-from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target, TechniquePass, find_last
+from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Target, find_last
 from renderer.frame.passes import NEARER
 from renderer.lights.culling.cells import CellGrid, cell_index
 from renderer.shaders.lighting import in_range
 from renderer.shaders.pixels import FullScreen, distance_at, nearness_of, place_pixel
 from renderer.shaders.structs import SurfacePoint, SurfaceVarying, Vertex
-from renderer.techniques.cell_lists import TILES, bind_lists, list_pass
-from renderer.techniques.depth import draw_depth
-from renderer.techniques.forward import Forward, bind_plain_lamps, list_lamps
-from renderer.techniques.forward_shader import LampShader, WithPointLights, WithSpotLights
-from renderer.techniques.full_screen import bind_rays, draw_full_screen
-from renderer.techniques.light_volumes import VolumeShader, VolumeVarying, draw_volumes, lit_variant
-from renderer.techniques.scene_shader import SceneShader
-from renderer.techniques.surfaces import Aspect, MaterialShader, bind_surfaces, surface_variant
-from rhi import BlendFunction, CullMode, DepthWrite, Format, PolygonMode, State, Texture, refuse
+from renderer.techniques.parts.cell_lists import TILES, bind_lists, list_pass
+from renderer.techniques.parts.depth import depth_pass
+from renderer.techniques.parts.finish import forward_passes
+from renderer.techniques.parts.light_volumes import VolumeShader, VolumeVarying, draw_volumes
+from renderer.techniques.parts.scene_shader import LampShader, MaterialShader, SceneShader
+from renderer.techniques.parts.variants import COVERAGE, draw_full_screen, list_lamps, scene_pass
+from rhi import BlendFunction, CullMode, DepthWrite, Format, PolygonMode, State, refuse
 from rhi.shading import (
     Storage,
     Texture2D,
@@ -78,7 +76,7 @@ class NormalColors(SceneShader):
     """Shows normals."""
 
     def fragment(self, v: SurfaceVarying) -> vec4:
-        _ = self.find_texel(v)  # which leaves out what isn't drawn
+        self.cut(v)
         return vec4(self.find_normal(v) * 0.5 + 0.5, 1.0)
 
 
@@ -91,47 +89,31 @@ class EdgeColors(SceneShader):
         return result
 
     def fragment(self, v: SurfaceVarying) -> vec4:
-        _ = self.find_texel(v)  # which leaves out what isn't drawn
+        self.cut(v)
         return vec4(0.0, 0.0, 0.0, 1.0)
 
 
 class CountedLamps(MaterialShader, LampShader):
-    """Shows the number of lights in range."""
+    """Shows the number of lights in range: counts them instead of adding up their light."""
 
     def fragment(self, v: SurfaceVarying) -> vec4:
         surface = self.find_surface(v, self.materials[v.material])
         return vec4(heat_color(self.lamplight(surface, v.lights).x, 8.0), 1.0)
 
+    def pointlight(self, surface: SurfacePoint, row: int) -> vec3:
+        light = self.point_lights[row]
+        return vec3(1.0) if in_range(surface, light.position, light.range) else vec3(0.0)
 
-class CountedPoints(WithPointLights):
-    """Counts point lights instead of adding up their light."""
-
-    def pointlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
-        count = 0.0
-        for i in range(begin, end):
-            row = self.light_rows[i]
-            if in_range(surface, self.point_lights[row].position, self.point_lights[row].range):
-                count += 1.0
-        return vec3(count)
-
-
-class CountedSpots(WithSpotLights):
-    """Counts spot lights instead of adding up their light."""
-
-    def spotlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
-        count = 0.0
-        for i in range(begin, end):
-            row = self.light_rows[i]
-            if in_range(surface, self.spot_lights[row].position, self.spot_lights[row].range):
-                count += 1.0
-        return vec3(count)
+    def spotlight(self, surface: SurfacePoint, row: int) -> vec3:
+        light = self.spot_lights[row]
+        return vec3(1.0) if in_range(surface, light.position, light.range) else vec3(0.0)
 
 
 class OneFragment(SceneShader):
     """Adds 1 for each fragment."""
 
     def fragment(self, v: SurfaceVarying) -> vec4:
-        _ = self.find_texel(v)  # which leaves out what isn't drawn
+        self.cut(v)
         return vec4(1.0)
 
 
@@ -200,58 +182,24 @@ class Inspection:
         return INSPECTIONS[self.name](needs)
 
 
-@cache
-def _count_lights(parts: tuple[str, ...]) -> type[SceneShader]:
-    counted = {"point_lights": CountedPoints, "spot_lights": CountedSpots}
-    return type("Counts", (*(counted[part] for part in parts), CountedLamps), {"__module__": __name__})
-
-
 def _draw(
     frame: Frame,
-    base: type[SceneShader],
-    color: Texture,
+    shader: type[SceneShader],
+    contents: str = "image",
     *states: State,
-    aspects: tuple[Aspect, ...] = (Aspect.COVERAGE,),
-    **bindings: Any,
+    switches: Mapping[str, bool] = {},
 ) -> None:
-    """Draw the visible objects before black, by a shader that reads these aspects of surfaces."""
-    parts, scene = bind_surfaces(frame, aspects, has_materials=issubclass(base, MaterialShader))
-    frame.draw_visible(
-        TechniquePass(
-            frame.device,
-            frame.resources,
-            frame.view,
-            frame.program(surface_variant(base, parts)),
-            scene | bindings,
-            color=color,
-            depth=frame.targets["depth"],
-            clear=(0.0, 0.0, 0.0, 1.0),
-            states=states,
-        )
-    )
-
-
-def _draw_normals(frame: Frame) -> None:
-    _draw(frame, NormalColors, frame.targets["image"], aspects=(Aspect.COVERAGE, Aspect.NORMAL))
-
-
-def _draw_lights(frame: Frame) -> None:
-    parts, lamps = bind_plain_lamps(frame)
-    _draw(frame, _count_lights(tuple(parts)), frame.targets["image"], **lamps)
+    """Draw the visible objects before black."""
+    color, clear = frame.targets[contents], (0.0, 0.0, 0.0, 1.0)
+    frame.draw_visible(scene_pass(frame, shader, switches=switches, color=color, clear=clear, states=states))
 
 
 def _draw_fragments(frame: Frame) -> None:
-    _draw(frame, OneFragment, frame.targets["fragments"], BlendFunction.ADDITIVE)
+    _draw(frame, OneFragment, "fragments", BlendFunction.ADDITIVE, switches=COVERAGE)
 
 
-def _show_fragments(frame: Frame) -> None:
-    targets = frame.targets
-    draw_full_screen(frame, FragmentCounts, targets["image"], {"fragments": targets["fragments"]})
-
-
-def _show_depth(frame: Frame) -> None:
-    targets = frame.targets
-    draw_full_screen(frame, Distances, targets["image"], {"depth": targets["depth"]})
+def _show(frame: Frame, shader: type[FullScreen]) -> None:
+    draw_full_screen(frame, shader, frame.targets["image"])
 
 
 _IMAGE: Final = Target("image", IMAGE_FORMAT)
@@ -259,12 +207,12 @@ _DEPTH: Final = Target("depth", DEPTH_FORMAT)
 _BECAUSE: Final = "was asked for"
 
 _PLAIN: Final[dict[str, tuple[Pass[Frame], ...]]] = {
-    "normals": (Pass("normals", _draw_normals, _BECAUSE, writes=(_IMAGE, _DEPTH)),),
+    "normals": (Pass("normals", partial(_draw, shader=NormalColors), _BECAUSE, writes=(_IMAGE, _DEPTH)),),
     "depth": (
-        Pass("depth", draw_depth, "finds the nearest surfaces", writes=(_DEPTH,)),
-        Pass("distances", _show_depth, _BECAUSE, reads=("depth",), writes=(_IMAGE,)),
+        depth_pass("finds the nearest surfaces"),
+        Pass("distances", partial(_show, shader=Distances), _BECAUSE, reads=("depth",), writes=(_IMAGE,)),
     ),
-    "lights": (Pass("lights", _draw_lights, _BECAUSE, writes=(_IMAGE, _DEPTH)),),
+    "lights": (Pass("lights", partial(_draw, shader=CountedLamps), _BECAUSE, writes=(_IMAGE, _DEPTH)),),
     "overdraw": (
         Pass(
             "fragments",
@@ -272,7 +220,7 @@ _PLAIN: Final[dict[str, tuple[Pass[Frame], ...]]] = {
             "counts fragments",
             writes=(Target("fragments", Format.R16F), _DEPTH),
         ),
-        Pass("overdraw", _show_fragments, _BECAUSE, reads=("fragments",), writes=(_IMAGE,)),
+        Pass("overdraw", partial(_show, shader=FragmentCounts), _BECAUSE, reads=("fragments",), writes=(_IMAGE,)),
     ),
 }
 
@@ -282,7 +230,7 @@ def _declare_plain(name: str, needs: Needs) -> tuple[Pass[Frame], ...]:
 
 
 def _declare_tiles(needs: Needs) -> tuple[Pass[Frame], ...]:
-    depth = Pass("depth", draw_depth, "finds the nearest surfaces", writes=(_DEPTH,))
+    depth = depth_pass("finds the nearest surfaces")
     if not list_lamps(needs):
         return depth, Pass("tiles", _clear_image, "no light is in view", writes=(_IMAGE,))
     lists = list_pass(needs, TILES, depth="depth")
@@ -299,7 +247,7 @@ def _show_tiles(frame: Frame) -> None:
 
 
 def _declare_volumes(needs: Needs) -> tuple[Pass[Frame], ...]:
-    passes = Forward().declare(needs)
+    passes = forward_passes(needs)
     if not list_lamps(needs):
         return passes
     last = find_last(passes, "image")
@@ -311,12 +259,11 @@ def _show_volumes(frame: Frame) -> None:
     nearer = NEARER[frame.camera.projection.depth]
     states = (CullMode.NONE, DepthWrite.OFF, nearer, BlendFunction.ADDITIVE)
     for effect in list_lamps(frame.needs):
-        shader = lit_variant(VolumeColors, effect)
-        draw_volumes(frame, effect, shader, bind_rays(frame), ["image"], clears=False, states=states)
+        draw_volumes(frame, effect, VolumeColors, ["image"], clears=False, states=states)
 
 
 def _declare_edges(needs: Needs) -> tuple[Pass[Frame], ...]:
-    passes = Forward().declare(needs)
+    passes = forward_passes(needs)
     last, depth = find_last(passes, "image"), find_last(passes, "depth")
     changes = {last: "image with edges", depth: "depth with edges"}
     return *passes, Pass("edges", _draw_edges, _BECAUSE, changes=changes)
@@ -325,24 +272,14 @@ def _declare_edges(needs: Needs) -> tuple[Pass[Frame], ...]:
 def _draw_edges(frame: Frame) -> None:
     if not frame.device.capabilities.wireframe:
         refuse(rules.NO_WIREFRAME, "Inspection('tessellation')", f"a {frame.device.backend_name} device")
-    parts, bindings = bind_surfaces(frame, (Aspect.COVERAGE,), has_materials=False)
-    scene_pass = TechniquePass(
-        frame.device,
-        frame.resources,
-        frame.view,
-        frame.device.program(surface_variant(EdgeColors, parts)),
-        bindings,
-        color=frame.targets["image"],
-        depth=frame.targets["depth"],
-        clears=False,
-        states=(PolygonMode.LINE, DepthWrite.OFF),
-    )
+    states, color = (PolygonMode.LINE, DepthWrite.OFF), frame.targets["image"]
+    edges = scene_pass(frame, EdgeColors, color=color, clears=False, states=states, switches=COVERAGE)
     fields = frame.resources.tessellated_rows
     if len(fields):
-        with scene_pass:
-            scene_pass.draw(frame.resources.find_in_view(frame.camera, fields))
+        with edges:
+            edges.draw(frame.resources.find_in_view(frame.camera, fields))
     else:
-        frame.draw_visible(scene_pass)
+        frame.draw_visible(edges)
 
 
 INSPECTIONS: Final[dict[str, Callable[[Needs], tuple[Pass[Frame], ...]]]] = {

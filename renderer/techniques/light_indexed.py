@@ -15,39 +15,31 @@ costs more, and looks the same.
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.frame import DEPTH_FORMAT, Frame, Needs, Pass, Target, Targets, TechniquePass
+from renderer.frame import Frame, Needs, Pass, Target, Targets
 from renderer.lights.rectangles import bound_cones, bound_spheres
-from renderer.shaders.lighting import point_incidence, safe_normalize, spot_incidence
+from renderer.shaders.lighting import safe_normalize
 from renderer.shaders.pixels import PixelRays, distance_at, nearness_of, place_pixel
 from renderer.shaders.structs import SurfacePoint
-from renderer.techniques.depth import draw_depth
-from renderer.techniques.finish import finish_image
-from renderer.techniques.forward import (
-    Forward,
-    bind_lamps,
-    bind_materials,
-    explain_lamps,
-    find_forward,
-    list_lamps,
-)
-from renderer.techniques.forward_shader import WithPointLights, WithSpotLights, forward_variant
-from renderer.techniques.full_screen import bind_rays
+from renderer.techniques.parts.depth import depth_pass
+from renderer.techniques.parts.finish import finish_image, forward_passes
+from renderer.techniques.parts.full_screen import bind_rays
+from renderer.techniques.parts.scene_shader import ForwardShader
+from renderer.techniques.parts.variants import FORWARD, Lighting, explain_lamps, list_lamps, lit_pass
 from rhi import (
     BlendColor,
     BlendFactor,
     BlendFunction,
     CullMode,
-    DepthFunction,
     DepthTest,
     DepthWrite,
     Device,
     Format,
+    Mesh,
 )
 from rhi.shading import (
     Shader,
@@ -61,6 +53,7 @@ from rhi.shading import (
     function,
     instance_index,
     ivec2,
+    ivec3,
     max,
     uvec4,
     vec2,
@@ -149,61 +142,32 @@ def next_light(packed: uvec4) -> int:
     )
 
 
-class WithIndexedPointLights(WithPointLights):
-    """Finds the point lights of a pixel in a texture. A pixel with too many lights uses its object's list."""
+class LitByIndices(ForwardShader):
+    """Finds the lights of a pixel in a texture. A pixel with too many lights uses its object's list."""
 
     light_indices: Texture2D
     numbered: Storage[int]
 
-    def pointlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
+    def lamplight(self, surface: SurfacePoint, lights: ivec3) -> vec3:
         indices = self.light_indices.load(ivec2(fragment_coordinate().xy))
         if max(max(indices.x, indices.y), max(indices.z, indices.w)) >= LIGHTS_FULL:
-            return super().pointlight(surface, begin, end)
+            return super().lamplight(surface, lights)
         packed = uvec4(indices)
         color = vec3(0.0)
         number = next_light(packed)
         while number > 0:
             row = self.numbered[number - 1]
-            if row >= 0:
-                light = self.reflect_light(surface, point_incidence(surface.position, self.point_lights[row]))
-                color += self.unblocked_point(light, surface.position, surface.plane, row)
+            if self.has_point_lights and row >= 0:
+                color += self.pointlight(surface, row)
+            if self.has_spot_lights and row < 0:
+                color += self.spotlight(surface, ~row)
             packed = packed >> uvec4(LIGHT_BITS)
             number = next_light(packed)
         return color
 
 
-class WithIndexedSpotLights(WithSpotLights):
-    """Finds the spot lights of a pixel in a texture. A pixel with too many lights uses its object's list."""
-
-    light_indices: Texture2D
-    numbered: Storage[int]
-
-    def spotlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
-        indices = self.light_indices.load(ivec2(fragment_coordinate().xy))
-        if max(max(indices.x, indices.y), max(indices.z, indices.w)) >= LIGHTS_FULL:
-            return super().spotlight(surface, begin, end)
-        packed = uvec4(indices)
-        color = vec3(0.0)
-        number = next_light(packed)
-        while number > 0:
-            row = self.numbered[number - 1]
-            if row < 0:
-                light = self.reflect_light(surface, spot_incidence(surface.position, self.spot_lights[~row]))
-                color += self.unblocked_spot(light, surface.position, surface.plane, ~row)
-            packed = packed >> uvec4(LIGHT_BITS)
-            number = next_light(packed)
-        return color
-
-
-class RectangleMesh:
-    """Keeps the corners of a light's rectangle."""
-
-    def __init__(self, device: Device) -> None:
-        self.mesh = device.mesh(_CORNERS, label="light volume")
-
-    def destroy(self) -> None:
-        """Destroy the mesh."""
-        self.mesh.destroy()
+def _make_rectangle(device: Device) -> Mesh:
+    return device.mesh(_CORNERS, label="light volume")
 
 
 class LightIndexed:
@@ -214,30 +178,19 @@ class LightIndexed:
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the three passes, and those of transparent surfaces."""
         if not list_lamps(needs):
-            return Forward().declare(needs)
-        because = explain_lamps(needs)
+            return forward_passes(needs)
+        because = "draws the visible objects, lit by the lights of each pixel"
         return (
-            Pass(
-                "depth",
-                draw_depth,
-                "finds the surface that lights reach at each pixel",
-                writes=(Target("depth", DEPTH_FORMAT),),
-            ),
+            depth_pass("finds the surface that lights reach at each pixel"),
             Pass(
                 INDICES,
                 _pack_indices,
-                f"writes the numbers of each pixel's lights; {because}",
+                f"writes the numbers of each pixel's lights; {explain_lamps(needs)}",
                 reads=("depth",),
                 writes=(Target(INDICES, Format.RGBA32F),),
             ),
-            Pass(
-                "forward",
-                _draw_lit,
-                "draws the visible objects, lit by the lights of each pixel",
-                reads=(INDICES, "depth"),
-                writes=(needs.image,),
-            ),
-            *finish_image(needs, find_forward),
+            lit_pass(needs, _BY_INDICES, because, after_depth=True),
+            *finish_image(needs, FORWARD),
         )
 
 
@@ -257,11 +210,11 @@ def _pack_indices(frame: Frame) -> None:
     ):
         device.draw(
             device.program(PackIndices),
-            frame.resources.workspace(RectangleMesh).mesh,
+            frame.resources.workspace(_make_rectangle),
             len(volumes),
             volumes=device.transient.storage(IndexedVolume, volumes),
             depth=frame.targets["depth"],
-            **bind_rays(frame),
+            rays=bind_rays(frame),
         )
 
 
@@ -294,31 +247,9 @@ def pack_numbers(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
     return packed
 
 
-@cache
-def indexed_variant(parts: tuple[str, ...], *, has_sun: bool) -> type[Shader]:
-    """Return the forward shader with these parts, which finds the lamps of a pixel by its indices."""
-    found = {"point_lights": WithIndexedPointLights, "spot_lights": WithIndexedSpotLights}
-    bases = (shader for part, shader in found.items() if part in parts)
-    return type("Indexed", (*bases, forward_variant(*parts, has_sun=has_sun)), {"__module__": __name__})
+def _bind_indices(frame: Frame) -> dict[str, Any]:
+    numbered = np.concatenate([frame.needs.point_rows, ~frame.needs.spot_rows]).astype(np.int32)
+    return {"light_indices": frame.targets[INDICES], "numbered": frame.device.transient.storage(int, numbered)}
 
 
-def _draw_lit(frame: Frame) -> None:
-    needs, targets = frame.needs, frame.targets
-    (features, bindings), (more, lamps) = bind_materials(frame), bind_lamps(frame)
-    numbered = np.concatenate([needs.point_rows, ~needs.spot_rows]).astype(np.int32)
-    indices = {"light_indices": targets[INDICES], "numbered": frame.device.transient.storage(int, numbered)}
-    shader = indexed_variant((*features, *more), has_sun=needs.has_sun)
-    frame.draw_visible(
-        TechniquePass(
-            frame.device,
-            frame.resources,
-            frame.view,
-            frame.program(shader),
-            bindings | lamps | indices,
-            color=frame.image,
-            depth=targets["depth"],
-            clear=frame.background,
-            states=(DepthFunction.EQUAL, DepthWrite.OFF),
-            clears=False,
-        )
-    )
+_BY_INDICES: Final = Lighting((LitByIndices,), bind=_bind_indices, reads=(INDICES,))

@@ -10,12 +10,14 @@ from typing import Final
 from renderer import rules
 from renderer.scene import Scene
 from renderer.techniques.auto import CANDIDATES, AutoTechnique
-from renderer.techniques.cell_lists import CLUSTERS, TILES, LightCells
+from renderer.techniques.deferred import Deferred
+from renderer.techniques.deferred_plus import DeferredPlus
 from renderer.techniques.forward import Forward
 from renderer.techniques.forward_plus import Clustered, ForwardPlus
-from renderer.techniques.fxaa import Smoothed
-from renderer.techniques.inferred import Inferred
-from renderer.techniques.light_pre_pass import LightPrePass
+from renderer.techniques.inferred import Inferred, check_scale
+from renderer.techniques.light_pre_pass import LightPrePass, check_channels
+from renderer.techniques.parts.cell_lists import CLUSTERS, TILES, LightCells
+from renderer.techniques.parts.fxaa import Smoothed
 from renderer.techniques.table import TECHNIQUES
 from renderer.techniques.technique import Technique
 from rhi import Device, refuse
@@ -35,6 +37,9 @@ class TechniqueSettings:
         scale: the size of the light buffers of `inferred`, in that of the image. stippled: whether it draws transparent
             surfaces to them, too.
         specular_channels: 1 or 3, of `light_pre_pass`.
+        stencil: whether `deferred` and `light_pre_pass` mask each light in a stencil buffer. depth_first: whether
+            `clustered` draws depth before. multi_pass: whether `deferred_plus` shades each material by draws of its
+            own. Pictures are the same.
     """
 
     name: str = AutoTechnique.name
@@ -45,6 +50,9 @@ class TechniqueSettings:
     scale: float = 0.6
     stippled: bool = True
     specular_channels: int = 3
+    stencil: bool = False
+    depth_first: bool = False
+    multi_pass: bool = False
 
     def __post_init__(self) -> None:
         if self.name not in (AutoTechnique.name, *TECHNIQUES):
@@ -55,6 +63,8 @@ class TechniqueSettings:
             refuse(rules.BAD_TECHNIQUE, "TechniqueSettings(samples=...)", self.samples, "a whole number of 1 or more")
         if self.samples > 1 and self.name not in (AutoTechnique.name, Forward.name):
             refuse(rules.ONE_SAMPLE, "TechniqueSettings", f"{self.name} with samples={self.samples}")
+        check_scale(self.scale, "TechniqueSettings")
+        check_channels(self.specular_channels, "TechniqueSettings")
 
     def make(self, scene: Scene, device: Device) -> Technique:
         """Return the technique for a scene and a device."""
@@ -72,8 +82,12 @@ class TechniqueSettings:
 _MAKERS: Final[Mapping[str, Callable[[TechniqueSettings], Technique]]] = {
     Forward.name: lambda given: Forward(given.samples),
     ForwardPlus.name: lambda given: ForwardPlus(cells=given.tiles),
-    Clustered.name: lambda given: Clustered(cells=given.clusters),
+    Clustered.name: lambda given: Clustered(depth_first=given.depth_first, cells=given.clusters),
+    Deferred.name: lambda given: Deferred(stencil=given.stencil),
+    DeferredPlus.name: lambda given: DeferredPlus(multi_pass=given.multi_pass),
     Inferred.name: lambda given: Inferred(scale=given.scale, stippled=given.stippled),
-    LightPrePass.name: lambda given: LightPrePass(specular_channels=given.specular_channels),
+    LightPrePass.name: lambda given: LightPrePass(
+        specular_channels=given.specular_channels, stencil=given.stencil
+    ),
 }
 """What makes the techniques that have parameters."""

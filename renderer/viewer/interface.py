@@ -14,8 +14,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.canvas import MONOSPACED, Canvas, Font, srgb
 from renderer.frame import Frame
+from renderer.layers.canvas import MONOSPACED, Canvas, Font, srgb
 from renderer.scene import Camera
 from renderer.scene.arrays import Floats
 from rhi import Device

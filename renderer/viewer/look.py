@@ -14,13 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.frame import Blending, Frame, Layer
-from renderer.measure.contents import picture_contents
-from renderer.overlay import Overlay
+from renderer.lab.measure.contents import picture_contents
+from renderer.layers.overlay import Overlay
+from renderer.layers.particles import Particles
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene
 from renderer.settings import RenderSettings
 from renderer.stereo import Stereo, find_rig
-from renderer.techniques import AutoTechnique, Forward, Particles, Technique, TechniqueSettings, Watched
+from renderer.techniques import AutoTechnique, Forward, Technique, TechniqueSettings, Watched
 from renderer.techniques.inspection import INSPECTIONS, Inspection
 from renderer.techniques.watched import list_contents
 from renderer.visibility import VisibilityAlgorithm, check_algorithm, make_visibility

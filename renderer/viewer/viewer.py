@@ -15,7 +15,7 @@ from time import perf_counter
 from typing import Final
 
 from renderer import rules
-from renderer.canvas import Font
+from renderer.layers.canvas import Font
 from renderer.scene import Camera, Scene
 from renderer.viewer import saved
 from renderer.viewer.actions import make_commands, parse_place, parse_seconds, switch

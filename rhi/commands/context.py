@@ -8,21 +8,18 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, Final, TypeAlias
 
-from rhi.commands.ops import Descriptor, Op, States
+from rhi.commands.ops import CREATIONS, Descriptor, Op, States
 from rhi.contract.descriptors import (
     BindingKind,
-    BufferDescriptor,
     Id,
     PassDescriptor,
-    ProgramDescriptor,
-    QueryKind,
-    SamplerDescriptor,
-    TextureDescriptor,
-    VertexArrayDescriptor,
 )
 from rhi.contract.states import STATE_TYPES, StateChange, default_values
 
 __rhi_internal__ = True
+
+_UNIFORM, _STORAGE = BindingKind.UNIFORM, BindingKind.STORAGE  # found faster than the members of the class
+_TEXTURE, _IMAGE = BindingKind.TEXTURE, BindingKind.IMAGE
 
 
 class StreamContext:
@@ -32,53 +29,42 @@ class StreamContext:
         states: the value of every state type, as sent to the backend.
         labels: the open labels, outermost first.
         program: the id of the bound program, 0 for none.
+        open_query, condition: the query that counts, and the one that draws depend on; 0 for none.
         render_pass: the descriptor of the open pass, or None outside a pass.
         resources: the descriptors of existing resources, by id.
         slots: the bindings by (kind, slot): the arguments of the binding command that follow the slot.
     """
 
-    __slots__ = ("labels", "program", "render_pass", "resources", "slots", "states")
+    __slots__ = ("condition", "labels", "open_query", "program", "render_pass", "resources", "slots", "states")
 
     def __init__(self) -> None:
         self.states: States = dict(zip(STATE_TYPES, default_values(), strict=True))
         self.labels: tuple[str, ...] = ()
         self.program: Id = 0
+        self.open_query: Id = 0
+        self.condition: Id = 0
         self.render_pass: PassDescriptor | None = None
         self.resources: dict[Id, Descriptor] = {}
         self.slots: dict[tuple[BindingKind, int], tuple[int, ...]] = {}
 
-    def create_buffer(self, buffer: Id, descriptor: BufferDescriptor) -> None:
-        self.resources[buffer] = descriptor
-
-    def create_texture(self, texture: Id, descriptor: TextureDescriptor) -> None:
-        self.resources[texture] = descriptor
-
-    def create_sampler(self, sampler: Id, descriptor: SamplerDescriptor) -> None:
-        self.resources[sampler] = descriptor
-
-    def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
-        self.resources[program] = descriptor
-
-    def create_vertex_array(self, vertex_array: Id, descriptor: VertexArrayDescriptor) -> None:
-        self.resources[vertex_array] = descriptor
-
-    def create_query(self, query: Id, kind: QueryKind) -> None:
-        self.resources[query] = kind
+    def create(self, resource: Id, descriptor: Descriptor) -> None:
+        """Follow the creation of a resource of any kind."""
+        self.resources[resource] = descriptor
 
     def destroy(self, resource: Id) -> None:
         self.resources.pop(resource, None)
 
     def bind_uniform(self, slot: int, buffer: Id, offset: int, size: int) -> None:
-        self.slots[BindingKind.UNIFORM, slot] = (buffer, offset, size)
+        self.slots[_UNIFORM, slot] = (buffer, offset, size)
 
     def bind_storage(self, slot: int, buffer: Id, offset: int, size: int) -> None:
-        self.slots[BindingKind.STORAGE, slot] = (buffer, offset, size)
+        self.slots[_STORAGE, slot] = (buffer, offset, size)
 
     def bind_texture(self, slot: int, texture: Id, sampler: Id) -> None:
-        self.slots[BindingKind.TEXTURE, slot] = (texture, sampler)
+        self.slots[_TEXTURE, slot] = (texture, sampler)
 
     def bind_image(self, slot: int, texture: Id, level: int, layer: int) -> None:
-        self.slots[BindingKind.IMAGE, slot] = (texture, level, layer)
+        self.slots[_IMAGE, slot] = (texture, level, layer)
 
     def set_states(self, changes: Sequence[StateChange]) -> None:
         self.states.update(changes)
@@ -92,6 +78,18 @@ class StreamContext:
     def end_pass(self) -> None:
         self.render_pass = None
 
+    def begin_query(self, query: Id) -> None:
+        self.open_query = query
+
+    def end_query(self, query: Id) -> None:
+        self.open_query = 0
+
+    def begin_conditional(self, query: Id, inverted: bool) -> None:
+        self.condition = query
+
+    def end_conditional(self) -> None:
+        self.condition = 0
+
     def push_label(self, text: str) -> None:
         self.labels = (*self.labels, text)
 
@@ -102,6 +100,7 @@ class StreamContext:
         twin = StreamContext()
         twin.states = self.states.copy()
         twin.labels, twin.program, twin.render_pass = self.labels, self.program, self.render_pass
+        twin.open_query, twin.condition = self.open_query, self.condition
         twin.resources, twin.slots = self.resources.copy(), self.slots.copy()
         return twin
 
@@ -114,7 +113,9 @@ class StreamContext:
 
 _Change: TypeAlias = Callable[..., None]
 
-_CHANGES: Final[tuple[_Change | None, ...]] = tuple(getattr(StreamContext, op.method, None) for op in Op)
+_CHANGES: Final[tuple[_Change | None, ...]] = tuple(
+    StreamContext.create if op in CREATIONS else getattr(StreamContext, op.method, None) for op in Op
+)
 
 CONTEXT_OPS: Final = frozenset(op for op in Op if _CHANGES[op] is not None)
 """The ops that change a `StreamContext`."""

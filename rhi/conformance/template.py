@@ -87,17 +87,23 @@ import numpy as np
 from numpy.typing import NDArray
 from rhi.contract import (
     BufferDescriptor,
+    BufferId,
     Capabilities,
     Id,
     PassDescriptor,
     Primitive,
     ProgramDescriptor,
+    ProgramId,
+    QueryId,
     QueryKind,
     Region,
     SamplerDescriptor,
+    SamplerId,
     StateChange,
     TextureDescriptor,
+    TextureId,
     VertexArrayDescriptor,
+    VertexArrayId,
 )
 from typing_extensions import Buffer as BytesLike
 

@@ -4,244 +4,136 @@ A port implements `Backend`, says what it can do in `Capabilities`, and is given
 nothing else of `rhi` but `rhi.shading`, where it needs more of a shader than its text. See docs/porting.md.
 """
 
-from rhi.contract.backend import (
-    FOREVER,
-    Backend,
-    Capabilities,
-    ClipsDraws,
-    DatesTimestamps,
-    HoldsContext,
-    PreparedQueries,
-    PreparesDraws,
-    PreparesKernels,
-    PreparesQueries,
-    SharesTextures,
-)
-from rhi.contract.blocks import CompressedFormat, decode_blocks
-from rhi.contract.descriptors import (
-    DRAW,
-    DRAW_UNINDEXED,
-    WHOLE,
-    Access,
-    Attachment,
-    Attribute,
-    Binding,
-    BindingKind,
-    BufferDescriptor,
-    BufferUsage,
-    DepthAttachment,
-    Filter,
-    FragmentOutput,
-    Id,
-    Interpolation,
-    PassDescriptor,
-    Primitive,
-    ProgramDescriptor,
-    QueryKind,
-    Region,
-    SamplerDescriptor,
-    Stage,
-    StageText,
-    StageVarying,
-    TextureDescriptor,
-    TextureKind,
-    Vec4,
-    VertexArrayDescriptor,
-    VertexAttribute,
-    VertexFormat,
-    VertexStream,
-    Wrap,
-)
-from rhi.contract.driver_log import make_driver_error
-from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, ChannelKind, Format, IndexFormat
-from rhi.contract.layout import (
-    BOOL,
-    FLOAT,
-    INT,
-    UINT,
-    ArrayType,
-    Field,
-    HostType,
-    Layout,
-    MatrixType,
-    Placement,
-    ScalarType,
-    StructType,
-    VectorType,
-    describe_layout,
-    dtype_of,
-    element_dtype,
-    is_host_shareable,
-    place,
-    scalar_places,
-    shape_of,
-    stride_of,
-)
-from rhi.contract.queries import PlainQueries, list_draws
-from rhi.contract.states import (
-    DEFAULTS,
-    MAX_TARGETS,
-    PER_TARGET,
-    STATE_TYPES,
-    AlphaFunction,
-    AlphaReference,
-    AlphaTest,
-    AlphaToCoverage,
-    BlendColor,
-    BlendFactor,
-    BlendFunction,
-    BlendOperation,
-    ColorWrite,
-    Comparison,
-    CullMode,
-    DepthBias,
-    DepthFunction,
-    DepthTest,
-    DepthWrite,
-    FrontFace,
-    LineWidth,
-    PlatformState,
-    PolygonMode,
-    PolygonOffset,
-    Scissor,
-    State,
-    StateChange,
-    StencilBack,
-    StencilFront,
-    StencilOperation,
-    StencilReadMask,
-    StencilReference,
-    StencilTest,
-    StencilWriteMask,
-    Viewport,
-    default_values,
-)
-from rhi.contract.texels import decode, encode, from_srgb, halve, pack, to_srgb, unpack
-from rhi.errors import DeviceError, RhiError, Rule, ShaderError, ValidationError, refuse, rules
+from rhi.contract.backend import FOREVER as FOREVER
+from rhi.contract.backend import Backend as Backend
+from rhi.contract.backend import Capabilities as Capabilities
+from rhi.contract.backend import ClipsDraws as ClipsDraws
+from rhi.contract.backend import DatesTimestamps as DatesTimestamps
+from rhi.contract.backend import HoldsContext as HoldsContext
+from rhi.contract.backend import PreparedQueries as PreparedQueries
+from rhi.contract.backend import PreparesDraws as PreparesDraws
+from rhi.contract.backend import PreparesKernels as PreparesKernels
+from rhi.contract.backend import PreparesQueries as PreparesQueries
+from rhi.contract.backend import SharesTextures as SharesTextures
+from rhi.contract.blocks import CompressedFormat as CompressedFormat
+from rhi.contract.blocks import decode_blocks as decode_blocks
+from rhi.contract.descriptors import DRAW as DRAW
+from rhi.contract.descriptors import DRAW_UNINDEXED as DRAW_UNINDEXED
+from rhi.contract.descriptors import WHOLE as WHOLE
+from rhi.contract.descriptors import Access as Access
+from rhi.contract.descriptors import Attachment as Attachment
+from rhi.contract.descriptors import Attribute as Attribute
+from rhi.contract.descriptors import Binding as Binding
+from rhi.contract.descriptors import BindingKind as BindingKind
+from rhi.contract.descriptors import BufferDescriptor as BufferDescriptor
+from rhi.contract.descriptors import BufferId as BufferId
+from rhi.contract.descriptors import BufferUsage as BufferUsage
+from rhi.contract.descriptors import DepthAttachment as DepthAttachment
+from rhi.contract.descriptors import Filter as Filter
+from rhi.contract.descriptors import FragmentOutput as FragmentOutput
+from rhi.contract.descriptors import Id as Id
+from rhi.contract.descriptors import Interpolation as Interpolation
+from rhi.contract.descriptors import PassDescriptor as PassDescriptor
+from rhi.contract.descriptors import Primitive as Primitive
+from rhi.contract.descriptors import ProgramDescriptor as ProgramDescriptor
+from rhi.contract.descriptors import ProgramId as ProgramId
+from rhi.contract.descriptors import QueryId as QueryId
+from rhi.contract.descriptors import QueryKind as QueryKind
+from rhi.contract.descriptors import Region as Region
+from rhi.contract.descriptors import SamplerDescriptor as SamplerDescriptor
+from rhi.contract.descriptors import SamplerId as SamplerId
+from rhi.contract.descriptors import Stage as Stage
+from rhi.contract.descriptors import StageText as StageText
+from rhi.contract.descriptors import StageVarying as StageVarying
+from rhi.contract.descriptors import TextureDescriptor as TextureDescriptor
+from rhi.contract.descriptors import TextureId as TextureId
+from rhi.contract.descriptors import TextureKind as TextureKind
+from rhi.contract.descriptors import Vec4 as Vec4
+from rhi.contract.descriptors import VertexArrayDescriptor as VertexArrayDescriptor
+from rhi.contract.descriptors import VertexArrayId as VertexArrayId
+from rhi.contract.descriptors import VertexAttribute as VertexAttribute
+from rhi.contract.descriptors import VertexFormat as VertexFormat
+from rhi.contract.descriptors import VertexStream as VertexStream
+from rhi.contract.descriptors import Wrap as Wrap
+from rhi.contract.driver_log import make_driver_error as make_driver_error
+from rhi.contract.formats import COLOR_FORMATS as COLOR_FORMATS
+from rhi.contract.formats import DEPTH_FORMATS as DEPTH_FORMATS
+from rhi.contract.formats import ChannelKind as ChannelKind
+from rhi.contract.formats import Format as Format
+from rhi.contract.formats import IndexFormat as IndexFormat
+from rhi.contract.layout import BOOL as BOOL
+from rhi.contract.layout import FLOAT as FLOAT
+from rhi.contract.layout import INT as INT
+from rhi.contract.layout import UINT as UINT
+from rhi.contract.layout import ArrayType as ArrayType
+from rhi.contract.layout import Field as Field
+from rhi.contract.layout import HostType as HostType
+from rhi.contract.layout import Layout as Layout
+from rhi.contract.layout import MatrixType as MatrixType
+from rhi.contract.layout import Placement as Placement
+from rhi.contract.layout import ScalarType as ScalarType
+from rhi.contract.layout import StructType as StructType
+from rhi.contract.layout import VectorType as VectorType
+from rhi.contract.layout import describe_layout as describe_layout
+from rhi.contract.layout import dtype_of as dtype_of
+from rhi.contract.layout import element_dtype as element_dtype
+from rhi.contract.layout import is_host_shareable as is_host_shareable
+from rhi.contract.layout import place as place
+from rhi.contract.layout import scalar_places as scalar_places
+from rhi.contract.layout import shape_of as shape_of
+from rhi.contract.layout import stride_of as stride_of
+from rhi.contract.queries import PlainQueries as PlainQueries
+from rhi.contract.queries import list_draws as list_draws
+from rhi.contract.states import DEFAULTS as DEFAULTS
+from rhi.contract.states import MAX_TARGETS as MAX_TARGETS
+from rhi.contract.states import PER_TARGET as PER_TARGET
+from rhi.contract.states import STATE_TYPES as STATE_TYPES
+from rhi.contract.states import AlphaFunction as AlphaFunction
+from rhi.contract.states import AlphaReference as AlphaReference
+from rhi.contract.states import AlphaTest as AlphaTest
+from rhi.contract.states import AlphaToCoverage as AlphaToCoverage
+from rhi.contract.states import BlendColor as BlendColor
+from rhi.contract.states import BlendFactor as BlendFactor
+from rhi.contract.states import BlendFunction as BlendFunction
+from rhi.contract.states import BlendOperation as BlendOperation
+from rhi.contract.states import ColorWrite as ColorWrite
+from rhi.contract.states import Comparison as Comparison
+from rhi.contract.states import CullMode as CullMode
+from rhi.contract.states import DepthBias as DepthBias
+from rhi.contract.states import DepthFunction as DepthFunction
+from rhi.contract.states import DepthTest as DepthTest
+from rhi.contract.states import DepthWrite as DepthWrite
+from rhi.contract.states import FrontFace as FrontFace
+from rhi.contract.states import LineWidth as LineWidth
+from rhi.contract.states import PlatformState as PlatformState
+from rhi.contract.states import PolygonMode as PolygonMode
+from rhi.contract.states import PolygonOffset as PolygonOffset
+from rhi.contract.states import Scissor as Scissor
+from rhi.contract.states import State as State
+from rhi.contract.states import StateChange as StateChange
+from rhi.contract.states import StencilBack as StencilBack
+from rhi.contract.states import StencilFront as StencilFront
+from rhi.contract.states import StencilOperation as StencilOperation
+from rhi.contract.states import StencilReadMask as StencilReadMask
+from rhi.contract.states import StencilReference as StencilReference
+from rhi.contract.states import StencilTest as StencilTest
+from rhi.contract.states import StencilWriteMask as StencilWriteMask
+from rhi.contract.states import Viewport as Viewport
+from rhi.contract.states import default_values as default_values
+from rhi.contract.texels import decode as decode
+from rhi.contract.texels import encode as encode
+from rhi.contract.texels import from_srgb as from_srgb
+from rhi.contract.texels import halve as halve
+from rhi.contract.texels import pack as pack
+from rhi.contract.texels import to_srgb as to_srgb
+from rhi.contract.texels import unpack as unpack
+from rhi.errors import DeviceError as DeviceError
+from rhi.errors import RhiError as RhiError
+from rhi.errors import Rule as Rule
+from rhi.errors import ShaderError as ShaderError
+from rhi.errors import ValidationError as ValidationError
+from rhi.errors import refuse as refuse
+from rhi.errors import rules as rules
+from rhi.errors.exports import list_public as _list_public
 
-__all__ = [
-    "BOOL",
-    "COLOR_FORMATS",
-    "DEFAULTS",
-    "DEPTH_FORMATS",
-    "DRAW",
-    "DRAW_UNINDEXED",
-    "FLOAT",
-    "FOREVER",
-    "INT",
-    "MAX_TARGETS",
-    "PER_TARGET",
-    "STATE_TYPES",
-    "UINT",
-    "WHOLE",
-    "Access",
-    "AlphaFunction",
-    "AlphaReference",
-    "AlphaTest",
-    "AlphaToCoverage",
-    "ArrayType",
-    "Attachment",
-    "Attribute",
-    "Backend",
-    "Binding",
-    "BindingKind",
-    "BlendColor",
-    "BlendFactor",
-    "BlendFunction",
-    "BlendOperation",
-    "BufferDescriptor",
-    "BufferUsage",
-    "Capabilities",
-    "ChannelKind",
-    "ClipsDraws",
-    "ColorWrite",
-    "Comparison",
-    "CompressedFormat",
-    "CullMode",
-    "DatesTimestamps",
-    "DepthAttachment",
-    "DepthBias",
-    "DepthFunction",
-    "DepthTest",
-    "DepthWrite",
-    "DeviceError",
-    "Field",
-    "Filter",
-    "Format",
-    "FragmentOutput",
-    "FrontFace",
-    "HoldsContext",
-    "HostType",
-    "Id",
-    "IndexFormat",
-    "Interpolation",
-    "Layout",
-    "LineWidth",
-    "MatrixType",
-    "PassDescriptor",
-    "Placement",
-    "PlainQueries",
-    "PlatformState",
-    "PolygonMode",
-    "PolygonOffset",
-    "PreparedQueries",
-    "PreparesDraws",
-    "PreparesKernels",
-    "PreparesQueries",
-    "Primitive",
-    "ProgramDescriptor",
-    "QueryKind",
-    "Region",
-    "RhiError",
-    "Rule",
-    "SamplerDescriptor",
-    "ScalarType",
-    "Scissor",
-    "ShaderError",
-    "SharesTextures",
-    "Stage",
-    "StageText",
-    "StageVarying",
-    "State",
-    "StateChange",
-    "StencilBack",
-    "StencilFront",
-    "StencilOperation",
-    "StencilReadMask",
-    "StencilReference",
-    "StencilTest",
-    "StencilWriteMask",
-    "StructType",
-    "TextureDescriptor",
-    "TextureKind",
-    "ValidationError",
-    "Vec4",
-    "VectorType",
-    "VertexArrayDescriptor",
-    "VertexAttribute",
-    "VertexFormat",
-    "VertexStream",
-    "Viewport",
-    "Wrap",
-    "decode",
-    "decode_blocks",
-    "default_values",
-    "describe_layout",
-    "dtype_of",
-    "element_dtype",
-    "encode",
-    "from_srgb",
-    "halve",
-    "is_host_shareable",
-    "list_draws",
-    "make_driver_error",
-    "pack",
-    "place",
-    "refuse",
-    "rules",
-    "scalar_places",
-    "shape_of",
-    "stride_of",
-    "to_srgb",
-    "unpack",
-]
+__all__ = [*_list_public(globals()), "rules"]

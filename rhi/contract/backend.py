@@ -28,15 +28,21 @@ from typing_extensions import Buffer as BytesLike
 from rhi.contract.blocks import CompressedFormat
 from rhi.contract.descriptors import (
     BufferDescriptor,
+    BufferId,
     Id,
     PassDescriptor,
     Primitive,
     ProgramDescriptor,
+    ProgramId,
+    QueryId,
     QueryKind,
     Region,
     SamplerDescriptor,
+    SamplerId,
     TextureDescriptor,
+    TextureId,
     VertexArrayDescriptor,
+    VertexArrayId,
 )
 from rhi.contract.formats import Format
 from rhi.contract.states import PlatformState, StateChange
@@ -297,23 +303,23 @@ class Backend(Protocol):
 
     # -- resources ---------------------------------------------------------------------------------------
 
-    def create_buffer(self, buffer: Id, descriptor: BufferDescriptor) -> None:
+    def create_buffer(self, buffer: BufferId, descriptor: BufferDescriptor) -> None:
         """Create a buffer filled with zeros."""
 
-    def create_texture(self, texture: Id, descriptor: TextureDescriptor) -> None:
+    def create_texture(self, texture: TextureId, descriptor: TextureDescriptor) -> None:
         """Create a texture; all levels, layers and samples are filled with zeros."""
 
-    def create_sampler(self, sampler: Id, descriptor: SamplerDescriptor) -> None:
+    def create_sampler(self, sampler: SamplerId, descriptor: SamplerDescriptor) -> None:
         """Create a sampler. The device creates one per distinct descriptor."""
 
-    def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
+    def create_program(self, program: ProgramId, descriptor: ProgramDescriptor) -> None:
         """Compile a program from the source that `descriptor.emit` returns for this backend's language."""
 
-    def create_vertex_array(self, vertex_array: Id, descriptor: VertexArrayDescriptor) -> None:
+    def create_vertex_array(self, vertex_array: VertexArrayId, descriptor: VertexArrayDescriptor) -> None:
         """Create a vertex array: where one program's vertex stage reads its inputs. Its buffers exist and outlive
         it."""
 
-    def create_query(self, query: Id, kind: QueryKind) -> None:
+    def create_query(self, query: QueryId, kind: QueryKind) -> None:
         """Create a query. It has no answer before its first use."""
 
     def destroy(self, resource: Id) -> None:
@@ -321,51 +327,53 @@ class Backend(Protocol):
 
     # -- memory ------------------------------------------------------------------------------------------
 
-    def write_buffer(self, buffer: Id, offset: int, data: BytesLike) -> None:
+    def write_buffer(self, buffer: BufferId, offset: int, data: BytesLike) -> None:
         """Write bytes, in order with other commands. Writes to a `BufferUsage.STREAM` buffer may be unordered."""
 
-    def read_buffer(self, buffer: Id, offset: int, size: int) -> bytes:
+    def read_buffer(self, buffer: BufferId, offset: int, size: int) -> bytes:
         """Wait for all earlier commands, then return the bytes. A `BufferUsage.READBACK` buffer is read only when the
         fence has passed all commands that write it, so it needs no wait."""
 
-    def copy_buffer(self, source: Id, source_offset: int, target: Id, target_offset: int, size: int) -> None:
+    def copy_buffer(
+        self, source: BufferId, source_offset: int, target: BufferId, target_offset: int, size: int
+    ) -> None:
         """Copy bytes between buffers, or within one. The two ranges don't overlap."""
 
-    def clear_buffer(self, buffer: Id, offset: int, size: int, value: int) -> None:
+    def clear_buffer(self, buffer: BufferId, offset: int, size: int, value: int) -> None:
         """Fill a range with a 32-bit pattern. Offset and size are multiples of 4."""
 
-    def write_texture(self, texture: Id, level: int, region: Region, data: BytesLike) -> None:
+    def write_texture(self, texture: TextureId, level: int, region: Region, data: BytesLike) -> None:
         """Write texels: tightly packed rows, top row first, of the format's `dtype`. Not for depth formats. To a
         compressed texture, write tightly packed blocks; the region begins at a block and ends with one, or at the edge
         of the level."""
 
-    def read_texture(self, texture: Id, level: int, region: Region, stencil: bool) -> NDArray[np.generic]:
+    def read_texture(self, texture: TextureId, level: int, region: Region, stencil: bool) -> NDArray[np.generic]:
         """Wait for all earlier commands, then return (layers, height, width, channels) of the format's `dtype`. Depth
         is float32; with `stencil`, the stencil part as uint8. Not for multi-sampled textures."""
 
     def copy_texture(
-        self, source: Id, source_level: int, source_region: Region, target: Id, target_level: int, x: int, y: int,
-        layer: int,
+        self, source: TextureId, source_level: int, source_region: Region, target: TextureId, target_level: int,
+        x: int, y: int, layer: int,
     ) -> None:  # fmt: skip
         """Copy texels between textures of equal format, or within one. The regions don't overlap."""
 
     def copy_texture_to_buffer(
-        self, source: Id, level: int, region: Region, target: Id, offset: int, row_bytes: int
+        self, source: TextureId, level: int, region: Region, target: BufferId, offset: int, row_bytes: int
     ) -> None:
         """Copy texels to a buffer, as `read_texture` returns them, without stencil. Rows begin `row_bytes` apart,
         layers follow each other with `region.height` rows each. Bytes between the rows are left as they are. Not for
         multi-sampled textures."""
 
     def copy_buffer_to_texture(
-        self, source: Id, offset: int, row_bytes: int, target: Id, level: int, region: Region
+        self, source: BufferId, offset: int, row_bytes: int, target: TextureId, level: int, region: Region
     ) -> None:
         """Copy texels from a buffer, laid out as by `copy_texture_to_buffer`. Not for depth formats and multi-sampled
         textures."""
 
-    def resolve_texture(self, source: Id, target: Id) -> None:
+    def resolve_texture(self, source: TextureId, target: TextureId) -> None:
         """Resolve a multi-sampled color texture: average its samples into a single-sampled one of equal size."""
 
-    def generate_mipmaps(self, texture: Id) -> None:
+    def generate_mipmaps(self, texture: TextureId) -> None:
         """Fill all levels from 1 on by filtering level 0 with a 2×2 box filter; sRGB is filtered in linear light."""
 
     # -- passes, state, binding --------------------------------------------------------------------------
@@ -380,34 +388,34 @@ class Backend(Protocol):
     def set_states(self, changes: Sequence[StateChange]) -> None:
         """Change render states from here on. A new device has `rhi.contract.states.DEFAULTS`."""
 
-    def bind_program(self, program: Id) -> None:
+    def bind_program(self, program: ProgramId) -> None:
         """Bind a graphics or compute program. Slots keep their bindings."""
 
-    def bind_uniform(self, slot: int, buffer: Id, offset: int, size: int) -> None:
+    def bind_uniform(self, slot: int, buffer: BufferId, offset: int, size: int) -> None:
         """Bind a range of a buffer as constants. `offset` is a multiple of `capabilities.uniform_alignment`."""
 
-    def bind_storage(self, slot: int, buffer: Id, offset: int, size: int) -> None:
+    def bind_storage(self, slot: int, buffer: BufferId, offset: int, size: int) -> None:
         """Bind a range of a buffer for reads and writes. `offset` is a multiple of `capabilities.storage_alignment`."""
 
-    def bind_texture(self, slot: int, texture: Id, sampler: Id) -> None:
+    def bind_texture(self, slot: int, texture: TextureId, sampler: SamplerId) -> None:
         """Bind all levels and layers of a texture, to be read through the sampler."""
 
-    def bind_image(self, slot: int, texture: Id, level: int, layer: int) -> None:
+    def bind_image(self, slot: int, texture: TextureId, level: int, layer: int) -> None:
         """Bind one level of a texture for reads and writes. `layer` −1 binds all layers."""
 
     # -- work --------------------------------------------------------------------------------------------
 
     def draw(
-        self, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int, base_vertex: int,
-        base_instance: int,
+        self, vertex_array: VertexArrayId, primitive: Primitive, first: int, count: int, instances: int,
+        base_vertex: int, base_instance: int,
     ) -> None:  # fmt: skip
         """Draw. `first` and `count` are in indices if the vertex array has an index buffer, else in vertices. QUADS
         draw each group of 4 vertices (or indices) as the triangles 0 1 2 and 0 2 3. The largest value of the index
         format restarts a strip."""
 
     def draw_indirect(
-        self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, draws: int, stride: int,
-        count_buffer: Id, count_offset: int,
+        self, vertex_array: VertexArrayId, primitive: Primitive, buffer: BufferId, offset: int, draws: int, stride: int,
+        count_buffer: BufferId, count_offset: int,
     ) -> None:  # fmt: skip
         """Draw up to `draws` times with arguments that are read from `buffer` during execution. Each draw is a record
         of 5 32-bit words: `DRAW` with an index buffer, `DRAW_UNINDEXED` without. With a `count_buffer` (0: none) the
@@ -416,7 +424,7 @@ class Backend(Protocol):
     def dispatch(self, x: int, y: int, z: int) -> None:
         """Run this many work-groups of the bound compute program."""
 
-    def dispatch_indirect(self, buffer: Id, offset: int) -> None:
+    def dispatch_indirect(self, buffer: BufferId, offset: int) -> None:
         """Dispatch with three uint32 counts that are read from `buffer` during execution."""
 
     # -- time --------------------------------------------------------------------------------------------
@@ -431,19 +439,19 @@ class Backend(Protocol):
     def wait(self, value: int, seconds: float) -> bool:
         """Wait until the fence has reached `value`, for at most `seconds`. Return whether it has."""
 
-    def begin_query(self, query: Id) -> None:
+    def begin_query(self, query: QueryId) -> None:
         """Begin counting samples for an OCCLUSION query. One query is open at a time."""
 
-    def end_query(self, query: Id) -> None:
+    def end_query(self, query: QueryId) -> None:
         """End counting. The answer becomes available some time later."""
 
-    def write_query(self, query: Id) -> None:
+    def write_query(self, query: QueryId) -> None:
         """Write the running counter (COUNTER) or the time (TIMESTAMP) at this point of the stream."""
 
-    def read_query(self, query: Id) -> int | None:
+    def read_query(self, query: QueryId) -> int | None:
         """Return the latest answer in samples or nanoseconds, or None while it isn't available; never wait."""
 
-    def begin_conditional(self, query: Id, inverted: bool) -> None:
+    def begin_conditional(self, query: QueryId, inverted: bool) -> None:
         """Skip draws until `end_conditional` if the query counted no sample (`inverted`: if it counted any). The
         device, not the CPU, waits for a query that isn't finished."""
 
@@ -456,5 +464,5 @@ class Backend(Protocol):
     def pop_label(self) -> None:
         """End the innermost label."""
 
-    def present(self, texture: Id) -> None:
+    def present(self, texture: TextureId) -> None:
         """End the frame. `texture` is its image, 0 for none."""

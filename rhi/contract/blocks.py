@@ -9,7 +9,6 @@
 
 from __future__ import annotations
 
-import enum
 import re
 from functools import cache
 from typing import Any, Final, NamedTuple
@@ -17,7 +16,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.contract.formats import Format
+from rhi.contract.formats import Choice, Format
 
 __rhi_internal__ = True
 
@@ -26,7 +25,7 @@ BLOCK: Final = 4
 _STRIP: Final = 1 << 13  # blocks that are decoded at once, to bound the memory for their bits
 
 
-class CompressedFormat(enum.Enum):
+class CompressedFormat(Choice):
     """A block-compressed format: (bytes of a block, the format of its decoded texels).
 
     The parts are also attributes: `block_bytes` and `decoded`.
@@ -36,18 +35,16 @@ class CompressedFormat(enum.Enum):
     BC1_SRGB = (8, "RGBA8_SRGB")
     BC2 = (16, "RGBA8")
     BC2_SRGB = (16, "RGBA8_SRGB")
-    BC3 = (16, "RGBA8")  # noqa: PIE796 (members are numbered, see __new__)
-    BC3_SRGB = (16, "RGBA8_SRGB")  # noqa: PIE796 (members are numbered, see __new__)
+    BC3 = (16, "RGBA8")
+    BC3_SRGB = (16, "RGBA8_SRGB")
     BC4 = (8, "R8")
     BC4_SNORM = (8, "R8_SNORM")
     BC5 = (16, "RG8")
     BC5_SNORM = (16, "RG8_SNORM")
     BC6H = (16, "RGBA16F")
-    BC6H_SIGNED = (16, "RGBA16F")  # noqa: PIE796 (members are numbered, see __new__)
-    BC7 = (16, "RGBA8")  # noqa: PIE796 (members are numbered, see __new__)
-    BC7_SRGB = (16, "RGBA8_SRGB")  # noqa: PIE796 (members are numbered, see __new__)
-
-    __hash__ = object.__hash__
+    BC6H_SIGNED = (16, "RGBA16F")
+    BC7 = (16, "RGBA8")
+    BC7_SRGB = (16, "RGBA8_SRGB")
 
     block_bytes: int
     decoded: Format

@@ -15,7 +15,7 @@ from typing import Final, TypeAlias
 import numpy as np
 
 from rhi.contract.blocks import CompressedFormat
-from rhi.contract.formats import Format, IndexFormat
+from rhi.contract.formats import Choice, Format, IndexFormat
 from rhi.contract.states import Comparison
 from rhi.errors.arguments import Fields
 
@@ -23,6 +23,19 @@ __rhi_internal__ = True
 
 Id: TypeAlias = int
 """The name of a resource. The device assigns it and never uses it again; 0 means none."""
+# Traces are checked by these annotations, which say what an id stands for.
+BufferId: TypeAlias = Id
+"""The `Id` of a buffer."""
+TextureId: TypeAlias = Id
+"""The `Id` of a texture."""
+SamplerId: TypeAlias = Id
+"""The `Id` of a sampler."""
+ProgramId: TypeAlias = Id
+"""The `Id` of a program."""
+VertexArrayId: TypeAlias = Id
+"""The `Id` of a vertex array."""
+QueryId: TypeAlias = Id
+"""The `Id` of a query."""
 
 Vec4: TypeAlias = tuple[float, float, float, float]
 
@@ -30,7 +43,7 @@ WHOLE: Final = -1
 """As a size: everything from the offset to the end."""
 
 
-class Primitive(enum.Enum):
+class Primitive(Choice):
     """Primitive topology. Each of the QUADS is drawn as two triangles (0 1 2, 0 2 3)."""
 
     POINTS = "points"
@@ -40,8 +53,6 @@ class Primitive(enum.Enum):
     TRIANGLE_STRIP = "triangle_strip"
     TRIANGLE_FAN = "triangle_fan"
     QUADS = "quads"
-
-    __hash__ = object.__hash__
 
 
 class Access(enum.Enum):
@@ -83,15 +94,13 @@ class BufferDescriptor:
     label: str = ""
 
 
-class TextureKind(enum.Enum):
+class TextureKind(Choice):
     """The dimensions of a texture. A cube has 6 layers: +X −X +Y −Y +Z −Z."""
 
     D2 = "2d"
     D2_ARRAY = "2d_array"
     D3 = "3d"
     CUBE = "cube"
-
-    __hash__ = object.__hash__
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +198,7 @@ class Region:
 # -- vertex arrays ---------------------------------------------------------------------------------------
 
 
-class VertexFormat(enum.Enum):
+class VertexFormat(Choice):
     """The format of a vertex attribute: (NumPy code, components, normalised, scalar type in the shader)."""
 
     FLOAT = ("f4", 1, False, "float")
@@ -212,8 +221,6 @@ class VertexFormat(enum.Enum):
     SNORM16X2 = ("i2", 2, True, "float")
     UINT8X4 = ("u1", 4, False, "uint")
     UINT16X2 = ("u2", 2, False, "uint")
-
-    __hash__ = object.__hash__
 
     code: str
     components: int
@@ -240,7 +247,7 @@ class VertexAttribute:
 class VertexStream:
     """A buffer of vertices or, with `per_instance`, of instances. Offset and stride are in bytes."""
 
-    buffer: Id
+    buffer: BufferId
     offset: int
     stride: int
     per_instance: bool
@@ -251,9 +258,9 @@ class VertexStream:
 class VertexArrayDescriptor:
     """The vertex streams and the index buffer that draws of one program read."""
 
-    program: Id
+    program: ProgramId
     streams: tuple[VertexStream, ...]
-    index_buffer: Id = 0
+    index_buffer: BufferId = 0
     index_format: IndexFormat = IndexFormat.UINT32
 
 
@@ -265,18 +272,18 @@ class Attachment:
     """A color target: one level and layer of a texture. `clear` None loads its contents. `resolve` names the texture
     that receives the resolved samples at the end of the pass, in its level and layer 0."""
 
-    texture: Id
+    texture: TextureId
     level: int = 0
     layer: int = 0
     clear: Vec4 | None = None
-    resolve: Id = 0
+    resolve: TextureId = 0
 
 
 @dataclass(frozen=True, slots=True)
 class DepthAttachment:
     """A depth target, with or without stencil. A clear value of None loads the contents."""
 
-    texture: Id
+    texture: TextureId
     level: int = 0
     layer: int = 0
     clear: float | None = None
@@ -309,25 +316,21 @@ class QueryKind(enum.Enum):
 # -- programs --------------------------------------------------------------------------------------------
 
 
-class Stage(enum.Enum):
+class Stage(Choice):
     """A shader stage of a program."""
 
     VERTEX = "vertex"
     FRAGMENT = "fragment"
     COMPUTE = "compute"
 
-    __hash__ = object.__hash__
 
-
-class BindingKind(enum.Enum):
+class BindingKind(Choice):
     """Type of a binding slot."""
 
     UNIFORM = "uniform"
     STORAGE = "storage"
     TEXTURE = "texture"
     IMAGE = "image"
-
-    __hash__ = object.__hash__
 
 
 @dataclass(frozen=True, slots=True)
@@ -365,15 +368,13 @@ class FragmentOutput:
     components: int
 
 
-class Interpolation(enum.Enum):
+class Interpolation(Choice):
     """How a varying is interpolated: SMOOTH with perspective correction, FLAT from the first vertex, or NO_PERSPECTIVE,
     linearly in screen space."""
 
     SMOOTH = "smooth"
     FLAT = "flat"
     NO_PERSPECTIVE = "no_perspective"
-
-    __hash__ = object.__hash__
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,12 @@ import numpy as np
 __rhi_internal__ = True
 
 
+class Choice(enum.Enum):
+    """Base class of enums that are looked up often: members hash by identity, at the speed of C."""
+
+    __hash__ = object.__hash__
+
+
 class ChannelKind(enum.Enum):
     """The encoding of a channel, which decides the type that a shader reads."""
 
@@ -30,7 +36,7 @@ class ChannelKind(enum.Enum):
     DEPTH_STENCIL = "depth_stencil"
 
 
-class Format(enum.Enum):
+class Format(Choice):
     """A texel format: (channels, kind, NumPy dtype of one channel, bytes of a stored texel).
 
     The parts are also attributes: `channels`, `kind`, `dtype` and `texel_bytes`. Packed formats also name the bits of
@@ -74,11 +80,9 @@ class Format(enum.Enum):
     R11G11B10F = (3, ChannelKind.FLOAT, "u4", 4, (11, 11, 10))
     D16 = (1, ChannelKind.DEPTH, "f4", 2)
     D24 = (1, ChannelKind.DEPTH, "f4", 4)
-    D32F = (1, ChannelKind.DEPTH, "f4", 4)  # noqa: PIE796 (members are numbered, see __new__)
+    D32F = (1, ChannelKind.DEPTH, "f4", 4)
     D24S8 = (1, ChannelKind.DEPTH_STENCIL, "f4", 4)
     D32FS8 = (1, ChannelKind.DEPTH_STENCIL, "f4", 8)
-
-    __hash__ = object.__hash__
 
     channels: int
     kind: ChannelKind
@@ -138,13 +142,11 @@ class Format(enum.Enum):
 _DEPTH_STEPS: Final = {"D16": (1 << 16) - 1, "D24": (1 << 24) - 1, "D24S8": (1 << 24) - 1}
 
 
-class IndexFormat(enum.Enum):
+class IndexFormat(Choice):
     """The type of the elements of an index buffer. `size` is in bytes."""
 
     UINT16 = "u2"
     UINT32 = "u4"
-
-    __hash__ = object.__hash__
 
     dtype: np.dtype[np.generic]
     size: int

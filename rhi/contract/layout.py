@@ -10,7 +10,6 @@
 
 from __future__ import annotations
 
-import enum
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
@@ -18,17 +17,17 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
+from rhi.contract.formats import Choice
+
 __rhi_internal__ = True
 
 
-class Layout(enum.Enum):
+class Layout(Choice):
     """Rules by which the parts of a type are placed in memory."""
 
     STD140 = "std140"
     STD430 = "std430"
     PACKED = "packed"
-
-    __hash__ = object.__hash__
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,11 +14,11 @@
 
 from __future__ import annotations
 
-import enum
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, TypeAlias
 from weakref import WeakValueDictionary
 
+from rhi.contract.formats import Choice
 from rhi.errors.arguments import Fields
 from rhi.errors.rules import STATE_VALUE
 
@@ -30,7 +30,7 @@ MAX_VIEWPORT_OFFSET: Final = 32_767
 """The largest viewport that every platform maps exactly; beyond it each would clamp in a way of its own."""
 
 
-class Comparison(enum.Enum):
+class Comparison(Choice):
     """A comparison `new OP stored`. It is a parameter of samplers and stencil states, not a state itself."""
 
     NEVER = "never"
@@ -42,47 +42,37 @@ class Comparison(enum.Enum):
     GREATER_EQUAL = "greater_equal"
     ALWAYS = "always"
 
-    __hash__ = object.__hash__
 
-
-class CullMode(enum.Enum):
+class CullMode(Choice):
     """Which faces are culled."""
 
     NONE = "none"
     FRONT = "front"
     BACK = "back"
 
-    __hash__ = object.__hash__
 
-
-class FrontFace(enum.Enum):
+class FrontFace(Choice):
     """The winding of front faces, seen with +Y up."""
 
     COUNTER_CLOCKWISE = "counter_clockwise"
     CLOCKWISE = "clockwise"
 
-    __hash__ = object.__hash__
 
-
-class DepthTest(enum.Enum):
+class DepthTest(Choice):
     """Depth test. OFF lets every fragment pass, but doesn't disable depth writes (`DepthWrite` does)."""
 
     OFF = "off"
     ON = "on"
 
-    __hash__ = object.__hash__
 
-
-class DepthWrite(enum.Enum):
+class DepthWrite(Choice):
     """Whether fragments that pass write their depth."""
 
     OFF = "off"
     ON = "on"
 
-    __hash__ = object.__hash__
 
-
-class DepthFunction(enum.Enum):
+class DepthFunction(Choice):
     """The depth comparison `fragment OP stored`. Depth is reversed by default (near 1, far 0), so the default is
     GREATER."""
 
@@ -95,20 +85,16 @@ class DepthFunction(enum.Enum):
     GREATER_EQUAL = "greater_equal"
     ALWAYS = "always"
 
-    __hash__ = object.__hash__
 
-
-class AlphaTest(enum.Enum):
+class AlphaTest(Choice):
     """Alpha test. ON discards a fragment unless `alpha of target 0 OP reference` is true. It needs
     `capabilities.alpha_test`."""
 
     OFF = "off"
     ON = "on"
 
-    __hash__ = object.__hash__
 
-
-class AlphaFunction(enum.Enum):
+class AlphaFunction(Choice):
     """The comparison of the alpha test. Its reference is `AlphaReference`."""
 
     NEVER = "never"
@@ -120,28 +106,22 @@ class AlphaFunction(enum.Enum):
     GREATER_EQUAL = "greater_equal"
     ALWAYS = "always"
 
-    __hash__ = object.__hash__
 
-
-class StencilTest(enum.Enum):
+class StencilTest(Choice):
     """Stencil test. OFF neither tests nor writes stencil values."""
 
     OFF = "off"
     ON = "on"
 
-    __hash__ = object.__hash__
 
-
-class AlphaToCoverage(enum.Enum):
+class AlphaToCoverage(Choice):
     """Alpha to coverage. ON turns the alpha of target 0 into a coverage mask on multi-sampled targets."""
 
     OFF = "off"
     ON = "on"
 
-    __hash__ = object.__hash__
 
-
-class PolygonMode(enum.Enum):
+class PolygonMode(Choice):
     """How triangles are drawn: filled, or as their three edges (wireframe). LINE needs `capabilities.wireframe`.
 
     An edge is a line of the `LineWidth`; triangles that share it draw it twice. Culling, the depth offset and flat
@@ -150,8 +130,6 @@ class PolygonMode(enum.Enum):
 
     FILL = "fill"
     LINE = "line"
-
-    __hash__ = object.__hash__
 
 
 _VALUES: Final[WeakValueDictionary[tuple[object, ...], Any]] = WeakValueDictionary()
@@ -224,7 +202,7 @@ ColorWrite.ON = ColorWrite()
 ColorWrite.OFF = ColorWrite(False, False, False, False)
 
 
-class BlendFactor(enum.Enum):
+class BlendFactor(Choice):
     """The factor of the source or destination color in blending. CONSTANT is the `BlendColor`."""
 
     ZERO = "zero"
@@ -241,10 +219,8 @@ class BlendFactor(enum.Enum):
     ONE_MINUS_CONSTANT = "one_minus_constant"
     SOURCE_ALPHA_SATURATE = "source_alpha_saturate"
 
-    __hash__ = object.__hash__
 
-
-class BlendOperation(enum.Enum):
+class BlendOperation(Choice):
     """How blending combines source and destination. MINIMUM and MAXIMUM ignore the factors."""
 
     ADD = "add"
@@ -252,8 +228,6 @@ class BlendOperation(enum.Enum):
     REVERSE_SUBTRACT = "reverse_subtract"
     MINIMUM = "minimum"
     MAXIMUM = "maximum"
-
-    __hash__ = object.__hash__
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -337,7 +311,7 @@ class BlendColor(_Value):
         Fields(self, STATE_VALUE).numbers("red", "green", "blue", "alpha")
 
 
-class StencilOperation(enum.Enum):
+class StencilOperation(Choice):
     """How the stored stencil value changes. INCREMENT and DECREMENT saturate at 255 and 0."""
 
     KEEP = "keep"
@@ -348,8 +322,6 @@ class StencilOperation(enum.Enum):
     DECREMENT = "decrement"
     DECREMENT_WRAP = "decrement_wrap"
     INVERT = "invert"
-
-    __hash__ = object.__hash__
 
 
 def _check_face(state: StencilFront | StencilBack) -> None:
@@ -505,15 +477,13 @@ class LineWidth(_Value):
         Fields(self, STATE_VALUE).numbers("width", least=1)
 
 
-class PlatformState(enum.Enum):
+class PlatformState(Choice):
     """Base class of states that only one platform has (thesis 3.3). Its first member is the default.
 
     A backend derives an enum from it and names it in `Capabilities.platform_states`. Scopes accept its members on
     devices that name it, and refuse it elsewhere (`platform-state`). The state vector has one entry for all of them:
     the members that differ from their defaults, sorted by name.
     """
-
-    __hash__ = object.__hash__
 
     @property
     def full_name(self) -> str:

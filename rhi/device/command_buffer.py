@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.commands.ops import WIDTHS, Op
+from rhi.commands.ops import CLOSES, WIDTHS, Op
 from rhi.commands.recorder import CommandWriter, Recorder
 from rhi.commands.stream import CommandStream, find_site
 from rhi.contract.descriptors import BufferDescriptor, Id, Region
@@ -72,12 +72,6 @@ PreparedCall = tuple[Callable[..., object], tuple[Any, ...]]
 _EMPTY, _RECORDING, _READY, _INVALID = "not recorded", "being recorded", "recorded", "invalid after an error"
 _DEFAULTS: Final = StateVector(default_values())
 _NEED_STATES: Final = frozenset({Op.DRAW, Op.DRAW_INDIRECT})
-_CLOSES: Final = {
-    Op.BEGIN_PASS: Op.END_PASS,
-    Op.BEGIN_CONDITIONAL: Op.END_CONDITIONAL,
-    Op.BEGIN_QUERY: Op.END_QUERY,
-    Op.PUSH_LABEL: Op.POP_LABEL,
-}
 
 
 class CommandBuffer(Encoder):
@@ -409,12 +403,12 @@ class CommandBuffer(Encoder):
         """Close whatever the first `done` commands have opened, after the next one has failed. If that one was
         interrupted, it may have been executed."""
         device, stream = self._recorder.device, self.stream
-        if interrupted and done < len(stream) and stream[done].op in _CLOSES:
+        if interrupted and done < len(stream) and stream[done].op in CLOSES:
             done += 1
         opened: list[tuple[Op, tuple[Any, ...]]] = []
         for command in stream[:done]:
-            if command.op in _CLOSES:
-                opened.append((_CLOSES[command.op], command.values))
+            if command.op in CLOSES:
+                opened.append((CLOSES[command.op], command.values))
             elif opened and command.op is opened[-1][0]:
                 opened.pop()
         for op, values in reversed(opened):

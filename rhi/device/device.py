@@ -34,20 +34,8 @@ from rhi.contract.descriptors import (
     TextureKind,
 )
 from rhi.contract.formats import Format
-from rhi.contract.states import (
-    AlphaFunction,
-    AlphaReference,
-    AlphaTest,
-    AlphaToCoverage,
-    BlendFunction,
-    PolygonMode,
-    PolygonOffset,
-    State,
-    StencilReadMask,
-    StencilReference,
-    StencilTest,
-    StencilWriteMask,
-)
+from rhi.contract.limits import full_levels
+from rhi.contract.states import State
 from rhi.device.command_buffer import CommandBuffer, check_submissions
 from rhi.device.core.core import NO_THREAD, Core, Statistics, ValidatingCore
 from rhi.device.core.refusals import RefusalLog
@@ -67,7 +55,7 @@ from rhi.device.resources.buffers import (
 )
 from rhi.device.resources.meshes import Drawable, Mesh, MeshData, VertexSource
 from rhi.device.resources.programs import Program, ProgramTable
-from rhi.device.resources.textures import Sampler, Texture, full_levels
+from rhi.device.resources.textures import Sampler, Texture
 from rhi.device.transient import TransientMemory
 from rhi.errors.arguments import Arguments, as_whole
 from rhi.errors.rules import (
@@ -116,12 +104,7 @@ class Device(Encoder):
         capabilities = backend.capabilities
         self._backend = backend
         refusals = RefusalLog(backend)
-        states = StateCache(
-            _unsupported_states(capabilities),
-            capabilities.max_line_width,
-            refusals=refusals,
-            platform_states=capabilities.platform_states,
-        )
+        states = StateCache(capabilities, refusals=refusals)
         core = (ValidatingCore if validation else Core)(backend, states, refusals)
         super().__init__(core, Timers(core, timing and capabilities.timestamps), TransientMemory(core))
         self._programs = ProgramTable(core.timeline)
@@ -670,23 +653,3 @@ class Device(Encoder):
             core.timeline.wait(self._frames.popleft())
             core.timeline.collect()
         core.hand_back()
-
-
-def _unsupported_states(capabilities: Capabilities) -> dict[type, str]:
-    """Return the state types that a device lacks, each with the name of the missing capability."""
-    lacking: dict[type, str] = {}
-    if not capabilities.alpha_test:
-        lacking |= dict.fromkeys((AlphaTest, AlphaFunction, AlphaReference), "alpha_test")
-    if not capabilities.stencil:
-        lacking[StencilTest] = "stencil"
-    if not capabilities.stencil_per_face:
-        lacking |= dict.fromkeys((StencilReference, StencilReadMask, StencilWriteMask), "stencil_per_face")
-    if not capabilities.alpha_to_coverage:
-        lacking[AlphaToCoverage] = "alpha_to_coverage"
-    if not capabilities.blend_per_target:
-        lacking[BlendFunction] = "blend_per_target"
-    if not capabilities.depth_bias_clamp:
-        lacking[PolygonOffset] = "depth_bias_clamp"
-    if not capabilities.wireframe:
-        lacking[PolygonMode] = "wireframe"
-    return lacking

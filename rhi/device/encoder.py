@@ -14,7 +14,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from typing_extensions import ParamSpec
 
-from rhi.contract.descriptors import DRAW, Primitive
+from rhi.contract.descriptors import DRAW, Id, Primitive
+from rhi.contract.limits import (
+    condition_faults,
+    count_faults,
+    dispatch_faults,
+    indirect_dispatch_faults,
+    indirect_faults,
+)
 from rhi.contract.states import State
 from rhi.device.core.core import Core
 from rhi.device.core.state_cache import StateScope, ValidatedScope
@@ -33,8 +40,6 @@ from rhi.errors.rules import (
     CONDITION_NESTED,
     DEVICE_ARGUMENT,
     DEVICE_CAPABILITY,
-    DISPATCH_SIZE,
-    INDIRECT_RANGE,
     QUERY_NESTED,
     RESOURCE_FOREIGN,
 )
@@ -144,22 +149,16 @@ class Encoder:
         counts from `base_instance`) or `draw_index()`.
         """
         call = f"{self.NAME}.draw_many"
-        own = self._resolve_program(program, call)
-        check_drawable(self._core, mesh, call)
-        array = check_draws(self._core, mesh, draws, call)
-        if mesh.primitive is Primitive.QUADS:
-            self._core.refuse(DEVICE_CAPABILITY, call, "Primitive.QUADS", "any other primitive")
+        own, array = self._check_draws(program, mesh, draws, call)
+        self._refuse_quads(mesh, call)
         vertex_array = self._bind_draws(own, mesh, bindings)
         if not len(array):
             return
-        core = self._core
-        core.upload_bytes += array.nbytes
-        arguments = self._transient.arguments
-        offset = arguments.write(array.view(np.uint8).data, array.nbytes, 4)
-        core.backend.draw_indirect(
-            vertex_array, mesh.primitive, arguments.buffer, offset, len(array), array.dtype.itemsize, 0, 0
+        buffer, offset = self._upload_draws(array)
+        self._core.backend.draw_indirect(
+            vertex_array, mesh.primitive, buffer, offset, len(array), array.dtype.itemsize, 0, 0
         )
-        core.draws += 1
+        self._core.draws += 1
 
     def draw_clipped(
         self,
@@ -185,9 +184,7 @@ class Encoder:
             ValidationError: the errors of `draw` and `draw_many`; nothing is drawn or bound then.
         """
         call = f"{self.NAME}.draw_clipped"
-        own = self._resolve_program(program, call)
-        check_drawable(self._core, mesh, call)
-        array = check_draws(self._core, mesh, draws, call)
+        own, array = self._check_draws(program, mesh, draws, call)
         rectangles = check_clips(self._core, clips, len(array), call)
         vertex_array = self._bind_draws(own, mesh, bindings)
         shown = (rectangles[:, 2:] > 0).all(1) & (array["count"] > 0) & (array["instances"] > 0)
@@ -221,9 +218,7 @@ class Encoder:
                 `draw_many`; nothing is drawn, bound or discarded then.
         """
         call = f"{self.NAME}.draw_counted"
-        own = self._resolve_program(program, call)
-        check_drawable(self._core, mesh, call)
-        array = check_draws(self._core, mesh, draws, call)
+        own, array = self._check_draws(program, mesh, draws, call)
         check = Arguments(call, self._core.refuse)
         check.instance("queries", queries, QuerySet, "a QuerySet from device.query_set(…)")
         self._check_query_set(queries, call)
@@ -262,34 +257,45 @@ class Encoder:
                 and the errors of `draw_many`; nothing is drawn or bound then.
         """
         call = f"{self.NAME}.draw_conditional"
-        own = self._resolve_program(program, call)
+        own, array = self._check_draws(program, mesh, draws, call)
         core = self._core
-        check_drawable(core, mesh, call)
-        array = check_draws(core, mesh, draws, call)
         check = Arguments(call, core.refuse)
         check.instance("queries", queries, QuerySet, "a QuerySet from device.query_set(…)")
         core.check_usable(queries, call)
-        if not core.capabilities.conditional_rendering:
-            core.refuse(
-                DEVICE_CAPABILITY, call, "conditional rendering", "needs capabilities.conditional_rendering"
-            )
+        core.require(call, condition_faults(core.capabilities))
         if queries.emulated:
             core.refuse(DEVICE_CAPABILITY, call, "an emulated query set", "a native one: device.query_set(…)")
         if core.condition_open:
             core.refuse(CONDITION_NESTED, call, "a condition inside another")
-        if mesh.primitive is Primitive.QUADS:
-            core.refuse(DEVICE_CAPABILITY, call, "Primitive.QUADS", "any other primitive")
+        self._refuse_quads(mesh, call)
         each = queries.check_conditions(rows, len(array), self._find_counted(queries, call), call)
         vertex_array = self._bind_draws(own, mesh, bindings)
         if not len(array):
             return
-        core.upload_bytes += array.nbytes
-        arguments = self._transient.arguments
-        offset = arguments.write(array.view(np.uint8).data, array.nbytes, 4)
-        queries.draw_conditional(core, vertex_array, mesh.primitive, arguments.buffer, offset, each)
+        queries.draw_conditional(core, vertex_array, mesh.primitive, *self._upload_draws(array), each)
         runs = len(find_runs(each))
         core.condition_count += runs
         core.draws += runs
+
+    def _check_draws(
+        self, program: Program[Any], mesh: Drawable, draws: NDArray[Any], call: str
+    ) -> tuple[Program[Any], NDArray[Any]]:
+        """Return the program as this encoder uses it, and the array of draws as backends need it."""
+        own = self._resolve_program(program, call)
+        check_drawable(self._core, mesh, call)
+        return own, check_draws(self._core, mesh, draws, call)
+
+    def _refuse_quads(self, mesh: Drawable, call: str) -> None:
+        """Refuse quads, whose indices can't be expanded where the GPU reads the arguments of draws."""
+        if mesh.primitive is Primitive.QUADS:
+            self._core.refuse(DEVICE_CAPABILITY, call, "Primitive.QUADS", "any other primitive")
+
+    def _upload_draws(self, draws: NDArray[Any]) -> tuple[Id, int]:
+        """Copy an array of draws to transient memory, and return its buffer and offset."""
+        self._core.upload_bytes += draws.nbytes
+        arguments = self._transient.arguments
+        offset = arguments.write(draws.view(np.uint8).data, draws.nbytes, 4)
+        return arguments.buffer, offset
 
     def _find_counted(self, queries: QuerySet, call: str) -> NDArray[np.int64]:
         """Return the rows whose answers a condition can use; `query-state` if the set wasn't used."""
@@ -323,34 +329,12 @@ class Encoder:
         buffer = check_buffer(check, "buffer", arguments.buffer)
         count = None if arguments.count is None else check_buffer(check, "count", arguments.count)
         core.check_usable(buffer, call)
-        end = arguments.offset + (arguments.draws - 1) * arguments.stride + DRAW.itemsize
-        if arguments.draws < 1 or arguments.offset < 0 or end > buffer.size:
-            given = f"{arguments.draws} draws from byte {arguments.offset}, {arguments.stride} apart"
-            core.refuse(INDIRECT_RANGE, call, given, f"1 draw or more within {buffer.size} bytes")
-        if (
-            arguments.stride < DRAW.itemsize
-            or arguments.stride % 4
-            or arguments.offset % 4
-            or arguments.count_offset % 4
-        ):
-            given = f"stride {arguments.stride}, offset {arguments.offset}"
-            allowed = f"a stride of {DRAW.itemsize} or more and offsets, all multiples of 4"
-            core.refuse(INDIRECT_RANGE, call, given, allowed)
-        if mesh.primitive is Primitive.QUADS:
-            core.refuse(DEVICE_CAPABILITY, call, "Primitive.QUADS", "any other primitive")
+        places = (arguments.draws, arguments.offset, arguments.stride, arguments.count_offset)
+        core.require(call, indirect_faults(*places, buffer.size))
+        self._refuse_quads(mesh, call)
         if count is not None:
-            if not core.capabilities.indirect_count:
-                core.refuse(
-                    DEVICE_CAPABILITY, call, "a count from a buffer", "needs capabilities.indirect_count"
-                )
             core.check_usable(count, call)
-            if not 0 <= arguments.count_offset <= count.size - 4:
-                core.refuse(
-                    INDIRECT_RANGE,
-                    call,
-                    f"count at byte {arguments.count_offset}",
-                    f"within {count.size} bytes",
-                )
+            core.require(call, count_faults(arguments.count_offset, count.size, core.capabilities))
         vertex_array = self._bind_draws(own, mesh, bindings)
         core.backend.draw_indirect(
             vertex_array,
@@ -377,14 +361,10 @@ class Encoder:
         several = isinstance(groups, (tuple, list)) or (isinstance(groups, np.ndarray) and groups.ndim)
         given: Any = groups if several else (groups,)
         sizes: list[int | None] = [*map(as_whole, given), *_ONES[len(given) :]]
-        x, y, z, *more = sizes
-        most_x, most_y, most_z = most = self._core.capabilities.max_dispatch
-        if (
-            more or not len(given) or x is None or y is None or z is None
-            or not (0 <= x <= most_x and 0 <= y <= most_y and 0 <= z <= most_z)
-        ):  # fmt: skip
-            self._core.refuse(DISPATCH_SIZE, call, repr(groups), f"1 to 3 whole numbers from 0 to {most}")
+        faults = dispatch_faults(sizes if len(given) else (), repr(groups), self._core.capabilities)
+        self._core.require(call, faults)
         own.bind(own.check_can_dispatch, None, bindings)
+        x, y, z = (size or 0 for size in sizes)
         if x and y and z:
             self._core.backend.dispatch(x, y, z)
             self._core.dispatches += 1
@@ -406,10 +386,7 @@ class Encoder:
         offset = check.whole("offset", offset)
         self._core.check_ready()
         self._core.check_usable(source, call)
-        if offset < 0 or offset % 4 or offset + 12 > source.size:
-            self._core.refuse(
-                INDIRECT_RANGE, call, f"byte {offset}", f"a multiple of 4 up to {source.size - 12}"
-            )
+        self._core.require(call, indirect_dispatch_faults(offset, source.size))
         own.bind(own.check_can_dispatch, None, bindings)
         self._core.backend.dispatch_indirect(source.id, offset)
         self._core.dispatches += 1

@@ -13,7 +13,8 @@ from typing import Any, Final, TypeAlias, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.contract.descriptors import Attachment, DepthAttachment, PassDescriptor, TextureKind, Vec4
+from rhi.contract.descriptors import Attachment, DepthAttachment, PassDescriptor, Vec4
+from rhi.contract.limits import pass_faults
 from rhi.device.core.core import NO_TARGETS, Core, describe_object, lost_pass
 from rhi.device.core.scopes import Scope
 from rhi.device.resources.programs import shader_kind
@@ -21,12 +22,9 @@ from rhi.device.resources.textures import Texture, TextureTarget
 from rhi.errors import DeviceError
 from rhi.errors.arguments import Arguments
 from rhi.errors.rules import (
-    DEVICE_CAPABILITY,
     PASS_CLEAR,
     PASS_EMPTY,
     PASS_NESTED,
-    PASS_SAMPLES,
-    PASS_SIZE,
     PASS_TARGET,
     QUERY_STATE,
 )
@@ -74,9 +72,19 @@ class RenderPass(Scope):
         self._textures = [t.texture for t in colors] + ([depth_target.texture] if depth_target else [])
         self._resolves = [texture for texture in resolves if texture is not None]
         clears = _clear_values(core, clear, len(colors))
-        self._check(colors, depth_target, resolves, clear_depth, clear_stencil)
+        core.check_open()
         first = colors[0] if colors else depth_target
-        assert first is not None
+        if first is None:
+            core.refuse(PASS_EMPTY, check.call, "no color and no depth", "a texture, or several")
+        for texture in (*self._textures, *self._resolves):
+            core.check_usable(texture, check.call)
+        if len(resolves) != len(colors):
+            given, allowed = f"{len(resolves)} resolve textures", f"{len(colors)}, one per color target"
+            core.refuse(PASS_TARGET, check.call, given, allowed)
+        if depth_target is None:
+            for name, value in (("clear_depth", clear_depth), ("clear_stencil", clear_stencil)):
+                if value is not None:
+                    core.refuse(PASS_CLEAR, check.call, f"{name}={value}", "None without a depth target")
         self._kinds = tuple(shader_kind(t.texture.format) for t in colors)
         self._descriptor = PassDescriptor(
             first.size,
@@ -92,6 +100,8 @@ class RenderPass(Scope):
             first.texture.samples,
             label,
         )
+        described = {texture.id: texture.requested for texture in (*self._textures, *self._resolves)}
+        core.require(check.call, pass_faults(self._descriptor, described, core.capabilities))
 
     def __enter__(self) -> None:
         core = self._core
@@ -153,89 +163,6 @@ class RenderPass(Scope):
         core.backend.end_pass()
         if self._lost and not failed:
             core.refusals.fail(lost_pass())
-
-    def _check(
-        self,
-        colors: list[TextureTarget],
-        depth: TextureTarget | None,
-        resolves: list[Texture | None],
-        clear_depth: float | None,
-        clear_stencil: int | None,
-    ) -> None:
-        call = "device.render_pass"
-        core = self._core
-        core.check_open()
-        targets = colors + ([depth] if depth is not None else [])
-        if not targets:
-            core.refuse(PASS_EMPTY, call, "no color and no depth", "a texture, or several")
-        for target in targets:
-            core.check_usable(target.texture, call)
-        if len(colors) > core.capabilities.max_color_targets:
-            core.refuse(
-                DEVICE_CAPABILITY,
-                call,
-                f"{len(colors)} color targets",
-                f"{core.capabilities.max_color_targets}",
-            )
-        if len({(t.texture.id, t.level, t.layer) for t in targets}) < len(targets):
-            core.refuse(PASS_TARGET, call, "the same texture twice", "each level and layer once")
-        for target in colors:
-            form = target.texture.format
-            compressed = target.texture.compressed
-            if form.is_depth or form in core.capabilities.unrenderable_formats or compressed is not None:
-                core.refuse(
-                    PASS_TARGET,
-                    call,
-                    f"{(compressed or form).name} as color target",
-                    "a color format the device can render to",
-                )
-        if depth is not None and not depth.texture.format.is_depth:
-            core.refuse(PASS_TARGET, call, f"{depth.texture.format.name} as depth target", "a depth format")
-        if any(target.texture.kind is TextureKind.D3 and target.texture.samples > 1 for target in targets):
-            core.refuse(PASS_TARGET, call, "a multi-sampled 3D texture")
-        sizes = {target.size for target in targets}
-        if len(sizes) > 1:
-            core.refuse(PASS_SIZE, call, ", ".join(f"{w}×{h}" for w, h in sorted(sizes)), "one size")
-        samples = {target.texture.samples for target in targets}
-        if len(samples) > 1:
-            core.refuse(PASS_SAMPLES, call, f"samples {sorted(samples)}", "one number of samples")
-        self._check_clears(depth, clear_depth, clear_stencil)
-        self._check_resolves(colors, resolves)
-
-    def _check_clears(
-        self, depth: TextureTarget | None, clear_depth: float | None, clear_stencil: int | None
-    ) -> None:
-        core, call = self._core, "device.render_pass"
-        if clear_depth is not None and (depth is None or not 0.0 <= clear_depth <= 1.0):
-            core.refuse(PASS_CLEAR, call, f"clear_depth={clear_depth}", "0 to 1, with a depth target")
-        if clear_stencil is not None and (
-            depth is None or not depth.texture.format.has_stencil or not 0 <= clear_stencil <= 255
-        ):
-            core.refuse(
-                PASS_CLEAR, call, f"clear_stencil={clear_stencil}", "0 to 255, with a target that has stencil"
-            )
-
-    def _check_resolves(self, colors: list[TextureTarget], resolves: list[Texture | None]) -> None:
-        core, call = self._core, "device.render_pass"
-        if len(resolves) != len(colors):
-            core.refuse(
-                PASS_TARGET, call, f"{len(resolves)} resolve textures", f"{len(colors)}, one per color target"
-            )
-        for target, resolve in zip(colors, resolves, strict=True):
-            if resolve is None:
-                continue
-            core.check_usable(resolve, call)
-            source = target.texture
-            fits = (
-                source.samples > 1
-                and resolve.samples == 1
-                and resolve.format is source.format
-                and resolve.size == target.size
-                and not source.format.is_integer  # integers have no average
-            )
-            if not fits:
-                allowed = "from several samples to 1, equal size and format, no integers"
-                core.refuse(PASS_TARGET, call, f"{source!r} resolved to {resolve!r}", allowed)
 
 
 def _as_list(value: T | Sequence[T] | Sequence[T | None] | None) -> list[T | None]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import sys
 import weakref
 from collections.abc import Iterator, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 
 from rhi.contract.descriptors import Binding, BindingKind, ProgramDescriptor, Stage, StageText
 from rhi.contract.layout import Layout, place, stride_of
@@ -25,6 +25,7 @@ from rhi.shading.language.edits import Edit
 from rhi.shading.language.shader import Declaration, Shader, StorageClass
 from rhi.shading.language.types import VOID, ImageType, StorageType
 from rhi.shading.parser.interface import (
+    attributes_read,
     check_fragment_input,
     fragment_outputs,
     point_size_of,
@@ -128,7 +129,9 @@ def _compile(shader: type[Shader]) -> tuple[ProgramDescriptor, ShaderCode]:
     stored = frozenset().union(*(stage.stored for stage in stages.values()))
     used = frozenset(declaration.name for stage in stages.values() for declaration in stage.bindings)
     check_bindings_are_used(shader, used)
-    bindings = tuple(_bindings(shader, stored))
+    bindings = tuple(_bindings(shader, stored, used))
+    if shader.lean and Stage.VERTEX in stages:
+        interface = replace(interface, attributes=attributes_read(stages[Stage.VERTEX], interface.attributes))
     fragment = stages.get(Stage.FRAGMENT)
     if shader.early_depth and interface.depth:
         source = entries[Stage.FRAGMENT].source
@@ -237,9 +240,11 @@ _KINDS = {
 }
 
 
-def _bindings(shader: type[Shader], stored: frozenset[str]) -> Iterator[Binding]:
+def _bindings(shader: type[Shader], stored: frozenset[str], used: frozenset[str]) -> Iterator[Binding]:
     slots = dict.fromkeys(BindingKind, 0)
     for declaration in shader._declared.values():
+        if shader.lean and declaration.name not in used:
+            continue
         if declaration.storage_class is not StorageClass.SHARED:
             kind = _KINDS[declaration.storage_class]
             yield _binding(declaration, kind, slots[kind], declaration.name in stored)

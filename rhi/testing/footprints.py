@@ -18,7 +18,7 @@ from fnmatch import fnmatchcase
 from typing import Final, TypeAlias
 from weakref import WeakKeyDictionary
 
-from rhi.commands.ops import DISPATCHES, DRAWS, Op
+from rhi.commands.ops import CREATIONS, DISPATCHES, DRAWS, Op
 from rhi.commands.stream import Command, Commands
 from rhi.contract.descriptors import ProgramDescriptor
 from rhi.contract.states import State
@@ -26,7 +26,7 @@ from rhi.device.device import Device
 from rhi.shading import Shader
 from rhi.testing.conditions import HasStates
 from rhi.testing.messages import SHOWN, fail, show_commands
-from rhi.testing.work import BINDS, CREATIONS, total_costs
+from rhi.testing.work import BINDS, total_costs
 from rhi.trace.diff import diff
 from rhi.trace.ids import ids_of
 

@@ -102,19 +102,27 @@ def _find_obstacles(frame: Callable[[Device], object], profile: Capabilities) ->
 def _find_missing(
     frame: Callable[[Device], object], profile: Capabilities, enforced: Capabilities, error: RhiError
 ) -> tuple[str, Capabilities] | None:
-    """Return the name of the one capability without which `error` occurs, and `enforced` with it granted."""
+    """Return the name of the one capability without which `error` occurs, and `enforced` with it granted.
+
+    The capabilities that are lacking are halved: those whose grant removes the error contain it.
+    """
     everything = find_profile("everything")
     lacking = [
         field.name for field in fields(Capabilities)
         if field.name not in ("backend", "device", "driver")
         and getattr(enforced, field.name) != getattr(everything, field.name)
     ]  # fmt: skip
-    # Most messages name their capability: the ones that the message names are tried first.
-    for name in sorted(lacking, key=error.allowed.find, reverse=True):
-        more = replace(enforced, **{name: getattr(everything, name)})
-        if not _is_same(error, _run(frame, profile, more)):
-            return name, more
-    return None
+
+    def grant(names: list[str]) -> Capabilities:
+        return replace(enforced, **{name: getattr(everything, name) for name in names})
+
+    def removes(names: list[str]) -> bool:
+        return not _is_same(error, _run(frame, profile, grant(names)))
+
+    while len(lacking) > 1:
+        half = lacking[: len(lacking) // 2]
+        lacking = half if removes(half) else lacking[len(half) :]
+    return (lacking[0], grant(lacking)) if lacking and removes(lacking) else None
 
 
 def _is_same(error: RhiError, other: RhiError | None) -> bool:

@@ -11,12 +11,11 @@ from contextlib import contextmanager
 from dataclasses import astuple, dataclass, field
 from typing import Final
 
-from rhi.commands.ops import DISPATCHES, DRAWS, Op
+from rhi.commands.ops import CREATIONS, DISPATCHES, DRAWS, Op
 from rhi.commands.stream import Command, Commands
 from rhi.device.device import Device
 from rhi.testing.contents import bindings_of
 
-CREATIONS: Final = frozenset(op for op in Op if op.method.startswith("create_"))
 BINDS: Final = frozenset({Op.BIND_UNIFORM, Op.BIND_STORAGE, Op.BIND_TEXTURE, Op.BIND_IMAGE})
 
 

@@ -22,7 +22,7 @@ from typing import Any, Final, overload
 
 import numpy as np
 
-from rhi.commands.ops import Descriptor, Op
+from rhi.commands.ops import CREATIONS, ID_ARGUMENTS, ID_KINDS, Descriptor, Op
 from rhi.commands.stream import Command, Commands, CommandStream, Refusal
 from rhi.commands.text import describe
 from rhi.contract.descriptors import (
@@ -38,7 +38,6 @@ from rhi.device.device import Device
 from rhi.trace.align import align
 from rhi.trace.codec import encode, sources_of
 from rhi.trace.file import Trace
-from rhi.trace.ids import ID_ARGUMENTS
 
 __rhi_internal__ = True
 
@@ -206,7 +205,7 @@ class _Side:
 
     def _key(self, op: Op, values: tuple[Any, ...], failure: object) -> Hashable:
         """Return the key by which a command is compared; it is computed once for equal commands."""
-        if op.method.startswith("create_"):
+        if op in CREATIONS:
             return (op, *self._meet(values[0], values[1]), failure)
         if op in _FENCES:
             return op, values[0] - self._fence, *values[1:], failure
@@ -273,7 +272,7 @@ class _Side:
         if dataclasses.is_dataclass(value) and not isinstance(value, type):
             fields = dataclasses.fields(value)
             return (type(value), *(
-                self.identify(getattr(value, f.name)) if f.type == "Id" else self.normalize(getattr(value, f.name))
+                self.identify(getattr(value, f.name)) if f.type in ID_KINDS else self.normalize(getattr(value, f.name))
                 for f in fields
             ))  # fmt: skip
         hashable: Hashable = value
@@ -329,8 +328,8 @@ def _changes(left: _Side, right: _Side, a: Thing, b: Thing) -> list[str]:
         return [f"{name}: {old} → {new}" for name, old, new in parts if old != new]
     changes = []
     for (name, annotation), old, new in zip(a.op.parameters.items(), a.values, b.values, strict=True):
-        if annotation == "Id":
-            if a.op.method.startswith("create_"):
+        if annotation in ID_KINDS:
+            if a.op in CREATIONS:
                 continue
             old, new = left.name(old), right.name(new)
             if old != new:

@@ -1,20 +1,52 @@
-"""The resource ids in a command, found by the contract's annotations (`Id`)."""
+"""The resource ids in a command, and what they stand for, found by the contract's annotations (`Id`, `BufferId`, …)."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
-from rhi.commands.ops import Op
+from rhi.commands.ops import ID_KINDS, Op
 from rhi.contract.descriptors import Id
 
 __rhi_internal__ = True
 
-ID_ARGUMENTS: Final = {
-    op: tuple(i for i, annotation in enumerate(op.parameters.values()) if annotation == "Id") for op in Op
+_PLAIN: Final = frozenset({"int", "float", "bool", "str", "bytes", "BytesLike", "Primitive"})
+_OPTIONAL: Final = frozenset({(Op.PRESENT, "texture"), (Op.DRAW_INDIRECT, "count_buffer")})
+"""Arguments that are 0 for no resource. Of a descriptor's fields, those with a default may be."""
+
+
+class _IdPlace(NamedTuple):
+    """A part of a command or descriptor that is an id (`kind`: what of) or that may contain ids (None)."""
+
+    place: Any  # the argument's index, or the field's name
+    kind: type | None
+    optional: bool
+
+
+_ARGUMENTS: Final = {
+    op: tuple(
+        _IdPlace(i, ID_KINDS.get(annotation), (op, name) in _OPTIONAL)
+        for i, (name, annotation) in enumerate(op.parameters.items())
+        if annotation not in _PLAIN
+    )
+    for op in Op
 }
-"""The indices of the arguments that are resource ids, by op."""
+
+
+_FIELDS: Final[dict[type, tuple[_IdPlace, ...]]] = {}
+
+
+def _parts_of(value: object) -> tuple[_IdPlace, ...]:
+    parts = _FIELDS.get(type(value))
+    if parts is None:
+        fields = dataclasses.fields(value) if dataclasses.is_dataclass(value) else ()
+        parts = _FIELDS[type(value)] = tuple(
+            _IdPlace(each.name, ID_KINDS.get(str(each.type)), each.default is not dataclasses.MISSING)
+            for each in fields
+            if each.type not in _PLAIN
+        )
+    return parts
 
 
 def map_ids(value: Any, translate: Callable[[Id], Id]) -> Any:
@@ -22,30 +54,39 @@ def map_ids(value: Any, translate: Callable[[Id], Id]) -> Any:
     if type(value) is tuple:
         parts = tuple(map_ids(part, translate) for part in value)
         return parts if any(new is not old for new, old in zip(parts, value, strict=True)) else value
-    if not dataclasses.is_dataclass(value) or isinstance(value, type):
-        return value
     changes: dict[str, Any] = {}
-    for each in dataclasses.fields(value):
-        part = getattr(value, each.name)
-        if each.type == "Id" and not part:
-            continue
-        new = translate(part) if each.type == "Id" else map_ids(part, translate)
+    for name, kind, _ in _parts_of(value):
+        part = getattr(value, name)
+        new = map_ids(part, translate) if kind is None else part and translate(part)
         if new is not part:
-            changes[each.name] = new
+            changes[name] = new
     return dataclasses.replace(value, **changes) if changes else value
+
+
+def kinds_of(op: Op, values: Sequence[Any]) -> Iterator[tuple[Id, type]]:
+    """Yield the resource ids in a command, each with what it stands for. An id that stands for none (0) is left out
+    where the contract allows it."""
+    for place, kind, optional in _ARGUMENTS[op]:
+        value = values[place]
+        if kind is None:
+            yield from _kinds_in(value)
+        elif value or not optional:
+            yield value, kind
+
+
+def _kinds_in(value: Any) -> Iterator[tuple[Id, type]]:
+    if type(value) is tuple:
+        for each in value:
+            yield from _kinds_in(each)
+        return
+    for name, kind, optional in _parts_of(value):
+        part = getattr(value, name)
+        if kind is None:
+            yield from _kinds_in(part)
+        elif part or not optional:
+            yield part, kind
 
 
 def ids_of(op: Op, values: Sequence[Any]) -> Iterator[Id]:
     """Yield all resource ids in a command."""
-    for place in ID_ARGUMENTS[op]:
-        if values[place]:
-            yield values[place]
-    found: list[Id] = []
-
-    def note(resource: Id) -> Id:
-        found.append(resource)
-        return resource
-
-    for value in values:
-        map_ids(value, note)
-    yield from found
+    return (resource for resource, _ in kinds_of(op, values) if resource)

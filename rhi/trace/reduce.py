@@ -20,7 +20,7 @@ from tempfile import TemporaryDirectory
 from types import FunctionType
 from typing import Final
 
-from rhi.commands.ops import DISPATCHES, DRAWS, Op
+from rhi.commands.ops import CLOSES, CREATIONS, DISPATCHES, DRAWS, Op
 from rhi.commands.stream import CommandStream
 from rhi.contract.descriptors import Stage
 from rhi.errors import RhiError, refuse
@@ -31,12 +31,7 @@ from rhi.trace.rules import TRACE_PREDICATE
 __rhi_internal__ = True
 
 ATTEMPTS: Final = 2000
-_PAIRS: Final = {
-    Op.END_PASS: Op.BEGIN_PASS,
-    Op.POP_LABEL: Op.PUSH_LABEL,
-    Op.END_QUERY: Op.BEGIN_QUERY,
-    Op.END_CONDITIONAL: Op.BEGIN_CONDITIONAL,
-}
+_OPENS: Final = {end: begin for begin, end in CLOSES.items()}
 
 
 def reduce(trace: Trace, predicate: Callable[[Trace], bool], *, attempts: int = ATTEMPTS) -> Trace:
@@ -91,14 +86,14 @@ class _Parts:
         self.ids = [frozenset(ids_of(op, values)) for op, values in entries]
         self.failed = stream.failures.keys()
         self.partners: dict[int, int] = {}
-        opened: dict[Op, list[int]] = {op: [] for op in _PAIRS.values()}
+        opened: dict[Op, list[int]] = {op: [] for op in CLOSES}
         for index, op in enumerate(self.ops):
             if index in self.failed:
                 continue
             if op in opened:
                 opened[op].append(index)
-            elif op in _PAIRS and opened[_PAIRS[op]]:
-                begin = opened[_PAIRS[op]].pop()
+            elif op in _OPENS and opened[_OPENS[op]]:
+                begin = opened[_OPENS[op]].pop()
                 self.partners[begin], self.partners[index] = index, begin
 
     def make_whole(self, indices: list[int]) -> list[int]:
@@ -120,7 +115,7 @@ class _Parts:
             op, values, ids = self.ops[index], self.values[index], self.ids[index]
             if index in self.partners and self.partners[index] not in chosen:
                 continue
-            creates = op.method.startswith("create_")
+            creates = op in CREATIONS
             if not (ids - {values[0]} if creates else ids) <= alive:
                 continue
             stage = Stage.VERTEX if op in DRAWS else Stage.COMPUTE if op in DISPATCHES else None

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhi.commands.context import StreamContext
-from rhi.commands.ops import WIDTHS, Op
+from rhi.commands.ops import CLOSES, CREATIONS, ID_ARGUMENTS, WIDTHS, Op
 from rhi.commands.stream import CommandStream, Failure, Refusal
 from rhi.contract.descriptors import BufferDescriptor, BufferUsage, Id, Region, TextureDescriptor
 from rhi.contract.states import STATE_TYPES, StateChange, default_values
@@ -27,17 +27,14 @@ from rhi.device.device import Device
 from rhi.errors import RhiError, refuse
 from rhi.errors.rules import PASS_OPEN
 from rhi.trace.file import Trace, as_trace
-from rhi.trace.ids import ID_ARGUMENTS, map_ids
+from rhi.trace.ids import map_ids
 from rhi.trace.validation import check_capabilities
 
 __rhi_internal__ = True
 
-_CREATIONS: Final = frozenset(op for op in Op if op.method.startswith("create_"))
-_FOLLOWED: Final = frozenset({Op.SET_STATES, Op.BEGIN_PASS, Op.END_PASS, Op.PUSH_LABEL, Op.POP_LABEL})
-_PAIRED: Final = frozenset({
-    Op.DESTROY, Op.SIGNAL, Op.WAIT, Op.PRESENT, Op.BEGIN_QUERY, Op.END_QUERY, Op.BEGIN_CONDITIONAL,
-    Op.END_CONDITIONAL,
-})  # fmt: skip
+_FOLLOWED: Final = frozenset({Op.SET_STATES, *CLOSES, *CLOSES.values()})
+_ONCE: Final = _FOLLOWED | {Op.DESTROY, Op.SIGNAL, Op.WAIT, Op.PRESENT}
+"""What isn't executed again if it failed."""
 
 
 @dataclass
@@ -93,8 +90,6 @@ class _Player:
         self.result = Replay(refusals=stream.refusals)
         self.context = StreamContext()
         self.fences: dict[int, int] = {0: 0}
-        self.open_query: Id = 0
-        self.conditional = False
         self.before = self.core.states.hardware.values
         presents = stream.filter(Op.PRESENT, where=lambda command: bool(command["texture"]))
         self.presents_left = len(presents)
@@ -107,12 +102,10 @@ class _Player:
         self.set_states(self.before, default_values())
         own = {
             Op.DESTROY: self.destroy, Op.SIGNAL: self.signal, Op.WAIT: self.wait, Op.PRESENT: self.present,
-            Op.BEGIN_QUERY: self.begin_query, Op.END_QUERY: self.end_query,
-            Op.BEGIN_CONDITIONAL: self.begin_conditional, Op.END_CONDITIONAL: self.end_conditional,
-            Op.DRAW_INDIRECT: self.draw_indirect,
+            Op.DRAW_INDIRECT: self.call,
         }  # fmt: skip
         handlers: list[Callable[[Op, list[Any]], None] | None] = [
-            self.create if op in _CREATIONS else self.follow if op in _FOLLOWED else own.get(op) for op in Op
+            self.create if op in CREATIONS else self.follow if op in _FOLLOWED else own.get(op) for op in Op
         ]
         failures, data, ops = stream.failures, stream.data, tuple(Op)
         plain = [
@@ -146,10 +139,10 @@ class _Player:
         """End passes and labels that the trace left open, and restore the device's states."""
         backend, context = self.core.backend, self.context
         self.core.program = None
-        if self.conditional:
+        if context.condition:
             backend.end_conditional()
-        if self.open_query:
-            backend.end_query(self.open_query)
+        if context.open_query in self.result.ids:
+            backend.end_query(self.result.ids[context.open_query])
         if context.render_pass is not None:
             backend.end_pass()
         for _ in context.labels:
@@ -181,35 +174,23 @@ class _Player:
         self.core.backend.destroy(self.result.ids.pop(values[0]))
 
     def follow(self, op: Op, values: list[Any]) -> None:
-        """Follow passes, states and labels."""
-        self.methods[op](*(map_ids(value, self.result.ids.__getitem__) for value in values))
+        """Follow states, and what begins and ends."""
+        self.call(op, values)
         self.context.follow(op, values)
+
+    def call(self, op: Op, values: list[Any]) -> None:
+        """Execute a command with all of its ids translated."""
+        ids, places = self.result.ids, ID_ARGUMENTS[op]
+        translated = (
+            (value and ids[value]) if i in places else map_ids(value, ids.__getitem__) for i, value in enumerate(values)
+        )
+        self.methods[op](*translated)
 
     def signal(self, op: Op, values: list[Any]) -> None:
         self.fences[values[0]] = self.core.timeline.signal()
 
     def wait(self, op: Op, values: list[Any]) -> None:
         self.core.timeline.wait(self.fences[values[0]], values[1])
-
-    def draw_indirect(self, op: Op, values: list[Any]) -> None:
-        ids = self.result.ids
-        self.methods[op](*(ids[v] if v and i in ID_ARGUMENTS[op] else v for i, v in enumerate(values)))
-
-    def begin_query(self, op: Op, values: list[Any]) -> None:
-        self.open_query = self.result.ids[values[0]]
-        self.core.backend.begin_query(self.open_query)
-
-    def end_query(self, op: Op, values: list[Any]) -> None:
-        self.core.backend.end_query(self.open_query)
-        self.open_query = 0
-
-    def begin_conditional(self, op: Op, values: list[Any]) -> None:
-        self.core.backend.begin_conditional(self.result.ids[values[0]], values[1])
-        self.conditional = True
-
-    def end_conditional(self, op: Op, values: list[Any]) -> None:
-        self.core.backend.end_conditional()
-        self.conditional = False
 
     def present(self, op: Op, values: list[Any]) -> None:
         texture = self.result.ids[values[0]] if values[0] else 0
@@ -224,18 +205,15 @@ class _Player:
 
     def fail_again(self, index: int, op: Op, values: list[Any]) -> None:
         """Execute a call that failed when it was recorded, unless it opens or ends a pass, a label or the like."""
-        if op in _FOLLOWED or op in _PAIRED:
+        if op in _ONCE:
             return
-        ids = self.result.ids
         try:
-            if op in _CREATIONS:
+            if op in CREATIONS:
                 new = self.core.new_id()
-                self.methods[op](new, map_ids(values[1], ids.__getitem__))
+                self.methods[op](new, map_ids(values[1], self.result.ids.__getitem__))
                 self.core.backend.destroy(new)
             else:
-                self.methods[op](
-                    *(ids[v] if i in ID_ARGUMENTS[op] and v else v for i, v in enumerate(values))
-                )
+                self.call(op, values)
         except Exception as error:
             name = error.rule.id if isinstance(error, RhiError) else type(error).__name__
             self.result.failures[index] = Failure(name, str(error))

@@ -66,9 +66,8 @@ def test_a_dispatch_computes_what_numpy_does() -> None:
 
 
 def test_what_it_lacks_is_refused_by_name() -> None:
-    with rhi.create_device(FUNCTION) as device, pytest.raises(rhi.ValidationError) as caught:
+    with rhi.create_device(FUNCTION) as device, pytest.raises(rhi.ValidationError, match=r"^\[device-capability\]"):
         device.occlusion_query()
-    assert caught.value.rule.id == "device-capability"
 
 
 @pytest.mark.slow

@@ -445,14 +445,14 @@ MUTATIONS: tuple[Mutation, ...] = (
     Mutation(
         (64,),
         "images have two pixels or more",
-        "renderer.techniques.full_screen",
+        "renderer.techniques.parts.full_screen",
         "(width, height), matrix = size, camera.projection.matrix",
         "(width, height), matrix = (max(size[0], 2), max(size[1], 2)), camera.projection.matrix",
     ),
     Mutation(
         (66,),
         "rays have half precision",
-        "renderer.techniques.full_screen",
+        "renderer.techniques.parts.full_screen",
         "across=camera.rotation.T @ across",
         "across=(camera.rotation.T @ across).astype(np.float16).astype(np.float32)",
     ),
@@ -500,7 +500,7 @@ def examine_mutant(mutation: Mutation) -> dict[int, dict[str, Any]]:
     with tempfile.TemporaryDirectory() as folder:
         sys.meta_path.insert(0, Mutant(mutation, Path(folder)))
         import rhi
-        from renderer.exam import CASES, examine
+        from renderer.lab.exam import CASES, examine
 
         with rhi.create_device(mutation.backend) as device:
             rows = list(examine(device, [CASES[number] for number in mutation.cases]))

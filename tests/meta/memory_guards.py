@@ -21,9 +21,9 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
-from rhi.backends.cl import buffers, planes, textures
-from rhi.backends.cl import pools as memory
 from rhi.backends.cl.context import ClContext, allocate_pages
+from rhi.backends.cl.memory import buffers, planes, textures
+from rhi.backends.cl.memory import pools as memory
 from rhi.backends.cl.raster import queries
 
 GUARD: Final = 1 << 14

@@ -11,7 +11,7 @@ from pathlib import Path
 import exam_mutations
 import pytest
 
-from renderer.exam import CASES
+from renderer.lab.exam import CASES
 
 
 def test_every_case_has_a_mutation() -> None:

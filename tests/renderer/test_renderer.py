@@ -13,7 +13,7 @@ from renderer.content import load_scene
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Depth, Perspective, Scene
 from renderer.shaders import ViewConstants
-from renderer.visibility import CallbackPass, FrustumCulling, NoCulling, ScenePass, make_visibility
+from renderer.visibility import FrustumCulling, NoCulling, make_visibility
 from rhi import Op
 from rhi.backends.null import Faults
 
@@ -159,9 +159,8 @@ def test_a_new_size_gives_new_images(gl: rhi.Device, city: Scene) -> None:
 
 def test_a_size_that_is_refused_leaves_the_renderer_as_it_was(null: rhi.Device, city: Scene) -> None:
     with Renderer(null, city, size=(64, 36)) as renderer:
-        with pytest.raises(rhi.ValidationError) as refused:
+        with pytest.raises(rhi.ValidationError, match=r"^\[texture-size\]"):
             renderer.size = (0, 36)
-        assert refused.value.rule.id == "texture-size"
         assert renderer.size == (64, 36)
         assert renderer.render(city.views["overview"]).image.size == (64, 36)
 
@@ -220,45 +219,3 @@ def test_the_algorithm_that_a_renderer_made_is_given_back_and_one_that_it_got_is
     assert queries_left(gl) == 0
 
 
-@pytest.mark.parametrize("path", ["ground", "sky"])
-def test_culling_changes_no_pixel_of_a_small_city(gl: rhi.Device, city: Scene, path: str) -> None:
-    assert count_different(gl, city, path, [0, 450, 900, 1350, 1799]) == 0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("step", [300, pytest.param(75, marks=pytest.mark.nightly)])
-@pytest.mark.parametrize("path", ["ground", "sky"])
-def test_culling_changes_no_pixel_of_the_city(gl: rhi.Device, path: str, step: int) -> None:
-    assert count_different(gl, load_scene("city"), path, list(range(0, 1800, step))) == 0
-
-
-def count_different(device: rhi.Device, scene: Scene, path: str, frames: list[int]) -> int:
-    """Count the pixels that differ between no culling and frustum culling, at 160 × 90."""
-    algorithms = (NoCulling(scene), FrustumCulling(scene))
-    different = 0
-    with Renderer(device, scene, size=(160, 90)) as renderer:
-        for frame in frames:
-            images = []
-            for renderer.visibility in algorithms:
-                result = renderer.render(scene.paths[path].camera(frame), frame / 60)
-                images.append(result.image.read())
-            assert len(result.visible) < len(scene.objects)
-            different += int((images[0] != images[1]).any(2).sum())
-            assert np.ptp(images[0]) > 0
-    return different
-
-
-def test_a_wrongly_culled_object_is_a_different_pixel(gl: rhi.Device, city: Scene) -> None:
-    # The control of the comparison above: leave one object in view out.
-    class LeaveOut:
-        opens_pass = False
-
-        def render(self, camera: Camera, scene_pass: ScenePass) -> Any:
-            return FrustumCulling(city).render(camera, CallbackPass(lambda rows: scene_pass.draw(rows[:-1])))
-
-    camera = city.views["overview"]
-    images = []
-    with Renderer(gl, city, size=(160, 90)) as renderer:
-        for renderer.visibility in (NoCulling(city), LeaveOut()):
-            images.append(renderer.render(camera).image.read())
-    assert (images[0] != images[1]).any()

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 import rhi
 from renderer import shaders
 from renderer.content import find_path, load_scene
-from renderer.measure.backends import BackendPasses, BoxDepthShader
+from renderer.lab.measure.backends import BackendPasses, BoxDepthShader
 from renderer.scene import Scene
 from rhi import BlendFunction, DepthFunction, DepthWrite, Device, Format, Viewport
 from rhi.shading import vec4

@@ -14,7 +14,7 @@ from renderer.scene import Depth, StereoRig
 from renderer.settings import RenderSettings
 from renderer.shadows import ShadowFilter, ShadowSettings
 from renderer.techniques import TECHNIQUES, Clustered, Forward, Inferred, TechniqueSettings
-from renderer.techniques.cell_lists import LightCells
+from renderer.techniques.parts.cell_lists import LightCells
 from renderer.visibility import ChcPlusPlus, FrustumCulling, Settings
 from rhi import Filter, SamplerDescriptor
 from rhi.shading import Precision, Shader
@@ -75,6 +75,50 @@ def test_a_setting_out_of_its_range_is_refused_by_its_own_rule(tmp_path: Path) -
         TechniqueSettings("forwards")
     with pytest.raises(rhi.ValidationError, match="technique-one-sample"):
         TechniqueSettings("deferred", samples=4)
+
+
+@pytest.mark.parametrize(
+    ("text", "rule"),
+    [
+        ('{"technique": {"scale": 5.0}}', "technique-parameter"),
+        ('{"technique": {"scale": 0.0}}', "technique-parameter"),
+        ('{"technique": {"specular_channels": 7}}', "technique-parameter"),
+        ('{"technique": {"tiles": {"tile": 0}}}', "technique-parameter"),
+        ('{"technique": {"clusters": {"tile": 64, "slices": 0}}}', "technique-parameter"),
+        ('{"technique": {"clusters": {"tile": 64, "sphere_test": "nope"}}}', "lights-unknown-test"),
+        ('{"shadows": {"far_size": -3}}', "shadow-settings"),
+    ],
+)
+def test_a_setting_that_no_frame_could_have_is_refused_as_its_file_is_read(
+    text: str, rule: str, tmp_path: Path
+) -> None:
+    (tmp_path / "s.json").write_text(f'{{"rendering": {text}}}')
+    with pytest.raises(rhi.ValidationError, match=rule):
+        RenderSettings.load(tmp_path / "s.json")
+
+
+def test_settings_at_the_ends_of_their_ranges_are_taken(tmp_path: Path) -> None:
+    technique = '{"scale": 1.0, "specular_channels": 1, "tiles": {"tile": 1}, "clusters": {"tile": 64, "slices": 1}}'
+    (tmp_path / "s.json").write_text(f'{{"rendering": {{"technique": {technique}, "shadows": {{"far_size": 0}}}}}}')
+    read = RenderSettings.load(tmp_path / "s.json")
+    assert (read.technique.scale, read.technique.specular_channels, read.shadows.far_size) == (1.0, 1, 0)
+    assert (read.technique.tiles.tile, read.technique.clusters.slices) == (1, 1)
+
+
+@pytest.mark.parametrize(
+    ("technique", "way"),
+    [
+        ("deferred", "stencil"),
+        ("light_pre_pass", "stencil"),
+        ("clustered", "depth_first"),
+        ("deferred_plus", "multi_pass"),
+    ],
+)
+def test_other_ways_of_techniques_can_be_set(technique: str, way: str, null: rhi.Device) -> None:
+    scene = load_scene("grid:count=1")
+    for chosen in (False, True):
+        settings = RenderSettings().change_all({"technique.name": technique, f"technique.{way}": chosen})
+        assert getattr(settings.technique.make(scene, null), way) is chosen
 
 
 def test_settings_change_by_their_paths() -> None:

@@ -31,8 +31,8 @@ def create_backend(*, validation: bool = False) -> ClBackend:
         raise DeviceError(
             DEVICE_DRIVER, "rhi.create_device('cl')", str(error), tip="pip install pyopencl"
         ) from error
-    from rhi.backends.cl.cache import choose_folder
-    from rhi.backends.cl.drivers import Loading
+    from rhi.backends.cl.pocl.cache import choose_folder
+    from rhi.backends.cl.pocl.drivers import Loading
 
     choose_folder()
     loading = Loading(pyopencl._cl.__file__)

@@ -16,18 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
-from rhi.backends.cl.buffers import Buffers
 from rhi.backends.cl.capabilities import query_capabilities
 from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.errors import DRIVER_ERRORS, make_error
 from rhi.backends.cl.fence import Fence, Timestamps
+from rhi.backends.cl.memory.buffers import Buffers
+from rhi.backends.cl.memory.samplers import Samplers
+from rhi.backends.cl.memory.staging import Staging
+from rhi.backends.cl.memory.textures import Textures
 from rhi.backends.cl.programs import ComputePrograms
 from rhi.backends.cl.raster.query_sets import ClQuerySet
 from rhi.backends.cl.raster.rasteriser import Rasteriser
-from rhi.backends.cl.samplers import Samplers
 from rhi.backends.cl.slots import CommandState
-from rhi.backends.cl.staging import Staging
-from rhi.backends.cl.textures import Textures
 from rhi.contract.backend import Capabilities, PreparedQueries
 from rhi.contract.descriptors import (
     BindingKind,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from rhi.backends.cl.context import ClContext
-from rhi.backends.cl.planes import alignment
+from rhi.backends.cl.memory.planes import alignment
 from rhi.contract.backend import Capabilities
 
 __rhi_internal__ = True

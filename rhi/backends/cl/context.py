@@ -22,11 +22,11 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from rhi.backends.cl.cache import CachedProgram, KernelCache, Request, choose_folder, make_mark
-from rhi.backends.cl.drivers import Loading
 from rhi.backends.cl.errors import shorten
-from rhi.backends.cl.held_programs import HeldProgram, HeldPrograms
-from rhi.backends.cl.workers import list_threads, spread_threads
+from rhi.backends.cl.pocl.cache import CachedProgram, KernelCache, Request, choose_folder, make_mark
+from rhi.backends.cl.pocl.drivers import Loading
+from rhi.backends.cl.pocl.held_programs import HeldProgram, HeldPrograms
+from rhi.backends.cl.pocl.workers import list_threads, spread_threads
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_DRIVER
 
@@ -59,7 +59,7 @@ __kernel void probe(__global uint *words) {
     words[i] = words[i] * 3u + i;
     atomic_add(&words[get_global_size(0)], i);
 }
-// `find` returns the address of memory; `read` reads at an address given as a number (rhi.backends.cl.pools).
+// `find` returns the address of memory; `read` reads at an address given as a number (rhi.backends.cl.memory.pools).
 __kernel void find(__global uchar *memory, __global ulong *answer) { *answer = (ulong)memory; }
 __kernel void read(ulong address, __global ulong *answer) { *answer = *(__global ulong *)address; }
 """
@@ -197,12 +197,12 @@ def choose_device(wanted: str, devices: Sequence[cl.Device]) -> cl.Device:
 
 
 def caches_kernels(device: cl.Device) -> bool:
-    """Return whether the driver keeps compiled kernels in a folder (`rhi.backends.cl.cache`)."""
+    """Return whether the driver keeps compiled kernels in a folder (`rhi.backends.cl.pocl.cache`)."""
     return device.platform.name == _POCL and os.environ.get("POCL_KERNEL_CACHE", "1") != "0"
 
 
 def declares_kernels(device: cl.Device) -> bool:
-    """Return whether programs can do without the driver's header (`rhi.backends.cl.declarations`), which declares
+    """Return whether programs can do without the driver's header (`rhi.backends.cl.pocl.declarations`), which declares
     functions of doubles only where there are some."""
     return "cl_khr_fp64" in device.extensions.split()
 

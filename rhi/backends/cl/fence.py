@@ -16,8 +16,8 @@ from typing import Final
 
 import pyopencl as cl
 
-from rhi.backends.cl.pools import Retired
-from rhi.backends.cl.staging import Staging
+from rhi.backends.cl.memory.pools import Retired
+from rhi.backends.cl.memory.staging import Staging
 from rhi.contract.backend import FOREVER
 from rhi.contract.descriptors import Id, QueryKind
 from rhi.errors import DeviceError

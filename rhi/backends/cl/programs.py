@@ -6,7 +6,7 @@ The OpenCL C of a compute program, whether written by the shading language or by
   `global T *` and an `int`, the number of bound elements, for storage; `global const uchar *` for a texture or
   `global uchar *` for an image, then `global const int *`, the words of `rhi.shading.ir.texture_words`.
 - Bound ranges begin at multiples of the capabilities' alignments. Vector loads may run past their end by up to
-  `rhi.backends.cl.planes.GRAIN` bytes.
+  `rhi.backends.cl.memory.planes.GRAIN` bytes.
 - Its `reqd_work_group_size` is the work-group's size in work-items. It divides the descriptor's work-group, which
   counts invocations: a work-item may execute several as lanes of a vector. Without the attribute it executes one.
 """
@@ -20,12 +20,12 @@ from typing import Final
 import numpy as np
 import pyopencl as cl
 
-from rhi.backends.cl.buffers import Buffers
 from rhi.backends.cl.context import FLUSHES_DENORMALS, ClContext
 from rhi.backends.cl.errors import translate_errors
-from rhi.backends.cl.samplers import Samplers
+from rhi.backends.cl.memory.buffers import Buffers
+from rhi.backends.cl.memory.samplers import Samplers
+from rhi.backends.cl.memory.textures import Textures
 from rhi.backends.cl.slots import CommandState
-from rhi.backends.cl.textures import Textures
 from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor, Stage, StageText
 from rhi.contract.driver_log import make_driver_error
 from rhi.errors import ShaderError

@@ -9,7 +9,7 @@
   backend of this process has taken the thread (5 ns). Code outside of this package takes it unseen: `resume` asks the
   driver, where the device has time for that. A backend is used on one thread at a time.
 - Memory order: a full memory barrier follows each dispatch, and each draw of a program that writes memory. llvmpipe's
-  draws are waited for before anything but a fragment reads their targets (`unfinished`).
+  draws are waited for before anything but a fragment reads their targets (`llvmpipe`).
 """
 
 from __future__ import annotations
@@ -36,15 +36,15 @@ from rhi.backends.gl.entry_points import EntryPoints
 from rhi.backends.gl.errors import drain_errors
 from rhi.backends.gl.fence import Fence
 from rhi.backends.gl.framebuffers import Framebuffers
-from rhi.backends.gl.heap import keep_freed_memory
 from rhi.backends.gl.host import HostFramebuffer, SharedContext
+from rhi.backends.gl.llvmpipe import UnfinishedDraws, keep_freed_memory
 from rhi.backends.gl.programs import LinkedProgram, Programs, VertexArrays
 from rhi.backends.gl.queries import Queries
 from rhi.backends.gl.query_sets import GlQuerySet
 from rhi.backends.gl.samplers import Samplers
 from rhi.backends.gl.states import RenderStates
 from rhi.backends.gl.textures import Textures
-from rhi.backends.gl.unfinished import UnfinishedDraws
+from rhi.commands.recorder import CommandMethods
 from rhi.contract.backend import Capabilities, PreparedQueries
 from rhi.contract.descriptors import (
     Attachment,
@@ -174,13 +174,22 @@ class GlBackend:
                 "let toolkits create windows with EGL, or release their context; release_current() on the other thread",
             )
         self._is_current = True
+        kind: type = type(self)
+        if kind is _DormantGlBackend:
+            self.__class__ = GlBackend
+
+    def _leave_thread(self) -> None:
+        """Let the next command activate the context first."""
+        self._is_current = False
+        if type(self) is GlBackend:
+            self.__class__ = _DormantGlBackend
 
     def _take_thread(self) -> None:
         """Tell the backend whose context is current on this thread that it isn't any more."""
         thread = get_ident()
         holder = _holders.get(thread)
         if holder is not None and holder is not self:
-            holder._is_current = False
+            holder._leave_thread()
             holder._interrupted()
         _holders[thread] = self
 
@@ -205,7 +214,7 @@ class GlBackend:
 
     def make_current(self) -> None:
         """See `rhi.contract.backend.HoldsContext`."""
-        self._is_current = False
+        self._leave_thread()
         self._activate()
         self._restore_state()
 
@@ -215,7 +224,7 @@ class GlBackend:
             self.context.mglo.__exit__()
         if _holders.get(get_ident()) is self:
             del _holders[get_ident()]
-        self._is_current = False
+        self._leave_thread()
 
     def hand_back(self) -> None:
         """See `rhi.contract.backend.HoldsContext`."""
@@ -295,45 +304,31 @@ class GlBackend:
     # -- resources ---------------------------------------------------------------------------------------
 
     def create_buffer(self, buffer: Id, descriptor: BufferDescriptor) -> None:
-        if not self._is_current:
-            self._activate()
         self._buffers.create(buffer, descriptor)
         self._destroyers[buffer] = self._buffers.destroy
 
     def create_texture(self, texture: Id, descriptor: TextureDescriptor) -> None:
-        if not self._is_current:
-            self._activate()
         self._textures.create(texture, descriptor)
         self._destroyers[texture] = self._destroy_texture
 
     def create_sampler(self, sampler: Id, descriptor: SamplerDescriptor) -> None:
-        if not self._is_current:
-            self._activate()
         self._samplers.create(sampler, descriptor)
         self._destroyers[sampler] = self._samplers.destroy
 
     def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
-        if not self._is_current:
-            self._activate()
         self._programs.create(program, descriptor)
         self._destroyers[program] = self._destroy_program
 
     def create_vertex_array(self, vertex_array: Id, descriptor: VertexArrayDescriptor) -> None:
-        if not self._is_current:
-            self._activate()
         self._arrays.descriptors[vertex_array] = descriptor
         self._programs[descriptor.program].prepare(vertex_array)
         self._destroyers[vertex_array] = self._destroy_vertex_array
 
     def create_query(self, query: Id, kind: QueryKind) -> None:
-        if not self._is_current:
-            self._activate()
         self._queries.create(query, kind)
         self._destroyers[query] = self._queries.destroy
 
     def destroy(self, resource: Id) -> None:
-        if not self._is_current:
-            self._activate()
         self._destroyers.pop(resource)(resource)
 
     def _destroy_texture(self, texture: Id) -> None:
@@ -352,33 +347,21 @@ class GlBackend:
     # -- memory ------------------------------------------------------------------------------------------
 
     def write_buffer(self, buffer: Id, offset: int, data: BytesLike) -> None:
-        if not self._is_current:
-            self._activate()
         self._buffers.write(buffer, offset, data)
 
     def read_buffer(self, buffer: Id, offset: int, size: int) -> bytes:
-        if not self._is_current:
-            self._activate()
         return self._buffers.read(buffer, offset, size)
 
     def copy_buffer(self, source: Id, source_offset: int, target: Id, target_offset: int, size: int) -> None:
-        if not self._is_current:
-            self._activate()
         self._buffers.copy(source, source_offset, target, target_offset, size)
 
     def clear_buffer(self, buffer: Id, offset: int, size: int, value: int) -> None:
-        if not self._is_current:
-            self._activate()
         self._buffers.clear(buffer, offset, size, value)
 
     def write_texture(self, texture: Id, level: int, region: Region, data: BytesLike) -> None:
-        if not self._is_current:
-            self._activate()
         self._textures.write(texture, level, region, data)
 
     def read_texture(self, texture: Id, level: int, region: Region, stencil: bool) -> NDArray[np.generic]:
-        if not self._is_current:
-            self._activate()
         self._unfinished.finish()
         return self._textures.read(texture, level, region, stencil)
 
@@ -386,14 +369,13 @@ class GlBackend:
         self, source: Id, source_level: int, source_region: Region, target: Id, target_level: int, x: int, y: int,
         layer: int,
     ) -> None:  # fmt: skip
-        if not self._is_current:
-            self._activate()
         self._unfinished.finish()
         self._textures.copy(source, source_level, source_region, target, target_level, x, y, layer)
 
     def copy_texture_to_buffer(
         self, source: Id, level: int, region: Region, target: Id, offset: int, row_bytes: int
     ) -> None:
+        self._buffers.note_change(target)
         buffer = self._buffers.objects[target].glo
         self._unfinished.finish()
         self._textures.copy_to_buffer(source, level, region, buffer, offset, row_bytes)
@@ -405,8 +387,6 @@ class GlBackend:
         self._textures.copy_from_buffer(buffer, offset, row_bytes, target, level, region)
 
     def resolve_texture(self, source: Id, target: Id) -> None:
-        if not self._is_current:
-            self._activate()
         width, height = self._textures[source].descriptor.size
         with self._unmasked(False, False, False):
             self.gl.BlitNamedFramebuffer(
@@ -416,8 +396,6 @@ class GlBackend:
         self._unfinished.add()
 
     def generate_mipmaps(self, texture: Id) -> None:
-        if not self._is_current:
-            self._activate()
         with self._unmasked(False, False, False):
             self.gl.GenerateTextureMipmap(self._textures[texture].name)
         self._unfinished.add()
@@ -425,8 +403,6 @@ class GlBackend:
     # -- passes, state, binding --------------------------------------------------------------------------
 
     def begin_pass(self, descriptor: PassDescriptor) -> None:
-        if not self._is_current:
-            self._activate()
         self._framebuffer = self._framebuffers.find(descriptor)
         self.gl.BindFramebuffer(enums.FRAMEBUFFER, self._framebuffer)
         self._pass = descriptor
@@ -485,13 +461,9 @@ class GlBackend:
                 self.begin_conditional(*condition)
 
     def set_states(self, changes: Sequence[StateChange]) -> None:
-        if not self._is_current:
-            self._activate()
         self._states.set(changes)
 
     def bind_program(self, program: Id) -> None:
-        if not self._is_current:
-            self._activate()
         self._program = program
         if self._tests_alpha:
             self._change_alpha_test()
@@ -510,24 +482,16 @@ class GlBackend:
             self._bound_program = self._programs[self._program]
 
     def bind_uniform(self, slot: int, buffer: Id, offset: int, size: int) -> None:
-        if not self._is_current:
-            self._activate()
         self._bind_uniform[buffer](slot, offset, size)
 
     def bind_storage(self, slot: int, buffer: Id, offset: int, size: int) -> None:
-        if not self._is_current:
-            self._activate()
         self._bind_storage[buffer](slot, offset, size)
 
     def bind_texture(self, slot: int, texture: Id, sampler: Id) -> None:
-        if not self._is_current:
-            self._activate()
         self._bind_texture(slot, self._texture_names[texture])
         self._bind_sampler(slot, self._sampler_names[sampler])
 
     def bind_image(self, slot: int, texture: Id, level: int, layer: int) -> None:
-        if not self._is_current:
-            self._activate()
         image = self._textures[texture]
         self.gl.BindImageTexture(
             slot, image.name, level, layer < 0, max(layer, 0), enums.READ_WRITE, image.pixel.internal
@@ -539,8 +503,6 @@ class GlBackend:
         self, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int, base_vertex: int,
         base_instance: int,
     ) -> None:  # fmt: skip
-        if not self._is_current:
-            self._activate()
         if base_vertex or base_instance or primitive is _QUADS:
             self._draws.draw(
                 self._bound_program,
@@ -591,8 +553,6 @@ class GlBackend:
         self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, draws: int, stride: int,
         count_buffer: Id, count_offset: int,
     ) -> None:  # fmt: skip
-        if not self._is_current:
-            self._activate()
         self._draws.draw_indirect(
             self._bound_program,
             vertex_array,
@@ -606,8 +566,6 @@ class GlBackend:
         )
 
     def dispatch(self, x: int, y: int, z: int) -> None:
-        if not self._is_current:
-            self._activate()
         self._unfinished.finish()
         if self._condition is None:
             self._bound_program.dispatch(x, y, z)
@@ -616,8 +574,6 @@ class GlBackend:
                 self._bound_program.dispatch(x, y, z)
 
     def dispatch_indirect(self, buffer: Id, offset: int) -> None:
-        if not self._is_current:
-            self._activate()
         self._unfinished.finish()
         if self._condition is None:
             self._bound_program.dispatch_indirect(self._buffers.objects[buffer], offset)
@@ -628,38 +584,24 @@ class GlBackend:
     # -- time --------------------------------------------------------------------------------------------
 
     def signal(self, value: int) -> None:
-        if not self._is_current:
-            self._activate()
         self._fence.signal(value)
 
     def completed(self) -> int:
-        if not self._is_current:
-            self._activate()
         return self._fence.poll()
 
     def wait(self, value: int, seconds: float) -> bool:
-        if not self._is_current:
-            self._activate()
         return self._fence.wait(value, seconds)
 
     def begin_query(self, query: Id) -> None:
-        if not self._is_current:
-            self._activate()
         self._queries.begin(query)
 
     def end_query(self, query: Id) -> None:
-        if not self._is_current:
-            self._activate()
         self._queries.end(query)
 
     def write_query(self, query: Id) -> None:
-        if not self._is_current:
-            self._activate()
         self._queries.write(query)
 
     def read_query(self, query: Id) -> int | None:
-        if not self._is_current:
-            self._activate()
         return self._queries.read(query)
 
     def read_issue_time(self, query: Id) -> int | None:
@@ -667,35 +609,25 @@ class GlBackend:
         return None if self.read_query(query) is None else self._queries[query].issued
 
     def begin_conditional(self, query: Id, inverted: bool) -> None:
-        if not self._is_current:
-            self._activate()
         self._condition = query, inverted
         self._queries.begin_conditional(query, inverted)
 
     def end_conditional(self) -> None:
-        if not self._is_current:
-            self._activate()
         self._condition = None
         self._queries.end_conditional()
 
     def push_label(self, text: str) -> None:
-        if not self._is_current:
-            self._activate()
         self._labels += 1
         if self._labels <= _MAX_LABELS:
             label = text.encode()[:_MAX_LABEL_BYTES]
             self.gl.PushDebugGroup(enums.DEBUG_SOURCE_APPLICATION, 0, -1, label)
 
     def pop_label(self) -> None:
-        if not self._is_current:
-            self._activate()
         if self._labels <= _MAX_LABELS:
             self.gl.PopDebugGroup()
         self._labels -= 1
 
     def present(self, texture: Id) -> None:
-        if not self._is_current:
-            self._activate()
         if self._shared is not None and texture:
             descriptor = self._textures[texture].descriptor
             texel = descriptor.format
@@ -703,3 +635,22 @@ class GlBackend:
                 refuse(TEXTURE_FORMAT, "device.present", repr(descriptor), "a 2D image of colors with one sample")
         self.gl.Flush()
         self._shown = texture
+
+
+class _DormantGlBackend(GlBackend, CommandMethods):
+    """A `GlBackend` whose context isn't current, since another backend of this process took its thread. A command first
+    takes the thread back, which makes this an ordinary `GlBackend` again: so those needn't ask before each command.
+    """
+
+    METHOD = """\
+    self._activate()
+    return self.{method}({arguments})
+"""
+
+    def completed(self) -> int:
+        self._activate()
+        return self.completed()
+
+    def read_query(self, query: Id) -> int | None:
+        self._activate()
+        return self.read_query(query)

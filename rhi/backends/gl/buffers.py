@@ -64,6 +64,8 @@ class Buffers:
         self._mappings: dict[Id, memoryview] = {}
         self._readable: dict[Id, memoryview] = {}
         self._cleared: set[Id] = set()
+        self._stored: set[Id] = set()  # that were bound as storage, so that shaders may write them
+        self._watchers: dict[Id, Callable[[Id], None]] = {}
 
     def create(self, buffer: Id, descriptor: BufferDescriptor) -> None:
         drain_errors(self._gl)
@@ -86,13 +88,15 @@ class Buffers:
             self._gl.ObjectLabel(enums.BUFFER, created.glo, -1, descriptor.label.encode())
         self.objects[buffer] = created
         self.bind_uniform[buffer] = created.mglo.bind_to_uniform_block
-        self.bind_storage[buffer] = created.mglo.bind_to_storage_buffer
-        if not self._keeps_order and mapping is None and descriptor.size <= _MOST_RENEWED:
-            self.bind_storage[buffer] = partial(self._begin_renewing, buffer)
+        self.bind_storage[buffer] = partial(self._begin_storage, buffer)
 
-    def _begin_renewing(self, buffer: Id, slot: int, offset: int, size: int) -> None:
-        """Bind a buffer as storage for the first time: from now on, whole writes renew it."""
-        self._hints[buffer] = enums.DYNAMIC_DRAW
+    def _begin_storage(self, buffer: Id, slot: int, offset: int, size: int) -> None:
+        """Bind a buffer as storage for the first time: from now on shaders may write it, and whole writes renew it."""
+        self.note_change(buffer)
+        self._stored.add(buffer)
+        is_mapped = buffer in self._mappings or buffer in self._readable
+        if not self._keeps_order and not is_mapped and self.objects[buffer].size <= _MOST_RENEWED:
+            self._hints[buffer] = enums.DYNAMIC_DRAW
         bind = self.bind_storage[buffer] = self.objects[buffer].mglo.bind_to_storage_buffer
         bind(slot, offset, size)
 
@@ -123,7 +127,22 @@ class Buffers:
             return created, None
         return created, memoryview((ctypes.c_char * size).from_address(address)).cast("B")
 
+    def watch(self, buffer: Id, call: Callable[[Id], None]) -> bool:
+        """Call `call` once, before the contents of a buffer next change. Return False if that wouldn't be seen."""
+        if buffer in self._mappings or buffer in self._readable or buffer in self._stored:
+            return False
+        self._watchers[buffer] = call
+        return True
+
+    def note_change(self, buffer: Id) -> None:
+        """Tell who watches a buffer that it changes."""
+        watcher = self._watchers.pop(buffer, None)
+        if watcher is not None:
+            watcher(buffer)
+
     def destroy(self, buffer: Id) -> None:
+        self.note_change(buffer)
+        self._stored.discard(buffer)
         del self.bind_uniform[buffer], self.bind_storage[buffer]
         self._mappings.pop(buffer, None)
         self._readable.pop(buffer, None)
@@ -134,6 +153,8 @@ class Buffers:
     def write(self, buffer: Id, offset: int, data: BytesLike) -> None:
         mapping = self._mappings.get(buffer)
         if mapping is None:
+            if self._watchers:
+                self.note_change(buffer)
             if buffer in self._cleared:
                 self._gl.Finish()
                 self._cleared.clear()
@@ -162,11 +183,13 @@ class Buffers:
         return data.raw
 
     def copy(self, source: Id, source_offset: int, target: Id, target_offset: int, size: int) -> None:
+        self.note_change(target)
         self._gl.CopyNamedBufferSubData(
             self.objects[source].glo, self.objects[target].glo, source_offset, target_offset, size
         )
 
     def clear(self, buffer: Id, offset: int, size: int, value: int) -> None:
+        self.note_change(buffer)
         self._cleared.add(buffer)
         self._gl.ClearNamedBufferSubData(
             self.objects[buffer].glo, enums.R32UI, offset, size, enums.RED_INTEGER, enums.UNSIGNED_INT,

@@ -16,7 +16,7 @@ from rhi.backends.gl.buffers import Buffers
 from rhi.backends.gl.entry_points import EntryPoints
 from rhi.backends.gl.formats import INDEX_TYPES
 from rhi.backends.gl.programs import LinkedProgram, VertexArrays
-from rhi.backends.gl.quads import QuadIndices, expand_indices
+from rhi.backends.gl.quads import QuadIndices
 from rhi.contract.descriptors import DRAW, Id, Primitive, VertexArrayDescriptor
 from rhi.contract.formats import IndexFormat
 
@@ -41,11 +41,10 @@ class Draws:
     def __init__(
         self, context: moderngl.Context, gl: EntryPoints, arrays: VertexArrays, buffers: Buffers
     ) -> None:
-        self._context = context
         self._gl = gl
         self._arrays = arrays
         self._buffers = buffers
-        self._quads = QuadIndices(context, arrays.check_context)
+        self._quads = QuadIndices(context, buffers, arrays.check_context)
         self.release = self._quads.release
 
     def draw(
@@ -72,30 +71,23 @@ class Draws:
         self, name: int, array: VertexArrayDescriptor, first: int, count: int, instances: int, base_vertex: int,
         base_instance: int,
     ) -> None:  # fmt: skip
-        """Draw quads as triangles. For indexed quads the CPU reads the indices back, waiting for the GPU, and expands
-        them."""
-        gl, count = self._gl, count // 4 * 6
-        if not count:  # then there are no indices to read
+        """Draw quads as triangles."""
+        gl, quads = self._gl, count // 4
+        if not quads:  # then there are no indices to read
             return
-
-        def draw(index_format: IndexFormat, base: int) -> None:
-            index_type = INDEX_TYPES[index_format]
-            gl.DrawElementsInstancedBaseVertexBaseInstance(
-                enums.TRIANGLES, count, index_type, None, instances, base, base_instance
-            )
-
-        if not array.index_buffer:
-            gl.VertexArrayElementBuffer(name, self._quads.reserve(count // 6))
-            draw(IndexFormat.UINT32, first)
-            return
-        self._arrays.check_context()
-        size = array.index_format.size
-        indices = self._buffers.read(array.index_buffer, first * size, count // 6 * 4 * size)
-        expanded = self._context.buffer(expand_indices(indices, array.index_format))
-        gl.VertexArrayElementBuffer(name, expanded.glo)
-        draw(array.index_format, base_vertex)
-        gl.VertexArrayElementBuffer(name, self._buffers.objects[array.index_buffer].glo)
-        expanded.release()
+        if array.index_buffer:
+            form = array.index_format
+            indices, offset = self._quads.expand(array.index_buffer, form, first, quads)
+        else:
+            form, base_vertex = IndexFormat.UINT32, first
+            indices, offset = self._quads.reserve(quads), 0
+        gl.VertexArrayElementBuffer(name, indices)
+        gl.DrawElementsInstancedBaseVertexBaseInstance(
+            enums.TRIANGLES, 6 * quads, INDEX_TYPES[form], ctypes.c_void_p(offset), instances, base_vertex,
+            base_instance,
+        )  # fmt: skip
+        if array.index_buffer:
+            gl.VertexArrayElementBuffer(name, self._buffers.objects[array.index_buffer].glo)
 
     def draw_indirect(
         self, linked: LinkedProgram, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, draws: int,

@@ -14,8 +14,6 @@ class DepthClamp(PlatformState):
     OFF = "off"
     ON = "on"
 
-    __hash__ = object.__hash__
-
     @classmethod
     def platform(cls) -> str:
         return "gl"

@@ -9,7 +9,7 @@
 - GL's core profile has no alpha test. Instead, a program gets a variant for each comparison, compiled on first use,
   whose fragment stage ends with the test. The reference is a uniform.
 - llvmpipe's vertex stages read textures while these may still be drawn, so a draw whose vertex stage reads one first
-  waits (`unfinished`).
+  waits (`llvmpipe`).
 - Both endings are added by renaming `main` and calling it from a new one, which keeps the line numbers of the source.
 """
 

@@ -27,7 +27,6 @@ from rhi.backends.null.buffers import Buffers
 from rhi.backends.null.capabilities import PROFILES
 from rhi.backends.null.draws import Draw, ExecutedIndirectDraws, read_indirect_draws
 from rhi.backends.null.execution import DrawOutcome, ExecutionState
-from rhi.backends.null.programs import Programs
 from rhi.backends.null.queries import Queries
 from rhi.backends.null.shaders import Shaders, StandIn
 from rhi.backends.null.textures import Textures
@@ -94,10 +93,9 @@ class NullBackend(CommandMethods):
         self._dispatches = 0
         self._buffers = Buffers()
         self._textures = Textures()
-        self._programs = Programs()
         self._queries = Queries()
         self._state = ExecutionState()
-        self._shaders = Shaders(self._buffers, self._textures, self._programs, self._state)
+        self._shaders = Shaders(self._buffers, self._textures, self._state)
         self._streams: set[Id] = set()
         self._indirect_draws: deque[ExecutedIndirectDraws] = deque(maxlen=KEPT_INDIRECT)
         self._indirect_dispatches: deque[tuple[int, int, int]] = deque(maxlen=KEPT_INDIRECT)
@@ -167,13 +165,13 @@ class NullBackend(CommandMethods):
         self._textures.create_texture(texture, descriptor)
 
     def create_sampler(self, sampler: Id, descriptor: SamplerDescriptor) -> None:
-        self._textures.create_sampler(sampler, descriptor)
+        self._state.create(sampler, descriptor)
 
     def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
-        self._programs.create_program(program, descriptor)
+        self._state.create(program, descriptor)
 
     def create_vertex_array(self, vertex_array: Id, descriptor: VertexArrayDescriptor) -> None:
-        self._programs.create_vertex_array(vertex_array, descriptor)
+        self._state.create(vertex_array, descriptor)
 
     def create_query(self, query: Id, kind: QueryKind) -> None:
         self._queries.create_query(query, kind)
@@ -276,7 +274,7 @@ class NullBackend(CommandMethods):
     def _destroy(self, resource: Id) -> None:
         self._buffers.destroy(resource)
         self._textures.destroy(resource)
-        self._programs.destroy(resource)
+        self._state.destroy(resource)
         self._queries.destroy(resource)
         self._streams.discard(resource)
 
@@ -310,7 +308,7 @@ class NullBackend(CommandMethods):
         self._queries.write_query(query, self._executed * COMMAND_NANOSECONDS)
 
     def _begin_conditional(self, query: Id, inverted: bool) -> None:
-        self._state.begin_conditional(self._queries.samples(query), inverted)
+        self._state.decide(self._queries.samples(query), inverted)
 
     def _draw(
         self, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int,
@@ -325,7 +323,7 @@ class NullBackend(CommandMethods):
         self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, draws: int, stride: int,
         count_buffer: Id, count_offset: int,
     ) -> None:  # fmt: skip
-        indexed = self._programs.is_indexed(vertex_array)
+        indexed = self._state.find_vertex_array(vertex_array).index_buffer != 0
         resolved = read_indirect_draws(
             self._buffers, buffer, offset, draws, stride, count_buffer, count_offset, indexed
         )

@@ -6,21 +6,21 @@ The condition is unknown if the samples of its query are. Its draws are then nei
 
 from __future__ import annotations
 
-import enum
+from typing import cast
 
 from rhi.commands.context import StreamContext
+from rhi.contract.descriptors import Id, ProgramDescriptor, SamplerDescriptor, VertexArrayDescriptor
+from rhi.contract.formats import Choice
 
 __rhi_internal__ = True
 
 
-class DrawOutcome(enum.Enum):
+class DrawOutcome(Choice):
     """The outcome of a draw under conditional rendering."""
 
     EXECUTED = "executed"
     DROPPED = "dropped"
     UNDECIDED = "undecided"
-
-    __hash__ = object.__hash__
 
 
 class ExecutionState(StreamContext):
@@ -36,7 +36,19 @@ class ExecutionState(StreamContext):
         super().__init__()
         self.outcome = DrawOutcome.EXECUTED
 
-    def begin_conditional(self, samples: int | None, inverted: bool) -> None:
+    def find_program(self, program: Id) -> ProgramDescriptor:
+        """Return the descriptor of a program."""
+        return cast("ProgramDescriptor", self.resources[program])
+
+    def find_sampler(self, sampler: Id) -> SamplerDescriptor:
+        """Return the descriptor of a sampler."""
+        return cast("SamplerDescriptor", self.resources[sampler])
+
+    def find_vertex_array(self, vertex_array: Id) -> VertexArrayDescriptor:
+        """Return the descriptor of a vertex array."""
+        return cast("VertexArrayDescriptor", self.resources[vertex_array])
+
+    def decide(self, samples: int | None, inverted: bool) -> None:
         """Begin conditional rendering on a query that counted `samples`, None if unknown."""
         if samples is None:
             self.outcome = DrawOutcome.UNDECIDED
@@ -44,4 +56,5 @@ class ExecutionState(StreamContext):
             self.outcome = DrawOutcome.DROPPED if (samples == 0) != inverted else DrawOutcome.EXECUTED
 
     def end_conditional(self) -> None:
+        super().end_conditional()
         self.outcome = DrawOutcome.EXECUTED

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from types import CodeType
 from typing import Any
 
-from rhi.commands.ops import Op
+from rhi.commands.ops import CREATIONS, Op
 from rhi.commands.recorder import ForwardingBackend, pass_on
 from rhi.commands.stream import CommandStream
 from rhi.contract.backend import Backend
@@ -26,7 +26,6 @@ __rhi_internal__ = True
 
 FRAME_SECONDS = 1 / 60
 """Seconds that a wait takes for each frame by which a fence is late."""
-_CREATIONS = frozenset(op for op in Op if op.method.startswith("create_"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +50,7 @@ class Faults:
     def from_seed(cls, seed: int, stream: CommandStream) -> Faults:
         """Choose one fault in the program whose clean run is `stream`. Equal seeds give equal faults."""
         ops = Counter(command.op for command in stream)
-        creations = sum(ops[op] for op in _CREATIONS)
+        creations = sum(ops[op] for op in CREATIONS)
         generator = random.Random(seed)
         places = {
             "memory": creations,
@@ -104,7 +103,7 @@ class FaultInjector(ForwardingBackend):
         number, self._commands = self._commands, self._commands + 1
         self._lost = self._lost or number == self.faults.loss
         self._check_lost(name)
-        if op in _CREATIONS:
+        if op in CREATIONS:
             creation, self._creations = self._creations, self._creations + 1
             if creation == self.faults.memory:
                 raise DeviceError(DEVICE_MEMORY, name, f"creation {creation}, an injected fault")

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from rhi.backends.null.buffers import Buffers
 from rhi.backends.null.draws import Draw
 from rhi.backends.null.execution import ExecutionState
-from rhi.backends.null.programs import Programs
 from rhi.backends.null.textures import Textures
 from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor, Stage
 from rhi.contract.layout import Layout, dtype_of, element_dtype
@@ -39,13 +38,12 @@ class Shaders:
     """
 
     def __init__(
-        self, buffers: Buffers, textures: Textures, programs: Programs, state: ExecutionState
+        self, buffers: Buffers, textures: Textures, state: ExecutionState
     ) -> None:
         self.stand_ins: Mapping[Id, StandIn] = {}
         self._runs = False
         self._buffers = buffers
         self._textures = textures
-        self._programs = programs
         self._state = state
         self._kernels: dict[ProgramDescriptor, Any] = {}
 
@@ -68,7 +66,7 @@ class Shaders:
                 name: bound.reshape(-1).view(np.uint32) if isinstance(bound, np.ndarray) else bound
                 for name, bound in self._bound(program).items()
             }
-            self._kernel(self._programs.programs[program]).launch(groups, memory)
+            self._kernel(self._state.find_program(program)).launch(groups, memory)
 
     def _kernel(self, descriptor: ProgramDescriptor) -> Any:
         kernel = self._kernels.get(descriptor)
@@ -80,7 +78,7 @@ class Shaders:
         return kernel
 
     def _bound(self, program: Id) -> dict[str, Any]:
-        return {one.name: self._find(one) for one in self._programs.programs[program].bindings}
+        return {one.name: self._find(one) for one in self._state.find_program(program).bindings}
 
     def _find(self, binding: Binding) -> Any:
         name, *place = self._state.slots[binding.kind, binding.slot]
@@ -99,7 +97,7 @@ class Shaders:
             texture.levels,
             texture.descriptor.format,
             texture.descriptor.kind,
-            self._textures.samplers.get(sampler),
+            self._state.find_sampler(sampler),
         )
 
     def _image(self, binding: Binding, name: Id, level: int, layer: int) -> Any:

@@ -17,7 +17,6 @@ from rhi.contract.descriptors import (
     Id,
     PassDescriptor,
     Region,
-    SamplerDescriptor,
     TextureDescriptor,
 )
 from rhi.contract.texels import encode, halve
@@ -64,7 +63,6 @@ class Textures:
 
     def __init__(self) -> None:
         self.textures: dict[Id, TextureMemory] = {}
-        self.samplers: dict[Id, SamplerDescriptor] = {}
 
     def clear(self) -> None:
         """Release all textures."""
@@ -77,9 +75,6 @@ class Textures:
             self.textures[texture] = TextureMemory(descriptor)
         except (MemoryError, ValueError) as error:
             raise DeviceError(DEVICE_MEMORY, "create_texture", repr(descriptor)) from error
-
-    def create_sampler(self, sampler: Id, descriptor: SamplerDescriptor) -> None:
-        self.samplers[sampler] = descriptor
 
     def read_texture(self, texture: Id, level: int, region: Region, stencil: bool) -> NDArray[np.generic]:
         source = self.textures[texture]
@@ -96,7 +91,6 @@ class Textures:
 
     def destroy(self, resource: Id) -> None:
         self.textures.pop(resource, None)
-        self.samplers.pop(resource, None)
 
     def write_texture(self, texture: Id, level: int, region: Region, data: bytes) -> None:
         target = self.textures[texture].levels[level]

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rhi import BlendFunction, CullMode, Device, Format, Primitive
+from rhi import BlendFunction, CullMode, Device, Format, Primitive, StorageBuffer
 from rhi.conformance.compare import assert_mask, assert_same
 from rhi.conformance.reference import SUBTEXELS, rasterise
 from rhi.conformance.shaders import Colored, FlatColored
 from rhi.conformance.shapes import centers, corners, window_to_clip
+from rhi.shading import Shader, StorageRW, global_id, uint
 
 pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
 
@@ -266,6 +268,62 @@ def test_indexed_quads_add_their_base_vertex(device: Device) -> None:
         with device.render_pass(image), device.states(CullMode.NONE):
             device.draw(device.program(Colored), mesh.view(4, 4, base_vertex=20))
         assert_mask(image.read(), boxes((6,)))
+
+
+class Shifted(Shader):
+    """Moves the indices of quads on by 24, to the quads 6 further."""
+
+    indices: StorageRW[uint]
+
+    def compute(self) -> None:
+        self.indices[global_id().x] += uint(24)
+
+
+CHANGES: dict[str, Callable[[Device, StorageBuffer[Any], NDArray[Any]], object]] = {
+    "written": lambda device, indices, later: indices.owner.write(later),
+    "written in part": lambda device, indices, later: indices.owner.write(later[4:], 4),
+    "copied": lambda device, indices, later: device.buffer(later).copy_to(indices.owner),
+    "cleared": lambda device, indices, later: indices.owner.clear(),
+    "computed": lambda device, indices, later: device.dispatch(device.program(Shifted), 8, indices=indices),
+}
+
+
+@pytest.mark.parametrize(
+    "change", [*list(CHANGES)[:-1], pytest.param("computed", marks=pytest.mark.needs("compute"))]
+)
+@pytest.mark.parametrize("first", [0, 4])
+def test_indexed_quads_follow_their_indices(device: Device, change: str, first: int) -> None:
+    """What a draw of quads has found of its indices isn't used again after they have changed."""
+    rows = corners(window_to_clip(np.reshape(BOXES, (-1, 2)), SIZE))
+    now = np.arange(8, dtype="u4") + 4
+    expected = {"cleared": (), "written in part": (1, 8)}.get(change, (7, 8))
+    with (
+        device.texture(SIZE, Format.R8) as image,
+        device.storage(uint, now) as indices,
+        device.mesh(rows, indices.owner, primitive=Primitive.QUADS) as mesh,
+    ):
+        for _ in range(2):
+            with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE):
+                device.draw(device.program(Colored), mesh.view(first))
+            assert_mask(image.read(), boxes((1, 2)[first // 4 :]))
+        CHANGES[change](device, indices, now + 24)
+        for _ in range(2):
+            with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE):
+                device.draw(device.program(Colored), mesh.view(first))
+            assert_mask(image.read(), boxes(expected[first // 4 :]))
+
+
+def test_a_view_of_indexed_quads_begins_at_any_index(device: Device) -> None:
+    rows = corners(window_to_clip(np.reshape(BOXES, (-1, 2)), SIZE))
+    indices = np.array([*range(8), 0, *range(20, 28)], "u2")
+    with (
+        device.texture(SIZE, Format.R8) as image,
+        device.mesh(rows, indices, primitive=Primitive.QUADS) as mesh,
+    ):
+        for view, expected in ((mesh.view(0, 8), (0, 1)), (mesh.view(9), (5, 6)), (mesh.view(13), (6,))):
+            with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE):
+                device.draw(device.program(Colored), view)
+            assert_mask(image.read(), boxes(expected))
 
 
 def test_corners_left_over_make_no_quad(device: Device) -> None:

@@ -10,7 +10,7 @@ import dataclasses
 import itertools
 import threading
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from threading import get_ident
 from types import TracebackType
@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhi.contract.backend import Backend, ClipsDraws, HoldsContext, PreparesDraws, SharesTextures
-from rhi.contract.descriptors import Id, PassDescriptor, Primitive, SamplerDescriptor, Wrap
+from rhi.contract.descriptors import Id, PassDescriptor, Primitive, SamplerDescriptor
+from rhi.contract.limits import Fault, sampler_faults
 from rhi.contract.queries import list_draws
 from rhi.contract.states import AlphaTest, Scissor, StateChange
 from rhi.device.core.interrupts import HeldInterrupts
@@ -238,6 +239,11 @@ class Core:
     ) -> NoReturn:
         """Raise a `ValidationError` for `rule` at the user's line; a recording device keeps it."""
         self.refusals.refuse(rule, call, given, allowed, tip)
+
+    def require(self, call: str, faults: Iterable[Fault]) -> None:
+        """Refuse a call with the first of its faults, if it has any."""
+        for fault in faults:
+            self.refuse(fault.rule, call, *fault[1:])
 
     def new_id(self) -> Id:
         """Return the next resource id; ids are never reused."""
@@ -484,15 +490,7 @@ class Core:
             ValidationError: `device-capability` for more anisotropy than the device supports, for a border that it
                 lacks, and for more than `MAX_SAMPLERS` different samplers.
         """
-        if descriptor.max_anisotropy > self.capabilities.max_anisotropy:
-            given, most = f"max_anisotropy={descriptor.max_anisotropy:g}", self.capabilities.max_anisotropy
-            self.refuse(
-                DEVICE_CAPABILITY, "device.sampler", given, f"up to capabilities.max_anisotropy, {most:g}"
-            )
-        if descriptor.uses_border and not self.capabilities.border_colors:
-            self.refuse(
-                DEVICE_CAPABILITY, "device.sampler", str(Wrap.BORDER), "needs capabilities.border_colors"
-            )
+        self.require("device.sampler", sampler_faults(descriptor, self.capabilities))
         sampler = self._samplers.get(descriptor)
         if sampler is None:
             self.check_ready()

@@ -19,25 +19,20 @@ from dataclasses import replace
 from types import TracebackType
 from typing import Final, Protocol
 
+from rhi.contract.backend import Capabilities
+from rhi.contract.limits import ANY_DEVICE, state_faults
 from rhi.contract.states import (
-    DEFAULTS,
     MAX_TARGETS,
     PER_TARGET,
     STATE_TYPES,
-    BlendFunction,
-    LineWidth,
     PlatformState,
-    PolygonOffset,
     State,
     StateChange,
-    StencilReadMask,
-    StencilReference,
-    StencilWriteMask,
     default_values,
 )
 from rhi.device.core.refusals import NO_LOG, RefusalLog
 from rhi.device.core.scopes import OpenScopes, Scope, unwrap
-from rhi.errors.rules import PLATFORM_STATE, STATE_CAPABILITY, STATE_DUPLICATE, STATE_TYPE
+from rhi.errors.rules import STATE_DUPLICATE, STATE_TYPE
 
 __rhi_internal__ = True
 
@@ -89,27 +84,21 @@ class StateCache:
         wanted: the vector that the open scopes set.
         hardware: the vector that was last sent to the backend.
         refusals: raises and keeps the errors of refused scopes.
-        unsupported: state types that the device lacks, each with the name of the missing capability.
-        max_line_width: the largest `LineWidth`.
-        platform_states: the types of states that only this platform has.
+        limits: what the device can do.
         validator: the checks of both ends of a `ValidatedScope`.
         software_changes, hardware_changes: numbers of states set by scopes and of values sent.
     """
 
-    __slots__ = ("_entries", "_limit", "_pool", "hardware", "hardware_changes", "max_line_width", "platform_states",
-                 "refusals", "scopes", "software_changes", "unsupported", "validator", "wanted")  # fmt: skip
+    __slots__ = ("_entries", "_limit", "_pool", "hardware", "hardware_changes", "limits", "refusals", "scopes",
+                 "software_changes", "validator", "wanted")  # fmt: skip
 
     def __init__(
         self,
-        unsupported: dict[type, str] | None = None,
-        max_line_width: float = 1.0,
+        limits: Capabilities = ANY_DEVICE,
         pool_entries: int = POOL_ENTRIES,
         refusals: RefusalLog = NO_LOG,
-        platform_states: frozenset[type[PlatformState]] = frozenset(),
     ) -> None:
-        self.platform_states = platform_states
-        self.unsupported = unsupported or {}
-        self.max_line_width = max_line_width
+        self.limits = limits
         self.refusals = refusals
         self._limit = pool_entries
         self._pool: dict[tuple[object, ...], StateVector] = {}
@@ -122,9 +111,7 @@ class StateCache:
 
     def fresh(self) -> StateCache:
         """Return an empty cache with the same limits, missing capabilities and log."""
-        return StateCache(
-            self.unsupported, self.max_line_width, self._limit, self.refusals, self.platform_states
-        )
+        return StateCache(self.limits, self._limit, self.refusals)
 
     @property
     def depth(self) -> int:
@@ -219,13 +206,7 @@ class StateCache:
         seen: set[tuple[type, int | None]] = set()
         for state in states:
             state_type = type(state)
-            if isinstance(state, PlatformState):
-                if state_type not in self.platform_states:
-                    have = ", ".join(sorted(each.__name__ for each in self.platform_states)) or "none"
-                    self.refusals.refuse(
-                        PLATFORM_STATE, call, f"{state!r} of {state.platform()!r}", f"this device's own: {have}"
-                    )
-            elif state_type not in _INDEX:
+            if not isinstance(state, PlatformState) and state_type not in _INDEX:
                 allowed = ", ".join(t.__name__ for t in STATE_TYPES)
                 self.refusals.refuse(
                     STATE_TYPE, call, f"{state!r}, a {state_type.__name__}", f"a value of {allowed}"
@@ -234,14 +215,8 @@ class StateCache:
             if key in seen:
                 self.refusals.refuse(STATE_DUPLICATE, call, f"{state_type.__name__} twice", "each state once")
             seen.add(key)
-            if state_type in self.unsupported and _needs_capability(state):
-                self.refusals.refuse(
-                    STATE_CAPABILITY, call, repr(state), f"needs capabilities.{self.unsupported[state_type]}"
-                )
-
-            if state_type is LineWidth and state.width > self.max_line_width:  # type: ignore[union-attr]
-                most = f"up to capabilities.max_line_width, {self.max_line_width:g}"
-                self.refusals.refuse(STATE_CAPABILITY, call, repr(state), most)
+            for fault in state_faults(state, self.limits):
+                self.refusals.refuse(fault.rule, call, *fault[1:])
 
     def _intern(self, values: tuple[object, ...]) -> StateVector:
         vector = self._pool.get(values)
@@ -260,17 +235,6 @@ class StateCache:
             vector.after.clear()
             vector.changes.clear()
         self._pool = {self.wanted.values: self.wanted}
-
-
-def _needs_capability(state: State) -> bool:
-    """Return whether a state of an optional type needs its capability: not a default, nor what every device has."""
-    if isinstance(state, BlendFunction):
-        return state.target is not None
-    if isinstance(state, PolygonOffset):
-        return state.clamp != 0.0
-    if isinstance(state, StencilReference | StencilReadMask | StencilWriteMask):
-        return state.front != state.back
-    return state != DEFAULTS[type(state)]
 
 
 def _change_platform(values: object, state: object) -> tuple[PlatformState, ...]:

@@ -15,6 +15,7 @@ from types import TracebackType
 from typing import Final, Generic, Self, TypeVar
 
 from rhi.contract.descriptors import Id, QueryKind
+from rhi.contract.limits import condition_faults
 from rhi.device.core.core import Core, describe_object
 from rhi.device.core.interrupts import HeldInterrupts
 from rhi.device.core.scopes import Scope
@@ -346,10 +347,7 @@ class Conditional(Scope):
 
     def __init__(self, core: Core, query: OcclusionQuery, inverted: bool) -> None:
         call = "device.conditional"
-        if not core.capabilities.conditional_rendering:
-            core.refuse(
-                DEVICE_CAPABILITY, call, "conditional rendering", "needs capabilities.conditional_rendering"
-            )
+        core.require(call, condition_faults(core.capabilities))
         if query.__class__ is not OcclusionQuery or inverted.__class__ is not bool:
             check = Arguments(call, core.refuse)
             check.instance("query", query, OcclusionQuery, "an OcclusionQuery from device.occlusion_query()")

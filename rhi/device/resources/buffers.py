@@ -24,6 +24,7 @@ from rhi.contract.layout import (
     element_dtype,
     is_host_shareable,
 )
+from rhi.contract.limits import buffer_copy_faults
 from rhi.device.core.core import Core
 from rhi.device.resources.lifetime import Resource, retire
 from rhi.device.resources.locks import Lock
@@ -32,7 +33,6 @@ from rhi.errors.arguments import Arguments, as_whole
 from rhi.errors.rules import (
     BUFFER_ALIGNMENT,
     BUFFER_DTYPE,
-    BUFFER_OVERLAP,
     BUFFER_RANGE,
     BUFFER_SIZE,
     LAYOUT_MISMATCH,
@@ -181,18 +181,8 @@ class Buffer(Resource):
         core.check_ready()
         core.check_usable(self, call)
         core.check_usable(other, call)
-        for buffer, start in ((self, offset), (other, target_offset)):
-            if start < 0 or size <= 0 or start + size > buffer.size:
-                self.core.refuse(
-                    BUFFER_RANGE, call, f"{size} bytes at {start}", f"1 or more within {buffer.size} bytes"
-                )
-            alignment = core.capabilities.copy_alignment
-            if start % alignment or size % alignment:
-                self.core.refuse(
-                    BUFFER_ALIGNMENT, call, f"{size} bytes at {start}", f"multiples of {alignment} bytes"
-                )
-        if other is self and abs(offset - target_offset) < size:
-            self.core.refuse(BUFFER_OVERLAP, call, f"{offset} to {target_offset}, {size} bytes")
+        sizes = (self.size, offset, other.size, target_offset, size)
+        self.core.require(call, buffer_copy_faults(*sizes, other is self, core.capabilities))
         core.backend.copy_buffer(self.id, offset, other.id, target_offset, size)
 
     def _check(self, call: str) -> None:

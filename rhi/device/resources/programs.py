@@ -16,6 +16,7 @@ from typing_extensions import ParamSpec
 
 from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor, Stage, TextureKind
 from rhi.contract.formats import ChannelKind, Format
+from rhi.contract.limits import program_faults, range_faults, show_stages
 from rhi.device.core.core import Core, describe_object
 from rhi.device.core.timeline import Timeline
 from rhi.device.resources.buffers import Buffer
@@ -28,11 +29,9 @@ from rhi.errors.arguments import Arguments
 from rhi.errors.rules import (
     BINDING_MISSING,
     BINDING_NAME,
-    BINDING_SIZE,
     BINDING_TYPE,
     BINDING_UNKNOWN,
     DEVICE_ARGUMENT,
-    DEVICE_CAPABILITY,
     DRAW_COUNT,
     DRAW_OUTSIDE_PASS,
     PASS_FEEDBACK,
@@ -146,7 +145,7 @@ class Program(Generic[P]):
         core.check_command()
         core.check_usable(self, call)
         if Stage.VERTEX not in self.descriptor.stages:
-            core.refuse(PROGRAM_STAGE, call, _stages(self.descriptor), "a program with a vertex stage")
+            core.refuse(PROGRAM_STAGE, call, show_stages(self.descriptor), "a program with a vertex stage")
         if core.render_pass is None:
             core.refuse(DRAW_OUTSIDE_PASS, call, "no open pass")
         for buffer in mesh.buffers:
@@ -167,7 +166,7 @@ class Program(Generic[P]):
         core.check_open()
         core.check_usable(self, call)
         if Stage.COMPUTE not in self.descriptor.stages:
-            core.refuse(PROGRAM_STAGE, call, _stages(self.descriptor), "a program with a compute stage")
+            core.refuse(PROGRAM_STAGE, call, show_stages(self.descriptor), "a program with a compute stage")
         if core.has_open_pass():
             core.refuse(PASS_OPEN, call, "an open render pass")
 
@@ -232,16 +231,11 @@ class Program(Generic[P]):
             tip = "" if isinstance(value, UniformRange | StorageRange) else _how_to_make(binding)
             self.core.refuse(BINDING_TYPE, call, _given(value), _wanted(binding), tip)
         self.core.check_usable(value.owner, call)
-        limits = self.core.capabilities
-        uniform = binding.kind is BindingKind.UNIFORM
-        most = limits.max_uniform_bytes if uniform else limits.max_storage_bytes
-        alignment = limits.uniform_alignment if uniform else limits.storage_alignment
         if binding.writes and not isinstance(value.owner, Buffer):
             tip = "make it with device.storage(…): shaders can't write transient memory"
             self.core.refuse(BINDING_TYPE, call, "transient storage, which shaders only read", _wanted(binding), tip)
-        if not binding.size <= value.size <= most or value.offset % alignment:
-            allowed = f"{binding.size} to {most} bytes at a multiple of {alignment}"
-            self.core.refuse(BINDING_SIZE, call, f"{value.size} bytes at {value.offset}", allowed)
+        faults = range_faults(binding.kind, value.offset, value.size, binding.size, self.core.capabilities)
+        self.core.require(call, faults)
 
     def _check_texture(self, binding: Binding, value: Any, call: str) -> None:
         if not isinstance(value, TextureBinding) or not isinstance(value.owner, Texture):
@@ -382,49 +376,10 @@ def _how_to_make(binding: Binding) -> str:
     return f"make it with device.uniform({value}), or for a frame device.transient.uniform({value})"
 
 
-def _stages(descriptor: ProgramDescriptor) -> str:
-    return "a program with " + ", ".join(sorted(stage.value for stage in descriptor.stages))
-
-
 def _check_limits(core: Core, descriptor: ProgramDescriptor) -> None:
     call = f"device.program({descriptor.name})"
     core.check_ready()
-    limits = core.capabilities
-    room = {
-        BindingKind.UNIFORM: limits.max_uniform_slots,
-        BindingKind.STORAGE: limits.max_storage_slots,
-        BindingKind.TEXTURE: limits.max_texture_slots,
-        BindingKind.IMAGE: limits.max_image_slots,
-    }
-    for kind, most in room.items():
-        used = sum(binding.kind is kind for binding in descriptor.bindings)
-        if used > most:
-            core.refuse(DEVICE_CAPABILITY, call, f"{used} {kind.value} bindings", f"at most {most}")
-    if (descriptor.point_size or descriptor.reads_point_coordinates) and limits.max_point_size <= 1.0:
-        given = "a point size" if descriptor.point_size else "point_coordinate()"
-        core.refuse(DEVICE_CAPABILITY, call, given, "needs capabilities.max_point_size")
-    if len(descriptor.attributes) > limits.max_vertex_attributes:
-        core.refuse(
-            DEVICE_CAPABILITY,
-            call,
-            f"{len(descriptor.attributes)} attributes",
-            f"at most {limits.max_vertex_attributes}",
-        )
-    if Stage.VERTEX in descriptor.stages and not limits.draws:
-        core.refuse(
-            DEVICE_CAPABILITY, call, _stages(descriptor), "a compute program: needs capabilities.draws"
-        )
-    if Stage.COMPUTE in descriptor.stages:
-        x, y, z = descriptor.work_group
-        most_x, most_y, most_z = limits.max_work_group
-        total = limits.max_work_group_invocations
-        if not limits.compute or x > most_x or y > most_y or z > most_z or x * y * z > total:
-            core.refuse(
-                DEVICE_CAPABILITY, call, f"work-group {x}×{y}×{z}", f"{limits.max_work_group}, {total} in all"
-            )
-        if descriptor.shared_bytes > limits.max_shared_bytes:
-            allowed = f"up to capabilities.max_shared_bytes, {limits.max_shared_bytes}"
-            core.refuse(DEVICE_CAPABILITY, call, f"{descriptor.shared_bytes} bytes of shared memory", allowed)
+    core.require(call, program_faults(descriptor, core.capabilities))
     for binding in descriptor.bindings:
         if binding.name == "self" or keyword.iskeyword(binding.name):
             core.refuse(BINDING_NAME, call, binding.name, "a name that can be a keyword argument")

@@ -25,6 +25,21 @@ from rhi.contract.descriptors import (
     TextureKind,
 )
 from rhi.contract.formats import Format
+from rhi.contract.limits import (
+    compressed_faults,
+    level_faults,
+    mipmap_faults,
+    plain_faults,
+    read_faults,
+    region_faults,
+    resolve_faults,
+    row_faults,
+    show_texture,
+    single_sample_faults,
+    texture_copy_faults,
+    texture_faults,
+    written_faults,
+)
 from rhi.device.core.core import Core
 from rhi.device.resources.buffers import Buffer, StorageBuffer, check_buffer
 from rhi.device.resources.lifetime import Resource, retire
@@ -32,15 +47,9 @@ from rhi.device.resources.locks import Lock
 from rhi.device.resources.readbacks import Readback
 from rhi.errors.arguments import Arguments, Fields
 from rhi.errors.rules import (
-    BUFFER_ALIGNMENT,
-    BUFFER_RANGE,
-    DEVICE_CAPABILITY,
     TEXTURE_DATA,
     TEXTURE_FORMAT,
-    TEXTURE_LEVELS,
     TEXTURE_REGION,
-    TEXTURE_SAMPLES,
-    TEXTURE_SIZE,
 )
 from rhi.shading.language.bindings import ImageBinding, TextureBinding
 
@@ -83,21 +92,22 @@ class Texture(TextureBinding, Resource):
     Attributes:
         id: the texture's id in the command stream.
         descriptor: size, format, kind, layers, levels and samples; these are also attributes of the texture.
-        compressed: the format of the blocks that are written, or None. They are stored as they are if the device can,
-            else as decoded texels.
+        requested: the same, but also of blocks that the device doesn't store: they are decoded as they are written.
     """
 
-    __slots__ = ("compressed", "core", "descriptor", "destroyed", "id")
+    __slots__ = ("core", "descriptor", "destroyed", "id", "requested")
 
     def __init__(
         self, core: Core, descriptor: TextureDescriptor, compressed: CompressedFormat | None = None
     ) -> None:
-        _check_descriptor(core, descriptor)
+        core.check_ready()
+        self.requested = descriptor
         if compressed is not None:
-            _check_compressed(core, descriptor, compressed)
+            self.requested = replace(descriptor, compressed=compressed)
             if compressed in core.capabilities.compressed_formats:
-                descriptor = replace(descriptor, compressed=compressed)
-        self.compressed = compressed
+                descriptor = self.requested
+        core.require("device.texture", texture_faults(descriptor, core.capabilities))
+        core.require("device.texture", compressed_faults(self.requested))
         self.core = core
         self.descriptor = descriptor
         self.destroyed = False
@@ -138,13 +148,18 @@ class Texture(TextureBinding, Resource):
         return self.descriptor.samples
 
     @property
+    def compressed(self) -> CompressedFormat | None:
+        """The format of the blocks that are written, or None. They are stored as they are if the device can, else as
+        decoded texels."""
+        return self.requested.compressed
+
+    @property
     def label(self) -> str:
         """The texture's name in messages and tools."""
         return self.descriptor.label
 
     def __repr__(self) -> str:
-        width, height = self.size
-        return f"Texture({self.label!r}, {width}×{height}, {(self.compressed or self.format).name})"
+        return show_texture(self.requested)
 
     def destroy(self) -> None:
         """Destroy the texture once the GPU no longer uses it. A second call does nothing."""
@@ -158,7 +173,7 @@ class Texture(TextureBinding, Resource):
     def at(self, level: int = 0, layer: int = 0) -> TextureTarget:
         """Return one level and layer as a render target."""
         level, layer = self._check("Texture.at", level, layer)
-        self._check_plain("Texture.at")
+        self.core.require("Texture.at", plain_faults(self.requested))
         return TextureTarget(self, level, layer)
 
     def sampled(self, sampler: Sampler | SamplerDescriptor) -> TextureBinding:
@@ -178,7 +193,7 @@ class Texture(TextureBinding, Resource):
         """Return a binding of one level, with all layers or one, for a shader's loads and stores."""
         level, first = self._check("Texture.image", level, 0 if layer is None else layer)
         layer = None if layer is None else first
-        self._check_plain("Texture.image")
+        self.core.require("Texture.image", plain_faults(self.requested))
         return ImageBinding(self.id, level, layer, self)
 
     # -- memory ------------------------------------------------------------------------------------------
@@ -200,8 +215,6 @@ class Texture(TextureBinding, Resource):
     def read_stencil(self, level: int = 0, layer: int = 0, region: Region | None = None) -> NDArray[np.uint8]:
         """Return the stencil values of one layer: (height, width) uint8. Waits for the device."""
         call = "Texture.read_stencil"
-        if not self.format.has_stencil:
-            self.core.refuse(TEXTURE_FORMAT, call, self.format.name, "a format with stencil")
         level, where = self._region(call, level, layer, region)
         stencil: NDArray[np.uint8] = self._read(call, level, where, True)
         return stencil[0, :, :, 0]
@@ -212,9 +225,9 @@ class Texture(TextureBinding, Resource):
         Without `capabilities.texture_buffer_copies` the texels are read now, and the future is done.
         """
         call, core = "Texture.read_async", self.core
-        self._check_plain(call)
+        self.core.require(call, plain_faults(self.requested))
         level, where = self._region(call, level, layer, region)
-        self._check_single_sample(call)
+        self.core.require(call, single_sample_faults(self.descriptor))
         shape: tuple[int, ...] = (where.height, where.width)
         if self.format.components > 1:
             shape = (*shape, self.format.components)
@@ -248,11 +261,8 @@ class Texture(TextureBinding, Resource):
             x, y = check.whole("x", x), check.whole("y", y)
             self._write_blocks(call, self.compressed, blocks, level, layer, x, y)
             return
-        if self.format.is_depth:
-            self.core.refuse(
-                TEXTURE_FORMAT, call, self.format.name, "a color format", "depth is written by a render pass"
-            )
-        self._check_single_sample(call)
+        self.core.require(call, written_faults(self.descriptor))
+        self.core.require(call, single_sample_faults(self.descriptor))
         self.core.check_ready()
         array = check.array("texels", texels)
         components = self.format.components
@@ -299,13 +309,6 @@ class Texture(TextureBinding, Resource):
         self.core.upload_bytes += data.nbytes
         self.core.backend.write_texture(self.id, level, region, data.reshape(-1).view(np.uint8).data)
 
-    def _check_plain(self, call: str) -> None:
-        """Refuse a compressed texture, which is only written and sampled."""
-        if self.compressed is not None:
-            self.core.refuse(
-                TEXTURE_FORMAT, call, self.compressed.name, "a format without compression", "sample it in a shader"
-            )
-
     def generate_mipmaps(self) -> None:
         """Generate mip levels 1… from level 0 (2×2 box filter, sRGB in linear light)."""
         self._generate_mipmaps(self.core)
@@ -314,9 +317,7 @@ class Texture(TextureBinding, Resource):
         """Send a `generate_mipmaps` to `core`: the texture's own, or a command buffer's."""
         call = "Texture.generate_mipmaps"
         self._check(call, core=core)
-        self._check_plain(call)
-        if self.format.is_depth or self.format.is_integer:
-            self.core.refuse(TEXTURE_FORMAT, call, self.format.name, "a color format that can be filtered")
+        self.core.require(call, mipmap_faults(self.requested))
         if self.levels > 1:
             core.check_ready()
             core.backend.generate_mipmaps(self.id)
@@ -344,23 +345,11 @@ class Texture(TextureBinding, Resource):
         check = Arguments(call, self.core.refuse)
         check.instance("target", target, Texture, "a Texture")
         level, source_region = self._whole(call, level, core, region)
-        self._check_plain(call)
-        target._check_plain(call)
-        self._check_region(call, level, source_region, core)
         target_level, layer = target._check(call, target_level, layer, core)
         x, y = check.whole("x", x), check.whole("y", y)
-        if target.format is not self.format:
-            self.core.refuse(
-                TEXTURE_FORMAT, call, f"{self.format.name} to {target.format.name}", "equal formats"
-            )
-        if target.samples != 1 or self.samples != 1:
-            self.core.refuse(
-                TEXTURE_SAMPLES, call, f"{self.samples} to {target.samples} samples", "1", "use resolve_to"
-            )
         end = Region(x, y, source_region.width, source_region.height, layer, source_region.layers)
-        target._check_region(call, target_level, end, core)
-        if target is self and level == target_level and _overlap(source_region, end):
-            self.core.refuse(TEXTURE_REGION, call, f"{source_region} to {end}", "regions that don't overlap")
+        places = (self.requested, level, source_region, target.requested, target_level, end)
+        core.require(call, texture_copy_faults(*places, same=target is self))
         core.check_ready()
         core.backend.copy_texture(self.id, level, source_region, target.id, target_level, x, y, layer)
 
@@ -417,10 +406,7 @@ class Texture(TextureBinding, Resource):
     ) -> None:
         """Send a `copy_from_buffer` to `core`."""
         call = "Texture.copy_from_buffer"
-        if self.format.is_depth:
-            self.core.refuse(
-                TEXTURE_FORMAT, call, self.format.name, "a color format", "depth is written by a render pass"
-            )
+        self.core.require(call, written_faults(self.descriptor))
         level, region = self._whole(call, level, core, region)
         buffer, offset, row_bytes = self._check_rows(call, source, level, region, offset, row_bytes, core)
         core.backend.copy_buffer_to_texture(buffer.id, offset, row_bytes, self.id, level, region)
@@ -433,25 +419,10 @@ class Texture(TextureBinding, Resource):
         check = Arguments(call, self.core.refuse)
         buffer = check_buffer(check, "buffer", buffer)
         offset, row_bytes = check.whole("offset", offset), check.whole_or_none("row_bytes", row_bytes)
-        limits, texel = core.capabilities, self.format.transfer_bytes
-        self._check_plain(call)
-        if not limits.texture_buffer_copies:
-            core.refuse(DEVICE_CAPABILITY, call, self.format.name, "needs capabilities.texture_buffer_copies")
-        self._check_region(call, level, region, core)
-        self._check_single_sample(call)
         core.check_usable(buffer, call)
-        least, row_step = region.width * texel, max(texel, limits.copy_row_alignment)
         row_bytes = self._tight_row(region) if row_bytes is None else row_bytes
-        if row_bytes < least or row_bytes % row_step:
-            core.refuse(
-                BUFFER_ALIGNMENT, call, f"row_bytes={row_bytes}", f"a multiple of {row_step}, {least} or more"
-            )
-        offset_step = max(texel, limits.copy_offset_alignment)
-        if offset % offset_step:
-            core.refuse(BUFFER_ALIGNMENT, call, f"offset={offset}", f"a multiple of {offset_step}")
-        size = (region.height * region.layers - 1) * row_bytes + least
-        if offset < 0 or offset + size > buffer.size:
-            core.refuse(BUFFER_RANGE, call, f"{size} bytes at {offset}", f"within {buffer.size} bytes")
+        faults = row_faults(self.requested, level, region, offset, row_bytes, buffer.size, core.capabilities)
+        core.require(call, faults)
         core.check_ready()
         return buffer, offset, row_bytes
 
@@ -471,14 +442,7 @@ class Texture(TextureBinding, Resource):
         Arguments(call, self.core.refuse).instance("target", target, Texture, "a Texture")
         self._check(call, core=core)
         target._check(call, core=core)
-        if self.samples == 1 or target.samples != 1:
-            self.core.refuse(
-                TEXTURE_SAMPLES, call, f"{self.samples} to {target.samples} samples", "several samples to 1"
-            )
-        has_average = not (self.format.is_depth or self.format.is_integer)
-        if self.format is not target.format or self.size != target.size or not has_average:
-            allowed = "equal sizes and equal color formats, not of integers"
-            self.core.refuse(TEXTURE_FORMAT, call, f"{self!r} to {target!r}", allowed)
+        self.core.require(call, resolve_faults(self.requested, target.requested))
         core.check_ready()
         core.backend.resolve_texture(self.id, target.id)
 
@@ -486,10 +450,10 @@ class Texture(TextureBinding, Resource):
         """Create a lock: `with texture.lock(Access.WRITE) as texels:`, (height, width, channels), top row first."""
         call = "Texture.lock"
         Arguments(call, self.core.refuse).choice("access", access, Access)
-        self._check_plain(call)
+        self.core.require(call, plain_faults(self.requested))
         if self.format.is_depth and access.writes:
             self.core.refuse(TEXTURE_FORMAT, call, self.format.name, "a color format, or Access.READ")
-        self._check_single_sample(call)
+        self.core.require(call, single_sample_faults(self.descriptor))
         level, where = self._region(call, level, layer, region)
         return Lock(
             self,
@@ -510,37 +474,12 @@ class Texture(TextureBinding, Resource):
         core = core or self.core
         core.check_open()
         core.check_usable(self, call)
-        if not 0 <= level < self.levels:
-            self.core.refuse(TEXTURE_LEVELS, call, f"level {level}", f"0 to {self.levels - 1}")
-        layers = self.descriptor.level_layers(level)
-        if not 0 <= layer < layers:
-            self.core.refuse(TEXTURE_LEVELS, call, f"layer {layer}", f"0 to {layers - 1}")
+        self.core.require(call, level_faults(self.descriptor, level, layer))
         return level, layer
 
-    def _check_single_sample(self, call: str) -> None:
-        if self.samples != 1:
-            self.core.refuse(
-                TEXTURE_SAMPLES,
-                call,
-                f"{self.samples} samples",
-                "1",
-                "resolve it first: texture.resolve_to(…)",
-            )
-
-    def _check_region(self, call: str, level: int, region: Region, core: Core | None = None) -> None:
-        self._check(call, level, region.layer, core)
-        width, height = self.descriptor.level_size(level)
-        layers = self.descriptor.level_layers(level)
-        inside = (
-            region.x >= 0
-            and region.y >= 0
-            and min(region.width, region.height, region.layers) > 0
-            and region.x + region.width <= width
-            and region.y + region.height <= height
-            and region.layer + region.layers <= layers
-        )
-        if not inside:
-            self.core.refuse(TEXTURE_REGION, call, str(region), f"inside {width}×{height}, {layers} layers")
+    def _check_region(self, call: str, level: int, region: Region) -> None:
+        self._check(call)
+        self.core.require(call, region_faults(self.descriptor, level, region))
 
     def _whole(
         self, call: str, level: int, core: Core, region: Region | None = None
@@ -566,9 +505,8 @@ class Texture(TextureBinding, Resource):
         return Arguments(call, self.core.refuse).instance("region", region, Region, allowed)
 
     def _read(self, call: str, level: int, region: Region, stencil: bool) -> NDArray[Any]:
-        self._check_region(call, level, region)
-        self._check_plain(call)
-        self._check_single_sample(call)
+        self._check(call)
+        self.core.require(call, read_faults(self.requested, level, region, stencil))
         self.core.check_ready()
         return self.core.backend.read_texture(self.id, level, region, stencil)
 
@@ -582,11 +520,6 @@ def _add_alpha(texels: NDArray[Any], format: Format) -> NDArray[Any]:
     return padded
 
 
-def full_levels(width: int, height: int, depth: int = 1) -> int:
-    """Return the number of mip levels down to 1×1."""
-    return max(width, height, depth).bit_length()
-
-
 def _count_bytes(descriptor: TextureDescriptor) -> int:
     """Return the size of all levels, layers and samples in bytes; their alignment on the device isn't counted."""
     texels = 0
@@ -594,65 +527,3 @@ def _count_bytes(descriptor: TextureDescriptor) -> int:
         width, height = descriptor.level_size(level)
         texels += width * height * descriptor.level_layers(level)
     return texels * descriptor.samples * descriptor.format.channels * descriptor.format.dtype.itemsize
-
-
-def _overlap(a: Region, b: Region) -> bool:
-    return (
-        a.x < b.x + b.width
-        and b.x < a.x + a.width
-        and a.y < b.y + b.height
-        and b.y < a.y + a.height
-        and a.layer < b.layer + b.layers
-        and b.layer < a.layer + a.layers
-    )
-
-
-def _check_descriptor(core: Core, descriptor: TextureDescriptor) -> None:
-    call = "device.texture"
-    core.check_ready()
-    limits = core.capabilities
-    width, height = descriptor.size
-    if not (0 < width <= limits.max_texture_size and 0 < height <= limits.max_texture_size):
-        core.refuse(TEXTURE_SIZE, call, f"{width}×{height}", f"1 to {limits.max_texture_size} each way")
-    if descriptor.format in limits.unsupported_formats:
-        core.refuse(
-            DEVICE_CAPABILITY, call, descriptor.format.name, "not among capabilities.unsupported_formats"
-        )
-    kind, layers = descriptor.kind, descriptor.layers
-    allowed_layers = {TextureKind.D2: (1, 1), TextureKind.CUBE: (6, 6)}.get(
-        kind, (1, limits.max_texture_layers)
-    )
-    if not allowed_layers[0] <= layers <= allowed_layers[1]:
-        core.refuse(
-            TEXTURE_SIZE,
-            call,
-            f"{layers} layers of {kind.name}",
-            f"{allowed_layers[0]} to {allowed_layers[1]}",
-        )
-    if kind is TextureKind.CUBE and width != height:
-        core.refuse(TEXTURE_SIZE, call, f"a cube of {width}×{height}", "square faces")
-    most = full_levels(width, height, layers if kind is TextureKind.D3 else 1)
-    if not 1 <= descriptor.levels <= most:
-        core.refuse(TEXTURE_LEVELS, call, f"{descriptor.levels} levels", f"1 to {most}")
-    samples = descriptor.samples
-    if samples not in limits.sample_counts:
-        core.refuse(
-            TEXTURE_SAMPLES, call, f"{samples} samples", f"{', '.join(map(str, limits.sample_counts))} samples"
-        )
-    if samples > 1 and (descriptor.levels > 1 or kind is not TextureKind.D2):
-        core.refuse(
-            TEXTURE_SAMPLES,
-            call,
-            f"{samples} samples, {descriptor.levels} levels, {kind.name}",
-            "2D, one level",
-        )
-    if descriptor.format.is_depth and kind is TextureKind.D3:
-        core.refuse(TEXTURE_FORMAT, call, "a 3D depth texture", "2D, 2D array or cube")
-
-
-def _check_compressed(core: Core, descriptor: TextureDescriptor, compressed: CompressedFormat) -> None:
-    call = "device.texture"
-    if descriptor.kind is TextureKind.D3:
-        core.refuse(TEXTURE_FORMAT, call, f"a 3D texture of {compressed.name}", "2D, 2D array or cube")
-    if descriptor.samples != 1:
-        core.refuse(TEXTURE_SAMPLES, call, f"{descriptor.samples} samples of {compressed.name}", "1")

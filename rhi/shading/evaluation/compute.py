@@ -236,6 +236,8 @@ def bound_words(
     results: dict[str, Array] = {}
     for declaration in shader._declared.values():
         name = declaration.name
+        if name not in names:  # a lean shader's binding that no stage reads
+            continue
         if declaration.storage_class is StorageClass.STORAGE:
             assert isinstance(declaration.type, StorageType)
             whole, words = storage_words(declaration.type.element, bindings[name], f"{call}: {name}")

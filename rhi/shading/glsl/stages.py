@@ -262,7 +262,10 @@ class StageWriter:
         arguments = []
         for parameter in entry.parameters:
             assert isinstance(parameter.type, StructType)
-            parts = ", ".join(inputs[field.name] for field in parameter.type.fields)
+            # A lean vertex stage lacks attributes that nothing reads.
+            parts = ", ".join(
+                inputs.get(field.name) or f"{self.writer.type(field.type)}(0)" for field in parameter.type.fields
+            )
             arguments.append(f"{self.writer.type(parameter.type)}({parts})")
         call = f"{self.names.get(entry, entry.name)}({', '.join(arguments)})"
         with self.lines.braces("void main()"):

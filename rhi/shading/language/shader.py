@@ -96,11 +96,15 @@ class Shader:
             draws. Costs nothing when off. `RHI_SHADING_CHECKED=1` in the environment turns it on for all shaders
             that don't set it.
         early_depth: test depth and stencil before the fragment stage, which then can't change them.
+        lean: leave out bindings and vertex attributes that no stage reads once constant conditions are decided, so that
+            a variant binds only what it reads. Branches that aren't taken, and what follows a return, aren't checked
+            either.
     """
 
     work_group: ClassVar[tuple[int, ...]] = (1,)
     early_depth: ClassVar[bool] = False
     precision: ClassVar[Precision] = Precision.EXACT
+    lean: ClassVar[bool] = False
     checked: ClassVar[bool] = os.environ.get("RHI_SHADING_CHECKED") == "1"
     _declared: ClassVar[Mapping[str, Declaration]] = {}
 

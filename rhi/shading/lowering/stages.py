@@ -95,7 +95,7 @@ def lower_stage(
     lowering = StageLowering(stage, width)
     lowering.checked = checked
     if stage.stage is Stage.VERTEX:
-        arguments, words = _vertex_arguments(stage), _vertex_words(stage, interface, varyings)
+        arguments, words = _vertex_arguments(stage, interface), _vertex_words(stage, interface, varyings)
     else:
         arguments, words = _fragment_arguments(stage, varyings), _fragment_words(stage, interface)
     results = lowering.settle(lambda: lowering.run(arguments))
@@ -122,10 +122,20 @@ def _parameter_fields(stage: tree.StageTree) -> list[tuple[str, HostType]]:
     ]
 
 
-def _vertex_arguments(stage: tree.StageTree) -> list[Value]:
-    """Return the components of the parameters: the words of all attributes in order."""
-    kinds = [kind for _, type in _parameter_fields(stage) for kind in all_kinds(type)]
-    return [_argument(f"inputs_{word}", kind, Uniformity.VARYING) for word, kind in enumerate(kinds)]
+def _vertex_arguments(stage: tree.StageTree, interface: Interface) -> list[Value]:
+    """Return the components of the parameters: the words of the attributes in order, and zeros for those that a lean
+    stage lacks, since it doesn't read them."""
+    known = {attribute.name for attribute in interface.attributes}
+    values: list[Value] = []
+    word = 0
+    for name, type in _parameter_fields(stage):
+        for kind in all_kinds(type):
+            if name in known:
+                values.append(_argument(f"inputs_{word}", kind, Uniformity.VARYING))
+                word += 1
+            else:
+                values.append(literal(0, kind))
+    return values
 
 
 def _fragment_arguments(stage: tree.StageTree, varyings: tuple[StageVarying, ...]) -> list[Value]:

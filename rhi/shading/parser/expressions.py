@@ -91,6 +91,7 @@ class ExpressionParser:
         self.source = source
         self.owner = owner
         self.self_name = self_name
+        self.is_lean = stage_context.shader.lean
         self.untaken = 0  # the conditions around this place that are constant and false
 
     # -- provided by FunctionParser
@@ -233,6 +234,8 @@ class ExpressionParser:
         is_and, operands = isinstance(node.op, ast.And), []
         decided: Constant | None = None
         for value in node.values:
+            if self.is_lean and decided is not None:
+                break
             self.untaken += decided is not None
             condition = self.condition(value)
             self.untaken -= decided is not None

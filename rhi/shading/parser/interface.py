@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from rhi.contract.descriptors import Attribute, FragmentOutput, Interpolation, StageVarying
 from rhi.contract.layout import (
@@ -112,6 +113,13 @@ def check_fragment_input(fragment: Callee, varyings: tuple[Varying, ...]) -> Non
                 given = f"{parameter.type}.{field.name}: {field.type}"
                 allowed = ", ".join(f"{name}: {type}" for name, type in known.items()) or "no varyings"
                 source.refuse(rules.STAGES, source.node, given, allowed, suggest(field.name, known))
+
+
+def attributes_read(vertex: tree.StageTree, attributes: tuple[Attribute, ...]) -> tuple[Attribute, ...]:
+    """Return those of the attributes that the vertex stage reads, at locations from 0."""
+    names = _fields_read(vertex.entry)
+    read = [attribute for attribute in attributes if attribute.name in names]
+    return tuple(replace(attribute, location=location) for location, attribute in enumerate(read))
 
 
 _INTERPOLATIONS = {

@@ -4,7 +4,9 @@
   declared in the innermost block that contains all its uses, which is known at the end of the function.
 - Definite assignment is tracked while parsing: a read that some path reaches without an assignment is refused.
   Otherwise Python's UnboundLocalError would go unnoticed on a device.
-- If a condition is known at compile time (`if self.has_fog:` with a class constant), only the taken branch is kept.
+- If a condition is known at compile time (`if self.has_fog:` with a class constant), only the taken branch is kept. The
+  other is checked all the same, but not in a lean shader: its branches are the features of many variants, and each is
+  checked in a variant that has it.
 """
 
 from __future__ import annotations
@@ -202,6 +204,8 @@ class FunctionParser(CallParser):
     def statements(self, nodes: list[ast.stmt]) -> None:
         """Parse statements into the current block."""
         for node in nodes:
+            if self.is_lean and not self.reachable:
+                return
             parse = getattr(self, f"_{type(node).__name__.lower()}", None)
             if parse is None:
                 name = type(node).__name__
@@ -375,6 +379,8 @@ class FunctionParser(CallParser):
         decided = False  # by a condition that is constant and true
 
         def branch(statements: list[ast.stmt], taken: bool) -> None:
+            if self.is_lean and not taken:
+                return
             self.assigned, self.reachable = set(before), reachable
             self.untaken += not taken
             self.statements(statements)
@@ -383,6 +389,8 @@ class FunctionParser(CallParser):
                 ends.append(self.assigned)
 
         for index, arm in enumerate(chain):
+            if self.is_lean and decided:
+                break
             self.assigned, self.reachable = set(before), reachable
             if pending is not None and index % _LONGEST_CHAIN == 0:
                 self._continue_chain(arm, pending, depth)
@@ -522,6 +530,8 @@ def _finish(block: BlockBuilder) -> tree.Block:
         match statement:
             case Splice(block=inner):
                 result.extend(_finish(inner))
+                if result and isinstance(result[-1], tree.Return):
+                    break  # what follows is never reached
                 continue
             case tree.If(then=BlockBuilder() as then, otherwise=BlockBuilder() as otherwise):
                 statement.then, statement.otherwise = _finish(then), _finish(otherwise)

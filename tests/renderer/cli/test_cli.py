@@ -156,76 +156,6 @@ def test_a_model_file_is_rendered(capsys: pytest.CaptureFixture[str], here: Path
     assert report["triangles"] == 1
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (["render", "ctiy"], "did you mean 'city'"),
-        (["render", "city:block=3"], "scene-unknown-key"),
-        (["render", "city:blocks=0"], "scene-bad-value"),
-        (["render", "missing.glb"], "scene-missing-file"),
-        (["render", CITY, "--backend", "vulkan"], "device-unknown"),
-        (["render", CITY, "--camera", "nowhere"], "camera-unknown-name"),
-        (["render", CITY, "--camera", "-1,nan,2"], "camera-unknown-name"),
-        (["render", CITY, "--camera", "sky", "--frame", "1800"], "camera-frame-range"),
-        (["render", CITY, "--camera", "sky", "--frame", "1799", "--frames", "2"], "camera-frame-range"),
-        (["render", CITY, "--frame", "-1"], "--frame"),
-        (["render", CITY, "--frames", "0"], "--frames"),
-        (["render", CITY, "--size", "0x10"], "--size"),
-        (["render", CITY, "--size", "10x0"], "--size"),
-        (["render", CITY, "--size", "10"], "--size"),
-        (["render", CITY, "--size", "-10x10"], "--size"),
-        (["render", CITY, "--size", "axb"], "--size"),
-        (["render", CITY, "--size", "1000000x10", "--backend", "null"], "texture-size"),
-        (["compare", "visibility", CITY, "--backend", "null", "--algorithms", "chc"], "visibility-cannot-run"),
-        (["render", CITY, "--technique", "magic"], "--technique"),
-        (["render", CITY, "--visibility", "magic"], "--visibility"),
-        (["render", CITY, "--depth", "sideways"], "--depth"),
-        (["render", CITY, "--output", "picture.txt"], "--output"),
-        (["render", CITY, "--output", "file/picture.png"], "file"),
-        (["render"], "SCENE"),
-        (["demo", "ctiy"], "did you mean 'city'"),
-        (["paint"], "paint"),
-        ([], "COMMAND"),
-    ],
-    ids=lambda value: " ".join(value) or "nothing" if isinstance(value, list) else "",
-)
-def test_bad_input_is_one_line_and_exit_code_2(
-    capsys: pytest.CaptureFixture[str], here: Path, arguments: list[str], said: str
-) -> None:
-    (here / "file").write_text("not a folder")
-    with pytest.raises(SystemExit) as exit:
-        main(arguments)
-    output = capsys.readouterr()
-    assert exit.value.code == 2
-    assert output.out == ""
-    assert output.err.startswith("error: ")
-    assert output.err.count("\n") == 1
-    assert said in output.err
-    assert [path.name for path in here.iterdir()] == ["file"]
-
-
-@pytest.mark.parametrize(
-    ("vertex", "rule"), [("nan 0 0", "scene-bad-vertices"), ("inf 0 0", "scene-bad-vertices")]
-)
-def test_a_model_with_numbers_that_are_none_is_refused(
-    capsys: pytest.CaptureFixture[str], here: Path, vertex: str, rule: str
-) -> None:
-    with pytest.raises(SystemExit) as exit:
-        main(["render", write_model(here, vertex), "--backend", "null"])
-    error = capsys.readouterr().err
-    assert exit.value.code == 2
-    assert error.count("\n") == 1
-    assert rule in error
-
-
-def test_an_empty_model_is_refused(capsys: pytest.CaptureFixture[str], here: Path) -> None:
-    (here / "empty.ply").write_bytes(b"")
-    with pytest.raises(SystemExit) as exit:
-        main(["render", "empty.ply", "--backend", "null"])
-    assert exit.value.code == 2
-    assert "scene-empty-model" in capsys.readouterr().err
-
-
 def write_lines(path: Path) -> dict[str, object]:
     """Write a model file with a triangle, and lines that aren't read; return how these are listed."""
     triangle = base64.b64encode(struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0)).decode()
@@ -431,6 +361,27 @@ def test_plan_says_why_each_pass_is_there_and_what_is_left_out(capsys: pytest.Ca
     shown = capsys.readouterr().out
     assert "left out:\n  spot lights: the scene has no spot light" in shown
     assert shown.startswith("technique: forward, a null device draws nothing that could be measured\n")
+
+
+@pytest.mark.parametrize(("technique", "way", "more"), [
+    ("clustered", "--depth-first", ["depth"]),
+    ("deferred_plus", "--multi-pass", ["material ids", "rectangles"]),
+    ("forward", "--multi-pass", []),
+])  # fmt: skip
+def test_techniques_draw_in_other_ways_on_demand(
+    technique: str, way: str, more: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def list_passes(*arguments: str) -> set[str]:
+        command = ["plan", "grid:mesh=box,count=9,lights=4", "--backend", "null", "--json", *arguments]
+        assert main(command) == 0
+        return {one["name"] for one in json.loads(capsys.readouterr().out)["passes"]}
+
+    usual = list_passes("--technique", technique)
+    assert list_passes("--technique", technique, way) - usual == set(more)
+    name = way.removeprefix("--").replace("-", "_")
+    (tmp_path / "s.json").write_text(f'{{"rendering": {{"technique": {{"name": "{technique}", "{name}": true}}}}}}')
+    render = ["render", "grid:mesh=box,count=9,lights=4", "--backend", "null", "--frames", "1"]
+    assert main([*render, "--settings", str(tmp_path / "s.json")]) == 0
 
 
 @pytest.mark.parametrize(("arguments", "technique", "because"), [

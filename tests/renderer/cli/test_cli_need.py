@@ -9,7 +9,7 @@ import pytest
 
 import rhi
 from renderer.cli import main
-from renderer.need import LADDER
+from renderer.lab.need import LADDER
 
 
 def test_counts_of_chosen_rungs_are_printed_as_json(capsys: pytest.CaptureFixture[str]) -> None:
@@ -41,19 +41,6 @@ def test_the_page_has_the_tables_and_the_picture(tmp_path: Path, capsys: pytest.
     assert "python -m renderer need --rung box --rounds 2 --output docs" in page
     assert "% of a frame of the box on null" in page
     assert (tmp_path / "images" / "need.png").stat().st_size > 1000
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [(["--rounds", "0"], "--rounds: 0 is less than 1"), (["--rung", "fire"], "invalid choice: 'fire'")],
-)
-def test_bad_arguments_end_in_one_line(
-    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["need", *arguments])
-    assert ended.value.code == 2
-    assert message in capsys.readouterr().err
 
 
 def test_every_rung_can_be_named() -> None:

@@ -73,13 +73,6 @@ def test_one_eye_has_no_distance(capsys: pytest.CaptureFixture[str], arguments: 
     assert main(["render", CITY, "--backend", "null", "--size", "64x36", "--stereo", "grey", *arguments]) == 0
 
 
-def test_bad_lengths_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    for text in ("-1", "nan", "far"):
-        with pytest.raises(SystemExit):
-            main(["render", CITY, "--stereo", "grey", f"--eye-distance={text}"])
-        assert "is not a length" in capsys.readouterr().err
-
-
 def test_the_matrix_has_a_row_for_each_way_and_its_ratio_to_one_eye(capsys: pytest.CaptureFixture[str]) -> None:
     report = run(
         capsys, "compare", "stereo", CITY, "--backend", "null", "--sizes", "32x18,64x36", "--shadows", "off,on",

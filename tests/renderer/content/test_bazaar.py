@@ -6,7 +6,7 @@ import pytest
 import rhi
 from renderer.content import load_scene
 from renderer.content.surfaces import KINDS, paint_surface
-from renderer.measure.exact import ExactVisibility
+from renderer.lab.measure.exact import ExactVisibility
 from renderer.scene import ShadingModel
 
 SMALL = "bazaar:instances=700,materials=40,meshes=12,lights=16,detail=4"

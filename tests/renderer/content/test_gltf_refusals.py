@@ -186,9 +186,8 @@ def test_a_glb_that_was_cut_off_anywhere_is_refused(tmp_path):
     content = (tmp_path / "whole.glb").read_bytes()
     for size in (*range(1, 40), 100, len(content) // 2, len(content) - 1):
         (tmp_path / "cut.glb").write_bytes(content[:size])
-        with pytest.raises(ValidationError) as error:
+        with pytest.raises(ValidationError, match=r"^\[scene-unreadable-model\]"):
             load_model(str(tmp_path / "cut.glb"))
-        assert error.value.rule.id == "scene-unreadable-model"
 
 
 @pytest.mark.parametrize(
@@ -196,9 +195,8 @@ def test_a_glb_that_was_cut_off_anywhere_is_refused(tmp_path):
 )
 def test_json_that_is_no_document_is_refused(tmp_path, text):
     (tmp_path / "bad.gltf").write_bytes(text)
-    with pytest.raises(ValidationError) as error:
+    with pytest.raises(ValidationError, match=r"^\[scene-unreadable-model\]"):
         load_model(str(tmp_path / "bad.gltf"))
-    assert error.value.rule.id == "scene-unreadable-model"
 
 
 def test_a_file_without_triangles_is_refused_and_says_what_it_has(tmp_path):

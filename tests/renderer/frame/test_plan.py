@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import rhi
-from renderer.exam.plans import count_faults
 from renderer.frame import Pass, Plan, Target, make_plan
+from renderer.lab.exam.plans import count_faults
 from rhi import Format
 
 IMAGE, DEPTH = Target("image", Format.RGBA8_SRGB), Target("depth", Format.D32F)

@@ -25,7 +25,8 @@ from renderer.scene import Camera, Scene
 from renderer.shaders import ViewConstants
 from renderer.shaders.depth import DepthOnly
 from renderer.techniques import Forward
-from renderer.techniques.forward import bind_forward
+from renderer.techniques.parts.scene_shader import ForwardShader
+from renderer.techniques.parts.variants import bind, find_variant
 from renderer.visibility import FrustumCulling, list_algorithms, make_visibility
 from rhi import DepthFunction, DepthWrite, Format
 from rhi.backends.null import NullBackend
@@ -59,7 +60,8 @@ class DepthFirst:
         draw_depth(frame, frame.view, frame.targets.depth)
 
     def _draw_lit(self, frame: Frame) -> None:
-        program, bindings = bind_forward(frame)
+        program = frame.program(find_variant(frame, ForwardShader))
+        bindings = bind(frame, program, {})
         frame.draw_visible(
             TechniquePass(
                 frame.device, frame.resources, frame.view, program, bindings,

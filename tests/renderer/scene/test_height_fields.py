@@ -79,9 +79,8 @@ def test_lengths_and_reaches_hold_those_of_all_that_depends_on_a_vertex():
     ],
 )
 def test_bad_maps_are_refused(heights, size, limit):
-    with pytest.raises(ValidationError) as refused:
+    with pytest.raises(ValidationError, match=r"^\[scene-bad-heights\]"):
         make_height_field(heights, size, limit=limit)
-    assert refused.value.rule.id == "scene-bad-heights"
 
 
 def test_a_field_has_one_object():
@@ -93,6 +92,5 @@ def test_a_field_has_one_object():
         return builder.build()
 
     assert list(make(1).height_fields) == [0]
-    with pytest.raises(ValidationError) as refused:
+    with pytest.raises(ValidationError, match=r"^\[scene-shared-heights\]"):
         make(2)
-    assert refused.value.rule.id == "scene-shared-heights"

@@ -295,9 +295,8 @@ def test_all_techniques_have_the_bindings_that_shadows_need(null: rhi.Device, te
     [("cascades", 0), ("cascade_size", 100), ("distance", -1.0), ("split", 2.0), ("largest_atlas", 512), ("budget", 0)],
 )
 def test_settings_out_of_their_range_are_refused(name: str, value: float) -> None:
-    with pytest.raises(rhi.ValidationError) as refused:
+    with pytest.raises(rhi.ValidationError, match=r"^\[shadow-settings\]"):
         ShadowSettings(**{name: value})  # type: ignore[arg-type]
-    assert refused.value.rule.id == "shadow-settings"
 
 
 def test_scenes_cast_shadows_on_request(null: rhi.Device) -> None:

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 import rhi
 from renderer.content import BUILT_IN
-from renderer.exam import CASES
-from renderer.exam.shadows import FLOOR, SETTINGS, SLOPES, find_acne, make_slope
+from renderer.lab.exam import CASES
+from renderer.lab.exam.shadows import FLOOR, SETTINGS, SLOPES, find_acne, make_slope
 from renderer.renderer import Renderer
 from renderer.scene import (
     AlphaMode,

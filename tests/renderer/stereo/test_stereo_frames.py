@@ -13,6 +13,7 @@ import rhi
 from renderer.content import load_scene
 from renderer.content.shapes import box
 from renderer.frame.lamps import ExactPlace
+from renderer.layers.particles import Particles
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import (
     Camera,
@@ -28,7 +29,7 @@ from renderer.scene import (
 from renderer.scene.transforms import multiply
 from renderer.shaders import PointLight, ViewConstants
 from renderer.stereo import Stereo
-from renderer.techniques import TECHNIQUES, Particles
+from renderer.techniques import TECHNIQUES
 from renderer.visibility import (
     FrustumCulling,
     NoCulling,

@@ -8,7 +8,7 @@ import pytest
 
 import rhi
 from renderer.content import BUILT_IN
-from renderer.measure.plans import describe_plan
+from renderer.lab.measure.plans import describe_plan
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene, SceneBuilder
 from renderer.techniques import (
@@ -19,7 +19,7 @@ from renderer.techniques import (
     Technique,
     TiledDeferred,
 )
-from renderer.techniques.cell_lists import CLUSTERS
+from renderer.techniques.parts.cell_lists import CLUSTERS
 from renderer.visibility import NoCulling
 from rhi import Op
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import rhi
 from renderer import rules
 from renderer.content import BUILT_IN
-from renderer.measure.plans import describe_plan
+from renderer.lab.measure.plans import describe_plan
 from renderer.renderer import Renderer
 from renderer.scene import (
     AlphaMode,
@@ -25,9 +25,9 @@ from renderer.scene import (
     translation,
 )
 from renderer.techniques import DeferredPlus, Forward
-from renderer.techniques.deferred_plus import shading_variant
-from renderer.techniques.material_rectangles import MaterialRectangles
-from renderer.techniques.packed_geometry import MOST_MATERIALS, PackedPlain, PackedTextures
+from renderer.techniques.deferred_plus import PackedShading
+from renderer.techniques.parts.material_rectangles import MaterialRectangles
+from renderer.techniques.parts.packed_geometry import MOST_MATERIALS, PackedPlain, PackedTextures
 from renderer.visibility import FrustumCulling, NoCulling, TwoPassCulling
 from rhi import Op, Stage
 from rhi.shading import compile_shader
@@ -212,8 +212,7 @@ def test_pixels_without_a_surface_are_left_out_before_they_are_shaded(null: rhi.
         assert begun.colors[0].texture == targets["image"].id
         assert begun.depth.texture == targets["depth"].id
         assert begun.depth.clear is None
-    shader = shading_variant((), (), has_lamps=False, has_sun=False, multi_pass=False)
-    assert "discard" not in compile_shader(shader).emit("glsl", Stage.FRAGMENT).text
+    assert "discard" not in compile_shader(PackedShading).emit("glsl", Stage.FRAGMENT).text
 
 
 def test_all_65536_materials_are_those_of_forward_shading(gl: rhi.Device) -> None:

@@ -16,7 +16,7 @@ import rhi
 from renderer.content import BUILT_IN
 from renderer.frame import Blending, GlowSettings
 from renderer.frame.tones import find_light
-from renderer.overlay import Overlay
+from renderer.layers.overlay import Overlay
 from renderer.renderer import Renderer
 from renderer.scene import (
     AlphaMode,

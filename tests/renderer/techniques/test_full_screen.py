@@ -10,7 +10,7 @@ import pytest
 from renderer.scene import Camera, Depth, Orthographic, Perspective, Projection
 from renderer.scene.arrays import Floats
 from renderer.shaders.pixels import distance_at, nearness_of, place_pixel
-from renderer.techniques.full_screen import find_rays
+from renderer.techniques.parts.full_screen import find_rays
 from rhi.shading import evaluate
 
 SIZE = (97, 55)

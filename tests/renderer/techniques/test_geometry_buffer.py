@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.techniques.geometry_buffer import (
+from renderer.techniques.parts.geometry_buffer import (
     decode_texel,
     encode_texel,
 )

@@ -16,7 +16,7 @@ from renderer.frame import GlowSettings, Needs, Pass, Target
 from renderer.frame.frame import Frame
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Glow, Scene, SceneBuilder
-from renderer.techniques.glow import glow_passes
+from renderer.techniques.parts.glow import glow_passes
 from renderer.visibility import NoCulling
 from rhi import Format
 

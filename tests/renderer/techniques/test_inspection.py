@@ -13,8 +13,8 @@ from renderer.cli import main
 from renderer.content import BUILT_IN as MESHES
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import Camera, Scene, SceneBuilder, scaling, translation
-from renderer.techniques.cell_lists import TILES
 from renderer.techniques.inspection import INSPECTIONS, Inspection, heat_color
+from renderer.techniques.parts.cell_lists import TILES
 from renderer.visibility import NoCulling
 from rhi.shading import evaluate
 

@@ -35,6 +35,7 @@ from renderer.techniques import (
     TiledDeferred,
     inferred,
 )
+from renderer.techniques.parts import variants
 from renderer.visibility import ALGORITHMS, NoCulling, make_visibility
 
 SIZE = (96, 64)
@@ -329,9 +330,9 @@ def test_light_does_not_leak_over_edges(gl: rhi.Device, monkeypatch: pytest.Monk
     builder.lights.sky = (0.01, 0.01, 0.01)
     scene, camera = builder.build(), Camera.look_at((0.5, 14, 1), (0, 8, 0))
     expected, image = render_all(gl, scene, camera, [Forward(), Inferred()])
-    inferred.inferred_variant.cache_clear()
+    variants.combine.cache_clear()
     monkeypatch.setattr(inferred, "_NEAR_PLANE", 1e6)  # the control: a bilinear filter
     (blurred,) = render_all(gl, scene, camera, [Inferred()])
-    inferred.inferred_variant.cache_clear()
+    variants.combine.cache_clear()
     assert (np.abs(image - expected) > 16).any(2).mean() < 0.002
     assert (np.abs(blurred - expected) > 16).any(2).mean() > 0.02

@@ -29,9 +29,14 @@ from renderer.scene import (
 )
 from renderer.shadows.casters import SceneCasters
 from renderer.techniques import TECHNIQUES, Forward, Inferred, Smoothed, Technique, inferred
+from renderer.techniques.parts import variants
+from renderer.techniques.parts.scene_shader import ForwardShader
+from renderer.techniques.parts.transparency import TransparentShader, WeightedShader
 from renderer.visibility import ALGORITHMS, NoCulling, TwoPassCulling, list_algorithms, make_visibility
 from renderer.visibility.gpu.occludees import DRAWN, OUTSIDE
 from rhi import DepthWrite, Op
+from rhi.contract.descriptors import Stage
+from rhi.shading import Shader, compile_shader
 
 SIZE = (48, 32)
 PANE = make_geometry([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], [(0, 1, 2), (0, 2, 3)])
@@ -217,10 +222,10 @@ def test_inferred_light_reaches_three_transparent_surfaces_behind_each_other(
     scene = builder.build()
     expected = render(gl, scene)
     image = render(gl, scene, Inferred(scale=scale))
-    inferred.inferred_variant.cache_clear()
+    variants.combine.cache_clear()
     monkeypatch.setattr(inferred, "_LAYERS", 1)  # the control: all three have the same texel
     wrong = render(gl, scene, Inferred(scale=scale))
-    inferred.inferred_variant.cache_clear()
+    variants.combine.cache_clear()
     assert np.abs(image - expected).max() <= 8
     assert np.abs(wrong - expected).max() > 15
 
@@ -436,3 +441,13 @@ def test_smooth_edges_go_with_transparent_surfaces(gl: rhi.Device, blending: Ble
     for technique in (Smoothed(Forward()), Forward(samples=4)):
         # Without edges they change nothing.
         assert np.abs(render(gl, builder.build(), technique, blending) - plain).max() <= 1
+
+
+@pytest.mark.parametrize("shader", [ForwardShader, TransparentShader, WeightedShader])
+def test_a_fragment_reads_its_texture_and_tests_its_mask_once(shader: type[Shader]) -> None:
+    switches = {"has_images": True, "has_masks": True}
+    text = compile_shader(type("Variant", (shader,), {"__module__": __name__, **switches})).emit(
+        "glsl", Stage.FRAGMENT
+    ).text
+    assert text.count("find_texel(") == 2, "where it is defined, and one call"
+    assert text.count("discard") == 1

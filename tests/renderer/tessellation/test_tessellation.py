@@ -210,7 +210,6 @@ def test_a_scene_without_a_field_dispatches_nothing(null: rhi.Device) -> None:
 
 @pytest.mark.parametrize("edge_pixels", [0.0, -1.0, float("nan"), float("inf")])
 def test_a_length_that_is_none_is_refused(edge_pixels: float) -> None:
-    with pytest.raises(ValidationError) as refused:
+    with pytest.raises(ValidationError, match=r"^\[tessellation-edge\]"):
         TessellationSettings(edge_pixels)
-    assert refused.value.rule.id == "tessellation-edge"
     assert TessellationSettings(1e-3).edge_pixels == 1e-3

@@ -213,23 +213,3 @@ def test_a_window_shows_the_frames_of_a_script(tmp_path: Path) -> None:
     assert main(["render", SCENE, "--backend", "null", "--camera", str(walk), "--json"]) == 0
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (["nowhere"], "scene"),
-        ([SCENE, "--camera", "nowhere"], "camera-unknown-name"),
-        ([SCENE, "--script", "missing.txt"], "No such file"),
-        ([SCENE, "--technique", "nothing"], "invalid choice"),
-        ([SCENE, "--size", "0x3"], "is empty"),
-    ],
-)
-def test_bad_arguments_end_in_one_line(
-    arguments: list[str], says: str, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as ended:
-        main(["view", *arguments])
-    assert ended.value.code == 2
-    said = capsys.readouterr().err
-    assert says in said
-    assert said.count("\n") == 1

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import rhi
-from renderer.canvas import Canvas
 from renderer.content import load_scene, parse_camera
+from renderer.layers.canvas import Canvas
 from renderer.renderer import Renderer
 from renderer.scene import CameraPath, Scene
 from renderer.stereo import OUTPUTS

@@ -10,17 +10,17 @@ import pytest
 from hypothesis import strategies as st
 
 import rhi
-from renderer.exam.late import delay_methods
-from renderer.exam.scenes import ORIGIN as ORIGIN
-from renderer.exam.scenes import SIZE as SIZE
-from renderer.exam.scenes import WALL as WALL
-from renderer.exam.scenes import Shots as Shots
-from renderer.exam.scenes import Uncut as Uncut
-from renderer.exam.scenes import count_wrong_pixels as count_wrong_pixels
-from renderer.exam.scenes import draw_with as draw_with
-from renderer.exam.scenes import look as look
-from renderer.exam.scenes import make_boxes as make_boxes
-from renderer.exam.scenes import walk as walk
+from renderer.lab.exam.late import delay_methods
+from renderer.lab.exam.scenes import ORIGIN as ORIGIN
+from renderer.lab.exam.scenes import SIZE as SIZE
+from renderer.lab.exam.scenes import WALL as WALL
+from renderer.lab.exam.scenes import Shots as Shots
+from renderer.lab.exam.scenes import Uncut as Uncut
+from renderer.lab.exam.scenes import count_wrong_pixels as count_wrong_pixels
+from renderer.lab.exam.scenes import draw_with as draw_with
+from renderer.lab.exam.scenes import look as look
+from renderer.lab.exam.scenes import make_boxes as make_boxes
+from renderer.lab.exam.scenes import walk as walk
 from renderer.renderer import FrameResult
 from renderer.scene import Camera, Orthographic, Perspective, Scene
 from renderer.scene.transforms import rotation

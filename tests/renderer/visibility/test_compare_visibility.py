@@ -17,7 +17,7 @@ import rhi
 from renderer.cli import main
 from renderer.cli.output import show_progress
 from renderer.content import load_scene
-from renderer.measure.visibility import FORGETFUL, Picture, WalkFrame, list_contenders, list_frames
+from renderer.lab.measure.visibility import FORGETFUL, Picture, WalkFrame, list_contenders, list_frames
 from renderer.renderer import Renderer
 from renderer.visibility import ALGORITHMS, Settings, make_visibility
 from renderer.visibility.software_depth import can_rasterise
@@ -212,42 +212,6 @@ def test_the_null_device_compares_what_asks_nothing(capsys: pytest.CaptureFixtur
     assert [row["algorithm"] for row in rows] == ["none", "frustum", *beside, "auto"]
     assert {row["wrong_pixels"] for row in rows} == {None}
     assert rows[0]["triangles"] >= rows[1]["triangles"] > 0
-
-
-@pytest.mark.parametrize("algorithm", ["stop_and_wait", "chc", "chc_plus_plus", "conditional", "two_pass"])
-@pytest.mark.parametrize("command", [[*COMMAND, "--algorithms"], ["render", "city:blocks=4", "--visibility"]])
-def test_what_a_device_lacks_for_an_algorithm_is_one_line(
-    capsys: pytest.CaptureFixture[str], command: list[str], algorithm: str
-) -> None:
-    with pytest.raises(SystemExit) as stop:
-        main([*command, algorithm, "--backend", "null"])
-    assert stop.value.code == 2
-    error = capsys.readouterr().err
-    assert error.startswith("error: the device can't run this visibility algorithm")
-    lacks = "compute shaders and draws that run" if algorithm == "two_pass" else "draws that run"
-    assert f"{algorithm!r} on a null device, which lacks {lacks}" in error
-    assert "(allowed: one of none, frustum," in error
-    assert error.count("\n") == 1
-
-
-@pytest.mark.parametrize(
-    ("extra", "said"),
-    [
-        (["--algorithms", "frustum,magic"], "'magic' is not an algorithm"),
-        (["--camera-path", "grund"], "did you mean 'ground'"),
-        (["--frame", "1798"], "camera-frame-range"),
-        (["--plot", "chart.nothing"], "has no known image extension"),
-    ],
-)
-def test_bad_input_of_compare_is_one_line(
-    capsys: pytest.CaptureFixture[str], extra: list[str], said: str
-) -> None:
-    with pytest.raises(SystemExit) as stop:
-        main([*COMMAND, "--backend", "null", *extra])
-    assert stop.value.code == 2
-    error = capsys.readouterr().err
-    assert said in error
-    assert error.count("\n") == 1
 
 
 def test_pixels_differ_by_what_they_show_or_by_the_order_of_draws() -> None:

@@ -29,10 +29,8 @@ from occlusion_scenes import (
 
 import rhi
 from renderer.content import load_scene
-from renderer.content.shapes import box
 from renderer.renderer import Renderer
-from renderer.scene import Camera, Depth, MeshGeometry, Orthographic, Perspective, Scene
-from renderer.scene.scene import SceneBuilder
+from renderer.scene import Camera, Depth, Perspective, Scene
 from renderer.visibility import (
     AutoCulling,
     DeviceCulling,
@@ -59,13 +57,6 @@ def city() -> Scene:
     return load_scene("city:blocks=8,detail=2")
 
 
-@pytest.mark.parametrize("path", ["ground", "sky"])
-@pytest.mark.parametrize("name", DEVICE)
-def test_a_walk_looks_as_without_culling(device: rhi.Device, city: Scene, name: str, path: str) -> None:
-    shots = walk(city, path, range(600, 648, 4))
-    assert count_wrong_pixels(device, city, make(name, city, device), shots) == [0] * 12
-
-
 @cache
 def whole_city() -> Scene:
     return load_scene("city")
@@ -86,50 +77,6 @@ def test_a_walk_through_the_whole_city_loses_no_depth(
             camera = whole.paths[path].camera(frame)
             expected = draw_with(renderer, none, camera).depth.read()
             assert (draw_with(renderer, algorithm, camera).depth.read() == expected).all()
-
-
-@pytest.mark.parametrize("name", DEVICE)
-def test_moving_objects_are_seen_where_they_are(device: rhi.Device, name: str) -> None:
-    hall = load_scene("hall:columns=8,rows=2,flags=12")
-    shots = [(hall.paths["ground"].camera(frame), frame / 6) for frame in range(300, 900, 60)]
-    assert count_wrong_pixels(device, hall, make(name, hall, device), shots) == [0] * 10
-
-
-@pytest.mark.parametrize("name", DEVICE)
-def test_standard_depth_hides_the_same(device: rhi.Device, city: Scene, name: str) -> None:
-    shots = [(camera.with_projection(STANDARD), s) for camera, s in walk(city, "ground", range(700, 724, 4))]
-    assert count_wrong_pixels(device, city, make(name, city, device), shots) == [0] * 6
-
-
-@pytest.mark.parametrize("name", DEVICE)
-def test_depth_that_turns_round_between_frames_leaves_no_trace(
-    device: rhi.Device, city: Scene, name: str
-) -> None:
-    shots = walk(city, "ground", range(700, 724, 4))
-    turned = [(eye.with_projection(STANDARD), s) if i % 2 else (eye, s) for i, (eye, s) in enumerate(shots)]
-    assert count_wrong_pixels(device, city, make(name, city, device), turned) == [0] * 6
-
-
-@pytest.mark.parametrize("name", DEVICE)
-def test_another_lens_between_frames_leaves_no_trace(device: rhi.Device, city: Scene, name: str) -> None:
-    lenses = [
-        Perspective(near=0.1),
-        Perspective(fov=0.3),
-        Orthographic(60.0, far=900.0),
-        Perspective(fov=2.2, far=500.0),
-    ]
-    shots = [
-        (camera.with_projection(lens), s)
-        for (camera, s), lens in zip(walk(city, "sky", range(700, 708)), lenses * 2, strict=True)
-    ]
-    assert count_wrong_pixels(device, city, make(name, city, device), shots) == [0] * 8
-
-
-@pytest.mark.parametrize("size", [(2, 3), (63, 34), (257, 31)])
-@pytest.mark.parametrize("name", DEVICE)
-def test_any_size_of_image_will_do(device: rhi.Device, city: Scene, name: str, size: tuple[int, int]) -> None:
-    shots = walk(city, "ground", range(600, 632, 8))
-    assert count_wrong_pixels(device, city, make(name, city, device), shots, size) == [0] * 4
 
 
 @pytest.mark.parametrize("name", DEVICE)
@@ -158,43 +105,6 @@ def test_random_walks_among_random_boxes_look_as_without_culling(
         algorithm = make(name, scene, device)
         assert count_wrong_pixels(device, scene, algorithm, shots) == [0] * len(shots), name
         algorithm.destroy()
-
-
-def mirrored_boxes(*, two_sides: bool = False) -> Scene:
-    """Make boxes of which every other one is mirrored, and one is skewed flat; every third one may have two sides, and
-    lacks a face, so that its inside is seen."""
-    builder = SceneBuilder("mirrored")
-    rng, whole = np.random.default_rng(4), box()
-    mesh, opened = builder.add_mesh(whole), builder.add_mesh(MeshGeometry(whole.vertices, whole.indices[6:]))
-    local = np.tile(np.eye(4), (30, 1, 1))
-    local[:, :3, :3] = rng.normal(size=(30, 3, 3))
-    local[:, :3, 3] = rng.uniform(-6.0, 6.0, (30, 3))
-    local[0, :3, 2] = 0.3 * local[0, :3, 0] + 0.2 * local[0, :3, 1]
-    turned = np.linalg.det(local[:, :3, :3]) < 0.0
-    assert 5 < turned.sum() < 25
-    nodes = builder.add_nodes(local)
-    for row, color in enumerate(rng.uniform(0.2, 1.0, (30, 4))):
-        has_two = two_sides and row % 3 == 0
-        material = builder.add_material(base_color=tuple(color), double_sided=has_two)
-        builder.add_objects(nodes[row], opened if has_two else mesh, material)
-    builder.lights.add_directional((-0.4, -1.0, -0.3), (1.0, 1.0, 1.0), 1.5)
-    return builder.build()
-
-
-@pytest.mark.parametrize("name", DEVICE)
-def test_mirrored_and_skewed_objects_are_drawn_right_side_out(device: rhi.Device, name: str) -> None:
-    check_boxes(device, name, mirrored_boxes())
-
-
-@pytest.mark.parametrize("name", DEVICE)
-def test_backs_of_materials_with_two_sides_are_drawn_mirrored_or_not(gl: rhi.Device, name: str) -> None:
-    check_boxes(gl, name, mirrored_boxes(two_sides=True))
-
-
-def check_boxes(device: rhi.Device, name: str, scene: Scene) -> None:
-    eyes = [(12.0, 3.0, 4.0), (-9.0, -8.0, 2.0), (0.0, 0.0, 1.0)]
-    shots = [(look(eye, (0.0, 0.0, 0.0)), 0.0) for eye in eyes for _ in range(2)]
-    assert count_wrong_pixels(device, scene, make(name, scene, device), shots) == [0] * 6
 
 
 @pytest.mark.parametrize("name", DEVICE)
@@ -301,9 +211,8 @@ def test_near_objects_are_drawn_first(null: rhi.Device, name: str) -> None:
 
 @pytest.mark.parametrize("name", DEVICE)
 def test_a_pass_without_a_device_is_refused(null: rhi.Device, city: Scene, name: str) -> None:
-    with pytest.raises(ValidationError) as error:
+    with pytest.raises(ValidationError, match=r"^\[visibility-no-scene-pass\]"):
         find_visible_objects(make(name, city, null), city.views["overview"])
-    assert error.value.rule.id == "visibility-no-scene-pass"
 
 
 @pytest.mark.parametrize("name", DEVICE)
@@ -317,18 +226,16 @@ def test_what_was_drawn_is_known_until_the_next_frame(device: rhi.Device, city: 
         assert kept.statistics.triangles == city.count_triangles(rows)
         draw_with(renderer, algorithm, camera)
         assert kept.visible is rows
-        with pytest.raises(ValidationError) as error:
+        with pytest.raises(ValidationError, match=r"^\[visibility-stale-list\]"):
             first.statistics  # noqa: B018
-    assert error.value.rule.id == "visibility-stale-list"
 
 
 @pytest.mark.parametrize("name", DEVICE)
 def test_a_device_without_compute_is_refused(monkeypatch: pytest.MonkeyPatch, name: str, city: Scene) -> None:
     with rhi.create_device("null", profile="gl-3.3") as old:
         assert not old.capabilities.compute
-        with pytest.raises(ValidationError) as error:
+        with pytest.raises(ValidationError, match=r"^\[visibility-no-compute\]"):
             make(name, city, old)
-    assert error.value.rule.id == "visibility-no-compute"
 
 
 def test_devices_that_draw_and_compute_list_them(gl: rhi.Device, null: rhi.Device) -> None:
@@ -373,13 +280,6 @@ def test_it_can_be_a_candidate_of_auto(device: rhi.Device, city: Scene, name: st
     makers = {"frustum": lambda: FrustumCulling(city), name: lambda: make(name, city, device)}
     auto = AutoCulling(city, device, makers, frames=3, rest=1)
     assert count_wrong_pixels(device, city, auto, walk(city, "ground", range(600, 616, 2))) == [0] * 8
-
-
-@pytest.mark.parametrize("name", DEVICE)
-def test_what_is_simulated_is_seen_as_it_is(gl: rhi.Device, name: str) -> None:
-    hall = load_scene("hall:columns=8,rows=2,flags=2,fountains=4")
-    shots = [(hall.paths["ground"].camera(frame), frame / 60) for frame in range(300, 900, 100)]
-    assert count_wrong_pixels(gl, hall, make(name, hall, gl), shots) == [0] * 6
 
 
 @pytest.mark.parametrize("name", DEVICE)

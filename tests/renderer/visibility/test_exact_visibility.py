@@ -5,7 +5,7 @@ from __future__ import annotations
 from occlusion_scenes import ORIGIN, WALL, look, make_boxes
 
 import rhi
-from renderer.measure.exact import ExactVisibility
+from renderer.lab.measure.exact import ExactVisibility
 
 PLACES = [WALL, (0.0, 0.0, -9.0), (3.0, 0.0, -9.0), (0.0, 0.0, 9.0), (0.013, 0.0, -2.0)]
 SIZES = [(3.0, 3.0, 0.1), (1.0, 1.0, 1.0), (2.0, 1.0, 1.0), (1.0, 1.0, 1.0), (0.001, 0.001, 0.001)]

@@ -32,9 +32,9 @@ from occlusion_scenes import (
 )
 
 import rhi
-from renderer.exam.scenes import IMAGES
-from renderer.exam.visibility import LATENCIES, NAMES
-from renderer.measure.exact import ExactVisibility
+from renderer.lab.exam.scenes import IMAGES
+from renderer.lab.exam.visibility import LATENCIES, NAMES
+from renderer.lab.measure.exact import ExactVisibility
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Perspective, Scene
 from renderer.visibility import ChcPlusPlus, list_algorithms, make_visibility

@@ -9,8 +9,8 @@ from occlusion_scenes import cameras, look, make_boxes, scenes
 from test_device_culling import mirrored_boxes
 
 import rhi
-from renderer.exam.scenes import make_views
 from renderer.frame import SceneResources, View
+from renderer.lab.exam.scenes import make_views
 from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene
 from renderer.visibility import NoCulling
 from renderer.visibility.boxes.bounds import is_parallel, margin_terms, near_radius

@@ -307,9 +307,8 @@ def test_conditional_culling_needs_a_device_with_conditions(null: rhi.Device) ->
     scene = make_cloud(3)
     with rhi.create_device("null") as device:
         device._core.capabilities = replace(device.capabilities, conditional_rendering=False)
-        with pytest.raises(ValidationError) as error:
+        with pytest.raises(ValidationError, match=r"^\[visibility-no-conditions\]"):
             ConditionalCulling(scene, device)
-    assert error.value.rule.id == "visibility-no-conditions"
     ConditionalCulling(scene, null)
 
 
@@ -324,17 +323,15 @@ def test_conditional_culling_is_listed_where_queries_are_native(native: bool, li
         assert "chc_plus_plus" in names  # emulated queries are enough
         assert (find_obstacle("conditional", device) is None) is listed
         if not listed:
-            with pytest.raises(ValidationError) as error:
+            with pytest.raises(ValidationError, match=r"^\[visibility-no-conditions\]"):
                 ConditionalCulling(make_cloud(3), device)
-            assert error.value.rule.id == "visibility-no-conditions"
 
 
 @pytest.mark.parametrize("bad", [{"batch": 0}, {"persistence": 0}])
 def test_parameters_below_one_are_refused(null: rhi.Device, bad: dict[str, int]) -> None:
     scene = make_cloud(3)
-    with pytest.raises(ValidationError) as error:
+    with pytest.raises(ValidationError, match=r"^\[visibility-bad-parameter\]"):
         ChcPlusPlus(scene, null, **bad)
-    assert error.value.rule.id == "visibility-bad-parameter"
     ChcPlusPlus(scene, null, **dict.fromkeys(bad, 1))
 
 
@@ -413,7 +410,6 @@ def test_tight_bounds_cover_their_node(count: int) -> None:
 
 def test_the_null_device_refuses_to_guess(renderer: Renderer) -> None:
     algorithm = ChcPlusPlus(renderer.scene, renderer.device)
-    with pytest.raises(ValidationError) as error:
+    with pytest.raises(ValidationError, match=r"^\[null-samples\]"):
         draw_with(renderer, algorithm, EYE)
-    assert error.value.rule.id == "null-samples"
     draw_with(renderer, FrustumCulling(renderer.scene), EYE)

@@ -27,7 +27,7 @@ from occlusion_scenes import (
 import rhi
 from renderer.content import load_scene
 from renderer.renderer import Renderer
-from renderer.scene import Camera, Depth, Perspective, Scene
+from renderer.scene import Camera, Scene
 from renderer.visibility import (
     FrustumCulling,
     NoCulling,
@@ -68,13 +68,6 @@ def walled(*more: tuple[float, float, float], wall: float = 30.0) -> Scene:
     return scene
 
 
-@pytest.mark.parametrize("path", ["ground", "sky"])
-def test_a_walk_looks_as_without_culling(device: rhi.Device, city: Scene, path: str) -> None:
-    algorithm = SoftwareDepth(city)
-    assert count_wrong_pixels(device, city, algorithm, walk(city, path, range(600, 648, 4))) == [0] * 12
-    algorithm.destroy()
-
-
 def test_moving_objects_hide_where_they_are(device: rhi.Device) -> None:
     # Two walls that change places: the one that hides is the one in front now.
     scene = make_boxes(
@@ -111,18 +104,6 @@ def test_nothing_but_the_scenes_draw_reaches_the_renderers_device(null: rhi.Devi
                 assert result.statistics.queries == 0
         algorithm.destroy()
     assert streams[0] == streams[1]
-
-
-@pytest.mark.parametrize("direction", Depth)
-@pytest.mark.parametrize("size", [(1, 1), (2, 3), (63, 34), (257, 31)])
-def test_any_size_and_direction_of_depth_will_do(
-    device: rhi.Device, city: Scene, size: tuple[int, int], direction: Depth
-) -> None:
-    lens = Perspective(near=0.2, far=2000.0, depth=direction)
-    shots = [(camera.with_projection(lens), s) for camera, s in walk(city, "ground", range(600, 632, 8))]
-    algorithm = SoftwareDepth(city)
-    assert count_wrong_pixels(device, city, algorithm, shots, size) == [0] * 4
-    algorithm.destroy()
 
 
 @settings(max_examples=5)
@@ -230,7 +211,7 @@ def test_a_device_that_draws_nothing_is_given_the_same(device: rhi.Device, null:
 
 def test_without_a_renderers_pass_it_refuses(null: rhi.Device) -> None:
     algorithm = make_visibility("software_depth", walled(), null)
-    with pytest.raises(ValidationError, match="visibility-no-scene-pass"):
+    with pytest.raises(ValidationError, match=r"^\[visibility-no-scene-pass\]"):
         find_visible_objects(algorithm, FRONT)
     algorithm.destroy()
 

@@ -34,9 +34,8 @@ def test_a_number_that_is_missing_is_the_default(tmp_path: Path) -> None:
 ])  # fmt: skip
 def test_a_file_that_holds_no_settings_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "s.json").write_text(text)
-    with pytest.raises(ValidationError) as refused:
+    with pytest.raises(ValidationError, match=r"^\[visibility-bad-settings\]"):
         Settings.load(tmp_path / "s.json")
-    assert refused.value.rule.id == "visibility-bad-settings"
 
 
 @pytest.mark.parametrize(
@@ -47,9 +46,8 @@ def test_a_file_that_holds_no_settings_is_refused(tmp_path: Path, text: str) -> 
     ],
 )  # fmt: skip
 def test_a_value_out_of_its_range_is_refused(value: dict[str, int]) -> None:
-    with pytest.raises(ValidationError) as refused:
+    with pytest.raises(ValidationError, match=r"^\[visibility-bad-parameter\]"):
         Settings(**value)
-    assert refused.value.rule.id == "visibility-bad-parameter"
     Settings(batch=1, persistence=1, leaf_size=1, threshold=0)
 
 
@@ -82,9 +80,8 @@ def test_emulated_queries_are_counters_in_place_of_queries(null: rhi.Device, nam
 
 def test_what_is_drawn_on_condition_needs_native_queries(null: rhi.Device) -> None:
     scene = make_boxes([(0.0, 0.0, 0.0)], [(1.0, 1.0, 1.0)])
-    with pytest.raises(ValidationError) as refused:
+    with pytest.raises(ValidationError, match=r"^\[visibility-no-conditions\]"):
         make_visibility("conditional", scene, null, Settings(emulated=True))
-    assert refused.value.rule.id == "visibility-no-conditions"
     make_visibility("conditional", scene, null, Settings(emulated=False)).destroy()
 
 

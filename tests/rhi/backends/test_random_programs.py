@@ -14,7 +14,7 @@ import pytest
 import rhi
 from rhi import Device
 from rhi.backends.cl.backend import ClBackend
-from rhi.backends.cl.raster import batches, launcher, pieces
+from rhi.backends.cl.raster import batches, draw_tables, launcher
 from rhi.backends.cl.raster.draw_state import DrawState
 from rhi.backends.cl.raster.merger import MergerKey
 from rhi.conformance.programs.generator import make_program, make_theme
@@ -56,8 +56,8 @@ def test_what_is_left_out_is_not_seen(cl: Device, monkeypatch: pytest.MonkeyPatc
                 wanted = run(plain, program)
             with monkeypatch.context() as patch:
                 if seed % 2:
-                    patch.setattr(pieces, "_FIRST_PIECE_GROUPS", 2)
-                    patch.setattr(pieces, "_PIECE_GROUPS", 8)
+                    patch.setattr(draw_tables, "_FIRST_PIECE_GROUPS", 2)
+                    patch.setattr(draw_tables, "_PIECE_GROUPS", 8)
                     patch.setattr(launcher, "_SLICE_GROUPS", 16)
                     patch.setattr(launcher, "_FEW_GROUPS", 1)
                 given = run(cl, program)

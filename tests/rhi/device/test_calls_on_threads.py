@@ -59,7 +59,7 @@ SAFE = {
     "UniformArray": "buffer count dtype label lock struct type",
     "StorageBuffer": "buffer count dtype element id lock offset owner size type",
     "Texture": "at compressed core descriptor destroyed format id image kind label layers levels lock owner sampled "
-    "sampler samples size texture",
+    "requested sampler samples size texture",
     "Mesh": "base_instance base_vertex buffers core count data draws element_count first index_count indices instances "
     "is_indexed keep_vertex_array place_draws create_vertex_array prepared_draws primitive vertex_arrays vertex_count "
     "vertices view",

@@ -2,11 +2,13 @@
 
 import dataclasses
 import sys
+from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rhi.contract.limits import ANY_DEVICE
 from rhi.contract.states import (
     DEFAULTS,
     MAX_TARGETS,
@@ -208,7 +210,7 @@ def test_a_bad_scope_is_refused_and_changes_nothing(states, rule):
 
 
 def test_a_state_of_the_devices_own_platform_is_taken_and_one_of_another_refused():
-    own, none = StateCache(platform_states=frozenset({Fancy})), StateCache()
+    own, none = StateCache(replace(ANY_DEVICE, platform_states=frozenset({Fancy}))), StateCache()
     with own.scope((Fancy.ON,)):
         assert own.wanted[PlatformState] == (Fancy.ON,)
     assert own.wanted[PlatformState] == ()
@@ -235,7 +237,7 @@ def test_states_of_two_targets_are_no_duplicates():
 
 
 def test_a_missing_capability_refuses_the_state_but_not_its_default():
-    cache = StateCache({AlphaTest: "alpha_test"})
+    cache = StateCache(replace(ANY_DEVICE, alpha_test=False))
     with cache.scope((AlphaTest.OFF,)):
         pass
     with pytest.raises(ValidationError) as caught, cache.scope((AlphaTest.ON,)):
@@ -246,7 +248,8 @@ def test_a_missing_capability_refuses_the_state_but_not_its_default():
 
 @pytest.mark.parametrize(("most", "wider"), [(1.0, 1.001), (8.0, 8.5)])
 def test_a_line_is_as_wide_as_the_device_allows_and_no_wider(most, wider):
-    for cache in (StateCache(max_line_width=most), StateCache(max_line_width=most).fresh()):
+    limits = replace(ANY_DEVICE, max_line_width=most)
+    for cache in (StateCache(limits), StateCache(limits).fresh()):
         with cache.scope((LineWidth(most),)):
             pass
         with pytest.raises(ValidationError) as caught, cache.scope((LineWidth(wider),)):

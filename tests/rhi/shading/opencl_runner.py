@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 
-from rhi.backends.cl.cache import KernelCache
 from rhi.backends.cl.context import KERNELS_ENVIRONMENT, QUICK, caches_kernels, declares_kernels
+from rhi.backends.cl.pocl.cache import KernelCache
 from rhi.contract.descriptors import BindingKind, StageText
 from rhi.shading import Shader, compile_shader, opencl_kernel
 from rhi.shading.evaluation.compute import storage_words, uniform_words

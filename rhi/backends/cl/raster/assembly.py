@@ -80,9 +80,24 @@ class _Contents(Generic[T]):
         self.listed = 0  # indices in the lists that were made for `kept`
         self.spans: dict[IndexFormat, tuple[_Indices, _Indices]] = {}
 
-    def forget_results(self) -> None:
+    def write(self, offset: int, source: NDArray[np.uint8]) -> None:
+        """Follow a write of the CPU. Of the extremes only those of the spans that it touches are found again."""
+        self.forget_lists()
+        if self.bytes is None:
+            return
+        self.bytes[offset : offset + len(source)] = source
+        for format, (lows, highs) in self.spans.items():
+            size = _SPAN * format.size
+            begin, end = offset // size, -(-(offset + len(source)) // size)
+            touched = _view(self.bytes, format)[begin * _SPAN : end * _SPAN]
+            if len(touched):
+                lows[begin:end], highs[begin:end] = _find_extremes(touched)
+
+    def forget(self) -> None:
+        """Drop contents that the device may have changed."""
         self.forget_lists()
         self.spans.clear()
+        self.bytes, self.device_wrote = None, True
 
     def forget_lists(self) -> None:
         self.kept.clear()
@@ -93,14 +108,13 @@ class _Contents(Generic[T]):
         of two partial ones."""
         assert self.bytes is not None
         indices = _view(self.bytes, format)
-        if format not in self.spans:
-            starts = np.arange(0, len(indices), _SPAN)
-            self.spans[format] = np.minimum.reduceat(indices, starts), np.maximum.reduceat(indices, starts)
-        lows, highs = self.spans[format]
         begin, end = -(-first // _SPAN), (first + count) // _SPAN
         if begin >= end:
             chosen = indices[first : first + count]
             return int(chosen.min()), int(chosen.max())
+        if format not in self.spans:
+            self.spans[format] = _find_extremes(indices)
+        lows, highs = self.spans[format]
         edges = indices[first : begin * _SPAN], indices[end * _SPAN : first + count]
         parts = [part for part in edges if len(part)]
         low = min([int(lows[begin:end].min()), *(int(part.min()) for part in parts)])
@@ -127,17 +141,13 @@ class Assembler(Generic[T]):
         """Note that the CPU writes a buffer, watched or not."""
         contents = self._buffers.get(buffer)
         if contents is not None:
-            contents.forget_results()
-            if contents.bytes is not None:
-                source = np.frombuffer(memoryview(data), np.uint8)
-                contents.bytes[offset : offset + len(source)] = source
+            contents.write(offset, np.frombuffer(memoryview(data), np.uint8))
 
     def change(self, buffer: Id) -> None:
         """Note that the device may write a buffer, watched or not: by a copy, a clear, or stores of a shader."""
         contents = self._buffers.get(buffer)
         if contents is not None:
-            contents.forget_results()
-            contents.bytes, contents.device_wrote = None, True
+            contents.forget()
 
     def forget(self, buffer: Id) -> None:
         """Note that a buffer, watched or not, is being destroyed."""
@@ -253,6 +263,12 @@ def _listed(primitive: Primitive, count: int) -> int:
         return count // 4 * 6
     corners = CORNERS[primitive]
     return max(0, count - corners + 1) * corners
+
+
+def _find_extremes(indices: _Indices) -> tuple[_Indices, _Indices]:
+    """Return the lowest and the highest index of each span."""
+    starts = np.arange(0, len(indices), _SPAN)
+    return np.minimum.reduceat(indices, starts), np.maximum.reduceat(indices, starts)
 
 
 def _view(data: NDArray[np.uint8], format: IndexFormat) -> _Indices:

@@ -11,13 +11,13 @@ from collections.abc import Callable
 
 import pyopencl as cl
 
-from rhi.backends.cl.buffers import Buffers
-from rhi.backends.cl.planes import TexelPlane
-from rhi.backends.cl.pools import Addresses
+from rhi.backends.cl.memory.buffers import Buffers
+from rhi.backends.cl.memory.planes import TexelPlane
+from rhi.backends.cl.memory.pools import Addresses
+from rhi.backends.cl.memory.samplers import Samplers
+from rhi.backends.cl.memory.textures import Textures
 from rhi.backends.cl.raster.rows import COLUMN_COUNT, SLOT_COLUMNS, SLOT_COUNTS
-from rhi.backends.cl.samplers import Samplers
 from rhi.backends.cl.slots import Slots
-from rhi.backends.cl.textures import Textures
 from rhi.contract.descriptors import BindingKind, Id
 
 __rhi_internal__ = True

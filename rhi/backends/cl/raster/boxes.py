@@ -16,8 +16,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.backends.cl.pools import Pool
-from rhi.backends.cl.raster.prepared import PreparedDraws
+from rhi.backends.cl.memory.pools import Pool
+from rhi.backends.cl.raster.draw_tables import PreparedDraws
 from rhi.contract.descriptors import Id
 
 __rhi_internal__ = True

@@ -8,7 +8,7 @@
 - `Kernel.optimise` begins that before the kernel is hot.
 - `RHI_KERNELS=quick` keeps the first kernels (and compute programs aren't optimised either, `ClContext.compile`),
   `RHI_KERNELS=optimised` builds optimised ones at once. Drivers whose
-  cache isn't a folder (`rhi.backends.cl.cache`) always do the latter.
+  cache isn't a folder (`rhi.backends.cl.pocl.cache`) always do the latter.
 - The logger `rhi.kernels` reports at level INFO how many kernels are built. Cached kernels aren't reported.
 """
 
@@ -20,12 +20,11 @@ import queue
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import pyopencl as cl
 
-from rhi.backends.cl.cache import make_mark
 from rhi.backends.cl.context import (
     FLUSHES_DENORMALS,
     KERNELS_ENVIRONMENT,
@@ -35,10 +34,11 @@ from rhi.backends.cl.context import (
     build_again,
     build_cached,
 )
+from rhi.backends.cl.pocl.cache import Request, make_mark
 from rhi.backends.cl.raster.tables import BATCH_STRUCT
 
 if TYPE_CHECKING:
-    from rhi.backends.cl.held_programs import HeldProgram
+    from rhi.backends.cl.pocl.held_programs import HeldProgram
     from rhi.backends.cl.raster.compiler import Compiler
 
 __rhi_internal__ = True
@@ -52,32 +52,19 @@ _ARGUMENTS: Final = (np.uint64,)
 """The types of the arguments of kernels that draw: the address of a batch table."""
 
 
-class Text(NamedTuple):
-    """The source code of some kernels."""
-
-    source: str
-    names: tuple[str, ...]
-    options: tuple[str, ...] = ()
-
-
-def make_text(source: str, names: Sequence[str], flushes_denormals: bool = False) -> Text:
-    """Return source code; `flushes_denormals`: whether numbers below 2^-126 count as 0 in it."""
-    return Text(source, tuple(names), (FLUSHES_DENORMALS,) if flushes_denormals else ())
-
-
 class Optimisation:
     """Optimised kernels, in the course of being built.
 
     Attributes:
-        text: their source code.
+        request: their source code.
         program: None until they are built.
         done: the end of the build, with or without success; None until it begins.
     """
 
-    __slots__ = ("_begin", "_heat", "done", "program", "text")
+    __slots__ = ("_begin", "_heat", "done", "program", "request")
 
-    def __init__(self, text: Text, begin: Callable[[Optimisation], Future[None]]) -> None:
-        self.text = text
+    def __init__(self, request: Request, begin: Callable[[Optimisation], Future[None]]) -> None:
+        self.request = request
         self.program: HeldProgram | None = None
         self.done: Future[None] | None = None
         self._begin = begin
@@ -157,45 +144,45 @@ class Builds:
         self._closed = False
         self.built = 0
 
-    def build(self, text: Text) -> list[Kernel]:
+    def request(self, source: str, names: Sequence[str], flushes_denormals: bool = False) -> Request:
+        """Return the request for kernels; `flushes_denormals`: whether numbers below 2^-126 count as 0 in them."""
+        return self._cache.request(source, [FLUSHES_DENORMALS] if flushes_denormals else [], names)
+
+    def build(self, request: Request) -> list[Kernel]:
         """Return kernels, which are optimised later unless they are in the cache.
 
         Raises:
             pyopencl.Error: the driver rejects the source code.
         """
-        if not self.is_quick or self.is_cached(text):
-            program = self.compile(text)
-            return [Kernel(program, name) for name in text.names]
-        program, optimisation = self.compile(text, quick=True), self.optimise(text)
-        return [Kernel(program, name, optimisation) for name in text.names]
+        is_quick = self.is_quick and not self.is_cached(request)
+        program, optimisation = self.compile(request, is_quick), self.optimise(request) if is_quick else None
+        return [Kernel(program, name, optimisation) for name in request.kernels]
 
-    def is_cached(self, text: Text) -> bool:
+    def is_cached(self, request: Request) -> bool:
         """Return whether optimised machine code of these kernels is in the cache."""
-        return self._cache.knows(self._cache.request(text.source, text.options).key, text.names)
+        return self._cache.knows(request.key, request.kernels)
 
-    def optimise(self, text: Text) -> Optimisation:
-        """Return the optimisation of a text, which hasn't begun."""
-        return Optimisation(text, self._begin)
+    def optimise(self, request: Request) -> Optimisation:
+        """Return the optimisation of kernels, which hasn't begun."""
+        return Optimisation(request, self._begin)
 
-    def compile(self, text: Text, quick: bool = False) -> HeldProgram:
+    def compile(self, request: Request, quick: bool = False) -> HeldProgram:
         """Compile source code, or take it from the cache.
 
         Raises:
             pyopencl.Error: the driver rejects it.
         """
-        options = (*text.options, *QUICK) if quick else text.options
-        count = len(text.names)
-        request = self._cache.request(text.source, options)
+        if quick:
+            request = self._cache.request(request.source, (*request.options, *QUICK), request.kernels)
         stored = self._cache.find(request.key)
-        if stored is None:
-            self.built += 1
-            self._count(count, 0)
+        count = len(request.kernels) if stored is None else 0
+        self.built += stored is None
+        self._count(count, 0)
         try:
             program = build_cached(self._context.context, self._cache, request, stored)
             return self._context.hold(program, request, _ARGUMENTS)
         finally:
-            if stored is None:
-                self._count(0, count)
+            self._count(0, count)
 
     def close(self) -> None:
         """End the other processes, and what they are doing."""
@@ -219,7 +206,7 @@ class Builds:
         if not self._optimises:
             done.set_result(None)
             return done
-        self._count(len(optimisation.text.names), 0)
+        self._count(len(optimisation.request.kernels), 0)
         with self._lock:
             self._waiting += 1
             if self._waiting > len(self._threads) < min(os.cpu_count() or 1, _MOST_COMPILERS):
@@ -251,7 +238,7 @@ class Builds:
             finally:
                 with self._lock:
                     self._waiting -= 1
-                self._count(0, len(optimisation.text.names))
+                self._count(0, len(optimisation.request.kernels))
                 done.set_result(None)
 
     def _open_compiler(self) -> Compiler | None:
@@ -268,25 +255,26 @@ class Builds:
         """Have kernels compiled into the cache, and load them."""
         from rhi.backends.cl.raster.compiler import Job
 
-        text, cache = optimisation.text, self._cache
-        request = cache.request(text.source, text.options)
+        request, cache = optimisation.request, self._cache
         lock = cache.find_lock(request.key)
 
         def compile_kernels(given: str | bytes, options: tuple[str, ...], names: tuple[str, ...]) -> None:
             compiler.compile(Job(given, options, names, *_EMPTY_TABLE, lock))
 
-        if not cache.knows(request.key, text.names):
+        if not cache.knows(request.key, request.kernels):
             if cache.takes_code and cache.read_code(request.key) is None:
                 mark = make_mark()
                 compile_kernels(*request.write(mark), ())
                 cache.keep_code(request.key, mark)
-            compile_kernels(*cache.choose(request), text.names)
+            compile_kernels(*cache.choose(request), request.kernels)
             cache.record(request.key)
-        if cache.knows(request.key, text.names):
+        if cache.knows(request.key, request.kernels):
             program = build_again(self._context.context, *cache.choose(request))
             optimisation.program = self._context.hold(program, request, _ARGUMENTS)
 
     def _count(self, begun: int, done: int) -> None:
+        if not begun and not done:
+            return
         with self._lock:
             self._begun += begun
             self._done += done

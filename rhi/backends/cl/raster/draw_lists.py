@@ -16,8 +16,7 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.backends.cl.raster.pieces import DrawList
-from rhi.backends.cl.raster.prepared import DrawSlot, PreparedDraws
+from rhi.backends.cl.raster.draw_tables import DrawList, DrawSlot, PreparedDraws
 from rhi.backends.cl.raster.rows import COUNTER_BYTES
 from rhi.contract.descriptors import DRAW, Id, Primitive
 

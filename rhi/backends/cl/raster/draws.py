@@ -17,17 +17,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.backends.cl.buffers import Buffers
 from rhi.backends.cl.errors import translate_errors
-from rhi.backends.cl.raster.batch_state import BatchState
-from rhi.backends.cl.raster.batches import Batch
+from rhi.backends.cl.memory.buffers import Buffers
+from rhi.backends.cl.raster.batches import Batch, BatchState
 from rhi.backends.cl.raster.draw_lists import DrawListCache
-from rhi.backends.cl.raster.draw_state import DrawState
-from rhi.backends.cl.raster.pieces import DrawList, number_in_runs
+from rhi.backends.cl.raster.draw_state import DrawState, cut_views
+from rhi.backends.cl.raster.draw_tables import DrawList, DrawSlot, PreparedDraws, number_in_runs
 from rhi.backends.cl.raster.pipelines import Pipeline
-from rhi.backends.cl.raster.prepared import DrawSlot, PreparedDraws
 from rhi.backends.cl.raster.rows import COUNTER_BYTES, INSTANCES, PREPARED, VIEW
-from rhi.backends.cl.raster.states import cut_views
 from rhi.backends.cl.raster.vertex_arrays import VertexArray, VertexArrays
 from rhi.contract.descriptors import DRAW, DRAW_UNINDEXED, Binding, Id, Primitive
 from rhi.contract.queries import list_draws

@@ -14,12 +14,11 @@ from typing import Final
 import pyopencl as cl
 
 from rhi.backends.cl.context import ClContext
-from rhi.backends.cl.pools import Addresses, Pool, Retired, Uploads
-from rhi.backends.cl.raster.batch_state import BatchState
-from rhi.backends.cl.raster.batches import GatheredDraws
+from rhi.backends.cl.memory.pools import Addresses, Pool, Retired, Uploads
+from rhi.backends.cl.raster.batches import BatchState, GatheredDraws
 from rhi.backends.cl.raster.boxes import AttributeBoxes
 from rhi.backends.cl.raster.builds import Builds
-from rhi.backends.cl.raster.pieces import Piece
+from rhi.backends.cl.raster.draw_tables import Piece
 from rhi.backends.cl.raster.pipelines import GeometryKernels
 from rhi.backends.cl.raster.tables import (
     EXTENT_BYTES,

@@ -14,13 +14,13 @@ import enum
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
-from importlib.resources import files
 from typing import Any, Final
 
 import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial
 from numpy.typing import NDArray
 
+from rhi.backends.cl.raster.kernel_text import declare_struct
 from rhi.contract.descriptors import ProgramDescriptor
 from rhi.contract.formats import ChannelKind, Format
 from rhi.contract.states import (
@@ -74,8 +74,13 @@ _COLOR_STATE: Final = 10  # for each target: blend function, write mask of a tex
 _COLOR_WORDS: Final = 5
 STATE_WORDS: Final = _COLOR_STATE + _COLOR_WORDS * MAX_TARGETS
 MAX_SAMPLES: Final = 4
-_MERGER_COLORS: Final = 12  # words of the struct `Merger` before its colors, which have 6 each
-MERGER_BYTES: Final = 4 * (_MERGER_COLORS + 6 * MAX_TARGETS)
+_MERGER_FIELDS: Final = (
+    "samples", "color_count", "has_depth", "depth_bits", "depth_passes", "depth_writes", "has_stencil", "alpha_test",
+    "alpha_to_coverage", "test_order", "shades", "unused",
+)  # fmt: skip
+MERGER_STRUCT: Final = np.dtype([(name, "i4") for name in _MERGER_FIELDS] + [("colors", "i4", (MAX_TARGETS, 6))])
+"""The states of a batch that kernels are compiled for, as data. A color: location, components, channels, bits, kind,
+blends."""
 
 
 class TestOrder(enum.Enum):
@@ -161,45 +166,32 @@ class MergerKey:
         """Difference between consecutive depths of the target's format; 0 for floats."""
         return 1 / ((1 << self.depth_bits) - 1) if 0 < self.depth_bits < _FLOAT_BITS else 0.0
 
-    def defines(self) -> str:
-        """Return the macros that `kernels/targets.cl` is compiled with."""
-        rows = [
-            f"X({place}, {color.location}, {color.components}, {color.channels}, {color.bits}, "
-            f"KIND_{color.kind.name}, {int(color.blends)})"
-            for place, color in enumerate(self.colors)
-        ]
-        numbers = {
-            "SAMPLES": self.samples,
-            "MAX_SAMPLES": self.samples,
-            "COLOR_COUNT": len(self.colors),
-            "MAX_COLORS": len(self.colors),
-            "HAS_DEPTH": int(self.has_depth),
-            "DEPTH_BITS": self.depth_bits,
-            "DEPTH_PASSES": self.depth_passes,
-            "DEPTH_WRITES": int(self.depth_writes),
-            "HAS_STENCIL": int(self.has_stencil),
-            "ALPHA_TEST": int(self.alpha_test),
-            "ALPHA_TO_COVERAGE": int(self.alpha_to_coverage),
-            "TEST_ORDER": f"TEST_{self.order.name}",
-            "SHADES": int(self.shades),
-            "OUTPUT_WORDS": self.output_words,
-            "COLOR_TARGETS(X)": " ".join(rows),
-        }
-        return _constants() + "".join(f"#define {name} {value}\n" for name, value in numbers.items())
-
     @cached_property
-    def words(self) -> bytes:
-        """The key as the kernels' struct `Merger`; every batch is given it."""
-        words = np.zeros(MERGER_BYTES // 4, np.int32)
-        words[:_MERGER_COLORS] = (
-            self.samples, len(self.colors), self.has_depth, self.depth_bits, self.depth_passes, self.depth_writes,
-            self.has_stencil, self.alpha_test, self.alpha_to_coverage, self.order.value, self.shades, 0,
-        )  # fmt: skip
+    def fields(self) -> NDArray[Any]:
+        """The key as a `MERGER_STRUCT`, shape ()."""
+        fields = np.zeros((), MERGER_STRUCT)
+        for name in _MERGER_FIELDS:
+            fields[name] = getattr(self, name, 0)
+        fields["color_count"], fields["test_order"] = len(self.colors), self.order.value
         for place, color in enumerate(self.colors):
-            words[_MERGER_COLORS + 6 * place :][:6] = (
+            fields["colors"][place] = (
                 color.location, color.components, color.channels, color.bits, _KINDS[color.kind], color.blends,
             )  # fmt: skip
-        return words.tobytes()
+        return fields
+
+    @property
+    def words(self) -> bytes:
+        """The key as data; every batch is given it."""
+        return self.fields.tobytes()
+
+    def defines(self) -> str:
+        """Return the macros that `kernels/targets.cl` is compiled with."""
+        rows = " ".join(
+            f"X({place}, {', '.join(map(str, color))})"
+            for place, color in enumerate(self.fields["colors"][: len(self.colors)].tolist())
+        )
+        fields = {name.upper(): self.fields[name] for name in _MERGER_FIELDS}
+        return _define(fields, self.samples, len(self.colors), self.output_words, rows)
 
 
 def general_defines(output_words: int) -> str:
@@ -207,19 +199,16 @@ def general_defines(output_words: int) -> str:
 
     `output_words`: as in a key.
     """
-    fields = (
-        "SAMPLES", "COLOR_COUNT", "HAS_DEPTH", "DEPTH_BITS", "DEPTH_PASSES", "DEPTH_WRITES", "HAS_STENCIL",
-        "ALPHA_TEST", "ALPHA_TO_COVERAGE", "TEST_ORDER", "SHADES",
-    )  # fmt: skip
-    numbers: dict[str, object] = {name: f"(targets->merger->{name.lower()})" for name in fields}
     each = ", ".join(f"targets->merger->colors[place][{field}]" for field in range(6))
-    numbers |= {
-        "MAX_SAMPLES": MAX_SAMPLES,
-        "MAX_COLORS": MAX_TARGETS,
-        "OUTPUT_WORDS": output_words,
-        "COLOR_TARGETS(X)": f"for (int place = 0; place < COLOR_COUNT; ++place) {{ X(place, {each}) }}",
-    }
-    return _constants() + "".join(f"#define {name} {value}\n" for name, value in numbers.items())
+    fields = {name.upper(): f"(targets->merger->{name})" for name in _MERGER_FIELDS}
+    rows = f"for (int place = 0; place < COLOR_COUNT; ++place) {{ X(place, {each}) }}"
+    return _define(fields, MAX_SAMPLES, MAX_TARGETS, output_words, rows)
+
+
+def _define(fields: Mapping[str, object], samples: int, colors: int, output_words: int, rows: str) -> str:
+    sizes = {"MAX_SAMPLES": samples, "MAX_COLORS": colors, "OUTPUT_WORDS": output_words, "COLOR_TARGETS(X)": rows}
+    defines = "".join(f"#define {name} {value}\n" for name, value in {**fields, **sizes}.items())
+    return declare_struct("Merger", MERGER_STRUCT) + _constants() + defines
 
 
 def make_key(
@@ -308,12 +297,6 @@ def make_state(values: Mapping[type, Any], colors: Sequence[Format]) -> NDArray[
             start += bits
         state[place + 1 : place + 5] = np.frombuffer(mask.to_bytes(16, "little"), np.uint32)
     return state
-
-
-@cache
-def read_source() -> str:
-    """Return the text of `kernels/targets.cl`."""
-    return files(__package__).joinpath("kernels", "targets.cl").read_text()
 
 
 def _written_channels(write: ColorWrite) -> tuple[bool, bool, bool, bool]:

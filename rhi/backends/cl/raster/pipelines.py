@@ -15,20 +15,19 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
-from importlib.resources import files
 from operator import itemgetter
 from typing import Final, TypeAlias
 
 import pyopencl as cl
 
-from rhi.backends.cl.cache import strip_comments
 from rhi.backends.cl.context import ClContext
-from rhi.backends.cl.held_programs import HeldProgram
-from rhi.backends.cl.pools import Addresses
+from rhi.backends.cl.memory.pools import Addresses
+from rhi.backends.cl.pocl.cache import Request
+from rhi.backends.cl.pocl.held_programs import HeldProgram
 from rhi.backends.cl.programs import FaultBuffer, make_shader_error
 from rhi.backends.cl.raster import merger, tables
-from rhi.backends.cl.raster.builds import Builds, Kernel, Optimisation, Text, make_text
+from rhi.backends.cl.raster.builds import Builds, Kernel, Optimisation
+from rhi.backends.cl.raster.kernel_text import read_kernels
 from rhi.backends.cl.raster.rows import FIXED_COLUMNS, SLOT_COLUMNS
 from rhi.contract.descriptors import BindingKind, ProgramDescriptor, Stage, StageText, VertexStream
 
@@ -36,6 +35,7 @@ __rhi_internal__ = True
 
 LANGUAGE: Final = "opencl16"
 _RASTER: Final = "raster"
+_POLYGONS: Final = "common", "triangles", "polygon"
 _BOXED: Final = "#define RHI_BOXED"
 
 StreamLayout: TypeAlias = tuple[tuple[int, bool, tuple[object, ...]], ...]
@@ -46,9 +46,9 @@ class GeometryKernels:
     """The kernels that all programs share."""
 
     def __init__(self, builds: Builds) -> None:
-        texts = map(read_kernels, ("common", "triangles", "polygon", "setup", "bin"))
-        source = tables.common_macros() + "".join(texts)
-        self.set_up, self.prefix, self.scatter = builds.build(make_text(source, ("set_up", "prefix", "scatter")))
+        source = tables.common_structs() + "".join(map(read_kernels, (*_POLYGONS, "setup", "bin")))
+        request = builds.request(source, ("set_up", "prefix", "scatter"))
+        self.set_up, self.prefix, self.scatter = builds.build(request)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,15 +107,11 @@ class Pipeline:
         """Return the kernels for vertices of this layout, building them on first use."""
         layout = tuple((stream.stride, stream.per_instance, stream.attributes) for stream in streams)
         if layout not in self._vertex:
-            text, faults = self._vertex_text, self._fault_places[Stage.VERTEX]
-            macros = tables.vertex_macros(self.descriptor, streams, faults)
-            source = "\n".join(
-                (tables.common_macros(), read_kernels("common"), text.text, macros, read_kernels("vertex"))
-            )
-            names = "transform", *(["measure"] if _BOXED in text.text else [])
-            whole = make_text(source, names, self.descriptor.flushes_denormals)
-            kernels = self._build(Stage.VERTEX, whole, text)
-            self._vertex[layout] = VertexKernels(*kernels)
+            macros = tables.vertex_macros(self.descriptor, streams, self._fault_places[Stage.VERTEX])
+            names = "transform", *(["measure"] if _BOXED in self._vertex_text.text else [])
+            request = self._assemble(read_kernels("common"), self._vertex_text, macros, "vertex", names)
+            with self._locating_errors(Stage.VERTEX, request, self._vertex_text):
+                self._vertex[layout] = VertexKernels(*self._builds.build(request))
         return self._vertex[layout]
 
     def find_raster(self, key: merger.MergerKey) -> Kernel:
@@ -126,15 +122,15 @@ class Pipeline:
         """
         if key not in self._raster:
             optimisation = self._optimisations.pop(key, None)
-            text = self._fragment_text if key.shades else StageText("")
-            special = self._assemble_raster(text, key.defines(), key.shades, key.stages_depth, key.bounds_depth)
+            special, text = self._assemble_raster(key, key.defines())
             if optimisation is not None and optimisation.program is not None:
                 self._raster[key] = Kernel(optimisation.program, _RASTER)
             elif self._builds.is_quick and not self._builds.is_cached(special):
                 optimisation = optimisation or self._builds.optimise(special)
                 self._raster[key] = Kernel(self._general(key.output_words), _RASTER, optimisation)
             else:
-                (self._raster[key],) = self._build(Stage.FRAGMENT, special, text)
+                with self._locating_errors(Stage.FRAGMENT, special, text):
+                    (self._raster[key],) = self._builds.build(special)
         return self._raster[key]
 
     def optimise_raster(self, key: merger.MergerKey) -> Future[None] | None:
@@ -145,39 +141,36 @@ class Pipeline:
             self.find_raster(key)
             return None
         if key not in self._optimisations:
-            text = self._fragment_text if key.shades else StageText("")
-            special = self._assemble_raster(text, key.defines(), key.shades, key.stages_depth, key.bounds_depth)
-            self._optimisations[key] = self._builds.optimise(special)
+            self._optimisations[key] = self._builds.optimise(self._assemble_raster(key, key.defines())[0])
         return self._optimisations[key].begin()
 
     def _general(self, output_words: int) -> HeldProgram:
         """Return the raster kernel for all keys, building it on first use."""
         if self._general_raster is None:
-            text, shades = self._fragment_text, Stage.FRAGMENT in self.descriptor.stages
-            general = self._assemble_raster(text, merger.general_defines(output_words), shades, False, False)
+            general, text = self._assemble_raster(None, merger.general_defines(output_words))
             with self._locating_errors(Stage.FRAGMENT, general, text):
                 self._general_raster = self._builds.compile(general, quick=True)
         return self._general_raster
 
-    def _assemble_raster(
-        self, text: StageText, defines: str, fragment: bool, stages_depth: bool, bounds_depth: bool
-    ) -> Text:  # fmt: skip
-        macros = tables.raster_macros(
-            self.descriptor, fragment, stages_depth, bounds_depth, self._fault_places[Stage.FRAGMENT]
-        )
-        parts = (
-            tables.common_macros(), *map(read_kernels, ("common", "triangles", "polygon")), defines,
-            merger.read_source(), text.text, macros, read_kernels("raster"),
-        )  # fmt: skip
-        return make_text("\n".join(parts), (_RASTER,), self.descriptor.flushes_denormals)
+    def _assemble_raster(self, key: merger.MergerKey | None, defines: str) -> tuple[Request, StageText]:
+        """Return the raster kernel for a key, or for all of them, and the text of the stage in it."""
+        shades = Stage.FRAGMENT in self.descriptor.stages if key is None else key.shades
+        text = self._fragment_text if shades else StageText("")
+        stages_depth, bounds_depth = (key.stages_depth, key.bounds_depth) if key else (False, False)
+        faults = self._fault_places[Stage.FRAGMENT]
+        macros = tables.raster_macros(self.descriptor, shades, stages_depth, bounds_depth, faults)
+        before = "\n".join((*map(read_kernels, _POLYGONS), defines, read_kernels("targets")))
+        return self._assemble(before, text, macros, _RASTER, (_RASTER,)), text
 
-    def _build(self, stage: Stage, kernels: Text, text: StageText) -> list[Kernel]:
-        """Build kernels that contain the stage's text."""
-        with self._locating_errors(stage, kernels, text):
-            return self._builds.build(kernels)
+    def _assemble(
+        self, before: str, text: StageText, macros: str, file: str, names: Sequence[str]
+    ) -> Request:
+        """Return the kernels of a file, behind a stage's text and what that needs."""
+        source = "\n".join((tables.common_structs(), before, text.text, macros, read_kernels(file)))
+        return self._builds.request(source, names, self.descriptor.flushes_denormals)
 
     @contextmanager
-    def _locating_errors(self, stage: Stage, kernels: Text, text: StageText) -> Iterator[None]:
+    def _locating_errors(self, stage: Stage, kernels: Request, text: StageText) -> Iterator[None]:
         """Raise what the driver says of kernels as errors of the stage's text, which they contain."""
         try:
             yield
@@ -185,9 +178,3 @@ class Pipeline:
             lines = kernels.source[: kernels.source.index(text.text)].count("\n")
             whole = StageText(kernels.source, (*[("", 0)] * lines, *text.origins))
             raise make_shader_error(self.descriptor, stage, whole, str(error)) from error
-
-
-@cache
-def read_kernels(name: str) -> str:
-    """Return the text of a file in kernels/, without comments."""
-    return strip_comments(files(__package__).joinpath("kernels", f"{name}.cl").read_text())

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from rhi.backends.cl.context import ClContext, allocate_pages
 from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.fence import is_done
-from rhi.backends.cl.pools import Addresses
+from rhi.backends.cl.memory.pools import Addresses
 from rhi.contract.descriptors import Id, QueryKind
 
 __rhi_internal__ = True

@@ -14,27 +14,27 @@ from typing import Any
 
 import pyopencl as cl
 
-from rhi.backends.cl.buffers import Buffers
 from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.errors import translate_errors
-from rhi.backends.cl.pools import Addresses, Pool, Retired
+from rhi.backends.cl.memory.buffers import Buffers
+from rhi.backends.cl.memory.pools import Addresses, Pool, Retired
+from rhi.backends.cl.memory.samplers import Samplers
+from rhi.backends.cl.memory.textures import Textures
 from rhi.backends.cl.raster.assembly import Assembler
 from rhi.backends.cl.raster.batches import Batch
 from rhi.backends.cl.raster.bindings import Bindings
 from rhi.backends.cl.raster.boxes import AttributeBoxes
 from rhi.backends.cl.raster.builds import Builds, Kernel
 from rhi.backends.cl.raster.draw_state import DrawState
+from rhi.backends.cl.raster.draw_tables import PreparedDraws
 from rhi.backends.cl.raster.draws import Draws
 from rhi.backends.cl.raster.launcher import Launcher
 from rhi.backends.cl.raster.merger import make_key
 from rhi.backends.cl.raster.pipelines import Pipeline
-from rhi.backends.cl.raster.prepared import PreparedDraws
 from rhi.backends.cl.raster.queries import SampleQueries
 from rhi.backends.cl.raster.rows import CONDITION, INVERTED, SAMPLES
 from rhi.backends.cl.raster.vertex_arrays import VertexArrays, upload_indices
-from rhi.backends.cl.samplers import Samplers
 from rhi.backends.cl.slots import Slots
-from rhi.backends.cl.textures import Textures
 from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor, VertexArrayDescriptor
 from rhi.contract.formats import Format
 
@@ -46,7 +46,8 @@ class Rasteriser:
 
     Attributes:
         works: whether the device is a CPU, for which the kernels are written, and addresses work as
-            `rhi.backends.cl.pools` needs it. A GPU executes them, but stops where they load vectors at any address.
+            `rhi.backends.cl.memory.pools` needs it. A GPU executes them, but stops where they load vectors at any
+            address.
         retired: memory to keep until the next fence value has passed.
         bindings: the bound resources.
         state: the pass, program and render states of the next draw.

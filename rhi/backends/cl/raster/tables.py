@@ -1,6 +1,7 @@
 """The tables that kernels read, and the macros that they are compiled with.
 
-- The dtypes `BATCH_STRUCT`, `DRAW_STRUCT` and `VIEW_STRUCT` mirror the structs of kernels/common.cl, field by field.
+- The dtypes `BATCH_STRUCT`, `DRAW_STRUCT` and `VIEW_STRUCT` are the structs `Batch`, `Draw` and `View` of the kernels,
+  whose declarations are made of them.
 - The macros hold what a program and the layout of its vertices determine: how attributes become words, how bindings
   become arguments, how each varying is interpolated.
 - A draw's row of bound words: for each binding its address (and the number of elements of storage, or the address of
@@ -10,11 +11,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
 from struct import Struct
 from typing import Final
 
 import numpy as np
 
+from rhi.backends.cl.raster.kernel_text import declare_struct
 from rhi.backends.cl.raster.merger import STATE_WORDS
 from rhi.contract.descriptors import (
     Attribute,
@@ -45,19 +48,24 @@ def _fields(text: str, code: str) -> list[tuple[str, str]]:
 
 BATCH_STRUCT: Final = np.dtype(
     [
-        ("surfaces", "u8", (MAX_PLANES,)),
-        *_fields(
-            "draws views rows positions clips varyings records planes boxes counts starts list survivors scratch "
-            "extents bounds counters places",
-            "u8",
-        ),
-        *_fields(
-            "draw_count row_words vertex_groups vertex_chunk first_group end_group chunk_groups chunks chunk_records "
-            "edges tiles_x tiles list_size listed samples shades linear width height near_is_less bounded cleared "
-            "varying_words point_size",
-            "i4",
-        ),
-        ("depth_step", "f4"),
+        ("surfaces", "u8", (MAX_PLANES,)),  # color targets, depth, stencil
+        *_fields("draws views rows positions clips varyings records planes boxes counts starts list", "u8"),
+        *_fields("survivors scratch extents bounds counters", "u8"),
+        # The surfaces' offsets in their memory and pitches; then their clear values, each repeated to 4 words.
+        ("places", "u8"),
+        *_fields("draw_count row_words", "i4"),
+        *_fields("vertex_groups vertex_chunk", "i4"),  # of the batch, and per work-item
+        # Of primitives: of the slice, and per work-item.
+        *_fields("first_group end_group chunk_groups chunks", "i4"),
+        ("chunk_records", "i4"),  # records that a work-item has room for
+        ("edges", "i4"),  # records of a triangle that is drawn as lines; 0: triangles are filled
+        *_fields("tiles_x tiles list_size listed samples shades linear width height", "i4"),
+        ("near_is_less", "i4"),  # direction of the depth test
+        ("bounded", "i4"),  # whether raster kernels left valid bounds of depth
+        ("cleared", "i4"),  # surfaces with pending clears, as bits
+        # Words of a vertex's varyings; which of them is its point size, -1: none.
+        *_fields("varying_words point_size", "i4"),
+        ("depth_step", "f4"),  # difference between depths of the target's format; 0 for floats
     ],
     align=True,
 )
@@ -69,23 +77,31 @@ _BATCH_WORDS: Final = Struct(
 )
 DRAW_STRUCT: Final = np.dtype(
     [
-        *_fields("indices vertex_indices samples condition box", "u8"),
-        *_fields(
-            "vertex_group primitive_group vertex_groups primitive_groups first_vertex vertices lowest primitives "
-            "primitive index_bytes vertex_index_bytes base_instance number row view inverted",
-            "i4",
-        ),
+        ("indices", "u8"),  # address of the first corner's index; 0: vertices in order
+        ("vertex_indices", "u8"),  # address of the first vertex's index; 0: vertices from first_vertex on
+        ("samples", "u8"),  # its counter, relative to the batch's `counters`; 0: none
+        ("condition", "u8"),  # address of a counter; 0: none
+        ("box", "u8"),  # address of its attributes' box; 0: none, odd: to be measured
+        *_fields("vertex_group primitive_group", "i4"),  # numbers of its first groups in the batch
+        *_fields("vertex_groups primitive_groups", "i4"),  # for one instance
+        *_fields("first_vertex vertices", "i4"),  # added to a vertex's number; number of vertices to transform
+        ("lowest", "i4"),  # index of the first of them
+        *_fields("primitives primitive", "i4"),  # their number, and corners of each
+        *_fields("index_bytes vertex_index_bytes base_instance number row view inverted", "i4"),
     ],
     align=True,
 )
 VIEW_STRUCT: Final = np.dtype(
     [
+        # Window position = clip / w * scale + shift, in texels; then depth.
         ("scale", "f4", 4),
         ("shift", "f4", 4),
-        ("box", "i4", 4),
-        *_fields("culled front", "i4"),
-        *_fields("bias_units bias_slope bias_clamp bias_step line_width", "f4"),
-        ("state", "u4", STATE_WORDS),
+        ("box", "i4", 4),  # first and last texel that may be drawn: viewport and scissor
+        ("culled", "i4"),  # 1: positive area in the window, 2: negative, 3: both
+        ("front", "i4"),  # 1: positive area is front-facing
+        *_fields("bias_units bias_slope bias_clamp bias_step", "f4"),  # step 0: floats
+        ("line_width", "f4"),  # texels, a whole number
+        ("state", "u4", STATE_WORDS),  # see targets.cl
     ],
     align=True,
 )
@@ -128,9 +144,11 @@ def point_size_word(descriptor: ProgramDescriptor) -> int:
     return next(words, -1)
 
 
-def common_macros() -> str:
-    """Return the macros that every kernel's text begins with."""
-    return f"#define STATE_WORDS {STATE_WORDS}\n"
+@cache
+def common_structs() -> str:
+    """Return the structs that every kernel's text begins with."""
+    structs = {"Batch": BATCH_STRUCT, "Draw": DRAW_STRUCT, "View": VIEW_STRUCT}
+    return "".join(declare_struct(*each) for each in structs.items())
 
 
 def vertex_macros(descriptor: ProgramDescriptor, streams: Sequence[VertexStream], faults: int = 0) -> str:

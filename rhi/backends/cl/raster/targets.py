@@ -15,9 +15,9 @@ from typing import Final
 import numpy as np
 import pyopencl as cl
 
-from rhi.backends.cl.planes import TexelPlane
+from rhi.backends.cl.memory.planes import TexelPlane
+from rhi.backends.cl.memory.textures import ClTexture
 from rhi.backends.cl.raster.merger import MergerKey
-from rhi.backends.cl.textures import ClTexture
 from rhi.contract.descriptors import Attachment, DepthAttachment
 from rhi.contract.formats import Format
 from rhi.contract.texels import encode

@@ -14,15 +14,15 @@ import pyopencl as cl
 from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
-from rhi.backends.cl.buffers import Buffers
 from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.errors import translate_errors
-from rhi.backends.cl.pools import Addresses, IndexList, Retired
+from rhi.backends.cl.memory.buffers import Buffers
+from rhi.backends.cl.memory.pools import Addresses, IndexList, Retired
 from rhi.backends.cl.raster.assembly import CORNERS, LISTS, Assembler
 from rhi.backends.cl.raster.bindings import Bindings
 from rhi.backends.cl.raster.boxes import AttributeBoxes
+from rhi.backends.cl.raster.draw_tables import DrawSlot, PreparedDraws
 from rhi.backends.cl.raster.pipelines import Pipeline, VertexKernels
-from rhi.backends.cl.raster.prepared import DrawSlot, PreparedDraws
 from rhi.backends.cl.raster.tables import DRAW_STRUCT, GROUP, MAX_STREAMS
 from rhi.contract.descriptors import Id, Primitive, VertexArrayDescriptor
 

@@ -143,7 +143,7 @@ class SimulatedBackend(NullBackend):
             self._is_done,
             simulation.interrupt_latency is not None and not simulation.halts_at_events,
         )
-        self._meter = WorkMeter(simulation.cost, self._textures, self._programs, self._state)
+        self._meter = WorkMeter(simulation.cost, self._textures, self._state)
         self._meter.indirect_draws = self._indirect_draws
         self._meter.indirect_dispatches = self._indirect_dispatches
         self._measure = self._meter.meters()

@@ -18,6 +18,7 @@ import enum
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 from rhi.backends.null.buffers import Buffers
@@ -25,7 +26,7 @@ from rhi.backends.null.draws import ExecutedIndirectDraws
 from rhi.backends.null.simulation.streams import CommandUse, StreamMemory, vertex_ranges
 from rhi.backends.null.textures import Textures
 from rhi.commands.context import StreamContext
-from rhi.commands.ops import Op
+from rhi.commands.ops import CREATIONS, ID_ARGUMENTS, Op
 from rhi.commands.stream import find_site
 from rhi.contract.descriptors import (
     DRAW,
@@ -40,7 +41,7 @@ from rhi.contract.descriptors import (
     Region,
     VertexArrayDescriptor,
 )
-from rhi.contract.states import ColorWrite, DepthTest, DepthWrite, StateChange, StencilTest
+from rhi.contract.states import ColorWrite, DepthTest, DepthWrite, StencilTest
 from rhi.errors import CallSite
 
 __rhi_internal__ = True
@@ -105,9 +106,8 @@ class _DeferredDraw:
         self.suspects: list[tuple[Id, int, int, CommandUse, HazardKind]] = []
 
 
-_Slots = tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...], tuple[int, ...]]
-_NO_SLOTS: _Slots = ((), (), (), ())
 _DRAW_BYTES = DRAW.itemsize
+_UNIFORM, _STORAGE, _IMAGE = BindingKind.UNIFORM, BindingKind.STORAGE, BindingKind.IMAGE  # found faster than members
 _BINDING = frozenset(
     {Op.SET_STATES, Op.BIND_PROGRAM, Op.BIND_UNIFORM, Op.BIND_STORAGE, Op.BIND_TEXTURE, Op.BIND_IMAGE}
 )
@@ -146,17 +146,12 @@ class HazardTracker:
         self._destroyed: dict[Id, CommandUse] = {}
         self._streams: dict[Id, StreamMemory] = {}
         self._deferred: deque[_DeferredDraw] = deque()
-        self._slots: dict[Id, _Slots] = {}
+        self._keys: dict[Id, list[tuple[BindingKind, int]]] = {}  # of the bindings of each program
         # By vertex array: its descriptor, the resources that its draws use, whether any of them is a STREAM buffer.
         self._arrays: dict[Id, tuple[VertexArrayDescriptor, tuple[Id, ...], bool]] = {}
-        self._program: Id = 0
-        self._bound_uniforms: dict[int, tuple[Id, int, int]] = {}
-        self._bound_storages: dict[int, tuple[Id, int, int]] = {}
-        self._bound_textures: dict[int, Id] = {}
-        self._bound_images: dict[int, tuple[Id, int, int]] = {}
-        self._pass: tuple[PassDescriptor, CommandUse] | None = None
+        self._context = StreamContext()
+        self._pass_use: CommandUse = (0, None, -1, 0)
         self._targets: frozenset[Id] = frozenset()
-        self._states = StreamContext().states
         self._unfinished: dict[Id, CommandUse | None] = {}  # queries that began, or were only created (None)
         self._counters_race = counters_race
         self._counters: set[Id] = set()
@@ -167,11 +162,15 @@ class HazardTracker:
 
     def followers(self) -> tuple[tuple[Callable[..., None] | None, bool], ...]:
         """Return for each op the method that follows a call, and whether it takes the call's `CommandUse` first."""
-        followers: list[tuple[Callable[..., None] | None, bool]] = []
-        for op in Op:
-            follower = None if op.method.startswith("create_") else getattr(self, op.method, None)
-            followers.append((follower, op not in _BINDING))
-        return tuple(followers)
+        return tuple(self._find_follower(op) for op in Op)
+
+    def _find_follower(self, op: Op) -> tuple[Callable[..., None] | None, bool]:
+        if op in _BINDING:
+            return getattr(self._context, op.method), False
+        if op in CREATIONS:
+            return None, True
+        whole = partial(self._use_all, ID_ARGUMENTS[op]) if ID_ARGUMENTS[op] else None
+        return getattr(self, op.method, whole), True
 
     # -- the CPU's knowledge -------------------------------------------------------------------------------
 
@@ -206,14 +205,7 @@ class HazardTracker:
         self._streams[buffer] = StreamMemory(descriptor.size)
 
     def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
-        slots: dict[BindingKind, list[int]] = {kind: [] for kind in BindingKind}
-        for binding in descriptor.bindings:
-            slots[binding.kind].append(binding.slot)
-        uniforms, storages, textures, images = (
-            tuple(slots[kind])
-            for kind in (BindingKind.UNIFORM, BindingKind.STORAGE, BindingKind.TEXTURE, BindingKind.IMAGE)
-        )
-        self._slots[program] = (uniforms, storages, textures, images)
+        self._keys[program] = [(binding.kind, binding.slot) for binding in descriptor.bindings]
 
     def create_vertex_array(self, vertex_array: Id, descriptor: VertexArrayDescriptor) -> None:
         buffers = tuple(stream.buffer for stream in descriptor.streams)
@@ -271,7 +263,7 @@ class HazardTracker:
             self._report(HazardKind.DESTROYED_IN_USE, resource, last, use)
         self._destroyed[resource] = use
         self._streams.pop(resource, None)
-        self._slots.pop(resource, None)
+        self._keys.pop(resource, None)
         # The descriptor of a vertex array is kept: a draw may still refer to it.
         self._unfinished.pop(resource, None)
         self._counters.discard(resource)
@@ -279,34 +271,18 @@ class HazardTracker:
 
     # -- binding -------------------------------------------------------------------------------------------
 
-    def set_states(self, changes: Sequence[StateChange]) -> None:
-        self._states.update(changes)
-
-    def bind_program(self, program: Id) -> None:
-        self._program = program
-
-    def bind_uniform(self, slot: int, buffer: Id, offset: int, size: int) -> None:
-        self._bound_uniforms[slot] = (buffer, offset, size)
-
-    def bind_storage(self, slot: int, buffer: Id, offset: int, size: int) -> None:
-        self._bound_storages[slot] = (buffer, offset, size)
-
-    def bind_texture(self, slot: int, texture: Id, sampler: Id) -> None:
-        self._bound_textures[slot] = texture
-
-    def bind_image(self, slot: int, texture: Id, level: int, layer: int) -> None:
-        self._bound_images[slot] = (texture, level, layer)
-
     def begin_pass(self, use: CommandUse, descriptor: PassDescriptor) -> None:
-        self._pass = (descriptor, use)
+        self._context.begin_pass(descriptor)
+        self._pass_use = use
         self._use_targets(use, descriptor)
         depth = {descriptor.depth.texture} if descriptor.depth is not None else set()
         self._targets = frozenset({attachment.texture for attachment in descriptor.colors} | depth)
 
     def end_pass(self, use: CommandUse) -> None:
-        if self._pass is not None:
-            self._use_targets(use, self._pass[0])
-        self._pass, self._targets = None, frozenset()
+        if self._context.render_pass is not None:
+            self._use_targets(use, self._context.render_pass)
+        self._context.end_pass()
+        self._targets = frozenset()
 
     def _use_targets(self, use: CommandUse, descriptor: PassDescriptor) -> None:
         for attachment in descriptor.colors:
@@ -364,12 +340,6 @@ class HazardTracker:
         self._use_program(use)
         self._use_bytes(use, buffer, offset, offset + 12)
 
-    def write_buffer(self, use: CommandUse, buffer: Id, offset: int, data: bytes) -> None:
-        self._use(use, buffer)
-
-    def read_buffer(self, use: CommandUse, buffer: Id, offset: int, size: int) -> None:
-        self._use(use, buffer)
-
     def copy_buffer(
         self, use: CommandUse, source: Id, source_offset: int, target: Id, target_offset: int, size: int
     ) -> None:
@@ -378,18 +348,6 @@ class HazardTracker:
 
     def clear_buffer(self, use: CommandUse, buffer: Id, offset: int, size: int, value: int) -> None:
         self._use_bytes(use, buffer, offset, offset + size)
-
-    def write_texture(self, use: CommandUse, texture: Id, level: int, region: Region, data: bytes) -> None:
-        self._use(use, texture)
-
-    def read_texture(self, use: CommandUse, texture: Id, level: int, region: Region, stencil: bool) -> None:
-        self._use(use, texture)
-
-    def copy_texture(
-        self, use: CommandUse, source: Id, source_level: int, source_region: Region, target: Id, *place: int
-    ) -> None:
-        self._use(use, source)
-        self._use(use, target)
 
     def copy_texture_to_buffer(
         self, use: CommandUse, source: Id, level: int, region: Region, target: Id, offset: int, row_bytes: int
@@ -402,17 +360,6 @@ class HazardTracker:
     ) -> None:
         self._use(use, target)
         self._use_bytes(use, source, offset, offset + row_bytes * region.height * region.layers)
-
-    def resolve_texture(self, use: CommandUse, source: Id, target: Id) -> None:
-        self._use(use, source)
-        self._use(use, target)
-
-    def generate_mipmaps(self, use: CommandUse, texture: Id) -> None:
-        self._use(use, texture)
-
-    def present(self, use: CommandUse, texture: Id) -> None:
-        if texture:
-            self._use(use, texture)
 
     def begin_query(self, use: CommandUse, query: Id) -> None:
         self._use(use, query)
@@ -428,9 +375,6 @@ class HazardTracker:
         self._unfinished.pop(query, None)
         if query in self._counters:
             self._unread.append((use, query))
-
-    def begin_conditional(self, use: CommandUse, query: Id, inverted: bool) -> None:
-        self._use(use, query)
 
     # -- known only when executed --------------------------------------------------------------------------
 
@@ -470,6 +414,12 @@ class HazardTracker:
             self._report(HazardKind.USED_DESTROYED, resource, self._destroyed[resource], use, happened=True)
         self._uses[resource] = use
 
+    def _use_all(self, places: tuple[int, ...], use: CommandUse, *values: Any) -> None:
+        """Record the uses of a command that uses the whole of each of its resources."""
+        for place in places:
+            if values[place]:
+                self._use(use, values[place])
+
     def _report_races(self, draw: CommandUse) -> None:
         """Report the events before `draw` whose counter the CPU doesn't know to be read."""
         for event, query in self._unread:
@@ -501,35 +451,30 @@ class HazardTracker:
 
     def _use_program(self, use: CommandUse) -> None:
         """Record the use of the bound program, and of the resources bound to the slots it reads."""
-        program = self._program
-        if not program:
+        context = self._context
+        if not context.program:
             return
-        self._use(use, program)
-        uniforms, storages, textures, images = self._slots.get(program, _NO_SLOTS)
-        for slots, bound in ((uniforms, self._bound_uniforms), (storages, self._bound_storages)):
-            for slot in slots:
-                if slot in bound:
-                    buffer, offset, size = bound[slot]
-                    self._use_bytes(use, buffer, offset, offset + size)
-        for slot in textures:
-            if slot in self._bound_textures:
-                texture = self._bound_textures[slot]
-                self._use(use, texture)
-                if texture in self._targets:
-                    self._check_feedback(use, texture, None, -1)
-        for slot in images:
-            if slot in self._bound_images:
-                texture, level, layer = self._bound_images[slot]
-                self._use(use, texture)
-                if texture in self._targets:
-                    self._check_feedback(use, texture, level, layer)
+        self._use(use, context.program)
+        slots = context.slots
+        for key in self._keys.get(context.program, ()):
+            bound, kind = slots.get(key), key[0]
+            if bound is None:
+                continue
+            if kind is _UNIFORM or kind is _STORAGE:
+                buffer, offset, size = bound
+                self._use_bytes(use, buffer, offset, offset + size)
+                continue
+            self._use(use, bound[0])
+            if bound[0] in self._targets:
+                level, layer = bound[1:] if kind is _IMAGE else (None, -1)
+                self._check_feedback(use, bound[0], level, layer)
 
     def _check_feedback(self, use: CommandUse, texture: Id, level: int | None, layer: int) -> None:
         """Report a hazard if the pass writes what is read of a texture: a level (None: all) and a layer (−1: all)."""
-        if self._pass is None:
+        descriptor = self._context.render_pass
+        if descriptor is None:
             return
-        descriptor, begun = self._pass
-        states: Any = self._states
+        states: Any = self._context.states
         written = [
             target
             for target, write in zip(descriptor.colors, states[ColorWrite], strict=False)
@@ -546,7 +491,7 @@ class HazardTracker:
         for target in written:
             same = level in (None, target.level) and layer in (-1, target.layer)
             if target.texture == texture and same:
-                self._report(HazardKind.PASS_FEEDBACK, texture, begun, use, happened=True)
+                self._report(HazardKind.PASS_FEEDBACK, texture, self._pass_use, use, happened=True)
                 return
 
     def _has_stencil(self, texture: Id) -> bool:

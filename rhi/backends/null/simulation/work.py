@@ -10,15 +10,21 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from typing_extensions import Buffer as BytesLike
 
 from rhi.backends.null.draws import ExecutedIndirectDraws
 from rhi.backends.null.execution import DrawOutcome, ExecutionState
-from rhi.backends.null.programs import Programs
 from rhi.backends.null.simulation.cost import CommandWork, CostModel, count_primitives
 from rhi.backends.null.textures import Textures
 from rhi.commands.ops import Op
-from rhi.contract.descriptors import Attachment, DepthAttachment, Id, PassDescriptor, Primitive, Region
+from rhi.contract.descriptors import (
+    Attachment,
+    DepthAttachment,
+    Id,
+    PassDescriptor,
+    Primitive,
+    ProgramDescriptor,
+    Region,
+)
 from rhi.contract.states import Scissor, StateChange, Viewport
 
 __rhi_internal__ = True
@@ -26,7 +32,7 @@ __rhi_internal__ = True
 
 class WorkMeter:
     """Measures the commands of one device. Its methods are the commands with work of their own, named as in
-    `Backend`.
+    `Backend`, but for those that only move bytes (`meters`).
 
     Attributes:
         samples: the samples that the command just executed passed, None if unknown.
@@ -34,11 +40,10 @@ class WorkMeter:
     """
 
     def __init__(
-        self, cost: CostModel, textures: Textures, programs: Programs, state: ExecutionState
+        self, cost: CostModel, textures: Textures, state: ExecutionState
     ) -> None:
         self._cost = cost
         self._textures = textures
-        self._programs = programs
         self._state = state
         self._begun: PassDescriptor | None = None
         self._known_area: tuple[tuple[object, object, object], int] = ((None, None, None), 0)
@@ -93,52 +98,38 @@ class WorkMeter:
         x, y, z = self.indirect_dispatches[-1]
         return CommandWork(Op.DISPATCH_INDIRECT, bytes=12, invocations=x * y * z * self._work_group())
 
-    def write_buffer(self, buffer: Id, offset: int, data: BytesLike) -> CommandWork:
-        return CommandWork(Op.WRITE_BUFFER, bytes=memoryview(data).nbytes)
-
-    def copy_buffer(
-        self, source: Id, source_offset: int, target: Id, target_offset: int, size: int
-    ) -> CommandWork:
-        return CommandWork(Op.COPY_BUFFER, bytes=2 * size)
-
-    def clear_buffer(self, buffer: Id, offset: int, size: int, value: int) -> CommandWork:
-        return CommandWork(Op.CLEAR_BUFFER, bytes=size)
-
-    def write_texture(self, texture: Id, level: int, region: Region, data: BytesLike) -> CommandWork:
-        return CommandWork(Op.WRITE_TEXTURE, bytes=memoryview(data).nbytes)
-
-    def copy_texture(
-        self, source: Id, source_level: int, source_region: Region, target: Id, target_level: int, x: int, y: int,
-        layer: int,
-    ) -> CommandWork:  # fmt: skip
-        return CommandWork(Op.COPY_TEXTURE, bytes=2 * self._region_bytes(source, source_region))
-
-    def copy_texture_to_buffer(
-        self, source: Id, level: int, region: Region, target: Id, offset: int, row_bytes: int
-    ) -> CommandWork:
-        return CommandWork(Op.COPY_TEXTURE_TO_BUFFER, bytes=2 * self._region_bytes(source, region))
-
-    def copy_buffer_to_texture(
-        self, source: Id, offset: int, row_bytes: int, target: Id, level: int, region: Region
-    ) -> CommandWork:
-        return CommandWork(Op.COPY_BUFFER_TO_TEXTURE, bytes=2 * self._region_bytes(target, region))
-
-    def resolve_texture(self, source: Id, target: Id) -> CommandWork:
-        samples = self._textures.textures[source].descriptor.samples
-        return CommandWork(Op.RESOLVE_TEXTURE, bytes=self._level_bytes(target) * (samples + 1))
-
-    def generate_mipmaps(self, texture: Id) -> CommandWork:
-        levels = len(self._textures.textures[texture].levels)
-        written = sum(self._level_bytes(texture, level) for level in range(1, levels))
-        return CommandWork(
-            Op.GENERATE_MIPMAPS, bytes=5 * written
-        )  # each texel written needs four texels read
-
     def meters(self) -> tuple[Callable[..., CommandWork] | None, ...]:
         """Return the function that measures each op, None where the command has no work of its own."""
-        return tuple(getattr(self, op.method, None) for op in Op)
+        transfers: dict[Op, Callable[..., int]] = {
+            Op.WRITE_BUFFER: lambda buffer, offset, data: memoryview(data).nbytes,
+            Op.COPY_BUFFER: lambda source, source_offset, target, target_offset, size: 2 * size,
+            Op.CLEAR_BUFFER: lambda buffer, offset, size, value: size,
+            Op.WRITE_TEXTURE: lambda texture, level, region, data: memoryview(data).nbytes,
+            Op.COPY_TEXTURE: lambda source, level, region, *target: 2 * self._region_bytes(source, region),
+            Op.COPY_TEXTURE_TO_BUFFER: lambda source, level, region, *target: 2 * self._region_bytes(source, region),
+            Op.COPY_BUFFER_TO_TEXTURE: lambda source, offset, row_bytes, target, level, region: (
+                2 * self._region_bytes(target, region)
+            ),
+            Op.RESOLVE_TEXTURE: self._resolved_bytes,
+            Op.GENERATE_MIPMAPS: self._filtered_bytes,
+        }
+
+        def find_meter(op: Op) -> Callable[..., CommandWork] | None:
+            count = transfers.get(op)
+            if count is None:
+                return getattr(self, op.method, None)
+            return lambda *arguments: CommandWork(op, bytes=count(*arguments))
+
+        return tuple(map(find_meter, Op))
 
     # -- helpers -----------------------------------------------------------------------------------------
+
+    def _resolved_bytes(self, source: Id, target: Id) -> int:
+        return self._level_bytes(target) * (self._textures.textures[source].descriptor.samples + 1)
+
+    def _filtered_bytes(self, texture: Id) -> int:
+        levels = len(self._textures.textures[texture].levels)
+        return 5 * sum(self._level_bytes(texture, level) for level in range(1, levels))  # a texel needs four others
 
     def _level_bytes(self, texture: Id, level: int = 0) -> int:
         descriptor = self._textures.textures[texture].descriptor
@@ -150,8 +141,8 @@ class WorkMeter:
         return region.width * region.height * region.layers * texel
 
     def _work_group(self) -> int:
-        program = self._programs.programs.get(self._state.program)
-        x, y, z = program.work_group if program is not None else (1, 1, 1)
+        program = self._state.resources.get(self._state.program)
+        x, y, z = program.work_group if isinstance(program, ProgramDescriptor) else (1, 1, 1)
         return x * y * z
 
     def _pixels(self, primitives: int) -> float:

@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from renderer.exam.cell_pairs import LENSES
-from renderer.exam.cone_pairs import ANGLES, ConePairs, make_cone_pairs
+from renderer.lab.exam.cell_pairs import LENSES
+from renderer.lab.exam.cone_pairs import ANGLES, ConePairs, make_cone_pairs
 from renderer.lights.culling.cells import Cell
 from renderer.lights.culling.cone_tests import Cone, bounding_sphere
 from renderer.lights.culling.sphere_tests import overlaps_exactly

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import rhi
-from renderer.exam.cell_pairs import LENSES, Pairs, make_pairs
-from renderer.exam.lights import is_beyond_padding
-from renderer.exam.sphere_pairs import pack_pairs, run_sphere_tests
+from renderer.lab.exam.cell_pairs import LENSES, Pairs, make_pairs
+from renderer.lab.exam.lights import is_beyond_padding
+from renderer.lab.exam.sphere_pairs import pack_pairs, run_sphere_tests
 from renderer.lights.culling.cells import corner
 from renderer.lights.culling.table import SPHERE_TESTS
 from rhi.shading import evaluate

@@ -17,8 +17,9 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from rhi.backends.cl.context import QUICK, open_context
-from rhi.backends.cl.pools import Addresses
-from rhi.backends.cl.raster.merger import MergerKey, general_defines, make_key, make_state, read_source
+from rhi.backends.cl.memory.pools import Addresses
+from rhi.backends.cl.raster.kernel_text import read_kernels
+from rhi.backends.cl.raster.merger import MergerKey, general_defines, make_key, make_state
 from rhi.conformance import reference
 from rhi.contract.descriptors import FragmentOutput, ProgramDescriptor, Stage, StageText
 from rhi.contract.formats import ChannelKind, Format
@@ -73,7 +74,7 @@ _addresses = cache(lambda: Addresses(_context()))
 
 @cache
 def _build(defines: str) -> cl.Kernel:
-    source = "#define AT(type, address) ((global type *)(address))\n" + defines + read_source() + _KERNEL
+    source = "#define AT(type, address) ((global type *)(address))\n" + defines + read_kernels("targets") + _KERNEL
     return _context().compile(source, QUICK).find("merge")
 
 

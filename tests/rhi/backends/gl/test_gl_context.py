@@ -10,6 +10,8 @@ import pytest
 from gl_kit import FULL, GlKit, describe_program
 
 from rhi.backends.gl import create_backend, find_obstacle
+from rhi.contract.descriptors import BufferDescriptor, Region, TextureDescriptor
+from rhi.contract.formats import Format
 from rhi.contract.states import CullMode
 from rhi.errors import DeviceError
 
@@ -62,6 +64,24 @@ def test_two_backends_draw_in_turns(gl_kit: GlKit) -> None:
     other.backend.close()
     gl_kit.draw(shapes[0])
     assert (gl_kit.read(images[0])[..., 0] == 255).all()
+
+
+def test_copies_between_buffers_and_textures_go_to_the_backends_own_context(gl_kit: GlKit) -> None:
+    backend, other = gl_kit.backend, create_backend()
+    texels = np.arange(4 * 4 * 4, dtype=np.uint8)
+    whole = Region(0, 0, 4, 4)
+    for each in (backend, other):  # the ids are those of both, and what one does in the other's context is seen
+        each.create_buffer(901, BufferDescriptor(64))
+        each.create_texture(902, TextureDescriptor((4, 4), Format.RGBA8))
+    backend.write_buffer(901, 0, texels.tobytes())
+    other.write_buffer(901, 0, bytes(64))
+    backend.copy_buffer_to_texture(901, 0, 16, 902, 0, whole)
+    assert (backend.read_texture(902, 0, whole, False).reshape(-1) == texels).all()
+    backend.write_buffer(901, 0, bytes(64))
+    other.write_buffer(901, 0, bytes(64))
+    backend.copy_texture_to_buffer(902, 0, whole, 901, 0, 16)
+    assert backend.read_buffer(901, 0, 64) == texels.tobytes()
+    other.close()
 
 
 def test_the_capabilities_are_the_contexts_own(gl_kit: GlKit) -> None:

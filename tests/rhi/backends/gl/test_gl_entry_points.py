@@ -6,7 +6,7 @@ import ctypes
 
 import pytest
 
-from rhi.backends.gl import heap
+from rhi.backends.gl import llvmpipe
 from rhi.backends.gl.entry_points import EntryPoints, _prototypes
 
 
@@ -44,10 +44,10 @@ class FakeLibrary:
 
 def test_freed_memory_is_kept_unless_the_user_has_set_it_up(monkeypatch: pytest.MonkeyPatch) -> None:
     library = FakeLibrary()
-    monkeypatch.setattr(heap.ctypes, "CDLL", lambda name: library)
+    monkeypatch.setattr(llvmpipe.ctypes, "CDLL", lambda name: library)
     monkeypatch.setenv("MALLOC_TRIM_THRESHOLD_", "1000")
-    heap.keep_freed_memory()
+    llvmpipe.keep_freed_memory()
     assert library.calls == []
     monkeypatch.delenv("MALLOC_TRIM_THRESHOLD_")
-    heap.keep_freed_memory()
+    llvmpipe.keep_freed_memory()
     assert library.calls == [(-1, 64 << 20), (-3, 32 << 20)]

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import array
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
 from gl_kit import SIZE, GlKit
 
+import rhi
+from rhi import CullMode
+from rhi.backends.gl.buffers import Buffers
 from rhi.backends.gl.quads import expand_indices
+from rhi.conformance.shaders import Colored
+from rhi.conformance.shapes import rectangle
 from rhi.contract.descriptors import (
     BufferDescriptor,
     BufferUsage,
@@ -103,6 +109,37 @@ def test_indexed_quads_become_two_triangles_each(index_format: IndexFormat) -> N
     expanded = expand_indices(indices.tobytes(), index_format)
     assert expanded.dtype == index_format.dtype
     assert expanded.tolist() == [[5, 6, 7, 5, 7, 8], [3, 2, 1, 3, 1, 0]]
+
+
+@pytest.fixture
+def device() -> Iterator[rhi.Device]:
+    with rhi.create_device("gl") as device:
+        yield device
+
+
+def test_indexed_quads_read_their_indices_back_once(device: rhi.Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = rectangle()[[0, 1, 2, 5]]
+    read, reads = Buffers.read, []
+
+    def count(self: Buffers, *place: int) -> bytes:
+        reads.append(place)
+        return read(self, *place)
+
+    monkeypatch.setattr(Buffers, "read", count)
+    program, image = device.program(Colored), device.texture((4, 4), rhi.Format.RGBA8)
+    mesh = device.mesh(rows, np.arange(4, dtype="u2"), primitive=rhi.Primitive.QUADS)
+    with device.render_pass(image), device.states(CullMode.NONE):
+        for _ in range(3):
+            device.draw(program, mesh)
+    assert len(reads) == 1
+    assert (image.read() == 255).all()
+    assert mesh.indices is not None
+    mesh.indices.write(np.zeros(4, "u2"))
+    with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE):
+        for _ in range(3):
+            device.draw(program, mesh)
+    assert len(reads) == 2
+    assert not image.read().any()
 
 
 def test_a_fence_nobody_signals_is_not_waited_for(gl_kit: GlKit) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -47,6 +48,19 @@ def test_each_kind_has_its_number_of_layers(
     else:
         with refuses(rules.TEXTURE_SIZE, recording):
             recording.texture((4, 4), Format.R8, kind=kind, layers=layers)
+
+
+@pytest.mark.parametrize(("most", "fits"), [(5, False), (6, True)])
+def test_the_faces_of_a_cube_are_layers(
+    recording: Device, monkeypatch: pytest.MonkeyPatch, most: int, fits: bool
+) -> None:
+    limits = replace(recording.capabilities, max_texture_layers=most)
+    monkeypatch.setattr(recording._core, "capabilities", limits)
+    if fits:
+        recording.texture((4, 4), Format.R8, kind=TextureKind.CUBE).destroy()
+    else:
+        with refuses(rules.DEVICE_CAPABILITY, recording):
+            recording.texture((4, 4), Format.R8, kind=TextureKind.CUBE)
 
 
 def test_the_faces_of_a_cube_are_square(recording: Device) -> None:

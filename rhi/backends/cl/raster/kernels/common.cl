@@ -65,25 +65,7 @@ enum { THIN = 16, CUTS = 8 };
 
 #define SAMPLE_REACH 96  // subtexels from a texel's centre to its outermost sample, along an axis
 
-typedef struct {
-    ulong surfaces[10];               // color targets, depth, stencil
-    ulong draws, views, rows, positions, clips, varyings, records, planes, boxes, counts, starts, list, survivors, scratch;
-    ulong extents, bounds, counters;
-    ulong places;                     // the surfaces' offsets in their memory and pitches; then their clear values, each
-                                      // repeated to 4 words
-    int draw_count, row_words;
-    int vertex_groups, vertex_chunk;  // of the batch, and per work-item
-    int first_group, end_group, chunk_groups, chunks;  // of primitives: of the slice, and per work-item
-    int chunk_records;                // records that a work-item has room for
-    int edges;                        // records of a triangle that is drawn as lines; 0: triangles are filled
-    int tiles_x, tiles, list_size, listed;
-    int samples, shades, linear, width, height;
-    int near_is_less;                 // direction of the depth test
-    int bounded;                      // whether raster kernels left valid bounds of depth
-    int cleared;                      // surfaces with pending clears, as bits
-    int varying_words, point_size;    // words of a vertex's varyings; which of them is its point size, -1: none
-    float depth_step;                 // difference between depths of the target's format; 0 for floats
-} Batch;
+// `Batch`, `Draw` and `View` are declared by tables.py, which describes their fields.
 
 // The bounds of the vertices of one instance that one work-item transformed; the primitives made of them lie within. It is
 // stored at the number of their first group.
@@ -93,32 +75,6 @@ typedef struct {
     int fit;                                // whether all of them have a window position; else the bounds are invalid
     int behind;                             // the clip planes that all of them lie behind, as bits
 } Extent;
-
-typedef struct {
-    ulong indices;                          // address of the first corner's index; 0: vertices in order
-    ulong vertex_indices;                   // address of the first vertex's index; 0: vertices from first_vertex on
-    ulong samples;                          // its counter, relative to the batch's `counters`; 0: none
-    ulong condition;                        // address of a counter; 0: none
-    ulong box;                              // address of its attributes' box; 0: none, odd: to be measured
-    int vertex_group, primitive_group;      // numbers of its first groups in the batch
-    int vertex_groups, primitive_groups;    // for one instance
-    int first_vertex, vertices;             // added to a vertex's number; number of vertices to transform
-    int lowest;                             // index of the first of them
-    int primitives, primitive;              // their number, and corners of each
-    int index_bytes, vertex_index_bytes;
-    int base_instance, number;
-    int row, view, inverted;
-} Draw;
-
-typedef struct {
-    float scale[4], shift[4];  // window = clip / w * scale + shift, in texels; then depth
-    int box[4];                // first and last texel that may be drawn: viewport and scissor
-    int culled;                // 1: positive area in the window, 2: negative, 3: both
-    int front;                 // 1: positive area is front-facing
-    float bias_units, bias_slope, bias_clamp, bias_step;  // step 0: floats
-    float line_width;          // texels, a whole number
-    uint state[STATE_WORDS];   // see targets.cl
-} View;
 
 #define SHUFFLE __builtin_shufflevector
 

@@ -11,13 +11,6 @@
 
 #define MERGER static inline __attribute__((always_inline, overloadable))
 
-// The states of a batch that kernels are compiled for, as data; merger.py writes it.
-typedef struct {
-    int samples, color_count, has_depth, depth_bits, depth_passes, depth_writes, has_stencil;
-    int alpha_test, alpha_to_coverage, test_order, shades, unused;
-    int colors[8][6];  // location, components, channels, bits, kind, blends
-} Merger;
-
 #define EACH(c, first, last) _Pragma("unroll") for (int c = first; c <= last; ++c)  // PoCL unrolls only loops with a pragma
 
 typedef struct {

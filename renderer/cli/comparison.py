@@ -1,0 +1,117 @@
+"""Comparisons as programs: rows become a table for people, Markdown, JSON or a chart."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import rhi
+from renderer.cli.arguments import add_form
+from renderer.cli.output import draw_chart, list_left_out, note, prepare_chart
+from renderer.cli.subcommand import Parser, Subcommand
+from renderer.lab.comparison import Record
+from renderer.lab.measure.table import format_table, format_value, title_of
+from renderer.scene import Scene
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """Rows, and what JSON says besides: what they are about, and what was left out of the scene, if there is one.
+
+    `title` is that of their chart."""
+
+    about: Mapping[str, object]
+    rows: Sequence[Record]
+    title: str = ""
+    scene: Scene | None = None
+
+
+def describe(device: rhi.Device) -> dict[str, str]:
+    """Return what a report says of its device."""
+    return {"backend": device.backend_name, "device": device.capabilities.device}
+
+
+def repeat(given: argparse.Namespace, *names: str) -> Record:
+    """Return what a report repeats of the arguments."""
+    return {name: getattr(given, name) for name in names}
+
+
+@dataclass(frozen=True, slots=True)
+class ComparisonProgram:
+    """A comparison that can be asked for: a subject of `compare`, or a program of `benchmarks`.
+
+    Attributes:
+        notes: examples, and what the columns mean.
+        add_arguments: declares all arguments but those of the form of the output.
+        measure: makes the report.
+        titles: the titles of columns whose names don't say enough.
+        show: makes rows for people of those for JSON.
+        plot: draws a chart on a figure.
+        more: makes further tables of what a report says besides its rows; they are Markdown if the second argument is
+            true.
+    """
+
+    name: str
+    summary: str
+    notes: str
+    add_arguments: Callable[[Parser], None]
+    measure: Callable[[argparse.Namespace], Report]
+    titles: Mapping[str, str] = field(default_factory=dict)
+    show: Callable[[Sequence[Record]], Sequence[Record]] = lambda rows: rows
+    plot: Callable[[Any, Sequence[Record]], None] | None = None
+    more: Callable[[Mapping[str, Any], bool], Sequence[str]] = lambda about, markdown: ()
+
+    @property
+    def command(self) -> Subcommand:
+        """The comparison as a command."""
+        return Subcommand(self.name, self.summary, self.add_all_arguments, self.run, self.notes)
+
+    def add_all_arguments(self, parser: Parser) -> None:
+        """Declare the comparison's arguments, and those of the form of the output."""
+        self.add_arguments(parser)
+        if self.plot is not None:
+            parser.add_argument("--plot", type=Path, metavar="F.png", help="write a chart of the times")
+        add_form(parser)
+
+    def run(self, given: argparse.Namespace) -> None:
+        """Compare, and print what was found."""
+        path = getattr(given, "plot", None)
+        if path is not None:
+            prepare_chart(path)
+        report = self.measure(given)
+        if path is not None and self.plot is not None:
+            with draw_chart(path, report.title) as figure:
+                self.plot(figure, report.rows)
+            note(f"wrote {path}")
+        if given.json:
+            left_out = {} if report.scene is None else list_left_out(report.scene)
+            print(json.dumps({**report.about, "rows": report.rows, **left_out}))
+        else:
+            tables = [self.format(report.rows, markdown=given.markdown), *self.more(report.about, given.markdown)]
+            print("\n\n".join(tables))
+
+    def format(self, rows: Sequence[Record], *, markdown: bool = False) -> str:
+        """Format rows as a table."""
+        shown = self.show(rows)
+        header = [self.titles.get(name, title_of(name)) for name in shown[0]]
+        cells = [[format_value(value) for value in row.values()] for row in shown]
+        return format_table(header, cells, markdown=markdown)
+
+
+def run_benchmark(
+    text: str | None, add_arguments: Callable[[Parser], None], measure: Callable[[argparse.Namespace], Iterable[Record]]
+) -> None:
+    """Run a program of `benchmarks`: its docstring, its arguments, and the function that yields its rows.
+
+    Unless RHI_KERNELS says otherwise, cl runs optimised kernels, as a long run does.
+    """
+    os.environ.setdefault("RHI_KERNELS", "optimised")
+    comparison = ComparisonProgram("", "", "", add_arguments, lambda given: Report({}, list(measure(given))))
+    parser = Parser(description=text)
+    comparison.add_all_arguments(parser)
+    comparison.run(parser.parse_args())

@@ -1,0 +1,1 @@
+"""Measurements and comparisons: one engine, and what is compared with it."""

@@ -1,0 +1,629 @@
+"""The registry of knobs: every choice of the renderer that trades accuracy for time.
+
+A knob sets nothing by itself: it names a setting of `RenderSettings` by its path, and some of its values in order, the
+least accurate first. With that go the truth that it is judged by, the unit of its error, and what it needs to matter:
+other settings (`within`) and something in the scene (`demand`). Another knob is one entry of `KNOBS`; the sweep, the
+table, the choice of settings and the tests find it there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any, Final
+
+from renderer import rules
+from renderer.frame import Blending, GlowSettings, TextureSettings
+from renderer.scene import Depth
+from renderer.settings import RenderSettings
+from renderer.shadows import ShadowFilter
+from rhi import Filter
+from rhi.shading import Precision
+
+__rhi_internal__ = True
+
+
+class Unit(Enum):
+    """What an error is."""
+
+    LEVELS = "levels of 255"
+    """How far a pixel is from that of the truth: its worst channel, in sRGB."""
+    DEPTH = "millionths of the distance"
+    """How far the place is that a pixel's depth leads back to, in that of the surface."""
+    LIGHTS = "lights too many"
+    """How many lights a pixel's shaders look at beside those that reach its surface: a mean over the picture."""
+    OVERDRAW = "% too many triangles"
+    """How many more triangles are drawn than the objects have of which a pixel is seen."""
+    DEGREES = "degrees"
+    """The angle between a vector and what is read of it."""
+    PERCENT = "%"
+    """The length of the difference between a vector and what is read of it, in that of the vector."""
+
+    @property
+    def is_per_pixel(self) -> bool:
+        """Whether each pixel has an error."""
+        return self in (Unit.LEVELS, Unit.DEPTH)
+
+
+class Demand(Enum):
+    """What a scene must have for a knob to matter."""
+
+    SHADOWS = "a light that may cast shadows"
+    TRANSPARENCY = "a transparent object"
+    IMAGES = "an image"
+    LAMPS = "a point or spot light"
+    GLOW = "an object that emits more light than a white surface reflects"
+    STEREO = "a second eye"
+    MOTION = "something that moves by itself"
+    HEIGHT_FIELDS = "a height field whose limit holds all of its triangles"
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """What a value is judged by: a picture of other settings, or what is found in another way.
+
+    Attributes:
+        name: what it is, in a few words. changes: settings that its picture has instead of the value's.
+        scale: how many times as wide and high its picture is, from whose light the mean of each pixel is taken.
+        is_float64: whether it is computed in float64 from the triangles that were drawn.
+    """
+
+    name: str
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    scale: int = 1
+    is_float64: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Knob:
+    """A choice between accuracy and time.
+
+    Attributes:
+        about: what it decides. path: the setting, as `RenderSettings.get` finds it; empty for an encoding, which
+            shaders have for good. values: by how tables call them, the least accurate first.
+        unit: of the error. truth: what values are judged by.
+        within: settings under which it matters. demand: what it needs in the scene.
+        remembers: the number of earlier frames that a frame depends on, which are drawn before the first that counts; 0
+            if frames needn't follow each other.
+        because: why we chose the default.
+        exception: why errors needn't fall from each value to the next; empty where they must.
+    """
+
+    name: str
+    about: str
+    path: str
+    values: Mapping[str, Any]
+    unit: Unit
+    truth: Truth
+    because: str
+    within: Mapping[str, Any] = field(default_factory=dict)
+    demand: Demand | None = None
+    remembers: int = 0
+    exception: str = ""
+
+    @property
+    def is_encoding(self) -> bool:
+        """Whether values are encodings, which shaders have for good."""
+        return not self.path
+
+    @property
+    def default(self) -> str | None:
+        """The name of the value that settings have by default; None if it isn't among the values."""
+        if not self.path:
+            return next((name for name, chosen in self.values.items() if chosen == _CHOSEN.get(self.name)), None)
+        value = RenderSettings().get(self.path)
+        return next((name for name, one in self.values.items() if one == value), None)
+
+    def set(self, settings: RenderSettings, value: str) -> RenderSettings:
+        """Return settings with a value, by its name in tables, and with what makes the knob matter."""
+        return settings.change_all(self.within).change(self.path, self.values[value])
+
+
+def _same(*values: Any) -> dict[str, Any]:
+    return {(str(value).lower() if not isinstance(value, Enum) else value.value): value for value in values}
+
+
+FLOAT64: Final = Truth("float64", is_float64=True)
+SUPER_SAMPLED: Final = Truth(
+    "16 samples a pixel, the mean of their light",
+    {
+        "technique.samples": 1,
+        "technique.fxaa": False,
+        "textures": TextureSettings(anisotropy=16.0),
+    },
+    scale=4,
+)
+FORWARD: Final = Truth("forward shading", {"technique.name": "forward"})
+EVERYTHING: Final = Truth("no culling", {"algorithm": "none"})
+FINE_MAPS: Final = Truth(
+    "maps of 6 × 2048 texels for the sun, up to 2048 for lamps",
+    {
+        "shadows.largest_atlas": 8192,
+        "shadows.cascade_size": 2048,
+        "shadows.cascades": 6,
+        "shadows.largest": 2048,
+        "shadows.filter": ShadowFilter.SMOOTH,
+        "shadows.bias": 1.0,
+        "shadows.budget": 512,
+    },
+)
+IN_RANGE: Final = Truth("the lights that reach each pixel, in float64")
+SEEN: Final = Truth("the objects of which a pixel is seen")
+FAR_SHADOWS: Final = Truth("shadows up to 1 km, with as fine maps", {**FINE_MAPS.changes, "shadows.distance": 1000.0})
+SORTED: Final = Truth("sorted by distance", {"blending": Blending.SORTED})
+FAR_GLOW: Final = Truth("all scattered light, spread over 8 levels", {"glow": GlowSettings(levels=8)})
+FINEST: Final = Truth("all triangles of the ground in view", {"tessellation.edge_pixels": 0.01})
+EACH_FRAME: Final = Truth("motion in each frame", {"animation_step": 0.0})
+DISTANCES: Final = Truth("the distances in float64")
+SECOND_EYE: Final = Truth("the second eye drawn", {"reprojects": False})
+VECTORS: Final = Truth("the vectors in float64")
+
+_FORWARD: Final = {"technique.name": "forward", "algorithm": "frustum"}
+_ROOM: Final = {**_FORWARD, "shadows.largest_atlas": 8192}
+_LOTS: Final = "CHC++ draws lots for when an object is asked about again, so neighbours may change places"
+_CHC: Final = {**_FORWARD, "algorithm": "chc_plus_plus"}
+_ASKED: Final = 24
+"""Frames after which CHC++ has asked about all that was visible in the first, when everything in view is drawn."""
+_SOFTWARE: Final = {**_FORWARD, "algorithm": "software_depth"}
+
+KNOBS: Final[dict[str, Knob]] = {
+    knob.name: knob
+    for knob in (
+        Knob(
+            "precision",
+            "how exact functions such as pow are in shaders (OpenCL; GL has one way)",
+            "precision",
+            _same(Precision.FAST, Precision.EXACT),
+            Unit.LEVELS,
+            FLOAT64,
+            "a picture of 8 bits shows nothing of what EXACT adds",
+            _FORWARD,
+        ),
+        Knob(
+            "samples",
+            "samples a pixel",
+            "technique.samples",
+            _same(1, 2, 4, 8),
+            Unit.LEVELS,
+            SUPER_SAMPLED,
+            "only forward shading has more than one",
+            _FORWARD,
+        ),
+        Knob(
+            "fxaa",
+            "whether edges are smoothed in the image",
+            "technique.fxaa",
+            {"off": False, "on": True},
+            Unit.LEVELS,
+            SUPER_SAMPLED,
+            "it also blurs what isn't an edge",
+            _FORWARD,
+            exception="edges come nearer to the truth, and texels as bright as an edge go away from it",
+        ),
+        Knob(
+            "texture_filter",
+            "how many texels a pixel is made of",
+            "textures",
+            {
+                "nearest texel": TextureSettings(Filter.NEAREST, None),
+                "bilinear, no mip levels": TextureSettings(mip=None),
+                "bilinear, nearest level": TextureSettings(mip=Filter.NEAREST),
+                "trilinear": TextureSettings(),
+                "anisotropic, 4": TextureSettings(anisotropy=4.0),
+                "anisotropic, 16": TextureSettings(anisotropy=16.0),
+            },
+            Unit.LEVELS,
+            SUPER_SAMPLED,
+            "a sample a pixel; anisotropy shows more at an angle, for up to 16",
+            _FORWARD,
+            Demand.IMAGES,
+            exception="mip levels blur what lies at an angle more than the largest one flickers, "
+            "which single pictures don't show",
+        ),
+        Knob(
+            "edge_pixels",
+            "length of the edges of a ground's triangles in pixels",
+            "tessellation.edge_pixels",
+            _same(32.0, 16.0, 8.0, 4.0, 2.0),
+            Unit.LEVELS,
+            FINEST,
+            "outlines are off by less than a pixel nearly everywhere",
+            _FORWARD,
+            Demand.HEIGHT_FIELDS,
+        ),
+        Knob(
+            "shadow_size",
+            "width of the sun's maps in texels",
+            "shadows.cascade_size",
+            _same(128, 256, 512, 1024, 2048),
+            Unit.LEVELS,
+            FINE_MAPS,
+            "finer maps are drawn in more time whenever the eye moves",
+            _ROOM,
+            Demand.SHADOWS,
+        ),
+        Knob(
+            "shadow_cascades",
+            "number of the sun's maps along the view",
+            "shadows.cascades",
+            _same(1, 2, 3, 4, 6),
+            Unit.LEVELS,
+            FINE_MAPS,
+            "from four on the nearest map is as fine as the picture",
+            _ROOM,
+            Demand.SHADOWS,
+        ),
+        Knob(
+            "shadow_distance",
+            "how far from the eye there are shadows, in metres",
+            "shadows.distance",
+            _same(50.0, 125.0, 250.0, 500.0),
+            Unit.LEVELS,
+            FAR_SHADOWS,
+            "beyond it a shadow is a few pixels, and near ones would be coarser",
+            _ROOM,
+            Demand.SHADOWS,
+            exception="the same texels are spread over more, so near shadows are coarser; far ones are few pixels",
+        ),
+        Knob(
+            "shadow_filter",
+            "texels of a map that a pixel is compared with: 1, 4, 12, 16",
+            "shadows.filter",
+            _same(ShadowFilter.HARD, ShadowFilter.HARDWARE, ShadowFilter.POISSON, ShadowFilter.SMOOTH),
+            Unit.LEVELS,
+            FINE_MAPS,
+            "no steps, and no noise that moves with the eye",
+            _ROOM,
+            Demand.SHADOWS,
+            exception="the truth has sharp edges, and a filter trades steps for blur: of these the eye sees steps",
+        ),
+        Knob(
+            "shadow_bias",
+            "what keeps surfaces from shading themselves, in what texels and angles call for",
+            "shadows.bias",
+            _same(0.0, 0.5, 1.0),
+            Unit.LEVELS,
+            FINE_MAPS,
+            "without it surfaces shade themselves, and it costs nothing",
+            _ROOM,
+            Demand.SHADOWS,
+        ),
+        Knob(
+            "lamp_shadow_size",
+            "largest width of a lamp's map in texels",
+            "shadows.largest",
+            _same(32, 64, 128, 256, 512, 1024),
+            Unit.LEVELS,
+            FINE_MAPS,
+            "a map is drawn once, and as wide as what it lights on the screen",
+            _ROOM,
+            Demand.SHADOWS,
+        ),
+        Knob(
+            "shadow_budget",
+            "maps of far lamps that are drawn again in a frame",
+            "shadows.budget",
+            _same(1, 2, 8, 32),
+            Unit.LEVELS,
+            FINE_MAPS,
+            "what moves far away may be late by some frames",
+            _ROOM,
+            Demand.SHADOWS,
+            remembers=6,
+        ),
+        Knob(
+            "inferred_scale",
+            "size of the light buffers of inferred lighting, in that of the image",
+            "technique.scale",
+            _same(0.3, 0.4, 0.6, 0.8, 1.0),
+            Unit.LEVELS,
+            FORWARD,
+            "a third of the pixels, and edges that are seldom seen to be wrong",
+            {"technique.name": "inferred", "algorithm": "frustum"},
+            Demand.LAMPS,
+            exception="0.8 may lose to 0.6, since its texels lie differently between the picture's",
+        ),
+        Knob(
+            "inferred_transparency",
+            "whether transparent surfaces are lit in stippled light buffers, or by their objects' lights",
+            "technique.stippled",
+            {"stippled": True, "by lists": False},
+            Unit.LEVELS,
+            FORWARD,
+            "it is what the technique is for",
+            {"technique.name": "inferred", "algorithm": "frustum"},
+            Demand.TRANSPARENCY,
+        ),
+        Knob(
+            "specular_channels",
+            "channels of highlights in a light pre-pass",
+            "technique.specular_channels",
+            _same(1, 3),
+            Unit.LEVELS,
+            FORWARD,
+            "coloured lamps have coloured highlights",
+            {"technique.name": "light_pre_pass", "algorithm": "frustum"},
+            Demand.LAMPS,
+        ),
+        Knob(
+            "blending",
+            "how transparent surfaces are put together",
+            "blending",
+            _same(Blending.WEIGHTED, Blending.SORTED),
+            Unit.LEVELS,
+            SORTED,
+            "there are seldom enough of them for sorting to matter",
+            _FORWARD,
+            Demand.TRANSPARENCY,
+        ),
+        Knob(
+            "glow_levels",
+            "how often the image is halved to spread glow",
+            "glow.levels",
+            _same(1, 2, 4, 6, 8),
+            Unit.LEVELS,
+            FAR_GLOW,
+            "six reach 64 pixels around what shines, and further ones are the cheapest",
+            _FORWARD,
+            Demand.GLOW,
+        ),
+        Knob(
+            "glow_sparks",
+            "whether single bright pixels glow as much as they shine",
+            "glow.tames_sparks",
+            {"tamed": True, "as they are": False},
+            Unit.LEVELS,
+            Truth("all scattered light", {"glow.tames_sparks": False}),
+            "far lamps are single pixels, which would glow a quarter as much",
+            _FORWARD,
+            Demand.GLOW,
+        ),
+        Knob(
+            "depth",
+            "direction of depth in 32-bit floats",
+            "depth",
+            _same(Depth.STANDARD, Depth.REVERSED),
+            Unit.DEPTH,
+            FLOAT64,
+            "it costs nothing",
+            _FORWARD,
+        ),
+        Knob(
+            "depth_format",
+            "what holds depth, from 0.1 m to 10 km",
+            "",
+            {
+                "16 bits": "position by a ray, D16",
+                "24 bits": "position by a ray, D24",
+                "32-bit float": "position by a ray, D32F",
+                "32-bit float, reversed": "position by a ray, D32F reversed",
+            },
+            Unit.DEPTH,
+            DISTANCES,
+            "it takes as much memory as 24 bits",
+        ),
+        Knob(
+            "animation_step",
+            "seconds after which what moves by itself moves on",
+            "animation_step",
+            {"each 8th frame": 8 / 60, "each 4th": 4 / 60, "each 2nd": 2 / 60, "each frame": 0.0},
+            Unit.LEVELS,
+            EACH_FRAME,
+            "half as many steps are seen to be uneven",
+            _FORWARD,
+            Demand.MOTION,
+            remembers=8,
+        ),
+        Knob(
+            "second_eye",
+            "whether the second eye's picture is drawn, or made of the first one's",
+            "reprojects",
+            {"reprojected": True, "drawn": False},
+            Unit.LEVELS,
+            SECOND_EYE,
+            "holes show beside everything that is near",
+            _FORWARD,
+            Demand.STEREO,
+        ),
+        Knob(
+            "tile",
+            "width of the tiles of forward+ in pixels",
+            "technique.tiles.tile",
+            _same(64, 32, 16, 8),
+            Unit.LIGHTS,
+            IN_RANGE,
+            "smaller tiles take longer to list than they save",
+            {"technique.name": "forward_plus", "algorithm": "frustum"},
+            Demand.LAMPS,
+        ),
+        Knob(
+            "cluster_tile",
+            "width of clusters in pixels",
+            "technique.clusters.tile",
+            _same(256, 128, 64, 32),
+            Unit.LIGHTS,
+            IN_RANGE,
+            "smaller clusters take longer to list than they save",
+            {"technique.name": "clustered", "algorithm": "frustum"},
+            Demand.LAMPS,
+        ),
+        Knob(
+            "depth_slices",
+            "parts into which clusters divide depth",
+            "technique.clusters.slices",
+            _same(1, 4, 12, 24, 48),
+            Unit.LIGHTS,
+            IN_RANGE,
+            "more parts take longer to list than they save",
+            {"technique.name": "clustered", "algorithm": "frustum"},
+            Demand.LAMPS,
+        ),
+        Knob(
+            "light_test",
+            "the test of lights against clusters",
+            "technique.clusters.sphere_test",
+            _same("planes", "vertices", "hybrid", "exact"),
+            Unit.LIGHTS,
+            IN_RANGE,
+            "a fifth more time for the shortest lists",
+            {"technique.name": "clustered", "algorithm": "frustum"},
+            Demand.LAMPS,
+        ),
+        Knob(
+            "query_batch",
+            "b of CHC++: hidden nodes that one query asks about together",
+            "visibility.batch",
+            _same(200, 50, 20, 5, 1),
+            Unit.OVERDRAW,
+            SEEN,
+            "queries cost more than what is drawn for nothing",
+            _CHC,
+            remembers=_ASKED,
+            exception=_LOTS,
+        ),
+        Knob(
+            "query_persistence",
+            "n of CHC++: frames for which a visible object isn't asked about",
+            "visibility.persistence",
+            _same(60, 20, 5, 1),
+            Unit.OVERDRAW,
+            SEEN,
+            "what was visible nearly always still is",
+            _CHC,
+            remembers=64,
+            exception=_LOTS,
+        ),
+        Knob(
+            "leaf_size",
+            "objects that are queried and drawn together",
+            "visibility.leaf_size",
+            _same(32, 16, 4, 1),
+            Unit.OVERDRAW,
+            SEEN,
+            "objects of our scenes are large enough for a query each",
+            _CHC,
+            remembers=_ASKED,
+            exception="CHC++ draws lots for when nodes are asked about again, and larger nodes are fewer lots",
+        ),
+        Knob(
+            "query_threshold",
+            "samples that a box may pass and count as hidden",
+            "visibility.threshold",
+            _same(1000, 100, 10, 1, 0),
+            Unit.LEVELS,
+            EVERYTHING,
+            "nothing that is seen may be missing",
+            _CHC,
+            remembers=_ASKED,
+        ),
+        Knob(
+            "occluders",
+            "objects that software occlusion draws",
+            "visibility.occluders",
+            _same(4, 16, 64, 256),
+            Unit.OVERDRAW,
+            SEEN,
+            "what is smaller hides next to nothing",
+            _SOFTWARE,
+        ),
+        Knob(
+            "occluder_pixels",
+            "pixels of the image in each direction that are one of software occlusion",
+            "visibility.occluder_pixels",
+            _same(16, 8, 4, 2, 1),
+            Unit.LEVELS,
+            EVERYTHING,
+            "nothing that is seen may be missing",
+            _SOFTWARE,
+            exception="a gap stays open if a sample falls into it, which is chance",
+        ),
+        Knob(
+            "pyramid_texels",
+            "texels of a depth pyramid in each direction that a box is compared with",
+            "visibility.pyramid_texels",
+            _same(1, 2, 4, 8, 16),
+            Unit.OVERDRAW,
+            SEEN,
+            "twice as many hide hardly more",
+            {**_FORWARD, "algorithm": "depth_pyramid"},
+            remembers=6,
+        ),
+        Knob(
+            "normal_bits",
+            "bits of each of the two numbers of an octahedral normal",
+            "",
+            {str(bits): f"octahedral 2 × {bits}, rounded" for bits in (8, 10, 11, 12, 16)},
+            Unit.DEGREES,
+            VECTORS,
+            "a highlight of 8 bits shows rings",
+        ),
+        Knob(
+            "normal_rounding",
+            "rounding of an octahedral normal of 2 × 12 bits",
+            "",
+            {name: f"octahedral 2 × 12, {name}" for name in ("truncated", "rounded", "best of 4")},
+            Unit.DEGREES,
+            VECTORS,
+            "the best of 4 takes longer for less than a bit, and there are bits",
+        ),
+        Knob(
+            "tangent_packing",
+            "the angle of a tangent in 8 bits",
+            "",
+            {
+                "by its cosine": "tangent by the cosine of its angle (Listing 1.6)",
+                "around a square": "tangent by its way around a square",
+            },
+            Unit.DEGREES,
+            VECTORS,
+            "equal steps all around",
+        ),
+        Knob(
+            "derivative_packing",
+            "the derivatives of texture coordinates in 48 bits",
+            "",
+            {
+                "by cosines": "derivatives by cosines, halves (Listing 1.5)",
+                "around a square": "derivatives by their ways around a square",
+            },
+            Unit.PERCENT,
+            VECTORS,
+            "equal steps all around",
+        ),
+    )
+}
+"""All knobs by name, in the order of the table."""
+
+_CHOSEN: Final = {
+    "depth_format": "position by a ray, D32F reversed",
+    "normal_bits": "octahedral 2 × 16, rounded",
+    "normal_rounding": "octahedral 2 × 12, rounded",
+    "tangent_packing": "tangent by its way around a square",
+    "derivative_packing": "derivatives by their ways around a square",
+}
+"""The encodings that the renderer's shaders have, or the kind of rounding."""
+
+NEUTRAL: Final[Mapping[str, str]] = {
+    "technique.name": "pictures differ by rounding; `compare techniques`",
+    "technique.stencil": "the same lights at the same pixels in another way",
+    "technique.depth_first": "the same pixels without what is hidden",
+    "technique.multi_pass": "the same pixels in another order",
+    "algorithm": "pictures are the same; `compare visibility`",
+    "technique.tiles.slices": "tiles end at the surfaces that they show",
+    "technique.tiles.sphere_test": "as that of clusters, which is a knob",
+    "visibility.emulated": "the same answers in another way",
+    "shadows.split": "divides the same texels between near and far",
+    "shadows.smallest": "maps that small are of lamps that light a few pixels",
+    "shadows.largest_atlas": "a limit of memory, which shrinks maps beyond it",
+    "shadows.far_size": "what counts as far for `shadow_budget`",
+    "shadows.back_faces": "moves what isn't exact from lit faces to dark ones",
+}
+"""The settings that are no knobs, and why: no order of their values is one of accuracy and of time."""
+
+
+def find_knob(name: str, call: str) -> Knob:
+    """Return a knob by its name, or refuse it: `accuracy-unknown-knob`."""
+    if name not in KNOBS:
+        rules.refuse_name(rules.UNKNOWN_KNOB, call, name, KNOBS)
+    return KNOBS[name]

@@ -1,0 +1,661 @@
+"""The sweep of a knob: what each of its values loses, and what a frame of it costs.
+
+All values draw the same frames in turn in one process. Errors are found first: each frame of each value is compared
+with the truth of the knob. Then frames are timed, alternately, and a value's time is a ratio to that of the most
+accurate value in the same round; the median of the rounds' ratios is given with its 95 % confidence interval.
+
+A knob whose frames depend on earlier ones draws consecutive frames of the path, of which the first only make the memory
+of the others: a frame that remembers nothing is another case. The others draw frames that are spread over all of it.
+
+A sweep can be divided into shares, for several processes: each has some of the views and some of the rounds, and all
+values of the knob, so that it has ratios of its own. Together they have the same views and rounds as one that does all;
+nothing is drawn twice but a frame of each value before the first round. Frames that depend on earlier ones aren't
+divided: each share would have to draw these again.
+"""
+
+from __future__ import annotations
+
+import io
+from base64 import b64encode
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import astuple, dataclass, field
+from functools import partial
+from operator import truediv
+from statistics import median
+from typing import Any, Final, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+import rhi
+from renderer.content import find_path, load_scene, parse_camera
+from renderer.lab.accuracy.float64 import ExactPicture, decode_levels, encode_levels, shade_exactly
+from renderer.lab.accuracy.knobs import Demand, Knob, Unit, find_knob
+from renderer.lab.measure.alternate import Measurement, alternate
+from renderer.lab.measure.encodings import ENCODINGS, TURNS, run_round_trip, time_round_trip
+from renderer.lab.measure.exact import ExactVisibility
+from renderer.lab.measure.frames import settle
+from renderer.lab.measure.light_evaluations import count_light_evaluations
+from renderer.renderer import FrameResult, Renderer
+from renderer.scene import FRAMES_PER_SECOND, Camera, Glow, Orthographic, Perspective, Scene, StereoRig
+from renderer.scene.arrays import Floats
+from renderer.settings import RenderSettings
+from renderer.stereo import find_rig
+from renderer.visibility import find_obstacle
+from rhi import Device
+
+__rhi_internal__ = True
+
+T = TypeVar("T")
+
+_CROP: Final = (112, 63)
+"""Width and height of the part of a picture that shows its worst pixel."""
+_VALUES: Final = 1 << 14
+"""Vectors that an encoding is measured with."""
+_TRUTH_ROUNDS: Final = 3
+"""How often a truth is timed: it may take many times as long as a value, and isn't chosen by time."""
+DRAWS_NOTHING: Final = "it draws nothing"
+"""What a device lacks that only records."""
+_MOST_SHARES: Final = 2
+"""The most shares of a sweep. Each opens a device and renderers of all values, so more of them take longer in all."""
+
+
+@dataclass(frozen=True, slots=True)
+class Situation:
+    """What a sweep draws. It is small enough to be sent to other machines, which load the scene themselves.
+
+    Attributes:
+        scene, camera: their texts. backend: its name, None for the machine's choice.
+        size: (width, height) of the image in pixels.
+        views: the number of frames that are compared. rounds: the number that are timed.
+        settings: those that knobs change.
+        first, last: the frames of a path among which views are spread; `last` may be None for its end.
+    """
+
+    scene: str
+    camera: str = ""
+    backend: str | None = None
+    size: tuple[int, int] = (480, 270)
+    views: int = 3
+    rounds: int = 11
+    settings: RenderSettings = field(default_factory=RenderSettings)
+    first: int = 0
+    last: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SweepShare:
+    """One of `count` parts of a sweep, of about the same size."""
+
+    number: int = 0
+    count: int = 1
+
+    def take(self, items: Sequence[T]) -> Sequence[T]:
+        """Return the items of this share, which follow each other."""
+        first, last = (place * len(items) // self.count for place in (self.number, self.number + 1))
+        return items[first:last]
+
+
+def list_shares(situation: Situation, name: str) -> list[SweepShare]:
+    """Return the shares into which the sweep of a knob is divided: two, or one if frames depend on earlier ones. They
+    don't depend on who does them, so that all of them can be kept."""
+    knob = find_knob(name, "list_shares")
+    is_whole = knob.is_encoding or knob.remembers
+    count = 1 if is_whole else min(situation.views, situation.rounds, _MOST_SHARES)
+    return [SweepShare(number, count) for number in range(count)]
+
+
+WHOLE: Final = SweepShare()
+"""The share of who does all."""
+
+
+@dataclass(frozen=True, slots=True)
+class ValueSample:
+    """What a share of a sweep has found for a value.
+
+    Attributes:
+        sums: of each view that was compared, the sum of the errors, and the number of pixels that count.
+        max_error, worst: the greatest error, -1 if nothing was compared, and its frame, x and y. picture: its place, as
+            in `KnobReport`.
+        seconds, processor_seconds: of each round.
+    """
+
+    sums: tuple[tuple[float, int], ...]
+    max_error: float
+    worst: tuple[int, int, int] | None
+    picture: str
+    seconds: tuple[float, ...]
+    processor_seconds: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class KnobSample:
+    """What a share of a sweep has found.
+
+    Attributes:
+        left_out: as in `KnobReport`. values: by name, the least accurate first.
+        truth_ratios: the time of the truth in that of the most accurate value, round by round.
+    """
+
+    knob: str
+    backend: str
+    device: str
+    left_out: dict[str, str] = field(default_factory=dict)
+    values: dict[str, ValueSample] = field(default_factory=dict)
+    truth_ratios: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ValueRow:
+    """What a value of a knob loses and costs.
+
+    Attributes:
+        max_error, mean_error: in the knob's unit: over all pixels of all views with a surface, or over the views.
+        worst: the frame, x and y of the pixel with the greatest error, None if there are no pixels to compare.
+        milliseconds, processor_milliseconds: median times of a frame, by the clock and of the processor in all threads;
+            nanoseconds for each vector, of encodings.
+        ratio, low, high: to the most accurate value, by the clock, with the ends of the 95 % confidence interval.
+        processor_ratio, processor_low, processor_high: the same by the processor.
+    """
+
+    knob: str
+    value: str
+    is_default: bool
+    unit: str
+    max_error: float
+    mean_error: float
+    worst: tuple[int, int, int] | None
+    milliseconds: float
+    ratio: float
+    low: float
+    high: float
+    processor_milliseconds: float
+    processor_ratio: float
+    processor_low: float
+    processor_high: float
+
+
+@dataclass(frozen=True, slots=True)
+class KnobReport:
+    """The rows of a knob's values, the least accurate first.
+
+    Attributes:
+        left_out: why values that the device lacks aren't there, or why there are none at all.
+        truth_ratio: the time of the truth in that of the most accurate value, if it is a picture of the renderer.
+        pictures: by value, the place of the worst pixel as PNG in base64: the truth, the value, and their difference.
+    """
+
+    knob: str
+    backend: str
+    device: str
+    rows: tuple[ValueRow, ...]
+    left_out: dict[str, str] = field(default_factory=dict)
+    truth_ratio: float | None = None
+    pictures: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SweepFrame:
+    """A frame to draw."""
+
+    number: int
+    camera: Camera
+
+    @property
+    def seconds(self) -> float:
+        """The time of the frame."""
+        return self.number / FRAMES_PER_SECOND
+
+
+def sweep_knob(situation: Situation, name: str) -> KnobReport:
+    """Measure all values of a knob, on a device of its own."""
+    return join_shares([sweep_share(situation, name, WHOLE)])
+
+
+def sweep_share(situation: Situation, name: str, share: SweepShare) -> KnobSample:
+    """Measure a share of a knob's sweep, on a device of its own."""
+    knob = find_knob(name, "sweep_share")
+    with rhi.create_device(situation.backend) as device:
+        found = partial(KnobSample, knob.name, device.backend_name, device.capabilities.device)
+        if knob.is_encoding:
+            return _sweep_encodings(situation, knob, device, found)
+        scene = load_scene(situation.scene)
+        lack = prepare_scene(scene, knob)
+        if lack is not None:
+            return found(dict.fromkeys(knob.values, lack))
+        left_out = list_left_out(device, situation.settings, knob)
+        values = [value for value in knob.values if value not in left_out]
+        if not values:
+            return found(left_out)
+        with KnobBench(device, scene, situation, knob, values, share) as bench:
+            bench.draw_history()
+            errors = bench.find_errors(bench.list_views())
+            times, truth_ratios = bench.time()
+        samples = {value: errors[value].sample(times[value]) for value in values}
+        return found(left_out, samples, truth_ratios)
+
+
+def join_shares(samples: Sequence[KnobSample]) -> KnobReport:
+    """Return what all shares of a sweep have found together."""
+    first = samples[0]
+    knob = find_knob(first.knob, "join_shares")
+    report = partial(KnobReport, first.knob, first.backend, first.device)
+    if not first.values:
+        return report((), first.left_out)
+    values = {value: _join_samples([sample.values[value] for sample in samples]) for value in first.values}
+    times = {value: Measurement(value, one.seconds, one.processor_seconds) for value, one in values.items()}
+    base = times[list(times)[-1]]
+    ratios = [ratio for sample in samples for ratio in sample.truth_ratios]
+    return report(
+        tuple(_make_row(knob, value, one, times[value], base) for value, one in values.items()),
+        first.left_out,
+        round(median(ratios), 2) if ratios else None,
+        {value: one.picture for value, one in values.items() if one.picture},
+    )
+
+
+def _join_samples(samples: Sequence[ValueSample]) -> ValueSample:
+    """Return one sample of all views and rounds."""
+    worst = max(samples, key=lambda sample: sample.max_error)  # the first of several
+    return ValueSample(
+        tuple(view for sample in samples for view in sample.sums),
+        worst.max_error,
+        worst.worst,
+        worst.picture,
+        tuple(time for sample in samples for time in sample.seconds),
+        tuple(time for sample in samples for time in sample.processor_seconds),
+    )
+
+
+def prepare_scene(scene: Scene, knob: Knob) -> str | None:
+    """Give a scene what the knob needs if it can be given: shadows, glow. Return what it lacks, None for nothing."""
+    if knob.unit is Unit.OVERDRAW and scene.height_fields:
+        return "the scene has a ground, of which each view has other triangles"
+    if knob.truth.is_float64:
+        scene.glow = None  # pixels are compared with their own light
+    match knob.demand:
+        case Demand.SHADOWS:
+            scene.lights.cast_shadows()
+            has = len(scene.lights.directional) + len(scene.lights.point) + len(scene.lights.spot)
+        case Demand.TRANSPARENCY:
+            has = len(scene.find_transparent())
+        case Demand.IMAGES:
+            has = len(scene.textures)
+        case Demand.LAMPS:
+            has = len(scene.lights.point) + len(scene.lights.spot)
+        case Demand.GLOW:
+            scene.glow = scene.glow or Glow()
+            has = scene.count_glowing()
+        case Demand.MOTION:
+            has = len(scene.simulated)
+        case Demand.HEIGHT_FIELDS:
+            has = sum(field.limit == field.count for field in scene.height_fields.values())
+        case _:
+            return None
+    return None if has else f"the scene lacks {knob.demand.value}"
+
+
+def list_left_out(device: Device, settings: RenderSettings, knob: Knob) -> dict[str, str]:
+    """Return what the device lacks for values of a knob, by these values."""
+    lacks = {value: find_lack(device, knob.set(settings, value)) for value in knob.values}
+    return {value: lack for value, lack in lacks.items() if lack is not None}
+
+
+def find_lack(device: Device, settings: RenderSettings) -> str | None:
+    """Return what a device lacks for settings, None for nothing."""
+    can = device.capabilities
+    if settings.technique.samples not in can.sample_counts:
+        return f"the device has no {settings.technique.samples} samples a pixel"
+    if settings.textures.anisotropy > can.max_anisotropy:
+        return f"the device has no anisotropy of {settings.textures.anisotropy:g}"
+    return find_obstacle(settings.algorithm, device) or (None if can.renders else DRAWS_NOTHING)
+
+
+class ValueErrors:
+    """The errors of a value, view by view."""
+
+    def __init__(self, unit: Unit) -> None:
+        self._unit = unit
+        self._sums: list[tuple[float, int]] = []
+        self._greatest = -1.0
+        self.worst: tuple[int, int, int] | None = None
+        self.picture = ""
+
+    def add(self, view: SweepFrame, errors: Floats, pictures: tuple[Floats, Floats] | None) -> None:
+        """Add the errors of a view: (h, w), NaN where nothing counts, with the value's picture and the true one; or a
+        single number."""
+        counted = errors[np.isfinite(errors)]
+        if not counted.size:
+            return
+        self._sums.append((float(counted.sum()), counted.size))
+        greatest = float(counted.max())
+        if greatest <= self._greatest:
+            return
+        self._greatest = greatest
+        if self._unit.is_per_pixel:
+            y, x = (int(i) for i in np.unravel_index(np.nanargmax(errors), errors.shape))
+            self.worst = view.number, x, y
+            if pictures is not None and greatest >= 1.0:
+                self.picture = crop_worst(*pictures, x, y)
+
+    def summarize(self) -> tuple[float, float]:
+        """Return the greatest error and the mean one."""
+        return max(self._greatest, 0.0), find_mean(self._sums)
+
+    def sample(self, time: Measurement) -> ValueSample:
+        """Return the errors, with times."""
+        return ValueSample(
+            tuple(self._sums), self._greatest, self.worst, self.picture, time.seconds, time.processor_seconds
+        )
+
+
+def find_mean(sums: Sequence[tuple[float, int]]) -> float:
+    """Return the mean error of all views, given the sum of each and what it is a sum of."""
+    return sum(total for total, _ in sums) / max(sum(count for _, count in sums), 1)
+
+
+def _make_row(knob: Knob, value: str, sample: ValueSample, time: Measurement, base: Measurement) -> ValueRow:
+    greatest, mean = max(sample.max_error, 0.0), find_mean(sample.sums)
+    scale = 1e9 / _VALUES / TURNS if knob.is_encoding else 1e3
+    ratios = (
+        round(number, 4) for is_processor in (False, True)
+        for number in astuple(time.compare_to(base, processor=is_processor))
+    )  # fmt: skip
+    ratio, low, high, processor_ratio, processor_low, processor_high = ratios
+    return ValueRow(
+        knob.name, value, value == knob.default, knob.unit.value, float(f"{greatest:.5g}"), float(f"{mean:.5g}"),
+        sample.worst, float(f"{scale * time.median:.4g}"), ratio, low, high,
+        float(f"{scale * time.processor_median:.4g}"), processor_ratio, processor_low, processor_high,
+    )  # fmt: skip
+
+
+class KnobBench:
+    """The renderers of all values of a knob, and what judges them."""
+
+    def __init__(
+        self, device: Device, scene: Scene, situation: Situation, knob: Knob, values: Sequence[str],
+        share: SweepShare = WHOLE,
+    ) -> None:  # fmt: skip
+        self._device, self._scene, self._situation, self._knob = device, scene, situation, knob
+        self._rounds = share.take(range(situation.rounds))
+        self._share = share
+        self._history, self._views, self._timed = list_frames(scene, situation, knob, share)
+        self._settings = {value: knob.set(situation.settings, value) for value in values}
+        best = self._settings[values[-1]]
+        self._true_settings = best.change_all(knob.truth.changes)
+        self._stack = ExitStack()
+        rig = self._find_rig(best)
+        opened = self._stack.enter_context
+        try:
+            self._renderers = {
+                value: opened(settings.open(device, scene, situation.size, rig))
+                for value, settings in self._settings.items()
+            }
+            self._true: Renderer | None = None
+            self._exact: ExactVisibility | None = None
+            truth = knob.truth
+            if knob.unit is Unit.OVERDRAW:
+                self._exact = ExactVisibility(device, scene, situation.size)
+                self._stack.callback(self._exact.destroy)
+            elif knob.unit is Unit.LEVELS and not truth.is_float64:
+                known = [value for value, settings in self._settings.items() if settings == self._true_settings]
+                if known and truth.scale == 1:
+                    self._true = self._renderers[known[0]]
+                else:
+                    width, height = situation.size
+                    size = width * truth.scale, height * truth.scale
+                    self._true = opened(limit_anisotropy(self._true_settings, device).open(device, scene, size, rig))
+        except BaseException:
+            self._stack.close()
+            raise
+
+    def __enter__(self) -> KnobBench:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    def _find_rig(self, settings: RenderSettings) -> StereoRig | None:
+        if self._knob.demand is not Demand.STEREO:
+            return None
+        width, height = self._situation.size
+        return find_rig(self._scene, settings.aim(self._timed[0].camera).with_aspect(width / height))
+
+    def list_views(self) -> Sequence[SweepFrame]:
+        """Return the frames to compare."""
+        return self._views
+
+    def draw_history(self) -> None:
+        """Draw what frames to compare depend on, if they depend on earlier ones."""
+        for view in self._history:
+            for value in self._renderers:
+                self._draw(value, view)
+            if self._true is not None and self._true not in self._renderers.values():
+                self._true.render(self._true_settings.aim(view.camera), view.seconds)
+
+    def find_errors(self, views: Sequence[SweepFrame]) -> dict[str, ValueErrors]:
+        """Return the errors of each value in all views."""
+        errors = {value: ValueErrors(self._knob.unit) for value in self._renderers}
+        for view in views:
+            for value, error in self.compare(view):
+                errors[value].add(view, *error)
+        return errors
+
+    def compare(self, view: SweepFrame) -> Iterator[tuple[str, tuple[Floats, tuple[Floats, Floats] | None]]]:
+        """Yield each value with the errors of its frame, and the pictures that they are differences of."""
+        if self._knob.unit is Unit.LEVELS:
+            yield from self._compare_pictures(view)
+        elif self._knob.unit is Unit.DEPTH:
+            yield from self._compare_depths(view)
+        elif self._knob.unit is Unit.LIGHTS:
+            yield from self._compare_lights(view)
+        else:
+            yield from self._compare_triangles(view)
+
+    def _draw(self, value: str, view: SweepFrame) -> FrameResult:
+        renderer = self._renderers[value]
+        return renderer.render(self._settings[value].aim(view.camera), view.seconds)
+
+    def _compare_pictures(self, view: SweepFrame) -> Iterator[tuple[str, tuple[Floats, tuple[Floats, Floats] | None]]]:
+        # The truth is read before values are drawn: it may be the renderer of one of them.
+        if self._true is None:
+            exact = self._shade(view)
+            true, counts = exact.levels, exact.objects >= 0
+        else:
+            result = self._true.render(self._true_settings.aim(view.camera), view.seconds)
+            true = shrink_picture(read_picture(result), self._knob.truth.scale)
+            counts = np.ones(true.shape[:2], bool)
+        for value, renderer in self._renderers.items():
+            if renderer is self._true and self._knob.remembers:
+                yield value, (np.zeros(true.shape[:2]), None)  # drawn already: another time would be another frame
+                continue
+            shown = read_picture(self._draw(value, view))
+            errors = np.where(counts, np.abs(shown - true).max(axis=2), np.nan)
+            yield value, (errors, (np.where(counts[..., None], true, shown), shown))
+
+    def _shade(self, view: SweepFrame) -> ExactPicture:
+        value = list(self._renderers)[-1]
+        return shade_exactly(self._renderers[value], self._settings[value].aim(view.camera), view.seconds)
+
+    def _compare_depths(self, view: SweepFrame) -> Iterator[tuple[str, tuple[Floats, None]]]:
+        exact = self._shade(view)
+        for value in self._renderers:
+            depth = self._draw(value, view).depth.read().astype(np.float64)
+            away = find_distances(self._settings[value].aim(view.camera), depth)
+            errors = np.full(depth.shape, np.nan)
+            seen = exact.objects >= 0
+            errors[seen] = 1e6 * np.abs(away[seen] / exact.distances[seen] - 1.0)
+            yield value, (errors, None)
+
+    def _compare_lights(self, view: SweepFrame) -> Iterator[tuple[str, tuple[Floats, None]]]:
+        exact = self._shade(view)
+        seen = exact.positions[exact.objects >= 0]
+        needed = count_reached(self._scene, view.camera, seen)
+        for value, renderer in self._renderers.items():
+            counted = count_light_evaluations(renderer, self._settings[value].aim(view.camera))
+            assert counted is not None
+            yield value, (np.array([(counted - needed) / max(len(seen), 1)]), None)
+
+    def _compare_triangles(self, view: SweepFrame) -> Iterator[tuple[str, tuple[Floats, None]]]:
+        assert self._exact is not None
+        results = {value: self._draw(value, view).statistics.triangles for value in self._renderers}
+        rows = np.array(sorted(self._exact.find(self._situation.settings.aim(view.camera))), np.int64)
+        seen = self._scene.count_triangles(rows) if len(rows) else 0
+        for value, triangles in results.items():
+            # Nothing is seen in some views, and a part of nothing is no error.
+            yield value, (np.array([100.0 * (triangles / seen - 1.0) if seen else np.nan]), None)
+
+    def time(self) -> tuple[dict[str, Measurement], tuple[float, ...]]:
+        """Time frames of all values, and of the truth if it is a picture of a renderer of its own; return the latter's
+        times in those of the most accurate value."""
+        views, rounds, settings = self._timed, self._rounds, self._settings
+        names = list(self._renderers)
+        start = rounds[0] % len(names)  # another value is the first in each round, in all shares together, too
+
+        def draw(name: str, number: int) -> None:
+            view = views[number % len(views)]
+            self._renderers[name].render(settings[name].aim(view.camera), view.seconds)
+            self._device.finish()
+
+        work: dict[str, Callable[[int], object]] = {
+            name: partial(draw, name) for name in names[start:] + names[:start]
+        }
+        if self._knob.remembers:
+            return alternate(work, range(len(rounds)), 0), self._time_truth(names[-1], draw)
+        for name, renderer in self._renderers.items():  # the view before that of the first round
+            view = views[(rounds[0] - 1) % len(views)]
+            settle(renderer, settings[name].aim(view.camera), view.seconds)
+        return alternate(work, rounds, 0), self._time_truth(names[-1], draw)
+
+    def _time_truth(self, best: str, draw: Callable[[str, int], None]) -> tuple[float, ...]:
+        """Return the times of the truth in those of the most accurate value, none if it isn't a picture of its own."""
+        true, settings, views = self._true, self._true_settings, self._timed
+        rounds = self._share.take(range(max(_TRUTH_ROUNDS, self._share.count)))
+        if true is None or true in self._renderers.values():
+            return ()
+
+        def draw_truth(number: int) -> None:
+            frame = views[number % len(views)]
+            true.render(settings.aim(frame.camera), frame.seconds)
+            self._device.finish()
+
+        times = alternate({"truth": draw_truth, "best": partial(draw, best)}, rounds, 0 if self._views else 1)
+        return tuple(map(truediv, times["truth"].seconds, times["best"].seconds))
+
+
+def limit_anisotropy(settings: RenderSettings, device: Device) -> RenderSettings:
+    """Return the settings of a truth with no more anisotropy than the device has."""
+    most = min(settings.textures.anisotropy, device.capabilities.max_anisotropy)
+    return settings.change("textures.anisotropy", most)
+
+
+def list_views(
+    scene: Scene, situation: Situation, *, consecutive: bool = False, count: int | None = None
+) -> list[SweepFrame]:
+    """Return frames of the situation's camera: consecutive ones from the middle of its path, or spread over all of it.
+    A camera that isn't a path has one."""
+    text = situation.camera or ("ground" if "ground" in scene.paths else next(iter(scene.views)))
+    wanted = count or situation.views
+    if text not in scene.paths and not text.endswith(".json"):
+        camera = parse_camera(text, scene)
+        return [SweepFrame(number, camera) for number in range(wanted)] if consecutive else [SweepFrame(0, camera)]
+    path = find_path(text, scene)
+    last = len(path) - 1 if situation.last is None else min(situation.last, len(path) - 1)
+    first = min(situation.first, last)
+    if consecutive:
+        begin = max(first, min((first + last) // 2, last - wanted + 1))
+        return [SweepFrame(number, path.camera(number)) for number in range(begin, min(begin + wanted, last + 1))]
+    places = np.linspace(first, last, wanted + 2)[1:-1]  # not the ends, where there may be nothing to see
+    return [SweepFrame(number, path.camera(number)) for number in dict.fromkeys(int(place) for place in places)]
+
+
+def list_frames(
+    scene: Scene, situation: Situation, knob: Knob, share: SweepShare
+) -> tuple[Sequence[SweepFrame], Sequence[SweepFrame], Sequence[SweepFrame]]:
+    """Return the frames of a share that others depend on, those to compare, and those to time."""
+    if not knob.remembers:
+        views = list_views(scene, situation)
+        return [], share.take(views), views
+    compared, counted = situation.views, situation.views + situation.rounds
+    frames = list_views(scene, situation, consecutive=True, count=knob.remembers + counted)
+    first = max(len(frames) - counted, 0)
+    counting = frames[first:]
+    return frames[:first], counting[:compared], counting[compared:] or counting
+
+
+def read_picture(result: FrameResult) -> Floats:
+    """Return the picture of a frame, of two eyes the second one's: (h, w, 3) in levels."""
+    return np.asarray(result.pictures[-1].read()[..., :3], np.float64)
+
+
+def shrink_picture(levels: Floats, scale: int) -> Floats:
+    """Return a picture (h, w, 3) in which `scale` × `scale` pixels are one: the mean of their light, in levels."""
+    if scale == 1:
+        return levels
+    height, width = (side // scale for side in levels.shape[:2])
+    light = decode_levels(levels).reshape(height, scale, width, scale, 3).mean(axis=(1, 3))
+    return encode_levels(light)
+
+
+def find_distances(camera: Camera, depth: Floats) -> Floats:
+    """Return the distances from the plane of the eye that depths lead back to."""
+    lens = camera.projection
+    assert isinstance(lens, Perspective | Orthographic)
+    matrix = lens.matrix
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray((matrix[2, 3] - depth * matrix[3, 3]) / (matrix[2, 2] - depth * matrix[3, 2]))
+
+
+def count_reached(scene: Scene, camera: Camera, positions: Floats) -> int:
+    """Return the number of pairs of a position (k, 3), relative to the eye, and a point or spot light that reaches it:
+    in whose range, and in whose cone it is."""
+    total = 0
+    for lights in (scene.lights.point, scene.lights.spot):
+        for light in lights:
+            away = positions - (light["position"] - camera.position)
+            squares = np.einsum("ij,ij->i", away, away)
+            reached = squares <= float(light["range"]) ** 2
+            if lights is scene.lights.spot:
+                reached &= away @ light["direction"] >= np.cos(float(light["outer"])) * np.sqrt(squares)
+            total += int(np.count_nonzero(reached))
+    return total
+
+
+def crop_worst(true: Floats, shown: Floats, x: int, y: int) -> str:
+    """Return the place around a pixel as PNG in base64: the truth, the value's picture, and four times the
+    difference."""
+    (width, height), (rows, columns) = _CROP, true.shape[:2]
+    left = min(max(x - width // 2, 0), max(columns - width, 0))
+    top = min(max(y - height // 2, 0), max(rows - height, 0))
+    part = slice(top, top + height), slice(left, left + width)
+    difference = np.abs(shown[part] - true[part]).max(axis=2, keepdims=True).repeat(3, axis=2)
+    panels: NDArray[Any] = np.concatenate([true[part], shown[part], 4.0 * difference], axis=1)
+    file = io.BytesIO()
+    Image.fromarray(np.clip(np.round(panels), 0, 255).astype(np.uint8)).save(file, "PNG", optimize=True)
+    return b64encode(file.getvalue()).decode()
+
+
+def _sweep_encodings(
+    situation: Situation, knob: Knob, device: Device, found: Callable[..., KnobSample]
+) -> KnobSample:
+    """Measure encodings: what they lose of random vectors, and the time to store and read one."""
+    known = {one.name: one for one in ENCODINGS}
+    chosen = {value: known[name] for value, name in knob.values.items()}
+    if not device.capabilities.compute or not device.capabilities.renders:
+        return found(dict.fromkeys(knob.values, "it computes nothing"))
+    errors, work = {}, {}
+    for value, one in chosen.items():
+        vectors = one.sample(np.random.default_rng(0), _VALUES)
+        errors[value] = one.measure(vectors, run_round_trip(device, one.shader, vectors, **one.uniforms))
+        work[value] = time_round_trip(device, one.shader, vectors, **one.uniforms)
+    times = alternate(work, range(situation.rounds), 2)
+    samples = {
+        value: ValueSample(
+            ((float(error.sum()), error.size),), float(error.max()), None, "", times[value].seconds,
+            times[value].processor_seconds,
+        )
+        for value, error in errors.items()
+    }  # fmt: skip
+    return found({}, samples)

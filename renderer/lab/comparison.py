@@ -1,0 +1,142 @@
+"""Comparison: subjects take turns in one process; what they took and did becomes rows.
+
+A comparison is a table of subjects and a table of columns. A subject says how it is run; a column says how what was
+found in all rounds becomes a cell. So who compares writes neither a clock nor a median. Tables, charts and JSON of rows
+are the business of `renderer.cli.comparison`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from statistics import fmean
+from typing import Any
+
+from renderer.lab.measure.alternate import Measurement, alternate
+from renderer.renderer import FrameResult, Renderer
+from renderer.scene import Camera
+
+Record = dict[str, Any]
+"""A row: its cells by the names of its columns."""
+
+
+@dataclass
+class Subject:
+    """One of what is compared.
+
+    Attributes:
+        about: the first cells of its row.
+        run: does the work of a round, given its number, and waits for it.
+        before: called before each run, untimed.
+        count: returns what the run that was just timed has done, by name.
+        find: returns the last cells of its row, once all rounds are over.
+    """
+
+    about: Mapping[str, object]
+    run: Callable[[int], object]
+    before: Callable[[], object] = lambda: None
+    count: Callable[[], Mapping[str, Any]] = dict
+    find: Callable[[], Mapping[str, Any]] = dict
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """The times of a subject and of the one that it is compared with, and its counts by name, round by round."""
+
+    time: Measurement
+    base: Measurement
+    counts: Mapping[str, Sequence[Any]]
+
+
+Column = Callable[[Result, str], object]
+"""Makes a cell of a result, given the column's name."""
+
+
+def time(scale: float = 1e3, digits: int = 3, *, processor: bool = False) -> Column:
+    """Return the column of the median time: milliseconds, or another number of parts of a second."""
+    return lambda found, _: round(scale * (found.time.processor_median if processor else found.time.median), digits)
+
+
+def rate(amount: float, *, processor: bool = False) -> Column:
+    """Return the column of the amounts done in a second."""
+    return lambda found, _: amount / (found.time.processor_median if processor else found.time.median)
+
+
+def ratio(digits: int = 3, *, processor: bool = False, inverse: bool = False) -> Column:
+    """Return the column of the median ratio of times to those of the base; `inverse`: how many times as fast."""
+
+    def cell(found: Result, _: str) -> float:
+        own = found.time.compare_to(found.base, processor=processor).median
+        return round(1.0 / own if inverse else own, digits)
+
+    return cell
+
+
+def interval(digits: int = 3) -> Column:
+    """Return the column of the limits of the ratio of processor times, with 95 % confidence."""
+
+    def cell(found: Result, _: str) -> list[float]:
+        own = found.time.compare_to(found.base, processor=True)
+        return [round(own.low, digits), round(own.high, digits)]
+
+    return cell
+
+
+def average(digits: int | None = None) -> Column:
+    """Return the column of the mean of what was counted under its name."""
+    return lambda found, name: round(fmean(found.counts[name]), digits)
+
+
+def largest(found: Result, name: str) -> Any:
+    """Return the largest of what was counted under this name."""
+    return max(found.counts[name])
+
+
+def compare(
+    subjects: Sequence[Subject], columns: Mapping[str, Column], rounds: Iterable[int], *, warm_ups: int = 1,
+    within: Sequence[str] = (),
+) -> list[Record]:  # fmt: skip
+    """Return a row for each subject: its first cells, those of the columns, and what it has found.
+
+    Subjects take turns: each round starts with another one.
+
+    Args:
+        rounds: the rounds' numbers, at least one. Of a generator, what stands before a `yield` is done untimed before
+            the subjects' round (frames that aren't counted, the picture that others are compared with), and what stands
+            after it when all are done (comparing their pictures).
+        warm_ups: how often all subjects are run beforehand, untimed, with the number 0.
+        within: names of first cells; ratios are to the first subject that has the same ones.
+    """
+    named = {str(number): one for number, one in enumerate(subjects)}
+    bases: dict[tuple[object, ...], str] = {}
+    for name, one in named.items():
+        bases.setdefault(tuple(one.about[key] for key in within), name)
+    counted: dict[str, list[Mapping[str, Any]]] = {name: [] for name in named}
+    times = alternate(
+        {name: one.run for name, one in named.items()}, rounds, warm_ups,
+        before=lambda name: named[name].before(), after=lambda name: counted[name].append(named[name].count()),
+    )  # fmt: skip
+    rows = []
+    for name, one in named.items():
+        counts = {key: [some[key] for some in counted[name]] for key in counted[name][0]}
+        base = bases[tuple(one.about[key] for key in within)]
+        found = Result(times[name], times[base], counts)
+        rows.append({**one.about, **{key: make(found, key) for key, make in columns.items()}, **one.find()})
+    return rows
+
+
+class Frames:
+    """Draws a frame with the camera of a round, which are taken in turn, and waits for the device.
+
+    Attributes:
+        result: the latest frame.
+    """
+
+    result: FrameResult
+
+    def __init__(self, renderer: Renderer, *cameras: Camera) -> None:
+        self.renderer, self.cameras = renderer, cameras
+
+    def __call__(self, number: int) -> None:
+        self.result = self.renderer.render(self.cameras[number % len(self.cameras)])
+        self.renderer.device.finish()

@@ -1,0 +1,421 @@
+"""Encodings of geometry buffers, cases 37 to 42 and 66: values whose codes are at an edge, stored and read on the
+device."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.lab.exam.case import Case, Found, find_largest
+from renderer.lab.measure.encodings import (
+    ENCODINGS,
+    GROUP,
+    SIZE,
+    Encoding,
+    StoredValue,
+    find_degrees,
+    find_vector_errors,
+    pack_values,
+    run_round_trip,
+)
+from renderer.lab.measure.published_encodings import decode_octahedral_truncated, encode_octahedral_truncated
+from renderer.scene import Camera, Depth, Perspective
+from renderer.scene.arrays import Floats
+from renderer.shaders.encodings import (
+    TangentFrame,
+    decode_change,
+    decode_frame,
+    decode_normal,
+    decode_octahedral,
+    decode_uv,
+    encode_change,
+    encode_frame,
+    encode_normal,
+    encode_octahedral,
+    encode_octahedral_best,
+    encode_uv,
+    find_bitangent,
+    material_depth,
+)
+from renderer.techniques.parts.full_screen import find_rays
+from rhi import CullMode, DepthFunction, DepthTest, DepthWrite, Device, Format
+from rhi.shading import (
+    FragmentDepth,
+    Shader,
+    Storage,
+    StorageRW,
+    Struct,
+    Uniform,
+    evaluate,
+    fragment_coordinate,
+    global_id,
+    ivec2,
+    vec4,
+    vertex_index,
+)
+
+__rhi_internal__ = True
+
+
+class EveryEncoding(Shader):
+    """Stores and reads each value with every encoding; four results for each."""
+
+    work_group = (GROUP,)
+    values: Storage[StoredValue]
+    results: StorageRW[StoredValue]
+
+    def compute(self) -> None:
+        row = global_id().x
+        if row >= len(self.values):
+            return
+        first = self.values[row].first
+        second = self.values[row].second
+        frame = decode_frame(encode_frame(TangentFrame(normal=first.xyz, tangent=second.xyz, side=second.w)))
+        fine = decode_normal(encode_normal(first.xyz))
+        coarse = decode_octahedral(encode_octahedral(first.xyz, 127.0), 127.0)
+        best = decode_octahedral(encode_octahedral_best(first.xyz, 127.0), 127.0)
+        read = decode_uv(encode_uv(first.xy))
+        x = decode_change(encode_change(first.xy))
+        y = decode_change(encode_change(first.zw))
+        self.results[4 * row] = StoredValue(first=vec4(frame.normal, 0.0), second=vec4(frame.tangent, frame.side))
+        self.results[4 * row + 1] = StoredValue(first=vec4(fine, 0.0), second=vec4(coarse, 0.0))
+        self.results[4 * row + 2] = StoredValue(first=vec4(best, 0.0), second=vec4(x, y))
+        bitangent = find_bitangent(frame)
+        self.results[4 * row + 3] = StoredValue(first=vec4(read, 0.0, 0.0), second=vec4(bitangent, 0.0))
+
+
+def _unit(vectors: Floats) -> Floats:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
+
+
+_AXES: Final = np.concatenate([np.eye(3), -np.eye(3)])
+_SIDES: Final = (-1, 0, 1)
+_SEAMS: Final = _unit(
+    np.array([(x, y, z) for x in _SIDES for y in _SIDES for z in _SIDES if abs(x) + abs(y) + abs(z) > 1], float)
+)
+NORMALS: Final = np.concatenate(
+    [
+        _AXES,
+        np.where(_AXES == 0.0, -0.0, _AXES),
+        _SEAMS,
+        _unit(_SEAMS + np.array([1e-6, -1e-6, 1e-6])),
+        _unit(np.array([[1e-7, -1e-7, -1.0], [-1e-7, 0.0, -1.0], [1.0, 1e-8, -1e-8], [0.6, -0.8, -1e-9]])),
+    ]
+)
+CHANGES: Final = np.array(
+    [
+        (0, 0, -0.0, 0), (1e-9, 0, 0, -1e-30), (65_504, 0, 0, -65_504), (1e5, -1e5, 1e30, 0), (1, 0, 0, 1),
+        (-1, 0, 0, -1), (0.5, 0.5, -0.5, 0.5), (2.0**-20, 0, 2.0**-19, 0), (1e-3, 1e-3 + 1e-9, -1e-3, -1e-3),
+    ]
+)  # fmt: skip
+"""Derivatives of texture coordinates."""
+CLAMPED: Final = np.array([(4088, 0, 0, -4088), (2044, -2044, 4088, 0)])
+"""What is read of the third and fourth of `CHANGES`: the longest that can be stored, in their directions."""
+PLACES: Final = np.array([(0.999999, -0.25), (1000.3, 0.0), (-1e-9, 1.0), (-1000.7, 0.5), (65535 / 65536, -0.0)])
+"""Texture coordinates."""
+_FRAMES: Final = 5 * len(NORMALS)
+
+
+def list_values() -> Floats:
+    """Return (k, 8) values: normals with tangents along both axes of their plane and both sides, then derivatives, then
+    texture coordinates."""
+    helper = np.where(np.abs(NORMALS[:, :1]) > 0.9, (0.0, 1.0, 0.0), (1.0, 0.0, 0.0))
+    first = _unit(np.cross(NORMALS, helper))
+    second = np.cross(NORMALS, first)
+    tied = _unit(np.cross(NORMALS, (1.0, 1.0, 0.999)))  # of axes: two components are the same, or nearly
+    blocks = []
+    for tangents, side in ((first, 1.0), (-first, -1.0), (second, 1.0), (-second, -1.0), (tied, 1.0)):
+        block = np.zeros((len(NORMALS), 8))
+        block[:, :3], block[:, 4:7], block[:, 7] = NORMALS, tangents, side
+        blocks.append(block)
+    changes, places = np.zeros((len(CHANGES), 8)), np.zeros((len(PLACES), 8))
+    changes[:, :4], places[:, :2] = CHANGES, PLACES
+    changes[:, 4], places[:, 4] = 1.0, 1.0
+    return np.concatenate([*blocks, changes, places])
+
+
+def store_values(device: Device) -> Floats:
+    """Return what a device reads of the values that it has stored, (k, 4, 8)."""
+    packed = pack_values(list_values())
+    values, results = device.storage(StoredValue, packed), device.storage(StoredValue, 4 * len(packed))
+    device.dispatch(device.program(EveryEncoding), -(-len(packed) // GROUP), values=values, results=results)
+    read = np.ascontiguousarray(results.read()).view(np.float32)
+    values.destroy()
+    results.destroy()
+    return read.astype(np.float64).reshape(-1, 4, 8)
+
+
+# Each takes what was read, (k, 4, 8).
+
+
+def judge_normals(read: Floats) -> Found:
+    """Return the greatest angle of normals in 2 × 16 bits, 2 × 8 bits, the best of 4 and the frame's, each as a share
+    of what its bits allow."""
+    given = list_values()[:_FRAMES, :3]
+    bounds = {"2 × 16 bits": 0.0038, "2 × 8 bits": 0.951, "2 × 8 bits, best of 4": 0.640, "in a tangent frame": 0.08}
+    stored = (read[:_FRAMES, 1, :3], read[:_FRAMES, 1, 4:7], read[:_FRAMES, 2, :3], read[:_FRAMES, 0, :3])
+    angles = {
+        title: float(find_degrees(given, one).max()) for title, one in zip(bounds, stored, strict=True)
+    }
+    numbers = {f"{title}, of {bounds[title]}°": f"{angle:.4f}°" for title, angle in angles.items()}
+    return Found(find_largest(*(angles[title] / bounds[title] for title in bounds)), dict(numbers))
+
+
+def judge_axes(read: Floats) -> Found:
+    """Return how far the axes are off, however few bits there are. Numbers without a middle give x = y = -0.0039."""
+    given = list_values()[:_FRAMES, :3]
+    axes = np.abs(given).max(1) == 1.0
+    stored = (read[:_FRAMES, 0, :3], read[:_FRAMES, 1, :3], read[:_FRAMES, 1, 4:7], read[:_FRAMES, 2, :3])
+    error = find_largest(*(float(np.abs(one[axes] - given[axes]).max()) for one in stored))
+    up = np.array([0.0, 0.0, 1.0], np.float32)
+    x, y, _ = evaluate(decode_octahedral_truncated, evaluate(encode_octahedral_truncated, up, 255.0), 255.0)
+    holds = {"numbers without a middle miss the axis": bool(x == y and abs(x + 0.0039) < 1e-4)}
+    return Found(error, {"axes": int(axes.sum())}, holds)
+
+
+def judge_changes(read: Floats) -> Found:
+    """Return the error of derivatives that can be stored in percent; those of length 0, and those that are too long,
+    must be what they should."""
+    changes = read[_FRAMES : _FRAMES + len(CHANGES), 2, 4:8]
+    rounded = (find_vector_errors(CHANGES[8:, part], changes[8:, part]) for part in (slice(2), slice(2, 4)))
+    error = find_largest(*(float(one.max()) for one in rounded))
+    holds = {
+        "length 0, and what rounds to it, is 0": not changes[:2].any(),
+        "what is too long keeps its direction": bool((changes[2:4] == CLAMPED).all()),
+        "directions of axes and diagonals are exact": bool((changes[4:7] == CHANGES[4:7]).all()),
+        "the shortest are rounded": changes[7].tolist() == [0, 0, 2.0**-19, 0],
+        "all are finite": bool(np.isfinite(read).all()),
+    }
+    return Found(error, {f"{given}": one.tolist() for given, one in zip(CHANGES.tolist(), changes, strict=True)}, holds)
+
+
+def judge_tangents(read: Floats) -> Found:
+    """Return the greatest angle of tangents and bitangents in degrees."""
+    given, frames = list_values()[:_FRAMES], read[:_FRAMES]
+    tangents = float(find_degrees(given[:, 4:7], frames[:, 0, 4:7]).max())
+    bitangents = np.cross(given[:, :3], given[:, 4:7]) * given[:, 7:]
+    aside = float(find_degrees(bitangents, frames[:, 3, 4:7]).max())
+    holds = {"sides are exact": bool((frames[:, 0, 7] == given[:, 7]).all())}
+    return Found(find_largest(tangents, aside), {"tangents": f"{tangents:.3f}°", "bitangents": f"{aside:.3f}°"}, holds)
+
+
+def judge_places(read: Floats) -> Found:
+    """Return the error of texture coordinates, whole repetitions aside."""
+    places = read[_FRAMES + len(CHANGES) :, 3, :2]
+    off = places - PLACES.astype(np.float32)
+    every = read[:, 3, :2]
+    holds = {"all are from 0 to below 1": bool((every >= 0.0).all() and (places < 1.0).all())}
+    numbers = {f"{given}": one.tolist() for given, one in zip(PLACES.tolist(), places, strict=True)}
+    return Found(float(np.abs(off - np.round(off)).max()), numbers, holds)
+
+
+class MaterialDepth(Struct):
+    """A depth alone."""
+
+    depth: FragmentDepth
+
+
+class MaterialOfPixel(Shader):
+    """Writes the depth of material x + 256 y."""
+
+    def vertex(self) -> vec4:
+        corner = vertex_index()
+        return vec4(float(corner % 2) * 4.0 - 1.0, float(corner // 2) * 4.0 - 1.0, 0.5, 1.0)
+
+    def fragment(self) -> MaterialDepth:
+        pixel = ivec2(fragment_coordinate().xy)
+        return MaterialDepth(depth=material_depth(pixel.x + 256 * pixel.y))
+
+
+class ChosenMaterial(Struct):
+    """A material."""
+
+    row: int
+
+
+class AtMaterial(Shader):
+    """Covers the target at the depth of a material."""
+
+    chosen: Uniform[ChosenMaterial]
+
+    def vertex(self) -> vec4:
+        corner = vertex_index()
+        depth = material_depth(self.chosen.row)
+        return vec4(float(corner % 2) * 4.0 - 1.0, float(corner // 2) * 4.0 - 1.0, depth, 1.0)
+
+    def fragment(self) -> vec4:
+        return vec4(1.0)
+
+
+def find_materials(device: Device) -> Found:
+    """Write a depth of 16 bits for each of 65,536 materials, and draw where it equals that of one of them."""
+    size, triangle = (256, 256), device.mesh(3)
+    materials, seen = device.texture(size, Format.D16), device.texture(size, Format.R8)
+    with (
+        device.render_pass(None, materials),
+        device.states(CullMode.NONE, DepthTest.ON, DepthWrite.ON, DepthFunction.ALWAYS),
+    ):
+        device.draw(device.program(MaterialOfPixel), triangle)
+    depths: NDArray[Any] = materials.read()
+    rows = np.round(depths.astype(np.float64) * 65535.0).astype(np.int64).ravel()
+    wrong = int((rows != np.arange(65536)).sum())
+    numbers: dict[str, object] = {"depths that aren't those of their material": wrong}
+    chosen = device.uniform(ChosenMaterial(row=0))
+    for row in (0, 1, 255, 32767, 32768, 54321, 65534, 65535):
+        chosen.write(ChosenMaterial(row=row))
+        with (
+            device.render_pass(seen, materials, clear=(0.0, 0.0, 0.0, 0.0)),
+            device.states(CullMode.NONE, DepthTest.ON, DepthWrite.OFF, DepthFunction.EQUAL),
+        ):
+            device.draw(device.program(AtMaterial), triangle, chosen=chosen)
+        found = np.flatnonzero(seen.read())
+        off = len(np.setxor1d(found, [row]))
+        numbers[f"pixels of material {row}"] = len(found)
+        wrong += off
+    for resource in (triangle, materials, seen, chosen):
+        resource.destroy()
+    return Found(wrong, numbers)
+
+
+LENSES: Final = {
+    "reversed": Perspective(near=1e-3, far=1e7),
+    "without a far plane": Perspective(near=1e-3),
+    "standard": Perspective(near=1e-3, far=1e7, depth=Depth.STANDARD),
+}
+"""Lenses from a millimetre to 10,000 km."""
+ACROSS: Final = 5e-4
+"""By how many pixels a position may be off."""
+
+
+def list_far_pixels() -> Floats:
+    """Return (k, 8) pixels, corners and the middle among them, and distances from 2 mm to 9,000 km."""
+    values = np.zeros((1000, 8))
+    values[:, :2] = np.random.default_rng(6).uniform(0.0, SIZE, (1000, 2))
+    values[:5, :2] = [(0, 0), (SIZE[0], 0), (0, SIZE[1]), SIZE, (SIZE[0] / 2, SIZE[1] / 2)]
+    values[:, 2] = np.geomspace(2e-3, 9e6, 1000)
+    return values.astype(np.float32).astype(np.float64)
+
+
+def find_far_positions(lens: str) -> tuple[Camera, Encoding]:
+    """Return a camera 10⁷ m from the origin, and the encoding of what it sees."""
+    camera = Camera.look_at((1e7, 50, -1e7), (1e7 + 3, 49, -1e7 + 5), projection=LENSES[lens])
+    name = f"position by a ray, D32F{'' if lens == 'standard' else ' reversed'}"
+    encoding = next(one for one in ENCODINGS if one.name == name)
+    return camera, replace(encoding, uniforms={"rays": find_rays(camera, SIZE)})
+
+
+def find_position_errors(camera: Camera, values: Floats, read: Floats) -> tuple[Floats, Floats]:
+    """Return how far positions are off along the view, as shares of their distance, and across it, in pixels."""
+    seen = read[:, 4:7] @ camera.rotation.T
+    clip = np.concatenate([seen, np.ones((len(seen), 1))], axis=1) @ camera.projection.matrix.T
+    place = (0.5 + clip[:, :2] / clip[:, 3:] * (0.5, -0.5)) * SIZE
+    return np.abs(-seen[:, 2] / values[:, 2] - 1.0), np.abs(place - values[:, :2]).max(1)
+
+
+def find_places(device: Device) -> Found:
+    """Store depths and read positions from them, with lenses that reverse depth and with one that doesn't."""
+    values, numbers = list_far_pixels(), dict[str, object]()
+    error = widest = lost = 0.0
+    for lens in LENSES:
+        camera, encoding = find_far_positions(lens)
+        read = run_round_trip(device, encoding.shader, values, **encoding.uniforms)
+        along, across = find_position_errors(camera, values, read)
+        if lens == "standard":  # next to 1, a step of a float is 6 % of the distance at 1 km
+            lost = float(along[values[:, 2] > 0.1].max())
+            error = find_largest(error, float(along[values[:, 2] < 0.004].max()))
+        else:
+            error = find_largest(error, float(along.max()))
+            widest = find_largest(widest, float(across.max()))
+        numbers[f"{lens}: along, at most"] = float(along.max())
+    holds = {
+        f"across, it is at most {ACROSS} pixels": widest <= ACROSS,
+        "standard depth loses what is far": lost > 0.5,
+    }
+    return Found(error, {**numbers, "across": widest}, holds)
+
+
+_NEEDS: Final = ("compute", "shading")
+
+
+def _case(
+    number: int, about: str, reference: str, tolerance: float, unit: str, why: str, judge: Callable[[Floats], Found]
+) -> Case:
+    return Case(number, about, reference, tolerance, unit, why, partial(_measure, judge), _NEEDS)
+
+
+def _measure(judge: Callable[[Floats], Found], device: Device) -> Found:
+    return judge(store_values(device))
+
+
+CASES: Final = (
+    _case(
+        37,
+        "normals along axes, with -0.0, z = -1, and at the seams of octants",
+        "the normal in float64",
+        1.0,
+        "of what the bits allow",
+        "the largest angle of 40,000 random normals, which edges must not exceed",
+        judge_normals,
+    ),
+    _case(
+        38,
+        "axes in 2 × 8 bits",
+        "the axis",
+        1e-6,
+        "of a unit vector",
+        "codes have a middle, so only normalising rounds, by a few 6e-8",
+        judge_axes,
+    ),
+    _case(
+        39,
+        "derivatives of length 0 and beyond 65,504",
+        "the derivative in float64",
+        0.31,
+        "%",
+        "half a step of 9 bits of direction, and of the length's 10",
+        judge_changes,
+    ),
+    _case(
+        40,
+        "tangents parallel to an axis, ties of the largest component, both sides",
+        "the tangent in float64",
+        0.46,
+        "degrees",
+        "half a step of the tangent's angle, and the normal's error",
+        judge_tangents,
+    ),
+    _case(
+        41,
+        "texture coordinates of 0.999999, -0.25, 1000.3",
+        "the coordinate in float32, whole repetitions aside",
+        0.5 / 65536 + 1e-12,
+        "of a repetition",
+        "half a step of 16 bits",
+        judge_places,
+    ),
+    Case(
+        42,
+        "65,536 materials by the equality of 16 bits of depth",
+        "the material's number",
+        0.0,
+        "materials and pixels",
+        "each material has a depth of its own",
+        find_materials,
+        ("renders",),
+    ),
+    Case(
+        66,
+        "positions from 2 mm to 9,000 km, read from depth, 10⁷ m from the origin",
+        "the pixel's ray in float64",
+        2e-6,
+        "of the distance",
+        "reversed depth is stored with 24 bits of its value, and its inverse rounded a few times",
+        find_places,
+        _NEEDS,
+    ),
+)

@@ -1,0 +1,643 @@
+"""Light culling, cases 22 to 36: no pair of a cell and a light that overlap is dropped, by any test.
+
+Cells are looked up and tested in float32 on the device. What is right is known in float64, mostly by formulas that
+shaders don't use: the inverse of a projection gives the corners of cells.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.lab.exam.case import Case, Found, find_largest
+from renderer.lab.exam.cell_pairs import LENSES, Pairs, find_corners, make_pairs, make_test_grid
+from renderer.lab.exam.cone_pairs import ANGLES, make_cone_pairs, run_cone_tests
+from renderer.lab.exam.sphere_pairs import SpherePair, pack_pairs, run_sphere_tests
+from renderer.lights.culling.cells import (
+    Cell,
+    CellGrid,
+    block_cell,
+    cell_index,
+    depth_bits,
+    distances_of,
+    slice_of,
+    slice_start,
+)
+from renderer.lights.culling.cone_tests import Cone
+from renderer.lights.culling.grid import LightGrid
+from renderer.lights.culling.projections import make_grid
+from renderer.lights.culling.table import CONE_TESTS, SPHERE_TESTS
+from renderer.scene import Camera, Depth, Lights, Orthographic, Perspective
+from renderer.scene.arrays import Floats
+from rhi import Device
+from rhi.shading import (
+    Shader,
+    Storage,
+    StorageRW,
+    Struct,
+    Uniform,
+    evaluate,
+    function,
+    global_id,
+    ivec2,
+    uint,
+    vec2,
+    vec4,
+)
+
+__rhi_internal__ = True
+
+GROUP: Final = 64
+PAIRS: Final = 4_000  # of each of six lenses
+EXACT: Final = [name for name, test in SPHERE_TESTS.items() if test.is_exact]
+HALF: Final = 0.5
+"""The view of cases with one cell: half a metre to each side at a distance of one."""
+
+
+class Sphere(NamedTuple):
+    """A sphere, and whether it overlaps the cell of the whole view between two depths."""
+
+    centre: tuple[float, float, float]
+    radius: float
+    depths: tuple[float, float]
+    overlaps: bool
+
+
+def decide_spheres(spheres: dict[str, Sphere], device: Device) -> Found:
+    """Count the wrong decisions: tests that drop what overlaps, and exact ones that keep what doesn't. They are made on
+    the device, with radii that are padded for its rounding, and without padding on NumPy in float64 and float32."""
+    rows = np.zeros(len(spheres), SpherePair.dtype)
+    for row, (centre, radius, depths, _) in zip(rows, spheres.values(), strict=True):
+        row["centre"], row["radius"], (row["near"], row["far"]) = centre, radius, depths
+    grid = make_grid(Perspective(fov=2.0 * np.arctan(HALF), aspect=1.0), (1, 1), 1)
+    kept = run_sphere_tests(device, grid, rows)
+    overlaps = np.array([one.overlaps for one in spheres.values()])
+    cells, centres = make_frustums(rows["near"], rows["far"]), np.array([one.centre for one in spheres.values()])
+    radii = np.array([one.radius for one in spheres.values()])
+    wrong = np.zeros(len(rows), np.int64)
+    for name, test in SPHERE_TESTS.items():
+        plain = (evaluate(test.function, cells, centres, radii, dtype=one) for one in (np.float64, np.float32))
+        for found in (kept[name], *plain):
+            wrong += overlaps & ~found
+            if test.is_exact:
+                wrong += found & ~overlaps
+    return Found(
+        int(wrong.sum()), {title: f"{count} wrong" for title, count in zip(spheres, wrong.tolist(), strict=True)}
+    )
+
+
+def make_frustums(near: Floats, far: Floats) -> dict[str, Floats]:
+    """Return the cells of the whole view between depths (n,), as shaders have them."""
+    slope = np.full((len(near), 2), HALF)
+    return {
+        "low": 0.0 * slope, "low_slope": -slope, "high": 0.0 * slope, "high_slope": slope,
+        "near": np.asarray(near, np.float64), "far": np.asarray(far, np.float64),
+    }  # fmt: skip
+
+
+WHOLE: Final = (1.0, 10.0)
+FIGURE_2: Final = Sphere((6.2, 0.0, 11.4), 1.6, WHOLE, False)
+SPHERES: Final[dict[int, dict[str, Sphere]]] = {
+    24: {
+        "no radius, inside": Sphere((0.0, 0.0, 5.0), 0.0, WHOLE, True),
+        "no radius, outside": Sphere((0.0, 0.0, 10.1), 0.0, WHOLE, False),
+        "a huge radius around it": Sphere((1.0, 1.0, 5.0), 1e6, WHOLE, True),
+        "a huge radius": Sphere((1e6, 0.0, 5.0), 1e6 + 10.0, WHOLE, True),
+        "a huge radius, behind": Sphere((0.0, 0.0, -1e6), 1e6 + 9.0, WHOLE, True),
+        "a huge radius, and too far": Sphere((0.0, 0.0, -1e6), 1e6 - 10.0, WHOLE, False),
+    },
+    25: {
+        "behind the eye": Sphere((0.3, -0.2, -4.0), 5.3, WHOLE, True),
+        "behind the eye, and too far": Sphere((0.3, -0.2, -4.0), 4.9, WHOLE, False),
+    },
+    26: {
+        "a point in a flat cell": Sphere((1.0, 1.0, 4.0), 0.0, (4.0, 4.0), True),
+        "a flat cell": Sphere((1.0, 1.0, 5.0), 1.0, (4.0, 4.0), True),
+        "the corner of a flat cell": Sphere((2.0, 2.0, 4.0), 0.0, (4.0, 4.0), True),
+        "before a flat cell": Sphere((1.0, 1.0, 5.01), 1.0, (4.0, 4.0), False),
+    },
+}
+"""The spheres of the cases that have no others."""
+
+
+def keep_beside_a_corner(device: Device) -> Found:
+    """Decide about the sphere of Thatcher's figure 2, and look that planes don't."""
+    found = decide_spheres({"beside a corner": FIGURE_2}, device)
+    planes = evaluate(
+        SPHERE_TESTS["planes"].function, make_frustums(*np.atleast_2d(WHOLE).T), np.array([FIGURE_2.centre]), 1.6,
+        dtype=np.float64,
+    )  # fmt: skip
+    return Found(found.error, found.numbers, {"it is behind no plane": bool(planes.all())})
+
+
+def keep_tangents(device: Device) -> Found:
+    """Decide about spheres that touch the end, an edge and the begin of a cell, a millionth larger and smaller.
+
+    In float32 only the larger ones are decided: the padding keeps the smaller.
+    """
+    places = [
+        (title, centre, radius)
+        for radius in (1e-3, 1.0, 1e3, 1e6)
+        for title, centre in (
+            ("behind", (0.0, 0.0, 10.0 + radius)),
+            ("beside", (5.0 + radius, 0.0, 10.0)),
+            ("before", (0.0, 0.0, 1.0 - radius)),
+        )
+    ]
+    count = len(places)
+    centres, radii = np.array([centre for _, centre, _ in places]), np.array([radius for *_, radius in places])
+    cells = make_frustums(np.full(count, 1.0), np.full(count, 10.0))
+    wrong = np.zeros(count, np.int64)
+    for test in SPHERE_TESTS.values():
+        larger, smaller = (
+            evaluate(test.function, cells, centres, radii * (1.0 + off), dtype=np.float64) for off in (1e-6, -1e-6)
+        )
+        wrong += ~larger
+        if test.is_exact:
+            wrong += smaller
+    rows = np.zeros(count, SpherePair.dtype)
+    rows["centre"], rows["near"], rows["far"] = centres, 1.0, 10.0
+    away = np.where(centres[:, 0] > 0.0, rows["centre"][:, 0] - 5.0, np.abs(rows["centre"][:, 2] - 5.5) - 4.5)
+    rows["radius"] = away * (1.0 + 1e-6)  # of the centres as float32 has them
+    grid = make_grid(Perspective(fov=2.0 * np.arctan(HALF), aspect=1.0), (1, 1), 1)
+    for kept in run_sphere_tests(device, grid, rows).values():
+        wrong += ~kept
+    numbers = {f"{title}, radius {radius:g}": f"{n} wrong" for (title, _, radius), n in zip(places, wrong, strict=True)}
+    return Found(int(wrong.sum()), numbers)
+
+
+class CellQuestion(Struct):
+    """A pixel, the distance of its surface, the depth of a texture, and ranges of depth for a mask."""
+
+    pixel: ivec2
+    z: float
+    depth: float
+    near: float
+    far: float
+    low: float
+    high: float
+
+
+class CellAnswer(Struct):
+    """What shaders find for a `CellQuestion`: the cell, its slice and where that begins and ends, its sides at the
+    distance z (left, lower, right, upper), the least and greatest distance of the depth, and the bits of the mask."""
+
+    sides: vec4
+    ends: vec2
+    distances: vec2
+    cell: int
+    slice: int
+    bits: uint
+
+
+@function
+def find_sides(grid: CellGrid, index: int, z: float) -> vec4:
+    """Return the left, lower, right and upper side of the cell of this index at a distance."""
+    tile = ivec2(index % grid.count.x, index // grid.count.x % grid.count.y)
+    cell: Cell = block_cell(grid, tile, 1, z, z)
+    return vec4(cell.low + cell.low_slope * z, cell.high + cell.high_slope * z)
+
+
+class AskCells(Shader):
+    """Answers questions about the cells of a grid."""
+
+    work_group = (GROUP,)
+    grid: Uniform[CellGrid]
+    questions: Storage[CellQuestion]
+    answers: StorageRW[CellAnswer]
+
+    def compute(self) -> None:
+        row = global_id().x
+        if row >= len(self.questions):
+            return
+        asked = self.questions[row]
+        index = cell_index(self.grid, asked.pixel, asked.z)
+        at = slice_of(self.grid, asked.z)
+        self.answers[row] = CellAnswer(
+            sides=find_sides(self.grid, index, asked.z),
+            ends=vec2(slice_start(self.grid, at), slice_start(self.grid, at + 1)),
+            distances=distances_of(self.grid, asked.depth),
+            cell=index,
+            slice=at,
+            bits=depth_bits(asked.near, asked.far, asked.low, asked.high),
+        )
+
+
+def ask_cells(device: Device, grid: CellGrid, questions: NDArray[Any]) -> NDArray[Any]:
+    """Return the answers of a device to questions (n,) of `CellQuestion`."""
+    count = len(questions)
+    buffers = (device.uniform(grid), device.storage(CellQuestion, questions), device.storage(CellAnswer, count))
+    uniform, asked, answers = buffers
+    device.dispatch(
+        device.program(AskCells), -(-count // GROUP), grid=uniform, questions=asked, answers=answers
+    )
+    found: NDArray[Any] = answers.read()
+    for buffer in buffers:
+        buffer.destroy()
+    return found
+
+
+def ask(count: int, **fields: Any) -> NDArray[Any]:
+    """Return questions with these fields; all depths are 1 where nothing else is said."""
+    questions = np.ones(count, CellQuestion.dtype)
+    questions["pixel"] = 0
+    for name, values in fields.items():
+        questions[name] = values
+    return questions
+
+
+def keep_flat_tiles(device: Device) -> Found:
+    """Decide about spheres and flat cells, and look that masks of flat ranges, and of ranges of a millionth, meet those
+    of all that touches them."""
+    found = decide_spheres(SPHERES[26], device)
+    rng = np.random.default_rng(2)
+    near = rng.uniform(0.1, 100.0, 5000).astype(np.float32)
+    far = near + (10.0 ** rng.uniform(-6, 3, 5000)).astype(np.float32)
+    far[:500] = near[:500]
+    far[500:600] = np.nextafter(near[500:600], np.float32(np.inf))
+    z = (near + (far - near) * rng.random(5000)).astype(np.float32)
+    grid, lost = make_test_grid("perspective"), 0
+    surface = ask_cells(device, grid, ask(5000, near=near, far=far, low=z, high=z))["bits"]
+    for low, high in ((z, z), (z - 1, z), (z, z + 1), (z - 9, z + 99)):
+        light = ask_cells(device, grid, ask(5000, near=near, far=far, low=low, high=high))["bits"]
+        lost += int((surface & light == 0).sum())
+    ends = ask_cells(device, grid, ask(32, near=0.0, far=32.0, low=np.arange(32), high=np.arange(32) + 0.5))["bits"]
+    part = ask_cells(device, grid, ask(1, near=0.0, far=32.0, low=2.5, high=4.5))["bits"]
+    holds = {
+        "a mask has a bit for each slice": ends.tolist() == [1 << bit for bit in range(32)],
+        "a mask is no wider than its range": part.tolist() == [0b11100],
+    }
+    numbers = {**found.numbers, "masks that don't meet": lost}
+    return Found(found.error + lost, numbers, holds)
+
+
+def find_far_depths(device: Device) -> Found:
+    """Ask for the distances of the nearest and the farthest depth, with the far plane at 100 m and at infinity."""
+    wrong: dict[str, object] = {}
+    error = 0.0
+    for depth in Depth:
+        for far in (100.0, np.inf):
+            grid = make_grid(Perspective(far=far, depth=depth), (8, 8), 8, reach=80.0)
+            questions = ask(2, depth=(grid.background, 1.0 - grid.background))
+            (_, farthest), (nearest, _) = ask_cells(device, grid, questions)["distances"].tolist()
+            off = find_largest(abs(farthest - 80.0) / 80.0, abs(nearest - 0.1) / 0.1)
+            wrong[f"{depth.value}, far plane at {far:g} m"] = f"{nearest:.6g} to {farthest:.6g} m"
+            error = find_largest(error, off) if np.isfinite(off) else np.inf
+    return Found(error, wrong)
+
+
+_IMAGE_SIZES: Final = ((1366, 768), (1680, 1050), (1280, 720), (41, 41), (1, 1))
+
+
+def hold_pixels(device: Device) -> Found:
+    """Ask for the cells of pixels, those at the edges included, and look that each is inside the sides of its cell."""
+    wrong: dict[str, object] = {}
+    total = 0
+    for size in _IMAGE_SIZES:
+        for tile in (1, 8, 41, 64):
+            lens = Perspective(aspect=size[0] / size[1], far=50.0)
+            grid, rng = make_grid(lens, size, tile), np.random.default_rng(4)
+            x, y = (
+                np.maximum(np.append(rng.integers(0, n, 500), [0, n - 1, n // tile * tile - 1]), 0) for n in size
+            )
+            answers = ask_cells(device, grid, ask(len(x), pixel=np.column_stack([x, y]), z=7.0))
+            columns, rows = -(-size[0] // tile), -(-size[1] // tile)
+            total += int((grid.count.x, grid.count.y) != (columns, rows))
+            valid = (answers["cell"] >= 0) & (answers["cell"] < columns * rows)
+            height = 7.0 * np.tan(lens.fov / 2)
+            clip = np.column_stack([(2 * x + 1) / size[0] - 1.0, 1.0 - (2 * y + 1) / size[1]])
+            at = clip * (height * lens.aspect, height)
+            inside = ((answers["sides"][:, :2] < at) & (at < answers["sides"][:, 2:])).all(1)
+            count = int((~(valid & inside)).sum())
+            total += count
+            wrong[f"{size[0]} × {size[1]}, tiles of {tile}"] = count
+    return Found(total, wrong)
+
+
+def begin_at_the_eye(device: Device) -> Found:
+    """Decide about points at the corners of cells of parallel lenses that begin at the eye, and behind it."""
+    total, numbers = 0, dict[str, object]()
+    for name, near in (("parallel", 0.0), ("parallel, behind", -20.0)):
+        grid = make_test_grid(name)
+        tiles = np.array([(0, 0), (170, 95), (85, 40)], np.int32)
+        depth = np.full(3, near)
+        corners = find_corners(LENSES[name].with_aspect(1366 / 768), grid, tiles, depth, depth)
+        rows = np.zeros(3, SpherePair.dtype)
+        rows["centre"], rows["radius"], rows["tile"] = corners[:, 0], 1e-6, tiles
+        rows["near"], rows["far"] = near, grid.far
+        kept = run_sphere_tests(device, grid, rows)
+        count = sum(int((~one).sum()) for one in kept.values()) + (grid.near != near)
+        total += count
+        numbers[f"near plane at {near:g} m"] = f"{count} wrong"
+    return Found(total, numbers)
+
+
+SLICED: Final = {
+    "geometric": make_grid(Perspective(far=100.0), (64, 64), 16, slices=24),
+    "filament": make_grid(Perspective(far=100.0), (64, 64), 16, slices=16, first_slice=5.0),
+    "endless": make_grid(Perspective(), (64, 64), 16, slices=32, reach=70.0),
+    "one": make_grid(Perspective(), (64, 64), 16, reach=70.0),
+    "two": make_grid(Perspective(far=60.0), (64, 64), 16, slices=2, first_slice=59.0),
+    "parallel": make_grid(Orthographic(10.0, near=0.0, far=80.0), (64, 64), 16, slices=7),
+    "parallel, behind": make_grid(Orthographic(10.0, near=-5.0, far=80.0), (64, 64), 16, slices=5),
+}
+"""Grids with depth slices of all kinds."""
+
+
+def find_outer_slices(device: Device) -> Found:
+    """Ask for the slices of depths between the near plane and the first boundary, before them and behind the last."""
+    numbers: dict[str, object] = {}
+    total = 0
+    for name, grid in SLICED.items():
+        low = 1e-30 if grid.near > 0 else -4.9
+        depths = np.array([-1e9, -6.0, grid.near, low, 1e9, 1e30, np.inf])
+        last = grid.count.z - 1
+        found = ask_cells(device, grid, ask(len(depths), z=depths))["slice"]
+        total += int((found != [0, 0, 0, 0, last, last, last]).sum())
+        numbers[name] = found.tolist()
+    between = ask_cells(device, SLICED["filament"], ask(4, z=[0.1, 1.0, 4.999, 5.001]))["slice"]
+    numbers["0.1, 1, 4.999 and 5.001 m, where the second slice begins at 5"] = between.tolist()
+    return Found(total + int((between != [0, 0, 0, 1]).sum()), numbers)
+
+
+def divide_whole_numbers(device: Device) -> Found:
+    """Ask for the tiles of the first pixels of tiles of 41, for which float32 gives 41 · (1 / 41) < 1."""
+    grid = make_grid(Perspective(), (1680, 1050), 41)
+    count = 1680 // 41 + 1
+    pixels = np.column_stack([41 * np.arange(count), np.zeros(count)])
+    found = ask_cells(device, grid, ask(count, pixel=pixels))["cell"]
+    wrong = int((found != np.arange(count)).sum())
+    rounded = np.floor(np.float32(41) * (np.float32(1) / np.float32(41)))
+    return Found(wrong, {"wrong tiles": wrong}, {"a product with the reciprocal is wrong": rounded == 0.0})
+
+
+def find_boundaries(device: Device) -> Found:
+    """Ask for the slices at each boundary, an ulp before and behind it, and between them."""
+    numbers: dict[str, object] = {}
+    total = 0
+    for name, grid in SLICED.items():
+        count = grid.count.z
+        exact = evaluate(slice_start, grid, np.arange(count + 1), dtype=np.float64)
+        guess = ask_cells(device, grid, ask(count, z=0.5 * (exact[:-1] + exact[1:])))
+        bounds = np.append(guess["ends"][:, 0], guess["ends"][-1, 1])  # as the device has them
+        shifted = (np.nextafter(bounds, np.float32(-np.inf)), np.nextafter(bounds, np.float32(np.inf)))
+        wrong = int((np.diff(bounds) <= 0).sum()) + int((guess["slice"] != np.arange(count)).sum())
+        for depths, shift in ((bounds, 0), (shifted[0], -1), (shifted[1], 0)):
+            found = ask_cells(device, grid, ask(count + 1, z=depths))["slice"]
+            wrong += int((found != np.clip(np.arange(count + 1) + shift, 0, count - 1)).sum())
+        inside = np.random.default_rng(1).uniform(bounds[0], bounds[-1], 3000).astype(np.float32)
+        inside = inside[(inside >= bounds[0]) & (inside < bounds[-1])]
+        ends = ask_cells(device, grid, ask(len(inside), z=inside))["ends"]
+        wrong += int((~((ends[:, 0] <= inside) & (inside < ends[:, 1]))).sum())
+        total += wrong
+        numbers[name] = f"{wrong} wrong"
+    return Found(total, numbers)
+
+
+def keep_cones(device: Device) -> Found:
+    """Run the tests of cones of 0.1° to 180° on pairs that overlap, of six lenses."""
+    numbers: dict[str, object] = {}
+    total, holds = 0, {}
+    for lens in LENSES:
+        pairs = make_cone_pairs(lens)
+        for name, kept in run_cone_tests(device, pairs).items():
+            dropped = int((pairs.overlap & ~kept).sum())
+            numbers[f"{lens}, {name}"] = dropped
+            total += dropped
+        holds[f"{lens}: some pairs overlap, and some don't"] = bool(0.3 < pairs.overlap.mean() < 0.9)
+    return Found(total, numbers, holds)
+
+
+def keep_on_the_axis(device: Device) -> Found:
+    """Run the tests on a cell on the axes of cones, where the square of the distance from the axis, as a difference of
+    squares, may be negative; on NumPy, in float32 and float64."""
+    cell = Cell(low=(-0.1, -0.1), low_slope=(0, 0), high=(0.1, 0.1), high_slope=(0, 0), near=9.9, far=10.1)
+    numbers: dict[str, object] = {}
+    total = 0
+    for name, test in CONE_TESTS.items():
+        dropped = 0
+        for dtype in (np.float32, np.float64):
+            for z in (7.2, 8.123457, 9.7):
+                cones = make_cones(ANGLES, (0.0, 0.0, z))
+                dropped += int((~evaluate(test.function, cell, cones, 1e-5, dtype=dtype)).sum())
+        numbers[name] = dropped
+        total += dropped
+    return Found(total, numbers)
+
+
+def make_cones(angles: Floats, apex: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> NDArray[Any]:
+    """Make cones of these angles that look along z and reach 3 m."""
+    cones = np.zeros(len(angles), Cone.dtype)
+    cones["apex"], cones["range"], cones["axis"], cones["cosine"] = apex, 3.0, (0, 0, 1), np.cos(angles)
+    return cones
+
+
+_OVERFULL: Final = (333, 187)
+
+
+def overfill_lists(device: Device) -> Found:
+    """Make lists with room for all pairs, for one less, and for one; and look that what is dropped is counted, and that
+    lists grow."""
+    rng, lights = np.random.default_rng(1), Lights()
+    camera = Camera.look_at(
+        (0.0, 2.0, 0.0), (3.0, 1.0, -8.0), projection=Perspective(aspect=_OVERFULL[0] / _OVERFULL[1], far=60.0)
+    )
+    for place in np.column_stack([rng.uniform(-20, 20, (60, 2)), rng.uniform(-60, 5, 60)]) @ camera.rotation:
+        lights.add_point(camera.position + place, float(rng.uniform(0.1, 6.0)))
+
+    def collect(capacity: int) -> LightGrid:
+        grid = LightGrid(device, capacity=capacity)
+        grid.collect(device, camera, _OVERFULL, lights)
+        return grid
+
+    whole = collect(100_000)
+    every = whole.read()
+    numbers: dict[str, object] = {"pairs": every.pairs}
+    total = 0
+    for capacity, dropped in ((every.pairs, 0), (every.pairs - 1, 1), (1, every.pairs - 1)):
+        grid = collect(capacity)
+        lists = grid.read()
+        off = abs(lists.dropped - dropped) + abs(lists.pairs - every.pairs)
+        off += int((lists.lights != every.lights[:capacity]).sum())
+        for _ in range(4):  # a frame asks for the need of the one before, and the next learns it
+            grid.collect(device, camera, _OVERFULL, lights)
+            device.finish()
+        grown = grid.read()
+        off += grown.dropped + int(not np.array_equal(grown.lights, every.lights))
+        numbers[f"dropped with room for {capacity}"] = lists.dropped
+        total += off
+        grid.destroy()
+    whole.destroy()
+    return Found(total, numbers, {"there are pairs": every.pairs > 100})
+
+
+def skew_sides(device: Device) -> Found:
+    """Ask for the sides of tiles of an eye off the axis, and compare with the inverse of the projection."""
+    size = (1366, 768)
+    grid, lens = make_test_grid("off-axis", size), LENSES["off-axis"].with_aspect(size[0] / size[1])
+    x, y = (some.ravel() for some in np.meshgrid(np.arange(0, 171, 10), np.arange(0, 96, 5)))
+    tiles, z = np.column_stack([x, y]).astype(np.int32), np.full(len(x), 7.0)
+    answers = ask_cells(device, grid, ask(len(x), pixel=8 * tiles, z=z))
+    corners = find_corners(lens, grid, tiles, z, z)
+    exact = np.column_stack([corners[:, 0, :2], corners[:, 3, :2]])
+    error = float((np.abs(answers["sides"] - exact) / np.abs(exact).max()).max())
+    straight = find_corners(LENSES["perspective"].with_aspect(size[0] / size[1]), grid, tiles, z, z)
+    return Found(
+        error,
+        {"largest side, m": float(np.abs(exact).max())},
+        {"an eye on the axis has other sides": bool(np.abs(straight - corners).max() > 1.0)},
+    )
+
+
+def keep_spheres(device: Device) -> Found:
+    """Run all tests on random pairs of a cell and a sphere that nearly touch, of six lenses."""
+    numbers: dict[str, object] = {}
+    total, holds = 0, {}
+    for lens in LENSES:
+        pairs = make_pairs(lens, PAIRS)
+        kept = run_sphere_tests(device, pairs.grid, pack_pairs(pairs))
+        dropped = sum(int((pairs.overlap & ~one).sum()) for one in kept.values())
+        beyond = is_beyond_padding(pairs)
+        numbers[f"{lens}: dropped"] = dropped
+        numbers[f"{lens}: kept by exact tests"] = over = sum(int((kept[name] & beyond).sum()) for name in EXACT)
+        total += dropped + over
+        holds[f"{lens}: some pairs are beyond what padding keeps"] = bool(beyond.mean() > 0.2)
+    return Found(total, numbers, holds)
+
+
+def is_beyond_padding(pairs: Pairs) -> NDArray[np.bool_]:
+    """Return which pairs are farther apart than the padding of radii explains."""
+    lengths = np.abs(pairs.corners).max((1, 2)) * 3 + np.abs(pairs.centres).sum(1) + pairs.radii
+    return np.asarray(pairs.distances > pairs.radii + 4e-6 * lengths)
+
+
+_WRONG: Final = "wrong decisions"
+_EXACT: Final = "distances in float64"
+_SURE: Final = "radii are padded for rounding, so none that overlaps may be dropped; exact tests keep nothing else"
+_LOOK_UP: Final = "what is looked up must be what was culled, to the bit: otherwise lights vanish at edges of tiles"
+_NEEDS: Final = ("compute", "shading")
+
+
+def _spheres(number: int, about: str) -> Case:
+    return Case(number, about, _EXACT, 0.0, _WRONG, _SURE, partial(decide_spheres, SPHERES[number]), _NEEDS)
+
+
+CASES: Final = (
+    Case(22, "a sphere beside a corner, behind no plane", _EXACT, 0.0, _WRONG, _SURE, keep_beside_a_corner, _NEEDS),
+    Case(23, "tangent spheres, a millionth larger and smaller", _EXACT, 0.0, _WRONG, _SURE, keep_tangents, _NEEDS),
+    _spheres(24, "radii of 0 and of a million metres"),
+    _spheres(25, "a light behind the eye that reaches the view"),
+    Case(26, "flat cells, and masks of flat tiles", _EXACT, 0.0, _WRONG, _SURE, keep_flat_tiles, _NEEDS),
+    Case(
+        27,
+        "the nearest and the farthest depth, also with the far plane at infinity",
+        "the planes' distances",
+        1e-5,
+        "of the distance",
+        "float32 has steps of 6e-8, and depths are taken to be off by 2.4e-7: near 0.1 m that is 3e-7 of the distance",
+        find_far_depths,
+        _NEEDS,
+    ),
+    Case(
+        28,
+        "every pixel in a tile, at 1366 × 768, 1680 × 1050, 1 × 1",
+        "rays through pixels, in float64",
+        0.0,
+        "pixels",
+        _LOOK_UP,
+        hold_pixels,
+        _NEEDS,
+    ),
+    Case(
+        29,
+        "parallel lenses that begin at the eye, and behind it",
+        "the inverse projection in float64",
+        0.0,
+        _WRONG,
+        _SURE,
+        begin_at_the_eye,
+        _NEEDS,
+    ),
+    Case(
+        30,
+        "depths before the first boundary of slices, before the near plane and behind the end",
+        "the nearest slice",
+        0.0,
+        "wrong slices",
+        _LOOK_UP,
+        find_outer_slices,
+        _NEEDS,
+    ),
+    Case(
+        31,
+        "tiles of 41 pixels, where float32 divides wrongly",
+        "division of whole numbers",
+        0.0,
+        "wrong tiles",
+        _LOOK_UP,
+        divide_whole_numbers,
+        _NEEDS,
+    ),
+    Case(
+        32,
+        "boundaries of slices, within an ulp",
+        "the device's own boundaries",
+        0.0,
+        "wrong slices",
+        _LOOK_UP,
+        find_boundaries,
+        _NEEDS,
+    ),
+    Case(
+        33,
+        "cones of 0.1° to 180°, those at 45° and 90° within 1e-5 among them",
+        "a point of both, found in float64",
+        0.0,
+        "dropped pairs",
+        "as with spheres: none that overlaps may be dropped",
+        keep_cones,
+        _NEEDS,
+    ),
+    Case(
+        34,
+        "a cell on the axis of a cone",
+        "it overlaps",
+        0.0,
+        "dropped pairs",
+        "it overlaps, whatever rounding does",
+        keep_on_the_axis,
+    ),
+    Case(
+        35,
+        "lists with room for all pairs but one",
+        "the same lists with room for all",
+        0.0,
+        "pairs",
+        "what is dropped is counted, and the next lists have room",
+        overfill_lists,
+        _NEEDS,
+    ),
+    Case(
+        36,
+        "the tiles of an eye off the axis",
+        "the inverse projection in float64",
+        1e-6,
+        "of the view's width",
+        "four roundings of float32, 6e-8 each, of which the padding of radii allows sixteen",
+        skew_sides,
+        _NEEDS,
+    ),
+    Case(
+        54,
+        "24,000 pairs of a cell and a sphere that nearly touch",
+        "distances in float64",
+        0.0,
+        _WRONG,
+        _SURE,
+        keep_spheres,
+        _NEEDS,
+    ),
+)

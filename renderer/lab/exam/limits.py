@@ -1,0 +1,325 @@
+"""Long times and large numbers, cases 60 to 65 and 67: 10⁸ s, a million objects, 100,000 frames, images of 16,384
+pixels and of one."""
+
+from __future__ import annotations
+
+import gc
+import sys
+from fractions import Fraction
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.cloth import Cloths, Gust, Wind, make_sheet
+from renderer.content import load_scene
+from renderer.content.shapes import box
+from renderer.lab.exam.case import Case, Found, find_largest
+from renderer.lab.exam.places import make_pillars
+from renderer.lab.exam.scenes import Uncut, along, make_city
+from renderer.renderer import Renderer
+from renderer.scene import Camera, Perspective, SceneBuilder, Stepwise, scaling, translation
+from renderer.scene.arrays import Rows
+from renderer.scene.transforms import multiply
+from renderer.techniques import TECHNIQUES
+from renderer.visibility import FrustumCulling, NoCulling, find_visible, list_algorithms, make_visibility
+from rhi import CullMode, Device, Format, create_device
+from rhi.shading import Shader, fragment_coordinate, vec4, vertex_index
+
+__rhi_internal__ = True
+
+_YEARS: Final = 1e8
+_MANY_FRAMES: Final = 100_000
+_INTERVALS: Final = (60, 90, 240, 1000)  # steps per second
+
+
+class Clock:
+    """A simulation that does nothing but step."""
+
+    catch_up = Stepwise(1)
+
+    def __init__(self, interval: float) -> None:
+        self.interval = interval
+
+    def step(self, members: Rows, numbers: Rows) -> None:
+        """Do nothing."""
+
+
+def count_late_steps(_: Device) -> Found:
+    """Count the frames whose step isn't theirs: frame f of a clock of n steps a second is at f / n, rounded to a
+    double."""
+    numbers: dict[str, object] = {}
+    total, floats = 0, 0
+    for rate in _INTERVALS:
+        wrong = 0
+        for begin in (0, rate * 1_000_000, rate * int(_YEARS)):
+            for frame in range(begin, begin + 2000):
+                clock = Clock(1.0 / rate)
+                wrong += int(clock.catch_up.target(clock, frame / rate) != frame)
+                wrong += int(clock.catch_up.target(clock, frame * clock.interval) != frame)
+                floats += int(int(np.float32(frame / rate) * np.float32(rate)) != frame)
+        numbers[f"{rate} steps a second"] = wrong
+        total += wrong
+    holds = {"in float32 most frames would show another step": floats > 10_000}
+    return Found(total, numbers, holds)
+
+
+def wave_for_years(_: Device) -> Found:
+    """Pose the flags of a hall after 10⁸ s, and compare with the phase reduced in fractions before it is rounded."""
+    scene = load_scene("hall:columns=6,flags=4,fountains=0")
+    motion: Any = scene.simulated[0].simulation
+    members = np.arange(len(scene.simulated[0]))
+    numbers: dict[str, object] = {}
+    error = worst = 0.0
+    turn = Fraction(314159265358979323846264338327950288419716939937510, 10**50) * 2
+    swing = np.zeros(len(members))
+    for quarter in np.linspace(0.0, 2.0 * np.pi / 2.4, 64):  # the amplitude of each part
+        motion.set_time(members, float(quarter))
+        swing = np.maximum(swing, np.abs(motion.angle))
+    for seconds in (_YEARS, _YEARS + 0.25, 7.7e7 + 1.0 / 60.0):
+        motion.set_time(members, seconds)
+        angle = motion.angle.copy()
+        exact = float((Fraction(2.4) * Fraction(seconds)) % turn)
+        motion.set_time(members, exact / 2.4)
+        off = float((np.abs(angle - motion.angle) / swing).max())
+        single = float(np.float32(2.4) * np.float32(seconds))
+        worst = find_largest(worst, abs(float(np.sin(single)) - float(np.sin(exact))))
+        numbers[f"after {seconds:,.2f} s"] = off
+        error = find_largest(error, off)
+    holds = {"in float32 the phase is lost": worst > 0.1}
+    return Found(error, numbers, holds)
+
+
+class ShowPixel(Shader):
+    """Writes the coordinate of each pixel's middle."""
+
+    def vertex(self) -> vec4:
+        corner = vertex_index()
+        return vec4(float(corner % 2) * 4.0 - 1.0, float(corner // 2) * 4.0 - 1.0, 0.5, 1.0)
+
+    def fragment(self) -> vec4:
+        return vec4(fragment_coordinate().xy, 0.0, 1.0)
+
+
+def draw_wide(device: Device) -> Found:
+    """Draw images of the device's greatest width, up to 16,384 pixels: the places of all pixels, and a city with and
+    without culling."""
+    width = min(16_384, device.capabilities.max_texture_size)
+    total, numbers = 0, dict[str, object]()
+    for size in ((width, 2), (2, width)):
+        target, triangle = device.texture(size, Format.RGBA32F), device.mesh(3)
+        with device.render_pass(target), device.states(CullMode.NONE):
+            device.draw(device.program(ShowPixel), triangle)
+        found: NDArray[Any] = target.read()
+        x, y = np.meshgrid(np.arange(size[0]) + 0.5, np.arange(size[1]) + 0.5)
+        wrong = int((found[..., :2] != np.stack([x, y], 2)).any(2).sum())
+        numbers[f"{size[0]} × {size[1]}: places"] = wrong
+        total += wrong
+        target.destroy()
+        triangle.destroy()
+    city = make_city()
+    uncut = Uncut(device, city, along("ground", 600)(city), (width, 2))
+    for name in ("frustum", "two_pass"):
+        if name in list_algorithms(device):
+            algorithm = make_visibility(name, city, device)
+            numbers[f"{width} × 2, {name}"] = wrong = sum(uncut.count_wrong_pixels(algorithm))
+            total += wrong
+            algorithm.destroy()
+    colors = len(np.unique(uncut.frames[0].reshape(-1, 4), axis=0))
+    uncut.destroy()
+    return Found(total, numbers, {"there is something to see": colors > 50})
+
+
+def draw_a_pixel(device: Device) -> Found:
+    """Draw images of one pixel, and of 3 by 1, with techniques that light surfaces while they are drawn and after, and
+    compare them with forward shading."""
+    total, numbers = 0.0, dict[str, object]()
+    scene, lit = make_pillars(0.0), 0
+    for size in ((1, 1), (3, 1)):
+        camera = Camera.look_at((0.5, 1.5, -4.0), (0.5, 0.6, -6.5), projection=Perspective(fov=1.2))
+        shown = {}
+        for name in ("forward", "deferred"):
+            culling = FrustumCulling(scene)
+            with Renderer(device, scene, technique=TECHNIQUES[name](), size=size, visibility=culling) as renderer:
+                shown[name] = renderer.render(camera).image.read().astype(int)
+        off = float(np.abs(shown["forward"] - shown["deferred"])[..., :3].max())
+        lit += int(shown["forward"][..., :3].max() > 100)
+        numbers[f"{size[0]} × {size[1]}"] = shown["forward"].reshape(-1, 4)[0].tolist()
+        total = find_largest(total, off)
+    return Found(total, numbers, {"there is something to see": lit == 2})
+
+
+_STORM: Final = Wind(
+    (60.0, -20.0, 5.0), (Gust((0.0, 40.0, 900.0), (0.3, 0.4, 0.0), 0.7), Gust((90.0, 0.0, 80.0), (1.1, 0.3, 0.0), 0.4))
+)
+_REPEAT: Final = 168  # steps, after which both gusts are as at first
+
+
+def blow_for_years(device: Device) -> Found:
+    """Take steps of cloths in a storm on a device, after 10⁸ s, and compare their points with those that NumPy finds at
+    the beginning, when the wind was the same; and with the box that they must not leave."""
+    x, y = np.meshgrid(np.linspace(-0.5, 0.5, 5), np.linspace(0.0, -1.0, 6))
+    pinned = np.zeros(x.shape, bool)
+    pinned[0] = True
+    sheet = make_sheet(np.stack([x, y, 0.0 * x], 2), pinned, room=((-0.7, -1.1, -0.2), (0.7, 0.3, 0.9)))
+    members = np.arange(2)
+    (low, high), calm = sheet.bounds, Wind((0.0, 0.0, 2.0), _STORM.gusts[:1])
+    numbers: dict[str, object] = {}
+    error, outside, moved = 0.0, 0, 0.0
+    for name, wind, steps in (("a breeze", calm, 4), ("a storm", _STORM, 3)):
+        here, there = Cloths(2, sheet, wind), Cloths(2, sheet, wind)
+        later = _REPEAT * (int(_YEARS / Cloths.interval) // _REPEAT)
+        for number in range(1, steps + 1):
+            here.step(members, np.full(2, number))
+            there.step(members, np.full(2, later + number))
+        expected = here.vertices(members)["position"].astype(np.float64)
+        with device.storage(float, 6 * len(expected)) as vertices:
+            there.deform(device, members, vertices, members * len(sheet.points), 6)
+            found = vertices.read().reshape(-1, 6)[:, :3].astype(np.float64)
+        there.release(device)
+        numbers[f"metres off in {name}, after {steps} steps"] = off = float(np.abs(found - expected).max())
+        outside += int(((found < low) | (found > high)).any(1).sum())
+        moved = max(moved, float(np.abs(found - np.tile(sheet.points, (2, 1))).max()))
+        error = find_largest(error, off)
+    holds = {"cloths have moved": moved > 0.1, "no point is outside of its bounds": outside == 0}
+    return Found(error, {**numbers, "points outside": outside}, holds)
+
+
+def cull_a_million(device: Device) -> Found:
+    """Cull a million boxes, and compare with all six planes of each; with pixels, where the device draws."""
+    count = 1_000_000
+    rng = np.random.default_rng(61)
+    places = rng.uniform(-2000.0, 2000.0, (count, 3)) * (1.0, 0.05, 1.0)
+    builder = SceneBuilder("a million boxes")
+    mesh, material = builder.add_mesh(box()), builder.add_material()
+    nodes = builder.add_nodes(multiply(translation(places), scaling(rng.uniform(0.2, 2.0, (count, 3)))))
+    builder.add_objects(nodes, mesh, material)
+    builder.lights.add_directional((-0.4, -1.0, -0.3))
+    scene = builder.build()
+    culling = FrustumCulling(scene)
+    camera = Camera.look_at((0, 20, 0), (10, 15, -30), projection=Perspective(fov=0.6, far=900.0))
+    with create_device("null") as null, Renderer(null, scene, size=(64, 36), visibility=culling) as renderer:
+        drawn = renderer.render(camera).visible
+    planes = camera.with_aspect(64 / 36).frustum.planes
+    wanted = np.flatnonzero(find_visible(planes, scene.objects.lower, scene.objects.upper))
+    numbers: dict[str, object] = {"drawn": len(drawn)}
+    total = len(np.setxor1d(drawn, wanted))
+    if device.capabilities.renders:
+        shown = []
+        for algorithm in (NoCulling(scene), culling):
+            with Renderer(device, scene, size=(64, 36), visibility=algorithm) as renderer:
+                shown.append(renderer.render(camera).image.read())
+        numbers["wrong pixels"] = wrong = int((shown[0] != shown[1]).any(2).sum())
+        total += wrong
+    return Found(total, numbers, {"some are drawn, most aren't": 100 < len(drawn) < count // 10})
+
+
+def draw_for_hours(_: Device) -> Found:
+    """Draw so many frames of a hall on a null device along its path, and look that after the first lap nothing is
+    created or kept, and that the frame of the same time and place is the first one's, command by command."""
+    scene = load_scene("hall:columns=4,flags=2,fountains=0")
+    path = scene.paths["ground"]
+    culling = FrustumCulling(scene)
+    with create_device("null") as null, Renderer(null, scene, size=(32, 18), visibility=culling) as renderer:
+
+        def draw_lap() -> None:
+            for frame in range(len(path)):
+                renderer.render(path.camera(frame), frame / 60)
+            null.stream.clear()
+
+        def describe() -> list[str]:
+            renderer.render(path.camera(0), 0.0)
+            names = [command.op.name for command in null.stream]
+            null.stream.clear()
+            return names
+
+        draw_lap()
+        first, creations, blocks = describe(), null.statistics.creations, _count_blocks()
+        laps = -(-_MANY_FRAMES // len(path))
+        for lap in range(laps):
+            draw_lap()
+            if null.statistics.creations > creations or _count_blocks() - blocks > (lap + 1) * len(path):
+                laps = lap + 1
+                break  # it goes on like this
+        last = describe()
+        created, kept = null.statistics.creations - creations, _count_blocks() - blocks
+    numbers = {"frames": laps * len(path), "commands of a frame": len(first), "blocks of memory kept": kept}
+    holds = {"Python's memory grows by less than a block in ten frames": kept < laps * len(path) // 10}
+    return Found(created + (first != last), {**numbers, "resources created": created}, holds)
+
+
+def _count_blocks() -> int:
+    gc.collect()
+    return sys.getallocatedblocks()
+
+
+CASES: Final = (
+    Case(
+        60,
+        "steps of simulations after 10⁸ s, at up to 1000 a second",
+        "whole numbers",
+        0.0,
+        "wrong steps",
+        "a time that is a step's, rounded to a double, is that step",
+        count_late_steps,
+    ),
+    Case(
+        61,
+        "a million objects",
+        "each box against each plane; without culling",
+        0.0,
+        "wrong objects and pixels",
+        "the hierarchy gives the set that testing all gives",
+        cull_a_million,
+        is_long=True,
+    ),
+    Case(
+        62,
+        "100,000 frames",
+        "the first of them",
+        0.0,
+        "resources and other commands",
+        "what a frame leaves behind adds up",
+        draw_for_hours,
+        is_long=True,
+    ),
+    Case(
+        63,
+        "images 16,384 pixels wide, and as high",
+        "places of pixels; frames without culling",
+        0.0,
+        "wrong pixels",
+        "halves up to 16,384 are exact in float32",
+        draw_wide,
+        ("renders",),
+    ),
+    Case(
+        64,
+        "images of one pixel and of 3 by 1, lit while drawn and after",
+        "forward shading",
+        1.0,
+        "levels of 8 bits",
+        "a geometry buffer rounds normals by 0.004°",
+        draw_a_pixel,
+        ("renders",),
+    ),
+    Case(
+        65,
+        "the phase of animations after 10⁸ s",
+        "the phase reduced in exact fractions",
+        1e-7,
+        "of the amplitude",
+        "a double at 2.4e8 has steps of 3e-8",
+        wave_for_years,
+    ),
+    Case(
+        67,
+        "cloths after 10⁸ s, in a breeze and in a storm",
+        "the same steps at the beginning, on NumPy",
+        1e-5,
+        "metres",
+        "float32 rounds places of 1 m to 6e-8, a hundred times in each step; creases make more of it",
+        blow_for_years,
+        ("compute", "shading"),
+    ),
+)

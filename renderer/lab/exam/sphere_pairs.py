@@ -1,0 +1,96 @@
+"""All tests of spheres against cells, made on a device at once."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.lab.exam.cell_pairs import Pairs
+from renderer.lab.exam.pair_tests import GROUP, run_tests
+from renderer.lights.culling.cells import Cell, CellGrid, block_cell, padded_radius
+from renderer.lights.culling.sphere_tests import (
+    overlaps_all_axes,
+    overlaps_always,
+    overlaps_box,
+    overlaps_edges,
+    overlaps_edges_vertices,
+    overlaps_exactly,
+    overlaps_faces,
+    overlaps_faces_edges,
+    overlaps_faces_vertices,
+    overlaps_hybrid,
+    overlaps_nearest_vertex,
+    overlaps_planes,
+    overlaps_planes_box,
+    overlaps_vertices,
+)
+from renderer.lights.culling.table import SPHERE_TESTS
+from rhi import Device
+from rhi.shading import Shader, Storage, StorageRW, Struct, Uniform, function, global_id, ivec2, uint, vec3
+
+__rhi_internal__ = True
+
+
+class SpherePair(Struct):
+    """A sphere, and the cell of a tile between two depths."""
+
+    centre: vec3
+    radius: float
+    tile: ivec2
+    near: float
+    far: float
+
+
+@function
+def bit_of(index: int, kept: bool) -> uint:
+    """Return the bit of a test that has kept a pair."""
+    return (uint(1) if kept else uint(0)) << uint(index)
+
+
+class RunSphereTests(Shader):
+    """Makes all tests, in the order of the table, and stores a bit for each."""
+
+    work_group = (GROUP,)
+    grid: Uniform[CellGrid]
+    pairs: Storage[SpherePair]
+    kept: StorageRW[uint]
+
+    def compute(self) -> None:
+        row = global_id().x
+        if row < len(self.pairs):
+            pair = self.pairs[row]
+            cell = block_cell(self.grid, pair.tile, 1, pair.near, pair.far)
+            self.kept[row] = self.test(cell, pair.centre, padded_radius(cell, pair.centre, pair.radius))
+
+    def test(self, cell: Cell, centre: vec3, radius: float) -> uint:
+        return (
+            bit_of(0, overlaps_always(cell, centre, radius))
+            | bit_of(1, overlaps_planes(cell, centre, radius))
+            | bit_of(2, overlaps_faces(cell, centre, radius))
+            | bit_of(3, overlaps_edges(cell, centre, radius))
+            | bit_of(4, overlaps_vertices(cell, centre, radius))
+            | bit_of(5, overlaps_faces_edges(cell, centre, radius))
+            | bit_of(6, overlaps_faces_vertices(cell, centre, radius))
+            | bit_of(7, overlaps_edges_vertices(cell, centre, radius))
+            | bit_of(8, overlaps_all_axes(cell, centre, radius))
+            | bit_of(9, overlaps_nearest_vertex(cell, centre, radius))
+            | bit_of(10, overlaps_hybrid(cell, centre, radius))
+            | bit_of(11, overlaps_box(cell, centre, radius))
+            | bit_of(12, overlaps_planes_box(cell, centre, radius))
+            | bit_of(13, overlaps_exactly(cell, centre, radius))
+        )
+
+
+def run_sphere_tests(device: Device, grid: CellGrid, rows: NDArray[Any]) -> dict[str, NDArray[np.bool_]]:
+    """Return what each test keeps of rows (n,) of `SpherePair`."""
+    return run_tests(device, RunSphereTests, SPHERE_TESTS, grid, SpherePair, rows)
+
+
+def pack_pairs(pairs: Pairs) -> NDArray[Any]:
+    """Return pairs as rows of `SpherePair`."""
+    rows = np.zeros(len(pairs.radii), SpherePair.dtype)
+    rows["centre"], rows["radius"], rows["tile"] = pairs.centres, pairs.radii, pairs.tiles
+    rows["near"], rows["far"] = pairs.near, pairs.far
+    return rows

@@ -1,0 +1,59 @@
+"""Tables as text."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+
+
+def format_table(header: Sequence[str], rows: Sequence[Sequence[object]], *, markdown: bool = False) -> str:
+    """Format a table with aligned columns, or as Markdown.
+
+    Text is aligned to the left, numbers to the right; whole numbers have their digits in groups of three.
+    """
+    if markdown:
+        lines = [header, ["---"] * len(header), *([_shown(value) for value in row] for row in rows)]
+        return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    cells = [[_shown(value) for value in row] for row in rows]
+    widths = [max(len(line[column]) for line in [list(header), *cells]) for column in range(len(header))]
+    numeric = [all(not isinstance(row[column], str) for row in rows) for column in range(len(header))]
+
+    def line(texts: Sequence[str]) -> str:
+        parts = zip(texts, widths, numeric, strict=True)
+        return "  ".join(t.rjust(w) if right else t.ljust(w) for t, w, right in parts).rstrip()
+
+    return "\n".join([line(header), "  ".join("-" * width for width in widths), *map(line, cells)])
+
+
+def format_records(records: Sequence[Mapping[str, object]], *, as_json: bool) -> str:
+    """Format records of the same names as a table with a column for each, or as JSON."""
+    if as_json:
+        return json.dumps(records, indent=2)
+    return format_table(list(records[0]), [list(record.values()) for record in records])
+
+
+def format_rows(rows: Sequence[Mapping[str, object]], *, markdown: bool = False) -> str:
+    """Format what dataclasses with the same fields hold as a table with a column for each field.
+
+    What is true is "on", what is false "off", and what is None a dash.
+    """
+    cells = [[format_value(value) for value in row.values()] for row in rows]
+    return format_table([title_of(name) for name in rows[0]], cells, markdown=markdown)
+
+
+def title_of(name: str) -> str:
+    """Return the title of the column of a field: `hardware_state_changes` is "hardware states"."""
+    return name.replace("_", " ").replace("milliseconds", "ms").replace(" changes", "s")
+
+
+def format_value(value: object) -> object:
+    """Return what stands in a cell."""
+    if isinstance(value, bool):
+        return "on" if value else "off"
+    return "-" if value is None else value
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:,.2f}"
+    return f"{value:,}" if isinstance(value, int) else str(value)

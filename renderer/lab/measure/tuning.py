@@ -1,0 +1,175 @@
+"""The search for b and n of CHC++ (thesis 6.5.1): trials, and which values to try next.
+
+A trial renders a walk through the scene with one pair (b, n) and, in turn, frame by frame in the same process, with
+the default pair. Its result is the mean of the frames' ratios without the quarter at either end. So other load on the
+machine, above all trials at the same time, slows both alike, and results from different machines can be compared.
+Counters don't depend on the time, except through query results that arrive early or late.
+
+The search begins with a grid over both ranges, evenly spaced by ratio, and refines it around the best pair (the
+thesis's binary search, on both axes at once). All trials of a round may run at the same time. Finally, a trial
+compares the best few pairs with each other, in one process with nothing beside it; the best is then tried with leaves
+of several objects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from threading import Lock
+from typing import Final
+
+import numpy as np
+
+import rhi
+from renderer.content import load_scene
+from renderer.lab.measure.alternate import alternate
+from renderer.lab.measure.frames import measure_frame
+from renderer.renderer import FrameStatistics, Renderer
+from renderer.scene import FRAMES_PER_SECOND, CameraPath
+from renderer.visibility import Settings, make_visibility
+
+ParameterPair = tuple[int, int]
+"""Values of b and n; or the least and greatest value of either."""
+
+_FIRST: Final = 4  # number of values of b and of n in the first round
+_FINALISTS: Final = 3
+_TRIMMED: Final = 0.25
+_LOCK: Final = Lock()  # trials on threads of one process would share the interpreter and the driver's context
+
+
+@dataclass(frozen=True, slots=True)
+class Walk:
+    """The frames that every trial renders. It is small enough to be sent to other machines, which load the scene
+    themselves.
+
+    Attributes:
+        scene: the scene's text.
+        path: the frames to render, and one before them. first: the number of that frame.
+        backend: the backend's name; None for the machine's own choice.
+        size: (width, height) of the image in pixels.
+        emulated: whether queries are two counters and a fence, even if the device has its own.
+    """
+
+    scene: str
+    path: CameraPath
+    first: int = 0
+    backend: str | None = None
+    size: tuple[int, int] = (960, 540)
+    emulated: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """The result for a pair with one size of leaves: medians of the times, the `ratio` to the time of the default
+    settings, and means of the counters."""
+
+    batch: int
+    persistence: int
+    milliseconds: float
+    default_milliseconds: float
+    ratio: float
+    triangles: int
+    draws: int
+    queries: int
+    hardware_state_changes: int
+    leaf_size: int = 1
+
+
+def try_pairs(walk: Walk, pairs: Sequence[ParameterPair], leaf_size: int = 1) -> list[Trial]:
+    """Return a trial of each pair, on a device of its own. The frames of all pairs and of the default settings
+    alternate.
+
+    A process executes one call at a time; other calls wait.
+    """
+    scene = load_scene(walk.scene)
+    default = Settings(emulated=walk.emulated)
+    with (
+        _LOCK,
+        rhi.create_device(walk.backend) as device,
+        Renderer(device, scene, size=walk.size) as renderer,
+    ):
+        tried = [
+            replace(default, batch=batch, persistence=persistence, leaf_size=leaf_size)
+            for batch, persistence in pairs
+        ]
+        algorithms = [make_visibility("chc_plus_plus", scene, device, one) for one in (default, *tried)]
+        costs: list[list[FrameStatistics]] = [[] for _ in algorithms]
+
+        def render(which: int, frame: int) -> None:
+            renderer.visibility = algorithms[which]
+            seconds = (walk.first + frame) / FRAMES_PER_SECOND
+            costs[which].append(measure_frame(renderer, walk.path.camera(frame), seconds)[1].statistics)
+
+        work = {
+            str(which): lambda frame, which=which: render(which, frame) for which in range(len(algorithms))
+        }
+        times = list(alternate(work, range(1, len(walk.path))).values())
+    base = times[0]
+    trials = []
+    for pair, time, counted in zip(pairs, times[1:], costs[1:], strict=True):
+        ratios = np.sort(np.divide(time.seconds, base.seconds))
+        cut = int(_TRIMMED * len(ratios))
+        trials.append(
+            Trial(
+                *pair,
+                milliseconds=round(1e3 * time.median, 3),
+                default_milliseconds=round(1e3 * base.median, 3),
+                ratio=round(float(ratios[cut : len(ratios) - cut].mean()), 4),
+                **{
+                    name: round(sum(getattr(one, name) for one in counted[1:]) / len(counted[1:]))
+                    for name in ("triangles", "draws", "queries", "hardware_state_changes")
+                },
+                leaf_size=leaf_size,
+            )
+        )
+    return trials
+
+
+def search(
+    batches: ParameterPair,
+    persistences: ParameterPair,
+    rounds: int,
+    try_all: Callable[[list[ParameterPair]], list[Trial]],
+) -> Iterator[Trial]:
+    """Yield trials of pairs within both ranges, ends included; `try_all` returns those of a round.
+
+    The first round is a grid over the ranges. Each further round is centred at the best pair so far and spans the
+    square root of the last round's spans. No pair is tried twice.
+    """
+    known: dict[ParameterPair, Trial] = {}
+    default = Settings()
+    spans = [high / low for low, high in (batches, persistences)]
+    wanted = {
+        (b, n) for b in space_evenly(*batches, _FIRST) for n in space_evenly(*persistences, _FIRST)
+    } | {(min(max(default.batch, batches[0]), batches[1]),
+          min(max(default.persistence, persistences[0]), persistences[1]))}  # fmt: skip
+    for turn in range(rounds):
+        if turn:
+            best = find_best(list(known.values()), 1)[0]
+            spans = [span**0.5 for span in spans]
+            wanted = {
+                (b, n)
+                for b in _around(best.batch, spans[0], batches)
+                for n in _around(best.persistence, spans[1], persistences)
+            }
+        new = try_all(sorted(wanted - known.keys()))
+        known |= {(trial.batch, trial.persistence): trial for trial in new}
+        yield from new
+
+
+def find_best(trials: Sequence[Trial], count: int = _FINALISTS) -> list[Trial]:
+    """Return the `count` trials with the least ratios, best first; of equal ones those with fewer queries come
+    first."""
+    return sorted(trials, key=lambda trial: (trial.ratio, trial.queries))[:count]
+
+
+def space_evenly(low: int, high: int, count: int) -> list[int]:
+    """Return at most `count` whole numbers from `low` to `high`, both included, evenly spaced by ratio."""
+    return sorted({round(value) for value in np.geomspace(low, high, count).tolist()})
+
+
+def _around(middle: int, span: float, limits: ParameterPair) -> list[int]:
+    """Return the value and one on either side of it, different ones where the limits leave room."""
+    step = span**0.5
+    below, above = min(round(middle / step), middle - 1), max(round(middle * step), middle + 1)
+    return sorted({min(max(value, limits[0]), limits[1]) for value in (below, middle, above)})

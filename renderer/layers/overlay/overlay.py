@@ -1,0 +1,178 @@
+"""The overlay: frame times, counters, the timer tree and the walk of the culling, drawn over each frame.
+
+Its own cost is part of what it shows: as an event of the timer tree, and as the foot of each bar of the graph. The
+counters are those of the frame before the overlay is drawn. Nothing waits for the device: times are those of the
+latest frame whose timestamps are available, and what only the device knows isn't shown.
+"""
+
+from __future__ import annotations
+
+from time import perf_counter
+from typing import Final
+
+from renderer.frame import Frame
+from renderer.layers.canvas import Canvas, Font
+from renderer.layers.overlay.history import History
+from renderer.layers.overlay.panels import (
+    MOST_EVENTS,
+    PANEL,
+    TEXT,
+    Box,
+    draw_graph,
+    draw_legend,
+    draw_map,
+    draw_rows,
+    draw_timers,
+    find_ground,
+    list_events,
+)
+from renderer.scene import Scene
+from renderer.scene.arrays import Floats
+from renderer.visibility import AutoCulling, VisibilityAlgorithm, find_walk
+from rhi import Device, Statistics
+
+_FRAMES: Final = 144  # of the graph
+_BAR: Final = 2  # width of a frame there
+_PAD: Final = 8  # around panels and in them
+_GRAPH: Final = 60  # height
+_NAMES: Final = 130  # width of the names of counters
+_EVENTS: Final = 90  # width of the names of events
+_MAP: Final = 280  # width and height
+_COUNTERS: Final = ("draws", "queries", "upload_bytes", "creations", "software_state_changes",
+                    "hardware_state_changes")  # fmt: skip
+
+
+class Overlay:
+    """A layer that shows what frames cost. It turns on the device's timing where there are timestamps.
+
+    Attributes:
+        draws: the number of draws of the latest frame's overlay. milliseconds: what it cost the CPU.
+    """
+
+    def __init__(self, device: Device, *, scale: int = 1, font: Font | None = None) -> None:
+        """`scale` is the number of pixels of each texel of the text, in both directions."""
+        self._canvas = Canvas(device, font or Font.load())
+        self._scale = scale
+        self._frames, self._own = History(_FRAMES), History(_FRAMES)
+        self._began: float | None = None
+        self._ground: tuple[Scene, tuple[Floats, Floats]] | None = None
+        self._before: Statistics = device.statistics
+        self._counted = self._after = self._before
+        self.draws = 0
+        self.milliseconds = 0.0
+        self._device, self._was_timing = device, device.timing
+        if device.capabilities.timestamps:
+            device.timing = True
+
+    def render(self, device: Device, frame: Frame) -> None:
+        """Draw the overlay to the frame's image. The right eye is shown what the left one sees, as far as the screen
+        is away."""
+        began = perf_counter()
+        if frame.first is None:
+            self._begin_frame(began, device.statistics)
+        shown = frame.first or frame
+        with device.event("overlay"):
+            self._add_left(device, shown, self._counted)
+            if shown.statistics is not None:
+                self._add_right(shown)
+            image = frame.targets.image
+            with device.render_pass(image):
+                self.draws += self._canvas.draw(image.size)
+        self._after = device.statistics
+        self.milliseconds += 1e3 * (perf_counter() - began)
+
+    def _begin_frame(self, began: float, counted: Statistics) -> None:
+        """Note what the last frame took, and what this one has counted until now."""
+        if self._began is not None:
+            self._frames.add(1e3 * (began - self._began))
+            self._own.add(self.milliseconds)
+        self._began, self._before, self._counted = began, self._after, counted
+        self.draws, self.milliseconds = 0, 0.0
+
+    def destroy(self) -> None:
+        """Destroy the resources on the device, and stop its timing if the overlay has begun it."""
+        self._canvas.destroy()
+        if not self._was_timing and self._device.timing:
+            self._device.timing = False
+
+    def _add_left(self, device: Device, frame: Frame, counted: Statistics) -> None:
+        """Add the panel of times and counters."""
+        canvas, scale = self._canvas, self._scale
+        counters = {name: getattr(counted, name) - getattr(self._before, name) for name in _COUNTERS}
+        rows = _list_counters(frame, counters)
+        timers = device.timers
+        line, pad = canvas.font.line_height * scale, _PAD * scale
+        events = min(sum(1 for _ in list_events(timers)), MOST_EVENTS + 1)
+        width = _FRAMES * _BAR * scale
+        height = line + _GRAPH * scale + line * (len(rows) + events) + 3 * pad
+        outside = Box(pad, pad, width + 2 * pad, height + 2 * pad)
+        canvas.rects([outside], PANEL)
+        inside = outside.inset(pad)
+        canvas.text(inside.x, inside.y, self._describe_times(), TEXT, scale)
+        graph = Box(inside.x, inside.y + line, width, _GRAPH * scale)
+        draw_graph(canvas, graph, self._frames.values, self._own.values, _BAR * scale)
+        y = graph.y + graph.height + pad
+        y += draw_rows(canvas, inside.x, y, rows, _NAMES * scale, scale) + pad
+        draw_timers(canvas, Box(inside.x, y, width, height), timers, _EVENTS * scale, scale)
+
+    def _describe_times(self) -> str:
+        times = self._frames.values
+        if not len(times):
+            return "frame: -"
+        ordered = sorted(times.tolist())
+        shown = times[-1], ordered[len(ordered) // 2], ordered[-1]
+        latest, middle, worst = (f"{time:.1f}" if time < 100.0 else f"{time:.0f}" for time in shown)
+        return f"frame {latest} ms   median {middle}   worst {worst}"
+
+    def _add_right(self, frame: Frame) -> None:
+        """Add the panel of the culling."""
+        canvas, scale = self._canvas, self._scale
+        scene, camera = frame.resources.scene, frame.camera
+        drawn = frame.drawn.rows if frame.drawn.is_known else None
+        walk = find_walk(frame.visibility, scene, camera, drawn)
+        pad, line = _PAD * scale, canvas.font.line_height * scale
+        side = _MAP * scale
+        x = frame.targets.size[0] - side - 3 * pad
+        rows = len(set(walk.outcome.tolist()))
+        outside = Box(x, pad, side + 2 * pad, line * (1 + rows) + side + 3 * pad)
+        canvas.rects([outside], PANEL)
+        inside = outside.inset(pad)
+        kind = "nodes" if walk.of_nodes else "objects"
+        title = f"{name_algorithm(frame.visibility)}: {kind} from above"
+        canvas.text(inside.x, inside.y, title, TEXT, scale)
+        y = inside.y + line
+        y += draw_legend(canvas, inside.x, y, walk, scale) + pad
+        if self._ground is None or self._ground[0] is not scene:
+            self._ground = (scene, find_ground(scene))
+        draw_map(canvas, Box(inside.x, y, side, side), self._ground[1], walk, camera)
+
+
+def name_algorithm(algorithm: VisibilityAlgorithm) -> str:
+    """Return the name of an algorithm's class; of `auto`, that of the algorithm it has chosen."""
+    if isinstance(algorithm, AutoCulling):
+        return f"auto, {type(algorithm.latest).__name__}"
+    return type(algorithm).__name__
+
+
+def _list_counters(frame: Frame, counters: dict[str, int]) -> list[tuple[str, str]]:
+    """Return the names and values of the counters."""
+    rows = [
+        ("draw calls", f"{counters['draws']:,}"),
+        (
+            "states set / sent",
+            f"{counters['software_state_changes']:,} / {counters['hardware_state_changes']:,}",
+        ),
+        ("uploaded", f"{counters['upload_bytes'] / 1024:,.1f} KiB"),
+        ("resources made", f"{counters['creations']:,}"),
+    ]
+    culling = frame.statistics
+    if culling is not None:
+        if frame.drawn.is_known:
+            rows.insert(0, ("triangles", f"{frame.drawn.triangles:,}"))
+            rows.insert(0, ("objects drawn", f"{len(frame.drawn.rows):,} of {culling.objects:,}"))
+        rows += [
+            ("nodes tested", f"{culling.nodes_tested:,}"),
+            ("queries", f"{culling.queries:,} of {culling.boxes:,} boxes"),
+            ("stalled", f"{culling.stalled_milliseconds:.2f} ms"),
+        ]
+    return rows

@@ -1,0 +1,194 @@
+"""Particles: a layer that draws what simulations emit, thousands of sprites in one draw (thesis 4.3).
+
+- Only simulated objects that were drawn in the frame have particles: what is culled isn't simulated, and emits nothing.
+- All particles of a frame are one array in the device's transient memory. The vertex stage reads it by its index, and
+  stretches each particle along the way that it goes in the time of an exposure.
+- Particles are tested against the frame's depth and don't change it. They are added up in any order (premultiplied,
+  with less alpha than light), so they aren't sorted. In fog they fade to it, as far as they cover what is behind them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, Final, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.frame import Effect, Frame
+from renderer.frame.air import bind_fog
+from renderer.frame.passes import NEARER
+from renderer.scene.arrays import Floats, Rows
+from renderer.shaders import ViewConstants, tone_map
+from renderer.shaders.fog import FogConstants, pass_fog
+from rhi import BlendFunction, CullMode, DepthTest, DepthWrite, Device
+from rhi.shading import (
+    Shader,
+    Storage,
+    Struct,
+    Uniform,
+    cross,
+    dot,
+    length,
+    max,
+    vec2,
+    vec3,
+    vec4,
+    vertex_index,
+)
+
+__rhi_internal__ = True
+
+_CORNERS: Final = 6  # of the two triangles
+_CAPACITY: Final = 1024  # particles at first
+_RADIUS: Final = 0.05  # in m
+_EXPOSURE: Final = 1.0 / 60.0  # seconds
+
+
+@runtime_checkable
+class EmitsParticles(Protocol):
+    """A simulation whose members are surrounded by particles."""
+
+    def particles(self, members: Rows) -> tuple[Floats, Floats]:
+        """Return positions and velocities (j, p, 3) of `members` (j,), in m and m/s and in the space of the object."""
+        ...
+
+
+class Particle(Struct):
+    """A particle along the axes of the world: its place relative to the eye, its way in the time of an exposure."""
+
+    centre: vec3
+    way: vec3
+
+
+class ParticleVarying(Struct):
+    """The varyings of `ParticleShader`; `place` is -1 to 1 from edge to edge."""
+
+    clip: vec4
+    place: vec2
+
+
+class ParticleShader(Shader):
+    """Draws particles as soft sprites that face the eye."""
+
+    view: Uniform[ViewConstants]
+    particles: Storage[Particle]
+    radius: Uniform[float]
+
+    def vertex(self) -> ParticleVarying:
+        number = vertex_index()
+        particle = self.particles[number // 6]
+        turn = number % 6
+        x = float((22 >> turn) & 1) * 2.0 - 1.0  # the corners of the two triangles: 00 10 11, 00 11 01
+        y = float((52 >> turn) & 1) * 2.0 - 1.0
+        along = particle.way
+        if dot(along, along) < 1e-12:
+            along = vec3(0.0, 1e-6, 0.0)
+        along = along / length(along)
+        aside = cross(along, particle.centre)
+        aside = aside / max(length(aside), 1e-6)
+        offset = along * (self.radius * x) + particle.way * (0.5 * x) + aside * (self.radius * y)
+        offset -= particle.centre * (
+            self.radius / max(length(particle.centre), 1e-6)
+        )  # in front of the drop itself
+        return ParticleVarying(
+            clip=self.view.relative_view_projection @ vec4(particle.centre + offset, 1.0), place=vec2(x, y)
+        )
+
+    def fragment(self, v: ParticleVarying) -> vec4:
+        light = max(1.0 - dot(v.place, v.place), 0.0)
+        return vec4(vec3(0.16, 0.24, 0.32) * light, 0.2 * light)
+
+
+class FoggedVarying(Struct):
+    """The varyings of `FoggedParticles`: of the fog before a particle, how much of it is seen, and what passes it."""
+
+    clip: vec4
+    place: vec2
+    fog: vec3
+    passing: float
+
+
+class FoggedParticles(ParticleShader):
+    """Draws particles in fog. Theirs are colours of the image, so they are mixed with that of the fog."""
+
+    fog: Uniform[FogConstants]
+
+    def vertex(self) -> FoggedVarying:  # type: ignore[override]  # more varyings
+        v = super().vertex()
+        centre = self.particles[vertex_index() // 6].centre
+        passing = pass_fog(centre, self.fog)
+        return FoggedVarying(
+            clip=v.clip, place=v.place, fog=tone_map(self.fog.color) * (1.0 - passing), passing=passing
+        )
+
+    def fragment(self, v: FoggedVarying) -> vec4:  # type: ignore[override]  # as `vertex`
+        color = super().fragment(ParticleVarying(clip=v.clip, place=v.place))
+        return vec4(color.rgb * v.passing + v.fog * color.a, color.a)
+
+
+class Particles:
+    """A layer that draws the particles of the simulated objects that were drawn.
+
+    Attributes:
+        count: the number of particles of the latest frame.
+    """
+
+    def __init__(self, device: Device) -> None:
+        self._device = device
+        self._mesh = device.mesh(_CORNERS * _CAPACITY, label="particles")
+        self._radius = device.uniform(_RADIUS)
+        self.count = 0
+
+    def render(self, device: Device, frame: Frame) -> None:
+        """Draw the particles in one draw."""
+        parts = list(find_particles(frame))
+        self.count = sum(map(len, parts))
+        if not self.count:
+            return
+        array = np.concatenate(parts).reshape(-1).view(Particle.dtype)
+        if _CORNERS * len(array) > self._mesh.count:
+            self._mesh.destroy()
+            self._mesh = device.mesh(_CORNERS << (len(array) - 1).bit_length(), label="particles")
+        shader, fog = _find_shader(frame)
+        program: Any = self._device.program(shader)
+        targets, nearer = frame.targets, NEARER[frame.camera.projection.depth]
+        with (
+            device.event("particles"),
+            device.render_pass(targets.image, targets.depth),
+            device.states(CullMode.NONE, DepthTest.ON, nearer, DepthWrite.OFF, BlendFunction.PREMULTIPLIED),
+        ):
+            device.draw(
+                program,
+                self._mesh.view(0, _CORNERS * len(array)),
+                view=frame.view.buffer,
+                particles=device.transient.storage(Particle, array),
+                radius=self._radius,
+                **fog,
+            )
+
+    def destroy(self) -> None:
+        """Destroy the resources on the device."""
+        self._mesh.destroy()
+        self._radius.destroy()
+
+
+def _find_shader(frame: Frame) -> tuple[type[ParticleShader], dict[str, Any]]:
+    """Return the shader for the fog of the frame, and what it binds for that."""
+    if Effect.FOG not in frame.needs.effects:
+        return ParticleShader, {}
+    return FoggedParticles, {"fog": bind_fog(frame)}
+
+
+def find_particles(frame: Frame) -> Iterator[NDArray[np.float32]]:
+    """Yield the particles (p, 8) as rows of `Particle`, one array for each simulation of which anything was drawn."""
+    scene, eye = frame.resources.scene, frame.camera.position
+    for simulation, rows, members in frame.resources.simulator.list_drawn():
+        if isinstance(simulation, EmitsParticles) and len(members):
+            position, velocity = simulation.particles(members)
+            world = scene.nodes.world[scene.objects.node[rows]]
+            turn = world[:, :3, :3].transpose(0, 2, 1)
+            floats = np.zeros((*position.shape[:2], 8), np.float32)
+            floats[:, :, 0:3] = position @ turn + (world[:, None, :3, 3] - eye)
+            floats[:, :, 4:7] = velocity @ turn * _EXPOSURE
+            yield floats.reshape(-1, 8)

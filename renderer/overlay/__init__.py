@@ -1,9 +1,0 @@
-"""The debug overlay: a layer that shows what a frame costs and what culling did.
-
-overlay = Overlay(device)
-renderer.layers.append(overlay)
-"""
-
-from renderer.overlay.overlay import Overlay
-
-__all__ = ["Overlay"]

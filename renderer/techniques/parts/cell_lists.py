@@ -1,0 +1,113 @@
+"""Lights of cells: techniques whose pixels are lit by the lights of their tile or cluster.
+
+The lists are made on the device (`renderer.lights.culling`). They have the layout of the lists of objects, so a
+shader that is lit by its object's lights becomes one that is lit by its cell's: only where a list begins and ends is
+looked up elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Final
+
+from renderer import rules
+from renderer.frame import Frame, Needs, Pass
+from renderer.lights.culling.cells import CellGrid, cell_index
+from renderer.lights.culling.grid import LightGrid
+from renderer.lights.culling.table import find_sphere_test
+from renderer.shaders.pixels import PixelRays
+from renderer.shaders.structs import SurfaceVarying
+from renderer.techniques.parts.scene_shader import ForwardShader
+from renderer.techniques.parts.variants import Lighting, explain_lamps
+from rhi import Device, refuse
+from rhi.shading import Shader, Storage, Uniform, dot, fragment_coordinate, ivec2, ivec3
+
+__rhi_internal__ = True
+
+
+@dataclass(frozen=True, slots=True)
+class LightCells:
+    """Cells of a view whose lights are listed: tiles of the image, divided by depth. It is called with a device to make
+    what a view keeps for them.
+
+    Attributes:
+        tile: the width and height of a tile in pixels. slices: into how many parts its depths are divided.
+        sphere_test: the name of the test of lights against cells, of `SPHERE_TESTS`.
+    """
+
+    tile: int
+    slices: int = 1
+    sphere_test: str = "exact"
+
+    def __post_init__(self) -> None:
+        for name in ("tile", "slices"):
+            given = getattr(self, name)
+            if type(given) is not int or given < 1:
+                refuse(rules.BAD_TECHNIQUE, f"LightCells({name}=...)", given, "a whole number of 1 or more")
+        find_sphere_test(self.sphere_test, "LightCells(sphere_test=...)")
+
+    def __call__(self, device: Device) -> LightGrid:
+        """Return new lists."""
+        return LightGrid(device, tile=self.tile, slices=self.slices, sphere_test=self.sphere_test)
+
+
+LightLists = Callable[[Device], LightGrid]
+"""What makes the lists of a view: `LightCells`, or another function that is always the same one."""
+
+TILES: Final = LightCells(16)
+"""Tiles of 16 × 16 pixels, between the nearest and the farthest surface of each."""
+CLUSTERS: Final = LightCells(64, 24)
+"""Clusters: tiles of 64 × 64 pixels in 24 depth slices (Olsson, Billeter and Assarsson 2012)."""
+
+
+class CellReader(Shader):
+    """The base of shaders that are lit by the lights of a cell."""
+
+    lean = True
+
+    grid: Uniform[CellGrid]
+    light_rows: Storage[int]
+
+    def find_cell_lights(self, distance: float) -> ivec3:
+        """Return where the point lights of the pixel's cell at this distance along the view begin in the light rows,
+        where they end and the spot lights begin, and where those end."""
+        cell = cell_index(self.grid, ivec2(fragment_coordinate().xy), distance)
+        return ivec3(self.light_rows[2 * cell], self.light_rows[2 * cell + 1], self.light_rows[2 * cell + 2])
+
+
+def list_pass(needs: Needs, cells: LightLists, *, depth: str | None = None) -> Pass[Frame]:
+    """Return the pass that lists the lights of cells, as the contents `light lists`.
+
+    Args:
+        depth: contents with the depth of all that is lit; cells then end at the surfaces of their tile.
+    """
+
+    def collect(frame: Frame) -> None:
+        texture = None if depth is None else frame.targets[depth]
+        grid = frame.view.workspace(cells)
+        grid.collect(frame.device, frame.camera, frame.targets.size, frame.resources.scene.lights, texture)
+
+    reads = () if depth is None else (depth,)
+    return Pass("light lists", collect, explain_lamps(needs), reads=reads, writes=("light lists",))
+
+
+def bind_lists(frame: Frame, cells: LightLists) -> dict[str, Any]:
+    """Return the bindings of a `CellReader`, after the lists were made."""
+    grid = frame.view.workspace(cells)
+    return {"grid": grid.parameters, "light_rows": grid.lists}
+
+
+class LitByCells(CellReader, ForwardShader):
+    """Lights a fragment by the lights of its cell instead of those of its object."""
+
+    rays: Uniform[PixelRays]
+
+    def find_lights(self, v: SurfaceVarying) -> ivec3:
+        return self.find_cell_lights(dot(v.position, self.rays.forward))
+
+
+def by_cells(cells: LightLists) -> Lighting:
+    """Return the lighting by the lights of cells."""
+    return Lighting((LitByCells,), bind=partial(bind_lists, cells=cells), reads=("light lists",))

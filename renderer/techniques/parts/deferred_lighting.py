@@ -1,0 +1,149 @@
+"""Lighting of a geometry buffer: by the volumes of lights, or by the lists of clusters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import Any
+
+from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass
+from renderer.shaders.lighting import BRIGHTEST
+from renderer.shaders.pixels import FullScreen
+from renderer.shaders.structs import SurfacePoint
+from renderer.techniques.parts.cell_lists import CLUSTERS, CellReader, bind_lists, by_cells, list_pass
+from renderer.techniques.parts.finish import finish_image
+from renderer.techniques.parts.geometry_buffer import (
+    GeometryReader,
+    find_contents,
+    geometry_pass,
+    list_contents,
+)
+from renderer.techniques.parts.light_volumes import VolumeShader, VolumeVarying, declare_lights, draw_volumes
+from renderer.techniques.parts.resolve import resolve_pass
+from renderer.techniques.parts.scene_shader import LampShader, ShadingShader
+from renderer.techniques.parts.variants import FORWARD, draw_full_screen, list_lamps
+from rhi import Format
+from rhi.shading import (
+    Precision,
+    Texture2D,
+    fragment_coordinate,
+    ivec2,
+    min,
+    uint_bits_to_float,
+    vec3,
+    vec4,
+)
+
+
+class LightingShader(VolumeShader, GeometryReader):
+    """Lights the geometry buffer by the volumes of lights."""
+
+    precision = Precision.FAST
+
+    def fragment(self, v: VolumeVarying) -> vec4:
+        place = ivec2(fragment_coordinate().xy)
+        texel = self.surface.load(place)
+        position = self.find_place(texel, place)
+        if not self.is_reached(position, v.light):
+            return vec4(0.0)
+        row = self.material.load(place)
+        surface = self.read_surface(row, texel, place, position)
+        light = self.reflect_light(surface, self.find_incidence(position, v.light))
+        return vec4(self.unblocked(light, position, surface.plane, v.light), 0.0)
+
+
+class GeometryResolve(FullScreen, GeometryReader, ShadingShader):
+    """Makes the image from the geometry buffer, and from the light of volumes if there is any."""
+
+    has_light = False
+    light: Texture2D
+
+    def fragment(self) -> vec4:
+        place = ivec2(fragment_coordinate().xy)
+        texel = self.surface.load(place)
+        row = self.material.load(place)
+        position = self.find_place(texel, place)
+        material = self.materials[int(row.x)]
+        surface = self.read_surface(row, texel, place, position)
+        color = self.shade(surface, material)
+        color += self.local_light(surface, place, uint_bits_to_float(texel.y))
+        return self.finish(color, position)
+
+    def local_light(self, surface: SurfacePoint, pixel: ivec2, distance: float) -> vec3:
+        return min(self.light.load(pixel).rgb, BRIGHTEST) if self.has_light else vec3(0.0)
+
+
+class LitByLists(CellReader, LampShader, GeometryResolve):
+    """Makes the image from the geometry buffer, lit by the lights of clusters."""
+
+    def local_light(self, surface: SurfacePoint, pixel: ivec2, distance: float) -> vec3:
+        return self.lamplight(surface, self.find_cell_lights(distance))
+
+
+def volume_passes(needs: Needs, *, stencil: bool = False) -> tuple[Pass[Frame], ...]:
+    """Return the passes that draw a geometry buffer, light it by volumes, and make the image.
+
+    Args:
+        stencil: whether each light is masked in a stencil buffer, which takes two draws for each.
+    """
+    reads = list_contents(needs)
+    lights, last = declare_lights(needs, ["light"], reads, partial(light_geometry, stencil=stencil))
+    return (
+        geometry_pass(needs, Format.D32FS8 if stencil else DEPTH_FORMAT),
+        *lights,
+        resolve_pass(
+            needs, partial(resolve, lights=last), "lights surfaces by what reaches all of them", (*reads, *last)
+        ),
+        *finish_image(needs, FORWARD),
+    )
+
+
+def cluster_passes(needs: Needs) -> tuple[Pass[Frame], ...]:
+    """Return the passes that draw a geometry buffer, and light it by the lists of clusters; those of `volume_passes`
+    without lights to list."""
+    if not list_lamps(needs):
+        return volume_passes(needs)
+    reads = list_contents(needs)
+    return (
+        geometry_pass(needs),
+        list_pass(needs, CLUSTERS),
+        resolve_pass(
+            needs,
+            light_clusters,
+            "lights surfaces by what reaches all of them and by their clusters' lights",
+            (*reads, "light lists"),
+        ),
+        *finish_image(needs, by_cells(CLUSTERS)),
+    )
+
+
+def light_geometry(
+    frame: Frame, *, effect: Effect, targets: Sequence[str], clears: bool, stencil: bool
+) -> None:
+    """Add the light of the point or spot lights in view to the light buffer."""
+    switches = find_contents(frame.needs)
+    draw_volumes(frame, effect, LightingShader, targets, switches=switches, clears=clears, is_masked=stencil)
+
+
+def resolve(frame: Frame, *, lights: Sequence[str]) -> None:
+    """Make the image: shade each pixel of the geometry buffer and add the light that was collected, if any was.
+
+    Args:
+        lights: the name of the contents with the collected light, the last of its passes; empty without any.
+    """
+    own = {"light": frame.targets[lights[0]]} if lights else {}
+    resolve_geometry(frame, GeometryResolve, own, has_light=bool(lights))
+
+
+def resolve_geometry(
+    frame: Frame, shader: type[GeometryResolve], own: Mapping[str, Any], **switches: bool
+) -> None:
+    """Make the image with a shader, bindings of its own, and its switches."""
+    targets, switches = frame.targets, find_contents(frame.needs) | switches
+    depth, clear = targets["depth"], frame.background
+    draw_full_screen(frame, shader, frame.image, own, depth=depth, clear=clear, switches=switches)
+
+
+def light_clusters(frame: Frame) -> None:
+    """Make the image: shade each pixel of the geometry buffer by the light of everything and of its cluster."""
+    resolve_geometry(frame, LitByLists, bind_lists(frame, CLUSTERS))

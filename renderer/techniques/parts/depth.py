@@ -1,0 +1,41 @@
+"""A pass that draws depth alone: the first of techniques that shade only what is visible."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from renderer.frame import DEPTH_FORMAT, Effect, Frame, Pass, Target
+from renderer.shaders.depth import DepthOnly
+from renderer.shaders.structs import SurfaceVarying
+from renderer.techniques.parts.scene_shader import SceneShader
+from renderer.techniques.parts.variants import COVERAGE, bind, find_variant, scene_pass
+from rhi import Program
+
+__rhi_internal__ = True
+
+
+class PartialDepth(SceneShader):
+    """Draws depth, of what isn't left out."""
+
+    def fragment(self, v: SurfaceVarying) -> None:
+        self.cut(v)
+
+
+def _find_shader(frame: Frame) -> type[Any]:
+    return PartialDepth if Effect.MASKS in frame.needs.effects else DepthOnly
+
+
+def bind_depth(frame: Frame) -> tuple[Program[Any], dict[str, Any]]:
+    """Return the program that draws the depth of the scene's objects, of masks what they leave, and its bindings."""
+    program: Program[Any] = frame.program(find_variant(frame, _find_shader(frame), **COVERAGE))
+    return program, bind(frame, program, {})
+
+
+def depth_pass(because: str) -> Pass[Frame]:
+    """Return the pass that draws the depth of the visible objects to `depth`."""
+    return Pass("depth", draw_depth, because, writes=(Target("depth", DEPTH_FORMAT),))
+
+
+def draw_depth(frame: Frame) -> None:
+    """Draw the depth of the visible objects to `depth`."""
+    frame.draw_visible(scene_pass(frame, _find_shader(frame), color=None, switches=COVERAGE))

@@ -1,0 +1,257 @@
+"""The geometry buffer: the nearest surface of each pixel, for techniques that light it after all geometry is drawn.
+
+| contents | format | bytes | what it holds |
+|---|---|---|---|
+| `surface` | RG32UI | 8 | the normal, octahedral in 2 × 16 bits; the distance along the view, a float32 |
+| `surface`, if shadows fall on normal maps | RGBA32UI | 16 | and the normal without maps; a word isn't used |
+| `material` | R32UI | 4 | the row of the material |
+| `material`, if the scene has images or maps | RG32UI | 8 | and the texel's colour, 3 × 10 bits |
+| `details`, if it has roughness or occlusion maps | R32UI | 4 | metallic and occlusion, 8 bits each; roughness, 16 |
+| `details`, if it has emissive maps | RG32UI | 8 | and the emissive texel, 3 × 10 bits |
+| `depth` | D32F | 4 | depth, for tests only |
+
+Materials stay in the scene's array, so a surface is lit by its own, unrounded numbers. The distance is a float of its
+own, because a texture can't be read while it is the target of a depth test. So it doesn't depend on the direction of
+depth either: where standard depth is 0.3 m wrong, a position is still exact.
+
+Shadows are looked up by the normal that maps don't bend. Found by the distances of the pixels around, it would be
+wrong at edges and take four more loads for each light of a pixel; stored, it is in the texel that is loaded anyway.
+
+A texel's colour is stored as its square root. Its 10 bits are then 4 times as fine as an image's own 8, which a bright
+light on a dark texel needs. What isn't covered keeps what the buffer held: passes over the whole image leave out the
+background by a depth test (`draw_full_screen`).
+"""
+
+from __future__ import annotations
+
+from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target
+from renderer.shaders.encodings import decode_normal, encode_normal
+from renderer.shaders.lighting import safe_normalize
+from renderer.shaders.pixels import PixelRays, place_pixel
+from renderer.shaders.structs import Material, SurfacePoint, SurfaceVarying
+from renderer.techniques.parts.scene_shader import MaterialShader, ReflectingShader, SceneShader
+from renderer.techniques.parts.variants import scene_pass
+from rhi import Format
+from rhi.shading import (
+    Shader,
+    Storage,
+    Struct,
+    UintTexture2D,
+    Uniform,
+    dot,
+    float_bits_to_uint,
+    floor,
+    function,
+    ivec2,
+    round,
+    saturate,
+    sqrt,
+    uint,
+    uint_bits_to_float,
+    uvec4,
+    vec2,
+    vec3,
+)
+
+
+def find_surface_format(needs: Needs) -> Format:
+    """Return the format of `surface`."""
+    return Format.RGBA32UI if needs.has_planes else Format.RG32UI
+
+
+@function
+def find_shrunk(texel: vec2, size: vec2, shrunk: ivec2) -> vec2:
+    """Return the center of the pixel of an image of `size` that is stored at the center of a texel of a shrunk one."""
+    return floor(texel * size / vec2(shrunk)) + 0.5
+
+
+@function
+def encode_texel(color: vec3) -> uint:
+    """Return a colour of 0 to 1 in 3 × 10 bits, as square roots."""
+    roots = round(sqrt(saturate(color)) * 1023.0)
+    return uint(roots.x) | uint(roots.y) << 10 | uint(roots.z) << 20
+
+
+@function
+def decode_texel(bits: uint) -> vec3:
+    """Return the colour that `encode_texel` has stored."""
+    roots = vec3(float(bits & 1023), float(bits >> 10 & 1023), float(bits >> 20)) / 1023.0
+    return roots * roots
+
+
+@function
+def encode_details(metal: vec2, occlusion: float) -> uint:
+    """Return how metallic, rough and occluded a surface is, 0 to 1 each, in 8, 16 and 8 bits.
+
+    Roughness has 16 because the sharpest highlights change with its fourth power.
+    """
+    shares = round(saturate(vec3(metal, occlusion)) * vec3(255.0, 65535.0, 255.0))
+    return uint(shares.x) | uint(shares.z) << 8 | uint(shares.y) << 16
+
+
+@function
+def decode_details(bits: uint) -> vec3:
+    """Return how metallic, rough and occluded a surface is, as `encode_details` has stored it."""
+    shares = vec3(float(bits & 255), float(bits >> 16), float(bits >> 8 & 255))
+    return shares / vec3(255.0, 65535.0, 255.0)
+
+
+class GeometryTexels(Struct):
+    """What `GeometryShader` writes; what a format has no room for is left out."""
+
+    surface: uvec4
+    material: uvec4
+
+
+class DetailedTexels(Struct):
+    """What `DetailedGeometry` writes."""
+
+    surface: uvec4
+    material: uvec4
+    details: uvec4
+
+
+class SurfaceShader(SceneShader):
+    """The base of shaders that write `surface`."""
+
+    rays: Uniform[PixelRays]
+
+    def encode_surface(self, v: SurfaceVarying) -> uvec4:
+        """Return what `surface` holds; what its format has no room for is left out."""
+        normal = self.find_normal(v)
+        distance = dot(v.position, self.rays.forward)
+        plane = uint(0)
+        if self.has_planes:
+            plane = encode_normal(self.find_plane(v, normal))
+        return uvec4(encode_normal(normal), float_bits_to_uint(distance), plane, uint(0))
+
+
+class GeometryShader(MaterialShader, SurfaceShader):
+    """Writes the geometry buffer of a scene without maps but those of normals."""
+
+    has_texels = False
+
+    def fragment(self, v: SurfaceVarying) -> GeometryTexels:
+        return GeometryTexels(surface=self.encode_surface(v), material=self.encode_material(v))
+
+    def encode_material(self, v: SurfaceVarying) -> uvec4:
+        """Return what `material` holds."""
+        texel = uint(0)
+        if self.has_texels:
+            texel = encode_texel(self.find_texel(v).rgb)
+        else:
+            self.cut(v)
+        return uvec4(uint(v.material), texel, uint(0), uint(0))
+
+
+class DetailedGeometry(GeometryShader):
+    """Writes the geometry buffer of a scene with maps of roughness, occlusion or emitted light."""
+
+    def fragment(self, v: SurfaceVarying) -> DetailedTexels:  # type: ignore[override]  # more targets
+        details = encode_details(self.find_metal(v), self.find_occlusion(v))
+        return DetailedTexels(
+            surface=self.encode_surface(v),
+            material=self.encode_material(v),
+            details=uvec4(details, encode_texel(self.find_emissive(v)), uint(0), uint(0)),
+        )
+
+
+def find_formats(needs: Needs) -> dict[str, Format]:
+    """Return the formats of the geometry buffer's contents but `depth`, which hold what the scene has and no more."""
+    effects = needs.effects
+    has_emissive = Effect.EMISSIVE_MAPS in effects
+    has_details = has_emissive or not effects.isdisjoint((Effect.ROUGHNESS_MAPS, Effect.OCCLUSION_MAPS))
+    has_texels = has_details or not effects.isdisjoint((Effect.IMAGES, Effect.VERTEX_COLORS))
+    formats = {"surface": find_surface_format(needs), "material": Format.RG32UI if has_texels else Format.R32UI}
+    return formats | ({"details": Format.RG32UI if has_emissive else Format.R32UI} if has_details else {})
+
+
+def find_contents(needs: Needs) -> dict[str, bool]:
+    """Return the switches of a `GeometryReader` that say what the geometry buffer holds."""
+    formats = find_formats(needs)
+    texels, details = formats["material"] is Format.RG32UI, formats.get("details")
+    emissive = details is Format.RG32UI
+    return {"has_texels": texels, "has_details": details is not None, "has_emissive_texels": emissive}
+
+
+class SurfaceReader(Shader):
+    """The base of shaders that light what is in `surface`. If that `is_shrunk`, it has every so many pixels only."""
+
+    lean = True
+    is_shrunk = False
+    has_planes = False
+
+    rays: Uniform[PixelRays]
+    surface: UintTexture2D
+
+    def find_place(self, texel: uvec4, place: ivec2) -> vec3:
+        """Return the position of the surface whose texel, at `place`, was loaded."""
+        pixel = vec2(place) + 0.5
+        if self.is_shrunk:
+            pixel = find_shrunk(pixel, self.rays.size, self.surface.size())
+        return place_pixel(self.rays, pixel, uint_bits_to_float(texel.y))
+
+    def read_plane(self, texel: uvec4, normal: vec3) -> vec3:
+        """Return the normal that maps don't bend of the surface whose texel was loaded, given the `normal`."""
+        return decode_normal(texel.z) if self.has_planes else normal
+
+
+class GeometryReader(SurfaceReader, ReflectingShader):
+    """The base of shaders that light what is in the geometry buffer."""
+
+    has_texels = False
+    has_details = False
+    has_emissive_texels = False
+
+    material: UintTexture2D
+    details: UintTexture2D
+    materials: Storage[Material]
+
+    def read_surface(self, row: uvec4, texel: uvec4, place: ivec2, position: vec3) -> SurfacePoint:
+        """Return the surface at a place of the buffer, whose texels of `material` and `surface` were loaded."""
+        material = self.materials[int(row.x)]
+        normal = decode_normal(texel.x)
+        base_color = material.base_color.rgb
+        metal = vec2(material.metallic, material.roughness)
+        occlusion = 1.0
+        emissive = vec3(1.0)
+        if self.has_texels:
+            base_color = base_color * decode_texel(row.y)
+        if self.has_details:
+            bits = self.details.load(place)
+            details = decode_details(bits.x)
+            metal = details.xy
+            occlusion = details.z
+            if self.has_emissive_texels:
+                emissive = decode_texel(bits.y)
+        surface = SurfacePoint(
+            position=position,
+            normal=normal,
+            plane=self.read_plane(texel, normal),
+            to_eye=safe_normalize(-position),
+            base_color=base_color,
+            specular_color=material.specular_color,
+            shininess=material.shininess,
+            occlusion=occlusion,
+            emissive=emissive,
+        )
+        return self.with_model(surface, material, metal)
+
+
+def geometry_pass(needs: Needs, depth_format: Format = DEPTH_FORMAT) -> Pass[Frame]:
+    """Return the pass that draws the geometry buffer: `surface`, `material`, `details` if it has any, and `depth`."""
+    formats = find_formats(needs)
+
+    def draw(frame: Frame) -> None:
+        shader = DetailedGeometry if "details" in formats else GeometryShader
+        color = [frame.targets[name] for name in formats]
+        frame.draw_visible(scene_pass(frame, shader, color=color, switches=find_contents(needs)))
+
+    targets = (Target(name, format) for name, format in formats.items())
+    because = "stores the nearest surface of each pixel"
+    return Pass("geometry", draw, because, writes=(*targets, Target("depth", depth_format)))
+
+
+def list_contents(needs: Needs) -> tuple[str, ...]:
+    """Return the names of the geometry buffer's contents."""
+    return *find_formats(needs), "depth"

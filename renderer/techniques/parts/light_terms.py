@@ -1,0 +1,207 @@
+"""Terms of the lighting equation, which lights add up by their volumes before materials are known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target
+from renderer.shaders.encodings import decode_normal
+from renderer.shaders.lighting import safe_normalize
+from renderer.shaders.structs import SurfacePoint, SurfaceVarying
+from renderer.techniques.parts.geometry_buffer import SurfaceReader, SurfaceShader, find_surface_format
+from renderer.techniques.parts.light_volumes import VolumeShader, VolumeVarying, draw_volumes
+from renderer.techniques.parts.scene_shader import MaterialShader, ReflectingShader
+from renderer.techniques.parts.variants import scene_pass
+from rhi import Format, Texture
+from rhi.shading import (
+    Precision,
+    Struct,
+    Texture2D,
+    dot,
+    fragment_coordinate,
+    function,
+    ivec2,
+    uvec4,
+    vec3,
+    vec4,
+)
+
+SHININESS_FORMAT: Final = Format.R16F
+_SHININESS_SCALE: Final = 0.5
+"""Of what is stored: a shininess may be 100,000, a half float 65,504."""
+
+
+class NormalTexels(Struct):
+    """What `NormalShader` writes."""
+
+    surface: uvec4
+    shininess: float
+
+
+class NormalShader(MaterialShader, SurfaceShader):
+    """Writes normal, distance and shininess."""
+
+    def fragment(self, v: SurfaceVarying) -> NormalTexels:
+        self.cut(v)
+        shininess = self.find_shininess(self.materials[v.material], self.find_metal(v))
+        return NormalTexels(surface=self.encode_surface(v), shininess=shininess * _SHININESS_SCALE)
+
+
+class LightTerms(Struct):
+    """The terms of the lighting equation: those of a base colour, of a specular colour, and of white, which are the
+    irradiance, and what a specular colour of 1 mirrors; only the metallic-roughness model has the third."""
+
+    diffuse: vec4
+    specular: vec4
+    grazing: vec4
+
+
+class SpecularTerms(Struct):
+    """The terms of scenes without the metallic-roughness model."""
+
+    diffuse: vec4
+    specular: vec4
+
+
+class PackedMetalTerms(Struct):
+    """The terms of the metallic-roughness model, where the specular one is a luminance."""
+
+    diffuse: vec4
+    grazing: vec4
+
+
+@function
+def luminance(color: vec3) -> float:
+    """Return how bright a linear colour looks (Rec. 709)."""
+    return dot(color, vec3(0.2126, 0.7152, 0.0722))
+
+
+class TermShader(VolumeShader, SurfaceReader, ReflectingShader):
+    """The base of shaders that collect the terms of lights by their volumes."""
+
+    precision = Precision.FAST
+
+    shininess: Texture2D
+
+    def collect(self, light: int, place: ivec2) -> LightTerms:
+        """Return the terms of a light at the surface at a place of the buffers."""
+        texel = self.surface.load(place)
+        position = self.find_place(texel, place)
+        if not self.is_reached(position, light):
+            return LightTerms(diffuse=vec4(0.0), specular=vec4(0.0), grazing=vec4(0.0))
+        incidence = self.find_incidence(position, light)
+        normal = decode_normal(texel.x)
+        surface = SurfacePoint(
+            position=position,
+            normal=normal,
+            plane=self.read_plane(texel, normal),
+            to_eye=safe_normalize(-position),
+            base_color=vec3(1.0),
+            specular_color=vec3(1.0),
+            shininess=self.shininess.load(place).x / _SHININESS_SCALE,
+            occlusion=1.0,
+            emissive=vec3(1.0),
+        )
+        facing = dot(surface.normal, incidence.direction)
+        if facing <= 0.0:
+            return LightTerms(diffuse=vec4(0.0), specular=vec4(0.0), grazing=vec4(0.0))
+        terms = self.find_terms(surface, incidence.direction)
+        light_in = self.unblocked(incidence.irradiance * facing, position, surface.plane, light)
+        specular = light_in * terms.y
+        return LightTerms(
+            diffuse=vec4(light_in * terms.x, luminance(specular)),
+            specular=vec4(specular, 0.0),
+            grazing=vec4(light_in * terms.z, 0.0),
+        )
+
+
+class PlainTerms(TermShader):
+    """Collects the terms of lights but that of white."""
+
+    def fragment(self, v: VolumeVarying) -> SpecularTerms:
+        terms = self.collect(v.light, ivec2(fragment_coordinate().xy))
+        return SpecularTerms(diffuse=terms.diffuse, specular=terms.specular)
+
+
+class MetalTerms(TermShader):
+    """Collects the terms of lights, that of white among them."""
+
+    def fragment(self, v: VolumeVarying) -> LightTerms:
+        return self.collect(v.light, ivec2(fragment_coordinate().xy))
+
+
+class PackedTerms(TermShader):
+    """Collects the terms of lights, the specular one as a luminance."""
+
+    def fragment(self, v: VolumeVarying) -> vec4:
+        return self.collect(v.light, ivec2(fragment_coordinate().xy)).diffuse
+
+
+class PackedMetals(TermShader):
+    """Collects the terms of lights, the specular one as a luminance, and that of white."""
+
+    def fragment(self, v: VolumeVarying) -> PackedMetalTerms:
+        terms = self.collect(v.light, ivec2(fragment_coordinate().xy))
+        return PackedMetalTerms(diffuse=terms.diffuse, grazing=terms.grazing)
+
+
+def normals_pass(needs: Needs, depth_format: Format = DEPTH_FORMAT) -> Pass[Frame]:
+    """Return the pass that draws `surface`, `shininess` and `depth`."""
+    return Pass(
+        "normals",
+        draw_normals,
+        "stores what lights must know of the nearest surface of each pixel",
+        writes=(
+            Target("surface", find_surface_format(needs)),
+            Target("shininess", SHININESS_FORMAT),
+            Target("depth", depth_format),
+        ),
+    )
+
+
+def draw_normals(frame: Frame) -> None:
+    """Draw the visible objects: what lights must know of them."""
+    color = [frame.targets["surface"], frame.targets["shininess"]]
+    frame.draw_visible(scene_pass(frame, NormalShader, color=color))
+
+
+def list_terms(needs: Needs, *, packed: bool = False) -> list[str]:
+    """Return the names of the terms that are collected."""
+    grazing = ["grazing"] if Effect.METALS in needs.effects else []
+    return ["diffuse", *([] if packed else ["specular"]), *grazing]
+
+
+def collect_terms(
+    frame: Frame,
+    *,
+    effect: Effect,
+    targets: Sequence[str],
+    clears: bool,
+    stencil: bool = False,
+    prefix: str = "",
+) -> None:
+    """Add the terms of the point or spot lights in view to the light buffers.
+
+    Args:
+        prefix: that of the names of the contents that are lit, if they are shrunk.
+    """
+    shaders = {1: PackedTerms, 2: PlainTerms}
+    if Effect.METALS in frame.needs.effects:
+        shaders = {2: PackedMetals, 3: MetalTerms}
+    draw_volumes(
+        frame,
+        effect,
+        shaders[len(targets)],
+        targets,
+        own={name: frame.targets[f"{prefix}{name}"] for name in ("surface", "shininess")},
+        switches={"is_shrunk": bool(prefix)},
+        depth=f"{prefix}depth",
+        clears=clears,
+        is_masked=stencil,
+    )
+
+
+def bind_contents(frame: Frame, names: Mapping[str, str]) -> dict[str, Texture]:
+    """Return bindings that are contents of these names."""
+    return {binding: frame.targets[name] for binding, name in names.items()}

@@ -1,0 +1,289 @@
+"""Rectangles on the screen around the pixels of each material, found on the device (Deferred+, 1.3.2).
+
+Each pixel's material is a depth of 16 bits in `material ids`. A material is shaded by drawing rectangles at its depth:
+a depth test with EQUAL passes at its own pixels and at no others, before anything is shaded.
+
+The chapter has one rectangle for each material, around the boxes of its visible objects. A material that is used all
+over the scene then has the whole screen, and the depth tests are as many as materials times pixels. Here a material
+has a rectangle in each *tile* of the screen that shows it, around its pixels there. So the tests grow with the
+pixels that are covered and with the materials that meet in a tile, however many the scene has; and it doesn't matter
+which algorithm found the visible objects. With a tile as large as the screen it is the chapter's one rectangle.
+
+A tile is examined by one invocation, which takes its materials in ascending order and looks at all pixels once for
+each: no shared memory, and no limit on their number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.frame import Frame, Pass, Target
+from renderer.frame.mirrors import MirroredValue
+from renderer.shaders.encodings import material_depth
+from renderer.shaders.pixels import FullScreen
+from renderer.techniques.parts.full_screen import bind_rays, make_triangle
+from renderer.techniques.parts.packed_geometry import MOST_MATERIALS
+from renderer.techniques.parts.variants import bind, find_variant
+from rhi import (
+    CullMode,
+    DepthFunction,
+    DepthTest,
+    DepthWrite,
+    Device,
+    Format,
+    IndirectDraws,
+    Mesh,
+    Program,
+    StorageBuffer,
+    Texture,
+)
+from rhi.shading import (
+    FragmentDepth,
+    Shader,
+    Storage,
+    StorageRW,
+    Struct,
+    Texture2D,
+    UintTexture2D,
+    Uniform,
+    atomic_add,
+    discard,
+    fragment_coordinate,
+    global_id,
+    instance_index,
+    ivec2,
+    max,
+    min,
+    round,
+    uint,
+    vec2,
+    vec4,
+    vertex_index,
+)
+
+__rhi_internal__ = True
+
+TILE: Final = 32
+"""The side of a tile in pixels: larger ones have more materials each, smaller ones more rectangles."""
+IDS_FORMAT: Final = Format.D16
+"""The format of materials as depth."""
+
+_GROUP: Final = 8
+_LAST: Final = MOST_MATERIALS - 1
+
+
+class MaterialId(Struct):
+    """What `MaterialIds` writes."""
+
+    depth: FragmentDepth
+
+
+class MaterialIds(FullScreen):
+    """Writes the depth that stands for the material of each pixel."""
+
+    packed: UintTexture2D
+    depth: Texture2D
+
+    def fragment(self) -> MaterialId:
+        pixel = ivec2(fragment_coordinate().xy)
+        if self.depth.load(pixel).x == self.rays.farthest:
+            discard()
+        return MaterialId(depth=material_depth(int(self.packed.load(pixel).y & uint(_LAST))))
+
+
+class TileSize(Struct):
+    """The side of a tile in pixels, and the number of the scene's materials."""
+
+    tile: int
+    materials: int
+
+
+class RectangleDraw(Struct):
+    """The arguments of an indirect draw without indices, laid out as `rhi.DRAW_UNINDEXED`."""
+
+    count: uint
+    instances: uint
+    first: uint
+    base_instance: uint
+    unused: uint
+
+
+class MaterialRectangle(Struct):
+    """Where a tile shows a material: the first pixel, x in the lower half, the width and the height, likewise, and the
+    material."""
+
+    first: uint
+    size: uint
+    material: uint
+
+
+class FindRectangles(Shader):
+    """Lists the rectangles of all tiles."""
+
+    work_group = (_GROUP, _GROUP)
+    layout: Uniform[TileSize]
+    ids: Texture2D
+    rectangles: StorageRW[MaterialRectangle]
+    draw: StorageRW[RectangleDraw]
+
+    def compute(self) -> None:
+        tile = global_id().xy
+        size = self.ids.size()
+        begin = tile * self.layout.tile
+        if begin.x >= size.x or begin.y >= size.y:
+            return
+        if tile.x == 0 and tile.y == 0:
+            self.draw[0].count = uint(6)
+        end = min(begin + self.layout.tile, size)
+        known = -1
+        is_left = True
+        while is_left:
+            # the next material, and whether there are more beyond it
+            chosen = self.layout.materials
+            is_left = False
+            first = end
+            last = begin
+            for y in range(begin.y, end.y):
+                for x in range(begin.x, end.x):
+                    row = int(round(self.ids.load(ivec2(x, y)).x * float(_LAST)))
+                    if row > known and row < chosen:
+                        is_left = is_left or chosen < self.layout.materials
+                        chosen = row
+                        first = ivec2(x, y)
+                        last = ivec2(x, y)
+                    elif row == chosen:
+                        first = min(first, ivec2(x, y))
+                        last = max(last, ivec2(x, y))
+                    elif row > chosen and row < self.layout.materials:
+                        is_left = True
+            if chosen < self.layout.materials:
+                extent = last - first + 1
+                at = int(atomic_add(self.draw[0].instances, uint(1)))
+                self.rectangles[at] = MaterialRectangle(
+                    first=uint(first.x) | uint(first.y) << 16,
+                    size=uint(extent.x) | uint(extent.y) << 16,
+                    material=uint(chosen),
+                )
+            known = chosen
+
+
+class RectangleShader(FullScreen):
+    """The base of shaders that are run for the pixels of materials: two triangles for each rectangle, at the depth of
+    its material."""
+
+    rectangles: Storage[MaterialRectangle]
+
+    def vertex(self) -> vec4:
+        one = self.rectangles[instance_index()]
+        corner = vertex_index()
+        if corner > 2:
+            corner -= 2
+        x = float((one.first & 65535) + uint(corner & 1) * (one.size & 65535))
+        y = float((one.first >> 16) + uint(corner >> 1) * (one.size >> 16))
+        place = vec2(x, y) / self.rays.size * 2.0 - 1.0
+        return vec4(place.x, -place.y, material_depth(int(one.material)), 1.0)
+
+
+class MaterialRectangles:
+    """The rectangles of a frame.
+
+    Attributes:
+        tile: the side of a tile in pixels.
+        rectangles: the list. draw: its indirect draw, whose number of instances is that of the rectangles.
+        corners: the mesh that the rectangles are drawn as.
+    """
+
+    def __init__(self, device: Device, tile: int = TILE) -> None:
+        self.tile = tile
+        self.corners: Mesh = device.mesh(6, label="rectangle")
+        self.draw: StorageBuffer[RectangleDraw] = device.storage(RectangleDraw, 1, label="rectangle draw")
+        self.rectangles: StorageBuffer[MaterialRectangle] = device.storage(MaterialRectangle, 1)
+        self._device = device
+        self._layout = MirroredValue(device, TileSize(tile=tile, materials=0))
+
+    def find(self, ids: Texture, materials: int) -> None:
+        """List the rectangles of an image whose materials are below `materials`."""
+        device = self._device
+        tiles = tuple(-(-side // self.tile) for side in ids.size)
+        most = tiles[0] * tiles[1] * int(np.minimum(materials, self.tile * self.tile))
+        if self.rectangles.count < most:
+            self.rectangles.destroy()
+            self.rectangles = device.storage(MaterialRectangle, most, label="rectangles")
+        self._layout.write(TileSize(tile=self.tile, materials=materials))
+        self.draw.clear()
+        device.dispatch(
+            device.program(FindRectangles),
+            tuple(-(-count // _GROUP) for count in tiles),
+            layout=self._layout.buffer,
+            ids=ids,
+            rectangles=self.rectangles,
+            draw=self.draw,
+        )
+
+    def read(self) -> NDArray[Any]:
+        """Return the rectangles (k, 5): the material, the first x and y, the width and the height in pixels. Waits for
+        the device."""
+        rows = self.rectangles.read()[: int(self.draw.read()[0]["instances"])]
+        first, size = rows["first"], rows["size"]
+        parts = (rows["material"], first & 0xFFFF, first >> 16, size & 0xFFFF, size >> 16)
+        found: NDArray[Any] = np.stack(parts, axis=1).astype(np.int64)
+        return found
+
+    def destroy(self) -> None:
+        """Destroy the resources on the device."""
+        for resource in (self.corners, self.draw, self.rectangles, self._layout):
+            resource.destroy()
+
+
+def ids_pass() -> Pass[Frame]:
+    """Return the pass that writes `material ids`."""
+    return Pass(
+        "material ids",
+        draw_ids,
+        "a depth test tells the pixels of a material",
+        reads=("packed", "depth"),
+        writes=(Target("material ids", IDS_FORMAT),),
+    )
+
+
+def draw_ids(frame: Frame) -> None:
+    """Write the material of each pixel as a depth; the background has the last one, 1."""
+    device, targets = frame.device, frame.targets
+    bindings = {"rays": bind_rays(frame), "packed": targets["packed"], "depth": targets["depth"]}
+    states = CullMode.NONE, DepthTest.ON, DepthWrite.ON, DepthFunction.ALWAYS
+    program: Program[Any] = device.program(MaterialIds)
+    with device.render_pass(None, targets["material ids"], clear_depth=1.0), device.states(*states):
+        device.draw(program, frame.view.workspace(make_triangle), **bindings)
+
+
+def rectangles_pass() -> Pass[Frame]:
+    """Return the pass that lists the rectangles, as the contents `rectangles`."""
+
+    def find(frame: Frame) -> None:
+        found = frame.view.workspace(MaterialRectangles)
+        found.find(frame.targets["material ids"], len(frame.resources.scene.materials))
+
+    return Pass(
+        "rectangles",
+        find,
+        "a material is shaded where it is seen",
+        reads=("material ids",),
+        writes=("rectangles",),
+    )
+
+
+def draw_rectangles(
+    frame: Frame, shader: type[RectangleShader], own: Mapping[str, Any], switches: Mapping[str, Any]
+) -> None:
+    """Make the image: run a shader for the pixels of each material, before the background."""
+    device, found = frame.device, frame.view.workspace(MaterialRectangles)
+    program: Program[Any] = frame.program(find_variant(frame, shader, **switches))
+    bindings = bind(frame, program, {**own, "rectangles": found.rectangles})
+    states = CullMode.NONE, DepthTest.ON, DepthWrite.OFF, DepthFunction.EQUAL
+    ids, clear = frame.targets["material ids"], frame.background
+    with device.render_pass(frame.image, ids, clear=clear), device.states(*states):
+        device.draw_indirect(program, found.corners, IndirectDraws(found.draw, 1), **bindings)

@@ -1,0 +1,194 @@
+"""Transparent surfaces: drawn over the image after all opaque ones, behind which they are hidden. They hide nothing.
+
+A surface of opacity a covers the share a of what is behind it: `a · its colour + (1 - a) · what was there`. Its colour
+is that of an opaque surface, lit by the same lights, mapped to tones and in the same haze. Shaders return a · colour
+and a (*premultiplied*), so that nothing but a sum is left to blending.
+
+What covers what is decided in one of two ways (`Blending`):
+
+- **Sorted**: objects are drawn back to front, in one pass over `image`. That is exact where objects don't interleave;
+  triangles of one object keep their order.
+- **Weighted**: all are drawn in any order to two sums, from which `blend` makes a mean colour: near surfaces weigh more
+  (McGuire and Bavoil 2013, equation 9). The share of the background that is seen is exact, the order isn't.
+
+Techniques that light pixels instead of fragments have no light for these surfaces. They are lit by the lists of their
+objects as in forward shading, or by lists of their own where a technique has any that hold for surfaces in front of the
+nearest one, as those of clusters do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Final
+
+from renderer.frame import Blending, Effect, Frame, Needs, Pass, Target
+from renderer.shaders.lighting import BRIGHTEST
+from renderer.shaders.pixels import FullScreen
+from renderer.shaders.structs import SurfaceVarying
+from renderer.techniques.parts.full_screen import Color
+from renderer.techniques.parts.scene_shader import ForwardShader
+from renderer.techniques.parts.variants import Lighting, draw_full_screen, scene_pass
+from rhi import BlendFactor, BlendFunction, DepthWrite, Format
+from rhi.shading import (
+    Struct,
+    Texture2D,
+    clamp,
+    discard,
+    dot,
+    fragment_coordinate,
+    ivec2,
+    max,
+    min,
+    saturate,
+    vec4,
+)
+
+COLORS: Final = "transparent colors"
+WEIGHTS: Final = "transparent weights"
+"""The contents that weighted surfaces are added up in."""
+
+_HEAVIEST: Final = 1e3
+"""The largest weight: 65 of them still fit into a half float."""
+_SUMS: Final = BlendFunction(
+    BlendFactor.ONE,
+    BlendFactor.ONE,
+    source_alpha=BlendFactor.ZERO,
+    destination_alpha=BlendFactor.ONE_MINUS_SOURCE_ALPHA,
+)
+"""Adds up colours and weights, and multiplies what of the background is left."""
+
+
+class TransparentShader(ForwardShader):
+    """Covers a part of what is behind the surface."""
+
+    def fragment(self, v: SurfaceVarying) -> vec4:
+        seen = self.see(v)
+        return vec4(seen.rgb * seen.a, seen.a)
+
+    def see(self, v: SurfaceVarying) -> vec4:
+        """Return the colour of the surface, and the share of the background that it covers."""
+        material = self.materials[v.material]
+        texel = self.find_texel(v)
+        surface = self.color_surface(v, material, self.find_normal(v), texel)
+        return vec4(self.light_surface(surface, v, material).rgb, saturate(material.base_color.a * texel.a))
+
+
+class WeightedTexels(Struct):
+    """What `WeightedShader` adds: a weighted colour, with the opacity in its alpha, and the weight."""
+
+    colors: vec4
+    weights: float
+
+
+class WeightedShader(TransparentShader):
+    """Adds a surface to weighted sums."""
+
+    def fragment(self, v: SurfaceVarying) -> WeightedTexels:  # type: ignore[override]  # other targets than the image
+        seen = self.see(v)
+        near = dot(v.position, v.position) / 40000.0  # squared distances in 200 m
+        weight = seen.a * clamp(0.03 / (1e-5 + near * near), 1e-2, _HEAVIEST)
+        return WeightedTexels(colors=vec4(seen.rgb * weight, seen.a), weights=weight)
+
+
+class BlendShader(FullScreen):
+    """Puts the mean of weighted surfaces over the image."""
+
+    colors: Texture2D
+    weights: Texture2D
+
+    def fragment(self) -> vec4:
+        place = ivec2(fragment_coordinate().xy)
+        colors = min(self.colors.load(place), BRIGHTEST)
+        if colors.a == 1.0:
+            discard()  # nothing covers this pixel
+        weight = min(self.weights.load(place).x, BRIGHTEST)
+        return vec4(colors.rgb * ((1.0 - colors.a) / max(weight, 1e-6)), 1.0 - colors.a)
+
+
+def declare_transparency(
+    needs: Needs, lighting: Lighting, *, image: str = "image"
+) -> tuple[Pass[Frame], ...]:
+    """Return the passes that draw transparent surfaces over the contents `image`, tested against `depth`: none if no
+    transparent object is in view."""
+    if Effect.TRANSPARENCY not in needs.effects:
+        return ()
+    if needs.blending is Blending.SORTED:
+        return (sorted_pass(needs, lighting, image=image),)
+    return (
+        Pass(
+            "transparency",
+            partial(_add_weighted, lighting=lighting),
+            needs.explain(Effect.TRANSPARENCY),
+            reads=("depth", *lighting.reads),
+            writes=(Target(COLORS, Format.RGBA16F), Target(WEIGHTS, Format.R16F)),
+        ),
+        Pass(
+            "blend",
+            partial(_blend, image=image),
+            "puts transparent surfaces over what is behind them",
+            reads=(COLORS, WEIGHTS),
+            changes={image: f"{image} with transparency"},
+        ),
+    )
+
+
+def sorted_pass(
+    needs: Needs,
+    lighting: Lighting,
+    *,
+    image: str = "image",
+    depth: str = "depth",
+) -> Pass[Frame]:
+    """Return the pass that draws transparent surfaces, back to front, over the contents `image`."""
+    return Pass(
+        "transparency",
+        partial(_draw_sorted, lighting=lighting, image=image, depth=depth),
+        needs.explain(Effect.TRANSPARENCY),
+        reads=(depth, *lighting.reads),
+        changes={image: f"{image} with transparency"},
+    )
+
+
+def _draw_sorted(frame: Frame, *, lighting: Lighting, image: str, depth: str) -> None:
+    _draw(frame, lighting, TransparentShader, [image], depth, BlendFunction.PREMULTIPLIED)
+
+
+def _add_weighted(frame: Frame, *, lighting: Lighting) -> None:
+    clear = (0.0, 0.0, 0.0, 1.0)
+    _draw(frame, lighting, WeightedShader, [COLORS, WEIGHTS], "depth", _SUMS, clear=clear, in_order=False)
+
+
+def _draw(
+    frame: Frame,
+    lighting: Lighting,
+    shader: type[TransparentShader],
+    contents: Sequence[str],
+    depth: str,
+    blending: BlendFunction,
+    *,
+    clear: Color | None = None,
+    in_order: bool = True,
+) -> None:
+    """Draw the transparent objects in view to `contents`, tested against `depth`."""
+    targets = frame.targets
+    surfaces = scene_pass(
+        frame,
+        shader,
+        *lighting.bases,
+        own=lighting.bind(frame),
+        switches=lighting.switches,
+        color=[targets[name] for name in contents],
+        depth=targets[depth],
+        clear=clear,
+        states=(DepthWrite.OFF, blending),
+        clears=False,
+    )
+    frame.draw_transparent(surfaces, in_order=in_order)
+
+
+def _blend(frame: Frame, *, image: str) -> None:
+    targets = frame.targets
+    bindings = {"colors": targets[COLORS], "weights": targets[WEIGHTS]}
+    if len(frame.drawn.transparent):
+        draw_full_screen(frame, BlendShader, targets[image], bindings, states=(BlendFunction.PREMULTIPLIED,))

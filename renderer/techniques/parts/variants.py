@@ -1,0 +1,213 @@
+"""Variants of shaders: what a frame needs decides their switches, and what they read is bound by its name.
+
+A name means one thing in a frame: `SOURCES` says what, or it is that of contents of the frame's plan. So a technique
+composes shaders, and lists no bindings but those that are its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cache, partial
+from typing import Any, Final
+
+from renderer.frame import DEPTH_FORMAT, SHADOW_EFFECTS, Effect, Frame, Needs, Pass, Target, TechniquePass
+from renderer.frame.air import bind_fog, bind_haze
+from renderer.frame.images import MOST_ARRAYS, SceneImages
+from renderer.shadows import FILTERS, ShadowMaps, ShadowReceiver
+from renderer.techniques.parts.full_screen import BEHIND, Color, bind_rays, make_triangle
+from renderer.techniques.parts.scene_shader import ForwardShader
+from rhi import BlendFunction, CullMode, DepthFunction, DepthTest, DepthWrite, Program, State, Texture
+
+__rhi_internal__ = True
+
+
+@dataclass(frozen=True, slots=True)
+class Lighting:
+    """How a technique lights the surfaces that it draws: the bases of a `ForwardShader`'s variant, its switches, what
+    it binds besides what a frame has by name, and the contents that it reads."""
+
+    bases: tuple[type[Any], ...] = (ForwardShader,)
+    switches: Mapping[str, Any] = field(default_factory=dict)
+    bind: Callable[[Frame], Mapping[str, Any]] = lambda frame: {}
+    reads: tuple[str, ...] = ()
+
+
+LAMPS: Final = {Effect.POINT_LIGHTS: "point lights", Effect.SPOT_LIGHTS: "spot lights"}
+"""The lights that have a range, and the names of their passes."""
+NO_LAMPS: Final = {"has_point_lights": False, "has_spot_lights": False}
+
+
+def list_lamps(needs: Needs) -> list[Effect]:
+    """Return the kinds of lights with a range that a frame needs."""
+    return [effect for effect in LAMPS if effect in needs.effects]
+
+
+def explain_lamps(needs: Needs) -> str:
+    """Return why a frame needs a pass about lamps."""
+    return "; ".join(map(needs.explain, list_lamps(needs)))
+
+
+FORWARD: Final = Lighting()
+"""Lights surfaces by the lists of their objects."""
+_SWITCHES: Final = {effect: f"has_{effect.name.lower()}" for effect in Effect}
+COVERAGE: Final[Mapping[str, bool]] = {"has_normal_maps": False, "has_two_sides": False}
+"""Switches of shaders that draw where surfaces are, and nothing else of them."""
+
+
+@cache
+def combine(bases: tuple[type[Any], ...], constants: tuple[tuple[str, Any], ...] = ()) -> type[Any]:
+    """Return the shader with these bases and constants."""
+    return type(bases[-1].__name__, bases, {"__module__": bases[-1].__module__, **dict(constants)})
+
+
+def find_variant(frame: Frame, *bases: type[Any], **fixed: Any) -> type[Any]:
+    """Return the shader with these bases for what the frame needs; switches that are `fixed` don't depend on it."""
+    needs, images = frame.needs, frame.resources.images
+    switches: dict[str, Any] = {name: effect in needs.effects for effect, name in _SWITCHES.items()}
+    switches |= {"has_sun": needs.has_sun, "has_both_models": needs.has_both_models, "has_planes": needs.has_planes}
+    if images is not None:
+        arrays = {"image_arrays": len(images.colors), "map_arrays": len(images.data)}
+        switches |= {**arrays, "has_table": images.table is not None}
+    switches |= fixed
+    switches["has_second_uvs"] = switches["has_second_uvs"] and switches.get("has_table", False)
+    if any(issubclass(base, ShadowReceiver) for base in bases) and not needs.effects.isdisjoint(SHADOW_EFFECTS):
+        bases = (FILTERS[frame.resources.workspace(ShadowMaps).settings.filter], *bases)
+    known = (one for one in switches.items() if any(hasattr(base, one[0]) for base in bases))
+    return combine(bases, tuple(known))
+
+
+SOURCES: Final[dict[str, Callable[[Frame], Any]]] = {
+    "view": lambda frame: frame.view.buffer,
+    "rays": bind_rays,
+    "objects": lambda frame: frame.resources.objects.buffer,
+    "places": lambda frame: frame.resources.places.buffer,
+    "materials": lambda frame: frame.resources.materials.buffer,
+    "ambient": lambda frame: frame.resources.ambient.buffer,
+    "directional_lights": lambda frame: frame.resources.directional.buffer,
+    "point_lights": lambda frame: frame.resources.point.buffer,
+    "spot_lights": lambda frame: frame.resources.spot.buffer,
+    "light_rows": lambda frame: frame.resources.light_rows.buffer,
+    "textures": lambda frame: _images_of(frame).table,
+    "fog": bind_fog,
+    "haze": bind_haze,
+}
+"""What shaders bind by these names."""
+_SHADOWS: Final = ("suns", "lamps", "lamp_slots", "shadow_compare", "shadow_atlas")
+_IMAGES: Final = {f"{kind}_{i}" if i else kind: (kind, i) for kind in ("images", "maps") for i in range(MOST_ARRAYS)}
+
+
+def find_binding(frame: Frame, name: str) -> Any:
+    """Return what a name stands for in a frame."""
+    if name in SOURCES:
+        return SOURCES[name](frame)
+    if name in _SHADOWS:
+        return frame.resources.workspace(ShadowMaps).find(name)
+    if name in _IMAGES:
+        kind, number = _IMAGES[name]
+        images = _images_of(frame)
+        return (images.colors if kind == "images" else images.data)[number]
+    return frame.targets[name]
+
+
+def _images_of(frame: Frame) -> SceneImages:
+    images = frame.resources.images
+    assert images is not None, "images are bound where the scene has some"
+    return images
+
+
+def bind(frame: Frame, program: Program[Any], own: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the bindings of a program: those of its `own` that it has, and what its other names stand for."""
+    names = [binding.name for binding in program.descriptor.bindings]
+    return {name: own[name] if name in own else find_binding(frame, name) for name in names}
+
+
+def scene_pass(
+    frame: Frame,
+    *bases: type[Any],
+    color: Texture | list[Texture] | None,
+    own: Mapping[str, Any] = {},
+    depth: Texture | None = None,
+    switches: Mapping[str, Any] = {},
+    **options: Any,
+) -> TechniquePass:
+    """Return the pass that draws the scene's geometry by the variant of a shader with these bases. `options` are those
+    of a `TechniquePass`."""
+    program: Program[Any] = frame.program(find_variant(frame, *bases, **switches))
+    bindings, depth = bind(frame, program, own), depth or frame.targets["depth"]
+    return TechniquePass(
+        frame.device, frame.resources, frame.view, program, bindings, color=color, depth=depth, **options
+    )
+
+
+def draw_full_screen(
+    frame: Frame,
+    shader: type[Any] | tuple[type[Any], ...],
+    color: Texture | list[Texture],
+    own: Mapping[str, Any] = {},
+    *,
+    depth: Texture | None = None,
+    clear: Color | None = None,
+    states: tuple[State, ...] = (),
+    switches: Mapping[str, Any] = {},
+) -> None:
+    """Run the variant of a `FullScreen` shader, or of one with these bases, for each pixel of the targets, in a pass of
+    its own.
+
+    Args:
+        own: bindings that `find_binding` doesn't know, or that are others here.
+        depth: the depth that geometry was drawn to. Then the shader runs only for pixels with a surface. It can't be
+            among the bindings.
+        clear: the colour of pixels for which the shader isn't run, or that it discards; None keeps what the targets
+            hold.
+        states: states besides no culling, no blending, and the depth test that `depth` asks for.
+    """
+    device = frame.device
+    defaults: tuple[State, ...] = (CullMode.NONE, DepthWrite.OFF, BlendFunction.OFF)
+    if depth is None:
+        defaults += (DepthTest.OFF,)
+    else:
+        defaults += (DepthTest.ON, BEHIND[frame.camera.projection.depth])
+    chosen = {type(state): state for state in (*defaults, *states)}
+    bases = shader if isinstance(shader, tuple) else (shader,)
+    program: Any = frame.program(find_variant(frame, *bases, **switches))
+    triangle = frame.view.workspace(make_triangle)
+    with device.render_pass(color, depth, clear=clear), device.states(*chosen.values()):
+        device.draw(program, triangle, **bind(frame, program, own))
+
+
+def lit_pass(
+    needs: Needs, lighting: Lighting, because: str, *, after_depth: bool = False, name: str = "forward"
+) -> Pass[Frame]:
+    """Return the pass that draws the visible objects lit, to `needs.image` and `depth`; where depth was drawn before,
+    only what is seen."""
+    return Pass(
+        name,
+        partial(draw_lit, lighting=lighting, after_depth=after_depth),
+        because,
+        reads=("depth", *lighting.reads) if after_depth else lighting.reads,
+        writes=(needs.image,) if after_depth else (needs.image, Target("depth", DEPTH_FORMAT)),
+    )
+
+
+def draw_lit(
+    frame: Frame,
+    lighting: Lighting = FORWARD,
+    *,
+    after_depth: bool = False,
+    image: Texture | None = None,
+    depth: Texture | None = None,
+) -> None:
+    """Draw the visible objects lit; see `lit_pass`."""
+    lit = scene_pass(
+        frame,
+        *lighting.bases,
+        own=lighting.bind(frame),
+        switches=lighting.switches,
+        color=image or frame.image,
+        depth=depth,
+        clear=frame.background,
+        states=(DepthFunction.EQUAL, DepthWrite.OFF) if after_depth else (),
+        clears=not after_depth,
+    )
+    frame.draw_visible(lit)

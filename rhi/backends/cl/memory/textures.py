@@ -1,0 +1,144 @@
+"""Textures: planes of texels in plain OpenCL buffers, and the commands that move texels between them.
+
+- A texture is filled with zeros when it is created, so a driver that allocates late reports at once that it can't.
+- Its mip levels lie one after the other in one buffer. A level consists of layers of rows of texels; each sample of a
+  multi-sampled texture is a layer of its own.
+- Rows and columns are padded to multiples of `planes.BLOCK`, so a block of pixels always lies in memory. The contents
+  of the padding are undefined and never visible.
+- Depth is stored as float32, rounded to values of its format; stencil is stored in a second buffer.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+from typing_extensions import Buffer as BytesLike
+
+from rhi.backends.cl.context import ClContext
+from rhi.backends.cl.errors import translate_errors
+from rhi.backends.cl.memory.filters import Filters
+from rhi.backends.cl.memory.planes import TexelPlane, allocate, pitches_of, round_to_grain
+from rhi.backends.cl.memory.staging import Staging
+from rhi.contract.descriptors import Id, Region, TextureDescriptor
+
+__rhi_internal__ = True
+
+
+class ClTexture:
+    """The memory of one texture.
+
+    Attributes:
+        levels: the planes of its mip levels; `stencil`: those of its stencil, if it has any.
+        words: its descriptions for kernels, by sampler, or for an image by level and layer (see `samplers`).
+        changes: how many commands other than draws have changed it.
+    """
+
+    __slots__ = ("_memory", "changes", "descriptor", "levels", "stencil", "words")
+
+    def __init__(self, context: ClContext, descriptor: TextureDescriptor) -> None:
+        self.descriptor = descriptor
+        self.changes = 0
+        self._memory: list[cl.Buffer] = []
+        self.words: dict[Id | tuple[int, int], cl.Buffer] = {}
+        self.stencil: list[TexelPlane] = []
+        format = descriptor.format
+        self.levels = self._allocate(context, format.transfer_bytes)
+        if format.has_stencil:
+            try:
+                self.stencil = self._allocate(context, 1)
+            except cl.Error:
+                self.release()
+                raise
+
+    def _allocate(self, context: ClContext, texel: int) -> list[TexelPlane]:
+        """Allocate one buffer for all levels, each beginning at a multiple of `planes.GRAIN`."""
+        descriptor = self.descriptor
+        boxes = [
+            (*descriptor.level_size(level), descriptor.level_layers(level) * descriptor.samples)
+            for level in range(descriptor.levels)
+        ]
+        starts = [0]
+        for width, height, layers in boxes:
+            starts.append(round_to_grain(starts[-1] + pitches_of(texel, width, height)[1] * layers))
+        memory = allocate(context, starts[-1])
+        self._memory.append(memory)
+        return [TexelPlane(memory, start, texel, *box) for start, box in zip(starts, boxes, strict=False)]
+
+    def release(self) -> None:
+        for memory in (*self._memory, *self.words.values()):
+            memory.release()
+
+
+class Textures:
+    """All textures of a device, by id."""
+
+    def __init__(self, context: ClContext, staging: Staging) -> None:
+        self._context = context
+        self._queue = context.queue
+        self._staging = staging
+        self._filters = Filters(context)
+        self._textures: dict[Id, ClTexture] = {}
+
+    def __getitem__(self, texture: Id) -> ClTexture:
+        return self._textures[texture]
+
+    def create(self, texture: Id, descriptor: TextureDescriptor) -> None:
+        with translate_errors("device.texture", f"{descriptor.size}, {descriptor.format}"):
+            self._textures[texture] = ClTexture(self._context, descriptor)
+
+    def destroy(self, texture: Id) -> None:
+        self._textures.pop(texture).release()
+
+    def write(self, texture: Id, level: int, region: Region, data: BytesLike) -> None:
+        made, source = self._textures[texture], np.frombuffer(memoryview(data), np.uint8)
+        made.changes += 1
+        plane = made.levels[level]
+        if self._staging.has_room(len(source)):
+            self._staging.add(plane.write(self._queue, region, source.copy(), False), len(source))
+        else:
+            plane.write(self._queue, region, source, True)
+            self._staging.clear()
+
+    def read(self, texture: Id, level: int, region: Region, stencil: bool) -> NDArray[np.generic]:
+        source = self._textures[texture]
+        format = source.descriptor.format
+        plane = (source.stencil if stencil else source.levels)[level]
+        dtype = np.dtype(np.uint8) if stencil else format.dtype
+        texels = np.empty((region.layers, region.height, region.width, format.components), dtype)
+        plane.read(self._queue, region, texels)
+        return texels
+
+    def copy(
+        self, source: Id, source_level: int, source_region: Region, target: Id, target_level: int, x: int, y: int,
+        layer: int,
+    ) -> None:  # fmt: skip
+        old, new = self._textures[source], self._textures[target]
+        new.changes += 1
+        old.levels[source_level].copy(self._queue, source_region, new.levels[target_level], x, y, layer)
+        if old.stencil:
+            old.stencil[source_level].copy(self._queue, source_region, new.stencil[target_level], x, y, layer)
+
+    def copy_to_buffer(
+        self, source: Id, level: int, region: Region, target: cl.Buffer, offset: int, row_bytes: int
+    ) -> None:
+        plane = self._textures[source].levels[level]
+        plane.copy_to_buffer(self._queue, region, target, offset, row_bytes)
+
+    def copy_from_buffer(
+        self, source: cl.Buffer, offset: int, row_bytes: int, target: Id, level: int, region: Region
+    ) -> None:
+        made = self._textures[target]
+        made.changes += 1
+        made.levels[level].copy_from_buffer(self._queue, source, offset, row_bytes, region)
+
+    def resolve(self, source: Id, target: Id) -> None:
+        old, new = self._textures[source], self._textures[target]
+        new.changes += 1
+        self._filters.resolve(old.descriptor.format, old.levels[0], new.levels[0])
+
+    def generate_mipmaps(self, texture: Id) -> None:
+        made = self._textures[texture]
+        made.changes += 1
+        for above, below in zip(made.levels, made.levels[1:], strict=False):
+            self._filters.halve(made.descriptor.format, above, below)

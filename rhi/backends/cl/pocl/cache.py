@@ -1,0 +1,382 @@
+"""The folder of compiled kernels: where it is, what of it is complete, and how large it may get.
+
+- PoCL writes compiled kernels to a folder and finds them there under a key of source, options, device and version.
+  `RHI_CACHE` names the folder, which may be copied to other machines; without it, it lies in the user's cache.
+- PoCL trusts what it finds: a program that another process is just writing, or a damaged file, ends the process. So
+  only one process at a time builds a program for the first time, and a record with the checksums of its files says that
+  they are complete. Before a program is taken from the folder, its files are checked; damaged ones are removed.
+- PoCL's names of folders can't be computed. So each program contains a function whose name contains its key, by which
+  its folder is found (`Request.write`).
+- To find a program by its source, PoCL runs its preprocessor: 6 to 20 ms. By LLVM code it finds it in 1 to 10. So a
+  source is compiled once to code that isn't linked yet, which is kept beside the record, and programs are made of it
+  (`context.build_cached`). PoCL has it under a key of its own. Where the driver doesn't take code, programs are built
+  from their sources.
+- When a device is closed that has written any, the programs used least recently are removed beyond `LIMIT` bytes.
+- Other drivers have no such folder. pyopencl caches their kernels.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import time
+import zlib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Final, NamedTuple
+
+try:
+    import fcntl
+except ImportError:  # not on Windows, where PoCL's users are few
+    fcntl = None  # type: ignore[assignment]
+
+from rhi.backends.cl.pocl.declarations import GUARD, declare
+
+__rhi_internal__ = True
+
+ENVIRONMENT: Final = "RHI_CACHE"
+LIMIT: Final = 512 << 20
+"""Bytes of compiled kernels that are kept."""
+_DRIVER_ENVIRONMENT: Final = "POCL_CACHE_DIR"
+_RECORDS: Final = "rhi"
+_COMMENT: Final = re.compile("//[^\n]*")
+_PROGRAM: Final = "program.bc"
+_CODE: Final = ".code"
+"""Suffix of the files of LLVM code, each of which begins with its checksum."""
+_CHECKSUM: Final = 4  # bytes
+_BUILT: Final = "built"
+_PLACES: Final = "[A-Z][A-Z]/*"
+"""Where PoCL's folders of programs lie in the folder of compiled kernels."""
+_LEFT: Final = "tempfile_*"
+"""Empty files that PoCL leaves in the folder, one a process."""
+_TYPICAL: Final = 400_000  # bytes of a program whose record doesn't say
+_OLD: Final = 86400.0  # seconds after which locks and unfinished records are nobody's
+
+
+def choose_folder() -> Path | None:
+    """Choose the folder of compiled kernels, and tell PoCL, which reads its variable once, with its first device.
+
+    Return the folder, or None if it can't be written: the driver's own is used then.
+    """
+    wanted, given = os.environ.get(ENVIRONMENT, ""), os.environ.get(_DRIVER_ENVIRONMENT, "")
+    if wanted or not given:
+        user = os.environ.get("XDG_CACHE_HOME", "") or os.path.expanduser("~/.cache")
+        given = str(Path(wanted or os.path.join(user, "rhi")).absolute() / "pocl")
+    folder = Path(given)
+    try:
+        (folder / _RECORDS).mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return None
+    if not os.access(folder, os.W_OK | os.X_OK):
+        return None
+    os.environ[_DRIVER_ENVIRONMENT] = given
+    return folder
+
+
+def strip_comments(source: str) -> str:
+    """Return a program without comments, which may name a shader whose stages are those of another. No line moves."""
+    return _COMMENT.sub("", source)
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A program and its key, which tells it from others, and from itself on other drivers."""
+
+    key: str
+    options: tuple[str, ...]
+    source: str
+    kernels: tuple[str, ...]
+    declares: bool
+    marked: bool
+
+    def write(self, mark: str = _BUILT) -> tuple[str, tuple[str, ...]]:
+        """Return the source code and options that the driver is given, which counts lines as the caller does.
+
+        Args:
+            mark: what the program's folder is found by beside its key. One that is compiled without being linked has a
+                mark of its own (`make_mark`), so that nothing else is ever taken for it.
+        """
+        source, options = self.source, self.options
+        declarations = declare(strip_comments(source)) if self.declares else None
+        if declarations is not None:
+            source, options = f"{declarations}#line 1\n{source}", (*options, GUARD)
+        if self.marked:
+            name = f"rhi_{mark}_{self.key}"
+            source = f"{source}\nvoid {name}(void);\nvoid {name}(void) {{}}\n"
+        return source, options
+
+
+class CachedProgram(NamedTuple):
+    """An undamaged program in the cache.
+
+    Attributes:
+        code: the LLVM code that it is made of; empty: it is built from its source.
+        kernels: those of which there is machine code.
+    """
+
+    code: bytes
+    kernels: frozenset[str]
+
+
+class KernelCache:
+    """The compiled programs of one driver's version and device.
+
+    Attributes:
+        takes_code: whether programs are made of LLVM code, as far as is known.
+        declares: whether programs declare the functions that they use, instead of the driver's header
+            (`rhi.backends.cl.pocl.declarations`).
+    """
+
+    def __init__(self, folder: Path | None, driver: str, declares: bool = False) -> None:
+        """`folder`: None if the driver has none; nothing is known then. `driver`: what compiled kernels depend on."""
+        self._folder = folder
+        self._driver = driver
+        self._written: set[str] = set()
+        self.takes_code = folder is not None
+        self.declares = declares
+
+    @property
+    def works(self) -> bool:
+        """Whether compiled programs are found again."""
+        return self._folder is not None
+
+    def request(self, source: str, options: Sequence[str], kernels: Sequence[str] = ()) -> Request:
+        """Return a program's request. Its key doesn't depend on comments, nor on how functions are declared."""
+        whole = "\0".join((self._driver, *options, strip_comments(source)))
+        key = hashlib.sha256(whole.encode()).hexdigest()[:24]
+        return Request(key, tuple(options), source, tuple(kernels), self.declares, self.works)
+
+    def find(self, key: str) -> CachedProgram | None:
+        """Return a program that is there and undamaged. What is damaged is removed."""
+        if self._folder is None:
+            return None
+        record = self._folder / _RECORDS / key
+        if not record.exists():  # another process may be about to write it, and has kept the code
+            return None
+        place, files, checksum, _ = _read_record(self._folder, record)
+        try:
+            complete = place is not None and all(
+                zlib.crc32((place / name).read_bytes()) == expected for name, expected in files.items()
+            )
+        except OSError:
+            complete, place = False, None
+        code = self.read_code(key) if complete and checksum is not None else None
+        if not complete or (checksum is not None and (code is None or zlib.crc32(code) != checksum)):
+            self._remove(key, place)
+            return None
+        with suppress(OSError):
+            os.utime(record)
+        return CachedProgram(code or b"", frozenset(name.split("/")[0] for name in files if "/" in name))
+
+    def knows(self, key: str, kernels: Sequence[str] = ()) -> bool:
+        """Return whether a program is there and undamaged, with machine code of these kernels."""
+        stored = self.find(key)
+        return stored is not None and stored.kernels.issuperset(kernels)
+
+    def choose(self, request: Request) -> tuple[str | bytes, tuple[str, ...]]:
+        """Return what a program is built from, and the options: its LLVM code if that is there, else its source."""
+        code = self.read_code(request.key)
+        return (code, request.options) if code is not None else request.write()
+
+    def read_code(self, key: str) -> bytes | None:
+        """Return a program's LLVM code, or None if there is none. It is removed if it is damaged."""
+        if self._folder is None:
+            return None
+        path = self._code_path(key)
+        try:
+            content = path.read_bytes()
+        except OSError:
+            return None
+        code = content[_CHECKSUM:]
+        if code and content == _seal(code):
+            return code
+        with suppress(OSError):
+            path.unlink()
+        return None
+
+    def keep_code(self, key: str, mark: str) -> bytes | None:
+        """Keep the LLVM code of a program that was compiled with this mark, and return it; None if there is none."""
+        if self._folder is None:
+            return None
+        place = self._search(f"rhi_{mark}_{key}".encode())
+        if place is None:
+            self.takes_code = False  # a version of the driver that keeps it elsewhere
+            return None
+        try:
+            code = (place / _PROGRAM).read_bytes()
+            if self.read_code(key) is None:  # no other process was first
+                self._write(self._code_path(key), _seal(code))
+            shutil.rmtree(place)
+        except OSError:
+            return None
+        return self.read_code(key)
+
+    def drop_code(self, key: str) -> None:
+        """Remove LLVM code that the driver doesn't take."""
+        self.takes_code = False
+        if self._folder is not None:
+            with suppress(OSError):
+                self._code_path(key).unlink()
+
+    def forget(self, key: str) -> None:
+        """Remove a program that the driver doesn't take."""
+        if self._folder is not None:
+            place, *_ = _read_record(self._folder, self._folder / _RECORDS / key)
+            self._remove(key, place)
+
+    def _code_path(self, key: str) -> Path:
+        assert self._folder is not None
+        return self._folder / _RECORDS / f"{key}{_CODE}"
+
+    def _write(self, path: Path, content: bytes) -> None:
+        """Write a file that others never see in part.
+
+        Raises:
+            OSError: it can't be written.
+        """
+        fresh = path.with_suffix(f".{os.getpid()}.{time.monotonic_ns()}")
+        fresh.write_bytes(content)
+        fresh.replace(path)
+
+    def _remove(self, key: str, place: Path | None) -> None:
+        """Remove a program's record and files."""
+        assert self._folder is not None
+        for path in (self._folder / _RECORDS / key, self._code_path(key)):
+            with suppress(OSError):
+                path.unlink()
+        if place is not None:
+            shutil.rmtree(place, ignore_errors=True)
+
+    def find_lock(self, key: str) -> str:
+        """Return the path of the file that is locked while a program is built for the first time; empty for none."""
+        return "" if self._folder is None else str(self._folder / _RECORDS / f"{key}.lock")
+
+    @contextmanager
+    def writing(self, key: str) -> Iterator[None]:
+        """Keep other processes from building this program."""
+        path = self.find_lock(key)
+        if not path or fcntl is None:
+            yield
+            return
+        try:
+            lock = open(path, "wb")  # noqa: SIM115
+        except OSError:  # the folder has been removed or can't be written
+            yield
+            return
+        with lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            yield
+
+    def record(self, key: str) -> None:
+        """Record that a program's files are complete."""
+        if self._folder is None:
+            return
+        code = self.read_code(key)
+        place, *_ = _read_record(self._folder, self._folder / _RECORDS / key)
+        if place is None or not (place / _PROGRAM).is_file():
+            place = self._search(_find_name(key, code), code)
+        if place is None:
+            return
+        files = {
+            str(path.relative_to(place)): zlib.crc32(path.read_bytes())
+            for path in (place / _PROGRAM, *place.glob("*/*/*.so"))
+        }
+        record = self._folder / _RECORDS / key
+        size = sum(path.stat().st_size for path in place.rglob("*") if path.is_file()) + len(code or b"")
+        described: dict[str, object] = {"folder": str(place.relative_to(self._folder)), "files": files, "bytes": size}
+        if code is not None:
+            described["code"] = zlib.crc32(code)
+        with suppress(OSError):
+            self._write(record, json.dumps(described).encode())
+        self._written.add(key)
+
+    def _search(self, name: bytes, code: bytes | None = None) -> Path | None:
+        """Return the driver's folder of the program that has a function of this name and isn't `code` itself."""
+        assert self._folder is not None
+        places: list[tuple[float, Path]] = []
+        for place in self._folder.glob(_PLACES):
+            with suppress(OSError):
+                places.append((place.stat().st_mtime, place))
+        # Nearly always it was written just now. Older ones were left by a process that ended before it recorded them.
+        for _, place in sorted(places, reverse=True):
+            with suppress(OSError):
+                content = (place / _PROGRAM).read_bytes()
+                if name in content and content != code:
+                    return place
+        return None
+
+    def finish(self) -> None:
+        """Record the machine code that was generated since, and remove what was used least recently if there is too
+        much."""
+        if self._folder is None or not self._written:
+            return
+        for key in list(self._written):
+            self.record(key)
+        self._written.clear()
+        with suppress(OSError):
+            self._trim(self._folder)
+
+    def _trim(self, folder: Path) -> None:
+        found: list[tuple[float, int, Path, Path]] = []
+        for record in (folder / _RECORDS).iterdir():
+            with suppress(OSError):
+                used = record.stat().st_mtime
+                place, _, _, size = _read_record(folder, record)
+                if place is not None:
+                    found.append((used, size, record, place))
+                elif used < time.time() - _OLD and not (
+                    record.suffix == _CODE and record.with_suffix("").exists()
+                ):
+                    record.unlink()
+        total = sum(size for _, size, _, _ in found)
+        for _, size, record, place in sorted(found):
+            if total <= LIMIT:
+                break
+            self._remove(record.name, place)
+            total -= size
+        for path in folder.glob(_LEFT):
+            with suppress(OSError):
+                status = path.stat()
+                if status.st_size == 0 and status.st_mtime < time.time() - _OLD:
+                    path.unlink()
+
+
+def make_mark() -> str:
+    """Return a mark that no other program has, in no process."""
+    return os.urandom(8).hex()
+
+
+def _find_name(key: str, code: bytes | None) -> bytes:
+    """Return the name of the function that a program's folder is found by; `code`: what it is made of, if anything."""
+    found = None if code is None else re.search(rf"rhi_[0-9a-f]+_{key}".encode(), code)
+    return f"rhi_{_BUILT}_{key}".encode() if found is None else found[0]
+
+
+def _seal(code: bytes) -> bytes:
+    """Return LLVM code behind its checksum."""
+    return zlib.crc32(code).to_bytes(_CHECKSUM, "little") + code
+
+
+def _read_record(folder: Path, record: Path) -> tuple[Path | None, dict[str, int], int | None, int]:
+    """Return the folder of a record's program, the checksums of its files by their names, that of the LLVM code that it
+    is made of if it is, and its bytes.
+
+    The folder is None for a record that is damaged or unfinished, or that names another place than PoCL's folders: what
+    it names may be removed, and records can come from elsewhere.
+    """
+    try:
+        known = json.loads(record.read_bytes())
+        name = PurePosixPath(known["folder"])
+        files = {str(path): int(checksum) for path, checksum in known["files"].items()}
+        code, size = known.get("code"), int(known.get("bytes", _TYPICAL))
+        checksum = None if code is None else int(code)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None, {}, None, 0
+    if record.suffix or name.is_absolute() or ".." in name.parts or not name.match(_PLACES) or len(name.parts) != 2:
+        return None, {}, None, 0
+    return folder / name, files, checksum, size

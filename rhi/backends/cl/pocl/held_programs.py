@@ -1,0 +1,162 @@
+"""Programs that launch kernels, and which of them are in memory.
+
+PoCL keeps the LLVM code of a program from its build until it is released, about 2 MB of it, although machine code is
+all that a launch needs. A program that goes through all techniques of a renderer has some 200. So beyond `LIMIT` of
+them, those that weren't launched for `AGE` values of the fence are released. The next launch builds them again, of
+what the cache on disk has: 10 ms. What a frame draws with is never released, however much that is.
+
+The C library keeps what is freed between other blocks. So where it can hand that back (glibc), it is told to: 3 to 15
+ms, in a frame that releases programs.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+import weakref
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from operator import attrgetter
+from typing import Any, Final
+
+import pyopencl as cl
+
+from rhi.backends.cl.pocl.cache import Request
+
+__rhi_internal__ = True
+
+LIMIT: Final = 32
+"""Programs in memory, of which none is released."""
+AGE: Final = 128
+"""Values of the fence, some two seconds of frames, after which a program may be released."""
+_OFTEN: Final = 16
+"""Values of the fence between two looks for programs to release."""
+_PACKING: Final = 1  # a source of 80 kB becomes 12 in half a millisecond
+
+
+class HeldProgram:
+    """A program, which may be released between two launches.
+
+    Attributes:
+        builds: how often it was built; kernels of an earlier build have lost their arguments.
+    """
+
+    __slots__ = ("__weakref__", "_build", "_kernels", "_owner", "_program", "_types", "builds", "last_used")
+
+    def __init__(
+        self, owner: HeldPrograms, program: cl.Program, build: Callable[[], cl.Program], types: Sequence[type] | None
+    ) -> None:
+        """`build`: builds it again. `types`: those of each kernel's arguments, if they are scalars."""
+        self._owner = owner
+        self._program: cl.Program | None = program
+        self._build = build
+        self._types = types
+        self._kernels: dict[str, cl.Kernel] = {}
+        self.builds = 1
+        self.last_used = owner.now
+
+    @property
+    def is_held(self) -> bool:
+        """Whether it is in memory."""
+        return self._program is not None
+
+    def list_names(self) -> list[str]:
+        """Return the names of the kernels, of a program that was just built."""
+        assert self._program is not None
+        names: Any = self._program.get_info(cl.program_info.KERNEL_NAMES)
+        return [name for name in str(names).split(";") if name]
+
+    def find(self, name: str) -> cl.Kernel:
+        """Return a kernel to be launched now.
+
+        Raises:
+            pyopencl.Error: there is none of this name, or the program can't be built again.
+        """
+        self.last_used = self._owner.now
+        kernel = self._kernels.get(name)
+        return kernel if kernel is not None else self._make(name)
+
+    def _make(self, name: str) -> cl.Kernel:
+        if self._program is None:
+            self._program = self._build()
+            self.builds += 1
+        kernel = cl.Kernel(self._program, name)
+        if self._types is not None:
+            kernel.set_scalar_arg_dtypes(list(self._types))
+        self._kernels[name] = kernel
+        return kernel
+
+    def release(self) -> None:
+        """Release its memory. Launches that were enqueued keep what they need."""
+        self._kernels.clear()
+        self._program = None
+
+
+class HeldPrograms:
+    """All such programs of a device.
+
+    Attributes:
+        now: the latest value of the fence.
+    """
+
+    def __init__(self, releases: bool) -> None:
+        """`releases`: whether programs are found again on disk, so that they can be released."""
+        self._releases = releases
+        self._programs: weakref.WeakSet[HeldProgram] = weakref.WeakSet()
+        self._lock = threading.Lock()  # programs are optimised in other threads
+        self.now = 0
+
+    def list_held(self) -> list[HeldProgram]:
+        """Return the programs that are in memory."""
+        with self._lock:
+            return [one for one in self._programs if one.is_held]
+
+    def add(
+        self, program: cl.Program, request: Request, build: Callable[[Request], cl.Program],
+        types: Sequence[type] | None = None,
+    ) -> HeldProgram:  # fmt: skip
+        """Hold a program that was built as `request` says, and is by `build`.
+
+        Args:
+            types: see `HeldProgram`.
+        """
+        packed = zlib.compress(request.source.encode(), _PACKING)
+        rest = replace(request, source="")
+
+        def build_again() -> cl.Program:
+            return build(replace(rest, source=zlib.decompress(packed).decode()))
+
+        made = HeldProgram(self, program, build_again, types)
+        with self._lock:
+            self._programs.add(made)
+        return made
+
+    def reach(self, value: int) -> None:
+        """Note that the fence gets this value, and now and then release what hasn't been used for long."""
+        self.now = value
+        if self._releases and value % _OFTEN == 0:
+            held = self.list_held()
+            old = [one for one in held if one.last_used <= value - AGE]
+            released = sorted(old, key=attrgetter("last_used"))[: max(len(held) - LIMIT, 0)]
+            for one in released:
+                one.release()
+            if released:
+                hand_back()
+
+
+def hand_back() -> None:
+    """Hand memory that was freed back to the system, where the C library can."""
+    if _TRIM is not None:
+        _TRIM(0)
+
+
+def _find_trim() -> Callable[[int], int] | None:
+    try:
+        trim: Callable[[int], int] = ctypes.CDLL(None).malloc_trim
+    except (OSError, AttributeError, TypeError):  # another C library, or another system
+        return None
+    return trim
+
+
+_TRIM: Final = _find_trim()

@@ -1,0 +1,469 @@
+"""The rules of descriptors, states and arguments of commands, each said once: what is wrong, and what a device lacks.
+
+A function yields the faults of what it is given. Its caller takes the first one only: a later rule may rely on an
+earlier one. The front end refuses a call with it (`Core.require`). Traces, whose commands no front end has seen, are
+checked by the same functions: as they are loaded, with the limits of no device in particular (`ANY_DEVICE`), and before
+they are replayed with those of one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, Final, NamedTuple
+
+from rhi.contract.backend import Capabilities
+from rhi.contract.blocks import CompressedFormat
+from rhi.contract.descriptors import (
+    DRAW,
+    Attachment,
+    BindingKind,
+    DepthAttachment,
+    Id,
+    PassDescriptor,
+    ProgramDescriptor,
+    QueryKind,
+    Region,
+    SamplerDescriptor,
+    Stage,
+    TextureDescriptor,
+    TextureKind,
+    Wrap,
+)
+from rhi.contract.states import (
+    DEFAULTS,
+    AlphaFunction,
+    AlphaReference,
+    AlphaTest,
+    AlphaToCoverage,
+    BlendFunction,
+    LineWidth,
+    PlatformState,
+    PolygonMode,
+    PolygonOffset,
+    StencilReadMask,
+    StencilReference,
+    StencilTest,
+    StencilWriteMask,
+)
+from rhi.errors import Rule
+from rhi.errors.rules import (
+    BINDING_SIZE,
+    BUFFER_ALIGNMENT,
+    BUFFER_OVERLAP,
+    BUFFER_RANGE,
+    DEVICE_CAPABILITY,
+    DISPATCH_SIZE,
+    INDIRECT_RANGE,
+    PASS_CLEAR,
+    PASS_SAMPLES,
+    PASS_SIZE,
+    PASS_TARGET,
+    PLATFORM_STATE,
+    STATE_CAPABILITY,
+    TEXTURE_FORMAT,
+    TEXTURE_LEVELS,
+    TEXTURE_REGION,
+    TEXTURE_SAMPLES,
+    TEXTURE_SIZE,
+)
+
+__rhi_internal__ = True
+
+
+class Fault(NamedTuple):
+    """A broken rule, with the parts of its message."""
+
+    rule: Rule
+    given: str
+    allowed: str = ""
+    tip: str = ""
+
+
+Faults = Iterator[Fault]
+
+_MANY: Final = 1 << 16
+ANY_DEVICE: Final = Capabilities(
+    "any", "", "", max_texture_size=_MANY, max_texture_layers=_MANY, sample_counts=(1, 2, 4, 8, 16, 32),
+    max_vertex_attributes=_MANY, max_uniform_bytes=1 << 40, max_storage_bytes=1 << 40, max_uniform_slots=1 << 10,
+    max_storage_slots=1 << 10, max_texture_slots=1 << 10, max_image_slots=1 << 10, max_work_group=(_MANY,) * 3,
+    max_work_group_invocations=1 << 40, max_dispatch=((1 << 32) - 1,) * 3, max_shared_bytes=1 << 40,
+    max_anisotropy=float("inf"), max_point_size=float("inf"), max_line_width=float("inf"), uniform_alignment=1,
+    storage_alignment=1, copy_offset_alignment=1, sample_counter=True, alpha_test=True, wireframe=True,
+    texture_buffer_copies=True, compressed_formats=frozenset(CompressedFormat),
+)  # fmt: skip
+"""The limits of no device in particular. Of the states that only one platform has, it has none."""
+
+
+# -- textures ------------------------------------------------------------------------------------------------
+
+
+def show_texture(texture: TextureDescriptor) -> str:
+    """Return a texture's text for messages."""
+    width, height = texture.size
+    return f"Texture({texture.label!r}, {width}×{height}, {(texture.compressed or texture.format).name})"
+
+
+def full_levels(width: int, height: int, depth: int = 1) -> int:
+    """Return the number of mip levels down to 1×1."""
+    return max(width, height, depth).bit_length()
+
+
+def texture_faults(descriptor: TextureDescriptor, limits: Capabilities) -> Faults:
+    """Yield what is wrong with a texture to be created."""
+    width, height = descriptor.size
+    kind, layers, samples = descriptor.kind, descriptor.layers, descriptor.samples
+    if not (0 < width <= limits.max_texture_size and 0 < height <= limits.max_texture_size):
+        yield Fault(TEXTURE_SIZE, f"{width}×{height}", f"1 to {limits.max_texture_size} each way")
+    if descriptor.format in limits.unsupported_formats:
+        yield Fault(DEVICE_CAPABILITY, descriptor.format.name, "not among capabilities.unsupported_formats")
+    least, most = {TextureKind.D2: (1, 1), TextureKind.CUBE: (6, 6)}.get(kind, (1, limits.max_texture_layers))
+    if not least <= layers <= most:
+        yield Fault(TEXTURE_SIZE, f"{layers} layers of {kind.name}", f"{least} to {most}")
+    if layers > limits.max_texture_layers:
+        allowed = f"up to capabilities.max_texture_layers, {limits.max_texture_layers}"
+        yield Fault(DEVICE_CAPABILITY, f"{layers} layers of {kind.name}", allowed)
+    if kind is TextureKind.CUBE and width != height:
+        yield Fault(TEXTURE_SIZE, f"a cube of {width}×{height}", "square faces")
+    most = full_levels(width, height, layers if kind is TextureKind.D3 else 1)
+    if not 1 <= descriptor.levels <= most:
+        yield Fault(TEXTURE_LEVELS, f"{descriptor.levels} levels", f"1 to {most}")
+    if samples not in limits.sample_counts:
+        yield Fault(TEXTURE_SAMPLES, f"{samples} samples", f"{', '.join(map(str, limits.sample_counts))} samples")
+    if samples > 1 and (descriptor.levels > 1 or kind is not TextureKind.D2):
+        yield Fault(TEXTURE_SAMPLES, f"{samples} samples, {descriptor.levels} levels, {kind.name}", "2D, one level")
+    if descriptor.format.is_depth and kind is TextureKind.D3:
+        yield Fault(TEXTURE_FORMAT, "a 3D depth texture", "2D, 2D array or cube")
+    yield from compressed_faults(descriptor)
+    if descriptor.compressed is not None and descriptor.compressed not in limits.compressed_formats:
+        given = descriptor.compressed.name
+        yield Fault(DEVICE_CAPABILITY, given, "a format among capabilities.compressed_formats")
+
+
+def compressed_faults(descriptor: TextureDescriptor) -> Faults:
+    """Yield why a texture can't be made of blocks, whether or not the device stores them as they are."""
+    if descriptor.compressed is None:
+        return
+    name = descriptor.compressed.name
+    if descriptor.kind is TextureKind.D3:
+        yield Fault(TEXTURE_FORMAT, f"a 3D texture of {name}", "2D, 2D array or cube")
+    if descriptor.samples != 1:
+        yield Fault(TEXTURE_SAMPLES, f"{descriptor.samples} samples of {name}", "1")
+
+
+def sampler_faults(descriptor: SamplerDescriptor, limits: Capabilities) -> Faults:
+    """Yield what a device lacks for a sampler."""
+    if descriptor.max_anisotropy > limits.max_anisotropy:
+        most = f"up to capabilities.max_anisotropy, {limits.max_anisotropy:g}"
+        yield Fault(DEVICE_CAPABILITY, f"max_anisotropy={descriptor.max_anisotropy:g}", most)
+    if descriptor.uses_border and not limits.border_colors:
+        yield Fault(DEVICE_CAPABILITY, str(Wrap.BORDER), "needs capabilities.border_colors")
+
+
+def level_faults(texture: TextureDescriptor, level: int, layer: int = 0) -> Faults:
+    """Yield a level or layer that a texture doesn't have."""
+    if not 0 <= level < texture.levels:
+        yield Fault(TEXTURE_LEVELS, f"level {level}", f"0 to {texture.levels - 1}")
+    layers = texture.level_layers(level)
+    if not 0 <= layer < layers:
+        yield Fault(TEXTURE_LEVELS, f"layer {layer}", f"0 to {layers - 1}")
+
+
+def region_faults(texture: TextureDescriptor, level: int, region: Region) -> Faults:
+    """Yield what lies outside a level."""
+    yield from level_faults(texture, level, region.layer)
+    width, height = texture.level_size(level)
+    layers = texture.level_layers(level)
+    inside = (
+        region.x >= 0
+        and region.y >= 0
+        and min(region.width, region.height, region.layers) > 0
+        and region.x + region.width <= width
+        and region.y + region.height <= height
+        and region.layer + region.layers <= layers
+    )
+    if not inside:
+        yield Fault(TEXTURE_REGION, str(region), f"inside {width}×{height}, {layers} layers")
+
+
+def plain_faults(texture: TextureDescriptor) -> Faults:
+    """Yield that a texture is compressed, and so is only written and sampled."""
+    if texture.compressed is not None:
+        yield Fault(TEXTURE_FORMAT, texture.compressed.name, "a format without compression", "sample it in a shader")
+
+
+def single_sample_faults(texture: TextureDescriptor) -> Faults:
+    """Yield that a texture has several samples."""
+    if texture.samples != 1:
+        yield Fault(TEXTURE_SAMPLES, f"{texture.samples} samples", "1", "resolve it first: texture.resolve_to(…)")
+
+
+def written_faults(texture: TextureDescriptor) -> Faults:
+    """Yield why texels of a texture can't be written but by draws."""
+    if texture.format.is_depth:
+        yield Fault(TEXTURE_FORMAT, texture.format.name, "a color format", "depth is written by a render pass")
+
+
+def read_faults(texture: TextureDescriptor, level: int, region: Region, stencil: bool) -> Faults:
+    """Yield why texels, or with `stencil` their stencil part, can't be read."""
+    yield from region_faults(texture, level, region)
+    yield from plain_faults(texture)
+    yield from single_sample_faults(texture)
+    if stencil and not texture.format.has_stencil:
+        yield Fault(TEXTURE_FORMAT, texture.format.name, "a format with stencil")
+
+
+def texture_copy_faults(
+    source: TextureDescriptor, level: int, region: Region, target: TextureDescriptor, target_level: int, end: Region,
+    same: bool,
+) -> Faults:  # fmt: skip
+    """Yield what is wrong with a copy between textures, or within one (`same`)."""
+    yield from plain_faults(source)
+    yield from plain_faults(target)
+    yield from region_faults(source, level, region)
+    if source.format is not target.format:
+        yield Fault(TEXTURE_FORMAT, f"{source.format.name} to {target.format.name}", "equal formats")
+    if target.samples != 1 or source.samples != 1:
+        yield Fault(TEXTURE_SAMPLES, f"{source.samples} to {target.samples} samples", "1", "use resolve_to")
+    yield from region_faults(target, target_level, end)
+    if same and level == target_level and _overlap(region, end):
+        yield Fault(TEXTURE_REGION, f"{region} to {end}", "regions that don't overlap")
+
+
+def row_faults(
+    texture: TextureDescriptor, level: int, region: Region, offset: int, row_bytes: int, size: int,
+    limits: Capabilities,
+) -> Faults:  # fmt: skip
+    """Yield what is wrong with the place of a region's rows in a buffer of `size` bytes."""
+    texel = texture.format.transfer_bytes
+    yield from plain_faults(texture)
+    if not limits.texture_buffer_copies:
+        yield Fault(DEVICE_CAPABILITY, texture.format.name, "needs capabilities.texture_buffer_copies")
+    yield from region_faults(texture, level, region)
+    yield from single_sample_faults(texture)
+    least, step = region.width * texel, max(texel, limits.copy_row_alignment)
+    if row_bytes < least or row_bytes % step:
+        yield Fault(BUFFER_ALIGNMENT, f"row_bytes={row_bytes}", f"a multiple of {step}, {least} or more")
+    step = max(texel, limits.copy_offset_alignment)
+    if offset % step:
+        yield Fault(BUFFER_ALIGNMENT, f"offset={offset}", f"a multiple of {step}")
+    used = (region.height * region.layers - 1) * row_bytes + least
+    if offset < 0 or offset + used > size:
+        yield Fault(BUFFER_RANGE, f"{used} bytes at {offset}", f"within {size} bytes")
+
+
+def resolve_faults(source: TextureDescriptor, target: TextureDescriptor) -> Faults:
+    """Yield why a texture can't be resolved to another."""
+    if source.samples == 1 or target.samples != 1:
+        yield Fault(TEXTURE_SAMPLES, f"{source.samples} to {target.samples} samples", "several samples to 1")
+    has_average = not (source.format.is_depth or source.format.is_integer)
+    if source.format is not target.format or source.size != target.size or not has_average:
+        given = f"{show_texture(source)} to {show_texture(target)}"
+        yield Fault(TEXTURE_FORMAT, given, "equal sizes and equal color formats, not of integers")
+
+
+def mipmap_faults(texture: TextureDescriptor) -> Faults:
+    """Yield why levels can't be generated."""
+    yield from plain_faults(texture)
+    if texture.format.is_depth or texture.format.is_integer:
+        yield Fault(TEXTURE_FORMAT, texture.format.name, "a color format that can be filtered")
+
+
+def _overlap(a: Region, b: Region) -> bool:
+    return (
+        a.x < b.x + b.width
+        and b.x < a.x + a.width
+        and a.y < b.y + b.height
+        and b.y < a.y + a.height
+        and a.layer < b.layer + b.layers
+        and b.layer < a.layer + a.layers
+    )
+
+
+# -- buffers and arguments -----------------------------------------------------------------------------------
+
+
+def buffer_copy_faults(
+    source_size: int, offset: int, target_size: int, target_offset: int, size: int, same: bool, limits: Capabilities
+) -> Faults:
+    """Yield what is wrong with a copy between buffers, or within one (`same`)."""
+    alignment = limits.copy_alignment
+    for whole, start in ((source_size, offset), (target_size, target_offset)):
+        if start < 0 or size <= 0 or start + size > whole:
+            yield Fault(BUFFER_RANGE, f"{size} bytes at {start}", f"1 or more within {whole} bytes")
+        if start % alignment or size % alignment:
+            yield Fault(BUFFER_ALIGNMENT, f"{size} bytes at {start}", f"multiples of {alignment} bytes")
+    if same and abs(offset - target_offset) < size:
+        yield Fault(BUFFER_OVERLAP, f"{offset} to {target_offset}, {size} bytes")
+
+
+def range_faults(kind: BindingKind, offset: int, size: int, least: int, limits: Capabilities) -> Faults:
+    """Yield why a range of a buffer can't be bound as uniform or storage of `least` bytes."""
+    uniform = kind is BindingKind.UNIFORM
+    most = limits.max_uniform_bytes if uniform else limits.max_storage_bytes
+    alignment = limits.uniform_alignment if uniform else limits.storage_alignment
+    if not least <= size <= most or offset % alignment:
+        yield Fault(BINDING_SIZE, f"{size} bytes at {offset}", f"{least} to {most} bytes at a multiple of {alignment}")
+
+
+def indirect_faults(draws: int, offset: int, stride: int, count_offset: int, size: int) -> Faults:
+    """Yield what is wrong with the places of draws in a buffer of `size` bytes, and of their number in another."""
+    if draws < 1 or offset < 0 or offset + (draws - 1) * stride + DRAW.itemsize > size:
+        given = f"{draws} draws from byte {offset}, {stride} apart"
+        yield Fault(INDIRECT_RANGE, given, f"1 draw or more within {size} bytes")
+    if stride < DRAW.itemsize or stride % 4 or offset % 4 or count_offset % 4:
+        allowed = f"a stride of {DRAW.itemsize} or more and offsets, all multiples of 4"
+        yield Fault(INDIRECT_RANGE, f"stride {stride}, offset {offset}", allowed)
+
+
+def count_faults(offset: int, size: int, limits: Capabilities) -> Faults:
+    """Yield why the number of draws can't be read at a place in a buffer of `size` bytes."""
+    if not limits.indirect_count:
+        yield Fault(DEVICE_CAPABILITY, "a count from a buffer", "needs capabilities.indirect_count")
+    if not 0 <= offset <= size - 4:
+        yield Fault(INDIRECT_RANGE, f"count at byte {offset}", f"within {size} bytes")
+
+
+def indirect_dispatch_faults(offset: int, size: int) -> Faults:
+    """Yield what is wrong with the place of a dispatch's groups in a buffer of `size` bytes."""
+    if offset < 0 or offset % 4 or offset + 12 > size:
+        yield Fault(INDIRECT_RANGE, f"byte {offset}", f"a multiple of 4 up to {size - 12}")
+
+
+def dispatch_faults(groups: Sequence[int | None], shown: str, limits: Capabilities) -> Faults:
+    """Yield why a dispatch can't have these groups; None is no whole number."""
+    most = limits.max_dispatch
+    fits = len(groups) == 3 and all(n is not None and 0 <= n <= m for n, m in zip(groups, most, strict=True))
+    if not fits:
+        yield Fault(DISPATCH_SIZE, shown, f"1 to 3 whole numbers from 0 to {most}")
+
+
+def query_faults(kind: QueryKind, limits: Capabilities) -> Faults:
+    """Yield what a device lacks for a query."""
+    needed = {QueryKind.OCCLUSION: "occlusion_queries", QueryKind.COUNTER: "sample_counter"}.get(kind, "timestamps")
+    if not getattr(limits, needed):
+        yield Fault(DEVICE_CAPABILITY, f"a {kind.value} query", f"needs capabilities.{needed}")
+
+
+def condition_faults(limits: Capabilities) -> Faults:
+    """Yield what a device lacks for conditions."""
+    if not limits.conditional_rendering:
+        yield Fault(DEVICE_CAPABILITY, "conditional rendering", "needs capabilities.conditional_rendering")
+
+
+# -- programs, states, passes --------------------------------------------------------------------------------
+
+
+def show_stages(descriptor: ProgramDescriptor) -> str:
+    """Return a program's stages for a message."""
+    return "a program with " + ", ".join(sorted(stage.value for stage in descriptor.stages))
+
+
+def program_faults(descriptor: ProgramDescriptor, limits: Capabilities) -> Faults:
+    """Yield what a device lacks for a program."""
+    room = {
+        BindingKind.UNIFORM: limits.max_uniform_slots,
+        BindingKind.STORAGE: limits.max_storage_slots,
+        BindingKind.TEXTURE: limits.max_texture_slots,
+        BindingKind.IMAGE: limits.max_image_slots,
+    }
+    for kind, most in room.items():
+        used = sum(binding.kind is kind for binding in descriptor.bindings)
+        if used > most:
+            yield Fault(DEVICE_CAPABILITY, f"{used} {kind.value} bindings", f"at most {most}")
+    if (descriptor.point_size or descriptor.reads_point_coordinates) and limits.max_point_size <= 1.0:
+        given = "a point size" if descriptor.point_size else "point_coordinate()"
+        yield Fault(DEVICE_CAPABILITY, given, "needs capabilities.max_point_size")
+    if len(descriptor.attributes) > limits.max_vertex_attributes:
+        given = f"{len(descriptor.attributes)} attributes"
+        yield Fault(DEVICE_CAPABILITY, given, f"at most {limits.max_vertex_attributes}")
+    if Stage.VERTEX in descriptor.stages and not limits.draws:
+        yield Fault(DEVICE_CAPABILITY, show_stages(descriptor), "a compute program: needs capabilities.draws")
+    if Stage.COMPUTE in descriptor.stages:
+        x, y, z = group = descriptor.work_group
+        total = limits.max_work_group_invocations
+        fits = all(0 < n <= most for n, most in zip(group, limits.max_work_group, strict=True))
+        if not limits.compute or not fits or x * y * z > total:
+            yield Fault(DEVICE_CAPABILITY, f"work-group {x}×{y}×{z}", f"{limits.max_work_group}, {total} in all")
+        if descriptor.shared_bytes > limits.max_shared_bytes:
+            allowed = f"up to capabilities.max_shared_bytes, {limits.max_shared_bytes}"
+            yield Fault(DEVICE_CAPABILITY, f"{descriptor.shared_bytes} bytes of shared memory", allowed)
+
+
+def _differs(state: Any) -> bool:
+    return bool(state != DEFAULTS[type(state)])
+
+
+def _per_face(state: Any) -> bool:
+    return bool(state.front != state.back)
+
+
+_NEEDS: Final[dict[type, tuple[str, Callable[[Any], bool]]]] = {
+    AlphaTest: ("alpha_test", _differs),
+    AlphaFunction: ("alpha_test", _differs),
+    AlphaReference: ("alpha_test", _differs),
+    StencilTest: ("stencil", _differs),
+    StencilReference: ("stencil_per_face", _per_face),
+    StencilReadMask: ("stencil_per_face", _per_face),
+    StencilWriteMask: ("stencil_per_face", _per_face),
+    AlphaToCoverage: ("alpha_to_coverage", _differs),
+    BlendFunction: ("blend_per_target", lambda state: state.target is not None),
+    PolygonOffset: ("depth_bias_clamp", lambda state: state.clamp != 0.0),
+    PolygonMode: ("wireframe", _differs),
+}
+"""The capabilities that states need, and which of their values do: not defaults, nor what every device has."""
+
+
+def state_faults(state: Any, limits: Capabilities) -> Faults:
+    """Yield what a device lacks for a state."""
+    if isinstance(state, PlatformState) and type(state) not in limits.platform_states:
+        have = ", ".join(sorted(each.__name__ for each in limits.platform_states)) or "none"
+        yield Fault(PLATFORM_STATE, f"{state.full_name} of {state.platform()!r}", f"this device's own: {have}")
+    needs = _NEEDS.get(type(state))
+    if needs is not None and not getattr(limits, needs[0]) and needs[1](state):
+        yield Fault(STATE_CAPABILITY, repr(state), f"needs capabilities.{needs[0]}")
+    if isinstance(state, LineWidth) and state.width > limits.max_line_width:
+        most = f"up to capabilities.max_line_width, {limits.max_line_width:g}"
+        yield Fault(STATE_CAPABILITY, repr(state), most)
+
+
+def pass_faults(descriptor: PassDescriptor, textures: Mapping[Id, TextureDescriptor], limits: Capabilities) -> Faults:
+    """Yield what is wrong with a render pass whose attachments, levels and layers of `textures`, exist."""
+    colors, depth = descriptor.colors, descriptor.depth
+    targets: list[Attachment | DepthAttachment] = [*colors, *([] if depth is None else [depth])]
+    used = [textures[target.texture] for target in targets]
+    if len(colors) > limits.max_color_targets:
+        yield Fault(DEVICE_CAPABILITY, f"{len(colors)} color targets", f"{limits.max_color_targets}")
+    if len({(t.texture, t.level, t.layer) for t in targets}) < len(targets):
+        yield Fault(PASS_TARGET, "the same texture twice", "each level and layer once")
+    for texture in used[: len(colors)]:
+        form, compressed = texture.format, texture.compressed
+        if form.is_depth or form in limits.unrenderable_formats or compressed is not None:
+            given = f"{(compressed or form).name} as color target"
+            yield Fault(PASS_TARGET, given, "a color format the device can render to")
+    if depth is not None and not used[-1].format.is_depth:
+        yield Fault(PASS_TARGET, f"{used[-1].format.name} as depth target", "a depth format")
+    sizes = {texture.level_size(target.level) for texture, target in zip(used, targets, strict=True)}
+    if sizes != {descriptor.size}:
+        shown = ", ".join(f"{w}×{h}" for w, h in sorted({*sizes, descriptor.size}))
+        yield Fault(PASS_SIZE, shown, "one size")
+    samples = {texture.samples for texture in used}
+    if samples != {descriptor.samples}:
+        yield Fault(PASS_SAMPLES, f"samples {sorted({*samples, descriptor.samples})}", "one number of samples")
+    for color, source in zip(colors, used, strict=False):  # a depth target is the last one
+        if not color.resolve:
+            continue
+        end = textures[color.resolve]
+        fits = source.samples > 1 and end.samples == 1 and end.format is source.format and end.size == descriptor.size
+        if not fits or source.format.is_integer:  # integers have no average
+            allowed = "from several samples to 1, equal size and format, no integers"
+            yield Fault(PASS_TARGET, f"{show_texture(source)} resolved to {show_texture(end)}", allowed)
+    if depth is not None:
+        yield from _clear_faults(depth, used[-1])
+
+
+def _clear_faults(depth: DepthAttachment, texture: TextureDescriptor) -> Faults:
+    if depth.clear is not None and not 0.0 <= depth.clear <= 1.0:
+        yield Fault(PASS_CLEAR, f"clear_depth={depth.clear}", "0 to 1")
+    stencil = depth.clear_stencil
+    if stencil is not None and not (texture.format.has_stencil and 0 <= stencil <= 255):
+        yield Fault(PASS_CLEAR, f"clear_stencil={stencil}", "0 to 255, with a target that has stencil")

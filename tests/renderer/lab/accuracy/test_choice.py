@@ -1,0 +1,327 @@
+"""Settings that are chosen: steps along the knobs, the front, the check, and the files that keep them."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rhi
+from renderer.cli import main
+from renderer.cli.accuracy import list_left_out
+from renderer.cli.executors import SerialExecutor, make_executor
+from renderer.content import load_scene
+from renderer.lab.accuracy import (
+    FrontPoint,
+    KnobReport,
+    Situation,
+    SweepJob,
+    ValueRow,
+    choice,
+    choose,
+    run_jobs,
+)
+from renderer.lab.accuracy.choice import (
+    expect_error,
+    find_choices,
+    find_truth,
+    list_held_out,
+    list_steps,
+    mark_best,
+)
+from renderer.lab.accuracy.jobs import list_jobs, load_sample, order_jobs, save_sample
+from renderer.lab.accuracy.sweep import KnobSample, SweepFrame, SweepShare, ValueSample, list_views
+from renderer.settings import RenderSettings
+from renderer.shadows import ShadowFilter
+from tests.renderer.conftest import open_device
+
+SITUATION = Situation("city:blocks=2,shadows=1", backend="gl", size=(48, 28), views=2, rounds=2)
+
+
+def report_of(knob: str, *rows: tuple[str, float, float]) -> KnobReport:
+    """Make a report of values with a mean error and a time."""
+    made = [
+        ValueRow(knob, value, False, "levels", 2.0 * error, error, None, 1.0, time, time, time, 1.0, time, time, time)
+        for value, error, time in rows
+    ]
+    return KnobReport(knob, "gl", "a device", tuple(made))
+
+
+def point_of(error: float, milliseconds: float) -> FrontPoint:
+    return FrontPoint({}, RenderSettings(), error, error, milliseconds, 1.0, 1.0, 1.0)
+
+
+def test_each_step_saves_the_most_time_for_its_error() -> None:
+    reports = {
+        "shadow_size": report_of("shadow_size", ("512", 4.0, 0.4), ("1024", 1.0, 0.5), ("2048", 0.0, 1.0)),
+        "fxaa": report_of("fxaa", ("off", 3.0, 0.9), ("on", 2.0, 1.0)),
+        "precision": report_of("precision", ("fast", 0.5, 1.1), ("exact", 0.0, 1.0)),  # not faster: never taken
+    }
+    steps = list_steps(reports)
+    chosen = [(one["shadow_size"], one["fxaa"], one["precision"]) for one in steps]
+    assert chosen == [
+        ("2048", "on", "exact"),
+        ("1024", "on", "exact"),
+        ("1024", "off", "exact"),
+        ("512", "off", "exact"),
+    ]
+
+
+def test_the_front_is_what_nothing_beats() -> None:
+    found = ((0.0, 9.0), (1.0, 9.5), (1.0, 5.0), (2.0, 5.0), (3.0, 1.0))
+    points = mark_best([point_of(error, milliseconds) for error, milliseconds in found])
+    assert [point.is_best for point in points] == [True, False, True, False, True]
+
+
+def test_only_knobs_that_change_a_picture_of_the_scene_are_combined() -> None:
+    names = ("precision", "shadow_size", "inferred_scale", "second_eye", "query_batch", "normal_bits")
+    reports = [report_of(name, ("a", 1.0, 1.0)) for name in names]
+    lit, dark = load_scene("city:blocks=2,shadows=1"), load_scene("city:blocks=2")
+    assert set(find_choices(lit, RenderSettings(), reports)) == {"precision", "shadow_size"}
+    assert set(find_choices(dark, RenderSettings(), reports)) == {"precision"}
+    inferred = RenderSettings().change("technique.name", "inferred")
+    assert set(find_choices(dark, inferred, reports)) == {"inferred_scale"}
+
+
+def test_the_common_truth_has_what_each_truth_asks_for() -> None:
+    truth, scale = find_truth(RenderSettings(), ["precision", "samples", "shadow_filter"])
+    assert scale == 4
+    assert (truth.shadows.cascade_size, truth.shadows.filter) == (2048, ShadowFilter.SMOOTH)
+    assert (truth.precision.value, truth.technique.samples) == ("exact", 1)
+
+
+def test_held_out_views_are_others() -> None:
+    scene = load_scene("city:blocks=2")
+    known = list_views(scene, SITUATION)
+    checks = list_held_out(scene, SITUATION, 10, known)
+    others = list_held_out(scene, SITUATION, 20, [*known, *checks])
+    numbers = [{frame.number for frame in some} for some in (known, checks, others)]
+    assert [len(some) for some in numbers] == [2, 10, 20]
+    assert len(set().union(*numbers)) == 32
+    still = replace(SITUATION, camera="street")
+    assert [frame.number for frame in list_held_out(scene, still, 20, list_views(scene, still))] == [0]
+
+
+def test_more_is_expected_of_other_views_than_the_mean() -> None:
+    assert expect_error([1.0, 2.0, 3.0]) == pytest.approx(2.0 + 4.0)
+    assert expect_error([2.0] * 9) == 2.0
+    assert expect_error([0.0] * 999 + [9.0]) == 9.0  # the greatest is known to be possible
+    assert expect_error([4.0]) == 4.0
+
+
+def test_a_choice_keeps_its_bound_with_a_margin(monkeypatch: pytest.MonkeyPatch) -> None:
+    cheap, dear = mark_best([point_of(1.0, 1.0), point_of(0.5, 2.0)])
+    drawn: list[int] = []
+
+    class Bench:
+        """Says what errors would be: those of the cheap settings are spread more."""
+
+        def __init__(self, *_: object) -> None:
+            pass
+
+        def __enter__(self) -> Bench:
+            return self
+
+        def __exit__(self, *_: object) -> None:
+            pass
+
+        def compare(self, settings: RenderSettings, frames: Sequence[SweepFrame]) -> list[float]:
+            drawn.extend(frame.number for frame in frames)
+            spread = 1.0 if settings is cheap.settings else 0.1
+            return [1.0 + spread * (number % 2) for number in range(len(frames))]
+
+    monkeypatch.setattr(choice, "CombinationBench", Bench)
+    found = choose(replace(SITUATION, backend="null"), [cheap, dear], error_at_most=3.0)
+    assert (found.point, found.refused, found.error, found.held_out_error) == (dear, 1, 1.1, 1.1)
+    assert (found.views, found.held_out_views) == (10, 20)
+    assert len(drawn) == 10 + 10 + 20
+    assert len(set(drawn)) == 30
+    found = choose(replace(SITUATION, backend="null"), [cheap, dear], error_at_most=4.0)
+    assert (found.point, found.refused) == (cheap, 0)
+    assert found.expected == pytest.approx(1.5 + 4.0 * np.std([1.0, 2.0] * 5, ddof=1))
+
+
+def test_a_bound_that_no_settings_keep_is_refused() -> None:
+    points = mark_best([point_of(1.0, 9.0), point_of(2.0, 5.0)])
+    with pytest.raises(rhi.ValidationError, match=r"5 ms.*1 levels"):
+        choose(SITUATION, points, budget_ms=4.0)
+    with pytest.raises(rhi.ValidationError, match="accuracy-out-of-reach"):
+        choose(SITUATION, points, error_at_most=0.5)
+
+
+def sample_of(job: SweepJob) -> KnobSample:
+    """Make what a share may have found for one value."""
+    view = (2.0 * (1 + job.share.number), 2)
+    value = ValueSample((view,), view[0], (job.share.number, 1, 2), "", (0.5, 0.25), (0.125, 0.5))
+    return KnobSample(job.knob, "gl", "a device", {"b": "no b"}, {"a": value}, (3.0, 1.5))
+
+
+class CrashingExecutor(SerialExecutor):
+    """Runs a number of jobs, and then ends as a process does that is killed."""
+
+    def __init__(self, count: int, ran: list[SweepJob]) -> None:
+        self.count, self.ran = count, ran
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        if len(self.ran) == self.count:
+            raise KeyboardInterrupt
+        self.ran.append(args[0])
+        return super().submit(sample_of, *args)
+
+
+def test_a_sweep_goes_on_where_it_was_interrupted(tmp_path: Path) -> None:
+    jobs = list_jobs(SITUATION, ("fxaa", "samples", "precision"))
+    first, second, third = list[SweepJob](), list[SweepJob](), list[SweepJob]()
+    with pytest.raises(KeyboardInterrupt):
+        run_jobs(jobs, CrashingExecutor(2, first), tmp_path)
+    reports = run_jobs(jobs, CrashingExecutor(9, second), tmp_path)
+    assert (len(jobs), len(first), len(second)) == (6, 2, 4)
+    assert {*first, *second} == {*jobs}
+    assert [report.knob for report in reports] == ["fxaa", "samples", "precision"]
+    assert [(row.mean_error, row.max_error, row.worst) for row in reports[0].rows] == [(1.5, 4.0, (1, 1, 2))]
+    damaged = tmp_path / f"{jobs[1].key}.json"
+    damaged.write_text(damaged.read_text()[:-9])
+    assert run_jobs(jobs, CrashingExecutor(9, third), tmp_path) == reports
+    assert third == [jobs[1]]
+    assert sorted(path.suffix for path in tmp_path.iterdir()) == [".json"] * 6
+
+
+def test_the_longest_jobs_are_handed_out_first(tmp_path: Path) -> None:
+    ran = list[SweepJob]()
+    jobs = list_jobs(replace(SITUATION, views=1), ("tangent_packing", "precision", "query_persistence", "shadow_size"))
+    run_jobs(jobs, CrashingExecutor(9, ran), tmp_path)
+    assert [job.knob for job in ran] == ["query_persistence", "shadow_size", "precision", "tangent_packing"]
+    assert ran == order_jobs(jobs)
+
+
+def test_a_job_is_named_by_what_its_result_depends_on() -> None:
+    job = SweepJob(SITUATION, "fxaa")
+    assert job.key == SweepJob(replace(SITUATION), "fxaa").key
+    others = [
+        SweepJob(SITUATION, "samples"),
+        SweepJob(SITUATION, "fxaa", SweepShare(0, 2)),
+        SweepJob(SITUATION, "fxaa", SweepShare(1, 2)),
+        SweepJob(replace(SITUATION, rounds=3), "fxaa"),
+        SweepJob(replace(SITUATION, settings=RenderSettings().change("shadows.cascades", 2)), "fxaa"),
+    ]
+    assert len({job.key, *(one.key for one in others)}) == 6
+
+
+def test_a_job_that_fails_leaves_the_results_of_others(tmp_path: Path) -> None:
+    jobs = [SweepJob(replace(SITUATION, scene="nothing"), "fxaa"), SweepJob(SITUATION, "blending")]
+    with open_device("gl"), make_executor("threads:1") as executor, pytest.raises(rhi.ValidationError, match="scene"):
+        run_jobs(jobs, executor, tmp_path)
+    assert [path.stem for path in tmp_path.iterdir()] == [jobs[1].key]
+
+
+def test_what_a_job_has_found_is_read_as_it_was_written(tmp_path: Path) -> None:
+    sample = sample_of(SweepJob(SITUATION, "fxaa"))
+    save_sample(tmp_path / "r.json", sample)
+    assert load_sample(tmp_path / "r.json") == sample
+    assert load_sample(tmp_path / "other.json") is None
+
+
+def test_the_command_writes_a_page_and_settings_that_render_reads(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with open_device("gl"):
+        pass
+    monkeypatch.chdir(tmp_path)
+    scene = ["city:blocks=2", "--backend", "gl", "--size", "48x28"]
+    sweep = ["accuracy", *scene, "--views", "2", "--rounds", "2", "--knob", "precision", "--knob", "fxaa"]
+    sweep += ["--output", "out", "--plot", "charts.png", "--json"]
+    assert main([*sweep, "--error-at-most", "200"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert [knob["knob"] for knob in found["knobs"]] == ["precision", "fxaa"]
+    chosen = found["chosen"]
+    assert 0.0 < chosen["checked_error"] <= chosen["expected_error"] <= 200.0
+    assert chosen["held_out_error"] > 0.0
+    assert chosen["held_out_views"] == 20
+    assert found["chosen"]["milliseconds"] == min(point["milliseconds"] for point in found["front"])
+    page = (tmp_path / "out/report.html").read_text()
+    assert page.count("data:image/png;base64,") >= 4  # two charts, and the worst places of two knobs
+    assert 'src="http' not in page
+    assert (tmp_path / "charts.png").stat().st_size > 1000
+    assert (tmp_path / "out/images/pictures.png").is_file()
+    settings = RenderSettings.load(tmp_path / "out/settings.json")
+    assert settings.technique.fxaa is (found["chosen"]["values"]["fxaa"] == "on")
+    render = ["render", *scene, "--settings", "out/settings.json", "--output", "a.png", "--json"]
+    assert main(render) == 0
+    assert json.loads(capsys.readouterr().out)["technique"] == "forward"
+    assert main([*render, "--technique", "deferred"]) == 0  # an argument counts more than the file
+    assert json.loads(capsys.readouterr().out)["technique"] == "deferred"
+    (tmp_path / "out/accuracy.json").unlink()
+    with pytest.raises(SystemExit):
+        main([*sweep, "--budget-ms", "1e-3"])
+    said = capsys.readouterr()
+    assert "as that: 0.001 ms (allowed: " in said.err
+    assert "accuracy-out-of-reach" in said.err
+    assert json.loads(said.out)["chosen"] is None  # what was measured is shown all the same
+    assert "removed out/settings.json" in said.err
+    assert not (tmp_path / "out/settings.json").exists()  # it isn't the answer to this question
+    assert (tmp_path / "out/accuracy.json").is_file()
+
+
+def test_settings_that_are_no_answer_are_kept_without_a_question(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    RenderSettings().save(Path("settings.json"))
+    sweep = ["accuracy", "city:blocks=2", "--backend", "null", "--size", "16x16", "--knob", "fxaa"]
+    with pytest.raises(SystemExit):
+        main(sweep)  # null draws nothing: no knob is left
+    assert Path("settings.json").exists()
+    with pytest.raises(SystemExit):
+        main([*sweep, "--budget-ms", "9", "--settings", "settings.json"])
+    assert "copy it, and begin with the copy" in capsys.readouterr().err
+    assert Path("settings.json").exists()
+    with pytest.raises(SystemExit):
+        main([*sweep, "--budget-ms", "9"])
+    assert not Path("settings.json").exists()
+
+
+def test_what_is_left_out_is_said_once_for_all_values() -> None:
+    none = KnobReport("blending", "gl", "a device", (), dict.fromkeys(("weighted", "sorted"), "the scene lacks glass"))
+    some = replace(report_of("samples", ("1", 1.0, 1.0)), left_out={"2": "no 2", "8": "no 8"})
+    lines = ["blending: the scene lacks glass", "samples: 2: no 2", "samples: 8: no 8"]
+    assert list_left_out([none, some, report_of("fxaa", ("off", 1.0, 1.0))]) == lines
+
+
+@pytest.mark.nightly
+def test_a_sweep_that_was_killed_does_nothing_twice(tmp_path: Path) -> None:
+    with open_device("gl"):
+        pass
+    knobs = ("fxaa", "depth", "precision", "second_eye")
+    command = [sys.executable, "-m", "renderer", "accuracy", "city:blocks=2", "--backend", "gl", "--size", "32x18"]
+    command += ["--views", "1", "--rounds", "2", "--output", str(tmp_path)]
+    command += [text for knob in knobs for text in ("--knob", knob)]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    while not list(tmp_path.glob("jobs/*.json")):
+        assert process.poll() is None
+        time.sleep(0.01)
+    process.send_signal(signal.SIGKILL)
+    assert process.wait() == -signal.SIGKILL
+    kept = {path: path.stat().st_mtime_ns for path in tmp_path.glob("jobs/*.json")}
+    assert 1 <= len(kept) < len(knobs)
+    assert not (tmp_path / "accuracy.json").exists()
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    assert {path: path.stat().st_mtime_ns for path in kept} == kept
+    found = json.loads((tmp_path / "accuracy.json").read_text())
+    assert [one["knob"] for one in found["knobs"]] == list(knobs)
+
+
+def test_bounds_are_numbers_above_0(capsys: pytest.CaptureFixture[str]) -> None:
+    for text in ("0", "-1", "nan", "inf", "much"):
+        with pytest.raises(SystemExit):
+            main(["accuracy", "city", "--budget-ms", text])
+        assert "is not a number above 0" in capsys.readouterr().err

@@ -1,0 +1,129 @@
+"""`compare backends`: the rows, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rhi
+from renderer.cli import main
+from renderer.content import find_path, load_scene
+from renderer.lab.measure.backends import PASSES, BackendPasses, compare_backends
+
+SCENE = "city:blocks=6"
+
+
+def compare(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
+    small = ("--size", "96x64", "--rounds", "2", "--backends", "gl", "--json")
+    assert main(["compare", "backends", SCENE, *small, *arguments]) == 0
+    report: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return report
+
+
+def test_each_pass_has_a_row_for_each_backend(capsys: pytest.CaptureFixture[str]) -> None:
+    report = compare(capsys, "--passes", ",".join(PASSES))
+    assert [row["pass"] for row in report["rows"]] == list(PASSES)
+    for row in report["rows"]:
+        assert set(row) == {"pass", "backend", "milliseconds", "ratio_to_gl"}
+        assert row["backend"] == "gl"
+        assert row["milliseconds"] > 0.0
+        assert row["ratio_to_gl"] == 1.0
+    assert report["size"] == [96, 64]
+    assert report["triangles"] > 1000
+    assert list(report["devices"]) == ["gl"]
+
+
+def test_each_backend_is_compared_with_gl(capsys: pytest.CaptureFixture[str]) -> None:
+    report = compare(capsys, "--passes", "depth,queries", "--backends", "cl")
+    rows = [(row["pass"], row["backend"]) for row in report["rows"]]
+    assert rows == [("depth", "gl"), ("depth", "cl"), ("queries", "gl"), ("queries", "cl")]
+    assert all(row["ratio_to_gl"] == 1.0 for row in report["rows"] if row["backend"] == "gl")
+    assert all(row["ratio_to_gl"] > 0.0 for row in report["rows"])
+    assert list(report["devices"]) == ["gl", "cl"]
+
+
+def test_rows_of_backends_are_a_table_and_a_chart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    chart = tmp_path / "backends.png"
+    arguments = [
+        "--passes",
+        "depth",
+        "--rounds",
+        "1",
+        "--backends",
+        "gl",
+        "--size",
+        "32x32",
+        "--plot",
+        str(chart),
+    ]
+    assert main(["compare", "backends", SCENE, *arguments]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].split() == ["pass", "backend", "ms", "ratio", "to", "gl"]
+    assert lines[2].split()[:2] == ["depth", "gl"]
+    assert chart.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["city", "--passes", "dept"], "'dept' is not a pass"),
+        (["grid", "--backends", "gl", "--passes", "textured"], "measure-no-images"),
+        ([SCENE, "--backends", "null"], "measure-no-pictures"),
+        ([SCENE, "--backends", "vulkan"], "vulkan"),
+    ],
+)
+def test_what_cannot_be_compared_is_said_in_a_line(
+    arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(["compare", "backends", *arguments])
+    assert stopped.value.code == 2
+    error = capsys.readouterr().err.strip()
+    assert told in error
+    assert "\n" not in error
+
+
+def test_the_depth_pass_draws_the_depth_that_the_lit_pass_draws() -> None:
+    scene = load_scene(SCENE)
+    camera = find_path("sky", scene).camera(900)
+    with rhi.create_device("gl") as device:
+        passes = BackendPasses(device, scene, camera, (96, 64))
+        depths = []
+        for name in ("depth", "lit", "textured"):
+            passes.work(name)(0)
+            depths.append(passes.targets.depth.read())
+        assert (depths[0] > 0).sum() > 1000
+        np.testing.assert_array_equal(depths[0], depths[1])
+        np.testing.assert_array_equal(depths[0], depths[2])
+        passes.destroy()
+
+
+def test_queries_find_some_boxes_and_not_others() -> None:
+    scene = load_scene(SCENE)
+    camera = find_path("ground", scene).camera(900)
+    with rhi.create_device("gl") as device:
+        passes = BackendPasses(device, scene, camera, (96, 64))
+        passes.work("queries")(0)
+        answers = passes.count_boxes()
+        assert answers == passes.wait_for_boxes()
+        assert 0 < sum(count > 0 for count in answers) < len(answers)
+        passes.destroy()
+
+
+def test_rounds_are_those_asked_for() -> None:
+    scene = load_scene(SCENE)
+    camera = find_path("ground", scene).camera(0)
+    asked: list[str] = []
+
+    def rounds(name: str) -> Sequence[int]:
+        asked.append(name)
+        return range(1)
+
+    _, rows = compare_backends(scene, camera, ["gl"], ["queries", "depth"], (32, 32), rounds)
+    assert asked == ["queries", "depth"]
+    assert [row.name for row in rows] == asked

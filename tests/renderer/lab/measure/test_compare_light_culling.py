@@ -1,0 +1,202 @@
+"""`compare light-culling`: the rows, what they are compared with, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rhi
+from renderer.cli import main
+from renderer.content import BUILT_IN, load_scene
+from renderer.lab.measure.light_culling import (
+    choose_lights,
+    compare_light_culling,
+    find_lit,
+    find_overlaps,
+    find_surfaces,
+)
+from renderer.lights.culling import SPHERE_TESTS, make_grid
+from renderer.lights.culling.volumes import find_volumes
+from renderer.renderer import Renderer
+from renderer.scene import Camera, Lights, Perspective, SceneBuilder, scaling, translation
+from renderer.visibility import NoCulling
+from rhi import ValidationError
+
+ROW = [
+    "test", "cones", "depth_mask", "pre_filter", "lights", "pairs", "over_exact", "missed", "tests_made",
+    "collect_ms", "draw_ms",
+]  # fmt: skip
+HALL = "hall:columns=6,rows=2,flags=0,detail=3"
+
+
+def compare(capsys: pytest.CaptureFixture[str], *arguments: str) -> list[dict[str, Any]]:
+    small = ("--size", "200x120", "--rounds", "1", "--backend", "gl", "--json")
+    assert main(["compare", "light-culling", HALL, *small, *arguments]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["size"] == [200, 120]
+    rows: list[dict[str, Any]] = report["rows"]
+    return rows
+
+
+@pytest.mark.usefixtures("gl")
+def test_a_row_says_what_a_test_keeps_and_costs(capsys: pytest.CaptureFixture[str]) -> None:
+    rows = compare(capsys, "--lights", "2,3", "--tests", "none,planes,exact", "--pre-filter", "both")
+    assert [(row["lights"], row["test"], row["pre_filter"]) for row in rows] == [
+        (count, test, on) for count in (2, 3) for test in ("none", "planes", "exact") for on in (True, False)
+    ]
+    for row in rows:
+        assert list(row) == ROW
+        assert row["missed"] == 0
+        assert row["collect_ms"] > 0.0
+        assert row["draw_ms"] > 0.0
+    of = {(row["lights"], row["test"], row["pre_filter"]): row for row in rows}
+    for count in (2, 3):
+        assert of[count, "exact", True]["pairs"] == of[count, "exact", False]["pairs"] > 0
+        assert of[count, "exact", True]["over_exact"] == pytest.approx(1.0, abs=0.01)
+        assert of[count, "planes", False]["pairs"] >= of[count, "exact", False]["pairs"]
+        assert of[count, "none", False]["pairs"] == of[count, "none", False]["tests_made"]
+
+
+def test_tests_of_cones_and_the_depth_mask_drop_lights_that_light_no_pixel(gl: rhi.Device) -> None:
+    """A near wall hides the left half of a far one. Of the lights one is at the far wall, one between the walls; one
+    shines at the far wall, and one does so beside the view, into which the sphere around its cone reaches."""
+    builder = SceneBuilder("walls")
+    mesh, material = builder.add_mesh(BUILT_IN["box"]()), builder.add_material()
+    for x, z in ((-10.0, -2.0), (0.0, -40.0)):
+        builder.add_objects(builder.add_node(translation((x, 0, z)) @ scaling((20, 40, 0.1))), mesh, material)
+    builder.lights.add_point((0, 0, -39), 2.0)
+    builder.lights.add_point((0, 0, -20), 2.0)
+    builder.lights.add_spot((0, 0, -38), (0, 0, -1), 4.0, 0.1, 0.3)
+    camera = Camera.look_at((0, 0, 0), (0, 0, -1)).with_aspect(1.0)
+    edge = 40.0 / camera.projection.matrix[0, 0]
+    builder.lights.add_spot((edge + 1.5, 0, -38), (0, 0, -1), 4.0, 0.1, 0.2)
+    scene = builder.build()
+    with Renderer(gl, scene, size=(32, 32), visibility=NoCulling(scene)) as renderer:
+        rows = compare_light_culling(
+            renderer, camera, [4], ["exact"], tile=32, cones=["sphere", "tight"], depth_masks=[False, True], rounds=1
+        )
+    assert [(row.cones, row.depth_mask, row.pairs, row.missed) for row in rows] == [
+        ("sphere", False, 4, 0), ("sphere", True, 3, 0), ("tight", False, 3, 0), ("tight", True, 2, 0),
+    ]  # fmt: skip
+
+
+@pytest.mark.usefixtures("gl")
+def test_tests_of_cones_and_masks_are_named_on_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
+    rows = compare(capsys, "--lights", "4", "--tests", "none", "--cones", "sphere,planes", "--depth-mask", "both")
+    assert [(row["cones"], row["depth_mask"]) for row in rows] == [
+        ("sphere", True), ("sphere", False), ("planes", True), ("planes", False),
+    ]  # fmt: skip
+
+
+def test_the_scene_has_its_own_lights_and_technique_afterwards(gl: rhi.Device) -> None:
+    scene = load_scene(HALL)
+    lights = scene.lights
+    with Renderer(gl, scene, size=(64, 36), visibility=NoCulling(scene)) as renderer:
+        technique = renderer.technique
+        compare_light_culling(renderer, next(iter(scene.views.values())), [2], ["exact"], tile=16, rounds=1)
+        assert scene.lights is lights
+        assert renderer.technique is technique
+
+
+def test_what_lights_a_pixel_is_found_by_range_and_cone() -> None:
+    lens = Perspective(far=50.0)
+    lights, camera = Lights(), Camera.look_at((0, 0, 0), (0, 0, -1), projection=lens)
+    grid = make_grid(lens, (4, 4), 2)
+    depth = np.full((4, 4), (lens.matrix[2, 2] * -10.0 + lens.matrix[2, 3]) / 10.0, np.float32)
+    depth[:2, :2] = 0.0
+    lights.add_point((0, 0, -10), 100.0)
+    lights.add_point((0, 0, -20), 9.9)
+    lights.add_spot((-20, -20, -10), (1, 0, 0), 100.0, 0.1, 0.2)
+    lights.add_spot((0, 0, -5), (0, 0, -1), 100.0, 0.1, 1.5)
+    lights.add_spot((0, 0, -5), (0, 0, 1), 100.0, 0.1, 1.5)
+    found = find_lit(grid, camera, lights, depth)
+    assert found.tolist() == [[False] * 5, *[[True, False, False, True, False]] * 3]
+
+
+def test_a_light_that_is_left_out_is_missed(gl: rhi.Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Here the device is given smaller ranges."""
+    scene = load_scene(HALL)
+    camera = next(iter(scene.views.values()))
+    with Renderer(gl, scene, size=(200, 120), visibility=NoCulling(scene)) as renderer:
+        (right,) = compare_light_culling(renderer, camera, [3], ["exact"], tile=16, rounds=1)
+        monkeypatch.setattr(
+            "renderer.lights.culling.uploads.find_volumes", lambda *given: shrink(find_volumes(*given))
+        )
+        (wrong,) = compare_light_culling(renderer, camera, [3], ["exact"], tile=16, rounds=1)
+    assert right.missed == 0
+    assert wrong.missed == right.pairs - wrong.pairs > 0
+    assert wrong.over_exact < right.over_exact
+
+
+def shrink(volumes: Any) -> Any:
+    volumes.spheres[:, 3] *= 0.8
+    return volumes
+
+
+def test_lights_are_chosen_from_all_and_more_include_fewer() -> None:
+    lights = Lights()
+    for x in range(60):
+        lights.add_point((x, 0.0, 0.0), 1.0)
+    for x in range(40):
+        lights.add_spot((x, 1.0, 0.0), (0, 1, 0), 1.0, 0.1, 0.2)
+    few, more, everything = (choose_lights(lights, count) for count in (10, 50, 100))
+    assert len(few) == 10
+    assert len(few.point) > 2
+    assert len(few.spot) > 2
+    assert set(few.point["position"][:, 0]) <= set(more.point["position"][:, 0])
+    assert (everything.point == lights.point).all()
+    assert (everything.spot == lights.spot).all()
+    with pytest.raises(ValidationError) as refused:
+        choose_lights(lights, 101)
+    assert refused.value.rule.id == "measure-few-lights"
+
+
+def test_surfaces_of_tiles_are_those_of_their_pixels() -> None:
+    lens = Perspective(far=50.0)
+    grid = make_grid(lens, (5, 3), 2)
+    z = np.arange(1.0, 16.0).reshape(3, 5)
+    depth = (lens.matrix[2, 2] * -z + lens.matrix[2, 3]) / z
+    depth[:2, :2] = 0.0
+    near, far = find_surfaces(grid, depth)
+    assert np.allclose(near, [[np.inf, 3, 5], [11, 13, 15]])
+    assert np.allclose(far, [[-np.inf, 9, 10], [12, 14, 15]])
+
+
+def test_overlaps_are_found_in_every_slice() -> None:
+    lens = Perspective(far=50.0)
+    lights, camera = Lights(), Camera.look_at((0, 0, 0), (0, 0, -1), projection=lens)
+    lights.add_point((0, 0, -10), 1.0)
+    lights.add_point((0, 0, -40), 1.0)
+    lights.add_spot((0, 0, 2), (0, 0, 1), 2.5, 0.1, 3.0)
+    grid = make_grid(lens, (64, 64), 64, slices=4)
+    depth = np.linspace(0.0001, 1.0, 64 * 64).reshape(64, 64)
+    found = find_overlaps(grid, find_volumes(lights, camera), depth)
+    # Slices begin at 0.1, 0.47, 2.2 and 10.6 metres.
+    assert found.tolist() == [[False, False, True], [False, False, True], [True, False, False], [True, True, False]]
+
+
+@pytest.mark.usefixtures("gl")
+@pytest.mark.parametrize(("arguments", "rule"), [
+    (["--lights", "9999"], "measure-few-lights"), (["--tests", "plane"], "'plane' is not a test"),
+    (["--lights", "0"], "not a whole number of 1 or more"),
+])  # fmt: skip
+def test_what_cannot_be_compared_is_refused_in_one_line(
+    capsys: pytest.CaptureFixture[str], arguments: list[str], rule: str
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["compare", "light-culling", HALL, "--backend", "gl", "--size", "32x32", *arguments])
+    assert ended.value.code == 2
+    assert rule in capsys.readouterr().err
+
+
+def test_a_device_that_draws_nothing_has_no_surfaces(null: rhi.Device) -> None:
+    scene = load_scene(HALL)
+    with (
+        Renderer(null, scene, visibility=NoCulling(scene)) as renderer,
+        pytest.raises(ValidationError) as refused,
+    ):
+        compare_light_culling(renderer, next(iter(scene.views.values())), [1], list(SPHERE_TESTS), tile=8)
+    assert refused.value.rule.id == "measure-no-pictures"

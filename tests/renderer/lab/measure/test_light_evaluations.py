@@ -1,0 +1,142 @@
+"""The number of light evaluations of a frame, in scenes in which it is known."""
+
+from __future__ import annotations
+
+import pytest
+
+import rhi
+from renderer.content import BUILT_IN
+from renderer.lab.measure.light_evaluations import Counted, count_light_evaluations
+from renderer.renderer import Renderer
+from renderer.scene import Camera, Scene, SceneBuilder, scaling, translation
+from renderer.techniques import (
+    TECHNIQUES,
+    Clustered,
+    Deferred,
+    Forward,
+    ForwardMultipass,
+    LightIndexed,
+    LightPrePass,
+    Smoothed,
+    Technique,
+    TiledDeferred,
+)
+from renderer.visibility import NoCulling
+
+SIZE = (64, 48)
+PIXELS = SIZE[0] * SIZE[1]
+SHRUNK = 39 * 29  # 0.6 of each side, rounded up
+CASES = [
+    *(("gl", name) for name in TECHNIQUES),
+    ("cl", "forward"),
+    *(pytest.param("cl", name, marks=pytest.mark.nightly) for name in TECHNIQUES if name != "forward"),
+]
+"""All techniques on gl and cl; their kernels take long to build."""
+
+
+def walls(*distances: float, points: int = 0, spots: int = 0, reach: float = 100.0) -> Scene:
+    """Make walls that fill the image, at these distances from the eye, and lights a metre before the first one."""
+    builder = SceneBuilder("walls")
+    mesh, material = builder.add_mesh(BUILT_IN["box"]()), builder.add_material()
+    for distance in distances:
+        builder.add_objects(
+            builder.add_node(translation((0, 0, -distance)) @ scaling((40, 40, 0.1))), mesh, material
+        )
+    for number in range(points):
+        builder.lights.add_point((0.01 * number, 0, 1 - min(distances)), reach)
+    for number in range(spots):
+        builder.lights.add_spot((0.01 * number, 0, 1 - min(distances)), (0, 0, -1), reach, 1.5, 1.57)
+    builder.views["eye"] = Camera.look_at((0, 0, 0), (0, 0, -1))
+    return builder.build()
+
+
+def count(
+    device: rhi.Device, scene: Scene, technique: Technique, size: tuple[int, int] = SIZE
+) -> int | None:
+    with Renderer(device, scene, technique=technique, visibility=NoCulling(scene), size=size) as renderer:
+        return count_light_evaluations(renderer, scene.views["eye"])
+
+
+@pytest.mark.parametrize(("drawing_device", "name"), CASES, indirect=["drawing_device"])
+def test_each_pixel_looks_at_each_light_that_reaches_all_of_them(drawing_device: rhi.Device, name: str) -> None:
+    pixels = SHRUNK if name == "inferred" else PIXELS
+    assert count(drawing_device, walls(5.0, points=3), TECHNIQUES[name]()) == 3 * pixels
+    assert count(drawing_device, walls(5.0, points=2, spots=3), TECHNIQUES[name]()) == 5 * pixels
+    assert count(drawing_device, walls(5.0), TECHNIQUES[name]()) == 0
+
+
+@pytest.mark.parametrize("name", TECHNIQUES)
+def test_a_small_light_is_looked_at_where_it_may_reach_and_by_forward_shading_everywhere(
+    gl: rhi.Device, name: str
+) -> None:
+    size = (256, 192)  # of 4 × 3 tiles of clusters
+    number = count(gl, walls(5.0, points=1, reach=1.2), TECHNIQUES[name](), size)
+    assert number is not None
+    if name in ("forward", "forward_multipass"):
+        assert number == size[0] * size[1]
+    else:
+        assert 0 < number < size[0] * size[1]
+
+
+def test_a_light_of_an_object_behind_is_looked_at_if_it_is_drawn_first(gl: rhi.Device) -> None:
+    """Objects are drawn front to back by their farthest corners: that of the near, thick wall is the farther one."""
+    builder = SceneBuilder("thick")
+    mesh, material = builder.add_mesh(BUILT_IN["box"]()), builder.add_material()
+    for middle, depth in ((-10.0, 10.0), (-8.0, 0.1)):
+        builder.add_objects(
+            builder.add_node(translation((0, 0, middle)) @ scaling((40, 40, depth))), mesh, material
+        )
+    builder.lights.add_point((0, 0, -1), 100.0)
+    builder.views["eye"] = Camera.look_at((0, 0, 0), (0, 0, -1))
+    scene = builder.build()
+    assert count(gl, scene, Forward()) == count(gl, scene, Clustered()) == 2 * PIXELS
+    assert count(gl, scene, Deferred()) == count(gl, scene, ForwardMultipass()) == PIXELS
+
+
+@pytest.mark.parametrize(("points", "each"), [(8, 8), (9, 10)])
+def test_a_pixel_with_more_indices_than_fit_looks_at_its_objects_list(
+    gl: rhi.Device, points: int, each: int
+) -> None:
+    """One more light reaches the wall at a single place, so it is on the list of the object."""
+    scene = walls(5.0, points=points)
+    scene.lights.add_point((15.0, 0.0, -4.9), 1.0)
+    assert count(gl, scene, LightIndexed()) == each * PIXELS
+
+
+def test_more_than_a_half_float_can_count_are_counted(gl: rhi.Device) -> None:
+    assert count(gl, walls(5.0, points=2501), TiledDeferred()) == 2501 * PIXELS
+
+
+@pytest.mark.parametrize("make", [Deferred, LightPrePass])
+def test_masked_volumes_leave_out_what_is_before_them(gl: rhi.Device, make: type[Deferred]) -> None:
+    scene = walls(5.0)
+    scene.lights.add_point((0, 0, -6.0), 1.2)  # behind the wall's face, which it touches
+    scene.lights.add_point((0, 0, -6.5), 1.2)  # behind it
+    assert 0 < (count(gl, scene, make(stencil=True)) or 0) < (count(gl, scene, make()) or 0)
+
+
+@pytest.mark.parametrize("technique", [Forward(samples=4), Smoothed(Forward())])
+def test_what_is_not_known_how_to_count_is_not_counted(gl: rhi.Device, technique: Technique) -> None:
+    assert count(gl, walls(5.0, points=1), technique) is None
+
+
+def test_a_device_that_draws_nothing_counts_nothing(null: rhi.Device) -> None:
+    assert count(null, walls(5.0, points=1), Forward()) is None
+
+
+def test_counting_leaves_the_renderer_as_it_was(gl: rhi.Device) -> None:
+    scene, technique = walls(5.0, points=1), Deferred()
+    with Renderer(gl, scene, technique=technique, visibility=NoCulling(scene), size=SIZE) as renderer:
+        before = renderer.render(scene.views["eye"]).image.read()
+        count_light_evaluations(renderer, scene.views["eye"])
+        assert renderer.technique is technique
+        assert (renderer.render(scene.views["eye"]).image.read() == before).all()
+
+
+def test_a_counted_technique_has_its_own_passes_and_one_more(null: rhi.Device) -> None:
+    scene = walls(5.0, points=1)
+    with Renderer(null, scene, technique=Counted(Deferred()), visibility=NoCulling(scene), size=SIZE) as renderer:
+        renderer.render(scene.views["eye"])
+        _, plan = renderer.plan(scene.views["eye"])
+        assert renderer.technique.name == "deferred"
+    assert [one.name for one in plan.passes] == ["geometry", "point lights", "resolve", "light evaluations"]

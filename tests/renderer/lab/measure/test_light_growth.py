@@ -1,0 +1,94 @@
+"""How the cost of techniques grows with lights and objects, as counters: light evaluations and instances drawn."""
+
+from __future__ import annotations
+
+import pytest
+
+import rhi
+from renderer.content import BUILT_IN, load_scene
+from renderer.lab.measure.light_evaluations import count_light_evaluations
+from renderer.renderer import Renderer
+from renderer.scene import Camera, Scene, SceneBuilder, scaling, translation
+from renderer.techniques import TECHNIQUES, Deferred, Forward, ForwardMultipass, Technique
+from renderer.visibility import FrustumCulling, NoCulling
+
+SIZE = (96, 64)
+ABOVE = Camera.look_at((0.0, 40.0, 0.1), (0.0, 0.0, 0.0))
+"""A view of the middle of the city from above, in which the next streets are out of view."""
+EYE = Camera.look_at((0, 0, 0), (0, 0, -1))
+
+
+def count(device: rhi.Device, scene: Scene, technique: Technique, camera: Camera) -> int:
+    visibility = FrustumCulling(scene)
+    with Renderer(device, scene, technique=technique, visibility=visibility, size=SIZE) as renderer:
+        number = count_light_evaluations(renderer, camera)
+    assert number is not None
+    return number
+
+
+def wall(side: int, lights: int, reach: float) -> Scene:
+    """Make a wall of `side` × `side` boxes that fills the image, and lights that are spread before it."""
+    builder = SceneBuilder("wall")
+    mesh, material = builder.add_mesh(BUILT_IN["box"]()), builder.add_material()
+    width = 20.0 / side
+    for x in range(side):
+        for y in range(side):
+            place = translation((width * (x + 0.5) - 10.0, width * (y + 0.5) - 10.0, -5.0))
+            builder.add_objects(builder.add_node(place @ scaling((width, width, 0.1))), mesh, material)
+    for number in range(lights):
+        builder.lights.add_point((3.0 * ((number + 0.5) / lights - 0.5), 0.1, -4.5), reach)
+    return builder.build()
+
+
+@pytest.fixture(scope="module")
+def cities() -> dict[int, Scene]:
+    return {lights: load_scene(f"night:blocks=10,detail=2,lights={lights}") for lights in (12, 300, 1200)}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "forward",
+        "clustered_deferred",
+        *(
+            pytest.param(name, marks=pytest.mark.nightly)
+            for name in ("deferred", "forward_plus", "clustered", "tiled_deferred")
+        ),
+    ],
+)
+def test_more_lights_of_the_same_density_cost_what_is_visible_of_them(
+    gl: rhi.Device, cities: dict[int, Scene], name: str
+) -> None:
+    few, more, most = (count(gl, city, TECHNIQUES[name](), ABOVE) for city in cities.values())
+    assert few < 0.5 * more
+    assert most == pytest.approx(more, rel=0.01)  # clusters end a little farther where lights do
+
+
+@pytest.mark.parametrize("name", ["deferred", "tiled_deferred", "clustered_deferred"])
+def test_what_lights_a_geometry_buffer_costs_the_same_for_each_number_of_objects(
+    gl: rhi.Device, name: str
+) -> None:
+    counts = {count(gl, wall(side, 8, 1.0), TECHNIQUES[name](), EYE) for side in (1, 4, 16)}
+    assert len(counts) == 1
+    assert counts.pop() > 0
+
+
+def test_forward_shading_looks_at_all_lights_of_an_object_and_at_fewer_of_each_of_many(gl: rhi.Device) -> None:
+    one, some, many = (count(gl, wall(side, 8, 1.0), Forward(), EYE) for side in (1, 4, 16))
+    assert one == 8 * SIZE[0] * SIZE[1]
+    assert one > some > many > 0
+
+
+@pytest.mark.parametrize(("side", "lights"), [(1, 1), (1, 8), (4, 1), (4, 8)])
+def test_a_light_at_a_time_draws_objects_times_lights_and_volumes_are_as_many_as_lights(
+    null: rhi.Device, side: int, lights: int
+) -> None:
+    scene = wall(side, lights, 100.0)
+    drawn = []
+    for technique in (ForwardMultipass(), Deferred()):
+        with Renderer(null, scene, technique=technique, visibility=NoCulling(scene), size=SIZE) as renderer:
+            null.stream.clear()
+            renderer.render(EYE)
+            (lamps,) = (one for one in null.stream.draws() if one.labels == ("point lights",))
+            drawn.append(lamps["draws"] if technique.name == "forward_multipass" else lamps["instances"])
+    assert drawn == [side * side * lights, lights]

@@ -1,0 +1,274 @@
+"""`tune`: the pairs tried, the executors, and the files written."""
+
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+import sys
+from concurrent.futures import Executor, Future
+from dataclasses import asdict
+from math import log
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image
+
+import rhi
+from renderer.cli import main
+from renderer.cli.executors import make_executor
+from renderer.cli.output import OutputError
+from renderer.content import load_scene
+from renderer.lab.measure.tuning import ParameterPair, Trial, Walk, find_best, search, try_pairs
+from renderer.visibility import Settings
+
+COMMAND = ["tune", "city:blocks=4,detail=2", "--size", "64x36", "--frames", "3", "--b", "1:8", "--n", "2"]
+
+
+class Valley:
+    """Ratios with a single minimum in place of measurements; records the pairs requested."""
+
+    def __init__(self, lowest: tuple[float, float]) -> None:
+        self.lowest = lowest
+        self.rounds: list[list[ParameterPair]] = []
+
+    def try_all(self, pairs: list[ParameterPair]) -> list[Trial]:
+        self.rounds.append(pairs)
+        return [self.trial(*pair) for pair in pairs]
+
+    def trial(self, batch: int, persistence: int) -> Trial:
+        away = [log(value / low) ** 2 for value, low in zip((batch, persistence), self.lowest, strict=True)]
+        return Trial(batch, persistence, 1.0, 1.0, 1.0 + sum(away), 0, 0, 0, 0)
+
+
+ranges = st.tuples(st.integers(1, 200), st.integers(1, 200)).map(lambda ends: (min(ends), max(ends)))
+
+
+@given(ranges, ranges, st.integers(1, 6))
+def test_every_trial_is_within_the_ranges_and_made_once(
+    batches: ParameterPair, persistences: ParameterPair, rounds: int
+) -> None:
+    valley = Valley((30.0, 7.0))
+    trials = list(search(batches, persistences, rounds, valley.try_all))
+    pairs = [(trial.batch, trial.persistence) for trial in trials]
+    assert len(set(pairs)) == len(pairs)
+    assert all(batches[0] <= b <= batches[1] and persistences[0] <= n <= persistences[1] for b, n in pairs)
+    assert {(b, n) for b in batches for n in persistences} <= set(pairs)  # the corners, always
+    assert len(valley.rounds) == rounds
+
+
+@pytest.mark.parametrize("lowest", [(1.0, 1.0), (7.0, 31.0), (33.0, 5.0), (100.0, 40.0), (64.0, 12.0)])
+def test_the_search_comes_to_the_lowest_place(lowest: tuple[float, float]) -> None:
+    valley = Valley(lowest)
+    trials = list(search((1, 100), (1, 40), 4, valley.try_all))
+    best = find_best(trials, 1)[0]
+    assert best.batch == pytest.approx(lowest[0], rel=0.2, abs=1)
+    assert best.persistence == pytest.approx(lowest[1], rel=0.2, abs=1)
+    assert len(trials) < 45  # of 4,000
+
+
+def test_of_equal_times_fewer_queries_are_better() -> None:
+    trials = [Trial(b, 1, 1.0, 1.0, 0.9, 0, 0, queries, 0) for b, queries in ((1, 50), (2, 20), (3, 30))]
+    assert [trial.batch for trial in find_best(trials)] == [2, 3, 1]
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.usefixtures("gl")
+def test_tune_writes_what_render_and_compare_read(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*COMMAND, "--backend", "gl", "--rounds", "2", "--output", "new/tuned", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    with (here / "new/tuned/trials.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert {int(row["batch"]) for row in rows} >= {1, 2, 4, 8}
+    assert {int(row["persistence"]) for row in rows} == {2}
+    assert all(float(row["ratio"]) > 0.0 and int(row["queries"]) > 0 for row in rows)
+    assert np.asarray(Image.open(here / "new/tuned/trials.png")).std() > 10
+    settings = Settings.load(here / "new/tuned/settings.json")
+    assert report["visibility"]["batch"] == settings.batch
+    assert report["ratio"] <= 1.0
+    assert {final["batch"] for final in report["finals"]} <= {int(row["batch"]) for row in rows}
+    shared = ["city:blocks=4,detail=2", "--size", "64x36", "--settings", "new/tuned/settings.json", "--json"]
+    assert main(["compare", "visibility", *shared, "--frames", "1", "--algorithms", "chc_plus_plus"]) == 0
+    compared = json.loads(capsys.readouterr().out)
+    assert compared["settings"] == asdict(Settings())
+    assert compared["optimized"] == report["visibility"]
+    assert [row["algorithm"] for row in compared["rows"]] == ["chc_plus_plus", "optimized_chc_plus_plus"]
+    assert main(["render", *shared, "--visibility", "chc_plus_plus"]) == 0
+
+
+@pytest.mark.usefixtures("gl")
+def test_trials_go_along_a_walk_that_render_recorded(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    record = ["--camera", "sky", "--frame", "700", "--frames", "5", "--record", "walks/one.json"]
+    assert main(["render", COMMAND[1], "--backend", "null", "--size", "64x36", *record]) == 0
+    walks: list[Walk] = []
+
+    def try_none(walk: Walk, pairs: list[ParameterPair]) -> list[Trial]:
+        walks.append(walk)
+        return [Trial(*pair, 1.0, 1.0, 1.0, 0, 0, 0, 0) for pair in pairs]
+
+    monkeypatch.setattr("renderer.cli.tune.try_pairs", try_none)
+    assert main([*COMMAND, "--rounds", "1", "--camera-path", "walks/one.json"]) == 0
+    sky = load_scene(COMMAND[1]).paths["sky"]
+    for walk in walks:
+        assert len(walk.path) == 4
+        assert all(np.allclose(walk.path.camera(i).position, sky.camera(700 + i).position) for i in range(4))
+        assert all(np.allclose(walk.path.camera(i).rotation, sky.camera(700 + i).rotation) for i in range(4))
+    assert len(walks) == 5  # four pairs, and those that decide
+
+
+@pytest.mark.usefixtures("gl")
+@pytest.mark.parametrize("kind", ["native", "emulated"])
+def test_the_queries_that_are_asked_for_are_tuned_rendered_and_kept(
+    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    made: set[bool] = set()
+    make_set = rhi.Device.query_set
+
+    def note(device: rhi.Device, size: int, *, emulated: bool = False) -> rhi.QuerySet:
+        made.add(emulated)
+        return make_set(device, size, emulated=emulated)
+
+    monkeypatch.setattr(rhi.Device, "query_set", note)
+    wanted = {kind == "emulated"}
+    assert main([*COMMAND, "--backend", "gl", "--rounds", "1", "--queries", kind]) == 0
+    assert made == wanted
+    assert Settings.load(here / "tuned/settings.json").emulated is (kind == "emulated")
+    shared = ["render", COMMAND[1], "--size", "64x36", "--backend", "gl", "--visibility", "chc_plus_plus"]
+    for extra in (["--settings", "tuned/settings.json"], ["--queries", kind]):
+        made.clear()
+        assert main([*shared, *extra]) == 0
+        assert made == wanted
+    made.clear()
+    assert main([*shared, "--settings", "tuned/settings.json", "--queries", "native"]) == 0
+    assert made == {False}  # the option counts more than the file
+
+
+class Counter(Executor):
+    """Counts the calls submitted to it: any executor will do."""
+
+    def __init__(self) -> None:
+        self.ran: list[object] = []
+
+    def submit(self, fn, /, *args, **kwargs):  # type: ignore[no-untyped-def]
+        self.ran.append(fn)
+        future: Future[object] = Future()
+        future.set_result(fn(*args, **kwargs))
+        return future
+
+
+@pytest.mark.usefixtures("gl")
+def test_any_executor_runs_the_trials(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    counter = Counter()
+    monkeypatch.setattr("renderer.cli.executors.SerialExecutor", lambda: counter)
+    assert main([*COMMAND, "--rounds", "1"]) == 0
+    assert counter.ran == [try_pairs] * 5  # four, and those that decide against each other
+
+
+@pytest.mark.usefixtures("gl")
+def test_processes_run_the_trials(here: Path) -> None:
+    assert main([*COMMAND, "--rounds", "1", "--executor", "processes:2"]) == 0
+    assert len((here / "tuned/trials.csv").read_text().splitlines()) == 5
+
+
+CLUSTER = """
+import sys
+from distributed import LocalCluster
+from renderer.cli import main
+
+with LocalCluster(
+    n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp"
+) as cluster:
+    main([*sys.argv[1:], "--executor", f"dask:{cluster.scheduler_address}"])
+    stories = [worker.state.log for worker in cluster.workers.values()]
+done = [sum(event[1:3] == ("executing", "memory") for event in story) for story in stories]
+print(f"{len(done)} workers, {sum(done)} tasks")
+"""
+
+
+@pytest.mark.nightly
+@pytest.mark.usefixtures("gl")
+def test_a_dask_cluster_of_two_workers_runs_the_trials(here: Path) -> None:
+    """Runs in a process of its own, so that warnings of dask on a slow machine don't fail the test."""
+    pytest.importorskip("distributed")
+    command = [sys.executable, "-c", CLUSTER, *COMMAND, "--rounds", "1"]
+    run = subprocess.run(command, cwd=here, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.splitlines()[-1] == "2 workers, 5 tasks"  # four trials, and the deciding one
+    assert len((here / "tuned/trials.csv").read_text().splitlines()) == 5
+
+
+@pytest.mark.parametrize(
+    ("extra", "said"),
+    [
+        (["--b", "0:5"], "--b"),
+        (["--b", "9:5"], "--b"),
+        (["--n", "x"], "--n"),
+        (["--executor", "magic"], "none of serial, processes"),
+        (["--executor", "processes:0"], "none of serial, processes"),
+        (["--executor", "dask:"], "none of serial, processes"),
+        (["--camera-path", "grund"], "did you mean 'ground'"),
+        (["--camera-path", "walk.json"], "walk.json"),
+        (["--frame", "1797"], "camera-frame-range"),
+        (["--backend", "null"], "answers no queries"),
+    ],
+)
+def test_bad_input_of_tune_is_one_line(
+    here: Path, capsys: pytest.CaptureFixture[str], extra: list[str], said: str
+) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main([*COMMAND, *extra])
+    assert stop.value.code == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+    assert not list(here.iterdir())
+
+
+def test_without_dask_its_executor_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(name: str) -> None:
+        raise ModuleNotFoundError(name)
+
+    monkeypatch.setattr("renderer.cli.executors.import_module", missing)
+    with pytest.raises(OutputError, match=r"rhi\[dask\]"), make_executor("dask:tcp://nowhere:1"):
+        pass
+
+
+@pytest.mark.parametrize("executor", ["serial", "processes:1"])
+def test_a_trial_that_is_refused_says_why(
+    here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, executor: str
+) -> None:
+    # As on a machine of a cluster that can't do what this one can.
+    monkeypatch.setattr("renderer.cli.tune.list_algorithms", lambda device: ["chc_plus_plus"])
+    with pytest.raises(SystemExit):
+        main([*COMMAND, "--backend", "null", "--rounds", "1", "--executor", executor])
+    error = capsys.readouterr().err
+    assert "null-samples" in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.usefixtures("gl")
+def test_the_best_pair_is_tried_with_leaves_of_several_objects(
+    here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried = []
+
+    def try_none(
+        walk: Walk, pairs: list[ParameterPair], threshold: int = 0, leaf_size: int = 1
+    ) -> list[Trial]:
+        tried.append(leaf_size)
+        ratio = 0.5 if leaf_size == 4 else 0.9
+        return [Trial(*pair, 1.0, 1.0, ratio, 0, 0, 0, 0, leaf_size) for pair in pairs]
+
+    monkeypatch.setattr("renderer.cli.tune.try_pairs", try_none)
+    assert main([*COMMAND, "--rounds", "1", "--leaf-size", "1:16"]) == 0
+    assert [size for size in tried if size != 1] == [2, 4, 8, 16]
+    (found,) = here.glob("**/settings.json")
+    assert Settings.load(found).leaf_size == 4

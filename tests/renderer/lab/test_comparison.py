@@ -1,0 +1,131 @@
+"""Comparisons: who runs when, what ratios are to, and what is printed."""
+
+from __future__ import annotations
+
+import json
+import os
+import time as clock
+from collections.abc import Callable, Iterator, Mapping
+from importlib import import_module
+
+import pytest
+
+from renderer.cli.arguments import add_rounds
+from renderer.cli.comparison import run_benchmark
+from renderer.lab.comparison import (
+    Column,
+    Record,
+    Subject,
+    average,
+    compare,
+    interval,
+    largest,
+    rate,
+    ratio,
+    time,
+)
+
+COLUMNS: dict[str, Column] = {"ratio": ratio(), "speed": ratio(inverse=True)}
+
+
+@pytest.fixture
+def ticks(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
+    """Clocks that only go on when they are told to; called, it lets seconds pass."""
+    now = [0.0]
+    for name in ("perf_counter", "process_time"):
+        monkeypatch.setattr(import_module("renderer.lab.measure.alternate"), name, lambda: now[0])
+
+    def pass_by(seconds: float) -> None:
+        now[0] += seconds
+
+    return pass_by
+
+
+def test_each_round_starts_with_another_subject() -> None:
+    order: list[str] = []
+    subjects = [Subject({"name": name}, lambda _, name=name: order.append(name)) for name in "abc"]
+    compare(subjects, {}, range(4), warm_ups=0)
+    assert order == list("abc" "bca" "cab" "abc")
+
+
+def test_what_is_done_before_a_run_and_between_rounds_is_not_timed(ticks: Callable[[float], None]) -> None:
+    def rounds() -> Iterator[int]:
+        for number in range(3):
+            ticks(100.0)
+            yield number
+            ticks(100.0)
+
+    def count() -> Mapping[str, int]:
+        ticks(100.0)
+        return {}
+
+    one = Subject({}, lambda _: ticks(2.0), before=lambda: ticks(100.0), count=count)
+    assert compare([one], {"ms": time()}, rounds()) == [{"ms": 2000.0}]
+
+
+def test_ratios_are_to_the_first_subject_with_the_same_cells(ticks: Callable[[float], None]) -> None:
+    taken = {("x", 1): 1.0, ("x", 2): 3.0, ("y", 1): 5.0, ("y", 2): 20.0}
+    subjects = [
+        Subject({"scene": scene, "way": way}, lambda _, seconds=seconds: ticks(seconds))
+        for (scene, way), seconds in taken.items()
+    ]
+    rows = compare(subjects, COLUMNS, range(2), within=("scene",))
+    assert [(row["ratio"], row["speed"]) for row in rows] == [(1.0, 1.0), (3.0, 0.333), (1.0, 1.0), (4.0, 0.25)]
+    assert [row["ratio"] for row in compare(subjects, COLUMNS, range(2))] == [1.0, 3.0, 5.0, 20.0]
+
+
+def test_a_ratio_is_the_median_of_rounds_and_no_quotient_of_medians(ticks: Callable[[float], None]) -> None:
+    base, other = (1.0, 10.0, 100.0), (100.0, 20.0, 2.0)
+    subjects = [Subject({}, lambda number, of=of: ticks(of[number])) for of in (base, other)]
+    columns = {"ms": time(1.0), "ratio": ratio(), "interval": interval(), "per second": rate(40.0)}
+    row = compare(subjects, columns, range(3), warm_ups=0)[1]
+    assert row["ratio"] == 2.0
+    assert row["interval"][0] <= 2.0 <= row["interval"][1]
+    assert (row["ms"], row["per second"]) == (20.0, 2.0)
+    uneven = [Subject({}, lambda number, of=of: ticks(of[number])) for of in ((1.0, 2.0, 9.0), (3.0, 1.0, 9.0))]
+    assert compare(uneven, {"ratio": ratio()}, range(3), warm_ups=0)[1]["ratio"] == 1.0  # medians are 2 and 3
+
+
+def test_counts_are_those_of_timed_runs_and_cells_have_their_order() -> None:
+    done: list[int] = []
+
+    def count() -> Mapping[str, int]:
+        return {"calls": done[-1]}
+
+    one = Subject({"name": "a"}, done.append, count=count, find=lambda: {"all": len(done)})
+    rows = compare([one], {"calls": average()}, (2, 6), warm_ups=3)
+    assert rows == [{"name": "a", "calls": 4, "all": 5}]
+    assert list(rows[0]) == ["name", "calls", "all"]
+    assert compare([one], {"calls": largest}, (2, 6))[0]["calls"] == 6
+
+
+@pytest.mark.parametrize("form", ["", "--json", "--markdown"])
+def test_a_benchmark_prints_its_rows(
+    form: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def measure(given: object) -> Iterator[Record]:
+        yield from compare([Subject({"name": "a"}, clock.sleep)], {"ratio": ratio()}, [0])
+
+    monkeypatch.setattr("sys.argv", ["some.py", "--rounds", "1", *form.split()])
+    monkeypatch.setenv("RHI_KERNELS", "")  # and so back to what it was at the end
+    monkeypatch.delenv("RHI_KERNELS")
+    run_benchmark("Says what it is.", lambda parser: add_rounds(parser, "rounds"), measure)
+    assert os.environ["RHI_KERNELS"] == "optimised"  # as a long run has them
+    out = capsys.readouterr().out
+    if form == "--json":
+        assert json.loads(out) == {"rows": [{"name": "a", "ratio": 1.0}]}
+    else:
+        parts = out.splitlines()
+        assert [part.strip(" |").split() for part in (parts[0].replace("|", " "), parts[2].replace("|", " "))] == [
+            ["name", "ratio"], ["a", "1.00"],
+        ]  # fmt: skip
+
+
+def test_a_benchmark_keeps_the_kernels_that_were_asked_for(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["some.py"])
+    monkeypatch.setenv("RHI_KERNELS", "quick")
+    run_benchmark("Says what it is.", lambda parser: None, lambda given: [{"a": 1}])
+    assert os.environ["RHI_KERNELS"] == "quick"
+    capsys.readouterr()

@@ -1,0 +1,157 @@
+"""Whatever culls, images are those without culling, to the last pixel: each situation with each algorithm.
+
+The hard cases, which the exam measures on every device, are in `renderer.lab.exam.scenes`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from itertools import cycle
+
+import numpy as np
+import pytest
+from occlusion_scenes import DEVICE, look
+
+import rhi
+from renderer.content import load_scene
+from renderer.content.shapes import box
+from renderer.lab.exam.scenes import CullingImage, Shots, Uncut, along, make_city, walk
+from renderer.lab.exam.visibility import NAMES
+from renderer.scene import Camera, Depth, MeshGeometry, Orthographic, Perspective, Scene, SceneBuilder
+from renderer.visibility import (
+    CallbackPass,
+    FrustumCulling,
+    ScenePass,
+    VisibilityStatistics,
+    list_algorithms,
+    make_visibility,
+)
+
+PAIRS = [*(("gl", name) for name in NAMES), *(("cl", name) for name in (*DEVICE, "software_depth"))]
+STANDARD = Perspective(near=0.2, far=2000.0, depth=Depth.STANDARD)
+LENSES = (Perspective(near=0.1), Perspective(fov=0.3), Orthographic(60.0, far=900.0), Perspective(fov=2.2, far=500.0))
+
+
+def through(path: str, frames: Iterable[int], *lenses: Perspective | Orthographic | None) -> Callable[[Scene], Shots]:
+    """Return a function that finds the cameras of these frames, with lenses in turn; None is the path's own."""
+    return lambda scene: [
+        (camera.with_projection(lens) if lens else camera, seconds)
+        for (camera, seconds), lens in zip(walk(scene, path, frames), cycle(lenses), strict=False)
+    ]
+
+
+def mirrored_boxes(*, two_sides: bool) -> Scene:
+    """Make boxes of which every other one is mirrored, and one is skewed flat; every third one may have two sides, and
+    lacks a face, so that its inside is seen."""
+    builder = SceneBuilder("mirrored")
+    rng, whole = np.random.default_rng(4), box()
+    mesh, opened = builder.add_mesh(whole), builder.add_mesh(MeshGeometry(whole.vertices, whole.indices[6:]))
+    local = np.tile(np.eye(4), (30, 1, 1))
+    local[:, :3, :3] = rng.normal(size=(30, 3, 3))
+    local[:, :3, 3] = rng.uniform(-6.0, 6.0, (30, 3))
+    local[0, :3, 2] = 0.3 * local[0, :3, 0] + 0.2 * local[0, :3, 1]
+    turned = np.linalg.det(local[:, :3, :3]) < 0.0
+    assert 5 < turned.sum() < 25
+    nodes = builder.add_nodes(local)
+    for row, color in enumerate(rng.uniform(0.2, 1.0, (30, 4))):
+        has_two = two_sides and row % 3 == 0
+        material = builder.add_material(base_color=tuple(color), double_sided=has_two)
+        builder.add_objects(nodes[row], opened if has_two else mesh, material)
+    builder.lights.add_directional((-0.4, -1.0, -0.3), (1.0, 1.0, 1.0), 1.5)
+    return builder.build()
+
+
+def around(_: Scene) -> Shots:
+    eyes = [(12.0, 3.0, 4.0), (-9.0, -8.0, 2.0), (0.0, 0.0, 1.0)]
+    return [(look(eye, (0.0, 0.0, 0.0)), 0.0) for eye in eyes for _ in range(2)]
+
+
+def hall(options: str, frames: range, per_second: int) -> CullingImage:
+    return CullingImage(
+        0, lambda: load_scene(f"hall:columns=8,rows=2,{options}"),
+        lambda scene: [(scene.paths["ground"].camera(frame), frame / per_second) for frame in frames],
+    )  # fmt: skip
+
+
+SITUATIONS = {
+    "all along the ground": CullingImage(0, make_city, along("ground", 0, 450, 900, 1350, 1799)),
+    "all along the sky": CullingImage(0, make_city, along("sky", 0, 450, 900, 1350, 1799)),
+    "a walk": CullingImage(0, make_city, along("ground", *range(600, 648, 4))),
+    "a flight": CullingImage(0, make_city, along("sky", *range(600, 648, 4))),
+    "what moves": hall("flags=12", range(300, 900, 60), 6),
+    "what is simulated": hall("flags=2,fountains=4", range(300, 900, 100), 60),
+    "standard depth": CullingImage(0, make_city, through("ground", range(700, 724, 4), STANDARD)),
+    "depth that turns round": CullingImage(0, make_city, through("ground", range(700, 724, 4), None, STANDARD)),
+    "another lens in each frame": CullingImage(0, make_city, through("sky", range(700, 708), *LENSES)),
+    "mirrored and skewed objects": CullingImage(0, lambda: mirrored_boxes(two_sides=False), around),
+    "backs of two sides, mirrored or not": CullingImage(0, lambda: mirrored_boxes(two_sides=True), around),
+} | {
+    f"{size} pixels, {'standard' if lens else 'reversed'} depth": CullingImage(
+        0, make_city, through("ground", range(600, 632, 8), lens), size
+    )
+    for size in ((1, 1), (2, 3), (63, 34), (257, 31)) for lens in (None, STANDARD)
+}  # fmt: skip
+
+NIGHTLY = {
+    f"the whole city from the {path}": CullingImage(
+        0, lambda: load_scene("city"), along(path, *range(0, 1800, 75)), (160, 90)
+    )
+    for path in ("ground", "sky")
+}
+
+
+@pytest.fixture(scope="module")
+def uncut(device: rhi.Device) -> Iterator[Callable[[str], Uncut]]:
+    """The frames of a situation without culling, drawn once for all algorithms of a device."""
+    drawn: dict[str, Uncut] = {}
+
+    def draw(situation: str) -> Uncut:
+        image = (SITUATIONS | NIGHTLY)[situation]
+        if situation not in drawn:
+            drawn[situation] = Uncut(device, scene := image.scene(), image.shots(scene), image.size)
+        return drawn[situation]
+
+    yield draw
+    for one in drawn.values():
+        one.destroy()
+
+
+@pytest.mark.parametrize(
+    "situation", [*SITUATIONS, *(pytest.param(name, marks=pytest.mark.nightly) for name in NIGHTLY)]
+)
+@pytest.mark.parametrize(("device", "name"), PAIRS, indirect=["device"])
+def test_it_looks_as_without_culling(
+    device: rhi.Device, uncut: Callable[[str], Uncut], name: str, situation: str
+) -> None:
+    if name not in list_algorithms(device):
+        pytest.skip(f"{name} doesn't run here")
+    expected = uncut(situation)
+    algorithm = make_visibility(name, expected.scene, device)
+    assert expected.count_wrong_pixels(algorithm) == [0] * len(expected.shots)
+    algorithm.destroy()
+
+
+def test_pictures_that_are_compared_show_something(device: rhi.Device, uncut: Callable[[str], Uncut]) -> None:
+    blank = {
+        situation
+        for situation, image in SITUATIONS.items()
+        if image.size > (2, 3) and not all(np.ptp(frame[..., :3]) > 60 for frame in uncut(situation).frames)
+    }
+    assert blank == set()
+
+
+def test_a_lost_object_is_seen(gl: rhi.Device) -> None:
+    # The control: one of the objects in view is left out.
+    city = make_city()
+
+    class LeaveOut:
+        opens_pass = False
+
+        def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
+            some = CallbackPass(lambda rows: scene_pass.draw(rows[1:]))
+            return FrustumCulling(city).render(camera, some)
+
+    frames = Uncut(gl, city, [(city.views["overview"], 0.0)], (160, 90))
+    assert frames.count_wrong_pixels(FrustumCulling(city)) == [0]
+    assert frames.count_wrong_pixels(LeaveOut()) > [0]
+    frames.destroy()

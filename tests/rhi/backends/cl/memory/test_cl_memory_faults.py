@@ -1,0 +1,320 @@
+"""Every allocation and every command fails in turn. Each failure is a rule's error with a tip and the user's line,
+leaves nothing half-made, and the device continues."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from functools import partial
+from typing import Any, TypeAlias
+
+import numpy as np
+import pyopencl as cl
+import pytest
+from numpy.typing import NDArray
+
+import rhi
+from rhi import (
+    BlendFunction,
+    CullMode,
+    Device,
+    DeviceError,
+    Format,
+    IndirectDraws,
+    Primitive,
+    Region,
+    TextureKind,
+)
+from rhi.backends.cl.memory import planes
+from rhi.conformance.shaders import Colored, Corner
+from rhi.conformance.shapes import corners, rectangle
+from rhi.shading import Shader, StorageRW, Struct, Texture2D, global_id, vec2, vec4
+
+_Buffer: Any = cl.Buffer
+
+
+class Textured(Struct):
+    clip: vec4
+    at: vec2
+
+
+class Painted(Shader):
+    """Draws an image over the whole target."""
+
+    image: Texture2D
+
+    def vertex(self, v: Corner) -> Textured:
+        return Textured(clip=v.position, at=v.position.xy * 0.5 + 0.5)
+
+    def fragment(self, v: Textured) -> vec4:
+        return self.image.sample(v.at)
+
+
+class Ramp(Shader):
+    work_group = (16,)
+    values: StorageRW[float]
+
+    def compute(self) -> None:
+        i = global_id().x
+        if i < len(self.values):
+            self.values[i] = float(i)
+
+
+Results: TypeAlias = list[NDArray[Any]]
+Keep: TypeAlias = Callable[[Any], Any]
+
+
+def gives_back(do: Callable[[Device, Keep], Results]) -> Callable[[Device], Results]:
+    """`do`; what it tells to keep is destroyed in the end. Not by contextlib, whose frames would stand on the stack."""
+
+    def run(device: Device) -> Results:
+        made: list[Any] = []
+
+        def keep(thing: Any) -> Any:
+            made.append(thing)
+            return thing
+
+        try:
+            return do(device, keep)
+        finally:
+            for thing in reversed(made):
+                thing.destroy()
+
+    return run
+
+
+@gives_back
+def work(device: Device, keep: Keep) -> Results:
+    """Do something of everything that allocates memory; return the results."""
+    image = keep(device.texture((64, 64), Format.RGBA8, levels=None))
+    depth = keep(device.texture((64, 64), Format.D24S8))
+    several = keep(device.texture((64, 64), Format.RGBA8, samples=4))
+    target = keep(device.texture((64, 64), Format.RGBA8))
+    strip = keep(device.mesh(rectangle()[[0, 1, 2, 5]], primitive=Primitive.TRIANGLE_STRIP))
+    rng = np.random.default_rng(0)
+    places = np.zeros((3000, 4))
+    places[:, :2] = np.repeat(rng.uniform(-1, 1, (1000, 2)), 3, axis=0) + rng.uniform(
+        -0.1, 0.1, (3000, 2)
+    )
+    places[:, 2:] = 0.75, 1.0
+    many = keep(device.mesh(corners(places, (1, 0.5, 0, 1)), np.arange(3000, dtype=np.uint16)))
+    values = keep(device.storage(float, 1000))
+    query = keep(device.occlusion_query())
+    colored, painted = keep(device.program(Colored)), keep(device.program(Painted))
+    ramp = keep(device.program(Ramp))
+    with (
+        device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.5),
+        device.states(CullMode.NONE, BlendFunction.ADDITIVE),
+        query,
+    ):
+        device.draw(colored, strip)
+        device.draw(colored, many)
+    image.generate_mipmaps()
+    image.copy_to(image, region=Region(0, 0, 8, 8), target_level=1)
+    with device.render_pass(several, clear=(0, 0, 0, 1), resolve=target), device.states(CullMode.NONE):
+        device.draw(painted, strip, image=image)
+    device.dispatch(ramp, 63, values=values)
+    return [image.read(), image.read(1), target.read(), values.read(), np.array([query.wait()])]
+
+
+class Allocations:
+    """Counts buffers and lets one fail as OpenCL does.
+
+    Attributes:
+        count: the number of buffers so far.
+        failing: the number of the buffer that fails.
+    """
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.count = 0
+        self.failing = -1
+        allocations = self
+
+        class Buffer(_Buffer):  # type: ignore[misc]
+            def __init__(self, context: cl.Context, flags: int, size: int = 0, hostbuf: Any = None) -> None:
+                allocations.count += 1
+                if allocations.count - 1 == allocations.failing:
+                    flags, size, hostbuf = cl.mem_flags.READ_WRITE, 1 << 60, None
+                super().__init__(context, flags, size, hostbuf)
+
+        monkeypatch.setattr(cl, "Buffer", Buffer)
+
+
+class Devices:
+    """Devices to fail on, each for so many failures in a row; only a fresh one makes its first allocations."""
+
+    def __init__(self, failures: int, **options: Any) -> None:
+        self._failures, self._options = failures, options
+        self._left = 0
+        self._device: Device | None = None
+
+    def __enter__(self) -> Devices:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._device is not None:
+            self._device.close()
+
+    def get(self) -> Device:
+        """Return the device for the next failure."""
+        if self._left == 0:
+            self.__exit__()
+            self._device, self._left = rhi.create_device("cl", **self._options), self._failures
+        self._left -= 1
+        assert self._device is not None
+        return self._device
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("step", [3, pytest.param(1, marks=pytest.mark.nightly)])
+def test_each_allocation_may_fail_and_the_device_goes_on(monkeypatch: pytest.MonkeyPatch, step: int) -> None:
+    """Every third in each run, every one nightly."""
+    with rhi.create_device("cl") as device:
+        expected = work(device)
+    allocations = Allocations(monkeypatch)
+    errors: list[DeviceError] = []
+    goes_on = True
+    with Devices(1) as devices:
+        while goes_on:
+            device = devices.get()
+            allocations.failing = allocations.count + step * len(errors)
+            try:
+                results = work(device)
+                goes_on = False
+            except DeviceError as error:
+                errors.append(error)
+                results = work(device)
+            for given, wanted in zip(results, expected, strict=True):
+                np.testing.assert_array_equal(given, wanted)
+    assert len(errors) > 15 // step
+    assert {error.rule.id for error in errors} == {"device-out-of-memory"}
+    assert all(error.tip for error in errors)
+    assert {error.site.file for error in errors if error.site} == {__file__}
+
+
+def test_without_memory_no_device_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    allocations = Allocations(monkeypatch)
+    errors: list[DeviceError] = []
+    goes_on = True
+    while goes_on:
+        allocations.failing = allocations.count + len(errors)
+        try:
+            rhi.create_device("cl").close()
+            goes_on = False
+        except DeviceError as error:
+            errors.append(error)
+    assert len(errors) > 3
+    # As a driver's if no device passed the probe for want of memory.
+    assert {error.rule.id for error in errors} == {"device-out-of-memory", "device-driver"}
+    assert all(error.tip for error in errors)
+
+
+@gives_back
+def move(device: Device, keep: Keep) -> Results:
+    """Do something of everything that moves memory or waits for it; return the results."""
+    size, texels = (16, 16), np.arange(1024, dtype=np.uint8).reshape(16, 16, 4)
+    image, copy = keep(device.texture(size, Format.RGBA8)), keep(device.texture(size, Format.RGBA8))
+    several, target = (keep(device.texture(size, Format.RGBA8, samples=n)) for n in (4, 1))
+    mesh = keep(device.mesh(rectangle(), np.arange(6, dtype=np.uint32)))
+    numbers, others = keep(device.buffer(np.arange(64, dtype=np.uint32))), keep(device.buffer(64, "u4"))
+    arguments, groups = keep(device.buffer(mesh.draws())), keep(device.buffer(np.array([4, 1, 1], "u4")))
+    values, query = keep(device.storage(float, 64)), keep(device.occlusion_query())
+    colored, ramp = keep(device.program(Colored)), keep(device.program(Ramp))
+    image.write(texels)
+    image.copy_to(copy, region=Region(0, 0, 8, 16))
+    others.clear(7)
+    numbers.copy_to(others, size=128)
+    device.dispatch_indirect(ramp, groups, values=values)
+    with device.event("frame"):
+        with device.render_pass(several, clear=(0, 0, 0, 1)), query:
+            device.draw_indirect(colored, mesh, IndirectDraws(arguments, 1))
+        with device.render_pass(several), device.conditional(query):
+            device.draw(colored, mesh)
+        with device.render_pass(target, clear=(0, 1, 0, 1)):
+            pass
+    several.resolve_to(target)
+    device.present(target)
+    device.finish()
+    return [copy.read(), others.read(), values.read(), target.read(), np.array([query.wait()])]
+
+
+class Commands:
+    """Lets OpenCL's commands fail once for each place that enqueues them, identified by the innermost three calls.
+
+    Attributes:
+        fail: whether the next command fails whose place hasn't failed yet.
+    """
+
+    NAMES = ("enqueue_nd_range_kernel", "enqueue_copy", "enqueue_fill_buffer", "enqueue_marker")
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self._failed: set[object] = set()
+        self.fail = False
+        monkeypatch.setattr(planes, "_copy_box", partial(self._call, cl.enqueue_copy))
+        for name in self.NAMES:
+            monkeypatch.setattr(cl, name, partial(self._call, getattr(cl, name)))
+
+    def _call(self, command: Callable[..., Any], queue: cl.CommandQueue, *arguments: Any, **named: Any) -> Any:
+        frames = [sys._getframe(depth) for depth in range(1, 4)]
+        place = tuple((frame.f_code.co_qualname, frame.f_lineno) for frame in frames)
+        if self.fail and place not in self._failed:
+            self._failed.add(place)
+            self.fail = False
+            cl.Buffer(queue.context, cl.mem_flags.READ_WRITE, 1 << 60)  # raises what drivers do
+        return command(queue, *arguments, **named)
+
+
+@pytest.mark.parametrize("failures", [3, pytest.param(1, marks=pytest.mark.nightly)])
+def test_each_command_may_fail_and_the_device_goes_on(monkeypatch: pytest.MonkeyPatch, failures: int) -> None:
+    commands = Commands(monkeypatch)
+    errors: list[DeviceError] = []
+    for do in (work, move):
+        with rhi.create_device("cl") as device:
+            expected = do(device)
+        goes_on = True
+        with Devices(failures, timing=True) as devices:
+            while goes_on:
+                device = devices.get()
+                commands.fail = True
+                try:
+                    results = do(device)
+                    goes_on = False
+                except DeviceError as error:
+                    errors.append(error)
+                    results = do(device)
+                commands.fail = False
+                for given, wanted in zip(results, expected, strict=True):
+                    np.testing.assert_array_equal(given, wanted)
+    assert {error.call for error in errors} >= {
+        "device.texture", "Texture.write", "Texture.read", "Texture.copy_to", "Texture.generate_mipmaps",
+        "Buffer.write", "Buffer.read", "Buffer.copy_to", "Buffer.clear", "device.dispatch", "device.dispatch_indirect",
+        "a draw", "device.draw", "device.render_pass", "the end of a pass", "device.signal", "a timestamp in frame",
+    }  # fmt: skip
+    assert {error.rule.id for error in errors} == {"device-out-of-memory"}
+    assert all(error.tip for error in errors)
+    assert {error.site.file for error in errors if error.site} == {__file__}
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda device: device.storage(float, 1 << 37),
+        lambda device: device.texture((8192, 8192), Format.RGBA32F, kind=TextureKind.D2_ARRAY, layers=256),
+        lambda device: device.texture(
+            (8192, 8192), Format.D32FS8, kind=TextureKind.D2_ARRAY, layers=1024, levels=None
+        ),
+    ],
+)
+def test_what_is_too_large_is_refused_and_the_device_goes_on(
+    make: Callable[[Device], Any],
+) -> None:
+    with rhi.create_device("cl") as device:
+        expected = work(device)
+        with pytest.raises(DeviceError) as caught:
+            make(device)
+        assert caught.value.rule.id == "device-out-of-memory"
+        assert "destroy" in caught.value.tip
+        assert caught.value.site is not None
+        assert caught.value.site.file == __file__
+        for given, wanted in zip(work(device), expected, strict=True):
+            np.testing.assert_array_equal(given, wanted)

@@ -1,0 +1,323 @@
+"""The folder of compiled kernels: chosen, shared by processes, checked for damage, bounded; and nothing is printed."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from rhi.backends.cl.pocl import cache
+from rhi.backends.cl.pocl.cache import KernelCache
+
+DRAW = """
+import hashlib, sys, threading, warnings
+import numpy as np
+import pyopencl as cl
+import rhi
+from rhi.backends.cl import context
+from rhi.backends.cl.raster import builds
+from rhi.conformance.shaders import Colored
+from rhi.conformance.shapes import rectangle
+
+warnings.simplefilter("always")
+builds.HOT = int(sys.argv[1])
+build, given = context.build_again, []
+
+def note(opened, text, options):
+    given.append(type(text))
+    if isinstance(text, bytes) and "refuse" in sys.argv:
+        raise cl.LogicError("clBuildProgram failed: INVALID_BINARY")
+    return build(opened, text, options)
+
+context.build_again = note
+with rhi.create_device("cl") as device:
+    image = device.texture((64, 48), rhi.Format.RGBA8)
+    program, mesh = device.program(Colored), device.mesh(rectangle(color=(0.2, 0.4, 0.6, 0.8)))
+    for _ in range(2):
+        with device.render_pass(image, clear=(0, 0, 0, 0)):
+            device.draw(program, mesh)
+        if builds.HOT == 0:
+            device.prepare(program, mesh, targets=(image,)).result(120)
+    made = device.backend_as(object)._rasteriser._builds.built
+    print(hashlib.sha256(image.read().tobytes()).hexdigest(), made, given.count(str))
+"""
+"""Draws, and prints a picture's checksum, the number of programs that were compiled, and how many the driver was given
+as source code. The arguments: `HOT`, and `refuse` for a driver that takes nothing else."""
+
+
+def start(folder: Path, hot: int = 1 << 30, *arguments: str, **variables: str) -> subprocess.Popen[str]:
+    environment = {name: value for name, value in os.environ.items() if name != "POCL_CACHE_DIR"}
+    return subprocess.Popen(
+        [sys.executable, "-c", DRAW, str(hot), *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env=environment | {"RHI_CACHE": str(folder)} | variables,
+    )  # fmt: skip
+
+
+def draw(folder: Path, hot: int = 1 << 30) -> tuple[str, int]:
+    """Draw in a new process; return the picture's checksum and the number of programs that were compiled."""
+    return finish(start(folder, hot))
+
+
+def finish(process: subprocess.Popen[str]) -> tuple[str, int]:
+    picture, made, _ = finish_counting(process)
+    return picture, made
+
+
+def finish_counting(process: subprocess.Popen[str]) -> tuple[str, int, int]:
+    output, errors = process.communicate(timeout=300)
+    assert process.returncode == 0, errors
+    assert errors == ""
+    picture, made, sources = output.split()
+    return picture, int(made), int(sources)
+
+
+def records(folder: Path) -> list[Path]:
+    return [path for path in (folder / "pocl" / "rhi").iterdir() if not path.suffix]
+
+
+def codes(folder: Path) -> list[Path]:
+    """Return the files of LLVM code, the smallest first, which is the probe's."""
+    return sorted((folder / "pocl" / "rhi").glob("*.code"), key=lambda path: path.stat().st_size)
+
+
+def test_a_first_run_and_its_optimisation_print_nothing(tmp_path: Path) -> None:
+    """Neither the driver's count of warnings nor Python's warnings appear, from no thread and no process."""
+    picture, made = draw(tmp_path, hot=0)
+    assert made == 3  # set-up, vertices and raster, compiled quickly
+    assert draw(tmp_path) == (picture, 0)
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A folder that a first run has filled, not to be written, and the checksum of its picture."""
+    folder = tmp_path_factory.mktemp("kernels")
+    picture, made = draw(folder)
+    assert made == 3
+    return folder, picture
+
+
+@pytest.fixture
+def filled(drawn: tuple[Path, str], tmp_path: Path) -> tuple[Path, str]:
+    """A copy of the folder that a first run has filled, and the checksum of its picture."""
+    return shutil.copytree(drawn[0], tmp_path / "copy"), drawn[1]
+
+
+def test_a_folder_may_be_moved_and_shipped(filled: tuple[Path, str]) -> None:
+    folder, picture = filled
+    assert draw(folder) == (picture, 0)
+
+
+def test_processes_that_begin_together_share_the_work(tmp_path: Path) -> None:
+    pictures = {finish(process)[0] for process in [start(tmp_path) for _ in range(3)]}
+    assert len(pictures) == 1
+    assert draw(tmp_path) == (*pictures, 0)
+
+
+def cut(content: bytes) -> bytes:
+    return content[:100]
+
+
+def empty(content: bytes) -> bytes:
+    return b""
+
+
+@pytest.mark.parametrize(("name", "damage"), [
+    pytest.param(name, damage, marks=() if damage in by_day else pytest.mark.nightly)
+    for name, by_day in (("program.bc", (bytes.upper,)), ("*.so", (cut,))) for damage in (bytes.upper, cut, empty)
+])  # fmt: skip
+def test_a_damaged_file_is_built_again(
+    filled: tuple[Path, str], name: str, damage: Callable[[bytes], bytes]
+) -> None:
+    folder, picture = filled
+    (kernel,) = folder.rglob("transform.so")  # the vertices', the smallest of the three programs
+    damaged = list(kernel.parents[2].rglob(name))
+    assert damaged
+    for path in damaged:
+        path.write_bytes(damage(path.read_bytes()))
+    assert draw(folder) == (picture, 1)
+    assert draw(folder) == (picture, 0)
+
+
+@pytest.mark.parametrize("damage", [
+    bytes.upper, lambda content: cache._seal(b"other"),
+    *(pytest.param(each, marks=pytest.mark.nightly) for each in (cut, empty)),
+])  # fmt: skip
+def test_damaged_or_foreign_code_is_made_again(
+    filled: tuple[Path, str], damage: Callable[[bytes], bytes]
+) -> None:
+    """Its checksum may be right and the record's another, as that of a file from elsewhere."""
+    folder, picture = filled
+    _, vertices, *_ = codes(folder)
+    vertices.write_bytes(damage(vertices.read_bytes()))
+    assert draw(folder) == (picture, 1)
+    assert len(codes(folder)) == 4
+    assert draw(folder) == (picture, 0)
+
+
+def test_code_that_the_driver_refuses_is_made_again(filled: tuple[Path, str]) -> None:
+    """Code and record agree, but it is no code."""
+    folder, picture = filled
+    _, vertices, *_ = codes(folder)
+    vertices.write_bytes(cache._seal(b"other"))
+    record = vertices.with_suffix("")
+    record.write_text(json.dumps(json.loads(record.read_text()) | {"code": zlib.crc32(b"other")}))
+    assert draw(folder)[0] == picture
+    assert len(vertices.read_bytes()) > 1000
+    assert draw(folder) == (picture, 0)
+
+
+def test_known_programs_are_not_given_to_the_driver_as_source(drawn: tuple[Path, str]) -> None:
+    folder, picture = drawn
+    assert finish_counting(start(folder)) == (picture, 0, 0)
+
+
+def test_a_driver_that_takes_no_code_is_given_source(filled: tuple[Path, str]) -> None:
+    folder, picture = filled
+    for _ in range(2):
+        assert finish_counting(start(folder, 1 << 30, "refuse"))[::2] == (picture, 4)
+    assert not codes(folder)
+    assert draw(folder) == (picture, 0)  # which another driver goes on with
+
+
+def test_code_without_a_record_is_used(filled: tuple[Path, str]) -> None:
+    """As a process left it that ended before it had recorded a program."""
+    folder, picture = filled
+    for record in records(folder):
+        record.unlink()
+    whole = [path.read_bytes() for path in codes(folder)]
+    assert finish_counting(start(folder)) == (picture, 3, 0)
+    assert [path.read_bytes() for path in codes(folder)] == whole
+    assert draw(folder) == (picture, 0)
+
+
+def test_a_damaged_record_is_made_again(filled: tuple[Path, str]) -> None:
+    folder, picture = filled
+    for path, content in zip(records(folder), [b"", b"{}", b"[1]", b'{"folder": 1, "files": 2}'], strict=False):
+        path.write_bytes(content)
+    assert draw(folder)[0] == picture
+    assert draw(folder) == (picture, 0)
+
+
+@pytest.mark.parametrize("place", ["", ".", "..", "AB", "AB/..", "../mine", "AB/key/more", "{outside}"])
+def test_a_record_that_names_another_place_removes_nothing_there(tmp_path: Path, place: str) -> None:
+    """Records may come from elsewhere, and what they name may be removed."""
+    folder, outside = tmp_path / "kernels", tmp_path / "mine"
+    for each in (folder / "rhi", folder / "AB" / "key", outside):
+        each.mkdir(parents=True)
+        (each / "kept").write_bytes(b"kept")
+    record = folder / "rhi" / "evil"
+    record.write_text(json.dumps({"folder": place.format(outside=outside), "files": {"kept": 0}}))
+    assert not KernelCache(folder, "driver").knows("evil")
+    assert not record.exists()
+    for each in (folder / "rhi", folder / "AB" / "key", outside):
+        assert (each / "kept").read_bytes() == b"kept"
+
+
+def make(folder: Path, key: str, size: int, since: float) -> None:
+    """Write a program of some bytes that was last used some seconds ago, with its record."""
+    kernels = KernelCache(folder, "driver")
+    place = folder / "AB" / key
+    place.mkdir(parents=True)
+    (place / "program.bc").write_bytes(f"rhi_built_{key}".encode() + bytes(size))
+    kernels.record(key)
+    record = folder / "rhi" / key
+    used = record.stat().st_mtime - since
+    os.utime(record, (used, used))
+
+
+def test_the_programs_used_least_recently_are_removed_beyond_the_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "rhi").mkdir()
+    for number, key in enumerate(("oldest", "older", "newer", "newest")):
+        make(tmp_path, key, 1000, 100.0 - number)
+    kernels = KernelCache(tmp_path, "driver")
+    assert kernels.knows("oldest")  # which uses it
+    for limit, left in ((4300, ["newer", "newest", "older", "oldest"]), (2500, ["newest", "oldest"])):
+        monkeypatch.setattr(cache, "LIMIT", limit)
+        kernels.record("newest")
+        kernels.finish()
+        for part in ("AB", "rhi"):
+            assert sorted(path.name for path in (tmp_path / part).iterdir()) == left
+
+
+def test_what_nobody_needs_any_more_is_removed_after_a_day(tmp_path: Path) -> None:
+    """Code and locks without records, and the empty files that PoCL leaves."""
+    (tmp_path / "rhi").mkdir()
+    make(tmp_path, "key", 10, 0.0)
+    old, new = ("rhi/key.code", "rhi/gone.code", "rhi/gone.lock", "tempfile_a", "tempfile_full"), ("tempfile_b",)
+    for name in (*old, *new):
+        (tmp_path / name).write_bytes(b"full" if name == "tempfile_full" else b"")
+    for name in old:
+        os.utime(tmp_path / name, (1e9, 1e9))
+    kernels = KernelCache(tmp_path, "driver")
+    (tmp_path / "rhi" / "key.code").write_bytes(cache._seal(b"code"))
+    os.utime(tmp_path / "rhi" / "key.code", (1e9, 1e9))
+    kernels.record("key")
+    kernels.finish()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["AB", "rhi", "tempfile_b", "tempfile_full"]
+    assert sorted(path.name for path in (tmp_path / "rhi").iterdir()) == ["key", "key.code"]
+    assert kernels.find("key") == (b"code", frozenset())
+
+
+def test_code_counts_to_the_size_of_a_program_and_goes_with_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "rhi").mkdir()
+    (tmp_path / "rhi" / "key.code").write_bytes(cache._seal(bytes([1]) * 1000))
+    make(tmp_path, "key", 1000, 0.0)
+    kernels = KernelCache(tmp_path, "driver")
+    for limit, left in ((2100, ["key", "key.code"]), (2000, [])):
+        monkeypatch.setattr(cache, "LIMIT", limit)
+        kernels.record("key")
+        kernels.finish()
+        assert sorted(path.name for path in (tmp_path / "rhi").iterdir()) == left
+
+
+def test_another_driver_source_or_option_is_another_program(tmp_path: Path) -> None:
+    mine, other = KernelCache(tmp_path, "driver 1"), KernelCache(tmp_path, "driver 2")
+    requests = [mine.request("a", ()), mine.request("b", ()), mine.request("a", ["-w"]), other.request("a", ())]
+    assert len({each.key for each in requests}) == 4
+    assert mine.request("a", ()) == requests[0]
+
+
+def test_machine_code_of_a_kernel_is_told_from_its_absence(tmp_path: Path) -> None:
+    (tmp_path / "rhi").mkdir()
+    make(tmp_path, "key", 10, 0.0)
+    kernels = KernelCache(tmp_path, "driver")
+    assert kernels.knows("key")
+    assert not kernels.knows("key", ["draw"])
+    (tmp_path / "AB" / "key" / "draw" / "1-1-1").mkdir(parents=True)
+    (tmp_path / "AB" / "key" / "draw" / "1-1-1" / "draw.so").write_bytes(b"code")
+    assert not kernels.knows("key", ["draw"])  # it isn't known to be complete
+    kernels.record("key")
+    assert kernels.knows("key", ["draw"])
+
+
+def test_a_folder_that_cannot_be_made_leaves_the_driver_s(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.delenv("POCL_CACHE_DIR", raising=False)
+    monkeypatch.setenv("RHI_CACHE", str(tmp_path / "file"))
+    assert cache.choose_folder() is None
+    assert "POCL_CACHE_DIR" not in os.environ
+    kernels = KernelCache(None, "driver")
+    assert not kernels.works
+    assert not kernels.knows("key")
+    with kernels.writing("key"):
+        kernels.record("key")
+    kernels.finish()
+
+
+def test_the_driver_s_own_variable_is_respected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("RHI_CACHE", raising=False)
+    monkeypatch.setenv("POCL_CACHE_DIR", str(tmp_path))
+    assert cache.choose_folder() == tmp_path
+    monkeypatch.setenv("RHI_CACHE", str(tmp_path / "mine"))
+    assert cache.choose_folder() == tmp_path / "mine" / "pocl"

@@ -1,0 +1,300 @@
+"""Kernels that are built quickly and optimised later: the same pictures, no waits, nothing lost."""
+
+from __future__ import annotations
+
+import logging
+import select
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import nullcontext
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import rhi
+from rhi import BlendFunction, CullMode, DepthFunction, DepthTest, DepthWrite, Device, Format, Program
+from rhi.backends.cl import context
+from rhi.backends.cl.backend import ClBackend
+from rhi.backends.cl.context import KERNELS_ENVIRONMENT
+from rhi.backends.cl.pocl import cache
+from rhi.backends.cl.raster import builds, compiler
+from rhi.backends.cl.raster.compiler import Compiler, Job
+from rhi.conformance.patience import comes_true
+from rhi.conformance.shaders import Colored
+from rhi.conformance.shapes import corners, rectangle
+from rhi.contract.descriptors import ProgramDescriptor, Stage, StageText
+from rhi.errors import ShaderError
+from rhi.shading import Shader, StorageRW, abs, barrier, exp, global_id, local_id, pow, shared, sin
+
+SIZE = (130, 70)
+
+
+def draw(
+    device: Device, program: Program[Any], *states: Any, format: Format = Format.RGBA8,
+    color: tuple[float, ...] = (0.2, 0.4, 0.6, 0.5),
+) -> NDArray[Any]:  # fmt: skip
+    """Draw many small triangles and a rectangle, which use all kernels; return the picture."""
+    rng = np.random.default_rng(0)
+    places = np.zeros((1500, 4))
+    places[:, :2] = np.repeat(rng.uniform(-1, 1, (500, 2)), 3, axis=0) + rng.uniform(-0.1, 0.1, (1500, 2))
+    places[:, 2:] = 0.5, 1.0
+    with (
+        device.texture(SIZE, format) as image,
+        device.texture(SIZE, Format.D32F) as depth,
+        device.mesh(rectangle(depth=0.25, color=color)) as wall,
+        device.mesh(corners(places, color)) as pieces,
+    ):
+        with (
+            device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.4),
+            device.states(CullMode.NONE, BlendFunction.ALPHA),
+            device.states(*states) if states else nullcontext(),
+        ):
+            device.draw(program, wall)
+            device.draw(program, pieces)
+        return image.read()
+
+
+def find_builds(device: Device) -> builds.Builds:
+    backend = device._core.backend
+    assert isinstance(backend, ClBackend)
+    return backend._rasteriser._builds
+
+
+@pytest.fixture
+def expected(optimised_kernels: None) -> NDArray[Any]:
+    with rhi.create_device("cl") as device:
+        return draw(device, device.program(Colored))
+
+
+@pytest.fixture
+def device(monkeypatch: pytest.MonkeyPatch) -> Iterator[Device]:
+    """A device that finds no optimised kernels in the cache."""
+    monkeypatch.delenv(KERNELS_ENVIRONMENT, raising=False)
+    monkeypatch.setattr(builds.Builds, "is_cached", lambda self, text: False)
+    with rhi.create_device("cl") as device:
+        yield device
+
+
+STATES: dict[str, tuple[Any, ...]] = {
+    "blended": (),
+    "added": (BlendFunction.ADDITIVE,),
+    "opaque": (BlendFunction.OFF,),
+    "nearest": (DepthTest.ON, DepthWrite.ON, DepthFunction.LESS),
+    "farthest": (DepthTest.ON, DepthWrite.ON, DepthFunction.GREATER),
+    "equal": (DepthTest.ON, DepthWrite.OFF, DepthFunction.EQUAL),
+}
+FORMATS = (Format.RGBA8, Format.RGBA8_SRGB, Format.RGBA16F, Format.R32F)
+
+
+@pytest.mark.parametrize("format", FORMATS, ids=lambda format: format.name)
+def test_a_new_combination_of_states_and_formats_builds_nothing(device: Device, format: Format) -> None:
+    program = device.program(Colored)
+    draw(device, program)
+    built = find_builds(device).built
+    assert find_builds(device).is_quick
+    for states in STATES.values():
+        draw(device, program, *states, format=format)
+    assert find_builds(device).built == built
+
+
+@pytest.mark.parametrize(
+    "states",
+    [
+        pytest.param(states, marks=() if name in ("blended", "farthest") else pytest.mark.nightly)
+        for name, states in STATES.items()
+    ],
+    ids=STATES,
+)
+def test_quick_and_optimised_kernels_draw_the_same_bits(
+    monkeypatch: pytest.MonkeyPatch, states: tuple[Any, ...]
+) -> None:
+    pictures = []
+    for mode in ("quick", "optimised"):
+        monkeypatch.setenv(KERNELS_ENVIRONMENT, mode)
+        with rhi.create_device("cl") as device:
+            monkeypatch.setattr(builds.Builds, "is_cached", lambda self, text: not self.is_quick)
+            assert find_builds(device).is_quick == (mode == "quick")
+            pictures.append(draw(device, device.program(Colored), *states, format=Format.RGBA16F))
+    np.testing.assert_array_equal(*pictures)
+
+
+class Waves(Shader):
+    """Built-ins of PoCL's library, shared memory, a barrier, a loop and a branch that lanes don't take together."""
+
+    work_group = (64,)
+    numbers: StorageRW[float]
+    beside = shared(float, 64)
+
+    def compute(self) -> None:
+        here = int(local_id().x)
+        x = self.numbers[global_id().x]
+        self.beside[here] = sin(x) * exp(-x) + pow(abs(x), 0.3)
+        barrier()
+        total = 0.0
+        for step in range(5):
+            neighbour = self.beside[(here + step) % 64]
+            total = total + neighbour * x if x > 0.25 * float(step) else total - neighbour / 3.0
+        self.numbers[global_id().x] = total
+
+
+def test_quick_and_optimised_compute_programs_compute_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+    results, options = [], []
+    build = context.build_cached
+
+    def note(opened: Any, kept: Any, request: cache.Request, stored: Any) -> Any:
+        options.append(request.options)
+        return build(opened, kept, request, stored)
+
+    for mode in ("quick", "optimised"):
+        monkeypatch.setenv(KERNELS_ENVIRONMENT, mode)
+        with rhi.create_device("cl") as device:
+            monkeypatch.setattr(context, "build_cached", note)
+            numbers = device.storage(float, np.linspace(-2, 2, 128, dtype=np.float32))
+            device.dispatch(device.program(Waves), 2, numbers=numbers)
+            results.append(numbers.read())
+            monkeypatch.undo()
+    assert options == [context.QUICK, ()]
+    np.testing.assert_array_equal(*results)
+    assert len(np.unique(results[0])) > 100
+
+
+def test_hot_kernels_are_optimised_and_draw_the_same(
+    monkeypatch: pytest.MonkeyPatch, device: Device, expected: NDArray[Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    taken: list[str] = []
+    take = builds.Kernel._take
+
+    def note(kernel: builds.Kernel, program: Any) -> None:
+        taken.append(kernel._name)
+        take(kernel, program)
+
+    monkeypatch.setattr(builds, "HOT", 0)
+    monkeypatch.setattr(builds.Kernel, "_take", note)
+    program = device.program(Colored)
+    with caplog.at_level(logging.INFO, "rhi.kernels"):
+        np.testing.assert_array_equal(draw(device, program), expected)
+        deadline = time.monotonic() + 120
+        while find_builds(device)._waiting and time.monotonic() < deadline:
+            time.sleep(0.01)
+    for _ in range(2):  # the first takes them
+        np.testing.assert_array_equal(draw(device, program), expected)
+    assert sorted(taken) == sorted(["measure", *["prefix", "raster", "scatter", "set_up", "transform"] * 2])
+    done, begun = caplog.records[-1].args  # type: ignore[misc]
+    assert done == begun
+    assert begun >= 6
+
+
+def test_kernels_that_are_not_hot_stay_as_they_are(device: Device) -> None:
+    for _ in range(3):
+        draw(device, device.program(Colored))
+    assert not find_builds(device)._threads
+
+
+def test_from_the_disk_nothing_is_told(
+    caplog: pytest.LogCaptureFixture, expected: NDArray[Any], optimised_kernels: None
+) -> None:
+    with caplog.at_level(logging.INFO, "rhi.kernels"), rhi.create_device("cl") as device:
+        np.testing.assert_array_equal(draw(device, device.program(Colored)), expected)
+    assert not caplog.records
+
+
+@pytest.mark.parametrize("error", [OSError("no more processes"), MemoryError(), EOFError()])
+def test_without_another_process_the_kernels_at_hand_remain(
+    monkeypatch: pytest.MonkeyPatch, device: Device, expected: NDArray[Any], error: Exception
+) -> None:
+    def fail(*given: Any) -> None:
+        raise error
+
+    monkeypatch.setattr(builds, "HOT", 0)
+    monkeypatch.setattr(Compiler, "__init__" if isinstance(error, OSError) else "compile", fail)
+    monkeypatch.setattr(cache.KernelCache, "knows", lambda *given: False)
+    program = device.program(Colored)
+    for _ in range(3):
+        np.testing.assert_array_equal(draw(device, program), expected)
+
+
+def test_closing_a_device_does_not_wait_for_kernels_that_are_optimised(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The other processes are halted once they have their jobs: to wait for them would take until they are killed."""
+    processes: list[subprocess.Popen[bytes]] = []
+    halted: list[subprocess.Popen[bytes]] = []
+    start = Compiler.__init__
+
+    def note(self: Compiler, *arguments: Any) -> None:
+        start(self, *arguments)
+        processes.append(self._process)
+
+    def halt(pipes: list[Any], *arguments: Any) -> Any:
+        (process,) = (process for process in processes if process.stdout is pipes[0])
+        process.send_signal(signal.SIGSTOP)
+        halted.append(process)
+        return select.select(pipes, *arguments)
+
+    monkeypatch.setattr(Compiler, "__init__", note)
+    monkeypatch.setattr(compiler, "select", SimpleNamespace(select=halt))
+    monkeypatch.delenv(KERNELS_ENVIRONMENT, raising=False)
+    monkeypatch.setattr(builds, "HOT", 0)
+    monkeypatch.setattr(builds.Builds, "is_cached", lambda self, text: False)
+    monkeypatch.setattr(cache.KernelCache, "knows", lambda *given: False)
+    killer = threading.Timer(20.0, lambda: [process.kill() for process in processes])
+    killer.start()
+    try:
+        with rhi.create_device("cl") as device:
+            draw(device, device.program(Colored))
+            assert find_builds(device)._waiting
+            assert comes_true(lambda: bool(halted))
+        assert all(process.poll() is None for process in processes)
+    finally:
+        killer.cancel()
+        for process in processes:
+            process.kill()
+
+
+def test_a_process_that_refuses_a_kernel_goes_on_with_others(device: Device) -> None:
+    compiler = Compiler(find_builds(device)._context.device)
+    job = Job("kernel void k(ulong address) {}", (), ("k",), bytes(64), (0,), 64, "")
+    try:
+        with pytest.raises(ValueError, match="refused"):
+            compiler.compile(job._replace(source="undeclared"))
+        compiler.compile(job)
+    finally:
+        compiler.close()
+
+
+@pytest.mark.parametrize("stage", [Stage.VERTEX, Stage.FRAGMENT])
+@pytest.mark.parametrize("mode", ["quick", "optimised"])
+def test_a_text_that_the_driver_refuses_is_told_of_by_the_draw_that_needs_it(
+    monkeypatch: pytest.MonkeyPatch, stage: Stage, mode: str
+) -> None:
+    monkeypatch.setenv(KERNELS_ENVIRONMENT, mode)
+    with rhi.create_device("cl") as device:
+        good = device.program(Colored)
+        descriptor = good.descriptor
+
+        def emit(language: str, wanted: Stage) -> StageText:
+            emitted = descriptor.emit(language, wanted)
+            if wanted is not stage:
+                return emitted
+            text = "int undeclared(void) {\n    return nothing;\n}\n" + emitted.text
+            return StageText(text, tuple(("bad.py", line) for line in (10, 20, 30)))
+
+        bad = device.program(ProgramDescriptor(
+            "Bad", descriptor.stages, descriptor.bindings, descriptor.attributes, descriptor.outputs,
+            descriptor.work_group, emit, varyings=descriptor.varyings,
+        ))  # fmt: skip
+        image = device.texture(SIZE, Format.RGBA8)
+        mesh = device.mesh(rectangle())
+        with device.render_pass(image, clear=(0, 1, 0, 1)):
+            with pytest.raises(ShaderError, match="nothing") as caught:
+                device.draw(bad, mesh)
+            device.draw(good, mesh)
+        assert caught.value.rule.id == "shader-driver"
+        assert f"its {stage.value} stage" in caught.value.call
+        assert str(caught.value.site) == "bad.py:20"
+        assert image.read().min() == 255  # the good draw
+        assert draw(device, good).any()

@@ -1,0 +1,702 @@
+"""Gathering of draws; neither pieces, slices nor lists of tiles affect the picture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+import pytest
+from numpy.typing import NDArray
+
+import rhi
+from rhi import (
+    BlendFunction,
+    ColorWrite,
+    CullMode,
+    DepthFunction,
+    DepthWrite,
+    Device,
+    Format,
+    PolygonOffset,
+    Primitive,
+    Scissor,
+    StencilTest,
+    Viewport,
+)
+from rhi.backends.cl import context
+from rhi.backends.cl.backend import ClBackend
+from rhi.backends.cl.memory import pools as memory
+from rhi.backends.cl.raster import draw_tables, launcher
+from rhi.conformance.compare import assert_mask
+from rhi.conformance.reference import SUBTEXELS, rasterise
+from rhi.conformance.shaders import Colored, Corner
+from rhi.conformance.shapes import corners, rectangle, window_to_clip
+from rhi.errors import DeviceError
+from rhi.shading import Shader, StorageRW, Struct, Uniform, global_id, instance_index, uint, vec2, vec4
+
+SIZE = (200, 150)
+
+
+class Tint(Struct):
+    color: vec4
+
+
+class Bare(Struct):
+    clip: vec4
+
+
+class Tinted(Shader):
+    tint: Uniform[Tint]
+
+    def vertex(self, v: Corner) -> Bare:
+        return Bare(clip=v.position)
+
+    def fragment(self, v: Bare) -> vec4:
+        return self.tint.color
+
+
+class Start(Struct):
+    first: uint
+
+
+class Indices(Shader):
+    """Writes consecutive indices from a start value on."""
+
+    work_group = (1,)
+    start: Uniform[Start]
+    indices: StorageRW[uint]
+
+    def compute(self) -> None:
+        i = global_id().x
+        self.indices[i] = self.start.first + uint(i)
+
+
+@pytest.fixture
+def device() -> Iterator[Device]:
+    with rhi.create_device("cl") as made:
+        yield made
+
+
+@pytest.fixture
+def distant_device(monkeypatch: pytest.MonkeyPatch) -> Iterator[Device]:
+    """A device that the backend treats as one that doesn't read host memory in place."""
+    probe = context.probe
+    monkeypatch.setattr(context, "probe", lambda *given: (probe(*given)[0], False))
+    with rhi.create_device("cl") as made:
+        yield made
+
+
+def random_corners(count: int, seed: int = 0) -> NDArray[Any]:
+    """Return triangles of all sizes, each in another color, so that their order is visible."""
+    rng = np.random.default_rng(seed)
+    middle, size = rng.uniform(-1, 1, (count, 1, 2)), 2.0 ** rng.uniform(-6, 1, (count, 1, 1))
+    places = middle + size * rng.uniform(-1, 1, (count, 3, 2))
+    colors = np.repeat(rng.uniform(0, 1, (count, 4)), 3, axis=0)
+    return corners(places.reshape(-1, 2), colors)
+
+
+def picture(device: Device, rows: NDArray[Any], parts: int = 1) -> NDArray[Any]:
+    """Draw all triangles in `parts` draws; return the picture."""
+    with device.texture(SIZE, Format.RGBA8) as image, device.mesh(rows) as mesh:
+        ends = np.linspace(0, len(rows) // 3, parts + 1).astype(int) * 3
+        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE, DepthWrite.OFF):
+            for begin, end in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
+                device.draw(device.program(Colored), mesh.view(first=begin, count=end - begin))
+        return image.read()
+
+
+def count_survivors(device: Device) -> int:
+    """Return the number of records that set-up made in the last slice."""
+    backend = device.backend_as(ClBackend)
+    memory, state = backend._rasteriser._launcher._scratch.pools["survivors"]._memory, backend._rasteriser._batch.state
+    assert memory is not None
+    assert state is not None
+    counts = np.zeros(int(state.table["chunks"]), np.uint32)
+    cl.enqueue_copy(backend.context.queue, counts, memory)
+    return int(counts.sum())
+
+
+# -- what ends a batch ---------------------------------------------------------------------------------------
+
+
+def test_draws_of_one_program_are_one_batch(device: Device, launches: list[str]) -> None:
+    picture(device, random_corners(60), parts=20)
+    assert launches.count("raster") == 1
+
+
+def test_what_draws_bind_does_not_end_a_batch(device: Device, launches: list[str]) -> None:
+    """Meshes, viewports and culling don't end a batch either; each draw has its own."""
+    tints = [device.uniform(Tint(color=(i / 255, 0, 0, 1))) for i in range(1, 9)]
+    meshes = [device.mesh(rectangle()[:: 1 if i % 2 else -1]) for i in range(8)]
+    with device.texture((64, 4), Format.RGBA8) as image:
+        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(DepthWrite.OFF):
+            for i in range(8):
+                culled = CullMode.BACK if i % 2 else CullMode.FRONT
+                with device.states(Viewport(8 * i, 0, 8, 4), culled):
+                    device.draw(device.program(Tinted), meshes[i], tint=tints[i])
+        assert image.read()[0, :, 0].tolist() == np.repeat(np.arange(1, 9), 8).tolist()
+    assert launches.count("raster") == 1
+
+
+def test_states_that_are_compiled_end_a_batch(device: Device, launches: list[str]) -> None:
+    rows = random_corners(6)
+    with device.texture(SIZE, Format.RGBA8) as image, device.mesh(rows) as mesh, device.render_pass(image):
+        device.draw(device.program(Colored), mesh)
+        with device.states(BlendFunction.ADDITIVE):
+            device.draw(device.program(Colored), mesh)
+    assert launches.count("raster") == 2
+
+
+@pytest.mark.parametrize("wrong", [1.0, None, "1", -1, 1 << 64], ids=repr)
+@pytest.mark.parametrize("prepared", [True, False], ids=["prepared", "by the contract"])
+def test_a_draw_that_fails_leaves_its_batch_as_it_was(device: Device, wrong: Any, prepared: bool) -> None:
+    """Part of a row would shift all rows behind it, whose words would then be read as others: as addresses."""
+    program, colors = device.program(Tinted), np.arange(1, 8) / 8
+    with device.texture((8, 1), Format.R32F) as image, device.mesh(rectangle()) as mesh:
+        tints = [device.uniform(Tint(color=(color, 0, 0, 0))) for color in colors]
+        with device.render_pass(image):
+            for i, tint in enumerate(tints):
+                with device.states(Scissor(i, 0, 1, 1)):
+                    device.draw(program, mesh, tint=tint)
+                with pytest.raises((TypeError, OverflowError)):  # what the front end refuses
+                    if prepared:
+                        mesh.prepared_draws[program](wrong)
+                    else:
+                        program.draw_unprepared(mesh, wrong)
+        assert image.read()[0].tolist() == [*colors, 0]
+
+
+def test_a_write_between_draws_is_seen_by_the_later_one_alone(device: Device) -> None:
+    with (
+        device.texture((2, 1), Format.RGBA8) as image,
+        device.mesh(rectangle()) as mesh,
+        device.uniform(Tint(color=(0, 0, 0, 1))) as tint,
+    ):
+        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(DepthWrite.OFF):
+            for i, red in enumerate((1.0, 0.2)):
+                tint.write(Tint(color=(red, 0, 0, 1)))
+                with device.states(Viewport(i, 0, 1, 1)):
+                    device.draw(device.program(Tinted), mesh, tint=tint)
+        assert image.read()[0, :, 0].tolist() == [255, 51]
+
+
+def test_indices_that_change_between_draws_name_other_vertices(device: Device) -> None:
+    rows = np.concatenate([rectangle(-1, -1, 0, 1), rectangle(0, -1, 1, 1)])
+    with (
+        device.texture((2, 1), Format.RGBA8) as image,
+        device.mesh(rows, np.arange(6, dtype="u4")) as mesh,
+    ):
+        for first, expected in ((0, [255, 0]), (6, [0, 255])):
+            mesh.data.index_buffer.write(np.arange(first, first + 6, dtype="u4"))
+            with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(DepthWrite.OFF):
+                device.draw(device.program(Colored), mesh)
+            assert image.read()[0, :, 0].tolist() == expected
+
+
+@pytest.mark.parametrize("first", [0, 6])
+def test_indices_that_the_device_wrote_are_drawn(device: Device, first: int) -> None:
+    """The host can't know these indices, so a vertex is transformed for each of them."""
+    rows = np.concatenate([rectangle(-1, -1, 0, 1), rectangle(0, -1, 1, 1)])
+    buffer = device.buffer(6, np.dtype("u4"))
+    with device.texture((2, 1), Format.RGBA8) as image, device.mesh(rows, buffer) as mesh:
+        device.dispatch(
+            device.program(Indices),
+            6,
+            indices=device.storage(uint, buffer),
+            start=device.uniform(Start(first=uint(first))),
+        )
+        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(DepthWrite.OFF):
+            device.draw(device.program(Colored), mesh)
+        assert image.read()[0, :, 0].tolist() == [255 * (first == 0), 255 * (first == 6)]
+
+
+# -- pieces, slices, lists -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "limits",
+    [
+        {"_SLICE_GROUPS": 16},
+        {"_PIECE_GROUPS": 16},
+        {"_LIST_WORDS": 16, "_LISTED_PER_RECORD": 0},
+        {"_FEW_GROUPS": 1 << 20},
+        {"_CHUNKS": 2},
+        {"_MIN_CHUNK": 1, "_VERTEX_CHUNK": 1},
+    ],
+    ids=lambda limits: next(iter(limits)),
+)
+def test_limits_of_memory_do_not_show(
+    device: Device, monkeypatch: pytest.MonkeyPatch, launches: list[str], limits: dict[str, int]
+) -> None:
+    rows = random_corners(900)
+    usual = picture(device, rows, parts=3)
+    before = len(launches)
+    for name, value in limits.items():
+        monkeypatch.setattr(draw_tables if name == "_PIECE_GROUPS" else launcher, name, value)
+    assert (picture(device, rows, parts=3) == usual).all()
+    assert (usual[..., 3] > 0).mean() > 0.9
+    if set(limits) & {"_SLICE_GROUPS", "_PIECE_GROUPS"}:
+        assert len(launches) - before > before
+    if "_FEW_GROUPS" in limits:
+        assert "scatter" in launches[:before]
+        assert "scatter" not in launches[before:]
+
+
+def test_a_triangle_in_flight_takes_at_most_200_bytes(device: Device) -> None:
+    """Beyond a slice, memory grows with the vertices but not with the triangles."""
+    grid = 500
+    y, x = np.mgrid[0:grid, 0:grid] / (grid - 1) * 2 - 1
+    rows = corners(np.stack([x.ravel(), y.ravel()], axis=1))
+    a = (np.arange(grid - 1)[:, None] * grid + np.arange(grid - 1)).ravel()
+    indices = np.stack([a, a + 1, a + grid, a + 1, a + grid + 1, a + grid], axis=1).astype("u4")
+    with device.texture((64, 64), Format.RGBA8) as image, device.mesh(rows, indices.ravel()) as mesh:
+        with device.render_pass(image), device.states(CullMode.NONE):
+            device.draw(device.program(Colored), mesh)
+        assert (image.read() > 0).any()
+    pools = device.backend_as(ClBackend)._rasteriser._launcher._scratch.pools
+    assert sum(pool.size for pool in pools.values()) <= 200 * 2 * (grid - 1) ** 2
+
+
+class Placed(Shader):
+    """A square for each instance, row by row from the top left, 512 per row."""
+
+    def vertex(self, v: Corner) -> Bare:
+        i = instance_index()
+        place = vec2(float(i % 512), float(i // 512)) / 256.0 - 1.0
+        return Bare(clip=vec4(place + (v.position.xy + 1.0) / 512.0, 0.5, 1.0))
+
+    def fragment(self, v: Bare) -> vec4:
+        return vec4(1.0)
+
+
+@pytest.mark.parametrize("before", [0, 1], ids=["alone", "behind_another"])
+def test_many_instances_take_no_more_memory_than_many_draws(device: Device, before: int) -> None:
+    """Instances are processed in pieces: at most 200 bytes per triangle, and each instance in its place."""
+    instances, program = 512 * 480, device.program(Placed)
+    draws_of = [(512 * 500, 512 * 12), (512, instances)][1 - before :]
+    queries = [device.occlusion_query() for _ in draws_of]
+    with device.texture((512, 512), Format.R8) as image, device.mesh(rectangle()) as mesh:
+        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE):
+            for query, (first, count) in zip(queries, draws_of, strict=True):
+                with query:
+                    device.draw(program, mesh.view(base_instance=first), count)
+        rows = (image.read()[::-1] > 0).all(axis=1)
+    assert np.flatnonzero(rows).tolist() == [*range(1, 481), *range(500, 512)][: 480 + 12 * before]
+    assert [query.wait() for query in queries] == [count for _, count in draws_of]
+    pools = device.backend_as(ClBackend)._rasteriser._launcher._scratch.pools
+    assert sum(pool.size for pool in pools.values()) <= 200 * 2 * instances
+
+
+@pytest.mark.parametrize("instances", [1 << 20, (1 << 31) - 1])
+def test_draws_split_into_pieces_are_each_instance_once(
+    monkeypatch: pytest.MonkeyPatch, instances: int
+) -> None:
+    monkeypatch.setattr(draw_tables, "_FIRST_PIECE_GROUPS", 1 << 19)
+    groups, counts = np.array([1, 3, 1 << 20, 0, 7], np.int32), np.array([instances, 0, 3, 5, 1])
+    which, parts, done = draw_tables.split_instances(groups, counts)
+    assert np.array_equal(np.bincount(which, parts), counts)
+    assert (parts * groups[which] <= np.maximum(1 << 19, groups[which])).all()
+    ends = np.cumsum(parts) - np.repeat(np.cumsum(counts) - counts, np.bincount(which))
+    assert np.array_equal(done, ends - parts)
+
+
+def test_a_device_with_memory_of_its_own_draws_the_same(
+    device: Device, distant_device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(memory, "_PAGE_BYTES", 1 << 12)  # tables need several pages
+    rows = random_corners(200)
+    for parts in (1, 40):
+        assert (picture(device, rows, parts) == picture(distant_device, rows, parts)).all()
+    query = distant_device.occlusion_query()
+    with distant_device.texture((4, 4), Format.R8) as image, distant_device.mesh(rectangle()) as mesh:
+        with distant_device.render_pass(image), query:
+            distant_device.draw(distant_device.program(Colored), mesh)
+        assert query.wait() == 16
+
+
+def test_a_device_without_addresses_has_no_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(memory.Addresses, "_probe", lambda *_: False)
+    with rhi.create_device("cl") as made:
+        assert not made.capabilities.draws
+        with pytest.raises(rhi.ValidationError) as caught:
+            made.program(Colored)
+    assert caught.value.rule.id == "device-capability"
+
+
+# -- errors --------------------------------------------------------------------------------------------------
+
+
+def test_out_of_memory_names_the_draw_and_the_device_goes_on(
+    device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = random_corners(50)
+    usual = picture(device, rows)
+
+    def fail(*_: object) -> None:
+        raise MemoryError
+
+    with monkeypatch.context() as patch:
+        patch.setattr(memory.Pool, "reserve", fail)
+        with pytest.raises(DeviceError) as caught:
+            picture(device, random_corners(500))  # more than there is memory for
+    assert caught.value.rule.id == "device-out-of-memory"
+    assert (picture(device, rows) == usual).all()
+
+
+# -- queries -------------------------------------------------------------------------------------------------
+
+
+def test_each_draw_of_a_batch_counts_for_its_own_query(device: Device, launches: list[str]) -> None:
+    queries = [device.occlusion_query() for _ in range(600)]  # more than a page of counters
+    meshes = [device.mesh(rectangle(-1, -1, -1 + (i + 1) / 8, 1)) for i in range(16)]
+    with device.texture((16, 4), Format.R8) as image:
+        with device.render_pass(image), device.states(CullMode.NONE, ColorWrite.OFF, DepthWrite.OFF):
+            for i, query in enumerate(queries):
+                with query:
+                    device.draw(device.program(Colored), meshes[i % 16])
+        assert [query.wait() for query in queries] == [4 * (i % 16 + 1) for i in range(600)]
+    assert launches.count("raster") == 1
+
+
+@pytest.fixture
+def bars(device: Device) -> Iterator[rhi.Mesh]:
+    """16 rectangles; of a target of 16 x 4 texels the i-th covers 4 (i + 1)."""
+    with device.mesh(np.concatenate([rectangle(-1, -1, -1 + (i + 1) / 8, 1) for i in range(16)])) as bars:
+        yield bars
+
+
+def test_an_array_of_draws_that_comes_again_brings_its_table(
+    device: Device, bars: rhi.Mesh, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[int] = []
+    number = draw_tables.number_groups
+
+    def note(*args: Any) -> Any:
+        made.append(len(args[0]))
+        return number(*args)
+
+    monkeypatch.setattr(draw_tables, "number_groups", note)
+    queries = device.query_set(16)
+    array = bars.draws(6 * np.arange(16), 6)
+    with device.texture((16, 4), Format.R8) as image, device.states(ColorWrite.OFF, DepthWrite.OFF):
+        for rows in (range(16), range(16), range(15, -1, -1)):
+            with device.render_pass(image):
+                device.draw_counted(device.program(Colored), bars, array.copy(), queries, list(rows))
+            assert queries.wait().tolist() == [4 * (rows[i] + 1) for i in range(16)]
+    assert made == [16, 16]
+
+
+@pytest.mark.parametrize("order", ["array first", "array last", "two arrays"])
+def test_an_array_of_draws_and_others_are_one_batch(
+    device: Device, bars: rhi.Mesh, launches: list[str], order: str
+) -> None:
+    queries, more, query = device.query_set(16), device.query_set(2), device.occlusion_query()
+    program = device.program(Colored)
+    with device.texture((16, 4), Format.R8) as image:
+        with device.render_pass(image), device.states(ColorWrite.OFF, DepthWrite.OFF):
+            if order == "array last":
+                with query:
+                    device.draw(program, bars.view(6 * 3, 6))
+            device.draw_counted(program, bars, bars.draws(6 * np.arange(16), 6), queries)
+            if order == "two arrays":
+                device.draw_counted(program, bars, bars.draws(6 * np.array([9, 2]), 6), more, [1, 0])
+            if order != "array last":
+                with query:
+                    device.draw(program, bars.view(6 * 3, 6))
+        assert query.wait() == 16
+        assert queries.wait().tolist() == [4 * (i + 1) for i in range(16)]
+        if order == "two arrays":
+            assert more.wait().tolist() == [12, 40]
+    assert launches.count("raster") == 1
+
+
+def test_counters_are_used_again(device: Device) -> None:
+    """Pages of counters are reused once their results aren't needed, and count from zero."""
+    queries = device.backend_as(ClBackend)._rasteriser.queries
+    with device.texture((4, 4), Format.R8) as image, device.mesh(rectangle()) as mesh:
+        query = device.occlusion_query()
+        for _ in range(4):
+            for _ in range(500):
+                with device.render_pass(image), query:
+                    device.draw(device.program(Colored), mesh)
+            assert query.wait() == 16
+    assert 1 <= len(queries._free) <= 2
+
+
+def test_a_query_around_no_draws_counts_nothing(device: Device) -> None:
+    query = device.occlusion_query()
+    with device.texture((4, 4), Format.R8) as image, device.render_pass(image), query:
+        pass
+    assert query.wait() == 0
+
+
+# -- lines and points ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("primitive", [Primitive.LINES, Primitive.POINTS], ids=lambda p: p.name)
+def test_lines_and_points_keep_their_place_among_triangles(device: Device, primitive: Primitive) -> None:
+    """Lines and points keep their place in the order of draws."""
+    rows = corners([(-0.9, 0.1), (0.9, 0.1)] if primitive is Primitive.LINES else [(0.05, 0.1)], (0, 1, 0, 1))
+    below, above = rectangle(-1, -1, 1, 1), rectangle(0.5, -1, 1, 1)
+    below["color"], above["color"] = (1, 0, 0, 1), (0, 0, 1, 1)
+    program = device.program(Colored)
+    with (
+        device.texture((16, 16), Format.RGBA8) as image,
+        device.mesh(below) as first,
+        device.mesh(rows, primitive=primitive) as thin,
+        device.mesh(above) as last,
+    ):
+        with device.render_pass(image), device.states(DepthWrite.OFF, CullMode.NONE):
+            for mesh in (first, thin, last):
+                device.draw(program, mesh)
+        pixels = image.read()
+    assert pixels[7, 8].tolist() == [0, 255, 0, 255]
+    assert (pixels[:, 12:] == (0, 0, 255, 255)).all()
+    assert pixels[3, 3].tolist() == [255, 0, 0, 255]
+
+
+# -- clipping ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("nearest", [10.0, -5.0], ids=["behind_the_eye", "before_it"])
+def test_a_plane_to_the_horizon_has_its_depth(device: Device, nearest: float) -> None:
+    """The far corners lie a fraction of a pixel below the horizon. Their rounding must not tilt the plane."""
+    width, height, below, near, scale = 256, 144, 2.3, 0.2, 1.7320508
+    x, z = (
+        np.array([-900.0, 900, 900, -900, 900, -900]),
+        np.array([nearest, nearest, -3000, nearest, -3000, -3000]),
+    )
+    if nearest < 0:
+        x[z == nearest] /= 300  # no guard band cuts it
+    clip = np.stack([x * scale * height / width, np.full(6, -below * scale), np.full(6, near), -z], axis=1)
+    with device.texture((width, height), Format.D32F) as depth, device.mesh(corners(clip)) as mesh:
+        with device.render_pass(depth=depth, clear_depth=0.0), device.states(CullMode.NONE, ColorWrite.OFF):
+            device.draw(device.program(Colored), mesh)
+        drawn = depth.read().astype(np.float64)
+    assert (drawn[: height // 2] == 0).all()
+    rows, columns = np.nonzero(drawn)
+    assert len(rows) > (width * height / 3 if nearest > 0 else 1000)
+    expected = near * (rows + 0.5 - height / 2) / (height / 2) / scale / below
+    np.testing.assert_allclose(drawn[rows, columns], expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("size", [(8192, 16), (16, 8192), (8192, 1024)], ids=str)
+def test_edges_across_the_largest_targets_are_exact(device: Device, size: tuple[int, int]) -> None:
+    rng = np.random.default_rng(4)
+    extent = np.array(size) * SUBTEXELS
+    for _ in range(3):
+        triangle = rng.integers(-extent // 2, extent * 3 // 2, (3, 2))
+        clip = window_to_clip(triangle / SUBTEXELS, size)
+        with device.texture(size, Format.R8) as image, device.mesh(corners(clip)) as mesh:
+            with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE):
+                device.draw(device.program(Colored), mesh)
+            assert_mask(image.read(), rasterise(triangle, *size))
+
+
+# -- depth bounds --------------------------------------------------------------------------------------------
+
+
+FLOAT, FIXED = (Format.D32F, Format.D32FS8), (Format.D24, Format.D24S8)
+TWO_FUNCTIONS = (DepthFunction.LESS, DepthFunction.GREATER_EQUAL)
+
+
+@pytest.mark.parametrize(
+    ("function", "depth_format"),
+    [
+        *(pytest.param(each, FLOAT, id=f"{each.name}-float") for each in DepthFunction),
+        *(
+            pytest.param(each, FIXED, id=f"{each.name}-24", marks=() if each in TWO_FUNCTIONS else pytest.mark.nightly)
+            for each in DepthFunction
+        ),
+    ],
+)
+def test_what_lies_behind_a_tile_s_bounds_is_what_the_test_drops(
+    device: Device, function: DepthFunction, depth_format: tuple[Format, Format]
+) -> None:
+    """With a stencil test, depth isn't staged and has no bounds."""
+    rows = random_corners(6000)
+    rng = np.random.default_rng(5)
+    # Most depths are near their triangle's, some slopes are steep, some triangles face the eye and meet others.
+    depths = rng.uniform(0, 1, (6000, 1)) + rng.choice([0, 0.01, 0.5], (6000, 1)) * rng.uniform(
+        -1, 1, (6000, 3)
+    )
+    depths[::7] = np.round(depths[::7, :1] * 8) / 8
+    rows["position"][:, 2] = np.clip(depths, 0, 1).ravel()
+    pictures = []
+    for stencil, form in enumerate(depth_format):
+        with (
+            device.texture(SIZE, Format.RGBA8) as image,
+            device.texture(SIZE, form) as depth,
+            device.mesh(rows) as mesh,
+        ):
+            states = (
+                CullMode.NONE,
+                function,
+                StencilTest.ON if stencil else StencilTest.OFF,
+                PolygonOffset(0.5),
+            )
+            with (
+                device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.5),
+                device.states(*states),
+            ):
+                device.draw(device.program(Colored), mesh)
+            pictures.append((image.read(), depth.read()))
+    (image, depth_values), (plain_image, plain_depths) = pictures
+    assert (depth_values == plain_depths).all()
+    assert (image == plain_image).all()
+    assert (image > 0).any() or function in (DepthFunction.NEVER, DepthFunction.EQUAL)
+
+
+@pytest.mark.parametrize(
+    "depth_format", [(Format.D32F, Format.D32FS8), (Format.D24, Format.D24S8)], ids=["float", "24"]
+)
+@pytest.mark.parametrize("function", [DepthFunction.LESS, DepthFunction.GREATER_EQUAL], ids=lambda f: f.name)
+@pytest.mark.parametrize("offset", [0.0, 0.5])
+def test_what_is_hidden_behind_earlier_slices_is_what_the_test_drops(
+    device: Device,
+    monkeypatch: pytest.MonkeyPatch,
+    function: DepthFunction,
+    depth_format: tuple[Format, Format],
+    offset: float,
+) -> None:
+    """Whole draws and single primitives are culled; with a stencil test there are no bounds from earlier slices."""
+    count, each = 120, 24
+    rng = np.random.default_rng(7)
+    middle, size = rng.uniform(-1.1, 1.1, (count, 1, 1, 2)), 2.0 ** rng.uniform(-7, 0, (count, each, 1, 1))
+    places = middle + size * rng.uniform(-1, 1, (count, each, 3, 2))
+    colors = np.repeat(rng.uniform(0, 1, (count * each, 4)), 3, axis=0)
+    away = rng.uniform(0, 1, (count, 1, 1)) + 0.05 * rng.uniform(-1, 1, (count, each, 3))
+    rows = corners(places.reshape(-1, 2), colors, np.clip(away, 0, 1).ravel())
+    pictures, survivors = [], []
+    for form, groups in ((depth_format[1], 1 << 15), (depth_format[0], 1 << 15), (depth_format[0], 32)):
+        monkeypatch.setattr(launcher, "_SLICE_GROUPS", groups)
+        with (
+            device.texture(SIZE, Format.RGBA8) as image,
+            device.texture(SIZE, form) as depth,
+            device.mesh(rows) as mesh,
+        ):
+            stencil = StencilTest.ON if form.has_stencil else StencilTest.OFF
+            states = CullMode.NONE, function, stencil, PolygonOffset(offset)
+            with (
+                device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.5),
+                device.states(*states),
+            ):
+                for part in range(count):
+                    device.draw(device.program(Colored), mesh.view(first=3 * each * part, count=3 * each))
+            pictures.append((image.read(), depth.read()))
+            survivors.append(count_survivors(device))
+    for image_values, depth_values in pictures[1:]:
+        assert (image_values == pictures[0][0]).all()
+        assert (depth_values == pictures[0][1]).all()
+    assert survivors[0] > 0
+
+
+@pytest.mark.usefixtures("optimised_kernels")
+def test_draws_that_are_hidden_or_beside_the_view_are_not_set_up(
+    device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(launcher, "_SLICE_GROUPS", 1)  # each draw is a slice
+    left = []
+    for place in (0.5, 5.0):  # what is drawn last lies in the view, or not
+        for last in (0.25, 0.75):  # before the wall, or behind it
+            rows = np.concatenate(
+                [rectangle(depth=0.5), rectangle(place - 0.1, 0.4, place + 0.1, 0.6, depth=last)]
+            )
+            with device.texture(SIZE, Format.D32F) as depth, device.mesh(rows) as mesh:
+                with device.render_pass(depth=depth, clear_depth=1.0), device.states(DepthFunction.LESS):
+                    for first in (0, 6):
+                        device.draw(device.program(Colored), mesh.view(first=first, count=6))
+                left.append(count_survivors(device))
+    assert left == [2, 0, 0, 0]
+
+
+def _leave(depth: rhi.Texture, other: rhi.Texture, device: Device) -> None:
+    """The depth doesn't change."""
+
+
+def _copy(depth: rhi.Texture, other: rhi.Texture, device: Device) -> None:
+    other.copy_to(depth)
+
+
+def _clear(depth: rhi.Texture, other: rhi.Texture, device: Device) -> None:
+    with device.render_pass(depth=depth, clear_depth=1.0):
+        pass
+
+
+def _draw_elsewhere(depth: rhi.Texture, other: rhi.Texture, device: Device) -> None:
+    """The bounds in memory are overwritten with those of another depth target."""
+    with (
+        device.mesh(rectangle(depth=0.9)) as mesh,
+        device.render_pass(depth=other),
+        device.states(DepthFunction.LESS),
+    ):
+        device.draw(device.program(Colored), mesh)
+
+
+def _draw_unbounded(depth: rhi.Texture, other: rhi.Texture, device: Device) -> None:
+    """Draws that keep no bounds move the depth away."""
+    with (
+        device.mesh(rectangle(depth=1.0)) as mesh,
+        device.render_pass(depth=depth),
+        device.states(DepthFunction.ALWAYS),
+    ):
+        device.draw(device.program(Colored), mesh)
+
+
+@pytest.mark.usefixtures("optimised_kernels")
+@pytest.mark.parametrize(
+    ("change", "hides", "samples"),
+    [
+        (_leave, True, 0),
+        (_copy, False, 64),
+        (_clear, False, 64),
+        (_draw_elsewhere, False, 0),
+        (_draw_unbounded, False, 64),
+    ],
+)
+def test_a_pass_knows_what_hid_in_the_one_before_unless_depth_changed(
+    device: Device, change: Callable[[rhi.Texture, rhi.Texture, Device], None], hides: bool, samples: int
+) -> None:
+    program, size = device.program(Colored), (8, 8)
+    with (
+        device.texture(size, Format.D32F) as depth,
+        device.texture(size, Format.D32F) as other,
+        device.mesh(rectangle(depth=0.5)) as wall,
+        device.mesh(rectangle(depth=0.75)) as behind,
+    ):
+        _clear(other, depth, device)
+        with device.render_pass(depth=depth, clear_depth=1.0), device.states(DepthFunction.LESS):
+            device.draw(program, wall)
+        change(depth, other, device)
+        query = device.occlusion_query()
+        states = DepthFunction.LESS, DepthWrite.OFF
+        with device.render_pass(depth=depth), device.states(*states), query:
+            device.draw(program, behind)
+        assert query.wait() == samples
+        assert (count_survivors(device) == 0) == hides
+
+
+def test_depth_tested_the_other_way_is_bounded_anew(device: Device) -> None:
+    with device.texture((8, 8), Format.D32F) as depth, device.mesh(rectangle(depth=0.75)) as mesh:
+        for function, samples in ((DepthFunction.LESS, 64), (DepthFunction.GREATER, 0), (DepthFunction.LESS, 0)):
+            query = device.occlusion_query()
+            with device.render_pass(depth=depth, clear_depth=1.0 if samples else None):
+                with device.states(function), query:
+                    device.draw(device.program(Colored), mesh)
+            assert query.wait() == samples
+
+
+def test_small_triangles_between_texel_centres_are_not_set_up(device: Device) -> None:
+    size = 4
+    boxes = [(1.6, 1.6, 1.9, 1.9), (1.6, 0.7, 2.4, 1.2), (1.4, 1.2, 1.8, 1.7), (0.9, 0.9, 2.6, 1.6)]
+    inside = []
+    for left, top, right, bottom in boxes:
+        corner = np.array([(left, top), (left, bottom), (right, bottom)]) * 2 / size - 1
+        rows = corners(corner * (1, -1))
+        with device.texture((size, size), Format.R8) as image, device.mesh(rows) as mesh:
+            with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE):
+                device.draw(device.program(Colored), mesh)
+            inside.append(((image.read() > 0).sum(), count_survivors(device)))
+    assert inside == [(0, 0), (0, 0), (1, 1), (1, 1)]

@@ -1,0 +1,72 @@
+"""What the text of the rasteriser's kernels must be like."""
+
+from __future__ import annotations
+
+import re
+from importlib.resources import files
+
+import numpy as np
+import pyopencl as cl
+import pytest
+
+from rhi.backends.cl.context import QUICK, open_context
+from rhi.backends.cl.pocl.cache import strip_comments
+from rhi.backends.cl.raster.kernel_text import declare_struct
+from rhi.backends.cl.raster.merger import MERGER_STRUCT
+from rhi.backends.cl.raster.tables import BATCH_STRUCT, DRAW_STRUCT, VIEW_STRUCT
+
+_STRUCTS = {"Batch": BATCH_STRUCT, "Draw": DRAW_STRUCT, "View": VIEW_STRUCT, "Merger": MERGER_STRUCT}
+
+_HEADER = re.compile(r"^(?!typedef\b|struct\b)(\w[^;{}#=]*\)) *\{", re.M)
+
+
+def find_structs_by_value(text: str) -> list[str]:
+    """Return the heads of functions that take or return a struct, instead of the address of one."""
+    text = strip_comments(text)
+    structs = "|".join(re.findall(r"^\} *(\w+);", text, re.M))
+    by_value = re.compile(rf"\b(?:{structs})\s+\w")
+    return [head for head in _HEADER.findall(text) if by_value.search(head)]
+
+
+def test_kernels_give_structs_by_address() -> None:
+    """PoCL never frees the types of a function's structs, so programs that come and go would make a process grow."""
+    kernels = files("rhi.backends.cl.raster").joinpath("kernels")
+    text = "\n".join(each.read_text() for each in kernels.iterdir() if each.name.endswith(".cl"))
+    text += "".join(declare_struct(*each) for each in _STRUCTS.items())
+    assert len(_HEADER.findall(text)) > 100
+    assert not find_structs_by_value(text)
+
+
+@pytest.mark.parametrize(
+    ("head", "found"),
+    [
+        ("INLINE Pair split(int a)", True),
+        ("bool holds(global const int *a, const Pair pair)", True),
+        ("SEPARATE void split(\n    int a, Pair b\n)", True),
+        ("INLINE void split(int a, Pair *pair)", False),
+        ("bool holds(global const Pair *pairs, int pair)", False),
+    ],
+)
+def test_structs_by_value_are_found(head: str, found: bool) -> None:
+    text = f"typedef struct {{\n    int a, b;\n}} Pair;\n\n{head} {{\n    Pair c, d;\n    use(c, d);\n}}\n"
+    assert find_structs_by_value(text) == ([head] if found else [])
+
+
+@pytest.mark.parametrize("name", _STRUCTS)
+def test_declared_structs_lie_in_memory_as_their_dtypes(name: str) -> None:
+    struct = _STRUCTS[name]
+    offsets = "".join(
+        f"answer[{place}] = (uint)(ulong)&((global {name} *)0)->{field};"
+        for place, field in enumerate(struct.names or ())
+    )
+    size = f"answer[{len(struct)}] = sizeof({name});"
+    source = f"{declare_struct(name, struct)}kernel void lay_out(global uint *answer) {{ {offsets}{size} }}"
+    context, answer = open_context(), np.zeros(len(struct) + 1, np.uint32)
+    memory = cl.Buffer(context.context, cl.mem_flags.READ_WRITE, answer.nbytes)
+    kernel = context.compile(source, QUICK).find("lay_out")
+    kernel.set_args(memory)
+    cl.enqueue_nd_range_kernel(context.queue, kernel, (1,), (1,))
+    cl.enqueue_copy(context.queue, answer, memory)
+    assert struct.fields is not None
+    expected = [struct.fields[field][1] for field in struct.names or ()]
+    assert answer.tolist() == [*expected, struct.itemsize]

@@ -1,0 +1,189 @@
+"""Lean shaders: variants that bind what their stages read, and check what they keep."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import rhi
+from rhi.contract.descriptors import Stage
+from rhi.errors import ShaderError
+from rhi.shading import (
+    Shader,
+    Storage,
+    StorageRW,
+    Struct,
+    compile_shader,
+    global_id,
+    run_compute,
+    vec2,
+    vec4,
+)
+from tests.renderer.conftest import open_device
+
+
+class Sums(Shader):
+    """Adds up what its switches say."""
+
+    work_group = (4,)
+    lean = True
+    has_more = False
+    has_most = False
+
+    found: StorageRW[float]
+    less: Storage[float]
+    more: Storage[float]
+    most: Storage[float]
+
+    def compute(self) -> None:
+        i = int(global_id().x)
+        self.found[i] = self.find(i)
+
+    def find(self, i: int) -> float:
+        if self.has_most:
+            return self.most[i]
+        if self.has_more:
+            return self.more[i] + self.less[i]
+        return self.less[i]
+
+
+class More(Sums):
+    has_more = True
+
+
+class Most(Sums):
+    has_most = True
+    has_more = True
+
+
+class Whole(Sums):
+    lean = False
+
+
+def list_bindings(shader: type[Shader]) -> list[tuple[str, int]]:
+    return [(binding.name, binding.slot) for binding in compile_shader(shader).bindings]
+
+
+def test_a_lean_program_has_the_bindings_that_its_stages_read_in_slots_without_gaps() -> None:
+    assert list_bindings(Sums) == [("found", 0), ("less", 1)]
+    assert list_bindings(More) == [("found", 0), ("less", 1), ("more", 2)]
+    assert list_bindings(Most) == [("found", 0), ("most", 1)]  # what follows a return that is taken isn't read
+    assert [name for name, _ in list_bindings(Whole)] == ["found", "less", "more", "most"]
+
+
+class Decided(Shader):
+    """Returns by a condition that is constant."""
+
+    work_group = (4,)
+    doubles = True
+    found: StorageRW[float]
+
+    def compute(self) -> None:
+        self.found[int(global_id().x)] = self.find(3.0)
+
+    def find(self, value: float) -> float:
+        if self.doubles:
+            return value + value
+        return value * 7.0
+
+
+class Undecided(Decided):
+    doubles = False
+
+
+def test_what_follows_a_return_that_is_taken_is_left_out_of_any_program() -> None:
+    texts = [compile_shader(shader).emit("glsl", Stage.COMPUTE).text for shader in (Decided, Undecided)]
+    assert ["7.0" in text for text in texts] == [False, True]
+
+
+def test_a_lean_program_computes_as_the_whole_one_does() -> None:
+    words = {name: np.arange(4, dtype=np.float32) * k for name, k in (("less", 1), ("more", 10), ("most", 100))}
+    for shader, expected in ((Sums, "less"), (Whole, "less"), (Most, "most")):
+        names = [name for name, _ in list_bindings(shader)][1:]
+        found = run_compute(shader, 1, found=np.zeros(4, np.float32), **{name: words[name] for name in names})
+        assert found["found"].tolist() == words[expected].tolist()
+
+
+class Wrong(Sums):
+    """Its untaken branch isn't of the language."""
+
+    has_text = False
+
+    def find(self, i: int) -> float:
+        if self.has_text:
+            return "text"  # type: ignore[return-value]
+        return self.less[i]
+
+
+def test_branches_that_a_lean_shader_does_not_take_are_checked_in_the_variant_that_takes_them() -> None:
+    assert [name for name, _ in list_bindings(Wrong)] == ["found", "less"]
+    for variant in ({"has_text": True}, {"lean": False}):
+        with pytest.raises(ShaderError):
+            compile_shader(type("Variant", (Wrong,), {"__module__": __name__, **variant}))
+
+
+def test_a_lean_program_is_bound_by_the_names_that_it_has() -> None:
+    with rhi.create_device("null") as device:
+        program = device.program(Most)
+        assert [binding.name for binding in program.descriptor.bindings] == ["found", "most"]
+
+
+class Place(Struct):
+    place: vec2
+
+
+class Shades(Struct):
+    dark: float
+    light: vec4
+
+
+class Shaded(Struct):
+    clip: vec4
+    color: vec4
+
+
+class Painted(Shader):
+    """Draws vertices in one of their colours."""
+
+    lean = True
+    is_light = True
+
+    def vertex(self, v: Place, shades: Shades) -> Shaded:
+        return Shaded(clip=vec4(v.place, 0.0, 1.0), color=shades.light if self.is_light else vec4(shades.dark))
+
+    def fragment(self, v: Shaded) -> vec4:
+        return v.color
+
+
+class Dark(Painted):
+    is_light = False
+
+
+class Unsparing(Painted):
+    lean = False
+
+
+def test_a_lean_program_has_the_attributes_that_its_vertex_stage_reads() -> None:
+    found = {
+        shader: [(attribute.name, attribute.location) for attribute in compile_shader(shader).attributes]
+        for shader in (Painted, Dark, Unsparing)
+    }
+    assert found[Painted] == [("place", 0), ("light", 1)]
+    assert found[Dark] == [("place", 0), ("dark", 1)]
+    assert found[Unsparing] == [("place", 0), ("dark", 1), ("light", 2)]
+    assert "in_dark" not in compile_shader(Painted).emit("glsl", Stage.VERTEX).text
+
+
+@pytest.mark.parametrize("name", ["gl", "cl"])
+def test_a_mesh_may_lack_the_attributes_that_a_lean_program_does_not_read(name: str) -> None:
+    corners = np.array([(-1, -1), (3, -1), (-1, 3)], np.float32)
+    for shader, extra, expected in (
+        (Painted, {"light": np.tile(np.float32([0.2, 0.4, 0.6, 1.0]), (3, 1))}, [51, 102, 153, 255]),
+        (Dark, {"dark": np.full(3, 0.8, np.float32)}, [204, 204, 204, 204]),
+    ):
+        with open_device(name) as device:
+            image = device.texture((2, 2), rhi.Format.RGBA8)
+            mesh = device.mesh({"place": corners, **extra})
+            with device.render_pass(image, clear=(0.0, 0.0, 0.0, 0.0)):
+                device.draw(device.program(shader), mesh)
+            assert (image.read() == expected).all()
