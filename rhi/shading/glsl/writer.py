@@ -21,8 +21,7 @@ from rhi.shading.ir import tree
 from rhi.shading.ir.tree import Expression, Operator
 from rhi.shading.language.source import SourceSpan
 from rhi.shading.language.types import ImageType, TextureType, Type, VoidType, scalar_of
-from rhi.shading.text import writer
-from rhi.shading.text.writer import int_text
+from rhi.shading.text.writer import TextWriter, int_text
 
 __rhi_internal__ = True
 
@@ -32,7 +31,7 @@ _LONGEST_LIST: Final = 32
 """Arrays of zeros up to this length are initialised with a list, longer ones in a loop."""
 
 
-class Writer(writer.Writer):
+class Writer(TextWriter):
     """Writer of the functions of one stage."""
 
     language = "glsl"

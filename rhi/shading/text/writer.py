@@ -35,7 +35,7 @@ _RUNS: Final = {
 """Operators of one precedence, which group to the left without brackets."""
 
 
-class Writer:
+class TextWriter:
     """Writer of the functions of one stage. The helper functions that they need are collected in `helpers`."""
 
     language: ClassVar[str]
