@@ -5,8 +5,9 @@
 A fault is one small change of an operator, a constant, a condition or a call. It is made in a copy of the tracked
 files, which is deleted afterwards, so that processes that tests start, shaders that are parsed from their text and
 kernels in files see it too, and the working tree is never touched. Tests run in stages until one fails: first those of
-the module's folder, then for `rhi` the conformance kit on the backends concerned, and for `renderer` the tests
-elsewhere that import its package. A stage that takes far longer than without a fault has noticed it.
+the module's folder, then for `rhi` those of its package and the conformance kit on the backends concerned, and for
+`renderer` the tests elsewhere that use the module most, and the exam. A stage that takes far longer than without a
+fault has noticed it.
 
 What no stage notices is printed with its line, unless `unseen_faults` explains it. The last line gives the share that
 is noticed of what can be seen. The exit status is 1 if there are survivors without an explanation.
@@ -44,15 +45,18 @@ from unseen_faults import explain
 ROOT: Final = Path(__file__).resolve().parents[2]
 PACKAGES: Final = (
     "rhi.backends.cl", "rhi.backends.gl", "rhi.backends.null", "rhi.commands", "rhi.contract", "rhi.device",
-    "rhi.errors", "rhi.shading", "rhi.testing", "rhi.trace", "renderer.cloth", "renderer.content.gltf", "renderer.frame",
-    "renderer.layers", "renderer.lights", "renderer.scene", "renderer.shaders", "renderer.shadows", "renderer.stereo",
-    "renderer.techniques", "renderer.tessellation", "renderer.visibility",
+    "rhi.errors", "rhi.shading", "rhi.testing", "rhi.trace", "renderer.cloth", "renderer.content.gltf",
+    "renderer.frame", "renderer.layers", "renderer.lights", "renderer.scene", "renderer.shaders",
+    "renderer.shadows", "renderer.stereo", "renderer.techniques", "renderer.tessellation", "renderer.visibility",
 )  # fmt: skip
 """Where faults are made unless packages are named: not in tests, the kit, scenes to look at, and what only measures."""
 
 _BACKENDS: Final = ("cl", "gl", "null")
 _SLACK: Final = 4.0, 30.0
 """A stage may take so many times as long as without a fault, and so many seconds more."""
+
+_MOST_USERS: Final = 8
+"""Of the files of tests elsewhere that use a module of the renderer, so many are tried."""
 
 _BINARY: Final[dict[type[ast.AST], str]] = {
     ast.Add: "-", ast.Sub: "+", ast.Mult: "/", ast.Div: "*", ast.FloorDiv: "*", ast.Mod: "//", ast.LShift: ">>",
@@ -231,6 +235,11 @@ class _Finder(ast.NodeVisitor):
         if not isinstance(node.value, ast.Constant):
             self.generic_visit(node)
 
+    def visit_keyword(self, node: ast.keyword) -> None:
+        """`strict=True` of `zip` asserts what is known too."""
+        if node.arg != "strict":
+            self.generic_visit(node)
+
     def visit_Assert(self, node: ast.Assert) -> None:
         """An assertion tells a type checker what is known."""
 
@@ -296,20 +305,38 @@ def choose_tests(root: Path, file: str) -> list[tuple[str, ...]]:
         backends = [path.parts[2]] if path.parts[1] == "backends" and path.parts[2] in _BACKENDS else []
         if not backends:
             backends = ["gl", "cl"] if path.parts[1] == "shading" else ["null", "gl"]
-        top = "/".join(("tests", *path.parts[:2]))
-        if top != own and len(path.parts) > 3:
-            stages.append((top,))
+        stages += _list_wider(root, path, own)
         stages += [("--pyargs", "rhi.conformance", "--rhi-backend", backend) for backend in backends]
     else:
-        package = ".".join(path.with_suffix("").parts[:2])
-        words = re.compile(rf"\b{re.escape(package)}\b")
-        using = [
-            each.relative_to(root).as_posix()
-            for each in sorted((root / "tests").rglob("test_*.py"))
-            if not each.is_relative_to(folder) and words.search(each.read_text())
-        ]
-        stages += [tuple(using)] if using else []
+        users = _list_users(root, path, folder)
+        stages += [tuple(users)] if users else []
+        stages.append(("tests/renderer/lab/exam/test_cases.py",))
     return stages
+
+
+def _list_wider(root: Path, path: PurePosixPath, own: str) -> list[tuple[str, ...]]:
+    """Return the stage of a module's package of `rhi`, and for a backend of what stands beside all."""
+    is_backend = path.parts[1] == "backends"
+    top = "/".join(("tests", *path.parts[: 3 if is_backend else 2]))
+    beside = [each.relative_to(root).as_posix() for each in sorted((root / "tests/rhi/backends").glob("test_*.py"))]
+    wider = ([top] if top != own and (root / top).is_dir() else []) + (beside if is_backend else [])
+    return [tuple(wider)] if wider else []
+
+
+def _list_users(root: Path, path: PurePosixPath, folder: Path) -> list[str]:
+    """Return the files of tests outside a folder that import a module's package and name most of what it defines."""
+    module = path.with_suffix("").as_posix().replace("/", ".")
+    package = re.compile(rf"\b{re.escape('.'.join(path.with_suffix('').parts[:2]))}\b")
+    tree = ast.parse((root / path).read_text())
+    names = [re.escape(each.name) for each in tree.body if isinstance(each, ast.ClassDef | ast.FunctionDef)]
+    words = re.compile("|".join(rf"\b{name}\b" for name in [*names, re.escape(module)] if not name.startswith("_")))
+    found = Counter[str]()
+    for each in sorted((root / "tests").rglob("test_*.py")):
+        if not each.is_relative_to(folder):
+            text = each.read_text()
+            if package.search(text):
+                found[each.relative_to(root).as_posix()] = len(set(words.findall(text)))
+    return [file for file, count in found.most_common(_MOST_USERS) if count]
 
 
 # -- trials --------------------------------------------------------------------------------------------------------

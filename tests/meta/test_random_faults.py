@@ -45,6 +45,7 @@ def test_operators_constants_conditions_and_calls_have_faults(text: str, expecte
     [
         '"""Return 1 + 1."""', "import a", "x: Array[3] = y", "def f(a: X | None) -> Y | None: ...", "assert a == 1",
         "x = 'a %d' % b", "T = X | None", "if TYPE_CHECKING:\n    import b", "x = f'{a + 1}'",
+        "x = zip(a, b, strict=True)",
     ],
 )  # fmt: skip
 def test_texts_types_and_assertions_have_none(text: str) -> None:
@@ -98,10 +99,11 @@ def test_a_module_s_tests_are_its_folder_s_and_then_the_kit_s(
 
 
 def test_a_part_of_the_renderer_is_also_tested_where_it_is_used() -> None:
-    own, users = choose_tests(ROOT, "renderer/lights/culling/cells.py")
-    assert own == ("tests/renderer/lights/culling/test_cells.py", "tests/renderer/lights/culling")
-    assert users
-    assert all("renderer.lights" in (ROOT / file).read_text() for file in users)
+    own, users, exam = choose_tests(ROOT, "renderer/scene/meshes.py")
+    assert own == ("tests/renderer/scene",)
+    assert 1 < len(users) <= 8
+    assert all("renderer.scene" in (ROOT / file).read_text() for file in users)
+    assert exam == ("tests/renderer/lab/exam/test_cases.py",)
 
 
 TESTED = "def scale(x):\n    return 2 * x\n\n\ndef count(n):\n    while n > 0:\n        n -= 1\n    return n\n"
@@ -109,7 +111,7 @@ TESTS = "from thing.numbers import count, scale\n\n\ndef test_it():\n    assert 
 
 
 @pytest.fixture
-def project(tmp_path: Path) -> Path:
+def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A project of one module and its test."""
     texts = {"thing/numbers.py": TESTED, "thing/__init__.py": "", "tests/thing/test_numbers.py": TESTS}
     for file, text in texts.items():
