@@ -142,7 +142,7 @@ def texts_of(shader: type[Shader], origins: bool) -> dict[str, str]:
             except KeyError as error:  # a built-in that the table has only while a test runs
                 text = f"no {error}"
             else:
-                text = written.text
+                text = _local(written.text)  # a checked shader names its file
                 if origins:
                     text += "".join(f"\n{_local(file)}:{line}" for file, line in written.origins)
             texts[f"{stage.value}-{language}"] = text

@@ -82,6 +82,10 @@ class Refused(Plain):
     unused: Storage[float]
 
 
+class Checked(Plain):
+    checked = True
+
+
 def test_what_a_shader_says_includes_its_numbers_and_the_functions_and_constants_that_it_names(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -101,6 +105,12 @@ def test_a_refusal_is_a_text_and_origins_are_added_on_demand() -> None:
     assert "void main()" in plain
     assert "test_shader_texts.py" not in plain
     assert re.search(r"^tests/test_shader_texts.py:\d+$", lines, re.MULTILINE)
+
+
+def test_a_text_that_names_its_file_is_the_same_wherever_the_tree_lies() -> None:
+    text = texts_of(Checked, origins=False)["compute-numpy"]
+    assert "tests/test_shader_texts.py" in text
+    assert str(ROOT) not in text
 
 
 @pytest.mark.nightly

@@ -1,8 +1,7 @@
-"""Identifiers in GLSL: unique, legal, and equal to the Python names wherever possible."""
+"""The names that GLSL has taken."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable
 from typing import Final
 
 from rhi.shading.language.builtins import BUILTINS
@@ -53,45 +52,3 @@ RESERVED: Final = frozenset(
         ),
     ]
 )
-
-
-def legal(name: str) -> str:
-    """Return the name itself if GLSL allows it, else a similar legal one."""
-    plain = name.encode("ascii", "backslashreplace").decode().replace("\\", "x").strip("_") or "name"
-    while "__" in plain:
-        plain = plain.replace("__", "_")
-    if plain[0].isdigit() or plain.startswith(("gl_", "GL_", "rhi_")):
-        return f"x_{plain}"
-    return f"{plain}_" if plain in RESERVED else plain
-
-
-class Names:
-    """The names of a scope, unique and stored by key. A child scope avoids the names of its parent."""
-
-    __slots__ = ("_by_key", "_parent", "_taken")
-
-    def __init__(self, parent: Names | None = None) -> None:
-        self._by_key: dict[Hashable, str] = {}
-        self._taken: set[str] = set()
-        self._parent = parent
-
-    def get(self, key: Hashable, wanted: str) -> str:
-        """Return the name of `key`. If it has none yet, derive one from `wanted`, made legal and unique."""
-        known = self.find(key)
-        if known is None:
-            base = legal(wanted)
-            known, count = base, 1
-            while self._is_taken(known):
-                count += 1
-                known = f"{base.rstrip('_')}_{count}"
-            self._by_key[key] = known
-            self._taken.add(known)
-        return known
-
-    def find(self, key: Hashable) -> str | None:
-        """Return the name of `key`, or None."""
-        known = self._by_key.get(key)
-        return known if known is not None or self._parent is None else self._parent.find(key)
-
-    def _is_taken(self, name: str) -> bool:
-        return name in self._taken or (self._parent is not None and self._parent._is_taken(name))

@@ -10,9 +10,9 @@ from typing import Final
 from rhi.contract.descriptors import Binding, FragmentOutput, Stage, StageText
 from rhi.contract.formats import ChannelKind, Format
 from rhi.contract.layout import FLOAT, INT, UINT, StructType
-from rhi.shading.glsl.names import Names
+from rhi.shading.glsl.names import RESERVED
 from rhi.shading.glsl.native import is_whole, lines_of
-from rhi.shading.glsl.writer import Writer, constant_key
+from rhi.shading.glsl.writer import Writer
 from rhi.shading.ir import tree
 from rhi.shading.ir.interface import Interface, Varying
 from rhi.shading.ir.text import Lines
@@ -20,6 +20,8 @@ from rhi.shading.language.annotations import Role
 from rhi.shading.language.builtins import Builtin, SideEffect
 from rhi.shading.language.shader import Declaration, StorageClass
 from rhi.shading.language.types import VECTORS, VOID, ImageType, StorageType
+from rhi.shading.text.names import Names
+from rhi.shading.text.writer import constant_key
 
 __rhi_internal__ = True
 
@@ -55,7 +57,7 @@ class StageWriter:
     def __init__(self, stage: tree.StageTree, options: StageOptions) -> None:
         self.stage = stage
         self.options = options
-        self.names = Names()
+        self.names = Names(reserved=RESERVED)
         for declaration in stage.bindings:
             # Bindings are named first, because native code uses their Python names.
             self.names.get(("binding", declaration.name), declaration.name)
