@@ -58,6 +58,8 @@ _SLACK: Final = 4.0, 30.0
 _MOST_USERS: Final = 8
 """Of the files of tests elsewhere that use a module of the renderer, so many are tried."""
 
+_EXAM: Final = "tests/renderer/lab/exam/test_cases.py"
+
 _BINARY: Final[dict[type[ast.AST], str]] = {
     ast.Add: "-", ast.Sub: "+", ast.Mult: "/", ast.Div: "*", ast.FloorDiv: "*", ast.Mod: "//", ast.LShift: ">>",
     ast.RShift: "<<", ast.BitAnd: "|", ast.BitOr: "&", ast.BitXor: "&", ast.Pow: "*", ast.MatMult: "*",
@@ -310,7 +312,7 @@ def choose_tests(root: Path, file: str) -> list[tuple[str, ...]]:
     else:
         users = _list_users(root, path, folder)
         stages += [tuple(users)] if users else []
-        stages.append(("tests/renderer/lab/exam/test_cases.py",))
+        stages += [(_EXAM,)] if (root / _EXAM).exists() else []
     return stages
 
 
