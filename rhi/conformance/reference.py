@@ -63,8 +63,8 @@ def _combine(
         return np.minimum(source, destination)
     if operation is BlendOperation.MAXIMUM:
         return np.maximum(source, destination)
-    left = source * _factor(source_factor, source, destination, constant)
-    right = destination * _factor(destination_factor, source, destination, constant)
+    left = source * blend_factor(source_factor, source, destination, constant)
+    right = destination * blend_factor(destination_factor, source, destination, constant)
     if operation is BlendOperation.SUBTRACT:
         return left - right
     if operation is BlendOperation.REVERSE_SUBTRACT:
@@ -72,7 +72,9 @@ def _combine(
     return left + right
 
 
-def _factor(factor: BlendFactor, source: Float, destination: Float, constant: Float) -> Float:
+def blend_factor(factor: BlendFactor, source: ArrayLike, destination: ArrayLike, constant: ArrayLike) -> Float:
+    """Return what a factor is for each channel, not yet clamped; all are (…, 4)."""
+    source, destination, constant = (np.asarray(v, np.float64) for v in (source, destination, constant))
     one = np.ones_like(source)
     if factor is BlendFactor.SOURCE_ALPHA_SATURATE:
         saturated = np.minimum(source[..., 3:], 1.0 - destination[..., 3:])

@@ -159,8 +159,8 @@ class House:
         backend: Any = self.device._backend
         if hasattr(backend, "_destroyers"):
             return len(backend._destroyers)
-        tables = (backend._buffers, backend._textures, backend._programs, backend._queries)
-        return sum(
+        tables = (backend._buffers, backend._textures, backend._queries)
+        return len(backend._state.resources) + sum(
             len(table) for part in tables for table in vars(part).values() if isinstance(table, (dict, set))
         )
 

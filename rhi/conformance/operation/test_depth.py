@@ -74,6 +74,32 @@ def test_clip_depth_is_stored_as_it_is(device: Device, format: Format, depth: fl
     assert_near(after, depth, 2.0 ** -BITS[format], "the format's bits")
 
 
+@pytest.mark.parametrize("near", [0.25, 0.5, 0.75], ids=str)
+def test_16_bits_of_depth_are_the_nearest(device: Device, near: float) -> None:
+    """Whole steps and parts of one, of both halves of a step, in all parts of the range."""
+    require_format(device, Format.D16)
+    steps = np.round(65535 * near) + np.array([-0.4, -0.2, 0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.4])
+    columns = [rectangle(-1 + 2 * i / 9, -1, -1 + 2 * (i + 1) / 9, 1, depth=s / 65535) for i, s in enumerate(steps)]
+    after = depth_after(device, np.concatenate(columns), format=Format.D16, size=(9, 2))
+    assert_near(after * 65535, np.broadcast_to(np.round(steps), (2, 9)), 1e-2, "whole steps, read as float32")
+
+
+def test_16_bits_of_depth_are_compared_as_they_are_stored(device: Device) -> None:
+    """A fifth of a step nearer is as far; four fifths are a step nearer."""
+    require_format(device, Format.D16)
+    first, fifth = rectangle(depth=30000 / 65535), rectangle(depth=30000.2 / 65535)
+    most = rectangle(depth=30000.8 / 65535)
+    with device.texture(SIZE, Format.R8) as image, device.texture(SIZE, Format.D16) as depth:
+        for rows, seen in ((fifth, 0), (most, 255)):
+            rows["color"] = 1
+            first["color"] = 0
+            with device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.0):
+                with device.mesh(first) as below, device.mesh(rows) as above:
+                    device.draw(device.program(Colored), below)
+                    device.draw(device.program(Colored), above)
+            assert_same(image.read(), seen)
+
+
 def test_float_depth_is_precise_near_zero(device: Device) -> None:
     """The purpose of reversed depth: far away (near 0), 5e-7 and 1e-6 are different depths."""
     far, nearer = rectangle(depth=5e-7), rectangle(depth=1e-6)

@@ -658,6 +658,40 @@ def test_arrays_and_structs_are_copied(device: Device) -> None:
     assert_same(back[2], (99, 2, 50, 1))
 
 
+class Pair(Struct):
+    """Members of several kinds and widths."""
+
+    first: vec3
+    count: int
+    last: vec2
+
+
+@function
+def make_pair(x: float) -> Pair:
+    """Return a struct whose members all differ."""
+    return Pair(first=vec3(x, x + 1.0, x + 2.0), count=int(x) + 10, last=vec2(x + 20.0, x + 30.0))
+
+
+class Members(Shader):
+    """Reads each member of what a function returns, where it is called."""
+
+    source: Storage[float]
+    target: StorageRW[float]
+
+    def compute(self) -> None:
+        i = global_id().x
+        x = self.source[i]
+        self.target[4 * i] = make_pair(x).first.z
+        self.target[4 * i + 1] = float(make_pair(x).count)
+        self.target[4 * i + 2] = make_pair(x).last.x
+        self.target[4 * i + 3] = make_pair(x + 1.0).last.y
+
+
+def test_members_of_a_returned_struct_are_read_where_it_is_returned(device: Device) -> None:
+    x = np.array([1.0, 5.0], "f4")
+    assert_same(run(device, Members, float, x, 4), np.stack([x + 2, x + 10, x + 20, x + 31], axis=-1))
+
+
 class Base(Shader):
     """A shader to inherit from."""
 

@@ -27,8 +27,9 @@ from rhi import (
 )
 from rhi.conformance.compare import assert_same
 from rhi.conformance.reference import compare, stencil
-from rhi.conformance.shaders import Colored
+from rhi.conformance.shaders import Colored, Corner, Shade
 from rhi.conformance.shapes import VertexRows, rectangle
+from rhi.shading import Shader, discard, fragment_coordinate, vec4
 
 pytestmark = pytest.mark.needs("draws", "shading", "stencil")
 
@@ -203,3 +204,37 @@ def test_a_stencil_mask_cuts_out_what_is_drawn_through_it(device: Device) -> Non
         expected = np.zeros((4, 4))
         expected[:2, :2] = 255
         assert_same(image.read(), expected)
+
+
+class Checkered(Shader):
+    """Discards every other fragment of a row."""
+
+    def vertex(self, v: Corner) -> Shade:
+        return Shade(clip=v.position, color=v.color)
+
+    def fragment(self, v: Shade) -> vec4:
+        if int(fragment_coordinate().x) % 2 == 1:
+            discard()
+        return v.color
+
+
+@pytest.mark.parametrize(("stored", "reference", "depth"), [(5, 6, 0.0), (5, 5, 1.0), (5, 5, 0.0)],
+                         ids=["stencil fails", "depth fails", "both pass"])  # fmt: skip
+def test_a_discarded_fragment_changes_no_stencil_whatever_the_tests_say(
+    device: Device, stored: int, reference: int, depth: float
+) -> None:
+    front = StencilFront(Comparison.EQUAL, StencilOperation.INVERT, StencilOperation.INVERT, StencilOperation.INVERT)
+    with (
+        device.texture((4, 2), Format.R8) as image,
+        device.texture((4, 2), Format.D24S8) as target,
+        device.mesh(rectangle()) as mesh,
+    ):
+        with (
+            device.render_pass(image, target, clear=(0, 0, 0, 0), clear_depth=depth, clear_stencil=stored),
+            device.states(StencilTest.ON, front, StencilReference(reference, reference)),
+        ):
+            device.draw(device.program(Checkered), mesh)
+        kept = np.arange(4) % 2 == 0
+        assert_same(target.read_stencil(), np.broadcast_to(np.where(kept, ~stored & 255, stored), (2, 4)))
+        passes = stored == reference and depth == 0.0
+        assert_same(image.read(), np.broadcast_to(np.where(kept & passes, 255, 0), (2, 4)))

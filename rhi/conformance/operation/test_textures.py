@@ -506,6 +506,19 @@ def test_a_clear_of_one_layer_of_depth_and_stencil_leaves_the_others(device: Dev
             assert_same(texture.read_stencil(0, layer), 7 * cleared)
 
 
+@pytest.mark.parametrize("format", [Format.D16, Format.D32F], ids=identity)
+@pytest.mark.parametrize("layer", [0, 1])
+def test_a_clear_of_depth_alone_reaches_one_layer_of_one_level(device: Device, format: Format, layer: int) -> None:
+    require_format(device, format)
+    with device.texture((4, 4), format, kind=TextureKind.D2_ARRAY, layers=3, levels=2) as texture:
+        with device.render_pass(depth=texture.at(level=1, layer=layer), clear_depth=1.0):
+            pass
+        for level in range(2):
+            cleared = np.arange(3) == layer if level == 1 else np.zeros(3, bool)
+            assert_same(texture.read_layers(level)[:, 0, 0].ravel(), cleared)
+            assert_same(texture.read_layers(level).reshape(3, -1).min(axis=1), cleared)
+
+
 @pytest.mark.parametrize("at_end", [True, False], ids=["end of pass", "command"])
 def test_a_clear_reaches_all_samples_and_their_mean(device: Device, at_end: bool) -> None:
     require_samples(device, 4)

@@ -197,23 +197,26 @@ def test_primitives_are_drawn_in_order(device: Device) -> None:
         assert_same(image.read(), (0, 0, 255, 255))
 
 
+FLAT = np.array([(1, 0, 0, 1), (0, 1, 0, 1), (0, 0, 1, 1), (1, 1, 0, 1)], float)
+
+
 @pytest.mark.parametrize(
-    ("primitive", "provoking"),
-    [(Primitive.TRIANGLES, 0), (Primitive.TRIANGLE_STRIP, 0), (Primitive.QUADS, 0)],
-    ids=["triangles", "strip", "quads"],
-)
+    ("primitive", "places", "areas"),
+    [
+        (Primitive.TRIANGLES, [(0, 0), (0, 32), (32, 0)], {0: [(0, 0), (0, 32), (32, 0)]}),
+        (Primitive.QUADS, [(0, 0), (0, 16), (16, 16), (16, 0)], {0: [(0, 0), (0, 32), (32, 0)]}),
+        # The second triangle of a strip begins with its second vertex, and is drawn with the other winding.
+        (Primitive.TRIANGLE_STRIP, [(0, 0), (0, 16), (16, 0), (16, 16)],
+         {0: [(0, 0), (0, 16), (16, 0)], 1: [(0, 16), (16, 16), (16, 0)]}),
+    ],
+    ids=["triangles", "quads", "strip"],
+)  # fmt: skip
 def test_a_flat_value_is_that_of_the_first_vertex(
-    device: Device, primitive: Primitive, provoking: int
+    device: Device, primitive: Primitive, places: list[tuple[int, int]], areas: dict[int, list[tuple[int, int]]]
 ) -> None:
-    color = np.array([(1, 0, 0, 1), (0, 1, 0, 1), (0, 0, 1, 1), (1, 1, 0, 1)], float)
-    square = [(0, 0), (0, 16), (16, 16), (16, 0)]
-    if primitive is Primitive.TRIANGLES:
-        square, color = [(-16, 0), (16, 32), (16, -32)], color[:3]
-        square = [(0, 0), (0, 32), (32, 0)]
-    elif primitive is Primitive.TRIANGLE_STRIP:
-        square, color = [(0, 0), (0, 32), (32, 0)], color[:3]
-    image = drawn(device, primitive, window_to_clip(square, SIZE), color=color)
-    assert_same(image, color[provoking] * 255)
+    image = drawn(device, primitive, window_to_clip(places, SIZE), color=FLAT[: len(places)])
+    expected = sum(covered(area)[..., None] * FLAT[vertex] * 255 for vertex, area in areas.items())
+    assert_same(image, expected)
 
 
 # -- quads -------------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -31,7 +31,7 @@ from rhi.shading.lowering.stages import lower_stage, takes_differences
 from rhi.shading.numpy.kernel import LaneFunction, load_module
 from rhi.shading.numpy.runtime import Invocations
 from rhi.shading.numpy.writer import write_numpy_function
-from rhi.shading.parser.interface import varyings_read, words_of_varyings
+from rhi.shading.parser.interface import attributes_read, varyings_read, words_of_varyings
 
 __rhi_internal__ = True
 
@@ -98,7 +98,7 @@ def run_vertex(
 
     Args:
         attributes: an array for each attribute, or a structured one: `(…)` for a number, `(…, 3)` for a `vec3`. All
-            broadcast.
+            broadcast. Those that a lean shader doesn't read may be left out.
         vertex_index: the index of each vertex; counts from 0 by default.
         instance_index, draw_index: numbers, or one for each vertex.
         dtype: the type of floats in variables; buffers hold float32.
@@ -110,7 +110,8 @@ def run_vertex(
     """
     call = f"run_vertex({shader.__name__}, …)"
     compiled = _compiled_stage(shader, Stage.VERTEX, call)
-    values = _inputs(compiled.stage, attributes, None, dtype, call)
+    read = {attribute.name for attribute in compiled.interface.attributes}
+    values = _inputs(compiled.stage, attributes, read, dtype, call)
     indices = [np.asarray(index, np.int32) for index in (instance_index, draw_index)]
     shapes = [np.shape(value) for value in (*values, *indices, 0 if vertex_index is None else vertex_index)]
     shape = _broadcast(shapes, call)
@@ -218,11 +219,12 @@ def _fields(
 def _inputs(
     stage: tree.StageTree,
     given: Mapping[str, Any] | Array | None,
-    read: set[str] | None,
+    read: set[str],
     dtype: Any,
     call: str,
 ) -> list[Any]:
-    """Return the components of a stage's parameters, limited to the fields in `read` unless it is None."""
+    """Return the components of the fields in `read` of a stage's parameters. Varyings may be more than those of the
+    shader; attributes may not."""
     if dtype not in (np.float32, np.float64):
         refuse(rules.WRONG_ARGUMENTS, call, f"dtype={dtype!r}", "np.float32, np.float64")
     types = [parameter.type for parameter in stage.entry.parameters]
@@ -230,14 +232,14 @@ def _inputs(
     if isinstance(given, np.ndarray):
         given = {name: given[name] for name in given.dtype.names or ()}
     given, names = given or {}, {field.name for field in fields}
-    missing = (names if read is None else names & read) - set(given)
-    if missing or (read is None and set(given) - names):
+    is_unknown = stage.stage is Stage.VERTEX and set(given) - names
+    if names & read - set(given) or is_unknown:
         refuse(
             rules.WRONG_ARGUMENTS, call, ", ".join(given) or "nothing", ", ".join(sorted(names)) or "nothing"
         )
     values: list[Any] = []
     for field in fields:
-        if read is None or field.name in read:
+        if field.name in read:
             values += scalars_of(field.type, given[field.name], dtype, f"{call}: {field.name}")
     return values
 
@@ -260,6 +262,8 @@ def _compiled_stage(shader: type[Shader], stage: Stage, call: str) -> _CompiledS
         interface = stage_interface(shader)
         names = {varying.name for varying in interface.varyings}
         if stage is Stage.VERTEX:
+            if shader.lean:
+                interface = replace(interface, attributes=attributes_read(trees[stage], interface.attributes))
             varyings = words_of_varyings(interface.varyings, names)
         else:
             varyings = varyings_read(trees[stage], interface.varyings)

@@ -50,6 +50,18 @@ def test_objects_have_the_bounds_of_their_mesh_in_the_world():
     assert scene.triangle_count == scene.meshes.triangle_counts.sum()
 
 
+def test_triangles_are_counted_by_mesh_and_by_object():
+    builder = SceneBuilder("counted")
+    plane = make_geometry([*TRIANGLE, [1.0, 1.0, 0.0]], [0, 1, 2, 2, 1, 3])
+    meshes = [builder.add_mesh(each) for each in (make_geometry(TRIANGLE, [0, 1, 2]), plane, BUILT_IN["box"]())]
+    nodes, material = [builder.add_node() for _ in range(3)], builder.add_material()
+    builder.add_objects(nodes, [meshes[1], meshes[1], meshes[2]], material)
+    scene = builder.build()
+    assert scene.meshes.triangle_counts.tolist() == [1, 2, 12]
+    assert scene.triangle_count == 2 + 2 + 12
+    assert scene.count_triangles(np.array([0, 2])) == 2 + 12
+
+
 def test_moving_a_node_moves_the_bounds_of_what_hangs_on_it_only():
     builder, _ = build_two(dynamic=True)
     scene = builder.build()

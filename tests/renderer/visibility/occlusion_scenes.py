@@ -10,6 +10,7 @@ import pytest
 from hypothesis import strategies as st
 
 import rhi
+from renderer.content.shapes import box
 from renderer.lab.exam.late import delay_methods
 from renderer.lab.exam.scenes import ORIGIN as ORIGIN
 from renderer.lab.exam.scenes import SIZE as SIZE
@@ -22,7 +23,7 @@ from renderer.lab.exam.scenes import look as look
 from renderer.lab.exam.scenes import make_boxes as make_boxes
 from renderer.lab.exam.scenes import walk as walk
 from renderer.renderer import FrameResult
-from renderer.scene import Camera, Orthographic, Perspective, Scene
+from renderer.scene import Camera, MeshGeometry, Orthographic, Perspective, Scene, SceneBuilder
 from renderer.scene.transforms import rotation
 from renderer.visibility.boxes.forest import Forest
 from renderer.visibility.gpu.depth_pyramid import CompareBoxes
@@ -37,6 +38,27 @@ OCCLUSION = (*WAITING, "conditional")
 """The algorithms that ask the device."""
 DEVICE = ("depth_pyramid", "two_pass")
 """The algorithms that run on the device."""
+
+
+def mirrored_boxes(*, two_sides: bool = False) -> Scene:
+    """Make boxes of which every other one is mirrored, and one is skewed flat; every third one may have two sides, and
+    lacks a face, so that its inside is seen."""
+    builder = SceneBuilder("mirrored")
+    rng, whole = np.random.default_rng(4), box()
+    mesh, opened = builder.add_mesh(whole), builder.add_mesh(MeshGeometry(whole.vertices, whole.indices[6:]))
+    local = np.tile(np.eye(4), (30, 1, 1))
+    local[:, :3, :3] = rng.normal(size=(30, 3, 3))
+    local[:, :3, 3] = rng.uniform(-6.0, 6.0, (30, 3))
+    local[0, :3, 2] = 0.3 * local[0, :3, 0] + 0.2 * local[0, :3, 1]
+    turned = np.linalg.det(local[:, :3, :3]) < 0.0
+    assert 5 < turned.sum() < 25
+    nodes = builder.add_nodes(local)
+    for row, color in enumerate(rng.uniform(0.2, 1.0, (30, 4))):
+        has_two = two_sides and row % 3 == 0
+        material = builder.add_material(base_color=tuple(color), double_sided=has_two)
+        builder.add_objects(nodes[row], opened if has_two else mesh, material)
+    builder.lights.add_directional((-0.4, -1.0, -0.3), (1.0, 1.0, 1.0), 1.5)
+    return builder.build()
 
 
 @st.composite

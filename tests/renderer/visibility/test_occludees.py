@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from occlusion_scenes import cameras, look, make_boxes, scenes
-from test_device_culling import mirrored_boxes
+from occlusion_scenes import cameras, look, make_boxes, mirrored_boxes, scenes
 
 import rhi
 from renderer.frame import SceneResources, View

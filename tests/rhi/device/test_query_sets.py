@@ -171,3 +171,18 @@ def test_conditional_draws_are_one_condition_for_each_run_of_rows(kit: Kit) -> N
     assert [c["draws"] for c in commands if c.op is draw] == [2, 1, 2]
     assert kit.device.statistics.draws == counted.draws + 3
     assert kit.device.statistics.upload_bytes == counted.upload_bytes + draws.nbytes
+
+
+def test_arguments_of_conditional_draws_lie_at_multiples_of_a_word(kit: Kit) -> None:
+    queries = kit.device.query_set(5)
+    kit.device.backend_as(NullBackend).answer_queries(1)
+    ask(kit, queries)
+    with kit.device.render_pass(kit.image):
+        for count in (1, 2, 1, 3):
+            kit.device.draw_conditional(
+                kit.program, kit.mesh, kit.mesh.draws(np.zeros(count, int), 3), queries, [0] * count,
+                camera=kit.camera, object=kit.objects[0],
+            )  # fmt: skip
+    offsets = [command["offset"] for command in kit.ops(Op.DRAW_INDIRECT)]
+    assert len(offsets) == 4
+    assert [offset % 4 for offset in offsets] == [0] * 4

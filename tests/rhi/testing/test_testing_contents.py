@@ -35,6 +35,14 @@ class Reading(Shader):
         return vec4(v.position, power, 1.0)
 
 
+class Copying(Shader):
+    lamps: Storage[Lamp]
+    power: StorageRW[float]
+
+    def compute(self) -> None:
+        self.power[global_id().x] = self.lamps[global_id().x].power
+
+
 class Writing(Shader):
     lamps: StorageRW[Lamp]
 
@@ -129,6 +137,35 @@ def test_what_the_device_wrote_is_not_known(null_device: Device) -> None:
     with pytest.raises(UnknownContentsError, match="written on the device"):
         contents(second, "lamps")
     expect(null_device).dispatches().with_contents("lamps", {"0.power": 0}).exactly(1)
+
+
+@pytest.mark.parametrize("lamp", range(3))
+def test_texels_that_were_copied_to_a_buffer_are_not_known(null_device: Device, lamp: int) -> None:
+    storage = null_device.storage(Lamp, np.ones(3, Lamp.dtype))
+    program, texture = null_device.program(Writing), null_device.texture((4, 1), Format.RGBA8)  # as large as a lamp
+    null_device.dispatch(program, 1, lamps=storage)
+    storage.write(np.ones(3, Lamp.dtype))
+    texture.copy_to_buffer(storage.owner, offset=16 * lamp)
+    null_device.dispatch(program, 1, lamps=storage)
+    first, second = null_device.stream.filter(rhi.Op.DISPATCH)
+    assert contents(first, "lamps")["power"].tolist() == [1, 1, 1]
+    with pytest.raises(UnknownContentsError, match=f"byte {16 * lamp} of 'lamps' was written on the device"):
+        contents(second, "lamps")
+
+
+def test_all_rows_of_texels_that_were_copied_are_unknown_until_they_are_written(null_device: Device) -> None:
+    lamps, power = null_device.storage(Lamp, 4), null_device.storage(float, 4)
+    program, texture = null_device.program(Copying), null_device.texture((4, 2), Format.RGBA8)
+    texture.copy_to_buffer(lamps.owner, offset=16)
+    for unknown in (1, 2, None):
+        null_device.dispatch(program, 1, lamps=lamps, power=power)
+        dispatch = null_device.stream.filter(rhi.Op.DISPATCH)[-1]
+        if unknown is None:
+            assert contents(dispatch, "lamps")["power"].tolist() == [0, 0, 0, 0]
+        else:
+            with pytest.raises(UnknownContentsError, match=f"byte {16 * unknown} of 'lamps'"):
+                contents(dispatch, "lamps")
+            lamps.write(np.zeros(1, Lamp.dtype), first=unknown)
 
 
 def test_what_is_older_than_the_stream_is_not_known(house: House) -> None:

@@ -92,6 +92,14 @@ def test_memory_that_differs_is_counted() -> None:
     assert difference.changes == ("data: 2 of 16 bytes differ, the first at 10",)
 
 
+def test_memory_of_another_size_is_told_by_its_sizes() -> None:
+    with rhi.create_device("null") as a, rhi.create_device("null") as b:
+        for device, size in ((a, 8), (b, 12)):
+            device.buffer(16, label="room").write(np.zeros(size, np.uint8))
+        (difference,) = diff(a, b)
+    assert difference.changes == ("data: 8 bytes → 12 bytes",)
+
+
 def test_what_one_label_has_more_does_not_shift_the_next() -> None:
     differences = compare(draw_more)
     assert any(d.b is not None and d.b.op is Op.PUSH_LABEL and d.a is None for d in differences)

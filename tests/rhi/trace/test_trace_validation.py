@@ -100,6 +100,9 @@ IMPOSSIBLE: dict[str, tuple[Issue, Issue]] = {
     ),
     "an overlapping copy within a texture": (copy(3, 3, 3), copy(3, 3, 4)),
     "a copy of several samples": (copy(4, 4, 4), copy(3, 9, 4)),
+    "a copy to several samples": (copy(3, 4), copy(3, 9)),
+    "a copy to another format": (copy(3, 6), copy(3, 9)),
+    "a copy of color to depth": (copy(9, 10), copy(10, 10, 4)),
     "a copy of a compressed texture": (copy(11, 3), copy(9, 3)),
     "a resolve of one sample": (
         lambda writer: writer.resolve_texture(3, 9), lambda writer: writer.resolve_texture(4, 9),

@@ -9,8 +9,11 @@ from renderer.lab.exam.cell_pairs import LENSES, OffAxis, make_test_grid
 from renderer.lab.exam.lights import SLICED
 from renderer.lights.culling.cells import (
     block_cell,
+    corner,
+    depth_bits,
     distance_of,
     distances_of,
+    padded_radius,
     slice_start,
 )
 from renderer.lights.culling.projections import make_grid
@@ -71,6 +74,39 @@ def test_the_farthest_depth_is_the_end_of_the_grid(far: float, depth: Depth, dty
     assert evaluate(distance_of, grid, grid.background, dtype=dtype) == 80.0
     assert evaluate(distance_of, grid, 1.0 - grid.background, dtype=dtype) == pytest.approx(0.1)
     assert evaluate(distances_of, grid, grid.background, dtype=dtype)[1] == 80.0
+
+
+# -- masks and radii ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_slices_of_a_mask_are_those_that_depths_lie_in(dtype: type) -> None:
+    """Of 32 slices of 2 m that begin at 10 m; what lies beyond is in the first or the last."""
+    rows = [(10.0, 11.9, 0, 0), (12.0, 12.0, 1, 1), (11.9, 12.1, 0, 1), (9.0, 13.0, 0, 1), (40.5, 75.0, 15, 31),
+            (10.0, 74.0, 0, 31), (80.0, 90.0, 31, 31), (1.0, 2.0, 0, 0)]  # fmt: skip
+    for low, high, first, last in rows:
+        expected = sum(1 << bit for bit in range(first, last + 1))
+        assert evaluate(depth_bits, 10.0, 74.0, low, high, dtype=dtype) == expected, (low, high)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_all_of_a_flat_range_is_in_its_first_slice(dtype: type) -> None:
+    for low, high in ((5.0, 5.0), (1.0, 9.0), (6.0, 9.0), (1.0, 2.0)):
+        assert evaluate(depth_bits, 5.0, 5.0, low, high, dtype=dtype) == 1
+
+
+@pytest.mark.parametrize("lens", ["perspective", "parallel"])
+def test_a_padded_radius_is_larger_by_the_rounding_of_the_greatest_coordinates(lens: str) -> None:
+    """2^-20 of their sum: the sphere's, and those of the corners of a cell."""
+    grid = make_test_grid(lens)
+    tiles = np.stack(np.meshgrid(np.arange(0, 171, 10), np.arange(0, 96, 5)), -1).reshape(-1, 2)
+    cells = evaluate(block_cell, grid, tiles, 1, 3.0, 20.0, dtype=np.float64)
+    corners = np.stack([evaluate(corner, cells, index, dtype=np.float64) for index in range(8)])
+    assert (np.abs(corners).max(0)[:, 2] == 20.0).all()
+    centre, radius = np.array((-7.0, 2.5, 11.0)), 1.5
+    padded = evaluate(padded_radius, cells, centre, radius, dtype=np.float64)
+    reach = np.abs(corners).max(0).sum(1)
+    assert np.allclose(padded - radius, 2.0**-20 * (radius + reach + np.abs(centre).sum()), rtol=1e-7)
 
 
 # -- slices --------------------------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ import rhi
 from renderer.lab.exam.cell_pairs import LENSES, Pairs, make_pairs
 from renderer.lab.exam.lights import is_beyond_padding
 from renderer.lab.exam.sphere_pairs import pack_pairs, run_sphere_tests
-from renderer.lights.culling.cells import corner
+from renderer.lights.culling.cells import Cell, corner
 from renderer.lights.culling.table import SPHERE_TESTS
 from rhi.shading import evaluate
 
@@ -45,6 +45,26 @@ def test_no_pair_that_overlaps_is_dropped_in_float64(pairs: Pairs, name: str) ->
         assert (kept == pairs.overlap)[certain].all()
     else:
         assert (kept & ~pairs.overlap & certain).any()  # otherwise the table calls it less than it is
+
+
+SIDES = {"left": (-1, 0), "right": (1, 0), "bottom": (0, -1), "top": (0, 1)}
+
+
+@pytest.mark.parametrize("slope", [-0.75, 0.0, 0.75, 2.4])
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("name", [name for name in SPHERE_TESTS if "planes" in name])
+def test_a_sphere_behind_a_plane_is_dropped_from_its_radius_on(name: str, side: str, slope: float) -> None:
+    """Its centre lies before the middle of a side of a long thin cell, at a right angle to it."""
+    cell = np.zeros((), Cell.dtype)
+    cell["near"], cell["far"] = -100.0, 100.0
+    cell["low"], cell["high"] = -1000.0, 1000.0
+    across = np.array(SIDES[side], float)
+    axis = int(np.abs(across).argmax())
+    which = "low" if across.sum() < 0 else "high"
+    cell[which][axis], cell[which + "_slope"][axis] = 0.0, slope
+    normal = np.append(across, -slope * across.sum()) / np.hypot(1.0, slope)
+    for radius, kept in ((4.999, False), (5.001, True)):
+        assert evaluate(SPHERE_TESTS[name].function, cell, 5.0 * normal, radius, dtype=np.float64) == kept
 
 
 def test_no_pair_that_overlaps_is_dropped_on_a_device(device: rhi.Device, pairs: Pairs) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import subprocess
 import sys
 
@@ -10,6 +11,9 @@ import pytest
 from gl_kit import FULL, GlKit, describe_program
 
 from rhi.backends.gl import create_backend, find_obstacle
+from rhi.backends.gl.backend import GlBackend
+from rhi.conformance.steps import METHODS
+from rhi.contract.backend import Backend
 from rhi.contract.descriptors import BufferDescriptor, Region, TextureDescriptor
 from rhi.contract.formats import Format
 from rhi.contract.states import CullMode
@@ -81,6 +85,27 @@ def test_copies_between_buffers_and_textures_go_to_the_backends_own_context(gl_k
     other.write_buffer(901, 0, bytes(64))
     backend.copy_texture_to_buffer(902, 0, whole, 901, 0, 16)
     assert backend.read_buffer(901, 0, 64) == texels.tobytes()
+    other.close()
+
+
+class TakenBackError(Exception):
+    """The thread was taken back."""
+
+
+@pytest.mark.parametrize("method", sorted(METHODS - {"capabilities", "close"}))
+def test_each_method_first_takes_the_thread_back_from_another_backend(
+    gl_kit: GlKit, monkeypatch: pytest.MonkeyPatch, method: str
+) -> None:
+    def take_back(backend: GlBackend) -> None:
+        raise TakenBackError
+
+    nothing = {"BytesLike": b"", "Sequence[StateChange]": ()}
+    parameters = list(inspect.signature(getattr(Backend, method)).parameters.values())[1:]
+    other = create_backend()
+    with monkeypatch.context() as patch:
+        patch.setattr(GlBackend, "_activate", take_back)
+        with pytest.raises(TakenBackError):
+            getattr(gl_kit.backend, method)(*[nothing.get(str(each.annotation)) for each in parameters])
     other.close()
 
 

@@ -22,10 +22,12 @@ from rhi.contract.descriptors import (
     PassDescriptor,
     Region,
     TextureDescriptor,
+    TextureKind,
 )
 from rhi.contract.formats import Format, IndexFormat
 from rhi.errors import DeviceError
 
+IMAGE_BINDING_LAYERED, IMAGE_BINDING_LAYER = 0x8F3C, 0x8F3D
 VALUES = np.arange(8, dtype=np.float32)
 SOURCES = {
     "bytes": VALUES.tobytes(),
@@ -147,3 +149,14 @@ def test_a_fence_nobody_signals_is_not_waited_for(gl_kit: GlKit) -> None:
     assert gl_kit.backend.wait(1, 10.0)
     assert gl_kit.backend.completed() == 1
     assert not gl_kit.backend.wait(2, 10.0)
+
+
+@pytest.mark.parametrize(("layer", "layered"), [(-1, 1), (0, 0), (2, 0)])
+def test_an_image_is_bound_whole_or_as_one_layer_the_first_included(gl_kit: GlKit, layer: int, layered: int) -> None:
+    """llvmpipe shows no difference between all layers and the first; other drivers may."""
+    backend = gl_kit.backend
+    image = gl_kit.new_id()
+    backend.create_texture(image, TextureDescriptor((4, 4), Format.RGBA8, TextureKind.D2_ARRAY, layers=3))
+    backend.bind_image(0, image, 0, layer)
+    assert backend.gl.get_integer(IMAGE_BINDING_LAYERED, 0) == layered
+    assert backend.gl.get_integer(IMAGE_BINDING_LAYER, 0) == max(layer, 0)

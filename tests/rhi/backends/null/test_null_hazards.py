@@ -162,6 +162,20 @@ def test_a_read_of_the_memory_itself_frees_it():
     assert not backend.hazards
 
 
+@pytest.mark.parametrize(("begin", "size"), [(0, 20), (20, 4), (28, 20), (16, 16), (0, 64)])
+def test_a_read_of_what_the_gpu_writes_is_found_to_the_byte(begin, size):
+    backend = make_backend()
+    backend.create_buffer(900, BufferDescriptor(64, BufferUsage.READBACK))
+    backend.copy_buffer(STATIC, 0, 900, 16, 16)
+    backend.read_buffer(900, 0, 16)
+    backend.read_buffer(900, 32, 32)
+    assert not backend.hazards
+    backend.read_buffer(900, begin, size)
+    (hazard,) = backend.hazards
+    assert hazard.kind is KINDS.READ_IN_USE
+    assert hazard.bytes == (max(begin, 16), min(begin + size, 32))
+
+
 def test_an_answer_frees_what_came_before_its_query():
     backend = uniform_backend()
     backend.create_query(1, QueryKind.TIMESTAMP)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from null_kit import hand_made_program
 from simulated_kit import PLAIN, STATIC, STREAM, draw, make_backend, words
 
 import rhi
@@ -22,11 +23,14 @@ from rhi.commands.ops import Op
 from rhi.contract.descriptors import (
     Attachment,
     BufferDescriptor,
+    BufferUsage,
     PassDescriptor,
     Primitive,
     QueryKind,
     Region,
+    SamplerDescriptor,
     TextureDescriptor,
+    VertexArrayDescriptor,
 )
 from rhi.contract.formats import Format
 from rhi.contract.states import CullMode, Scissor, StateChange, Viewport
@@ -73,6 +77,37 @@ def test_every_call_takes_the_cpu_its_time_and_other_work_what_it_says():
     draw(backend)
     backend.spend(1000)
     assert backend.now - before == 2 * 10 + 1000
+
+
+CREATIONS = {
+    "buffer": lambda backend: backend.create_buffer(900, BufferDescriptor(16)),
+    "texture": lambda backend: backend.create_texture(900, TextureDescriptor((4, 4), Format.RGBA8)),
+    "sampler": lambda backend: backend.create_sampler(900, SamplerDescriptor()),
+    "program": lambda backend: backend.create_program(900, hand_made_program("p")),
+    "vertex array": lambda backend: backend.create_vertex_array(900, VertexArrayDescriptor(PLAIN, ())),
+    "query": lambda backend: backend.create_query(900, QueryKind.TIMESTAMP),
+}
+
+
+@pytest.mark.parametrize("create", CREATIONS.values(), ids=CREATIONS)
+def test_making_anything_takes_a_call(create):
+    backend = make_backend()
+    before = backend.now
+    create(backend)
+    assert backend.now - before == 10
+
+
+def test_a_read_of_readback_memory_takes_a_call_and_does_not_wait_for_the_gpu():
+    backend = make_backend()
+    backend.create_buffer(900, BufferDescriptor(16, BufferUsage.READBACK))
+    backend.copy_buffer(STATIC, 0, 900, 0, 16)
+    backend.signal(1)
+    before = backend.now
+    assert backend.read_buffer(900, 0, 4) == bytes(4)
+    assert backend.now - before == 10
+    before = backend.now
+    backend.read_buffer(STATIC, 0, 4)
+    assert backend.now - before > 10  # a read of other memory waits
 
 
 def test_a_fence_completes_when_the_work_before_it_is_done_and_not_earlier():

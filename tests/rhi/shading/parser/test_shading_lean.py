@@ -16,6 +16,7 @@ from rhi.shading import (
     compile_shader,
     global_id,
     run_compute,
+    run_vertex,
     vec2,
     vec4,
 )
@@ -187,3 +188,18 @@ def test_a_mesh_may_lack_the_attributes_that_a_lean_program_does_not_read(name: 
             with device.render_pass(image, clear=(0.0, 0.0, 0.0, 0.0)):
                 device.draw(device.program(shader), mesh)
             assert (image.read() == expected).all()
+
+
+def test_on_numpy_too_a_lean_shader_takes_the_attributes_that_it_reads() -> None:
+    place, light = np.float32([[0.5, -0.5]]), np.float32([[0.2, 0.4, 0.6, 1.0]])
+    assert (run_vertex(Painted, {"place": place, "light": light}).varyings["color"] == light).all()
+    assert (run_vertex(Dark, {"place": place, "dark": 0.5}).varyings["color"] == 0.5).all()
+    more = {"place": place, "dark": 0.5, "light": light}
+    assert (run_vertex(Painted, more).varyings["color"] == light).all()
+    for shader, given in (
+        (Painted, {"place": place, "dark": 0.5}),
+        (Painted, {**more, "faint": 1.0}),
+        (Unsparing, {"place": place, "light": light}),
+    ):
+        with pytest.raises(rhi.ValidationError, match=r"^\[shading-arguments\]"):
+            run_vertex(shader, given)

@@ -10,14 +10,13 @@ from itertools import cycle
 
 import numpy as np
 import pytest
-from occlusion_scenes import DEVICE, look
+from occlusion_scenes import DEVICE, look, mirrored_boxes
 
 import rhi
 from renderer.content import load_scene
-from renderer.content.shapes import box
 from renderer.lab.exam.scenes import CullingImage, Shots, Uncut, along, make_city, walk
 from renderer.lab.exam.visibility import NAMES
-from renderer.scene import Camera, Depth, MeshGeometry, Orthographic, Perspective, Scene, SceneBuilder
+from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene
 from renderer.visibility import (
     CallbackPass,
     FrustumCulling,
@@ -38,27 +37,6 @@ def through(path: str, frames: Iterable[int], *lenses: Perspective | Orthographi
         (camera.with_projection(lens) if lens else camera, seconds)
         for (camera, seconds), lens in zip(walk(scene, path, frames), cycle(lenses), strict=False)
     ]
-
-
-def mirrored_boxes(*, two_sides: bool) -> Scene:
-    """Make boxes of which every other one is mirrored, and one is skewed flat; every third one may have two sides, and
-    lacks a face, so that its inside is seen."""
-    builder = SceneBuilder("mirrored")
-    rng, whole = np.random.default_rng(4), box()
-    mesh, opened = builder.add_mesh(whole), builder.add_mesh(MeshGeometry(whole.vertices, whole.indices[6:]))
-    local = np.tile(np.eye(4), (30, 1, 1))
-    local[:, :3, :3] = rng.normal(size=(30, 3, 3))
-    local[:, :3, 3] = rng.uniform(-6.0, 6.0, (30, 3))
-    local[0, :3, 2] = 0.3 * local[0, :3, 0] + 0.2 * local[0, :3, 1]
-    turned = np.linalg.det(local[:, :3, :3]) < 0.0
-    assert 5 < turned.sum() < 25
-    nodes = builder.add_nodes(local)
-    for row, color in enumerate(rng.uniform(0.2, 1.0, (30, 4))):
-        has_two = two_sides and row % 3 == 0
-        material = builder.add_material(base_color=tuple(color), double_sided=has_two)
-        builder.add_objects(nodes[row], opened if has_two else mesh, material)
-    builder.lights.add_directional((-0.4, -1.0, -0.3), (1.0, 1.0, 1.0), 1.5)
-    return builder.build()
 
 
 def around(_: Scene) -> Shots:
