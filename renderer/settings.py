@@ -26,8 +26,6 @@ from renderer.visibility import Settings, check_algorithm, make_visibility
 from rhi import Device, RhiError, refuse
 from rhi.shading import Precision
 
-__rhi_internal__ = True
-
 
 @dataclass(frozen=True, slots=True)
 class RenderSettings:

@@ -27,8 +27,6 @@ from renderer.visibility.gpu.depth_pyramid import TEXELS
 from renderer.visibility.gpu.occluder_depth import OccluderDepth
 from renderer.visibility.scene_pass import ScenePass
 
-__rhi_internal__ = True
-
 BACKEND: Final = "cl"
 """The backend of the device that occluders are drawn on."""
 _SMALLEST: Final = 0.005

@@ -21,8 +21,6 @@ from renderer.visibility.gpu.reprojection import ReprojectedDepth
 from renderer.visibility.scene_pass import ScenePass
 from rhi import Device, Encoder
 
-__rhi_internal__ = True
-
 
 class TwoPassCulling(DeviceCulling):
     """Draws what the last frame's depth doesn't hide, then what this frame's depth doesn't hide."""

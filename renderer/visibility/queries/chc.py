@@ -25,8 +25,6 @@ from renderer.visibility.scene_pass import ScenePass
 from renderer.visibility.walk import CullingWalk, walk_forest
 from rhi import Device, FixedQueue, OcclusionQuery
 
-__rhi_internal__ = True
-
 
 class Chc:
     """Draws what was visible and queries whether it still is; queries all else before drawing it."""

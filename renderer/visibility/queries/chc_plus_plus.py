@@ -35,8 +35,6 @@ from renderer.visibility.scene_pass import ScenePass
 from renderer.visibility.walk import CullingWalk, walk_forest
 from rhi import Device, FixedQueue, QuerySet, refuse
 
-__rhi_internal__ = True
-
 Asked: TypeAlias = tuple[QuerySet, list[list[int]]]
 """A query set in flight, and the nodes that each of its rows is about."""
 

@@ -27,8 +27,6 @@ from renderer.visibility.queries.chc_plus_plus import Asked, ChcPlusPlus
 from renderer.visibility.scene_pass import ScenePass
 from rhi import Device, FixedQueue, refuse
 
-__rhi_internal__ = True
-
 _MOST_ASKED: Final = 8
 """The largest number of frames whose answers are awaited; older ones are given up."""
 

@@ -15,8 +15,6 @@ from renderer.visibility.queries.box_queries import BoxQueries
 from renderer.visibility.scene_pass import ScenePass
 from rhi import Device
 
-__rhi_internal__ = True
-
 
 class StopAndWait:
     """Queries each object in the frustum, front to back, and waits for each result before the next query.
