@@ -18,7 +18,7 @@ import logging
 import os
 import queue
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Future
 from typing import TYPE_CHECKING, Final
 
@@ -57,28 +57,28 @@ class Optimisation:
         request: their source code.
         program: None until they are built.
         done: the end of the build, with or without success; None until it begins.
-        heat: the work-items that the kernels to be replaced were given.
     """
 
-    __slots__ = ("_begin", "done", "heat", "program", "request")
+    __slots__ = ("_builds", "_heat", "done", "program", "request")
 
-    def __init__(self, request: Request, begin: Callable[[Optimisation], Future[None]]) -> None:
+    def __init__(self, request: Request, builds: Builds) -> None:
         self.request = request
         self.program: HeldProgram | None = None
         self.done: Future[None] | None = None
-        self._begin = begin
-        self.heat = 0
+        self._builds = builds
+        self._heat = 0
 
     def warm(self, items: int) -> None:
         """Count the work-items that the kernels to be replaced were given; begin when they are hot."""
-        self.heat += items
-        if self.heat >= HOT and self.done is None:
+        self._builds.quick_work += items
+        self._heat += items
+        if self._heat >= HOT and self.done is None:
             self.begin()
 
     def begin(self) -> Future[None]:
         """Build the kernels, unless that has begun."""
         if self.done is None:
-            self.done = self._begin(self)
+            self.done = self._builds.begin(self)
         return self.done
 
 
@@ -126,6 +126,7 @@ class Builds:
 
     Attributes:
         built: number of programs compiled in the calling thread, those from the cache not counted.
+        quick_work: the work-items that kernels were given which aren't optimised.
     """
 
     def __init__(self, context: ClContext) -> None:
@@ -141,13 +142,7 @@ class Builds:
         self._begun = self._done = 0
         self._waiting = 0
         self._closed = False
-        self._optimisations: list[Optimisation] = []
-        self.built = 0
-
-    @property
-    def quick_work(self) -> int:
-        """The work-items that kernels were given which aren't optimised."""
-        return sum(one.heat for one in self._optimisations)
+        self.built = self.quick_work = 0
 
     def request(self, source: str, names: Sequence[str], flushes_denormals: bool = False) -> Request:
         """Return the request for kernels; `flushes_denormals`: whether numbers below 2^-126 count as 0 in them."""
@@ -169,8 +164,7 @@ class Builds:
 
     def optimise(self, request: Request) -> Optimisation:
         """Return the optimisation of kernels, which hasn't begun."""
-        self._optimisations.append(Optimisation(request, self._begin))
-        return self._optimisations[-1]
+        return Optimisation(request, self)
 
     def compile(self, request: Request, quick: bool = False) -> HeldProgram:
         """Compile source code, or take it from the cache.
@@ -206,7 +200,7 @@ class Builds:
 
     # -- in the background -----------------------------------------------------------------------------------
 
-    def _begin(self, optimisation: Optimisation) -> Future[None]:
+    def begin(self, optimisation: Optimisation) -> Future[None]:
         """Let another process optimise kernels. The future ends without an error, since the kernels at hand remain."""
         done: Future[None] = Future()
         if not self._optimises:
