@@ -19,7 +19,8 @@ class NoCulling:
 
     opens_pass: Final = True
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, *_: object) -> None:
+        """Neither a device nor settings are needed."""
         self._rows: Rows = np.arange(len(scene.objects))
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
@@ -41,7 +42,8 @@ class FrustumCulling:
 
     opens_pass: Final = True
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, *_: object) -> None:
+        """Neither a device nor settings are needed."""
         self._scene = scene
         rows = scene.objects.fixed_rows
         lower, upper = scene.objects.lower[rows], scene.objects.upper[rows]

@@ -277,9 +277,7 @@ class Occludees:
     def mark_all(self, encoder: Encoder, camera: UniformBuffer[BoxCamera], depth: Depth) -> None:
         """Mark the objects whose boxes are visible in the open pass; `camera` leads to its clip space."""
         with self._states(encoder, depth):
-            encoder.draw(
-                self._mark, self.cube, self.count, camera=camera, boxes=self.boxes, marks=self.marks
-            )
+            encoder.draw(self._mark, self.cube, self.count, camera=camera, boxes=self.boxes, marks=self.marks)
 
     def mark_listed(
         self,
