@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from renderer.lab.comparison import Column, Record, Subject, average, compare, kernels, largest, ratio, time
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import FRAMES_PER_SECOND, CameraPath, Simulator
-from renderer.visibility import NoCulling, Settings, VisibilityAlgorithm, make_visibility
+from renderer.visibility import NoCulling, VisibilityAlgorithm, VisibilitySettings, make_visibility
 from renderer.visibility.boxes.cubes import TRIANGLES
 
 QUERYING: Final = ("stop_and_wait", "chc", "chc_plus_plus")
@@ -53,7 +53,7 @@ class Contender:
 
     name: str
     algorithm: str
-    settings: Settings
+    settings: VisibilitySettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,8 +86,8 @@ class Picture:
 
 def list_contenders(
     names: Sequence[str],
-    settings: Settings,
-    tuned: Settings | None = None,
+    settings: VisibilitySettings,
+    tuned: VisibilitySettings | None = None,
     emulated: Sequence[bool] = (False,),
 ) -> list[Contender]:
     """Return a contender for each of the algorithms `names`, with `settings`.
