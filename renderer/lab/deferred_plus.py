@@ -78,7 +78,7 @@ def compare_deferred_plus(
             opened.callback(culling.destroy)
             for algorithm in (culling, FrustumCulling(scene)):
                 renderer = Renderer(device, scene, technique=make(), visibility=algorithm, size=size)
-                drawn.append(_Drawn(name, opened.enter_context(renderer), cameras))
+                drawn.append(_TechniqueVariant(name, opened.enter_context(renderer), cameras))
         rows = compare([one.timed for one in drawn], TIMES, progress(len(cameras)), warm_ups=_SETTLES)
         first_culling, frustum = drawn[0].renderer.visibility, FrustumCulling(scene)
         assert isinstance(first_culling, TwoPassCulling)
@@ -117,7 +117,7 @@ def compare_deferred_plus(
     }
 
 
-class _Drawn:
+class _TechniqueVariant:
     """A technique with an algorithm, drawn twice: `timed` for whole frames, `stepped` for steps and pictures."""
 
     def __init__(self, name: str, renderer: Renderer, cameras: Sequence[Camera]) -> None:

@@ -134,11 +134,11 @@ def compare_algorithms(
     renderer: Renderer, contenders: Sequence[Contender], path: CameraPath, frames: Iterable[WalkFrame]
 ) -> list[Record]:
     """Return a row for each contender: its cost in the counted frames of the path, of which there must be one."""
-    walk = _Walk(renderer, contenders, path)
+    walk = _SharedWalk(renderer, contenders, path)
     return compare(walk.subjects, COLUMNS, walk.list_counted(frames), warm_ups=0)
 
 
-class _Walk:
+class _SharedWalk:
     """A walk through a scene, which all contenders draw with one renderer.
 
     `expected` is the picture of a frame without culling; None where the device draws nothing.
@@ -186,7 +186,7 @@ class _Walker:
 
     _result: FrameResult
 
-    def __init__(self, walk: _Walk, algorithm: VisibilityAlgorithm, simulator: Simulator) -> None:
+    def __init__(self, walk: _SharedWalk, algorithm: VisibilityAlgorithm, simulator: Simulator) -> None:
         self._walk, self._algorithm, self._simulator = walk, algorithm, simulator
 
     def prepare(self) -> None:
