@@ -28,9 +28,9 @@ from renderer.cli.output import draw_chart, show_progress
 from renderer.cli.subcommand import Parser
 from renderer.content import load_scene
 from renderer.lab.measure import format_table
-from renderer.lab.measure.visibility import compare_algorithms, list_contenders, list_frames
+from renderer.lab.visibility import compare_algorithms, list_contenders, list_frames
 from renderer.renderer import Renderer
-from renderer.visibility import Settings, list_algorithms
+from renderer.visibility import VisibilitySettings, list_algorithms
 
 SETTINGS: Final = Path(__file__).parent / "settings"
 
@@ -90,9 +90,9 @@ def measure(backend: str, path_name: str, frames: int, warm_up: int, size: tuple
     stride = len(path) // frames
     first = (stride - 1 - warm_up) // 2
     walk = list_frames(first, frames, len(path), stride=stride, warm_up=warm_up)
-    tuned = Settings.load(SETTINGS / f"{backend}.json")
+    tuned = VisibilitySettings.load(SETTINGS / f"{backend}.json")
     with rhi.create_device(backend) as device, Renderer(device, scene, size=size) as renderer:
-        contenders = list_contenders(list_algorithms(device), Settings(), tuned, (False, True))
+        contenders = list_contenders(list_algorithms(device), VisibilitySettings(), tuned, (False, True))
         rows = compare_algorithms(renderer, contenders, path, show_progress(walk, len(walk), backend))
         return {
             "backend": backend,
@@ -103,7 +103,7 @@ def measure(backend: str, path_name: str, frames: int, warm_up: int, size: tuple
             "warm_up": warm_up,
             "size": list(size),
             "optimized": asdict(replace(tuned, emulated=False)),
-            "rows": {row.algorithm: asdict(row) for row in rows},
+            "rows": {row["algorithm"]: row for row in rows},
         }
 
 

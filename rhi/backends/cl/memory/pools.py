@@ -20,8 +20,6 @@ from rhi.backends.cl.context import allocate_pages
 from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.memory.in_flight import InFlight
 
-__rhi_internal__ = True
-
 _PAGE_BYTES: Final = 1 << 20
 _ALIGN: Final = 64
 _SLACK: Final = 256  # bytes that vector loads may read past the end

@@ -24,8 +24,6 @@ from rhi.backends.cl.memory.in_flight import InFlight
 from rhi.backends.cl.memory.planes import TexelPlane, allocate, pitches_of, round_to_grain
 from rhi.contract.descriptors import Id, Region, TextureDescriptor
 
-__rhi_internal__ = True
-
 
 class TextureWords(NamedTuple):
     """A description of a texture, in memory of its own at this address."""

@@ -26,8 +26,6 @@ from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.fence import is_done
 from rhi.contract.descriptors import Id, QueryKind
 
-__rhi_internal__ = True
-
 _PAGE_COUNTERS: Final = 512
 _MOST_PENDING: Final = 64  # batches, or segments of the running counter, that wait to be looked at
 

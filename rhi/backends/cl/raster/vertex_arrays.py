@@ -23,8 +23,6 @@ from rhi.backends.cl.raster.pipelines import Pipeline, VertexKernels
 from rhi.backends.cl.raster.tables import DRAW_STRUCT, GROUP, MAX_STREAMS
 from rhi.contract.descriptors import Id, Primitive, VertexArrayDescriptor
 
-__rhi_internal__ = True
-
 
 class VertexArray:
     """A vertex array and its kernels; `version[0]` changes with the contents of its index buffer."""
