@@ -25,7 +25,7 @@ import rhi
 from renderer.cli.arguments import parse_size
 from renderer.content import load_scene
 from renderer.scene import Scene
-from renderer.visibility import FrustumCulling, Settings, SoftwareDepth, find_visible_objects
+from renderer.visibility import FrustumCulling, SoftwareDepth, VisibilitySettings, find_visible_objects
 from renderer.visibility.boxes.bounds import find_near, pad_boxes
 from renderer.visibility.gpu.occluder_depth import OccluderDepth
 from renderer.visibility.software_depth import BACKEND
@@ -47,7 +47,7 @@ def measure(scene: Scene, path: str, boxes: int, size: tuple[int, int], rounds: 
     centre, half = 0.5 * (lower + upper)[tested] - camera.position, 0.5 * (upper - lower)[tested]
     times = []
     with rhi.create_device(BACKEND) as device:
-        depth = OccluderDepth(device, scene, Settings().occluders, boxes)
+        depth = OccluderDepth(device, scene, VisibilitySettings().occluders, boxes)
         for _ in range(rounds + 3):  # the first rounds compile, and are dropped
             begin = time.perf_counter()
             depth.render(camera, chosen, size)

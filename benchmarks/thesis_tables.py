@@ -30,7 +30,7 @@ from renderer.content import load_scene
 from renderer.lab.measure import format_table
 from renderer.lab.measure.visibility import compare_algorithms, list_contenders, list_frames
 from renderer.renderer import Renderer
-from renderer.visibility import Settings, list_algorithms
+from renderer.visibility import VisibilitySettings, list_algorithms
 
 SETTINGS: Final = Path(__file__).parent / "settings"
 
@@ -90,9 +90,9 @@ def measure(backend: str, path_name: str, frames: int, warm_up: int, size: tuple
     stride = len(path) // frames
     first = (stride - 1 - warm_up) // 2
     walk = list_frames(first, frames, len(path), stride=stride, warm_up=warm_up)
-    tuned = Settings.load(SETTINGS / f"{backend}.json")
+    tuned = VisibilitySettings.load(SETTINGS / f"{backend}.json")
     with rhi.create_device(backend) as device, Renderer(device, scene, size=size) as renderer:
-        contenders = list_contenders(list_algorithms(device), Settings(), tuned, (False, True))
+        contenders = list_contenders(list_algorithms(device), VisibilitySettings(), tuned, (False, True))
         rows = compare_algorithms(renderer, contenders, path, show_progress(walk, len(walk), backend))
         return {
             "backend": backend,

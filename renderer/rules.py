@@ -12,8 +12,6 @@ from typing import Final, NoReturn
 
 from rhi.errors import RhiError, Rule, refuse
 
-__rhi_internal__ = True
-
 # Model files
 MISSING_FILE: Final = Rule("scene-missing-file", "the model file does not exist")
 UNKNOWN_FORMAT: Final = Rule("scene-unknown-format", "the model file's extension names no known format")

@@ -22,11 +22,9 @@ from renderer.shadows import ShadowSettings
 from renderer.stereo import Stereo
 from renderer.techniques import Technique, TechniqueSettings
 from renderer.tessellation import TessellationSettings
-from renderer.visibility import Settings, check_algorithm, make_visibility
+from renderer.visibility import VisibilitySettings, check_algorithm, make_visibility
 from rhi import Device, RhiError, refuse
 from rhi.shading import Precision
-
-__rhi_internal__ = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +43,7 @@ class RenderSettings:
 
     technique: TechniqueSettings = field(default_factory=TechniqueSettings)
     algorithm: str = "auto"
-    visibility: Settings = field(default_factory=Settings)
+    visibility: VisibilitySettings = field(default_factory=VisibilitySettings)
     shadows: ShadowSettings = field(default_factory=ShadowSettings)
     textures: TextureSettings = field(default_factory=TextureSettings)
     tessellation: TessellationSettings = field(default_factory=TessellationSettings)
@@ -100,20 +98,8 @@ class RenderSettings:
         check_algorithm(self.algorithm, device, "RenderSettings.open")
         visibility = make_visibility(self.algorithm, scene, device, self.visibility)
         try:
-            with Renderer(
-                device,
-                scene,
-                technique=technique or self.technique.make(scene, device),
-                visibility=visibility,
-                size=size,
-                blending=self.blending,
-                precision=self.precision,
-                textures=self.textures,
-                glow=self.glow,
-            ) as renderer:
-                renderer.shadows.settings = self.shadows
-                renderer.tessellator.settings = self.tessellation
-                renderer.animation_step = self.animation_step
+            with Renderer(device, scene, visibility=visibility, size=size, textures=self.textures) as renderer:
+                self.exchange(renderer, technique)
                 if rig is not None:
                     renderer.stereo = Stereo(rig, "side_by_side", is_reprojected=self.reprojects)
                 yield renderer

@@ -26,8 +26,6 @@ from rhi.errors import RhiError
 from rhi.errors.readers import run_for_reader
 from rhi.trace import cli as trace_cli
 
-__rhi_internal__ = True
-
 _COMMANDS: Final = """\
 commands, each with --help:
   trace             inspect recorded commands: show, replay, diff, reduce

@@ -27,7 +27,7 @@ from renderer.content import find_path
 from renderer.lab.measure import format_rows
 from renderer.lab.measure.visibility import AlgorithmRow, compare_algorithms, list_contenders, list_frames
 from renderer.renderer import Renderer
-from renderer.visibility import ALGORITHMS, Settings, check_algorithm, list_algorithms
+from renderer.visibility import ALGORITHMS, VisibilitySettings, check_algorithm, list_algorithms
 
 _NOTES: Final = """\
   python -m renderer compare visibility city --camera-path ground --frames 60
@@ -105,8 +105,8 @@ def _run(given: argparse.Namespace) -> None:
         prepare_image(given.plot)
     if given.teleport is not None and given.stride > 1:
         raise OutputError("--teleport: it jumps between consecutive frames; leave out --stride")
-    settings = Settings()
-    tuned = None if given.settings is None else Settings.load(given.settings)
+    settings = VisibilitySettings()
+    tuned = None if given.settings is None else VisibilitySettings.load(given.settings)
     if given.threshold is not None:
         settings = replace(settings, threshold=given.threshold)
         tuned = None if tuned is None else replace(tuned, threshold=given.threshold)

@@ -27,7 +27,7 @@ from renderer.content import find_path
 from renderer.lab.measure import format_table, title_of
 from renderer.lab.measure.tuning import ParameterPair, Trial, Walk, find_best, search, space_evenly, try_pairs
 from renderer.scene import CameraPath
-from renderer.visibility import Settings, list_algorithms
+from renderer.visibility import VisibilitySettings, list_algorithms
 
 _LEAF_SIZES: Final = 5
 """How many sizes of leaves are tried at most."""
@@ -109,9 +109,9 @@ def _run(given: argparse.Namespace) -> None:
                 finals += executor.submit(try_pairs, walk, [pair], leaf_size=size).result()
     best = find_best(finals, 1)[0]
     is_better = best.ratio < 1.0  # than the default settings
-    settings = Settings(emulated=walk.emulated)
+    settings = VisibilitySettings(emulated=walk.emulated)
     if is_better:
-        settings = Settings(best.batch, best.persistence, best.leaf_size, emulated=walk.emulated)
+        settings = VisibilitySettings(best.batch, best.persistence, best.leaf_size, emulated=walk.emulated)
     report = {
         "backend": backend,
         "device": name,

@@ -10,8 +10,6 @@ from renderer.content.shapes import BUILT_IN
 from renderer.content.specs import Generator, Option
 from renderer.content.textures import IMAGE_SIZE
 
-__rhi_internal__ = True
-
 __all__ = [
     "BUILT_IN",
     "GENERATORS",

@@ -55,8 +55,6 @@ from renderer.scene.simulation import (
 from renderer.scene.stereo import COMFORTABLE_SHARE, NATURAL_DISTANCE, Skewed, StereoRig, measure_parallax
 from renderer.scene.transforms import normal_matrices, relative_to, rotation, scaling, translation
 
-__rhi_internal__ = True
-
 __all__ = [
     "COMFORTABLE_SHARE",
     "DIRECTIONAL",

@@ -8,8 +8,6 @@ from renderer.stereo.pair import EyePair, Stereo
 from renderer.stereo.reprojection import find_holes
 from renderer.stereo.rigs import find_rig
 
-__rhi_internal__ = True
-
 __all__ = [
     "ANAGLYPHS",
     "OUTPUTS",

@@ -23,12 +23,10 @@ from renderer.visibility.queries.chc_plus_plus import ChcPlusPlus
 from renderer.visibility.queries.conditional import ConditionalCulling
 from renderer.visibility.queries.stop_and_wait import StopAndWait
 from renderer.visibility.scene_pass import CallbackPass, DeviceList, SceneArrays, ScenePass
-from renderer.visibility.settings import Settings
+from renderer.visibility.settings import DEFAULTS, VisibilitySettings
 from renderer.visibility.software_depth import SoftwareDepth, can_rasterise
 from renderer.visibility.walk import CullingWalk, WalkOutcome, find_walk
 from rhi import Device, refuse
-
-__rhi_internal__ = True
 
 __all__ = [
     "ALGORITHMS",
@@ -49,11 +47,11 @@ __all__ = [
     "NoCulling",
     "SceneArrays",
     "ScenePass",
-    "Settings",
     "SoftwareDepth",
     "StopAndWait",
     "TwoPassCulling",
     "VisibilityAlgorithm",
+    "VisibilitySettings",
     "VisibilityStatistics",
     "WalkOutcome",
     "build_by_area",
@@ -78,55 +76,26 @@ CANDIDATES: Final[tuple[str, ...]] = (
 """The algorithms that `auto` tries, in this order. Each is the fastest for some scene, view and device; no other
 is."""
 
-ALGORITHMS: Final[dict[str, Callable[[Scene, Device, Settings], VisibilityAlgorithm]]] = {
-    "none": lambda scene, _device, _settings: NoCulling(scene),
-    "frustum": lambda scene, _device, _settings: FrustumCulling(scene),
-    "stop_and_wait": lambda scene, device, settings: StopAndWait(
-        scene, device, threshold=settings.threshold, emulated=settings.emulated
-    ),
-    "chc": lambda scene, device, settings: Chc(
-        scene,
-        device,
-        leaf_size=settings.leaf_size,
-        threshold=settings.threshold,
-        emulated=settings.emulated,
-    ),
-    "chc_plus_plus": lambda scene, device, settings: ChcPlusPlus(
-        scene,
-        device,
-        batch=settings.batch,
-        persistence=settings.persistence,
-        leaf_size=settings.leaf_size,
-        threshold=settings.threshold,
-        emulated=settings.emulated,
-    ),
-    "conditional": lambda scene, device, settings: ConditionalCulling(
-        scene,
-        device,
-        persistence=settings.persistence,
-        leaf_size=settings.leaf_size,
-        threshold=settings.threshold,
-        emulated=settings.emulated,
-    ),
-    "software_depth": lambda scene, _device, settings: SoftwareDepth(
-        scene,
-        occluders=settings.occluders,
-        occluder_pixels=settings.occluder_pixels,
-        pyramid_texels=settings.pyramid_texels,
-    ),
-    "depth_pyramid": lambda scene, device, settings: DepthPyramidCulling(
-        scene, device, texels=settings.pyramid_texels
-    ),
-    "two_pass": lambda scene, device, _settings: TwoPassCulling(scene, device),
-    "auto": lambda scene, device, settings: AutoCulling(
-        scene,
-        device,
-        {
-            name: partial(make_visibility, name, scene, device, settings)
-            for name in (CANDIDATES if device.capabilities.renders else ("frustum",))
-            if find_obstacle(name, device) is None
-        },
-    ),
+
+def _make_auto(scene: Scene, device: Device, settings: VisibilitySettings) -> AutoCulling:
+    names = CANDIDATES if device.capabilities.renders else ("frustum",)
+    able = [name for name in names if find_obstacle(name, device) is None]
+    return AutoCulling(
+        scene, device, {name: partial(make_visibility, name, scene, device, settings) for name in able}
+    )
+
+
+ALGORITHMS: Final[dict[str, Callable[[Scene, Device, VisibilitySettings], VisibilityAlgorithm]]] = {
+    "none": NoCulling,
+    "frustum": FrustumCulling,
+    "stop_and_wait": StopAndWait,
+    "chc": Chc,
+    "chc_plus_plus": ChcPlusPlus,
+    "conditional": ConditionalCulling,
+    "software_depth": SoftwareDepth,
+    "depth_pyramid": DepthPyramidCulling,
+    "two_pass": TwoPassCulling,
+    "auto": _make_auto,
 }
 """All visibility algorithms, by the names of the command line."""
 
@@ -165,9 +134,9 @@ def check_algorithm(name: str, device: Device, call: str) -> None:
 
 
 def make_visibility(
-    name: str, scene: Scene, device: Device, settings: Settings | None = None
+    name: str, scene: Scene, device: Device, settings: VisibilitySettings = DEFAULTS
 ) -> VisibilityAlgorithm:
-    """Create the algorithm of this name for `scene` and for passes on `device`, with `settings` or the defaults."""
+    """Create the algorithm of this name for `scene` and for passes on `device`, with these settings."""
     if name not in ALGORITHMS:
         rules.refuse_name(rules.UNKNOWN_ALGORITHM, f"make_visibility({name!r})", name, ALGORITHMS)
-    return ALGORITHMS[name](scene, device, settings or Settings())
+    return ALGORITHMS[name](scene, device, settings)

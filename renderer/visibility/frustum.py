@@ -13,15 +13,14 @@ from renderer.visibility.boxes.culling import Culler, CullingCounts, find_visibl
 from renderer.visibility.boxes.hierarchy import build_by_area
 from renderer.visibility.scene_pass import ScenePass
 
-__rhi_internal__ = True
-
 
 class NoCulling:
     """Draws all objects: the reference that other algorithms are measured against."""
 
     opens_pass: Final = True
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, *_: object) -> None:
+        """Neither a device nor settings are needed."""
         self._rows: Rows = np.arange(len(scene.objects))
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
@@ -43,7 +42,8 @@ class FrustumCulling:
 
     opens_pass: Final = True
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, *_: object) -> None:
+        """Neither a device nor settings are needed."""
         self._scene = scene
         rows = scene.objects.fixed_rows
         lower, upper = scene.objects.lower[rows], scene.objects.upper[rows]

@@ -15,11 +15,9 @@ from typing import Any, Final, Self
 from renderer import rules
 from rhi import refuse
 
-__rhi_internal__ = True
-
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class VisibilitySettings:
     """The parameters of the algorithms; each uses those that it has.
 
     Attributes:
@@ -51,12 +49,12 @@ class Settings:
             if type(value) is not int or value < least:
                 refuse(
                     rules.BAD_PARAMETER,
-                    f"Settings({name}=…)",
+                    f"VisibilitySettings({name}=…)",
                     repr(value),
                     f"a whole number of {least} or more",
                 )
         if type(self.emulated) is not bool:
-            refuse(rules.BAD_PARAMETER, "Settings(emulated=…)", repr(self.emulated), "True or False")
+            refuse(rules.BAD_PARAMETER, "VisibilitySettings(emulated=…)", repr(self.emulated), "True or False")
 
     def save(self, path: Path, **found: Any) -> None:
         """Write the settings as JSON. `found` is written too, to say how they were found; `load` ignores it."""
@@ -70,7 +68,7 @@ class Settings:
             ValidationError: `visibility-bad-settings` if the file holds no settings.
             OSError: the file can't be read.
         """
-        call = f"Settings.load({str(path)!r})"
+        call = f"VisibilitySettings.load({str(path)!r})"
         try:
             numbers = json.loads(path.read_text())["visibility"]
         except (ValueError, KeyError, TypeError) as error:
@@ -86,3 +84,6 @@ class Settings:
 
 _COUNTS: Final = ("batch", "persistence", "leaf_size", "threshold", "occluders", "occluder_pixels", "pyramid_texels")
 """The parameters that are whole numbers: of 1 or more, a threshold of 0 or more."""
+
+DEFAULTS: Final = VisibilitySettings()
+"""The settings of algorithms that are given none."""

@@ -23,11 +23,10 @@ from renderer.scene.arrays import Rows
 from renderer.visibility.algorithm import VisibilityStatistics, find_visible_objects
 from renderer.visibility.boxes.bounds import find_near, pad_boxes, squared_distances
 from renderer.visibility.frustum import FrustumCulling
-from renderer.visibility.gpu.depth_pyramid import TEXELS
 from renderer.visibility.gpu.occluder_depth import OccluderDepth
 from renderer.visibility.scene_pass import ScenePass
-
-__rhi_internal__ = True
+from renderer.visibility.settings import DEFAULTS, VisibilitySettings
+from rhi import Device
 
 BACKEND: Final = "cl"
 """The backend of the device that occluders are drawn on."""
@@ -50,19 +49,16 @@ class SoftwareDepth:
 
     opens_pass: Final = True
 
-    def __init__(
-        self, scene: Scene, *, occluders: int = 64, occluder_pixels: int = 1, pyramid_texels: int = TEXELS
-    ) -> None:
-        """At most `occluders` objects are drawn as occluders, with one pixel for `occluder_pixels` of the image in each
-        direction; a box is compared with at most `pyramid_texels` texels in each. Raises `DeviceError` where there is
-        no OpenCL device."""
+    def __init__(self, scene: Scene, _: Device | None = None, settings: VisibilitySettings = DEFAULTS) -> None:
+        """Occluders are drawn on a device of the algorithm's own. Raises `DeviceError` where there is no OpenCL
+        device."""
         self._scene = scene
         self._frustum = FrustumCulling(scene)
-        self._limit = min(occluders, len(scene.objects))
+        self._limit = min(settings.occluders, len(scene.objects))
         self._device = rhi.create_device(BACKEND)
-        self._pixels = occluder_pixels
+        self._pixels = settings.occluder_pixels
         self._depth = OccluderDepth(
-            self._device, scene, self._limit, len(scene.objects), texels=pyramid_texels
+            self._device, scene, self._limit, len(scene.objects), texels=settings.pyramid_texels
         )
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:

@@ -47,8 +47,6 @@ from rhi.contract.descriptors import (
 from rhi.contract.formats import Format
 from rhi.contract.states import PlatformState, StateChange
 
-__rhi_internal__ = True
-
 FOREVER: Final = 3600.0
 """Timeout in seconds of a wait that has no limit; a device that takes longer counts as lost."""
 

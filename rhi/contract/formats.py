@@ -14,8 +14,6 @@ from typing import Final
 
 import numpy as np
 
-__rhi_internal__ = True
-
 
 class Choice(enum.Enum):
     """Base class of enums that are looked up often: members hash by identity, at the speed of C."""

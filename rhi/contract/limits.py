@@ -67,8 +67,6 @@ from rhi.errors.rules import (
     TEXTURE_SIZE,
 )
 
-__rhi_internal__ = True
-
 
 class Fault(NamedTuple):
     """A broken rule, with the parts of its message."""

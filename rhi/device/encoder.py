@@ -44,8 +44,6 @@ from rhi.errors.rules import (
     RESOURCE_FOREIGN,
 )
 
-__rhi_internal__ = True
-
 P = ParamSpec("P")
 _ONES: Final = (1, 1, 1)
 

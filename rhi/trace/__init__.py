@@ -13,8 +13,6 @@ from rhi.trace.file import Trace, load, save
 from rhi.trace.reduce import reduce, write_test
 from rhi.trace.replay import Replay, replay
 
-__rhi_internal__ = True
-
 __all__ = [
     "Difference",
     "Differences",

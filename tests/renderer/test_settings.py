@@ -15,7 +15,7 @@ from renderer.settings import RenderSettings
 from renderer.shadows import ShadowFilter, ShadowSettings
 from renderer.techniques import TECHNIQUES, Clustered, Forward, Inferred, TechniqueSettings
 from renderer.techniques.parts.cell_lists import LightCells
-from renderer.visibility import ChcPlusPlus, FrustumCulling, Settings
+from renderer.visibility import ChcPlusPlus, FrustumCulling, VisibilitySettings
 from rhi import Filter, SamplerDescriptor
 from rhi.shading import Precision, Shader
 from tests.renderer.conftest import open_device
@@ -23,7 +23,7 @@ from tests.renderer.conftest import open_device
 OTHERS = RenderSettings(
     TechniqueSettings("clustered", fxaa=True, clusters=LightCells(32, 7, "hybrid"), scale=0.5, stippled=False),
     "frustum",
-    Settings(batch=7, threshold=3),
+    VisibilitySettings(batch=7, threshold=3),
     ShadowSettings(ShadowFilter.HARD, cascades=2, bias=0.5),
     TextureSettings(Filter.NEAREST, None, 4.0),
     blending=Blending.WEIGHTED,
@@ -37,12 +37,12 @@ OTHERS = RenderSettings(
 def test_a_file_keeps_all_settings(tmp_path: Path) -> None:
     OTHERS.save(tmp_path / "s.json", ratio=0.5)
     assert RenderSettings.load(tmp_path / "s.json") == OTHERS
-    assert Settings.load(tmp_path / "s.json") == OTHERS.visibility  # commands that only cull read it, too
+    assert VisibilitySettings.load(tmp_path / "s.json") == OTHERS.visibility  # commands that only cull read it, too
 
 
 def test_what_a_file_lacks_has_its_default(tmp_path: Path) -> None:
-    Settings(batch=9).save(tmp_path / "tuned.json")
-    assert RenderSettings.load(tmp_path / "tuned.json") == RenderSettings(visibility=Settings(batch=9))
+    VisibilitySettings(batch=9).save(tmp_path / "tuned.json")
+    assert RenderSettings.load(tmp_path / "tuned.json") == RenderSettings(visibility=VisibilitySettings(batch=9))
     (tmp_path / "s.json").write_text(json.dumps({"rendering": {"shadows": {"cascades": 3}, "textures": {"mip": None}}}))
     assert RenderSettings.load(tmp_path / "s.json") == RenderSettings(
         shadows=ShadowSettings(cascades=3), textures=TextureSettings(mip=None)
@@ -156,7 +156,7 @@ def test_techniques_have_the_settings_that_are_theirs(null: rhi.Device) -> None:
 
 
 def test_an_algorithm_has_the_settings() -> None:
-    settings = RenderSettings(algorithm="chc_plus_plus", visibility=Settings(batch=3))
+    settings = RenderSettings(algorithm="chc_plus_plus", visibility=VisibilitySettings(batch=3))
     with open_device("gl") as device, settings.open(device, load_scene("grid:count=1"), (8, 8)) as renderer:
         assert isinstance(renderer.visibility, ChcPlusPlus)
 

@@ -32,10 +32,8 @@ from renderer.scene import (
 from renderer.scene.materials import RANGES
 from renderer.shadows import ShadowSettings
 from renderer.tessellation.settings import TessellationSettings
-from renderer.visibility import NoCulling, Settings
+from renderer.visibility import NoCulling, VisibilitySettings
 from rhi import Device, RhiError, create_device
-
-__rhi_internal__ = True
 
 ENDLESS: Final = {"Perspective.far", "StereoRig.convergence", "StereoRig.comfortable.farthest", "make_grid.reach"}
 """Values that may be infinite."""
@@ -69,7 +67,7 @@ def list_values() -> Iterator[tuple[str, Callable[..., object]]]:
     for field in ("distance", "split", "bias"):
         yield f"ShadowSettings.{field}", lambda x, field=field: ShadowSettings(**{field: x})
     for field in ("batch", "persistence", "threshold", "leaf_size"):
-        yield f"Settings.{field}", lambda x, field=field: Settings(**{field: x})
+        yield f"VisibilitySettings.{field}", lambda x, field=field: VisibilitySettings(**{field: x})
     yield "make_grid.first_slice", lambda x: make_grid(Perspective(far=9.0), (8, 8), 8, slices=4, first_slice=x)
     for field in RANGES:
         count = 4 if field == "base_color" else 3 if field in ("specular_color", "emissive") else 1

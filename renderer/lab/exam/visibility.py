@@ -21,11 +21,9 @@ from renderer.lab.exam.scenes import (
     teleport,
 )
 from renderer.renderer import Renderer
-from renderer.visibility import ALGORITHMS, ChcPlusPlus, Settings, list_algorithms, make_visibility
+from renderer.visibility import ALGORITHMS, ChcPlusPlus, VisibilitySettings, list_algorithms, make_visibility
 from renderer.visibility.queries.chc_plus_plus import STAYS_HIDDEN, choose_size
 from rhi import Device, FixedQueue, ValidationError
-
-__rhi_internal__ = True
 
 NAMES: Final = tuple(name for name in ALGORITHMS if name != "none")
 ASKING: Final = ("stop_and_wait", "chc", "chc_plus_plus", "conditional")
@@ -116,7 +114,7 @@ def ask_in_one_batch(device: Device) -> Found:
     """Let CHC++ ask for all at once."""
     city = make_city()
     uncut = Uncut(device, city, along("ground", *range(800, 812, 2))(city))
-    algorithm = ChcPlusPlus(city, device, batch=100_000)
+    algorithm = ChcPlusPlus(city, device, VisibilitySettings(batch=100_000))
     wrong = uncut.count_wrong_pixels(algorithm)
     algorithm.destroy()
     uncut.destroy()
@@ -133,7 +131,7 @@ def ask_with_a_threshold(device: Device) -> Found:
         wrong = {}
         for threshold in (0, 10):
             with late_answers(0):
-                algorithm = make_visibility(name, city, device, Settings(threshold=threshold))
+                algorithm = make_visibility(name, city, device, VisibilitySettings(threshold=threshold))
                 wrong[threshold] = uncut.count_wrong_pixels(algorithm)
                 algorithm.destroy()
             numbers[f"{name}, {threshold} samples"] = wrong[threshold]
@@ -151,7 +149,7 @@ def ask_seldom(device: Device) -> Found:
     total, most = 0, []
     for persistence in (1, 20):
         with late_answers(0):
-            algorithm = ChcPlusPlus(city, device, persistence=persistence)
+            algorithm = ChcPlusPlus(city, device, VisibilitySettings(persistence=persistence))
             total += sum(uncut.count_wrong_pixels(algorithm))
             with Renderer(device, city, size=SIZE) as renderer:
                 queries = [draw_with(renderer, algorithm, camera).statistics.queries for camera, _ in shots]

@@ -26,7 +26,7 @@ from renderer.lab.measure.alternate import alternate
 from renderer.lab.measure.frames import measure_frame
 from renderer.renderer import FrameStatistics, Renderer
 from renderer.scene import FRAMES_PER_SECOND, CameraPath
-from renderer.visibility import Settings, make_visibility
+from renderer.visibility import VisibilitySettings, make_visibility
 
 ParameterPair = tuple[int, int]
 """Values of b and n; or the least and greatest value of either."""
@@ -82,7 +82,7 @@ def try_pairs(walk: Walk, pairs: Sequence[ParameterPair], leaf_size: int = 1) ->
     A process executes one call at a time; other calls wait.
     """
     scene = load_scene(walk.scene)
-    default = Settings(emulated=walk.emulated)
+    default = VisibilitySettings(emulated=walk.emulated)
     with (
         _LOCK,
         rhi.create_device(walk.backend) as device,
@@ -137,7 +137,7 @@ def search(
     square root of the last round's spans. No pair is tried twice.
     """
     known: dict[ParameterPair, Trial] = {}
-    default = Settings()
+    default = VisibilitySettings()
     spans = [high / low for low, high in (batches, persistences)]
     wanted = {
         (b, n) for b in space_evenly(*batches, _FIRST) for n in space_evenly(*persistences, _FIRST)

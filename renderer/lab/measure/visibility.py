@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from renderer.lab.measure.frames import measure_frame
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import FRAMES_PER_SECOND, Camera, CameraPath
-from renderer.visibility import NoCulling, Settings, make_visibility
+from renderer.visibility import NoCulling, VisibilitySettings, make_visibility
 from renderer.visibility.boxes.cubes import TRIANGLES
 
 QUERYING: Final = ("stop_and_wait", "chc", "chc_plus_plus")
@@ -60,7 +60,7 @@ class Contender:
 
     name: str
     algorithm: str
-    settings: Settings
+    settings: VisibilitySettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,8 +93,8 @@ class Picture:
 
 def list_contenders(
     names: Sequence[str],
-    settings: Settings,
-    tuned: Settings | None = None,
+    settings: VisibilitySettings,
+    tuned: VisibilitySettings | None = None,
     emulated: Sequence[bool] = (False,),
 ) -> list[Contender]:
     """Return a contender for each of the algorithms `names`, with `settings`.

@@ -30,8 +30,6 @@ from renderer.shaders.prefix_sum import PrefixSum
 from rhi import Device, Encoder, Readback, StorageBuffer, Texture, UniformBuffer
 from rhi.shading import uint
 
-__rhi_internal__ = True
-
 _START: Final = 64
 """Number of lights for each cell that lists have room for at first."""
 

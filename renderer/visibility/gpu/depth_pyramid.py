@@ -21,6 +21,7 @@ from renderer.visibility.gpu.device_culling import DeviceCulling
 from renderer.visibility.gpu.farthest_depth import SCALE, FarthestDepth
 from renderer.visibility.gpu.occludees import DRAWN, GROUP, HIDDEN, VISIBLE, FindOccludees, Occludee
 from renderer.visibility.scene_pass import ScenePass
+from renderer.visibility.settings import DEFAULTS, VisibilitySettings
 from rhi import Device, Encoder, UniformBuffer
 from rhi.shading import (
     Array,
@@ -43,12 +44,8 @@ from rhi.shading import (
     vec4,
 )
 
-__rhi_internal__ = True
-
 _LEVELS: Final = 9
 """The number of levels of an image of 65,536 pixels a side, the image included."""
-TEXELS: Final = 8
-"""The largest number of texels that a test covers in each direction, unless another one is asked for."""
 
 
 class Levels(Struct):
@@ -160,14 +157,13 @@ _SHADERS: Final = {Depth.REVERSED: CompareBoxes, Depth.STANDARD: CompareBoxesSta
 class DepthPyramidCulling(DeviceCulling):
     """Draws what was visible in the last frame, then what isn't behind it."""
 
-    def __init__(self, scene: Scene, device: Device, *, texels: int = TEXELS) -> None:
-        """A box is compared with at most `texels` × `texels` texels."""
+    def __init__(self, scene: Scene, device: Device, settings: VisibilitySettings = DEFAULTS) -> None:
         super().__init__(scene, device, FindSeen)
-        self._texels = texels
+        self._texels = settings.pyramid_texels
         self._seen = device.storage(uint, len(scene.objects), label="seen")
         self._pyramid: FarthestDepth | None = None
         self._levels: UniformBuffer[Levels] = device.uniform(
-            Levels(levels=[(0, 0, 0, 0)] * _LEVELS, count=0, texels=texels)
+            Levels(levels=[(0, 0, 0, 0)] * _LEVELS, count=0, texels=self._texels)
         )
 
     def _aim(self, camera: Camera, size: tuple[int, int]) -> tuple[object, ...]:
@@ -214,7 +210,7 @@ class DepthPyramidCulling(DeviceCulling):
             self._pyramid = None
 
 
-def make_levels(pyramid: FarthestDepth, texels: int = TEXELS) -> Levels:
+def make_levels(pyramid: FarthestDepth, texels: int = DEFAULTS.pyramid_texels) -> Levels:
     """Return a pyramid's levels as the shader reads them, with how many texels a test covers in each direction."""
     rows = [(*size, begin, 0) for size, begin in zip(pyramid.sizes, pyramid.begins, strict=True)]
     return Levels(levels=rows + [(0, 0, 0, 0)] * (_LEVELS - len(rows)), count=len(rows), texels=texels)

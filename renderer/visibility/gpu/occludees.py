@@ -53,8 +53,6 @@ from rhi.shading import (
     vec4,
 )
 
-__rhi_internal__ = True
-
 HIDDEN: Final = 0
 """The mark of an object that is hidden, as far as is known."""
 VISIBLE: Final = 1
@@ -279,9 +277,7 @@ class Occludees:
     def mark_all(self, encoder: Encoder, camera: UniformBuffer[BoxCamera], depth: Depth) -> None:
         """Mark the objects whose boxes are visible in the open pass; `camera` leads to its clip space."""
         with self._states(encoder, depth):
-            encoder.draw(
-                self._mark, self.cube, self.count, camera=camera, boxes=self.boxes, marks=self.marks
-            )
+            encoder.draw(self._mark, self.cube, self.count, camera=camera, boxes=self.boxes, marks=self.marks)
 
     def mark_listed(
         self,

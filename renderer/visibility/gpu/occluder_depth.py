@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from renderer.scene import Camera, Depth, Scene
 from renderer.scene.arrays import Floats, Rows
 from renderer.shaders import Vertex, ViewConstants
-from renderer.visibility.gpu.depth_pyramid import TEXELS, BoxTest, Levels, make_levels
+from renderer.visibility.gpu.depth_pyramid import BoxTest, Levels, make_levels
 from renderer.visibility.gpu.farthest_depth import FAR, FarthestDepth
 from renderer.visibility.gpu.occludees import GROUP, Occludee
+from renderer.visibility.settings import DEFAULTS
 from rhi import (
     CullMode,
     DepthFunction,
@@ -46,8 +47,6 @@ from rhi.shading import (
     vec3,
     vec4,
 )
-
-__rhi_internal__ = True
 
 _NEARER: Final = {Depth.REVERSED: DepthFunction.GREATER, Depth.STANDARD: DepthFunction.LESS}
 _WINDINGS: Final = ((False, FrontFace.COUNTER_CLOCKWISE), (True, FrontFace.CLOCKWISE))
@@ -113,7 +112,13 @@ class OccluderDepth:
     """Draws the depth of some objects of a scene, and tests boxes against it."""
 
     def __init__(
-        self, device: Device, scene: Scene, occluders: int, boxes: int, *, texels: int = TEXELS
+        self,
+        device: Device,
+        scene: Scene,
+        occluders: int,
+        boxes: int,
+        *,
+        texels: int = DEFAULTS.pyramid_texels,
     ) -> None:
         """`occluders` and `boxes` are the largest numbers of objects drawn and of boxes tested at a time; a box is
         compared with at most `texels` × `texels` texels."""

@@ -19,15 +19,14 @@ from renderer.visibility.gpu.device_culling import DeviceCulling
 from renderer.visibility.gpu.occludees import FindOccludees
 from renderer.visibility.gpu.reprojection import ReprojectedDepth
 from renderer.visibility.scene_pass import ScenePass
+from renderer.visibility.settings import DEFAULTS, VisibilitySettings
 from rhi import Device, Encoder
-
-__rhi_internal__ = True
 
 
 class TwoPassCulling(DeviceCulling):
     """Draws what the last frame's depth doesn't hide, then what this frame's depth doesn't hide."""
 
-    def __init__(self, scene: Scene, device: Device) -> None:
+    def __init__(self, scene: Scene, device: Device, _: VisibilitySettings = DEFAULTS) -> None:
         super().__init__(scene, device, FindOccludees)
         self._reprojected = ReprojectedDepth(device)
         self._guessed = device.uniform(BoxCamera(relative_view_projection=np.eye(4)))

@@ -25,8 +25,6 @@ from renderer.visibility.boxes.cubes import BoxCamera, CubeCorner, make_cube
 from rhi import ColorWrite, CullMode, DepthWrite, Device, FrontFace, OcclusionQuery, QuerySet, StateScope
 from rhi.shading import Shader, Storage, Struct, Uniform, cross, instance_index, vec3, vec4
 
-__rhi_internal__ = True
-
 
 class QueryBox(Struct):
     """A box: its centre relative to the eye, and half its size along its own axes."""
@@ -87,6 +85,9 @@ class BoxQueries:
         self._camera = device.uniform(BoxCamera(relative_view_projection=np.eye(4)))
         self._make_buffers(max(len(members), 1))
         self.arrange(sizes, members)
+        self._made: list[
+            OcclusionQuery | QuerySet
+        ] = []  # also those in flight, and those of a frame that raised
         self._free: list[OcclusionQuery] = []
         self._free_sets: dict[int, list[QuerySet]] = {}  # by size
 
@@ -157,7 +158,11 @@ class BoxQueries:
     def acquire(self) -> OcclusionQuery:
         """Return an unused query for draws of the caller's own, and count it as issued."""
         self.issued += 1
-        return self._free.pop() if self._free else self.device.occlusion_query(emulated=self.emulated)
+        if self._free:
+            return self._free.pop()
+        query = self.device.occlusion_query(emulated=self.emulated)
+        self._made.append(query)
+        return query
 
     def resolve(self, query: OcclusionQuery) -> bool:
         """Return whether more samples than the threshold passed, and release the query. Waits for the result if it is
@@ -201,7 +206,11 @@ class BoxQueries:
         """Return an unused set of at least so many rows, fewer than twice as many."""
         size = 1 << (rows - 1).bit_length()
         free = self._free_sets.setdefault(size, [])
-        return free.pop() if free else self.device.query_set(size, emulated=self.emulated)
+        if free:
+            return free.pop()
+        queries = self.device.query_set(size, emulated=self.emulated)
+        self._made.append(queries)
+        return queries
 
     def read(self, queries: QuerySet) -> list[bool]:
         """Return for each row of a set whether more samples than the threshold passed, and release the set. Waits for
@@ -226,12 +235,5 @@ class BoxQueries:
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
-        for query in self._free:
-            query.destroy()
-        for free in self._free_sets.values():
-            for queries in free:
-                queries.destroy()
-        self._free.clear()
-        self._free_sets.clear()
-        for resource in (self._mesh, self._buffer, self._turns, self._camera):
+        for resource in (*self._made, self._mesh, self._buffer, self._turns, self._camera):
             resource.destroy()

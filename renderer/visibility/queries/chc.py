@@ -12,50 +12,24 @@ Results are looked at after each node, and waited for when there is nothing else
 
 from __future__ import annotations
 
-from typing import Final
-
 import numpy as np
 
 from renderer.scene import Camera, Scene
 from renderer.visibility.algorithm import VisibilityStatistics
-from renderer.visibility.boxes.forest import NEAR, Forest, Frontier
-from renderer.visibility.queries.box_queries import BoxQueries
-from renderer.visibility.queries.memory import NodeMemory
+from renderer.visibility.boxes.forest import NEAR
+from renderer.visibility.queries.query_culling import TreeCulling
 from renderer.visibility.scene_pass import ScenePass
+from renderer.visibility.settings import DEFAULTS, VisibilitySettings
 from renderer.visibility.walk import CullingWalk, walk_forest
 from rhi import Device, FixedQueue, OcclusionQuery
 
-__rhi_internal__ = True
 
-
-class Chc:
+class Chc(TreeCulling):
     """Draws what was visible and queries whether it still is; queries all else before drawing it."""
 
-    opens_pass: Final = False
-
-    def __init__(
-        self,
-        scene: Scene,
-        device: Device,
-        *,
-        leaf_size: int = 1,
-        threshold: int = 0,
-        emulated: bool = False,
-    ) -> None:
-        """A leaf has at most `leaf_size` objects. A node that passes at most `threshold` samples counts as hidden.
-        `emulated` queries are two counters and a fence."""
-        self._objects = scene.objects
-        self._forest = Forest(scene, leaf_size)
-        count = len(self._forest)
-        self._queries = BoxQueries(device, np.ones(count, np.int64), np.arange(count), threshold, emulated)
-        self._memory = NodeMemory(self._forest)
-        self._visible, self._visited = self._memory.visible, self._memory.visited
-        self._frame = 0
-        room = max(count, 1)
-        self._frontier = Frontier(self._forest)
-        self._query_queue: FixedQueue[tuple[int, bool, OcclusionQuery]] = FixedQueue(room)
-        self._shown: list[int] = []
-        self._drawn = self._batches = 0
+    def __init__(self, scene: Scene, device: Device, settings: VisibilitySettings = DEFAULTS) -> None:
+        super().__init__(scene, device, settings, is_tight=False)
+        self._query_queue: FixedQueue[tuple[int, bool, OcclusionQuery]] = FixedQueue(self._room)
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw what `camera` sees, and what it saw in the last frame."""
@@ -75,15 +49,7 @@ class Chc:
             if frontier:
                 self._visit(frontier.pop(), scene_pass)
         pull_up(self._shown, self._visible, forest.parent)
-        return VisibilityStatistics(
-            objects=len(self._objects),
-            visible=self._drawn,
-            batches=self._batches,
-            queries=queries.issued,
-            box_draws=queries.draws,
-            boxes=queries.boxes,
-            stalled_milliseconds=1e3 * queries.stalled,
-        )
+        return self._count()
 
     def _visit(self, node: int, scene_pass: ScenePass) -> None:
         forest, queries, visible = self._forest, self._queries, self._visible
@@ -122,10 +88,7 @@ class Chc:
         """Draw a leaf; have the children of an inner node visited."""
         forest = self._forest
         if forest.child[node] < 0:
-            rows = forest.objects((node,))
-            scene_pass.draw(rows)
-            self._drawn += len(rows)
-            self._batches += 1
+            self._draw(forest.objects((node,)), scene_pass)
         else:
             self._frontier.open(node)
 
@@ -138,10 +101,6 @@ class Chc:
             for was, child, status in zip(self._queries.asked, forest.child, forest.status, strict=True)
         )
         return walk_forest(forest, visited, self._visible, asked)
-
-    def destroy(self) -> None:
-        """Destroy the resources on the device."""
-        self._queries.destroy()
 
 
 def pull_up(shown: list[int], visible: bytearray, parent: list[int]) -> None:

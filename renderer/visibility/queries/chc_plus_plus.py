@@ -24,18 +24,15 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from renderer import rules
 from renderer.scene import Camera, Scene
 from renderer.visibility.algorithm import VisibilityStatistics
-from renderer.visibility.boxes.forest import NEAR, Forest, Frontier
-from renderer.visibility.queries.box_queries import BoxQueries
+from renderer.visibility.boxes.forest import NEAR
 from renderer.visibility.queries.chc import pull_up
-from renderer.visibility.queries.memory import NodeMemory
+from renderer.visibility.queries.query_culling import TreeCulling
 from renderer.visibility.scene_pass import ScenePass
+from renderer.visibility.settings import DEFAULTS, VisibilitySettings
 from renderer.visibility.walk import CullingWalk, walk_forest
-from rhi import Device, FixedQueue, QuerySet, refuse
-
-__rhi_internal__ = True
+from rhi import Device, FixedQueue, QuerySet
 
 Asked: TypeAlias = tuple[QuerySet, list[list[int]]]
 """A query set in flight, and the nodes that each of its rows is about."""
@@ -61,58 +58,25 @@ def choose_size(probabilities: Sequence[float]) -> int:
     return len(probabilities)
 
 
-class ChcPlusPlus:
+class ChcPlusPlus(TreeCulling):
     """Draws what was visible, and queries what was hidden in batches."""
 
-    opens_pass: Final = False
-
     def __init__(
-        self,
-        scene: Scene,
-        device: Device,
-        *,
-        batch: int = 50,
-        persistence: int = 20,
-        leaf_size: int = 1,
-        threshold: int = 0,
-        emulated: bool = False,
-        seed: int = 0,
+        self, scene: Scene, device: Device, settings: VisibilitySettings = DEFAULTS, *, seed: int = 0
     ) -> None:
-        """The thesis tunes `batch`, its b, and `persistence`, its n (6.5.1).
-
-        Args:
-            batch: number of hidden nodes that are gathered before they are queried, 1 or more.
-            persistence: number of frames for which a visible leaf isn't queried again, 1 or more.
-            leaf_size: largest number of objects in a leaf, 1 or more.
-            threshold: a node that passes at most this many samples counts as hidden.
-            emulated: whether queries are two counters and a fence, even if the device has its own.
-            seed: the seed of the random numbers.
-        """
-        if min(batch, persistence, leaf_size) < 1:
-            given = f"batch={batch}, persistence={persistence}, leaf_size={leaf_size}"
-            refuse(rules.BAD_PARAMETER, "ChcPlusPlus(...)", given, "1 or more")
-        self._objects = scene.objects
-        self._forest = Forest(scene, leaf_size)
-        self._batch = batch
-        self._persistence = persistence
+        """`seed` is that of the random numbers."""
+        super().__init__(scene, device, settings, is_tight=True)
+        self._batch, self._persistence = settings.batch, settings.persistence
         self._random = Random(seed)
-        count = len(self._forest)
-        self._queries = BoxQueries(device, self._forest.tight_sizes, self._forest.tight, threshold, emulated)
-        self._memory = memory = NodeMemory(self._forest)
-        self._visible, self._visited = memory.visible, memory.visited
-        self._hidden_since, self._next_query = memory.hidden_since, memory.next_query
-        self._is_queried = bytearray(count)  # leaves with a query whose result is not yet read
-        self._frame = 0
-        room = max(count, 1)
-        self._frontier = Frontier(self._forest)
+        self._hidden_since, self._next_query = self._memory.hidden_since, self._memory.next_query
+        self._is_queried = bytearray(len(self._forest))  # leaves with a query whose result is not yet read
+        room = self._room
         self._i_queue: FixedQueue[int] = FixedQueue(room)  # nodes
         self._requery: FixedQueue[int] = FixedQueue(room)  # nodes of queries in which something was visible
         self._v_queue: FixedQueue[int] = FixedQueue(room)  # leaves
         self._i_queries: FixedQueue[Asked] = FixedQueue(room)
         self._v_queries: FixedQueue[Asked] = FixedQueue(room)
         self._render_queue: FixedQueue[int] = FixedQueue(room)  # leaves
-        self._shown: list[int] = []
-        self._drawn = self._batches = self._visits = 0
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw what `camera` sees, and what it saw in recent frames."""
@@ -139,19 +103,6 @@ class ChcPlusPlus:
             self._query_v_queue(scene_pass)
         pull_up(self._shown, self._visible, forest.parent)
         return self._count()
-
-    def _count(self) -> VisibilityStatistics:
-        queries = self._queries
-        return VisibilityStatistics(
-            objects=len(self._objects),
-            visible=self._drawn,
-            batches=self._batches,
-            nodes_tested=self._visits,
-            queries=queries.issued,
-            box_draws=queries.draws,
-            boxes=queries.boxes,
-            stalled_milliseconds=1e3 * queries.stalled,
-        )
 
     def _begin(self, camera: Camera) -> None:
         """Read the results of the last frame's v-queue, and begin at the roots."""
@@ -282,10 +233,7 @@ class ChcPlusPlus:
     def _draw_render_queue(self, scene_pass: ScenePass) -> None:
         """Draw all objects in the render queue."""
         if self._render_queue:
-            rows = self._forest.objects(list(self._render_queue))
-            scene_pass.draw(rows)
-            self._drawn += len(rows)
-            self._batches += 1
+            self._draw(self._forest.objects(list(self._render_queue)), scene_pass)
             self._render_queue.clear()
 
     def _release_leaves(self) -> None:
@@ -300,10 +248,3 @@ class ChcPlusPlus:
         """Return the nodes that the last frame reached."""
         visited = np.array(self._visited) == self._frame
         return walk_forest(self._forest, visited, self._visible, self._queries.asked)
-
-    def destroy(self) -> None:
-        """Destroy the resources on the device."""
-        self._release_leaves()
-        while self._i_queries:  # left by a frame that raised
-            self._queries.release_set(self._i_queries.pop()[0])
-        self._queries.destroy()

@@ -25,9 +25,8 @@ from renderer.visibility.algorithm import VisibilityStatistics
 from renderer.visibility.queries.chc import pull_up
 from renderer.visibility.queries.chc_plus_plus import Asked, ChcPlusPlus
 from renderer.visibility.scene_pass import ScenePass
+from renderer.visibility.settings import DEFAULTS, VisibilitySettings
 from rhi import Device, FixedQueue, refuse
-
-__rhi_internal__ = True
 
 _MOST_ASKED: Final = 8
 """The largest number of frames whose answers are awaited; older ones are given up."""
@@ -37,31 +36,17 @@ class ConditionalCulling(ChcPlusPlus):
     """Draws what was visible, and the rest on conditions that the GPU evaluates."""
 
     def __init__(
-        self,
-        scene: Scene,
-        device: Device,
-        *,
-        persistence: int = 20,
-        leaf_size: int = 1,
-        threshold: int = 0,
-        emulated: bool = False,
-        seed: int = 0,
+        self, scene: Scene, device: Device, settings: VisibilitySettings = DEFAULTS, *, seed: int = 0
     ) -> None:
-        """The parameters are those of `ChcPlusPlus`. `threshold` only affects what counts as visible in the next
-        frame: for the GPU, one sample is enough to draw. The device needs `capabilities.conditional_rendering`, and
-        occlusion queries of its own: `emulated` is refused.
+        """`threshold` only affects what counts as visible in the next frame: for the GPU, one sample is enough to draw.
+        The device needs `capabilities.conditional_rendering`, and occlusion queries of its own: `emulated` is refused.
         """
         if not (device.capabilities.conditional_rendering and device.capabilities.occlusion_queries):
-            refuse(
-                rules.NO_CONDITIONS,
-                "ConditionalCulling(...)",
-                f"a {device.backend_name} device without both",
-            )
-        if emulated:
+            given = f"a {device.backend_name} device without both"
+            refuse(rules.NO_CONDITIONS, "ConditionalCulling(...)", given)
+        if settings.emulated:
             refuse(rules.NO_CONDITIONS, "ConditionalCulling(...)", "emulated queries", "native ones")
-        super().__init__(
-            scene, device, persistence=persistence, leaf_size=leaf_size, threshold=threshold, seed=seed
-        )
+        super().__init__(scene, device, settings, seed=seed)
         self._asked: FixedQueue[tuple[Asked, int]] = FixedQueue(_MOST_ASKED)
         """For each frame that asked, its questions, and how many of them are about hidden nodes: the first ones."""
 

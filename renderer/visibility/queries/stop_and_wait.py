@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 import numpy as np
 
 from renderer.scene import Camera, Scene
@@ -11,30 +9,24 @@ from renderer.visibility.algorithm import VisibilityStatistics, find_visible_obj
 from renderer.visibility.boxes.bounds import see_boxes
 from renderer.visibility.boxes.volumes import TightestBoxes
 from renderer.visibility.frustum import FrustumCulling
-from renderer.visibility.queries.box_queries import BoxQueries
+from renderer.visibility.queries.query_culling import QueryCulling
 from renderer.visibility.scene_pass import ScenePass
+from renderer.visibility.settings import DEFAULTS, VisibilitySettings
 from rhi import Device
 
-__rhi_internal__ = True
 
-
-class StopAndWait:
+class StopAndWait(QueryCulling):
     """Queries each object in the frustum, front to back, and waits for each result before the next query.
 
     An object is drawn only if its box is visible, given all nearer objects. CPU and GPU work in turns: while one
     works, the other waits.
     """
 
-    opens_pass: Final = False
-
-    def __init__(self, scene: Scene, device: Device, *, threshold: int = 0, emulated: bool = False) -> None:
-        """An object whose box passes at most `threshold` samples counts as hidden; `emulated` queries are two counters
-        and a fence."""
-        self._objects = scene.objects
+    def __init__(self, scene: Scene, device: Device, settings: VisibilitySettings = DEFAULTS) -> None:
+        each = np.arange(len(scene.objects))
+        super().__init__(scene, device, settings, np.ones_like(each), each)
         self._frustum = FrustumCulling(scene)
         self._tightest = TightestBoxes(scene)
-        count = len(scene.objects)
-        self._queries = BoxQueries(device, np.ones(count, np.int64), np.arange(count), threshold, emulated)
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw the objects that are not hidden behind nearer ones."""
@@ -46,25 +38,12 @@ class StopAndWait:
         near = boxes.near
         queries = self._queries
         queries.begin_frame(camera, boxes)
-        visible = 0
+        self._drawn = self._batches = 0
         for index, row in enumerate(rows.tolist()):
             if not near[row]:
                 with queries.states():
                     query = queries.issue((row,))
                 if not queries.resolve(query):
                     continue
-            scene_pass.draw(rows[index : index + 1])
-            visible += 1
-        return VisibilityStatistics(
-            objects=len(self._objects),
-            visible=visible,
-            batches=visible,
-            queries=queries.issued,
-            box_draws=queries.draws,
-            boxes=queries.boxes,
-            stalled_milliseconds=1e3 * queries.stalled,
-        )
-
-    def destroy(self) -> None:
-        """Destroy the resources on the device."""
-        self._queries.destroy()
+            self._draw(rows[index : index + 1], scene_pass)
+        return self._count()

@@ -46,8 +46,6 @@ from rhi.contract.descriptors import (
 from rhi.contract.formats import Format
 from rhi.contract.states import StateChange
 
-__rhi_internal__ = True
-
 P = ParamSpec("P")
 R = TypeVar("R")
 

@@ -30,8 +30,6 @@ from rhi.backends.cl.pocl.workers import list_threads, spread_threads
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_DRIVER
 
-__rhi_internal__ = True
-
 ENVIRONMENT: Final = "RHI_CL_DEVICE"
 KERNELS_ENVIRONMENT: Final = "RHI_KERNELS"
 """Which kernels are built: `quick` or `optimised` ones; see `rhi.backends.cl.raster.builds`."""

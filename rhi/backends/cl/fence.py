@@ -23,8 +23,6 @@ from rhi.contract.descriptors import Id, QueryKind
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_LOST
 
-__rhi_internal__ = True
-
 _POLLS: Final = 20  # of 0.5 µs each; to sleep and be woken takes 10 to 20
 _FIRST_PAUSE: Final = 20e-6
 _LONGEST_PAUSE: Final = 1e-3

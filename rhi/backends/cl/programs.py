@@ -32,8 +32,6 @@ from rhi.errors import ShaderError
 from rhi.errors.rules import SHADER_DRIVER
 from rhi.shading.ir.faults import FAULT_WORDS, find_fault
 
-__rhi_internal__ = True
-
 _WIDTHS: Final = (16, 8, 4)
 _LINE: Final = re.compile(r":(\d+):\d+: *(?:(?:fatal )?error: *)?")  # file:line:column: …, Clang's format
 

@@ -9,8 +9,6 @@ from rhi.contract.blocks import CompressedFormat
 from rhi.contract.descriptors import VertexFormat
 from rhi.contract.formats import Format, IndexFormat
 
-__rhi_internal__ = True
-
 
 class PixelFormat(NamedTuple):
     """The internal format of a texel, and the format and type in which the CPU transfers it."""

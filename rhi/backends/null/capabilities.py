@@ -20,8 +20,6 @@ from rhi.contract.formats import ChannelKind, Format
 from rhi.errors import refuse
 from rhi.errors.rules import DEVICE_ARGUMENT
 
-__rhi_internal__ = True
-
 _SNORM: Final = frozenset(form for form in Format if form.kind is ChannelKind.SNORM)
 _UNORM16: Final = frozenset({Format.R16, Format.RG16, Format.RGBA16})
 _FLOAT: Final = frozenset(form for form in Format if form.kind is ChannelKind.FLOAT)

@@ -41,8 +41,6 @@ from rhi.shading import Struct, uint, value_type_of
 from rhi.shading.language.bindings import StorageRange, UniformRange
 from rhi.shading.language.vectors import CLASSES, Composite
 
-__rhi_internal__ = True
-
 T = TypeVar("T")
 MAX_BYTES = 1 << 40
 

@@ -18,8 +18,6 @@ from rhi.contract.formats import ChannelKind as FormatKind
 from rhi.contract.formats import Format
 from rhi.contract.states import Comparison
 
-__rhi_internal__ = True
-
 GRAIN: Final = 16
 """Alignment in bytes of levels and layers."""
 

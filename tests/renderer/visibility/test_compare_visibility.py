@@ -19,7 +19,7 @@ from renderer.cli.output import show_progress
 from renderer.content import load_scene
 from renderer.lab.measure.visibility import FORGETFUL, Picture, WalkFrame, list_contenders, list_frames
 from renderer.renderer import Renderer
-from renderer.visibility import ALGORITHMS, Settings, make_visibility
+from renderer.visibility import ALGORITHMS, VisibilitySettings, make_visibility
 from renderer.visibility.software_depth import can_rasterise
 
 ROW = [
@@ -122,8 +122,8 @@ def test_emulated_queries_draw_and_ask_the_same_beside_native_ones(capsys: pytes
 
 
 def test_contenders_have_the_kind_of_queries_that_they_are_named_by() -> None:
-    tuned = Settings(batch=7, emulated=True)
-    both = list_contenders(["none", "chc", "chc_plus_plus"], Settings(), tuned, [False, True])
+    tuned = VisibilitySettings(batch=7, emulated=True)
+    both = list_contenders(["none", "chc", "chc_plus_plus"], VisibilitySettings(), tuned, [False, True])
     assert {one.name: (one.algorithm, one.settings.batch, one.settings.emulated) for one in both} == {
         "none": ("none", 50, False),
         "chc": ("chc", 50, False),
@@ -133,7 +133,7 @@ def test_contenders_have_the_kind_of_queries_that_they_are_named_by() -> None:
         "chc_plus_plus (emulated)": ("chc_plus_plus", 50, True),
         "optimized_chc_plus_plus (emulated)": ("chc_plus_plus", 7, True),
     }
-    alone = list_contenders(["none", "chc"], Settings(), None, [True])
+    alone = list_contenders(["none", "chc"], VisibilitySettings(), None, [True])
     assert [(one.name, one.settings.emulated) for one in alone] == [("none", True), ("chc", True)]
 
 

@@ -37,7 +37,7 @@ from renderer.lab.exam.visibility import LATENCIES, NAMES
 from renderer.lab.measure.exact import ExactVisibility
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Perspective, Scene
-from renderer.visibility import ChcPlusPlus, list_algorithms, make_visibility
+from renderer.visibility import ChcPlusPlus, VisibilitySettings, list_algorithms, make_visibility
 from renderer.visibility.boxes.bounds import near_radius
 from rhi.backends.null import CostModel, Simulation
 
@@ -70,7 +70,7 @@ def test_random_scenes_from_random_places_look_as_without_culling(
         for name in list_algorithms(drawing_device)
         if name in NAMES
     }
-    algorithms["small"] = ChcPlusPlus(scene, drawing_device, batch=batch, persistence=persistence)
+    algorithms["small"] = ChcPlusPlus(scene, drawing_device, VisibilitySettings(batch=batch, persistence=persistence))
     for name, algorithm in algorithms.items():
         assert count_wrong_pixels(drawing_device, scene, algorithm, shots) == [0] * len(shots), name
         algorithm.destroy()

@@ -24,7 +24,7 @@ from renderer.scene import Scene
 from renderer.visibility import (
     Chc,
     FrustumCulling,
-    Settings,
+    VisibilitySettings,
     find_visible_objects,
     list_algorithms,
     make_visibility,
@@ -65,7 +65,7 @@ def test_leaves_hold_all_objects_once_and_no_more_than_their_size(cloud: Scene, 
 
 def test_a_visible_leaf_is_drawn_as_a_whole_inside_one_query(null: rhi.Device, cloud: Scene) -> None:
     Oracle(null, cloud, "chc", seen=set(range(60)))
-    algorithm = Chc(cloud, null, leaf_size=4)
+    algorithm = Chc(cloud, null, VisibilitySettings(leaf_size=4))
     forest = algorithm._forest
     is_leaf = [forest.child[node] < 0 for node in range(len(forest))]
     tops = [node for node, leaf in enumerate(is_leaf) if leaf and not is_leaf[forest.parent[node]]]
@@ -84,7 +84,7 @@ def test_of_a_leaf_across_the_edge_of_the_view_only_what_is_in_view_is_drawn(
     Oracle(null, cloud, name, seen=set(range(60)))
     inside = set(find_visible_objects(FrustumCulling(cloud), camera).tolist())
     assert 0 < len(inside) < 60
-    algorithm = make_visibility(name, cloud, null, Settings(leaf_size=16))
+    algorithm = make_visibility(name, cloud, null, VisibilitySettings(leaf_size=16))
     with Renderer(null, cloud, size=(64, 36)) as renderer:
         for _ in range(3):
             assert visible(draw_with(renderer, algorithm, camera)) == inside
@@ -98,7 +98,7 @@ def test_leaves_of_several_objects_change_no_pixel(
     if name not in list_algorithms(drawing_device):
         pytest.skip(f"{name} doesn't run on {drawing_device.backend_name}")
     city = load_scene("city:blocks=8,detail=2")
-    algorithm = make_visibility(name, city, drawing_device, Settings(leaf_size=leaf_size))
+    algorithm = make_visibility(name, city, drawing_device, VisibilitySettings(leaf_size=leaf_size))
     shots = walk(city, "ground", range(600, 640, 8))
     assert count_wrong_pixels(drawing_device, city, algorithm, shots) == [0] * len(shots)
     algorithm.destroy()
@@ -112,7 +112,7 @@ def test_larger_leaves_ask_less_and_draw_more(
     city = load_scene("city:blocks=8,detail=2")
     costs = []
     for leaf_size in (1, 4):
-        algorithm = make_visibility(name, city, gl, Settings(leaf_size=leaf_size))
+        algorithm = make_visibility(name, city, gl, VisibilitySettings(leaf_size=leaf_size))
         with Renderer(gl, city, size=SIZE) as renderer:
             found = [
                 draw_with(renderer, algorithm, camera) for camera, _ in walk(city, "sky", range(600, 624, 2))

@@ -26,7 +26,7 @@ from occlusion_scenes import (
 import rhi
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene
-from renderer.visibility import ALGORITHMS, Settings, list_algorithms, make_visibility
+from renderer.visibility import ALGORITHMS, VisibilitySettings, list_algorithms, make_visibility
 from renderer.visibility.boxes.bounds import squared_distances
 from renderer.visibility.boxes.forest import Forest, Frontier
 
@@ -59,7 +59,7 @@ def make_walled(wall: str, moving: Collection[int], motion: Callable[[float], ob
 def count(device: rhi.Device, scene: Scene, name: str) -> tuple[list[set[int]], int]:
     """Return the objects drawn in each of some frames, when all is settled, and the number of queries in them."""
     drawn, queries = [], 0
-    algorithm = make_visibility(name, scene, device, Settings(batch=4, persistence=4))
+    algorithm = make_visibility(name, scene, device, VisibilitySettings(batch=4, persistence=4))
     with Renderer(device, scene, size=SIZE) as renderer:
         for frame in range(SETTLING + FRAMES):
             result = draw_with(renderer, algorithm, EYE, frame / 60)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tracemalloc
 from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +21,7 @@ from renderer.visibility import (
     ConditionalCulling,
     FrustumCulling,
     StopAndWait,
+    VisibilitySettings,
     find_obstacle,
     list_algorithms,
     make_visibility,
@@ -142,7 +144,7 @@ def test_chc_plus_plus_draws_in_fewer_batches_and_asks_with_fewer_queries(render
 
 def test_a_visible_leaf_is_asked_for_every_n_frames_and_first_at_random(renderer: Renderer) -> None:
     Oracle(renderer.device, renderer.scene, seen=set(range(60)))
-    algorithm = ChcPlusPlus(renderer.scene, renderer.device, persistence=10)
+    algorithm = ChcPlusPlus(renderer.scene, renderer.device, VisibilitySettings(persistence=10))
     queries = [draw_with(renderer, algorithm, EYE).statistics.queries for _ in range(41)]
     spread = queries[1:11]
     assert sum(spread) == 60
@@ -152,7 +154,7 @@ def test_a_visible_leaf_is_asked_for_every_n_frames_and_first_at_random(renderer
 
 def test_persistence_of_one_asks_in_every_frame(renderer: Renderer) -> None:
     Oracle(renderer.device, renderer.scene, seen=set(range(60)))
-    algorithm = ChcPlusPlus(renderer.scene, renderer.device, persistence=1)
+    algorithm = ChcPlusPlus(renderer.scene, renderer.device, VisibilitySettings(persistence=1))
     queries = [draw_with(renderer, algorithm, EYE).statistics.queries for _ in range(4)]
     assert queries[1:] == [60] * 3
 
@@ -162,7 +164,7 @@ def test_hidden_nodes_gather_until_there_is_a_batch(
     renderer: Renderer, batch: int, least: int, most: int
 ) -> None:
     oracle = Oracle(renderer.device, renderer.scene, seen=set(range(0, 60, 3)))
-    algorithm = ChcPlusPlus(renderer.scene, renderer.device, batch=batch, persistence=50)
+    algorithm = ChcPlusPlus(renderer.scene, renderer.device, VisibilitySettings(batch=batch, persistence=50))
     for _ in range(3):
         draw_with(renderer, algorithm, EYE)
     before = renderer.device.statistics.software_state_changes
@@ -184,7 +186,7 @@ def test_a_multiquery_that_shows_something_is_asked_again_one_by_one(renderer: R
 
 def test_conditional_culling_never_waits_and_the_gpu_drops_what_is_hidden(renderer: Renderer) -> None:
     oracle = Oracle(renderer.device, renderer.scene)
-    algorithm = ConditionalCulling(renderer.scene, renderer.device, persistence=2)
+    algorithm = ConditionalCulling(renderer.scene, renderer.device, VisibilitySettings(persistence=2))
     for seen in ({3, 4, 50}, set(range(20)), {3}):
         oracle.seen = seen
         for _ in range(30):
@@ -198,7 +200,7 @@ def test_conditional_culling_never_waits_and_the_gpu_drops_what_is_hidden(render
 
 def test_conditional_culling_asks_once_a_frame_in_one_pass(renderer: Renderer) -> None:
     device, oracle = renderer.device, Oracle(renderer.device, renderer.scene, "conditional")
-    algorithm = ConditionalCulling(renderer.scene, device, persistence=5)
+    algorithm = ConditionalCulling(renderer.scene, device, VisibilitySettings(persistence=5))
     wanted = frozenset({Op.BEGIN_QUERY, Op.BEGIN_CONDITIONAL, Op.DRAW_INDIRECT, Op.BEGIN_PASS, Op.WAIT})
     for frame in range(40):
         oracle.seen = set(range(frame // 8, 60, 7))
@@ -228,22 +230,30 @@ def test_conditional_culling_gives_up_what_is_never_answered(
     assert len(made) <= 9, "questions that were given up are asked with the same sets"
 
 
-def test_questions_in_flight_may_be_destroyed(renderer: Renderer) -> None:
-    for kind in (ConditionalCulling, ChcPlusPlus):
-        oracle = Oracle(renderer.device, renderer.scene, seen=set(range(0, 60, 3)))
-        created = renderer.device.backend_as(rhi.Recorder).stream.filter(Op.CREATE_QUERY)
-        before = {command["query"] for command in created}
-        algorithm = kind(renderer.scene, renderer.device, persistence=1)
-        for _ in range(3):
+@pytest.mark.parametrize("raises", [False, True])
+@pytest.mark.parametrize("kind", [ConditionalCulling, ChcPlusPlus, Chc])
+def test_questions_in_flight_may_be_destroyed(
+    renderer: Renderer, kind: type[ChcPlusPlus], raises: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    delay_answers(monkeypatch, 20)
+    oracle = Oracle(renderer.device, renderer.scene, seen=set(range(0, 60, 3)))
+    algorithm = kind(renderer.scene, renderer.device, VisibilitySettings(persistence=1))
+    for _ in range(3):
+        draw_with(renderer, algorithm, EYE)
+    assert oracle.seen
+    if raises:
+        draws = iter([algorithm._draw] * 5)  # then StopIteration
+        monkeypatch.setattr(algorithm, "_draw", lambda *arguments: next(draws)(*arguments))
+        oracle.seen = set(range(60))
+        with pytest.raises(StopIteration) if kind is Chc else nullcontext():
             draw_with(renderer, algorithm, EYE)
-        assert oracle.seen
-        algorithm.destroy()
-        renderer.device.finish()
-        stream = renderer.device.backend_as(rhi.Recorder).stream
-        made = {command["query"] for command in stream.filter(Op.CREATE_QUERY)} - before
-        gone = {command["resource"] for command in stream.filter(Op.DESTROY)}
-        assert made
-        assert made <= gone
+    algorithm.destroy()
+    renderer.device.finish()
+    stream = renderer.device.backend_as(rhi.Recorder).stream
+    made = {command["query"] for command in stream.filter(Op.CREATE_QUERY)}
+    gone = {command["resource"] for command in stream.filter(Op.DESTROY)}
+    assert made
+    assert made <= gone
 
 
 def test_chc_plus_plus_asks_a_batch_in_one_call(renderer: Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -257,7 +267,7 @@ def test_chc_plus_plus_asks_a_batch_in_one_call(renderer: Renderer, monkeypatch:
 
     monkeypatch.setattr(QuerySet, "draw", count)
     Oracle(renderer.device, renderer.scene, seen=set(range(0, 60, 3)))
-    algorithm = ChcPlusPlus(renderer.scene, renderer.device, batch=1000, persistence=3)
+    algorithm = ChcPlusPlus(renderer.scene, renderer.device, VisibilitySettings(batch=1000, persistence=3))
     for _ in range(12):
         calls.clear()
         result = draw_with(renderer, algorithm, EYE)
@@ -272,7 +282,7 @@ QUEUES = ("_i_queue", "_requery", "_v_queue", "_i_queries", "_v_queries", "_rend
 @pytest.mark.parametrize("kind", [ChcPlusPlus, ConditionalCulling])
 def test_the_queues_allocate_nothing_in_a_hundred_frames(renderer: Renderer, kind: type[ChcPlusPlus]) -> None:
     device, oracle = renderer.device, Oracle(renderer.device, renderer.scene)
-    algorithm = kind(renderer.scene, device, persistence=4)
+    algorithm = kind(renderer.scene, device, VisibilitySettings(persistence=4))
 
     def render(frames: int) -> None:
         for frame in range(frames):
@@ -327,21 +337,13 @@ def test_conditional_culling_is_listed_where_queries_are_native(native: bool, li
                 ConditionalCulling(make_cloud(3), device)
 
 
-@pytest.mark.parametrize("bad", [{"batch": 0}, {"persistence": 0}])
-def test_parameters_below_one_are_refused(null: rhi.Device, bad: dict[str, int]) -> None:
-    scene = make_cloud(3)
-    with pytest.raises(ValidationError, match=r"^\[visibility-bad-parameter\]"):
-        ChcPlusPlus(scene, null, **bad)
-    ChcPlusPlus(scene, null, **dict.fromkeys(bad, 1))
-
-
 @pytest.mark.parametrize("threshold", [99, 100])
 @pytest.mark.parametrize("name", [StopAndWait, Chc, ChcPlusPlus])
 def test_visible_is_what_passes_more_samples_than_the_threshold(
     renderer: Renderer, name: type[ChcPlusPlus], threshold: int
 ) -> None:
     Oracle(renderer.device, renderer.scene, NAMES[name], seen=set(range(60)), samples=100)
-    algorithm = name(renderer.scene, renderer.device, threshold=threshold)
+    algorithm = name(renderer.scene, renderer.device, VisibilitySettings(threshold=threshold))
     assert len(visible(draw_with(renderer, algorithm, EYE))) == (60 if threshold < 100 else 0)
 
 

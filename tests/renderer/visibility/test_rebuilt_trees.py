@@ -11,7 +11,7 @@ from occlusion_scenes import OCCLUSION, count_wrong_pixels, delay_answers, draw_
 import rhi
 from renderer.renderer import Renderer
 from renderer.scene import Scene
-from renderer.visibility import Chc, Settings, list_algorithms, make_visibility
+from renderer.visibility import Chc, VisibilitySettings, list_algorithms, make_visibility
 from renderer.visibility.boxes.forest import WORN, Forest
 from renderer.visibility.queries.memory import NEVER, NodeMemory
 
@@ -121,7 +121,7 @@ def test_what_is_below_a_hidden_node_is_known_to_be_hidden_as_long_as_that_node(
 
 
 def count_queries(device: rhi.Device, scene: Scene, name: str, frames: list[float]) -> list[int]:
-    algorithm = make_visibility(name, scene, device, Settings(persistence=1))
+    algorithm = make_visibility(name, scene, device, VisibilitySettings(persistence=1))
     with Renderer(device, scene, size=SIZE) as renderer:
         queries = [draw_with(renderer, algorithm, EYE, seconds).statistics.queries for seconds in frames]
     algorithm.destroy()
@@ -180,7 +180,7 @@ def test_objects_in_rebuilt_trees_look_as_without_culling(
     rebuilds = []
     rebuild = Forest.rebuild
     monkeypatch.setattr(Forest, "rebuild", lambda forest: (rebuilds.append(1), rebuild(forest)))
-    algorithm = make_visibility(name, scene, drawing_device, Settings(leaf_size=leaf_size))
+    algorithm = make_visibility(name, scene, drawing_device, VisibilitySettings(leaf_size=leaf_size))
     shots = [(EYE, 0.1 * frame) for frame in range(8)]
     assert count_wrong_pixels(drawing_device, scene, algorithm, shots, SIZE) == [0] * len(shots)
     assert name == "stop_and_wait" or rebuilds

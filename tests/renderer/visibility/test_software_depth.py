@@ -32,6 +32,7 @@ from renderer.visibility import (
     FrustumCulling,
     NoCulling,
     SoftwareDepth,
+    VisibilitySettings,
     find_visible_objects,
     list_algorithms,
     make_visibility,
@@ -111,7 +112,7 @@ def test_nothing_but_the_scenes_draw_reaches_the_renderers_device(null: rhi.Devi
 def test_whatever_occludes_no_pixel_is_lost(
     cl: rhi.Device, scene: Scene, eyes: list[Camera], occluders: int
 ) -> None:
-    algorithm = SoftwareDepth(scene, occluders=occluders)
+    algorithm = SoftwareDepth(scene, None, VisibilitySettings(occluders=occluders))
     assert not any(count_wrong_pixels(cl, scene, algorithm, [(eye, 0.0) for eye in eyes]))
     algorithm.destroy()
 
@@ -153,7 +154,7 @@ def test_occluders_of_fewer_pixels_close_narrow_gaps(null: rhi.Device, pixels: i
     behind_the_eye, behind_the_gap = (0.0, 0.0, 9.0), (0.85, 0.0, -10.0)
     places = [(-9.65, 0.0, -5.0), behind_the_eye, (10.5, 0.0, -5.0), behind_the_gap]
     scene = make_boxes(places, [(20.0, 20.0, 0.02), (0.1,) * 3, (20.0, 20.0, 0.02), (0.5,) * 3])
-    algorithm = SoftwareDepth(scene, occluder_pixels=pixels)
+    algorithm = SoftwareDepth(scene, None, VisibilitySettings(occluder_pixels=pixels))
     with Renderer(null, scene, size=SIZE) as renderer:
         assert visible(draw_with(renderer, algorithm, FRONT)) == expected
     algorithm.destroy()
@@ -180,7 +181,7 @@ def test_the_largest_occlude_near_first() -> None:
     )
     everything = np.arange(4)
     for occluders, expected in ((1, [2]), (2, [1, 2]), (4, [1, 2, 0])):
-        algorithm = SoftwareDepth(scene, occluders=occluders)
+        algorithm = SoftwareDepth(scene, None, VisibilitySettings(occluders=occluders))
         assert algorithm.choose_occluders(FRONT, everything).tolist() == expected
         algorithm.destroy()
 

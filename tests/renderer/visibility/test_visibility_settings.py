@@ -11,22 +11,22 @@ from occlusion_scenes import make_boxes
 import rhi
 from renderer.renderer import Renderer
 from renderer.scene import Camera
-from renderer.visibility import Settings, make_visibility
+from renderer.visibility import VisibilitySettings, make_visibility
 from rhi import Op
 from rhi.backends.null import NullBackend
 from rhi.errors import ValidationError
 
 
 def test_settings_come_back_from_their_file(tmp_path: Path) -> None:
-    settings = Settings(batch=7, persistence=3, threshold=2, emulated=True)
+    settings = VisibilitySettings(batch=7, persistence=3, threshold=2, emulated=True)
     settings.save(tmp_path / "s.json", device="a device")
-    assert Settings.load(tmp_path / "s.json") == settings
+    assert VisibilitySettings.load(tmp_path / "s.json") == settings
     assert json.loads((tmp_path / "s.json").read_text())["device"] == "a device"
 
 
 def test_a_number_that_is_missing_is_the_default(tmp_path: Path) -> None:
     (tmp_path / "s.json").write_text('{"visibility": {"batch": 9}}')
-    assert Settings.load(tmp_path / "s.json") == Settings(batch=9)
+    assert VisibilitySettings.load(tmp_path / "s.json") == VisibilitySettings(batch=9)
 
 
 @pytest.mark.parametrize("text", [
@@ -35,7 +35,7 @@ def test_a_number_that_is_missing_is_the_default(tmp_path: Path) -> None:
 def test_a_file_that_holds_no_settings_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "s.json").write_text(text)
     with pytest.raises(ValidationError, match=r"^\[visibility-bad-settings\]"):
-        Settings.load(tmp_path / "s.json")
+        VisibilitySettings.load(tmp_path / "s.json")
 
 
 @pytest.mark.parametrize(
@@ -47,19 +47,19 @@ def test_a_file_that_holds_no_settings_is_refused(tmp_path: Path, text: str) -> 
 )  # fmt: skip
 def test_a_value_out_of_its_range_is_refused(value: dict[str, int]) -> None:
     with pytest.raises(ValidationError, match=r"^\[visibility-bad-parameter\]"):
-        Settings(**value)
-    Settings(batch=1, persistence=1, leaf_size=1, threshold=0)
+        VisibilitySettings(**value)
+    VisibilitySettings(batch=1, persistence=1, leaf_size=1, threshold=0)
 
 
 def test_algorithms_are_made_with_their_settings(null: rhi.Device) -> None:
     scene = make_boxes([(0.0, 0.0, 0.0)], [(1.0, 1.0, 1.0)])
-    settings = Settings(batch=7, persistence=3, threshold=2)
+    settings = VisibilitySettings(batch=7, persistence=3, threshold=2)
     made = make_visibility("chc_plus_plus", scene, null, settings)
     assert (made._batch, made._persistence, made._queries.threshold) == (7, 3, 2)
-    assert make_visibility("chc_plus_plus", scene, null)._batch == Settings().batch
+    assert make_visibility("chc_plus_plus", scene, null)._batch == VisibilitySettings().batch
     assert make_visibility("conditional", scene, null, settings)._persistence == 3
     for name in ("chc", "chc_plus_plus", "conditional"):
-        assert make_visibility(name, scene, null, Settings(leaf_size=5))._forest._leaf_size == 5
+        assert make_visibility(name, scene, null, VisibilitySettings(leaf_size=5))._forest._leaf_size == 5
     for name in ("stop_and_wait", "chc"):
         assert make_visibility(name, scene, null, settings)._queries.threshold == 2
 
@@ -69,7 +69,7 @@ def test_algorithms_are_made_with_their_settings(null: rhi.Device) -> None:
 def test_emulated_queries_are_counters_in_place_of_queries(null: rhi.Device, name: str, emulated: bool) -> None:
     null.backend_as(NullBackend).count_samples(lambda draw: 100)
     scene = make_boxes([(0.0, 0.0, 0.0)], [(1.0, 1.0, 1.0)])
-    algorithm = make_visibility(name, scene, null, Settings(emulated=emulated))
+    algorithm = make_visibility(name, scene, null, VisibilitySettings(emulated=emulated))
     null.stream.clear()
     camera = Camera.look_at((0.0, 0.0, 20.0), (0.0, 0.0, 0.0))
     with Renderer(null, scene, visibility=algorithm, size=(64, 36)) as renderer:
@@ -81,12 +81,12 @@ def test_emulated_queries_are_counters_in_place_of_queries(null: rhi.Device, nam
 def test_what_is_drawn_on_condition_needs_native_queries(null: rhi.Device) -> None:
     scene = make_boxes([(0.0, 0.0, 0.0)], [(1.0, 1.0, 1.0)])
     with pytest.raises(ValidationError, match=r"^\[visibility-no-conditions\]"):
-        make_visibility("conditional", scene, null, Settings(emulated=True))
-    make_visibility("conditional", scene, null, Settings(emulated=False)).destroy()
+        make_visibility("conditional", scene, null, VisibilitySettings(emulated=True))
+    make_visibility("conditional", scene, null, VisibilitySettings(emulated=False)).destroy()
 
 
 def test_auto_hands_settings_on(gl: rhi.Device) -> None:
     scene = make_boxes([(0.0, 0.0, 0.0)], [(1.0, 1.0, 1.0)])
-    auto = make_visibility("auto", scene, gl, Settings(batch=7, emulated=True))
+    auto = make_visibility("auto", scene, gl, VisibilitySettings(batch=7, emulated=True))
     assert auto._find("chc_plus_plus")._batch == 7
     assert auto._find("chc_plus_plus")._queries.emulated

@@ -25,8 +25,6 @@ from rhi.backends.cl.memory.planes import GRAIN, allocate, fill, round_to_grain
 from rhi.backends.cl.memory.staging import Staging
 from rhi.contract.descriptors import BufferDescriptor, BufferUsage, Id
 
-__rhi_internal__ = True
-
 _MAX_RANGES: Final = 4096
 _MAX_KNOWN: Final = 1 << 24  # size in bytes of a buffer whose contents are kept on the host
 

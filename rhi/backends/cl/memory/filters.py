@@ -19,8 +19,6 @@ from rhi.backends.cl.pocl.held_programs import HeldProgram
 from rhi.contract.formats import ChannelKind, Format
 from rhi.contract.texels import from_srgb
 
-__rhi_internal__ = True
-
 _SOURCE: Final = """
 enum { UNORM8, UNORM16, SNORM8, SRGB8, HALF, FLOAT, UNORM10, FLOAT11 };  // the last two are packed
 

@@ -12,8 +12,6 @@ from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.errors import translate_errors
 from rhi.contract.descriptors import Region
 
-__rhi_internal__ = True
-
 GRAIN: Final = 128
 """Allocations are multiples of this many bytes, with at least this many bytes of padding behind the requested size."""
 BLOCK: Final = 4

@@ -19,8 +19,6 @@ import pyopencl as cl
 from rhi.backends.cl.context import ClContext, allocate_pages
 from rhi.backends.cl.errors import translate_errors
 
-__rhi_internal__ = True
-
 _PAGE_BYTES: Final = 1 << 20
 _ALIGN: Final = 64
 _SLACK: Final = 256  # bytes that vector loads may read past the end

@@ -16,8 +16,6 @@ from rhi.backends.cl.memory.textures import ClTexture
 from rhi.contract.descriptors import Id, SamplerDescriptor, TextureKind
 from rhi.shading.ir.texture_words import LevelLayout, describe_texture
 
-__rhi_internal__ = True
-
 
 class Samplers:
     """All samplers of a device, by id."""

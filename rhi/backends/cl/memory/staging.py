@@ -10,8 +10,6 @@ from typing import Final
 
 import pyopencl as cl
 
-__rhi_internal__ = True
-
 _MAX_STAGED: Final = 1 << 24
 _MOST_COPIES: Final = 1 << 13
 

@@ -22,8 +22,6 @@ from rhi.backends.cl.memory.planes import TexelPlane, allocate, pitches_of, roun
 from rhi.backends.cl.memory.staging import Staging
 from rhi.contract.descriptors import Id, Region, TextureDescriptor
 
-__rhi_internal__ = True
-
 
 class ClTexture:
     """The memory of one texture.

@@ -20,8 +20,6 @@ from rhi.backends.cl.raster.rows import COLUMN_COUNT, SLOT_COLUMNS, SLOT_COUNTS
 from rhi.backends.cl.slots import Slots
 from rhi.contract.descriptors import BindingKind, Id
 
-__rhi_internal__ = True
-
 
 class Bindings:
     """The bindings of one device.

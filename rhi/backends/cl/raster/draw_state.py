@@ -50,8 +50,6 @@ from rhi.contract.states import (
     Viewport,
 )
 
-__rhi_internal__ = True
-
 _MAX_MEMO: Final = 4096
 _FAR: Final = 1 << 20
 

@@ -30,8 +30,6 @@ from rhi.backends.cl.raster.tables import (
     varying_words,
 )
 
-__rhi_internal__ = True
-
 _SLICE_GROUPS: Final = 1 << 15  # 512 k records: 74 MiB of records, boxes and lists
 _CHUNKS: Final = 32  # of a slice: enough to balance a few cores, few enough to keep the counts of tiles small
 _MIN_CHUNK: Final = 8  # groups; fewer aren't worth a work-item

@@ -31,8 +31,6 @@ from rhi.backends.cl.raster.kernel_text import read_kernels
 from rhi.backends.cl.raster.rows import FIXED_COLUMNS, SLOT_COLUMNS
 from rhi.contract.descriptors import BindingKind, ProgramDescriptor, Stage, StageText, VertexStream
 
-__rhi_internal__ = True
-
 LANGUAGE: Final = "opencl16"
 _RASTER: Final = "raster"
 _POLYGONS: Final = "common", "triangles", "polygon"

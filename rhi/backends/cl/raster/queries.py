@@ -27,8 +27,6 @@ from rhi.backends.cl.fence import is_done
 from rhi.backends.cl.memory.pools import Addresses
 from rhi.contract.descriptors import Id, QueryKind
 
-__rhi_internal__ = True
-
 _PAGE_COUNTERS: Final = 512
 _MOST_PENDING: Final = 64  # batches, or segments of the running counter, that wait to be looked at
 

@@ -38,8 +38,6 @@ from rhi.backends.cl.slots import Slots
 from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor, VertexArrayDescriptor
 from rhi.contract.formats import Format
 
-__rhi_internal__ = True
-
 
 class Rasteriser:
     """The rasteriser of one device.

@@ -26,8 +26,6 @@ from rhi.backends.cl.raster.pipelines import Pipeline, VertexKernels
 from rhi.backends.cl.raster.tables import DRAW_STRUCT, GROUP, MAX_STREAMS
 from rhi.contract.descriptors import Id, Primitive, VertexArrayDescriptor
 
-__rhi_internal__ = True
-
 _PADDING: Final = 3 * GROUP  # indices: the loads of a group may run past the end
 
 

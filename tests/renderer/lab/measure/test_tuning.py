@@ -23,7 +23,7 @@ from renderer.cli.executors import make_executor
 from renderer.cli.output import OutputError
 from renderer.content import load_scene
 from renderer.lab.measure.tuning import ParameterPair, Trial, Walk, find_best, search, try_pairs
-from renderer.visibility import Settings
+from renderer.visibility import VisibilitySettings
 
 COMMAND = ["tune", "city:blocks=4,detail=2", "--size", "64x36", "--frames", "3", "--b", "1:8", "--n", "2"]
 
@@ -91,14 +91,14 @@ def test_tune_writes_what_render_and_compare_read(here: Path, capsys: pytest.Cap
     assert {int(row["persistence"]) for row in rows} == {2}
     assert all(float(row["ratio"]) > 0.0 and int(row["queries"]) > 0 for row in rows)
     assert np.asarray(Image.open(here / "new/tuned/trials.png")).std() > 10
-    settings = Settings.load(here / "new/tuned/settings.json")
+    settings = VisibilitySettings.load(here / "new/tuned/settings.json")
     assert report["visibility"]["batch"] == settings.batch
     assert report["ratio"] <= 1.0
     assert {final["batch"] for final in report["finals"]} <= {int(row["batch"]) for row in rows}
     shared = ["city:blocks=4,detail=2", "--size", "64x36", "--settings", "new/tuned/settings.json", "--json"]
     assert main(["compare", "visibility", *shared, "--frames", "1", "--algorithms", "chc_plus_plus"]) == 0
     compared = json.loads(capsys.readouterr().out)
-    assert compared["settings"] == asdict(Settings())
+    assert compared["settings"] == asdict(VisibilitySettings())
     assert compared["optimized"] == report["visibility"]
     assert [row["algorithm"] for row in compared["rows"]] == ["chc_plus_plus", "optimized_chc_plus_plus"]
     assert main(["render", *shared, "--visibility", "chc_plus_plus"]) == 0
@@ -140,7 +140,7 @@ def test_the_queries_that_are_asked_for_are_tuned_rendered_and_kept(
     wanted = {kind == "emulated"}
     assert main([*COMMAND, "--backend", "gl", "--rounds", "1", "--queries", kind]) == 0
     assert made == wanted
-    assert Settings.load(here / "tuned/settings.json").emulated is (kind == "emulated")
+    assert VisibilitySettings.load(here / "tuned/settings.json").emulated is (kind == "emulated")
     shared = ["render", COMMAND[1], "--size", "64x36", "--backend", "gl", "--visibility", "chc_plus_plus"]
     for extra in (["--settings", "tuned/settings.json"], ["--queries", kind]):
         made.clear()
@@ -271,4 +271,4 @@ def test_the_best_pair_is_tried_with_leaves_of_several_objects(
     assert main([*COMMAND, "--rounds", "1", "--leaf-size", "1:16"]) == 0
     assert [size for size in tried if size != 1] == [2, 4, 8, 16]
     (found,) = here.glob("**/settings.json")
-    assert Settings.load(found).leaf_size == 4
+    assert VisibilitySettings.load(found).leaf_size == 4
