@@ -80,6 +80,9 @@ class Fault(NamedTuple):
 Faults = Iterator[Fault]
 
 _MANY: Final = 1 << 16
+MAX_ROW_BYTES: Final = (1 << 31) - 1
+"""The largest distance between rows of a copy: drivers take 32 bits. The size of a buffer doesn't bound one row's."""
+
 ANY_DEVICE: Final = Capabilities(
     "any", "", "", max_texture_size=_MANY, max_texture_layers=_MANY, sample_counts=(1, 2, 4, 8, 16, 32),
     max_vertex_attributes=_MANY, max_uniform_bytes=1 << 40, max_storage_bytes=1 << 40, max_uniform_slots=1 << 10,
@@ -241,6 +244,8 @@ def row_faults(
     least, step = region.width * texel, max(texel, limits.copy_row_alignment)
     if row_bytes < least or row_bytes % step:
         yield Fault(BUFFER_ALIGNMENT, f"row_bytes={row_bytes}", f"a multiple of {step}, {least} or more")
+    if row_bytes > MAX_ROW_BYTES:
+        yield Fault(BUFFER_ALIGNMENT, f"row_bytes={row_bytes}", f"at most {MAX_ROW_BYTES}")
     step = max(texel, limits.copy_offset_alignment)
     if offset % step:
         yield Fault(BUFFER_ALIGNMENT, f"offset={offset}", f"a multiple of {step}")

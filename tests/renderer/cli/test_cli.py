@@ -412,7 +412,7 @@ def test_a_device_chooses_the_technique_of_a_plan(capsys: pytest.CaptureFixture[
     assert report["passes"][0]["name"] == first
 
 
-@pytest.mark.parametrize(("name", "code"), [("plan.svg", 0), ("plan.png", 0), ("plan.txt", 2)])
+@pytest.mark.parametrize(("name", "code"), [("plan.svg", 0), ("plan.png", 0), ("plan.jpg", 0), ("plan.txt", 2)])
 def test_a_plan_is_plotted_to_a_file_that_is_a_chart(
     capsys: pytest.CaptureFixture[str], here: Path, name: str, code: int
 ) -> None:
