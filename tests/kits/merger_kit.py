@@ -17,7 +17,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from rhi.backends.cl.context import QUICK, open_context
-from rhi.backends.cl.memory.pools import Addresses
+from rhi.backends.cl.memory.planes import allocate, find_address
 from rhi.backends.cl.raster.kernel_text import read_kernels
 from rhi.backends.cl.raster.merger import MergerKey, general_defines, make_key, make_state
 from rhi.contract.descriptors import FragmentOutput, ProgramDescriptor, Stage, StageText
@@ -49,9 +49,6 @@ kernel void merge(global const uint *state, global const uint16 *fragments, int 
 }
 """
 _context = cache(open_context)
-
-
-_addresses = cache(lambda: Addresses(_context()))
 
 
 @cache
@@ -139,7 +136,7 @@ def merge(
         buffers.append((upload(memory), memory, rows, plane))
         places.append((start, pitch, layer))
     table = np.frombuffer(key.words + np.array(places, "u8").tobytes(), np.uint8)
-    surfaces = np.array([_addresses().find(buffer) for buffer, *_ in buffers] or [0], "u8")
+    surfaces = np.array([find_address(buffer) for buffer, *_ in buffers] or [0], "u8")
     given = upload(state), upload(np.ascontiguousarray(blocks)), upload(table), upload(surfaces)
     kernel.set_args(*given[:2], np.int32(front), np.int32(width // 4), *given[2:])  # which doesn't keep them alive
     cl.enqueue_nd_range_kernel(queue, kernel, (width * height // 16,), (1,))
@@ -165,8 +162,7 @@ def merge(
 
 
 def upload(data: NDArray[Any]) -> cl.Buffer:
-    flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
-    return cl.Buffer(_context().context, flags, hostbuf=data)
+    return allocate(_context().context, data.nbytes, np.ascontiguousarray(data).reshape(-1))
 
 
 def run(
