@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import rhi
-from renderer.cli.options import Option, add_options, form
+from renderer.cli.options import CommandOption, add_options, form
 from renderer.cli.output import draw_chart, list_left_out, note, prepare_chart
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.lab.comparison import Record
@@ -58,7 +58,7 @@ class ComparisonProgram:
     name: str
     summary: str
     notes: str
-    options: Sequence[Option]
+    options: Sequence[CommandOption]
     measure: Callable[[argparse.Namespace], Report]
     titles: Mapping[str, str] = field(default_factory=dict)
     show: Callable[[Sequence[Record]], Sequence[Record]] = lambda rows: rows
@@ -95,7 +95,7 @@ class ComparisonProgram:
 
 
 def run_benchmark(
-    text: str | None, options: Sequence[Option], measure: Callable[[argparse.Namespace], Iterable[Record]]
+    text: str | None, options: Sequence[CommandOption], measure: Callable[[argparse.Namespace], Iterable[Record]]
 ) -> None:
     """Run a program of `benchmarks`: its docstring, its options but for those of `form`, and the function that yields
     its rows.

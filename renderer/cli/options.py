@@ -87,7 +87,7 @@ def parse_names(known: Collection[str], what: str) -> Callable[[str], list[str]]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Option:
+class CommandOption:
     """An argument of a command.
 
     Attributes:
@@ -101,7 +101,7 @@ class Option:
     group: str = ""
 
 
-def add_options(parser: argparse.ArgumentParser, options: Iterable[Option]) -> None:
+def add_options(parser: argparse.ArgumentParser, options: Iterable[CommandOption]) -> None:
     """Let a parser read options."""
     groups: dict[str, Any] = {"": parser}
     for one in options:
@@ -112,47 +112,47 @@ def add_options(parser: argparse.ArgumentParser, options: Iterable[Option]) -> N
 
 def option(
     flag: str, help: str, default: Any = None, shown: object = None, **told: Any
-) -> Option:
+) -> CommandOption:
     """Return an option whose help ends with its default, or with `shown` in its place; "" ends it without."""
     shown = default if shown is None else shown
     ending = "" if shown is None or shown == "" else f" (default: {shown})"
-    return Option(flag, {"help": help + ending, "default": default, **told})
+    return CommandOption(flag, {"help": help + ending, "default": default, **told})
 
 
-def switch(flag: str, help: str) -> Option:
+def switch(flag: str, help: str) -> CommandOption:
     """Return an option that is given or not."""
-    return Option(flag, {"help": help, "action": "store_true"})
+    return CommandOption(flag, {"help": help, "action": "store_true"})
 
 
-def count(flag: str, help: str, default: int | None = None, shown: object = None, least: int = 1) -> Option:
+def count(flag: str, help: str, default: int | None = None, shown: object = None, least: int = 1) -> CommandOption:
     """Return an option that is a whole number of 0 or of 1 or more."""
     return option(flag, help, default, shown, type=parse_count if least else parse_frame, metavar="N")
 
 
-def length(flag: str, help: str, shown: object = None) -> Option:
+def length(flag: str, help: str, shown: object = None) -> CommandOption:
     """Return an option that is a length in metres."""
     return option(flag, help, None, shown, type=parse_length, metavar="M")
 
 
-def file(flag: str, help: str, form: str = "F.png", default: str | None = None, **told: Any) -> Option:
+def file(flag: str, help: str, form: str = "F.png", default: str | None = None, **told: Any) -> CommandOption:
     """Return an option that is the path of a file or folder."""
     return option(flag, help, None if default is None else Path(default), type=Path, metavar=form, **told)
 
 
-def choice(flag: str, help: str, known: Iterable[str], default: Any = None, shown: object = None) -> Option:
+def choice(flag: str, help: str, known: Iterable[str], default: Any = None, shown: object = None) -> CommandOption:
     """Return an option that is one of some names."""
     return option(flag, help, default, shown, choices=known)
 
 
 def some(flag: str, known: Collection[str], wrong: str, default: Sequence[str] | None = None,
-         shown: object = None, help: str = "") -> Option:  # fmt: skip
+         shown: object = None, help: str = "") -> CommandOption:  # fmt: skip
     """Return an option that is a list of some of `known`; `wrong` says what another isn't."""
     help = f"{help}some of {', '.join(known)}"
     shown = shown or ",".join(default or ())
     return option(flag, help, default, shown, type=parse_names(known, wrong), metavar="A,B,…")
 
 
-def several(flag: str, help: str, parse: Callable[[str], Any], default: list[Any], shown: object, form: str) -> Option:
+def several(flag: str, help: str, parse: Callable[[str], Any], default: list[Any], shown: object, form: str) -> CommandOption:
     """Return an option that is a list of values between commas."""
     return option(flag, help, default, shown, type=lambda text: [parse(part) for part in text.split(",")], metavar=form)
 
@@ -169,12 +169,12 @@ QUERIES_HELP: Final = "occlusion queries: the device's own, or emulated by two c
 SETTINGS_HELP: Final = "file with the parameters of the visibility algorithms, written by `tune` or `accuracy`"
 
 
-def size(default: tuple[int, int] = (960, 540), what: str = "size of the image in pixels") -> Option:
+def size(default: tuple[int, int] = (960, 540), what: str = "size of the image in pixels") -> CommandOption:
     """Return the option `--size WxH`; `what` says what has that size."""
     return option("--size", what, default, "{}x{}".format(*default), type=parse_size, metavar="WxH")
 
 
-def camera(default: str | None = None, shown: object = None) -> Option:
+def camera(default: str | None = None, shown: object = None) -> CommandOption:
     """Return the option `--camera CAMERA`; `shown` says what holds without it."""
     shown = shown or default or "the scene's first view"
     return option(
@@ -183,55 +183,55 @@ def camera(default: str | None = None, shown: object = None) -> Option:
     )  # fmt: skip
 
 
-def frame(what: str = "first frame of the path", default: int | None = 0, shown: object = None) -> Option:
+def frame(what: str = "first frame of the path", default: int | None = 0, shown: object = None) -> CommandOption:
     """Return the option `--frame N`; `what` says which frame it is."""
     return count("--frame", what, default, shown, least=0)
 
 
-def frames(default: int | None, what: str = "number of frames") -> Option:
+def frames(default: int | None, what: str = "number of frames") -> CommandOption:
     """Return the option `--frames N`; `what` says what it counts."""
     return count("--frames", what, default)
 
 
-def rounds(what: str, default: int = 5) -> Option:
+def rounds(what: str, default: int = 5) -> CommandOption:
     """Return the option `--rounds N`; `what` says what it counts."""
     return count("--rounds", what, default)
 
 
-def walk(what: str) -> tuple[Option, ...]:
+def walk(what: str) -> tuple[CommandOption, ...]:
     """Return the options of commands that draw a part of a path: where it begins and how long it is."""
     middle = "the frames lie around the path's middle"
     return PATH, frame("first frame of the path, at 60 a second", None, middle), frames(60, what)
 
 
-def form(what: str = "table") -> tuple[Option, ...]:
+def form(what: str = "table") -> tuple[CommandOption, ...]:
     """Return the options for how a result is printed."""
     as_markdown = switch("--markdown", f"print the {what} as Markdown")
     return tuple(replace(one, group="form") for one in (JSON, as_markdown))
 
 
-def chart(what: str = "the times") -> Option:
+def chart(what: str = "the times") -> CommandOption:
     """Return the option for a chart; `what` is what it shows."""
     return file("--plot", f"write a chart of {what}")
 
 
-def settings(what: str = SETTINGS_HELP, shown: object = "") -> Option:
+def settings(what: str = SETTINGS_HELP, shown: object = "") -> CommandOption:
     """Return the option `--settings F.json`; `what` says what the file has."""
     shown = shown or ("b=50, n=20" if what is SETTINGS_HELP else "")
     return option("--settings", what, None, shown, type=Path, metavar="F.json")
 
 
-def queries(shown: str) -> Option:
+def queries(shown: str) -> CommandOption:
     """Return the option `--queries KIND`; `shown` says what holds without it."""
     return choice("--queries", QUERIES_HELP, QUERY_KINDS, None, shown)
 
 
-def visibility(default: str | None, shown: object = None, flag: str = "--visibility") -> Option:
+def visibility(default: str | None, shown: object = None, flag: str = "--visibility") -> CommandOption:
     """Return the option that names an algorithm of visibility."""
     return choice(flag, "what decides which objects are drawn", ALGORITHMS, default, shown)
 
 
-def technique(name: str = AutoTechnique.name, *, is_given: bool = True) -> tuple[Option, ...]:
+def technique(name: str = AutoTechnique.name, *, is_given: bool = True) -> tuple[CommandOption, ...]:
     """Return the options of a technique; not `is_given` leaves what isn't asked for to a file of settings."""
     how = "how the scene is drawn; auto tries a few and takes the fastest"
     smooth = "samples per pixel, which smooth edges; with more than one, auto is forward"
@@ -263,6 +263,6 @@ BLENDING: Final = choice(
 )  # fmt: skip
 
 
-def executor(what: str, kinds: str) -> Option:
+def executor(what: str, kinds: str) -> CommandOption:
     """Return the option `--executor E`; `what` runs there, and `kinds` says where that can be."""
     return option("--executor", f"where {what} run: {kinds} of a scheduler", "serial", metavar="E")

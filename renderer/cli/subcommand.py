@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
-from renderer.cli.options import Option, add_options
+from renderer.cli.options import CommandOption, add_options
 
 
 class Parser(argparse.ArgumentParser):
@@ -36,7 +36,7 @@ class Subcommand:
 
     name: str
     summary: str
-    options: Sequence[Option]
+    options: Sequence[CommandOption]
     run: Callable[[argparse.Namespace], None]
     notes: str
 
