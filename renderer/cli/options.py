@@ -110,9 +110,7 @@ def add_options(parser: argparse.ArgumentParser, options: Iterable[CommandOption
         groups[one.group].add_argument(one.flag, **one.told)
 
 
-def option(
-    flag: str, help: str, default: Any = None, shown: object = None, **told: Any
-) -> CommandOption:
+def option(flag: str, help: str, default: Any = None, shown: object = None, **told: Any) -> CommandOption:
     """Return an option whose help ends with its default, or with `shown` in its place; "" ends it without."""
     shown = default if shown is None else shown
     ending = "" if shown is None or shown == "" else f" (default: {shown})"
@@ -124,7 +122,9 @@ def switch(flag: str, help: str) -> CommandOption:
     return CommandOption(flag, {"help": help, "action": "store_true"})
 
 
-def count(flag: str, help: str, default: int | None = None, shown: object = None, least: int = 1) -> CommandOption:
+def count(
+    flag: str, help: str, default: int | None = None, shown: object = None, least: int = 1
+) -> CommandOption:
     """Return an option that is a whole number of 0 or of 1 or more."""
     return option(flag, help, default, shown, type=parse_count if least else parse_frame, metavar="N")
 
@@ -139,7 +139,9 @@ def file(flag: str, help: str, form: str = "F.png", default: str | None = None, 
     return option(flag, help, None if default is None else Path(default), type=Path, metavar=form, **told)
 
 
-def choice(flag: str, help: str, known: Iterable[str], default: Any = None, shown: object = None) -> CommandOption:
+def choice(
+    flag: str, help: str, known: Iterable[str], default: Any = None, shown: object = None
+) -> CommandOption:
     """Return an option that is one of some names."""
     return option(flag, help, default, shown, choices=known)
 
@@ -152,9 +154,13 @@ def some(flag: str, known: Collection[str], wrong: str, default: Sequence[str] |
     return option(flag, help, default, shown, type=parse_names(known, wrong), metavar="A,B,…")
 
 
-def several(flag: str, help: str, parse: Callable[[str], Any], default: list[Any], shown: object, form: str) -> CommandOption:
+def several(
+    flag: str, help: str, parse: Callable[[str], Any], default: list[Any], shown: object, form: str
+) -> CommandOption:
     """Return an option that is a list of values between commas."""
-    return option(flag, help, default, shown, type=lambda text: [parse(part) for part in text.split(",")], metavar=form)
+    return option(
+        flag, help, default, shown, type=lambda text: [parse(part) for part in text.split(",")], metavar=form
+    )
 
 
 SCENE: Final = option("scene", "a scene generator (see `scenes`) or a model file", metavar="SCENE")
@@ -162,11 +168,16 @@ BACKEND: Final = option(
     "--backend", ", ".join(rhi.backend_names()), None, "RHI_BACKEND, or the first that works", metavar="NAME"
 )
 PATH: Final = option(
-    "--camera-path", "a path of the scene (ground, sky), or the .json file of a walk-through", "ground", metavar="PATH"
+    "--camera-path",
+    "a path of the scene (ground, sky), or the .json file of a walk-through",
+    "ground",
+    metavar="PATH",
 )
 JSON: Final = switch("--json", "print the result as JSON")
 QUERIES_HELP: Final = "occlusion queries: the device's own, or emulated by two counters and a fence"
-SETTINGS_HELP: Final = "file with the parameters of the visibility algorithms, written by `tune` or `accuracy`"
+SETTINGS_HELP: Final = (
+    "file with the parameters of the visibility algorithms, written by `tune` or `accuracy`"
+)
 
 
 def size(default: tuple[int, int] = (960, 540), what: str = "size of the image in pixels") -> CommandOption:
@@ -183,7 +194,9 @@ def camera(default: str | None = None, shown: object = None) -> CommandOption:
     )  # fmt: skip
 
 
-def frame(what: str = "first frame of the path", default: int | None = 0, shown: object = None) -> CommandOption:
+def frame(
+    what: str = "first frame of the path", default: int | None = 0, shown: object = None
+) -> CommandOption:
     """Return the option `--frame N`; `what` says which frame it is."""
     return count("--frame", what, default, shown, least=0)
 
