@@ -6,6 +6,7 @@ from renderer.frame.layer import Layer
 from renderer.frame.mirrors import MirroredArray
 from renderer.frame.needs import (
     EXACT_GLOW,
+    LAMPS,
     SHADOW_EFFECTS,
     Blending,
     Effect,
@@ -24,6 +25,7 @@ __all__ = [
     "DEPTH_FORMAT",
     "EXACT_GLOW",
     "IMAGE_FORMAT",
+    "LAMPS",
     "OUTPUTS",
     "SHADOW_EFFECTS",
     "Blending",
