@@ -238,6 +238,14 @@ def describe(error: RhiError) -> str:
     return " ".join(line.split())
 
 
+def describe_missing(module: str | None, extra: str) -> str:
+    """Return the line that says how to install a module that an extra brings, by name and from a checkout."""
+    return (
+        f"{module} is missing; install it with: pip install 'rhi[{extra}]', "
+        f"or in a checkout: pip install --editable '.[{extra}]'"
+    )
+
+
 def refuse_name(rule: Rule, call: str, given: str, allowed: Iterable[str]) -> NoReturn:
     """Refuse the name `given`, listing the `allowed` names and suggesting the nearest one, if any is similar."""
     names = list(allowed)

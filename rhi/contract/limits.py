@@ -290,11 +290,14 @@ def buffer_copy_faults(
 ) -> Faults:
     """Yield what is wrong with a copy between buffers, or within one (`same`)."""
     alignment = limits.copy_alignment
-    for whole, start in ((source_size, offset), (target_size, target_offset)):
-        if start < 0 or size <= 0 or start + size > whole:
-            yield Fault(BUFFER_RANGE, f"{size} bytes at {start}", f"1 or more within {whole} bytes")
-        if start % alignment or size % alignment:
-            yield Fault(BUFFER_ALIGNMENT, f"{size} bytes at {start}", f"multiples of {alignment} bytes")
+    if size <= 0 or not 0 <= offset <= source_size - size:  # no loop over the two: renderers copy in each frame
+        yield Fault(BUFFER_RANGE, f"{size} bytes at {offset}", f"1 or more within {source_size} bytes")
+    if offset % alignment or size % alignment:
+        yield Fault(BUFFER_ALIGNMENT, f"{size} bytes at {offset}", f"multiples of {alignment} bytes")
+    if not 0 <= target_offset <= target_size - size:
+        yield Fault(BUFFER_RANGE, f"{size} bytes at {target_offset}", f"1 or more within {target_size} bytes")
+    if target_offset % alignment:
+        yield Fault(BUFFER_ALIGNMENT, f"{size} bytes at {target_offset}", f"multiples of {alignment} bytes")
     if same and abs(offset - target_offset) < size:
         yield Fault(BUFFER_OVERLAP, f"{offset} to {target_offset}, {size} bytes")
 

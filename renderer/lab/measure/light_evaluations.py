@@ -60,8 +60,8 @@ _LEARNS: Final = 4
 
 
 class CountedLights(Shader):
-    """Makes a technique's shader count the lights that it looks at: each of them adds 1, and nothing else is seen. As the
-    first base of a variant it leaves the lists that are walked to the technique."""
+    """Makes a technique's shader count the lights that it looks at: each of them adds 1, and nothing else is seen. As
+    the first base of a variant it leaves the lists that are walked to the technique."""
 
     lean = True
 
