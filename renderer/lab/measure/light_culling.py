@@ -230,9 +230,12 @@ def _compare_tests(
     def exchange(technique: ListedForward) -> None:
         renderer.technique = technique
 
+    def count(technique: ListedForward) -> Record:
+        return {"draw_ms": technique.seconds}
+
     collecting = [Subject(found[one], partial(collect, grid)) for one, grid in grids.items()]
     drawing = [
-        Subject({}, draw, partial(exchange, one), lambda one=one: {"draw_ms": one.seconds}, device)
+        Subject({}, draw, partial(exchange, one), partial(count, one), device)
         for one in drawn.values()
     ]
     numbers = list(rounds)
