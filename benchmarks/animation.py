@@ -17,9 +17,8 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 import rhi
-from renderer.cli.arguments import add_rounds
+from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
-from renderer.cli.subcommand import Parser
 from renderer.content import BUILT_IN
 from renderer.lab.comparison import Column, Record, Subject, average, compare, ratio, time
 from renderer.renderer import Renderer
@@ -116,11 +115,12 @@ def measure(given: argparse.Namespace) -> Iterator[Record]:
             one.renderer.destroy()
 
 
-def add_arguments(parser: Parser) -> None:
-    parser.add_argument("--backend", default="null", help="the device (default: %(default)s)")
-    parser.add_argument("--objects", type=int, default=2000, help="animated boxes (default: %(default)s)")
-    add_rounds(parser, "rounds", 25)
+OPTIONS = (
+    options.option("--backend", "the device", "null"),
+    options.count("--objects", "animated boxes", 2000),
+    options.rounds("rounds", 25),
+)
 
 
 if __name__ == "__main__":
-    run_benchmark(__doc__, add_arguments, measure)
+    run_benchmark(__doc__, OPTIONS, measure)

@@ -30,9 +30,8 @@ import moderngl
 import numpy as np
 
 import rhi
-from renderer.cli.arguments import add_rounds
+from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
-from renderer.cli.subcommand import Parser
 from renderer.lab.comparison import Record, Subject, compare, ratio, time
 from rhi import ColorWrite, CullMode, DepthWrite
 from rhi.backends.gl.backend import GlBackend
@@ -286,12 +285,13 @@ def measure(given: argparse.Namespace) -> Iterator[Record]:
         yield {"on": "null", **row}
 
 
-def add_arguments(parser: Parser) -> None:
-    parser.add_argument("--draws", type=int, default=2000, help="draws per round (default: %(default)s)")
-    parser.add_argument("--triangles", type=int, default=10, help="triangles per draw (default: %(default)s)")
-    add_rounds(parser, "rounds", 41)
-    parser.add_argument("--rasterize", action="store_true", help="let the triangles reach the rasteriser")
+OPTIONS = (
+    options.count("--draws", "draws per round", 2000),
+    options.count("--triangles", "triangles per draw", 10),
+    options.rounds("rounds", 41),
+    options.switch("--rasterize", "let the triangles reach the rasteriser"),
+)
 
 
 if __name__ == "__main__":
-    run_benchmark(__doc__, add_arguments, measure)
+    run_benchmark(__doc__, OPTIONS, measure)

@@ -27,9 +27,8 @@ import moderngl
 import numpy as np
 
 import rhi
-from renderer.cli.arguments import add_rounds
+from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
-from renderer.cli.subcommand import Parser
 from renderer.lab.comparison import Record, Subject, compare, time
 from renderer.lab.measure.draw_order import count_changes
 from rhi.shading import Shader, Storage, Struct, Uniform, instance_index, vec2, vec4
@@ -180,11 +179,14 @@ def measure(given: argparse.Namespace) -> Iterator[Record]:
         context.disable_direct(RASTERIZER_DISCARD)
 
 
-def add_arguments(parser: Parser) -> None:
-    for name, default in (("objects", 5000), ("programs", 2), ("materials", 300), ("meshes", 400)):
-        parser.add_argument(f"--{name}", type=int, default=default)
-    add_rounds(parser, "rounds", 15)
+OPTIONS = (
+    *(
+        options.count(f"--{name}", f"number of {name}", default)
+        for name, default in {"objects": 5000, "programs": 2, "materials": 300, "meshes": 400}.items()
+    ),
+    options.rounds("rounds", 15),
+)
 
 
 if __name__ == "__main__":
-    run_benchmark(__doc__, add_arguments, measure)
+    run_benchmark(__doc__, OPTIONS, measure)

@@ -37,7 +37,7 @@ from opencl_runner import Kernel, queue
 
 import renderer
 import rhi
-from renderer.cli.arguments import add_form
+from renderer.cli import options
 from renderer.cli.comparison import ComparisonProgram, Report
 from renderer.cli.subcommand import Parser
 from renderer.lab.comparison import Subject, compare, ratio
@@ -455,9 +455,7 @@ def measure_all(given: argparse.Namespace) -> Report:
     return Report({"front_end": front_end}, measure(given.repeats))
 
 
-def add_arguments(parser: Parser) -> None:
-    parser.add_argument("--repeats", type=int, default=9, help="runs of each variant (default: %(default)s)")
-    add_form(parser)
+OPTIONS = (options.count("--repeats", "runs of each variant", 9), *options.form())
 
 
 def show_front_end(about: Mapping[str, Any], _: bool) -> list[str]:
@@ -466,6 +464,5 @@ def show_front_end(about: Mapping[str, Any], _: bool) -> list[str]:
 
 if __name__ == "__main__":
     parser = Parser(description=__doc__)
-    add_arguments(parser)
-    program = ComparisonProgram("lanes", "", "", add_arguments, measure_all, more=show_front_end)
-    program.run(parser.parse_args())
+    options.add_options(parser, OPTIONS)
+    ComparisonProgram("lanes", "", "", OPTIONS, measure_all, more=show_front_end).run(parser.parse_args())

@@ -17,9 +17,8 @@ from collections.abc import Callable, Iterator
 from scenes import Scene
 
 import rhi
-from renderer.cli.arguments import add_rounds
+from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
-from renderer.cli.subcommand import Parser
 from renderer.lab.comparison import Record, Subject, compare, rate
 from rhi.backends.null import create_backend
 from rhi.commands.recorder import Recorder
@@ -88,10 +87,8 @@ def bytes_per_command(stream: rhi.CommandStream) -> float:
     return (sys.getsizeof(stream.data) + offsets) / len(stream)
 
 
-def add_arguments(parser: Parser) -> None:
-    parser.add_argument("--draws", type=int, default=5000, help="draws per round (default: %(default)s)")
-    add_rounds(parser, "rounds", 15)
+OPTIONS = (options.count("--draws", "draws per round", 5000), options.rounds("rounds", 15))
 
 
 if __name__ == "__main__":
-    run_benchmark(__doc__, add_arguments, measure)
+    run_benchmark(__doc__, OPTIONS, measure)

@@ -20,7 +20,7 @@ from typing import Final
 import numpy as np
 from PIL import Image
 
-from renderer.cli.arguments import add_rounds
+from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
 from renderer.content import load_model, save_scene
 from renderer.lab.comparison import Column, Record, Subject, compare, time
@@ -106,4 +106,4 @@ def measure(given: argparse.Namespace) -> Iterator[Record]:
 
 
 if __name__ == "__main__":
-    run_benchmark(__doc__, lambda parser: add_rounds(parser, "rounds"), measure)
+    run_benchmark(__doc__, (options.rounds("rounds"),), measure)

@@ -16,9 +16,8 @@ from collections.abc import Iterator
 import numpy as np
 
 import rhi
-from renderer.cli.arguments import add_rounds, add_size, parse_count
+from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
-from renderer.cli.subcommand import Parser
 from renderer.content import load_scene
 from renderer.lab.comparison import Record, Subject, compare, kernels, time
 from renderer.scene import Scene
@@ -71,14 +70,13 @@ def measure(given: argparse.Namespace) -> Iterator[Record]:
         yield measure_path(scene, path, given.boxes, given.size, given.rounds)
 
 
-def add_arguments(parser: Parser) -> None:
-    parser.add_argument("--scene", default="city", help="a scene with paths `ground` and `sky` (default: %(default)s)")
-    parser.add_argument(
-        "--boxes", type=parse_count, default=10_000, help="boxes to test in one batch (default: %(default)s)"
-    )
-    add_size(parser)
-    add_rounds(parser, "rounds for each path", 60)
+OPTIONS = (
+    options.option("--scene", "a scene with paths `ground` and `sky`", "city"),
+    options.count("--boxes", "boxes to test in one batch", 10_000),
+    options.size(),
+    options.rounds("rounds for each path", 60),
+)
 
 
 if __name__ == "__main__":
-    run_benchmark(__doc__, add_arguments, measure)
+    run_benchmark(__doc__, OPTIONS, measure)

@@ -18,9 +18,8 @@ from pathlib import Path
 from scenes import Scene
 
 import rhi
-from renderer.cli.arguments import add_rounds
+from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
-from renderer.cli.subcommand import Parser
 from renderer.lab.comparison import Record, Subject, compare, rate, time
 from rhi import CullMode, DepthWrite
 from rhi.trace import Trace, diff, load, replay, save
@@ -70,10 +69,8 @@ def measure(given: argparse.Namespace) -> Iterator[Record]:
             yield row | {"commands/s": round(row["commands/s"])}
 
 
-def add_arguments(parser: Parser) -> None:
-    parser.add_argument("--commands", type=int, default=10_000, help="length of the trace (default: %(default)s)")
-    add_rounds(parser, "rounds", 7)
+OPTIONS = (options.count("--commands", "length of the trace", 10_000), options.rounds("rounds", 7))
 
 
 if __name__ == "__main__":
-    run_benchmark(__doc__, add_arguments, measure)
+    run_benchmark(__doc__, OPTIONS, measure)
