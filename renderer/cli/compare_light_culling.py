@@ -11,7 +11,7 @@ from renderer.cli.arguments import open_scene
 from renderer.cli.comparison import ComparisonProgram, Report, describe, repeat
 from renderer.cli.output import show_progress
 from renderer.content import parse_camera
-from renderer.lab.measure.light_culling import compare_light_culling
+from renderer.lab.light_culling import compare_light_culling
 from renderer.lights.culling import CONE_TESTS, SPHERE_TESTS
 from renderer.renderer import Renderer
 from renderer.visibility import make_visibility

@@ -11,7 +11,7 @@ import pytest
 import rhi
 from renderer.cli import main
 from renderer.content import BUILT_IN, load_scene
-from renderer.lab.measure.light_culling import (
+from renderer.lab.light_culling import (
     choose_lights,
     compare_light_culling,
     find_lit,
