@@ -147,7 +147,7 @@ def _say_choice(reports: list[BackendReport]) -> str:
     renderers = {r.name: r.capabilities.device for r in reports if r.capabilities and r.capabilities.renders}
     chosen = next(iter(renderers), "nothing; see the reasons above")
     if "llvmpipe" in renderers.get(chosen, "") and "cl" in renderers:
-        return f"{chosen}\nllvmpipe draws on the CPU; RHI_BACKEND=cl does so several times as fast"
+        return f"{chosen}\nllvmpipe draws on the CPU; RHI_BACKEND=cl is faster, but for long shaders"
     return chosen
 
 

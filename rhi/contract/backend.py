@@ -238,7 +238,8 @@ class PreparesKernels(Protocol):
 
         Args:
             vertex_array: a vertex array of the program; 0 for none.
-            colors, depth, samples: the formats and samples of the targets; without any, they aren't known yet.
+            colors: the formats of the color targets; without any target, they aren't known yet.
+            depth: the format of the depth target. samples: those of all targets.
             states: the value of every state type.
         """
 
