@@ -28,7 +28,7 @@ from renderer.cli.output import draw_chart, show_progress
 from renderer.cli.subcommand import Parser
 from renderer.content import load_scene
 from renderer.lab.measure import format_table
-from renderer.lab.measure.visibility import compare_algorithms, list_contenders, list_frames
+from renderer.lab.visibility import compare_algorithms, list_contenders, list_frames
 from renderer.renderer import Renderer
 from renderer.visibility import VisibilitySettings, list_algorithms
 
@@ -103,7 +103,7 @@ def measure(backend: str, path_name: str, frames: int, warm_up: int, size: tuple
             "warm_up": warm_up,
             "size": list(size),
             "optimized": asdict(replace(tuned, emulated=False)),
-            "rows": {row.algorithm: asdict(row) for row in rows},
+            "rows": {row["algorithm"]: row for row in rows},
         }
 
 

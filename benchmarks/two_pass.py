@@ -28,7 +28,7 @@ import rhi
 from renderer.cli.arguments import parse_size
 from renderer.content import load_scene
 from renderer.lab.measure.exact import ExactVisibility
-from renderer.lab.measure.visibility import Picture
+from renderer.lab.visibility import Picture
 from renderer.renderer import Renderer
 from renderer.scene import Scene
 from renderer.visibility import (

@@ -2,6 +2,7 @@
 
 import sys
 
+from renderer.rules import describe_missing
 from rhi.errors.readers import run_for_reader
 
 try:
@@ -9,7 +10,7 @@ try:
 except ModuleNotFoundError as missing:
     if missing.name not in ("PIL", "tqdm"):
         raise
-    print(f"error: {missing.name} is missing; install it with: pip install 'rhi[renderer]'", file=sys.stderr)
+    print(f"error: {describe_missing(missing.name, 'renderer')}", file=sys.stderr)
     sys.exit(2)
 
 if __name__ == "__main__":

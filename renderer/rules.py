@@ -12,8 +12,6 @@ from typing import Final, NoReturn
 
 from rhi.errors import RhiError, Rule, refuse
 
-__rhi_internal__ = True
-
 # Model files
 MISSING_FILE: Final = Rule("scene-missing-file", "the model file does not exist")
 UNKNOWN_FORMAT: Final = Rule("scene-unknown-format", "the model file's extension names no known format")
@@ -238,6 +236,14 @@ def describe(error: RhiError) -> str:
     tip = f"; {error.tip}" if error.tip else ""
     line = f"{error.rule.sentence.rstrip('.')}{given}{allowed}{tip} [{error.rule.id}]"
     return " ".join(line.split())
+
+
+def describe_missing(module: str | None, extra: str) -> str:
+    """Return the line that says how to install a module that an extra brings, by name and from a checkout."""
+    return (
+        f"{module} is missing; install it with: pip install 'rhi[{extra}]', "
+        f"or in a checkout: pip install --editable '.[{extra}]'"
+    )
 
 
 def refuse_name(rule: Rule, call: str, given: str, allowed: Iterable[str]) -> NoReturn:

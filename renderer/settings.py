@@ -26,8 +26,6 @@ from renderer.visibility import VisibilitySettings, check_algorithm, make_visibi
 from rhi import Device, RhiError, refuse
 from rhi.shading import Precision
 
-__rhi_internal__ = True
-
 
 @dataclass(frozen=True, slots=True)
 class RenderSettings:

@@ -26,8 +26,6 @@ from rhi.errors import RhiError
 from rhi.errors.readers import run_for_reader
 from rhi.trace import cli as trace_cli
 
-__rhi_internal__ = True
-
 _COMMANDS: Final = """\
 commands, each with --help:
   trace             inspect recorded commands: show, replay, diff, reduce
@@ -149,7 +147,7 @@ def _say_choice(reports: list[BackendReport]) -> str:
     renderers = {r.name: r.capabilities.device for r in reports if r.capabilities and r.capabilities.renders}
     chosen = next(iter(renderers), "nothing; see the reasons above")
     if "llvmpipe" in renderers.get(chosen, "") and "cl" in renderers:
-        return f"{chosen}\nllvmpipe draws on the CPU; RHI_BACKEND=cl does so several times as fast"
+        return f"{chosen}\nllvmpipe draws on the CPU; RHI_BACKEND=cl is faster, but for long shaders"
     return chosen
 
 

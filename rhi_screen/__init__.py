@@ -19,6 +19,4 @@
 from rhi_screen.canvases import CANVASES, open_canvas
 from rhi_screen.screen import Screen, open_screen
 
-__rhi_internal__ = True
-
 __all__ = ["CANVASES", "Screen", "open_canvas", "open_screen"]

@@ -13,8 +13,6 @@ from typing import Any, Final, TypeAlias
 from rhi.errors import DeviceError, refuse
 from rhi_screen.rules import INSTALL, SCREEN_CANVAS, SCREEN_MISSING
 
-__rhi_internal__ = True
-
 Canvas: TypeAlias = Any
 """A `rendercanvas.BaseRenderCanvas`; rendercanvas has no types that a type checker reads."""
 

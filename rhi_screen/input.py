@@ -12,8 +12,6 @@ from typing import Any, Final
 
 import glfw
 
-__rhi_internal__ = True
-
 Event = dict[str, Any]
 
 KEYS: Final = {

@@ -6,8 +6,6 @@ from typing import Final
 
 from rhi.errors import Rule
 
-__rhi_internal__ = True
-
 INSTALL: Final = 'pip install "rhi[viewer]"'
 
 SCREEN_MISSING: Final = Rule("screen-missing", "something that this canvas needs is not installed", INSTALL)

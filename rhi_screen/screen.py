@@ -11,8 +11,6 @@ from rhi.errors import refuse
 from rhi_screen.canvases import Canvas, find_loop, open_canvas
 from rhi_screen.rules import SCREEN_IMAGE
 
-__rhi_internal__ = True
-
 SHOWN: Final = (rhi.Format.RGBA8, rhi.Format.RGBA8_SRGB)
 """Formats of images that every canvas shows, bit for bit."""
 

@@ -30,8 +30,6 @@ from rhi_screen.rules import SCREEN_DISPLAY, SCREEN_DRIVER
 
 __all__ = ["Window", "WindowFrames", "loop"]
 
-__rhi_internal__ = True
-
 _CALL: Final = "rhi_screen.open_canvas('window')"
 
 CURSORS: Final = {

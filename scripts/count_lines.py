@@ -1,7 +1,7 @@
 """Count lines of code by package: `python scripts/count_lines.py [--check] [--deep]`.
 
-A line counts if it holds code: no comment, no docstring, no blank line. Only files that git tracks count. With
-`--check` it ends with 1 if their sum is above `lines-of-code` in `pyproject.toml`; that number is raised only in a
+A line counts if it holds code: no comment, no docstring, no blank line. Of a clone, only files that git tracks count.
+With `--check` it ends with 1 if their sum is above `lines-of-code` in `pyproject.toml`; that number is raised only in a
 commit that says why. `--deep` counts the parts of `rhi` and `renderer` one by one.
 """
 
@@ -58,13 +58,21 @@ def find_package(file: PurePosixPath, deep: bool) -> str:
     return parts[0]
 
 
+def list_programs() -> list[PurePosixPath]:
+    """Return the Python files that git tracks, or in a source distribution all that it has."""
+    if not (ROOT / ".git").exists():
+        found = (path.relative_to(ROOT) for path in ROOT.rglob("*.py"))
+        return sorted(PurePosixPath(path) for path in found if path.parts[0] not in (".venv", "build"))
+    listed = subprocess.run(["git", "ls-files", "*.py"], cwd=ROOT, capture_output=True, text=True, check=True)
+    names = listed.stdout.split()
+    return [PurePosixPath(name) for name in names if (ROOT / name).exists()]  # not what was just deleted
+
+
 def count_packages(deep: bool) -> Counter[str]:
     """Return the lines of code of each package."""
-    listed = subprocess.run(["git", "ls-files", "*.py"], cwd=ROOT, capture_output=True, text=True, check=True)
     lines: Counter[str] = Counter()
-    for name in listed.stdout.split():
-        if (ROOT / name).exists():  # a file that was deleted and isn't committed yet
-            lines[find_package(PurePosixPath(name), deep)] += count_lines(ROOT / name)
+    for path in list_programs():
+        lines[find_package(path, deep)] += count_lines(ROOT / path)
     return lines
 
 

@@ -25,19 +25,20 @@ import argparse
 import ast
 import hashlib
 import importlib
-import subprocess
 import sys
 import tomllib
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import fields
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from types import FunctionType, ModuleType
 from typing import Any, Final
 
 ROOT: Final = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
+sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
+
+from count_lines import list_programs  # noqa: E402
 
 import rhi  # noqa: E402
 from rhi.contract.descriptors import ProgramDescriptor, Stage  # noqa: E402
@@ -60,13 +61,11 @@ def import_modules() -> None:
     """Import every module of the tree that mentions shaders, tests as pytest does."""
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["pytest"]["ini_options"]
     sys.path += [str(ROOT / folder) for folder in settings["pythonpath"]]
-    listed = subprocess.run(["git", "ls-files", "*.py"], cwd=ROOT, capture_output=True, text=True, check=True)
-    for name in listed.stdout.split():
-        path = Path(name)
+    for path in list_programs():
         if path.parts[0] == "scripts" or path.stem == "__main__" or "Shader" not in (ROOT / path).read_text():
             continue
         module = ".".join(path.with_suffix("").parts)
-        if path.parts[0] in ("tests", "benchmarks") or path.parent == Path("examples", "programs"):
+        if path.parts[0] in ("tests", "benchmarks") or path.parent == PurePosixPath("examples/programs"):
             module = path.stem
             sys.path.insert(0, str(ROOT / path.parent))
         importlib.import_module(module)

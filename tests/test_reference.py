@@ -5,12 +5,9 @@ from __future__ import annotations
 import importlib
 import inspect
 import re
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-
-import pytest
 
 import rhi
 from rhi.errors import RULES
@@ -18,7 +15,7 @@ from rhi.errors import RULES
 ROOT = Path(__file__).parents[1]
 sys.path.append(str(ROOT / "scripts"))
 
-from write_reference import MODULES  # noqa: E402
+from build_site import MODULES  # noqa: E402
 
 SECTION = re.compile(r"^(Args|Attributes|Raises|Returns|Yields):\n((?:[ ]+.*\n?|\n)*)", re.MULTILINE)
 RULE = re.compile(r"`([a-z]+(?:-[a-z0-9]+)+)(?:-\*)?`")
@@ -99,17 +96,3 @@ def test_a_wrong_parameter_or_rule_would_be_found() -> None:
 
     assert documented_parameters(sections(example)["Args"]) == ["size", "weight", "color"]
     assert RULE.findall(sections(example)["Raises"]) == ["no-such-rule"]
-
-
-@pytest.mark.slow
-def test_the_pages_are_written_without_a_warning(tmp_path: Path) -> None:
-    pytest.importorskip("pdoc")
-    run = subprocess.run(
-        [sys.executable, ROOT / "scripts" / "write_reference.py", tmp_path], capture_output=True, text=True, check=False
-    )
-    assert run.returncode == 0, run.stderr
-    for module in MODULES:
-        page = (tmp_path / Path(*module.split("."))).with_suffix(".html")
-        assert page.exists(), module
-    page = (tmp_path / "rhi.html").read_text()
-    assert 'id="Encoder.draw_many"' in page

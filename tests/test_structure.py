@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = ("rhi", "rhi_screen", "renderer")
 FOLDERS = ("rhi", "rhi_screen", "renderer", "examples", "benchmarks", "tests")
 PAGES = [
-    ROOT / "README.md",
+    *sorted(ROOT.glob("*.md")),
     *sorted((ROOT / "docs").glob("*.md")),
     *sorted((ROOT / "examples").glob("*/README.md")),
 ]
@@ -32,7 +32,7 @@ PROGRAMS = [
 TICKED = re.compile(r"`([^`\n]+)`")
 DOTTED = re.compile(r"(?:rhi_screen|rhi|renderer)(?:\.\w+)+")
 FILE = re.compile(r"(?:rhi_screen|rhi|renderer|tests|docs|examples|benchmarks|scripts)/[\w./-]*\.(?:py|pyi|cl|md|sh)")
-MOVED = "docs/changes.md"  # lists names that are gone, beside those that took their place
+MOVED = "CHANGELOG.md"  # lists names that are gone, beside those that took their place
 
 
 def read_prose(path: Path) -> Iterator[tuple[int, str]]:

@@ -89,7 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (OutputError, OSError) as error:
         _fail(str(error))
     except ModuleNotFoundError as error:
-        _fail(f"{error.name} is missing; install it with: pip install 'rhi[renderer]'")
+        _fail(rules.describe_missing(error.name, "renderer"))
     except KeyboardInterrupt:
         return 130
     return 0

@@ -185,6 +185,11 @@ def add_form(parser: Parser, what: str = "table") -> None:
     form.add_argument("--markdown", action="store_true", help=f"print the {what} as Markdown")
 
 
+def add_chart(parser: Parser, what: str = "the times") -> None:
+    """Add `--plot F.png`; `what` is what the chart shows."""
+    parser.add_argument("--plot", type=Path, metavar="F.png", help=f"write a chart of {what}")
+
+
 def add_camera_path(parser: Parser) -> None:
     """Add `--camera-path PATH`."""
     parser.add_argument("--camera-path", default="ground", metavar="PATH", help=PATH_HELP)

@@ -10,6 +10,8 @@ import numpy as np
 
 from renderer.cli.arguments import (
     add_camera_path,
+    add_chart,
+    add_form,
     add_rounds,
     add_scene,
     add_size,
@@ -64,6 +66,8 @@ def _add_arguments(parser: Parser) -> None:
     )
     add_rounds(parser, "rounds of each pass", 15)
     add_size(parser, (1280, 720), "size of the targets in pixels")
+    add_chart(parser)
+    add_form(parser)
 
 
 def _measure(given: argparse.Namespace) -> Report:

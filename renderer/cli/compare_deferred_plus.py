@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable
-from dataclasses import asdict
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import rhi
 from renderer.cli.arguments import (
@@ -19,12 +18,14 @@ from renderer.cli.arguments import (
     add_size,
     open_scene,
 )
-from renderer.cli.output import note, prepare_image, print_report, show_progress, write_image
-from renderer.cli.subcommand import Parser, Subcommand
+from renderer.cli.comparison import ComparisonProgram, Report, describe, repeat
+from renderer.cli.output import note, prepare_image, show_progress, write_image
+from renderer.cli.subcommand import Parser
 from renderer.content import find_path
+from renderer.lab.comparison import Record
+from renderer.lab.deferred_plus import STEPS, compare_deferred_plus
 from renderer.lab.measure import format_table
 from renderer.lab.measure.buffers import picture_buffers
-from renderer.lab.measure.deferred_plus import STEPS, DeferredPlusReport, compare_deferred_plus
 
 _NOTES: Final = """\
   python -m renderer compare deferred-plus city --camera-path ground --frames 30
@@ -36,7 +37,8 @@ rectangles of its own, and by clustered forward shading, with two-pass culling a
 frames are from the scene's update until the device is finished, medians of all frames; those of steps lie between
 timestamps of the device, and include what it has been given before. `processor ms` is the time of all threads. Then
 follows what culling has drawn: what its first pass held to be visible, and what only the second one has found. `wrong
-pixels` are those that aren't the same without culling. Under OpenCL set RHI_KERNELS=optimised."""
+pixels` are those that aren't the same without culling. Under OpenCL set RHI_KERNELS=optimised; `kernels` says which
+ones cl ran in the frames whose times were taken."""
 
 
 def _add_arguments(parser: Parser) -> None:
@@ -50,7 +52,7 @@ def _add_arguments(parser: Parser) -> None:
     add_form(parser, "tables")
 
 
-def _run(given: argparse.Namespace) -> None:
+def _measure(given: argparse.Namespace) -> Report:
     if given.output is not None:
         prepare_image(given.output)
     scene = open_scene(given.scene)
@@ -61,59 +63,42 @@ def _run(given: argparse.Namespace) -> None:
         return show_progress(range(count), count, "compare")
 
     with rhi.create_device(given.backend) as device:
-        report = compare_deferred_plus(device, scene, cameras, given.size, progress=progress)
+        found = compare_deferred_plus(device, scene, cameras, given.size, progress=progress)
         if given.output is not None:
             write_image(given.output, picture_buffers(device, scene, cameras[0], given.size))
             note(f"wrote {given.output}")
-        about = {
-            "backend": device.backend_name,
-            "device": device.capabilities.device,
-            "scene": scene.name,
-            "camera_path": given.camera_path,
-            "frame": given.frame,
-            "frames": given.frames,
-            "size": list(given.size),
-        }
-    if given.json:
-        print_report(about | asdict(report), scene)
-    else:
-        print(show_report(report, markdown=given.markdown))
+        about = describe(device) | {"scene": scene.name} | repeat(given, "camera_path", "frame", "frames", "size")
+    return Report(about | {"culling": found["culling"]}, found["rows"], scene=scene)
 
 
-def show_report(report: DeferredPlusReport, *, markdown: bool = False) -> str:
-    """Format the report as tables: aligned text, or Markdown."""
-    used = [name for name in STEPS if any(name in row.steps for row in report.rows)]
-    header = ["technique", "culling", "ms", "processor ms", *used, "wrong pixels"]
-    cells = [
-        [
-            row.technique,
-            "on" if row.culling else "off",
-            row.milliseconds,
-            row.processor_milliseconds,
-            *(f"{row.steps[name]:.2f}" if name in row.steps else "" for name in used),
-            row.wrong_pixels,
-        ]
-        for row in report.rows
+def show_steps(rows: Sequence[Record]) -> Sequence[Record]:
+    """Give each step a column of its own, before that of wrong pixels."""
+    used = [name for name in STEPS if any(name in row["steps"] for row in rows)]
+    return [
+        {name: value for name, value in row.items() if name not in ("steps", "wrong_pixels")}
+        | {name: f"{row['steps'][name]:.2f}" if name in row["steps"] else "" for name in used}
+        | {"wrong_pixels": row["wrong_pixels"]}
+        for row in rows
     ]
-    culling = report.culling
+
+
+def show_culling(about: Mapping[str, Any], markdown: bool) -> Sequence[str]:
+    """Return tables of what culling has drawn, and of what its steps took."""
+    culling = about["culling"]
     counts: list[list[object]] = [
-        ["instances in the view", culling.instances],
-        ["drawn by the first pass", culling.first],
-        ["found by the second pass", culling.second],
-        ["the second pass adds, %", culling.missed],
-        ["culled, %", culling.culled],
+        ["instances in the view", culling["instances"]],
+        ["drawn by the first pass", culling["first"]],
+        ["found by the second pass", culling["second"]],
+        ["the second pass adds, %", culling["missed"]],
+        ["culled, %", culling["culled"]],
     ]
-    steps = [[name, milliseconds] for name, milliseconds in culling.steps.items()]
-    tables = [
-        format_table(header, cells, markdown=markdown),
-        format_table(["culling, a frame", ""], counts, markdown=markdown),
-    ]
-    if steps:
-        tables.append(format_table(["step of culling", "ms"], steps, markdown=markdown))
-    return "\n\n".join(tables)
+    tables = [format_table(["culling, a frame", ""], counts, markdown=markdown)]
+    if culling["steps"]:
+        tables.append(format_table(["step of culling", "ms"], list(culling["steps"].items()), markdown=markdown))
+    return tables
 
 
-COMMAND: Final = Subcommand(
-    "deferred-plus", "compare Deferred+ and clustered forward shading, with and without culling", _add_arguments, _run,
-    _NOTES,
-)  # fmt: skip
+COMMAND: Final = ComparisonProgram(
+    "deferred-plus", "compare Deferred+ and clustered forward shading, with and without culling", _NOTES,
+    _add_arguments, _measure, show=show_steps, more=show_culling,
+).command  # fmt: skip

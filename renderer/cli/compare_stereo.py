@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable
-from dataclasses import asdict
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 import rhi
@@ -19,11 +18,12 @@ from renderer.cli.arguments import (
     parse_names,
     parse_size,
 )
-from renderer.cli.output import print_report, show_progress
-from renderer.cli.subcommand import Parser, Subcommand
+from renderer.cli.comparison import ComparisonProgram, Report, describe, repeat
+from renderer.cli.output import show_progress
+from renderer.cli.subcommand import Parser
 from renderer.content import find_path, load_scene
-from renderer.lab.measure import format_rows
-from renderer.lab.measure.stereo import StereoRow, compare_stereo, list_stereos
+from renderer.lab.comparison import Record
+from renderer.lab.stereo import compare_stereo, list_stereos
 from renderer.scene import Scene
 from renderer.stereo import find_rig
 from renderer.techniques import TECHNIQUES
@@ -37,7 +37,7 @@ One eye and all ways to show two take turns, frame by frame along a path, culled
 the scene's update until the GPU is finished; `processor ms` is the time of the processor in all threads. Ratios are to
 one eye in the same frame. An output that ends in _reprojected makes the right eye's picture of the left one's. With
 `--shadows on`, all lights cast shadows that can. Under OpenCL set RHI_KERNELS=optimised, or the first frames are drawn
-by kernels that were built in a hurry."""
+by kernels that were built in a hurry; `kernels` says which ones cl ran in the frames."""
 _SWITCH: Final = {"off": False, "on": True}
 _DEFAULT: Final = ("dubois", "color", "side_by_side", "color_reprojected")
 
@@ -81,7 +81,7 @@ def _add_arguments(parser: Parser) -> None:
     add_form(parser)
 
 
-def _run(given: argparse.Namespace) -> None:
+def _measure(given: argparse.Namespace) -> Report:
     scenes = {has_shadows: _load(given.scene, has_shadows) for has_shadows in given.shadows}
     scene = next(iter(scenes.values()))
     path = find_path(given.camera_path, scene)
@@ -108,22 +108,9 @@ def _run(given: argparse.Namespace) -> None:
             TECHNIQUES[given.technique],
             progress,
         )
-        report = {
-            "backend": device.backend_name,
-            "device": device.capabilities.device,
-            "scene": given.scene,
-            "technique": given.technique,
-            "camera_path": given.camera_path,
-            "frame": given.frame,
-            "frames": given.frames,
-            "eye_distance": rig.eye_distance,
-            "convergence": rig.convergence,
-            "rows": [asdict(row) for row in rows],
-        }
-    if given.json:
-        print_report(report, scene)
-    else:
-        print(show_rows(rows, markdown=given.markdown))
+        about = describe(device) | repeat(given, "scene", "technique", "camera_path", "frame", "frames")
+        about |= {"eye_distance": rig.eye_distance, "convergence": rig.convergence}
+        return Report(about, list(rows), scene=scene)
 
 
 def _load(text: str, has_shadows: bool) -> Scene:
@@ -137,10 +124,9 @@ def _load(text: str, has_shadows: bool) -> Scene:
     return scene
 
 
-def show_rows(rows: list[StereoRow], *, markdown: bool = False) -> str:
-    """Format the rows as a table: aligned text, or Markdown."""
-    shown = [asdict(row) | {"size": "{} × {}".format(*row.size)} for row in rows]
-    return format_rows(shown, markdown=markdown)
+def show_sizes(rows: Sequence[Record]) -> Sequence[Record]:
+    """Write sizes for people."""
+    return [row | {"size": "{} × {}".format(*row["size"])} for row in rows]
 
 
 def _parse_switches(text: str) -> list[bool]:
@@ -151,6 +137,6 @@ def _parse_switches(text: str) -> list[bool]:
     return [_SWITCH[name] for name in dict.fromkeys(names)]
 
 
-COMMAND: Final = Subcommand(
-    "stereo", "compare what a frame costs with one eye and with two", _add_arguments, _run, _NOTES
-)
+COMMAND: Final = ComparisonProgram(
+    "stereo", "compare what a frame costs with one eye and with two", _NOTES, _add_arguments, _measure, show=show_sizes
+).command

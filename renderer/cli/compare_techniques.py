@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import json
-from collections.abc import Iterable
-from dataclasses import asdict
-from pathlib import Path
-from typing import Final
+from collections.abc import Iterable, Sequence
+from typing import Any, Final
 
 import rhi
 from renderer.cli.arguments import (
     add_backend,
     add_camera,
+    add_chart,
     add_form,
     add_frame,
     add_rounds,
@@ -23,10 +21,11 @@ from renderer.cli.arguments import (
     parse_count,
     parse_names,
 )
-from renderer.cli.output import draw_chart, note, prepare_image, show_progress
-from renderer.cli.subcommand import Parser, Subcommand
-from renderer.lab.measure import format_rows
-from renderer.lab.measure.techniques import TechniqueRow, compare_techniques
+from renderer.cli.comparison import ComparisonProgram, Report, describe, repeat
+from renderer.cli.output import show_progress
+from renderer.cli.subcommand import Parser
+from renderer.lab.comparison import Record
+from renderer.lab.techniques import compare_techniques
 from renderer.techniques import TECHNIQUES
 
 _NOTES: Final = """\
@@ -44,7 +43,7 @@ scene's update until the GPU is finished; `processor ms` is the time of the proc
 evaluations` counts how often a light is looked at for a surface: the entries of the lists that fragments walk, or the
 fragments of lights' volumes; on the null device nothing is counted. `bytes per pixel` are those of all textures of the
 plan. `draws` are draw commands; one may draw many objects or lights. Under OpenCL set RHI_KERNELS=optimised, or the
-first frames are drawn by kernels that were built in a hurry."""
+first frames are drawn by kernels that were built in a hurry; `kernels` says which ones cl ran in the rounds."""
 
 
 def _add_arguments(parser: Parser) -> None:
@@ -70,14 +69,11 @@ def _add_arguments(parser: Parser) -> None:
     add_size(parser)
     add_settings(parser, "file with settings, written by `accuracy`; all but the technique and the algorithm count")
     add_backend(parser)
-    parser.add_argument("--plot", type=Path, metavar="F.png", help="write a chart of the times")
+    add_chart(parser)
     add_form(parser)
 
 
-def _run(given: argparse.Namespace) -> None:
-    if given.plot is not None:
-        prepare_image(given.plot)
-
+def _measure(given: argparse.Namespace) -> Report:
     def rounds(numbers: range) -> Iterable[int]:
         return show_progress(numbers, len(numbers), "compare")
 
@@ -96,50 +92,32 @@ def _run(given: argparse.Namespace) -> None:
             settings=settings,
             progress=rounds,
         )
-        report = {
-            "backend": device.backend_name,
-            "device": device.capabilities.device,
-            "scene": given.scene,
-            "camera": given.camera,
-            "frame": given.frame,
-            "size": list(given.size),
-            "rounds": given.rounds,
-            "rows": [asdict(row) for row in rows],
-        }
-    if given.plot is not None:
-        plot_techniques(rows, f"{given.scene}, {report['device']}", given.plot)
-        note(f"wrote {given.plot}")
-    print(json.dumps(report) if given.json else show_rows(rows, markdown=given.markdown))
+        about = describe(device) | repeat(given, "scene", "camera", "frame", "size", "rounds")
+        return Report(about, list(rows), f"{given.scene}, {about['device']}")
 
 
-def show_rows(rows: list[TechniqueRow], *, markdown: bool = False) -> str:
-    """Format the rows as a table: aligned text, or Markdown."""
-    return format_rows([asdict(row) for row in rows], markdown=markdown)
+def plot_techniques(figure: Any, rows: Sequence[Record]) -> None:
+    """Draw the times over the number of lights: a chart for each number of objects, a line for each technique."""
+    counts = list(dict.fromkeys(row["objects"] for row in rows))
+    charts = figure.subplots(1, len(counts), sharey=True, squeeze=False)[0]
+    for axes, objects in zip(charts, counts, strict=True):
+        for number, name in enumerate(dict.fromkeys(row["technique"] for row in rows)):
+            mine = [row for row in rows if (row["technique"], row["objects"]) == (name, objects)]
+            axes.plot(
+                [row["lights"] for row in mine],
+                [row["milliseconds"] for row in mine],
+                label=name,
+                marker=".",
+                linestyle="-" if number < 10 else "--",
+            )
+        axes.set_title(f"{objects:,} objects" if objects > 1 else "1 object", fontsize="medium")
+        axes.set_xlabel("lights")
+        axes.set_yscale("log")
+    charts[0].set_ylabel("milliseconds")
+    figure.legend(*charts[0].get_legend_handles_labels(), loc="outside right upper", fontsize="x-small")
 
 
-def plot_techniques(rows: list[TechniqueRow], title: str, path: Path) -> None:
-    """Write a chart of the times over the number of lights, one for each number of objects, a line for each
-    technique."""
-    with draw_chart(path, title) as figure:
-        counts = list(dict.fromkeys(row.objects for row in rows))
-        charts = figure.subplots(1, len(counts), sharey=True, squeeze=False)[0]
-        for axes, objects in zip(charts, counts, strict=True):
-            for number, name in enumerate(dict.fromkeys(row.technique for row in rows)):
-                mine = [row for row in rows if (row.technique, row.objects) == (name, objects)]
-                axes.plot(
-                    [row.lights for row in mine],
-                    [row.milliseconds for row in mine],
-                    label=name,
-                    marker=".",
-                    linestyle="-" if number < 10 else "--",
-                )
-            axes.set_title(f"{objects:,} objects" if objects > 1 else "1 object", fontsize="medium")
-            axes.set_xlabel("lights")
-            axes.set_yscale("log")
-        charts[0].set_ylabel("milliseconds")
-        figure.legend(*charts[0].get_legend_handles_labels(), loc="outside right upper", fontsize="x-small")
-
-
-COMMAND: Final = Subcommand(
-    "techniques", "compare what a frame costs with each technique", _add_arguments, _run, _NOTES
-)
+COMMAND: Final = ComparisonProgram(
+    "techniques", "compare what a frame costs with each technique", _NOTES, _add_arguments, _measure,
+    plot=plot_techniques,
+).command  # fmt: skip

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import asdict, replace
-from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import rhi
 from renderer.cli.arguments import (
     QUERY_KINDS,
     add_backend,
+    add_chart,
     add_form,
     add_scene,
     add_settings,
@@ -21,11 +22,12 @@ from renderer.cli.arguments import (
     parse_frame,
     parse_names,
 )
-from renderer.cli.output import OutputError, draw_chart, note, prepare_image, print_report, show_progress
-from renderer.cli.subcommand import Parser, Subcommand
+from renderer.cli.comparison import ComparisonProgram, Report, describe, repeat
+from renderer.cli.output import OutputError, show_progress
+from renderer.cli.subcommand import Parser
 from renderer.content import find_path
-from renderer.lab.measure import format_rows
-from renderer.lab.measure.visibility import AlgorithmRow, compare_algorithms, list_contenders, list_frames
+from renderer.lab.comparison import Record
+from renderer.lab.visibility import compare_algorithms, list_contenders, list_frames
 from renderer.renderer import Renderer
 from renderer.visibility import ALGORITHMS, VisibilitySettings, check_algorithm, list_algorithms
 
@@ -48,6 +50,7 @@ queries, as in the thesis. `wrong pixels` is the largest number, in any frame, o
 `tied pixels` is the largest number of pixels that show another surface at exactly the same depth: of two such
 surfaces the one drawn first stays. `stalled` is how long the CPU waited. Where a scene simulates something,
 `simulation steps` counts the steps of what was drawn, and `skipped simulations` what wasn't drawn.
+`kernels` says which kernels cl ran in the counted frames: RHI_KERNELS=optimised measures a long run.
 The null device answers no queries. On it `auto` is frustum culling, and algorithms that use queries don't run."""
 
 
@@ -97,12 +100,10 @@ def _add_arguments(parser: Parser) -> None:
         help="jump to the other half of the path, or back, after every N frames",
     )
     add_form(parser)
-    parser.add_argument("--plot", type=Path, metavar="F.png", help="write a chart of times and triangles")
+    add_chart(parser, "times and triangles")
 
 
-def _run(given: argparse.Namespace) -> None:
-    if given.plot is not None:
-        prepare_image(given.plot)
+def _measure(given: argparse.Namespace) -> Report:
     if given.teleport is not None and given.stride > 1:
         raise OutputError("--teleport: it jumps between consecutive frames; leave out --stride")
     settings = VisibilitySettings()
@@ -132,57 +133,34 @@ def _run(given: argparse.Namespace) -> None:
             check_algorithm(name, device, "compare visibility")
         contenders = list_contenders(names, settings, tuned, emulated)
         rows = compare_algorithms(renderer, contenders, path, show_progress(frames, len(frames), "compare"))
-        report = {
-            "backend": device.backend_name,
-            "device": device.capabilities.device,
-            "scene": scene.name,
-            "camera_path": given.camera_path,
-            "first_frame": first + given.warm_up,
-            "frames": given.frames,
-            "stride": given.stride,
-            "warm_up": given.warm_up,
-            "teleport": given.teleport,
-            "size": list(given.size),
-            "queries": given.queries,
-            "settings": asdict(settings),
-            "optimized": None if tuned is None else asdict(tuned),
-            "rows": [asdict(row) for row in rows],
-        }
-    if given.plot is not None:
-        plot_algorithms(rows, f"{scene.name}, {given.camera_path}, {report['device']}", given.plot)
-        note(f"wrote {given.plot}")
-    if given.json:
-        print_report(report, scene)
-    else:
-        print(show_rows(rows, markdown=given.markdown))
+        about = describe(device) | {"scene": scene.name, "camera_path": given.camera_path}
+    about |= {"first_frame": first + given.warm_up}
+    about |= repeat(given, "frames", "stride", "warm_up", "teleport", "size", "queries")
+    about |= {"settings": asdict(settings), "optimized": None if tuned is None else asdict(tuned)}
+    return Report(about, rows, f"{scene.name}, {given.camera_path}, {about['device']}", scene)
 
 
-def show_rows(rows: list[AlgorithmRow], *, markdown: bool = False) -> str:
-    """Format the rows as a table: aligned text, or Markdown."""
-    shown = [asdict(row) for row in rows]
-    if not any(row.simulation_steps or row.skipped_simulations for row in rows):
-        for values in shown:
-            del values["simulation_steps"], values["skipped_simulations"]
-    return format_rows(shown, markdown=markdown)
+def show_rows(rows: Sequence[Record]) -> Sequence[Record]:
+    """Leave out what simulations did where nothing is simulated."""
+    idle = ("simulation_steps", "skipped_simulations")
+    if any(row[name] for row in rows for name in idle):
+        return rows
+    return [{name: value for name, value in row.items() if name not in idle} for row in rows]
 
 
-def plot_algorithms(rows: list[AlgorithmRow], title: str, path: Path) -> None:
-    """Write a chart of times and triangles, with a bar for each algorithm."""
-    with draw_chart(path, title) as figure:
-        names = [row.algorithm for row in rows]
-        charts: list[tuple[str, list[float], str]] = [
-            ("milliseconds a frame", [row.milliseconds for row in rows], "{:,.1f}"),
-            ("triangles a frame", [row.triangles for row in rows], "{:,}"),
-        ]
-        for place, (label, values, form) in enumerate(charts, 1):
-            axes = figure.add_subplot(1, len(charts), place)
-            bars = axes.barh(names, values, color="#4477aa")
-            axes.bar_label(bars, labels=[form.format(value) for value in values], padding=3)
-            axes.set_xlabel(label)
-            axes.xaxis.set_major_formatter("{x:,.0f}")
-            axes.locator_params(axis="x", nbins=5)
-            axes.margins(x=0.3)
-            axes.invert_yaxis()
+def plot_algorithms(figure: Any, rows: Sequence[Record]) -> None:
+    """Draw times and triangles, with a bar for each algorithm."""
+    names = [row["algorithm"] for row in rows]
+    for place, (key, form) in enumerate({"milliseconds": "{:,.1f}", "triangles": "{:,}"}.items(), 1):
+        values = [row[key] for row in rows]
+        axes = figure.add_subplot(1, 2, place)
+        bars = axes.barh(names, values, color="#4477aa")
+        axes.bar_label(bars, labels=[form.format(value) for value in values], padding=3)
+        axes.set_xlabel(f"{key} a frame")
+        axes.xaxis.set_major_formatter("{x:,.0f}")
+        axes.locator_params(axis="x", nbins=5)
+        axes.margins(x=0.3)
+        axes.invert_yaxis()
 
 
 def _parse_kinds(text: str) -> list[str]:
@@ -195,6 +173,7 @@ def _parse_kinds(text: str) -> list[str]:
     return [kind for kind in QUERY_KINDS if kind in kinds]
 
 
-COMMAND: Final = Subcommand(
-    "visibility", "compare visibility algorithms along a camera path", _add_arguments, _run, _NOTES
-)
+COMMAND: Final = ComparisonProgram(
+    "visibility", "compare visibility algorithms along a camera path", _NOTES, _add_arguments, _measure,
+    show=show_rows, plot=plot_algorithms,
+).command  # fmt: skip

@@ -7,7 +7,6 @@ import json
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import rhi
@@ -31,7 +30,7 @@ class Report:
     scene: Scene | None = None
 
 
-def describe(device: rhi.Device) -> dict[str, str]:
+def describe(device: rhi.Device) -> Record:
     """Return what a report says of its device."""
     return {"backend": device.backend_name, "device": device.capabilities.device}
 
@@ -47,7 +46,7 @@ class ComparisonProgram:
 
     Attributes:
         notes: examples, and what the columns mean.
-        add_arguments: declares all arguments but those of the form of the output.
+        add_arguments: declares all arguments: those of `add_form`, too, and of `add_chart` if there is a chart.
         measure: makes the report.
         titles: the titles of columns whose names don't say enough.
         show: makes rows for people of those for JSON.
@@ -69,25 +68,17 @@ class ComparisonProgram:
     @property
     def command(self) -> Subcommand:
         """The comparison as a command."""
-        return Subcommand(self.name, self.summary, self.add_all_arguments, self.run, self.notes)
-
-    def add_all_arguments(self, parser: Parser) -> None:
-        """Declare the comparison's arguments, and those of the form of the output."""
-        self.add_arguments(parser)
-        if self.plot is not None:
-            parser.add_argument("--plot", type=Path, metavar="F.png", help="write a chart of the times")
-        add_form(parser)
+        return Subcommand(self.name, self.summary, self.add_arguments, self.run, self.notes)
 
     def run(self, given: argparse.Namespace) -> None:
         """Compare, and print what was found."""
-        path = getattr(given, "plot", None)
-        if path is not None:
-            prepare_chart(path)
+        if self.plot is not None and given.plot is not None:
+            prepare_chart(given.plot)
         report = self.measure(given)
-        if path is not None and self.plot is not None:
-            with draw_chart(path, report.title) as figure:
+        if self.plot is not None and given.plot is not None:
+            with draw_chart(given.plot, report.title) as figure:
                 self.plot(figure, report.rows)
-            note(f"wrote {path}")
+            note(f"wrote {given.plot}")
         if given.json:
             left_out = {} if report.scene is None else list_left_out(report.scene)
             print(json.dumps({**report.about, "rows": report.rows, **left_out}))
@@ -113,5 +104,6 @@ def run_benchmark(
     os.environ.setdefault("RHI_KERNELS", "optimised")
     comparison = ComparisonProgram("", "", "", add_arguments, lambda given: Report({}, list(measure(given))))
     parser = Parser(description=text)
-    comparison.add_all_arguments(parser)
+    add_arguments(parser)
+    add_form(parser)
     comparison.run(parser.parse_args())

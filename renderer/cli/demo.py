@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 from contextlib import ExitStack
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Final
 
@@ -13,7 +13,8 @@ import rhi
 from renderer.cli.arguments import add_frames, add_size, open_scene
 from renderer.cli.output import name_of, note, prepare_image, show_progress, write_image
 from renderer.cli.subcommand import Parser, Subcommand
-from renderer.lab.measure import Measurement, alternate, format_table, title_of
+from renderer.lab.comparison import Column, Subject, average, compare, kernels, ratio, time
+from renderer.lab.measure import format_rows
 from renderer.renderer import FrameResult, FrameStatistics, Renderer
 from renderer.scene import FRAME_COUNT, FRAMES_PER_SECOND
 from renderer.visibility import make_visibility
@@ -26,7 +27,8 @@ _NOTES: Final = """\
 All backends that work here are compared, or only the one that RHI_BACKEND names; the fastest writes the pictures.
 The frames are spread evenly along each path, and each is rendered in all ways in turn. Times are medians, until the
 GPU is finished. `vs none` is the median of the frames' ratios to no culling. Counters are means per frame. The null
-device records the same commands and draws nothing: its time is that of the CPU."""
+device records the same commands and draws nothing: its time is that of the CPU. `kernels` says which kernels cl ran:
+those of a first run are `quick` ones, unless RHI_KERNELS=optimised."""
 
 _PICTURED = {"ground": 900, "sky": 700}
 """The frame of each path that is written as a picture."""
@@ -36,38 +38,37 @@ _ALGORITHMS = ("none", "frustum")
 compares all."""
 
 
-@dataclass(eq=False, slots=True)
-class RenderVariant:
-    """One row of the table: a path, an algorithm, and the renderer that draws it; `statistics` are kept by frame."""
+_IDLE = ("simulation_steps", "skipped_simulations")
+"""The counters that say nothing where nothing is simulated."""
 
-    path: str
-    visibility: str
-    renderer: Renderer
-    statistics: dict[int, FrameStatistics] = field(default_factory=dict)
+
+class RenderVariant:
+    """A row of the table: a path, an algorithm, and the renderer that draws it; `result` is the latest frame."""
+
+    result: FrameResult
+
+    def __init__(self, path: str, visibility: str, renderer: Renderer, frames: list[int]) -> None:
+        """Create the row; `frames` are those of the rounds."""
+        self.path, self.renderer, self._frames = path, renderer, frames
+        about = {"path": path, "visibility": visibility, "backend": self.backend}
+        self.subject = Subject(about, self._run, count=lambda: asdict(self.result.statistics), device=renderer.device)
 
     @property
     def backend(self) -> str:
         return self.renderer.device.backend_name
 
-    @property
-    def name(self) -> str:
-        return _name(self.path, self.visibility, self.backend)
+    def _run(self, number: int) -> None:
+        self.render(self._frames[number])
 
     def render(self, frame: int) -> FrameResult:
         """Draw one frame of the path and wait for the device."""
         renderer = self.renderer
         camera = renderer.scene.paths[self.path].camera(frame)
-        result = renderer.render(camera, frame / FRAMES_PER_SECOND)
+        self.result = renderer.render(camera, frame / FRAMES_PER_SECOND)
         renderer.device.finish()
         if self.backend == "null":
             renderer.device.stream.clear()
-        self.statistics[frame] = result.statistics
-        return result
-
-    def mean(self, name: str) -> int:
-        """Return the mean of a counter over the frames, rounded."""
-        counts: list[int] = [getattr(one, name) for one in self.statistics.values()]
-        return round(sum(counts) / len(counts))
+        return self.result
 
 
 def _add_arguments(parser: Parser) -> None:
@@ -93,31 +94,32 @@ def _run(given: argparse.Namespace) -> None:
     scene = open_scene(given.scene)
     with ExitStack() as stack:
         devices = open_devices(stack)
-        variants = [
-            RenderVariant(
-                path,
-                name,
-                stack.enter_context(
-                    Renderer(device, scene, visibility=make_visibility(name, scene, device), size=given.size)
-                ),
-            )
-            for path in scene.paths
-            for device in devices
-            for name in _ALGORITHMS
-        ]
-        times = measure_variants(variants, given.frames)
-        table = tabulate(variants, times)  # before the pictures, which are frames of their own
+        frames = [(2 * number + 1) * FRAME_COUNT // (2 * given.frames) for number in range(given.frames)]
+        variants = []
+        for path in scene.paths:
+            for device in devices:
+                for name in _ALGORITHMS:
+                    algorithm = make_visibility(name, scene, device)
+                    renderer = stack.enter_context(Renderer(device, scene, visibility=algorithm, size=given.size))
+                    variants.append(RenderVariant(path, name, renderer, frames))
+        is_simulated = bool(len(variants[0].renderer.simulator))
+        columns: dict[str, Column] = {"milliseconds": time(), "vs none": ratio(), "kernels": kernels}
+        for counter in fields(FrameStatistics):
+            if is_simulated or counter.name not in _IDLE:
+                columns[counter.name] = average()
+        rounds = show_progress(range(given.frames), given.frames, "measure")
+        rows = compare([one.subject for one in variants], columns, rounds, within=("path", "backend"))
         for path in scene.paths:
             seen = [
-                variant
-                for variant in variants
-                if variant.path == path and variant.renderer.device.capabilities.renders
+                (row["milliseconds"], number)
+                for number, row in enumerate(rows)
+                if row["path"] == path and variants[number].renderer.device.capabilities.renders
             ]
             if seen:
-                write_picture(min(seen, key=lambda variant: times[variant.name].median), given.output)
+                write_picture(variants[min(seen)[1]], given.output)
         if not any(device.capabilities.renders for device in devices):
             note(f"the {devices[0].backend_name} device records and draws nothing: there is no image")
-        print(table)
+        print(format_rows(rows))
 
 
 def open_devices(stack: ExitStack) -> list[rhi.Device]:
@@ -147,46 +149,6 @@ def write_picture(variant: RenderVariant, folder: Path) -> None:
     path = prepare_image(folder / f"{name_of(scene)}{suffix}.png")
     write_image(path, result.image.read())
     note(f"wrote {path}, drawn by {variant.backend}")
-
-
-def _name(path: str, visibility: str, backend: str) -> str:
-    return f"{path}, {visibility}, {backend}"
-
-
-def measure_variants(variants: list[RenderVariant], count: int) -> dict[str, Measurement]:
-    """Measure all variants over `count` frames; return their times by name."""
-    frames = [(2 * number + 1) * FRAME_COUNT // (2 * count) for number in range(count)]
-    work = {
-        variant.name: lambda number, variant=variant: variant.render(frames[number]) for variant in variants
-    }
-    for variant in variants:
-        variant.statistics.clear()
-    return alternate(work, show_progress(range(count), count, "measure"))
-
-
-def tabulate(variants: list[RenderVariant], times: dict[str, Measurement]) -> str:
-    """Format the table: times, and the counters of the measured frames."""
-    is_simulated = bool(len(variants[0].renderer.simulator))
-    counters = [
-        counter.name
-        for counter in fields(FrameStatistics)
-        if is_simulated or counter.name not in ("simulation_steps", "skipped_simulations")
-    ]
-    rows = []
-    for variant in variants:
-        time, base = times[variant.name], times[_name(variant.path, "none", variant.backend)]
-        rows.append(
-            (
-                variant.path,
-                variant.visibility,
-                variant.backend,
-                1e3 * time.median,
-                time.compare_to(base).median,
-                *(variant.mean(counter) for counter in counters),
-            )
-        )
-    titles = [title_of(counter) for counter in counters]
-    return format_table(["path", "visibility", "backend", "ms", "vs none", *titles], rows)
 
 
 COMMAND: Final = Subcommand(

@@ -20,6 +20,7 @@ from typing import Any, Final, ParamSpec, TypeVar
 
 from renderer.cli.output import OutputError
 from renderer.cli.subcommand import Parser
+from renderer.rules import describe_missing
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -74,9 +75,7 @@ def make_executor(text: str) -> Iterator[Executor]:
         try:
             distributed: Any = import_module("distributed")
         except ModuleNotFoundError:
-            raise OutputError(
-                "--executor: dask is missing; install it with: pip install 'rhi[dask]'"
-            ) from None
+            raise OutputError(f"--executor: {describe_missing('dask', 'dask')}") from None
         try:
             client = distributed.Client(rest, timeout=30)
         except (OSError, TimeoutError, ValueError) as error:

@@ -76,10 +76,14 @@ def prepare_image(path: Path) -> Path:
 
 
 def prepare_chart(path: Path) -> None:
-    """Check that a chart can be written to `path`, before any work is done for it."""
-    if path.suffix.lower() not in (".svg", ".png", ".pdf"):
-        raise OutputError(f"--plot: {path.name!r} is not the name of a chart; end it with .svg")
+    """Check that a chart can be written to `path`, a drawing or an image, before any work is done for it."""
+    if path.suffix.lower() not in (".svg", ".pdf", *Image.registered_extensions()):
+        raise OutputError(
+            f"--plot: {path.name!r} is not the name of a chart: it has no known image extension; end it with .svg"
+        )
     path.parent.mkdir(parents=True, exist_ok=True)
+    if path.is_dir():
+        raise OutputError(f"--plot: {path} is a folder; name a file in it")
 
 
 def write_image(path: Path, pixels: NDArray[Any]) -> None:

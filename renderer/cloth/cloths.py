@@ -23,8 +23,6 @@ from renderer.scene.catching_up import Leap
 from rhi import Device, StorageBuffer
 from rhi.errors import refuse
 
-__rhi_internal__ = True
-
 MOST_CLOTHS: Final = 65_535
 """The most cloths of one simulation: each is a work-group of a dispatch."""
 _STEPS_PER_FRAME: Final = 240

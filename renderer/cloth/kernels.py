@@ -33,8 +33,6 @@ from rhi.shading import (
     vec4,
 )
 
-__rhi_internal__ = True
-
 LANES: Final = 64
 _TURN: Final = 6.283185307179586
 _LEAST: Final = 1e-20

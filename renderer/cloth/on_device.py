@@ -27,8 +27,6 @@ from renderer.scene.arrays import Rows
 from rhi import Device, StorageBuffer
 from rhi.shading import vec4
 
-__rhi_internal__ = True
-
 _MOST_TURNS: Final = 40_000
 
 

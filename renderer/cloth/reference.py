@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from renderer.cloth.sheets import GRAVITY, INTERVAL, SUBSTEPS, Sheet, Wind, find_normals
 from renderer.scene.arrays import Rows
 
-__rhi_internal__ = True
-
 _TURN: Final = np.float32(2.0 * np.pi)
 _LEAST: Final = np.float32(1e-20)
 

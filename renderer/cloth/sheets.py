@@ -18,8 +18,6 @@ from renderer.scene.arrays import Floats, Rows
 from renderer.scene.meshes import VERTEX, MeshBounds, MeshGeometry
 from rhi.errors import refuse
 
-__rhi_internal__ = True
-
 INTERVAL: Final = 1.0 / 60.0
 """The length of a step in seconds."""
 SUBSTEPS: Final = 8

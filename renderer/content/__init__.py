@@ -4,24 +4,17 @@ scene = load_scene("city:blocks=12,seed=3")
 camera = parse_camera("ground", scene, frame=600).with_aspect(16 / 9)
 """
 
-from renderer.content.library import GENERATORS, find_path, load_scene, parse_camera
-from renderer.content.models import add_model, load_model, save_scene
-from renderer.content.shapes import BUILT_IN
-from renderer.content.specs import Generator, Option
-from renderer.content.textures import IMAGE_SIZE
+from renderer.content.library import GENERATORS as GENERATORS
+from renderer.content.library import find_path as find_path
+from renderer.content.library import load_scene as load_scene
+from renderer.content.library import parse_camera as parse_camera
+from renderer.content.models import add_model as add_model
+from renderer.content.models import load_model as load_model
+from renderer.content.models import save_scene as save_scene
+from renderer.content.shapes import BUILT_IN as BUILT_IN
+from renderer.content.specs import Generator as Generator
+from renderer.content.specs import Option as Option
+from renderer.content.textures import IMAGE_SIZE as IMAGE_SIZE
+from rhi.errors.exports import list_public as _list_public
 
-__rhi_internal__ = True
-
-__all__ = [
-    "BUILT_IN",
-    "GENERATORS",
-    "IMAGE_SIZE",
-    "Generator",
-    "Option",
-    "add_model",
-    "find_path",
-    "load_model",
-    "load_scene",
-    "parse_camera",
-    "save_scene",
-]
+__all__ = _list_public(globals())

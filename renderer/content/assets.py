@@ -20,8 +20,6 @@ from numpy.typing import NDArray
 from renderer.scene.materials import ImagePixels
 from renderer.scene.meshes import MeshGeometry
 
-__rhi_internal__ = True
-
 _images: Final[WeakValueDictionary[bytes, Any]] = WeakValueDictionary()
 _meshes: Final[WeakValueDictionary[bytes, MeshGeometry]] = WeakValueDictionary()
 

@@ -22,8 +22,6 @@ from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
 from renderer.scene.transforms import multiply, rotation, scaling, translation
 
-__rhi_internal__ = True
-
 ROOM: Final = 7.0
 """Width of a room in metres."""
 

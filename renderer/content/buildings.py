@@ -16,8 +16,6 @@ from renderer.scene.arrays import Floats, Rows
 from renderer.scene.meshes import MeshGeometry, join
 from renderer.scene.transforms import multiply, scaling, translation
 
-__rhi_internal__ = True
-
 LoftRing = tuple[float, float, float]
 
 _RAYS: Final = 256  # that meet a building at a time: some 50 MB

@@ -26,8 +26,6 @@ from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
 from renderer.scene.transforms import multiply, rotation, scaling, translation
 
-__rhi_internal__ = True
-
 PITCH: Final = 34.0
 """Distance in metres from the middle of one street to that of the next."""
 

@@ -16,8 +16,6 @@ from renderer.scene.arrays import Floats, Rows
 from renderer.scene.catching_up import Stepwise
 from renderer.scene.meshes import VERTEX, MeshGeometry
 
-__rhi_internal__ = True
-
 DROPS: Final = 90
 """Number of drops of a fountain. One is thrown in each step, so each flies for this number of steps."""
 

@@ -14,8 +14,6 @@ from renderer.scene.arrays import Floats
 from renderer.scene.meshes import MeshGeometry, join
 from renderer.scene.transforms import multiply, rotation, scaling, translation
 
-__rhi_internal__ = True
-
 LAMP_REACH: Final = 1.6
 """How far a street lamp's head is from its post, along +x."""
 

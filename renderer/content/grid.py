@@ -19,8 +19,6 @@ from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
 from renderer.scene.transforms import multiply, rotation, scaling, translation
 
-__rhi_internal__ = True
-
 _COLORS: Final = (
     (0.75, 0.22, 0.17), (0.88, 0.58, 0.16), (0.30, 0.56, 0.28), (0.16, 0.48, 0.60), (0.42, 0.30, 0.62),
     (0.80, 0.74, 0.62),

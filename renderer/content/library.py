@@ -25,8 +25,6 @@ from renderer.scene.paths import CameraPath
 from renderer.scene.scene import Scene
 from rhi.errors import refuse
 
-__rhi_internal__ = True
-
 GENERATORS: Final[dict[str, Generator]] = {
     generator.name: generator for generator in (CITY, HALL, GRID, NIGHT, BAZAAR, GLASS, TERRAIN)
 }

@@ -31,8 +31,6 @@ from rhi.errors import refuse
 if TYPE_CHECKING:
     from renderer.content.gltf import Surroundings
 
-__rhi_internal__ = True
-
 FORMATS: Final = (".gltf", ".glb", ".obj", ".ply", ".stl")
 """The extensions of the files that can be read."""
 

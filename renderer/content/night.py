@@ -23,8 +23,6 @@ from renderer.scene.lights import Lights
 from renderer.scene.scene import Scene, SceneBuilder
 from renderer.scene.transforms import multiply, rotation, scaling, translation
 
-__rhi_internal__ = True
-
 _LAMP, _WINDOW, _CAR = range(3)
 _KINDS: Final = (_LAMP, _WINDOW, _LAMP, _WINDOW, _CAR, _CAR, _CAR, _CAR, _LAMP, _WINDOW, _LAMP, _WINDOW)
 """The lights of a block, in the order in which they are added: those of a car are two headlamps and two tail lamps."""

@@ -17,9 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 from renderer.scene.arrays import Floats
 from renderer.scene.meshes import VERTEX, MeshGeometry, join
 
-__rhi_internal__ = True
-
-
 _SLIVER: Final = 1e-4  # a triangle is dropped if its area is less than this times its longest edge squared
 
 

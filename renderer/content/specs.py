@@ -15,8 +15,6 @@ from renderer.scene.air import Fog, Glow
 from renderer.scene.scene import Scene, SceneBuilder
 from rhi.errors import refuse
 
-__rhi_internal__ = True
-
 OptionValue = int | float | str
 
 

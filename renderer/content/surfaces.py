@@ -15,8 +15,6 @@ import numpy as np
 from renderer.scene.arrays import Floats
 from renderer.scene.materials import ImagePixels, make_opaque
 
-__rhi_internal__ = True
-
 KINDS: Final = ("bricks", "planks", "tiles", "plaster", "cloth", "studs", "stone", "grooves")
 """The kinds of surfaces."""
 

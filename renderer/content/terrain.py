@@ -23,8 +23,6 @@ from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
 from renderer.scene.transforms import multiply, rotation, scaling, translation
 
-__rhi_internal__ = True
-
 _SIZE: Final = 4096.0
 _PEAK: Final = 760.0
 _SEA: Final = 24.0 * _SIZE

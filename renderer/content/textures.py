@@ -8,8 +8,6 @@ import numpy as np
 
 from renderer.scene.materials import ImagePixels, make_opaque
 
-__rhi_internal__ = True
-
 IMAGE_SIZE: Final = 256
 """Width and height of all generated textures: one size, so that they can be layers of one array."""
 

@@ -1,50 +1,32 @@
 """A frame: the scene on a device, its views, the plan of its passes, and the textures that they draw to."""
 
-from renderer.frame.frame import Frame
-from renderer.frame.images import AS_GIVEN, TextureSettings
-from renderer.frame.layer import Layer
-from renderer.frame.mirrors import MirroredArray
-from renderer.frame.needs import (
-    EXACT_GLOW,
-    SHADOW_EFFECTS,
-    Blending,
-    Effect,
-    GlowSettings,
-    Needs,
-    find_needs,
-)
-from renderer.frame.passes import Drawn, TechniquePass
-from renderer.frame.plan import OUTPUTS, DroppedPass, Pass, Plan, SharedTexture, Target, find_last, make_plan
-from renderer.frame.resources import SceneResources
-from renderer.frame.targets import DEPTH_FORMAT, IMAGE_FORMAT, Targets
-from renderer.frame.view import View
+from renderer.frame.frame import Frame as Frame
+from renderer.frame.images import AS_GIVEN as AS_GIVEN
+from renderer.frame.images import TextureSettings as TextureSettings
+from renderer.frame.layer import Layer as Layer
+from renderer.frame.mirrors import MirroredArray as MirroredArray
+from renderer.frame.needs import EXACT_GLOW as EXACT_GLOW
+from renderer.frame.needs import SHADOW_EFFECTS as SHADOW_EFFECTS
+from renderer.frame.needs import Blending as Blending
+from renderer.frame.needs import Effect as Effect
+from renderer.frame.needs import GlowSettings as GlowSettings
+from renderer.frame.needs import Needs as Needs
+from renderer.frame.needs import find_needs as find_needs
+from renderer.frame.passes import Drawn as Drawn
+from renderer.frame.passes import TechniquePass as TechniquePass
+from renderer.frame.plan import OUTPUTS as OUTPUTS
+from renderer.frame.plan import DroppedPass as DroppedPass
+from renderer.frame.plan import Pass as Pass
+from renderer.frame.plan import Plan as Plan
+from renderer.frame.plan import SharedTexture as SharedTexture
+from renderer.frame.plan import Target as Target
+from renderer.frame.plan import find_last as find_last
+from renderer.frame.plan import make_plan as make_plan
+from renderer.frame.resources import SceneResources as SceneResources
+from renderer.frame.targets import DEPTH_FORMAT as DEPTH_FORMAT
+from renderer.frame.targets import IMAGE_FORMAT as IMAGE_FORMAT
+from renderer.frame.targets import Targets as Targets
+from renderer.frame.view import View as View
+from rhi.errors.exports import list_public as _list_public
 
-__all__ = [
-    "AS_GIVEN",
-    "DEPTH_FORMAT",
-    "EXACT_GLOW",
-    "IMAGE_FORMAT",
-    "OUTPUTS",
-    "SHADOW_EFFECTS",
-    "Blending",
-    "Drawn",
-    "DroppedPass",
-    "Effect",
-    "Frame",
-    "GlowSettings",
-    "Layer",
-    "MirroredArray",
-    "Needs",
-    "Pass",
-    "Plan",
-    "SceneResources",
-    "SharedTexture",
-    "Target",
-    "Targets",
-    "TechniquePass",
-    "TextureSettings",
-    "View",
-    "find_last",
-    "find_needs",
-    "make_plan",
-]
+__all__ = _list_public(globals())

@@ -18,8 +18,6 @@ from renderer.shaders.fog import FogConstants
 from renderer.shaders.structs import Haze
 from rhi import UniformBuffer
 
-__rhi_internal__ = True
-
 
 def bind_fog(frame: Frame) -> UniformBuffer[FogConstants]:
     """Return the scene's fog as the frame's view sees it."""

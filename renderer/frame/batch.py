@@ -19,8 +19,6 @@ from renderer.shaders import DRAW_LISTS
 from renderer.visibility.repeated import RepeatedCommands
 from rhi import DRAW, Buffer, Device, Encoder, IndirectDraws
 
-__rhi_internal__ = True
-
 _STEP: Final = 32
 """What the number of draws is rounded up to a multiple of. A draw of nothing takes no measurable time."""
 

@@ -21,8 +21,6 @@ from renderer.visibility.boxes.bounds import is_parallel
 from rhi import Device, Program, Texture
 from rhi.shading import Precision, Shader
 
-__rhi_internal__ = True
-
 
 @dataclass(eq=False, slots=True)
 class ViewRecord:

@@ -33,8 +33,6 @@ from rhi import (
     TextureKind,
 )
 
-__rhi_internal__ = True
-
 MOST_ARRAYS: Final = 8
 """The most arrays that a shader binds: devices have 16 textures, and techniques read up to 8 of their own."""
 MOST_MEMORY: Final = 1.15

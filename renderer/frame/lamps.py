@@ -24,8 +24,6 @@ from renderer.visibility.repeated import RepeatedCommands
 from rhi import Device, Encoder
 from rhi.shading import Shader, Storage, StorageRW, Struct, Uniform, function, global_id, vec3
 
-__rhi_internal__ = True
-
 EYES: Final = 2
 """The largest number of eyes of a frame."""
 

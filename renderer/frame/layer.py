@@ -7,8 +7,6 @@ from typing import Protocol
 from renderer.frame.frame import Frame
 from rhi import Device
 
-__rhi_internal__ = True
-
 
 class Layer(Protocol):
     """Draws over a finished frame, before it is presented."""

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from rhi import Device, StorageBuffer, UniformBuffer
 from rhi.shading import Struct
 
-__rhi_internal__ = True
-
 
 class _Destroyable(Protocol):
     def destroy(self) -> None: ...

@@ -22,8 +22,6 @@ from renderer.scene.arrays import Rows
 from renderer.visibility.boxes.volumes import find_in_view
 from rhi import Format, refuse
 
-__rhi_internal__ = True
-
 
 class Effect(Enum):
     """What a scene may call for."""

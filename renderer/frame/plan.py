@@ -23,8 +23,6 @@ from typing import Final, Generic, TypeVar
 from renderer import rules
 from rhi import Format, refuse
 
-__rhi_internal__ = True
-
 F = TypeVar("F")
 """What passes are run with: a frame."""
 

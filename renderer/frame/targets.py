@@ -9,8 +9,6 @@ from typing import Final
 from renderer.frame.plan import SharedTexture, fit_size
 from rhi import Device, Format, Texture
 
-__rhi_internal__ = True
-
 _Kind = tuple[Format, tuple[int, int], int]
 
 IMAGE_FORMAT: Final = Format.RGBA8_SRGB

@@ -6,8 +6,6 @@ from functools import lru_cache
 
 import numpy as np
 
-__rhi_internal__ = True
-
 Color = tuple[float, float, float]
 
 

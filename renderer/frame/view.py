@@ -15,8 +15,6 @@ from renderer.scene import Camera
 from renderer.visibility import VisibilityAlgorithm
 from rhi import Device, UniformBuffer
 
-__rhi_internal__ = True
-
 
 class View:
     """A camera, and the algorithm that finds what it sees, with its memory of the last frames.

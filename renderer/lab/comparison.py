@@ -95,8 +95,9 @@ def average(digits: int | None = None) -> Column:
 
 
 def largest(found: Result, name: str) -> Any:
-    """Return the largest of what was counted under this name."""
-    return max(found.counts[name])
+    """Return the largest of what was counted under this name; None if it couldn't be counted."""
+    counts = found.counts[name]
+    return None if None in counts else max(counts)
 
 
 @runtime_checkable

@@ -37,8 +37,6 @@ from rhi.shading import (
     vertex_index,
 )
 
-__rhi_internal__ = True
-
 _CORNERS: Final = 6  # of the two triangles
 _CAPACITY: Final = 1024  # particles at first
 _RADIUS: Final = 0.05  # in m

@@ -5,126 +5,75 @@ camera = parse_camera("ground", scene, frame=600).with_aspect(16 / 9)
 moved = scene.update(seconds=10.0)
 """
 
-from renderer.scene.air import Fog, Glow
-from renderer.scene.camera import Camera, Depth, Frustum, FrustumPlane, Orthographic, Perspective, Projection
-from renderer.scene.catching_up import CatchUp, Leap, Leaping, Recompute, Stepped, Stepwise, Timed
-from renderer.scene.height_fields import HeightField, make_height_field
-from renderer.scene.lights import (
-    DIRECTIONAL,
-    POINT,
-    RELATIVE_POINT,
-    RELATIVE_SPOT,
-    SPOT,
-    Lights,
-    RelativeLights,
-)
-from renderer.scene.materials import (
-    MATERIAL,
-    TEXTURE,
-    AlphaMode,
-    ImagePixels,
-    ShadingModel,
-    TextureMap,
-    make_material,
-)
-from renderer.scene.meshes import (
-    RANGE,
-    VERTEX,
-    Meshes,
-    MeshGeometry,
-    list_attributes,
-    make_geometry,
-    vertex_format,
-)
-from renderer.scene.nodes import Nodes
-from renderer.scene.objects import Boxes, Objects
-from renderer.scene.omissions import Omission, Omissions
-from renderer.scene.paths import FRAME_COUNT, FRAMES_PER_SECOND, CameraPath, make_path
-from renderer.scene.scene import Scene, SceneBuilder
-from renderer.scene.simulation import (
-    Advanced,
-    Deformed,
-    Deforming,
-    DeformingOnDevice,
-    FunctionOfTime,
-    Moving,
-    ObjectSimulation,
-    Simulated,
-    Simulator,
-)
-from renderer.scene.stereo import COMFORTABLE_SHARE, NATURAL_DISTANCE, Skewed, StereoRig, measure_parallax
-from renderer.scene.transforms import normal_matrices, relative_to, rotation, scaling, translation
+from renderer.scene.air import Fog as Fog
+from renderer.scene.air import Glow as Glow
+from renderer.scene.camera import Camera as Camera
+from renderer.scene.camera import Depth as Depth
+from renderer.scene.camera import Frustum as Frustum
+from renderer.scene.camera import FrustumPlane as FrustumPlane
+from renderer.scene.camera import Orthographic as Orthographic
+from renderer.scene.camera import Perspective as Perspective
+from renderer.scene.camera import Projection as Projection
+from renderer.scene.catching_up import CatchUp as CatchUp
+from renderer.scene.catching_up import Leap as Leap
+from renderer.scene.catching_up import Leaping as Leaping
+from renderer.scene.catching_up import Recompute as Recompute
+from renderer.scene.catching_up import Stepped as Stepped
+from renderer.scene.catching_up import Stepwise as Stepwise
+from renderer.scene.catching_up import Timed as Timed
+from renderer.scene.height_fields import HeightField as HeightField
+from renderer.scene.height_fields import make_height_field as make_height_field
+from renderer.scene.lights import DIRECTIONAL as DIRECTIONAL
+from renderer.scene.lights import POINT as POINT
+from renderer.scene.lights import RELATIVE_POINT as RELATIVE_POINT
+from renderer.scene.lights import RELATIVE_SPOT as RELATIVE_SPOT
+from renderer.scene.lights import SPOT as SPOT
+from renderer.scene.lights import Lights as Lights
+from renderer.scene.lights import RelativeLights as RelativeLights
+from renderer.scene.materials import MATERIAL as MATERIAL
+from renderer.scene.materials import TEXTURE as TEXTURE
+from renderer.scene.materials import AlphaMode as AlphaMode
+from renderer.scene.materials import ImagePixels as ImagePixels
+from renderer.scene.materials import ShadingModel as ShadingModel
+from renderer.scene.materials import TextureMap as TextureMap
+from renderer.scene.materials import make_material as make_material
+from renderer.scene.meshes import RANGE as RANGE
+from renderer.scene.meshes import VERTEX as VERTEX
+from renderer.scene.meshes import Meshes as Meshes
+from renderer.scene.meshes import MeshGeometry as MeshGeometry
+from renderer.scene.meshes import list_attributes as list_attributes
+from renderer.scene.meshes import make_geometry as make_geometry
+from renderer.scene.meshes import vertex_format as vertex_format
+from renderer.scene.nodes import Nodes as Nodes
+from renderer.scene.objects import Boxes as Boxes
+from renderer.scene.objects import Objects as Objects
+from renderer.scene.omissions import Omission as Omission
+from renderer.scene.omissions import Omissions as Omissions
+from renderer.scene.paths import FRAME_COUNT as FRAME_COUNT
+from renderer.scene.paths import FRAMES_PER_SECOND as FRAMES_PER_SECOND
+from renderer.scene.paths import CameraPath as CameraPath
+from renderer.scene.paths import make_path as make_path
+from renderer.scene.scene import Scene as Scene
+from renderer.scene.scene import SceneBuilder as SceneBuilder
+from renderer.scene.simulation import Advanced as Advanced
+from renderer.scene.simulation import Deformed as Deformed
+from renderer.scene.simulation import Deforming as Deforming
+from renderer.scene.simulation import DeformingOnDevice as DeformingOnDevice
+from renderer.scene.simulation import FunctionOfTime as FunctionOfTime
+from renderer.scene.simulation import Moving as Moving
+from renderer.scene.simulation import ObjectSimulation as ObjectSimulation
+from renderer.scene.simulation import Simulated as Simulated
+from renderer.scene.simulation import Simulator as Simulator
+from renderer.scene.stereo import COMFORTABLE_SHARE as COMFORTABLE_SHARE
+from renderer.scene.stereo import NATURAL_DISTANCE as NATURAL_DISTANCE
+from renderer.scene.stereo import Skewed as Skewed
+from renderer.scene.stereo import StereoRig as StereoRig
+from renderer.scene.stereo import measure_parallax as measure_parallax
+from renderer.scene.transforms import normal_matrices as normal_matrices
+from renderer.scene.transforms import relative_to as relative_to
+from renderer.scene.transforms import rotation as rotation
+from renderer.scene.transforms import scaling as scaling
+from renderer.scene.transforms import translation as translation
+from rhi.errors.exports import list_public as _list_public
 
-__rhi_internal__ = True
-
-__all__ = [
-    "COMFORTABLE_SHARE",
-    "DIRECTIONAL",
-    "FRAMES_PER_SECOND",
-    "FRAME_COUNT",
-    "MATERIAL",
-    "NATURAL_DISTANCE",
-    "POINT",
-    "RANGE",
-    "RELATIVE_POINT",
-    "RELATIVE_SPOT",
-    "SPOT",
-    "TEXTURE",
-    "VERTEX",
-    "Advanced",
-    "AlphaMode",
-    "Boxes",
-    "Camera",
-    "CameraPath",
-    "CatchUp",
-    "Deformed",
-    "Deforming",
-    "DeformingOnDevice",
-    "Depth",
-    "Fog",
-    "Frustum",
-    "FrustumPlane",
-    "FunctionOfTime",
-    "Glow",
-    "HeightField",
-    "ImagePixels",
-    "Leap",
-    "Leaping",
-    "Lights",
-    "MeshGeometry",
-    "Meshes",
-    "Moving",
-    "Nodes",
-    "ObjectSimulation",
-    "Objects",
-    "Omission",
-    "Omissions",
-    "Orthographic",
-    "Perspective",
-    "Projection",
-    "Recompute",
-    "RelativeLights",
-    "Scene",
-    "SceneBuilder",
-    "ShadingModel",
-    "Simulated",
-    "Simulator",
-    "Skewed",
-    "Stepped",
-    "Stepwise",
-    "StereoRig",
-    "TextureMap",
-    "Timed",
-    "list_attributes",
-    "make_geometry",
-    "make_height_field",
-    "make_material",
-    "make_path",
-    "measure_parallax",
-    "normal_matrices",
-    "relative_to",
-    "rotation",
-    "scaling",
-    "translation",
-    "vertex_format",
-]
+__all__ = _list_public(globals())

@@ -10,8 +10,6 @@ import numpy as np
 from renderer import rules
 from rhi.errors import refuse
 
-__rhi_internal__ = True
-
 _DENSEST: Final = 1e6
 """The largest density and falloff per metre: beyond it, nothing is seen through a thousandth of a millimetre."""
 

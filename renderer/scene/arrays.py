@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__rhi_internal__ = True
-
 Floats = NDArray[np.float64]
 """Coordinates, sizes and matrices in float64."""
 

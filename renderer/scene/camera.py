@@ -18,8 +18,6 @@ from renderer import rules
 from renderer.scene.arrays import Floats
 from rhi.errors import refuse
 
-__rhi_internal__ = True
-
 
 class Depth(Enum):
     """The direction of clip depth."""

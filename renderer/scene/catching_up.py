@@ -20,8 +20,6 @@ from renderer import rules
 from renderer.scene.arrays import Floats, Rows
 from rhi.errors import refuse
 
-__rhi_internal__ = True
-
 _EARLY: Final = 1e-6  # of a step: a time that rounding has put just before a step counts as the step
 _ROUNDED: Final = 2.0**-51  # of the number, which after years is more: time, interval and ratio are rounded
 

@@ -17,8 +17,6 @@ from renderer.scene.arrays import Rows
 from renderer.scene.materials import TEXTURES, AlphaMode, ShadingModel
 from rhi import SamplerDescriptor, Wrap
 
-__rhi_internal__ = True
-
 _Words = NDArray[np.uint64]
 
 _FEATURES: Final = (

@@ -15,8 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 from renderer import rules
 from rhi.errors import refuse
 
-__rhi_internal__ = True
-
 
 def check_finite(call: str, **values: ArrayLike) -> None:
     """Refuse values that aren't finite: `scene-not-finite`."""

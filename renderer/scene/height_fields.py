@@ -25,8 +25,6 @@ from renderer.scene.arrays import Floats
 from renderer.scene.meshes import MeshGeometry, vertex_format
 from rhi.errors import refuse
 
-__rhi_internal__ = True
-
 MOST_SAMPLES: Final = 4097
 """The largest side of a map of heights."""
 

@@ -20,8 +20,6 @@ from renderer import rules
 from renderer.scene.arrays import Floats, Rows
 from rhi.errors import refuse
 
-__rhi_internal__ = True
-
 DIRECTIONAL: Final = np.dtype(
     [("direction", "<f4", 3), ("intensity", "<f4"), ("color", "<f4", 3), ("casts_shadow", "<u4")]
 )

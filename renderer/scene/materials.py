@@ -22,8 +22,6 @@ from renderer import rules
 from rhi import SamplerDescriptor
 from rhi.errors import refuse
 
-__rhi_internal__ = True
-
 MATERIAL: Final = np.dtype(
     [
         ("base_color", "<f4", 4),  # linear, alpha last; multiplies the texture

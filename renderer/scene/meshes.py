@@ -22,8 +22,6 @@ from renderer.scene.arrays import Floats
 from renderer.scene.transforms import normal_matrices
 from rhi.errors import refuse
 
-__rhi_internal__ = True
-
 VERTEX: Final = np.dtype([("position", "<f4", 3), ("normal", "<f4", 3), ("uv", "<f4", 2)])
 """The vertex format of all meshes of the renderer: 32 bytes, tightly packed."""
 

@@ -20,8 +20,6 @@ from renderer.scene.arrays import Floats
 from renderer.scene.transforms import is_affine, multiply
 from rhi.errors import refuse
 
-__rhi_internal__ = True
-
 
 class Nodes:
     """The parents and the local and world transforms of all nodes.

@@ -17,8 +17,6 @@ from renderer.scene.meshes import Meshes
 from renderer.scene.nodes import Nodes
 from renderer.scene.transforms import transform_bounds
 
-__rhi_internal__ = True
-
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Boxes:

@@ -6,8 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-__rhi_internal__ = True
-
 
 @dataclass(frozen=True, slots=True)
 class Omission:

@@ -23,8 +23,6 @@ from renderer.scene.camera import Camera, Depth, Orthographic, Perspective, Proj
 from renderer.scene.finite import check_finite
 from rhi.errors import RhiError, refuse
 
-__rhi_internal__ = True
-
 FRAMES_PER_SECOND: Final = 60
 FRAME_COUNT: Final = 30 * FRAMES_PER_SECOND
 _SAMPLES: Final = 8192  # of a route, before it is divided into frames: every 22 cm of a 1.8 km route

@@ -50,8 +50,6 @@ from renderer.scene.transforms import is_affine, relative_to
 from rhi import SamplerDescriptor
 from rhi.errors import refuse
 
-__rhi_internal__ = True
-
 
 class Scene:
     """A scene, made by `SceneBuilder.build`, `load_scene` or a generator.

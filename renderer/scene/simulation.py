@@ -33,8 +33,6 @@ from renderer.scene.objects import Objects
 from rhi import Device, StorageBuffer
 from rhi.errors import refuse
 
-__rhi_internal__ = True
-
 _NONE: Final[Rows] = np.zeros(0, np.int64)
 _ROUNDING: Final = 2.0**-20  # of the largest coordinate: vertices are float32
 _STATES: Final = count(1)

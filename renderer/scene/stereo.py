@@ -26,8 +26,6 @@ from renderer.scene.arrays import Floats
 from renderer.scene.camera import Camera, Depth, Orthographic, Perspective, Projection
 from rhi.errors import refuse
 
-__rhi_internal__ = True
-
 NATURAL_DISTANCE: Final = 0.063
 """The distance of human eyes in metres, the mean of adults."""
 COMFORTABLE_SHARE: Final = 1.0 / 30.0

@@ -24,8 +24,6 @@ from numpy.typing import NDArray
 from renderer.scene.arrays import Floats, Rows
 from renderer.scene.meshes import MeshGeometry
 
-__rhi_internal__ = True
-
 
 def add_tangents(geometry: MeshGeometry, uv: str = "uv", *, splits: bool = True) -> MeshGeometry:
     """Return the mesh with tangents along one set of texture coordinates, `uv` or `uv2`.

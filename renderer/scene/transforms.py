@@ -13,8 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from renderer.scene.arrays import Floats
 
-__rhi_internal__ = True
-
 
 def translation(offset: ArrayLike) -> Floats:
     """Return matrices (..., 4, 4) that translate by `offset` (..., 3)."""

@@ -5,8 +5,6 @@ from __future__ import annotations
 from renderer.shaders.structs import Object, ObjectPosition, ViewConstants, relative_position
 from rhi.shading import Shader, Storage, Struct, Uniform, instance_index, vec3, vec4
 
-__rhi_internal__ = True
-
 
 class PlacedVertex(Struct):
     """The part of a vertex that depth depends on."""

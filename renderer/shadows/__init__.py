@@ -1,15 +1,12 @@
 """Shadow maps: what they show, when they are drawn, and how shaders read them."""
 
-from renderer.shadows.maps import MapReport, ShadowMaps, shadow_passes
-from renderer.shadows.receiver import FILTERS, ShadowReceiver
-from renderer.shadows.settings import ShadowFilter, ShadowSettings
+from renderer.shadows.maps import MapReport as MapReport
+from renderer.shadows.maps import ShadowMaps as ShadowMaps
+from renderer.shadows.maps import shadow_passes as shadow_passes
+from renderer.shadows.receiver import FILTERS as FILTERS
+from renderer.shadows.receiver import ShadowReceiver as ShadowReceiver
+from renderer.shadows.settings import ShadowFilter as ShadowFilter
+from renderer.shadows.settings import ShadowSettings as ShadowSettings
+from rhi.errors.exports import list_public as _list_public
 
-__all__ = [
-    "FILTERS",
-    "MapReport",
-    "ShadowFilter",
-    "ShadowMaps",
-    "ShadowReceiver",
-    "ShadowSettings",
-    "shadow_passes",
-]
+__all__ = _list_public(globals())

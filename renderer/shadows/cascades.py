@@ -19,8 +19,6 @@ from renderer.scene import Camera, Depth, Orthographic
 from renderer.scene.arrays import Floats
 from renderer.shadows.settings import ShadowSettings
 
-__rhi_internal__ = True
-
 _BORDER = 4
 """Texels at each side of a map which no point is in: filters reach that far, and the middle was moved by up to one."""
 

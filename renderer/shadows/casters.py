@@ -19,8 +19,6 @@ from renderer.shadows.cascades import Cascade
 from renderer.shadows.lamps import find_shadow_boxes, pair_by_light
 from renderer.visibility.boxes.volumes import Containment, classify
 
-__rhi_internal__ = True
-
 _MARGIN = 1e-9  # by which boxes are too large, relative to their coordinates
 
 

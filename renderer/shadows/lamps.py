@@ -16,8 +16,6 @@ from renderer.lights.rectangles import bound_cones, bound_spheres
 from renderer.scene import Camera, Perspective
 from renderer.scene.arrays import Floats, Rows
 
-__rhi_internal__ = True
-
 NEAR: Final = 1e-6
 """The near plane of maps, in ranges of their light. Reversed depth in floats is as fine wherever it is."""
 

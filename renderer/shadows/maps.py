@@ -53,8 +53,6 @@ from rhi import (
 )
 from rhi.shading import Shader, vec4, vertex_index
 
-__rhi_internal__ = True
-
 _COMPARING: Final = SamplerDescriptor(
     mip=None,
     wrap_u=Wrap.CLAMP,

@@ -26,8 +26,6 @@ from renderer.shadows.receiver import MOST_CASCADES, MOST_LAMP_MAPS
 from renderer.shadows.settings import ShadowSettings
 from renderer.visibility.boxes.volumes import find_in_view
 
-__rhi_internal__ = True
-
 SUN: Final = "directional"
 """The kind of directional lights."""
 

@@ -8,8 +8,6 @@ from enum import Enum
 from renderer import rules
 from rhi import refuse
 
-__rhi_internal__ = True
-
 
 class ShadowFilter(Enum):
     """How many texels of a shadow map a point is compared with, and how."""

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-__rhi_internal__ = True
-
 
 class Tile(NamedTuple):
     """A square of texels; `x` and `y` are those of its first texel."""

@@ -3,20 +3,14 @@
 renderer.stereo = Stereo(StereoRig(eye_distance=0.063, convergence=3.0), "dubois")
 """
 
-from renderer.stereo.outputs import ANAGLYPHS, OUTPUTS, fit_picture, mix_anaglyph
-from renderer.stereo.pair import EyePair, Stereo
-from renderer.stereo.reprojection import find_holes
-from renderer.stereo.rigs import find_rig
+from renderer.stereo.outputs import ANAGLYPHS as ANAGLYPHS
+from renderer.stereo.outputs import OUTPUTS as OUTPUTS
+from renderer.stereo.outputs import fit_picture as fit_picture
+from renderer.stereo.outputs import mix_anaglyph as mix_anaglyph
+from renderer.stereo.pair import EyePair as EyePair
+from renderer.stereo.pair import Stereo as Stereo
+from renderer.stereo.reprojection import find_holes as find_holes
+from renderer.stereo.rigs import find_rig as find_rig
+from rhi.errors.exports import list_public as _list_public
 
-__rhi_internal__ = True
-
-__all__ = [
-    "ANAGLYPHS",
-    "OUTPUTS",
-    "EyePair",
-    "Stereo",
-    "find_holes",
-    "find_rig",
-    "fit_picture",
-    "mix_anaglyph",
-]
+__all__ = _list_public(globals())

@@ -31,8 +31,6 @@ from rhi.shading import (
     vec3,
 )
 
-__rhi_internal__ = True
-
 _GROUP: Final = 64
 _STEPS: Final = 8192
 

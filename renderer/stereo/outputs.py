@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 
 from renderer import rules
 
-__rhi_internal__ = True
-
 _LUMA: Final = (0.2126, 0.7152, 0.0722)  # Rec. 709
 _NONE: Final = (0.0, 0.0, 0.0)
 _RED, _GREEN, _BLUE = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)

@@ -21,8 +21,6 @@ from renderer.stereo.reprojection import REPROJECTION
 from renderer.visibility.repeated import RepeatedCommands, copy
 from rhi import Device, Encoder, Region, Texture, refuse
 
-__rhi_internal__ = True
-
 
 @dataclass(frozen=True, slots=True)
 class Stereo:

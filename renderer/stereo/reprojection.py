@@ -45,8 +45,6 @@ from rhi.shading import (
     uint_bits_to_float,
 )
 
-__rhi_internal__ = True
-
 _ROWS: Final = 16  # of a work-group
 _AHEAD: Final = np.array([(0.0, 0.0, -1.0, 1.0), (0.0, 0.0, -2.0, 1.0)])  # two points before the left eye
 

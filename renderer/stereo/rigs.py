@@ -7,8 +7,6 @@ from typing import Final
 from renderer.scene import Camera, Scene, StereoRig
 from renderer.visibility.boxes.depth_range import find_depth_range
 
-__rhi_internal__ = True
-
 _LEAST: Final = 1e-3  # of the farthest depth: a parallel lens may see what is behind the eye
 
 

@@ -6,8 +6,6 @@ from typing import Generic, TypeVar
 
 from rhi import Device, StorageBuffer
 
-__rhi_internal__ = True
-
 T = TypeVar("T")
 
 

@@ -59,8 +59,6 @@ from rhi.shading import (
     vec4,
 )
 
-__rhi_internal__ = True
-
 TILE: Final = 16
 """The side of a tile in pixels: a work-group has a pixel for each of its threads."""
 _GROUP: Final = TILE * TILE

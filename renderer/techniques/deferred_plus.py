@@ -36,8 +36,6 @@ from renderer.techniques.parts.scene_shader import LampShader, ShadingShader
 from renderer.techniques.parts.variants import FORWARD, draw_full_screen, list_lamps
 from rhi.shading import discard, fragment_coordinate, ivec2, vec4
 
-__rhi_internal__ = True
-
 
 class PackedShading(PackedReader, CellReader, LampShader, ShadingShader):  # type: ignore[misc]  # as `PackedReader`
     """Shades the pixels of the packed geometry buffer, by the lights of clusters if there are any."""

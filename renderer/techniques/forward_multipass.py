@@ -1,4 +1,5 @@
-"""Forward shading in several passes: a base pass, then a light at a time, added by blending (Wilks).
+"""Forward shading in several passes: a base pass, then a light at a time, added by blending (Thatcher 2014,
+algorithm 2).
 
 - The base pass draws depth, and all light that isn't a lamp's: ambient, emission, directional lights.
 - A light's pass draws the objects that it reaches once more, where they are visible (depth equal), and adds its light.

@@ -1,6 +1,6 @@
 """Forward shading with lists of lights for tiles or clusters.
 
-`forward_plus` (Harada, McKee and Yang 2012; Thatcher 2018) draws depth first, lists the lights that reach the surfaces
+`forward_plus` (Harada, McKee and Yang 2012; Thatcher 2014) draws depth first, lists the lights that reach the surfaces
 of each tile, and then draws the scene lit by the lists. No hidden fragment is lit. `clustered` (Olsson, Billeter and
 Assarsson 2012) lists the lights of clusters, which needs no depth, so the scene is drawn once.
 

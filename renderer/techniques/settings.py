@@ -22,8 +22,6 @@ from renderer.techniques.table import TECHNIQUES
 from renderer.techniques.technique import Technique
 from rhi import Device, refuse
 
-__rhi_internal__ = True
-
 
 @dataclass(frozen=True, slots=True)
 class TechniqueSettings:

@@ -34,8 +34,6 @@ from rhi.shading import (
     vec4,
 )
 
-__rhi_internal__ = True
-
 GROUP: Final = 64
 """Number of triangles per work-group."""
 MOST_LEVELS: Final = 24

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from renderer import rules
 from rhi import refuse
 
-__rhi_internal__ = True
-
 
 @dataclass(frozen=True, slots=True)
 class TessellationSettings:

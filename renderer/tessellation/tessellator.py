@@ -34,8 +34,6 @@ from renderer.visibility.repeated import RepeatedCommands
 from rhi import Device, Encoder, Readback
 from rhi.shading import uint
 
-__rhi_internal__ = True
-
 _UNSEEN: Final = 8.0
 """Edges outside the view may be this many times as long: they only cast shadows, and are there when the eye turns."""
 _GROUPS: Final = 16

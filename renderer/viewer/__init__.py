@@ -8,6 +8,4 @@ image = viewer.draw()
 from renderer.viewer.look import Look
 from renderer.viewer.viewer import Viewer
 
-__rhi_internal__ = True
-
 __all__ = ["Look", "Viewer"]

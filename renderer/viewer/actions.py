@@ -21,8 +21,6 @@ from renderer.viewer.stage import ViewerStage
 from renderer.visibility import list_algorithms
 from rhi.errors import refuse
 
-__rhi_internal__ = True
-
 NEXT: Final = "next"
 """The word for the choice after the present one."""
 _SPEED: Final = 1.5  # how many times as fast a step is

@@ -14,8 +14,6 @@ from typing import Any, Final, NoReturn
 from renderer import rules
 from rhi.errors import Rule, refuse
 
-__rhi_internal__ = True
-
 _FEW: Final = 4  # words that are named even if none is near
 
 Words = Callable[[], Iterable[str]]

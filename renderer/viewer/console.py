@@ -11,8 +11,6 @@ from typing import Final
 
 from renderer.viewer.commands import CommandTable, common_start
 
-__rhi_internal__ = True
-
 _KEPT: Final = 200  # lines of text, and of history
 _LONGEST: Final = 1000  # characters of a line
 

@@ -18,8 +18,6 @@ from renderer.scene import Camera, Orthographic, Perspective, Scene
 from renderer.scene.arrays import Floats
 from renderer.scene.camera import Projection
 
-__rhi_internal__ = True
-
 NOTCH: Final = 1.15
 """How much nearer a notch of the wheel brings, as a ratio of distances."""
 FAST: Final = 4.0

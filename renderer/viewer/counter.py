@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections import deque
 from typing import Final
 
-__rhi_internal__ = True
-
 _MOST: Final = 1000
 
 

@@ -11,8 +11,6 @@ import numpy as np
 from renderer.scene.arrays import Floats
 from renderer.viewer.controllers import FAST, NOTCH, Controller
 
-__rhi_internal__ = True
-
 Event = Mapping[str, Any]
 
 _PUSHES: Final = {

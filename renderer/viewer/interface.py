@@ -20,8 +20,6 @@ from renderer.scene import Camera
 from renderer.scene.arrays import Floats
 from rhi import Device
 
-__rhi_internal__ = True
-
 _TEXT: Final = srgb("#e8edf2")
 _DIM: Final = srgb("#93a1ae")
 _ERROR: Final = srgb("#ff8a7a")

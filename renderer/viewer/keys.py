@@ -6,8 +6,6 @@ from typing import Final
 
 from renderer.scene import Scene
 
-__rhi_internal__ = True
-
 KEYS: Final[dict[str, tuple[str, str]]] = {
     "F1": ("keys", "what the keys do"),
     "F2": ("console", "the console; Tab completes, arrows up and down recall"),

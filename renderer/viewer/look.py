@@ -27,8 +27,6 @@ from renderer.techniques.watched import list_contents
 from renderer.visibility import VisibilityAlgorithm, check_algorithm, make_visibility
 from rhi import Device
 
-__rhi_internal__ = True
-
 LIT: Final = "image"
 """The name of what a frame is for: the lit image."""
 SHADOWS: Final = ("scene", "all", "off")

@@ -18,8 +18,6 @@ from renderer.scene import Camera, Orthographic, Perspective, Scene, Simulator
 from renderer.scene.arrays import Floats, Rows
 from renderer.scene.materials import AlphaMode
 
-__rhi_internal__ = True
-
 _EDGE: Final = 1e-9  # of barycentric coordinates, so that no ray passes between neighbours
 
 

@@ -10,8 +10,6 @@ from renderer.scene import Camera, Scene
 from renderer.visibility import AutoCulling, NoCulling, VisibilityAlgorithm, WalkOutcome, find_walk
 from renderer.visibility.boxes.volumes import Containment, classify
 
-__rhi_internal__ = True
-
 _OF_NODES: Final = {
     WalkOutcome.OUTSIDE: "its node was outside the view",
     WalkOutcome.HIDDEN: "nothing in its node was found visible",

@@ -12,8 +12,6 @@ import numpy as np
 from renderer.scene import FRAMES_PER_SECOND, Camera, CameraPath
 from renderer.scene.arrays import Floats
 
-__rhi_internal__ = True
-
 LONGEST: Final = 600.0
 """Seconds after which a recording ends by itself."""
 

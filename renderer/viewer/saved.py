@@ -26,8 +26,6 @@ from renderer.viewer.stage import ViewerStage
 from rhi import Reloader, RhiError, ShaderError
 from rhi.errors import refuse
 
-__rhi_internal__ = True
-
 LOGGER: Final = logging.getLogger("rhi.reload")
 
 

@@ -16,8 +16,6 @@ from typing import Final
 from renderer import rules
 from rhi.errors import DeviceError
 
-__rhi_internal__ = True
-
 ADDRESS: Final = "127.0.0.1"
 _LONGEST: Final = 4096  # bytes of a line
 _MOST: Final = 8  # connections

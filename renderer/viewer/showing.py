@@ -21,8 +21,6 @@ from rhi import RhiError
 from rhi_screen import Screen, open_screen
 from rhi_screen.canvases import find_loop
 
-__rhi_internal__ = True
-
 _LISTENING: Final = 10.0  # frames a second
 
 

@@ -31,8 +31,6 @@ from renderer.visibility.boxes.volumes import find_in_view
 from rhi import Device, RhiError
 from rhi.errors import refuse
 
-__rhi_internal__ = True
-
 MOST_STEP: Final = 0.25
 """Seconds by which a frame moves the camera and the scene at most, however long it took."""
 

@@ -31,8 +31,6 @@ from renderer.viewer.stage import ViewerStage
 from rhi import Device, RhiError, Texture
 from rhi.errors import refuse
 
-__rhi_internal__ = True
-
 _NOTED: Final = 4.0  # seconds that a line is shown without the console
 _NOTES: Final = 4  # lines
 _QUEUE: Final = 10_000  # lines of scripts

@@ -28,8 +28,6 @@ from renderer.visibility.software_depth import SoftwareDepth, can_rasterise
 from renderer.visibility.walk import CullingWalk, WalkOutcome, find_walk
 from rhi import Device, refuse
 
-__rhi_internal__ = True
-
 __all__ = [
     "ALGORITHMS",
     "CANDIDATES",

@@ -18,8 +18,6 @@ from renderer.scene import Camera
 from renderer.scene.arrays import Rows
 from renderer.visibility.scene_pass import CallbackPass, ScenePass
 
-__rhi_internal__ = True
-
 
 @dataclass(frozen=True, slots=True)
 class VisibilityStatistics:

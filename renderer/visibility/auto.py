@@ -14,8 +14,6 @@ from renderer.visibility.trial import SpeedTrial
 from renderer.visibility.walk import CullingWalk, WalksNodes
 from rhi import Device
 
-__rhi_internal__ = True
-
 
 class AutoCulling:
     """Tries each candidate for some frames, then stays with the fastest until the view has changed (`SpeedTrial`).

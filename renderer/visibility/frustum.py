@@ -13,8 +13,6 @@ from renderer.visibility.boxes.culling import Culler, CullingCounts, find_visibl
 from renderer.visibility.boxes.hierarchy import build_by_area
 from renderer.visibility.scene_pass import ScenePass
 
-__rhi_internal__ = True
-
 
 class NoCulling:
     """Draws all objects: the reference that other algorithms are measured against."""

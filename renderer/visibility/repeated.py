@@ -11,8 +11,6 @@ from typing import Any
 
 from rhi import CommandBuffer, Device, Encoder, Region, StorageBuffer, Texture
 
-__rhi_internal__ = True
-
 
 class RepeatedCommands:
     """Commands that a device executes in each frame.

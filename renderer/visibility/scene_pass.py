@@ -21,8 +21,6 @@ from renderer.shaders import MeshPart, Object, ObjectPosition, ViewConstants
 from rhi import Encoder, IndirectDraws, QuerySet, Texture, refuse
 from rhi.shading import StorageRange, UniformRange
 
-__rhi_internal__ = True
-
 
 @dataclass(frozen=True, slots=True)
 class SceneArrays:

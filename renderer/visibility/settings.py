@@ -15,8 +15,6 @@ from typing import Any, Final, Self
 from renderer import rules
 from rhi import refuse
 
-__rhi_internal__ = True
-
 
 @dataclass(frozen=True, slots=True)
 class VisibilitySettings:

@@ -28,8 +28,6 @@ from renderer.visibility.scene_pass import ScenePass
 from renderer.visibility.settings import DEFAULTS, VisibilitySettings
 from rhi import Device
 
-__rhi_internal__ = True
-
 BACKEND: Final = "cl"
 """The backend of the device that occluders are drawn on."""
 _SMALLEST: Final = 0.005

@@ -13,8 +13,6 @@ import numpy as np
 
 from renderer.scene import Camera, Scene
 
-__rhi_internal__ = True
-
 _TURNED: Final = float(np.cos(np.pi / 4))
 _MOVED: Final = 0.15  # of the scene's diagonal
 _CHANGED: Final = 1.5  # ratio of the amounts drawn

@@ -19,8 +19,6 @@ from renderer.visibility.algorithm import VisibilityAlgorithm
 from renderer.visibility.boxes.culling import find_visible
 from renderer.visibility.boxes.forest import OUTSIDE, Forest
 
-__rhi_internal__ = True
-
 
 class WalkOutcome(IntEnum):
     """What became of a node or an object in a frame."""

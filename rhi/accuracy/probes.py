@@ -25,8 +25,6 @@ from rhi.shading.language.builtins import BUILTINS, OPERATORS, Builtin, ErrorBou
 from rhi.shading.language.shader import Shader
 from rhi.shading.language.types import MATRICES, VECTORS
 
-__rhi_internal__ = True
-
 Array = NDArray[Any]
 BoundName = Literal["glsl", "exact", "fast", "numpy"]
 """The name of a bound in `ErrorBound`, which says how a result was computed."""

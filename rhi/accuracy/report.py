@@ -33,8 +33,6 @@ from rhi.errors import RhiError
 from rhi.shading import Precision
 from rhi.shading.language.builtins import BUILTINS
 
-__rhi_internal__ = True
-
 Array = NDArray[Any]
 
 SAMPLES: Final = 1 << 16

@@ -18,8 +18,6 @@ from rhi.contract.formats import Format
 from rhi.shading import HostTexture, Precision, Shader, Storage, StorageRW, Texture2D, global_id, vec4
 from rhi.shading.language.builtins import ErrorBound
 
-__rhi_internal__ = True
-
 Array = NDArray[Any]
 
 TURNS: Final = 64

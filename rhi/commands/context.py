@@ -16,8 +16,6 @@ from rhi.contract.descriptors import (
 )
 from rhi.contract.states import STATE_TYPES, StateChange, default_values
 
-__rhi_internal__ = True
-
 _UNIFORM, _STORAGE = BindingKind.UNIFORM, BindingKind.STORAGE  # found faster than the members of the class
 _TEXTURE, _IMAGE = BindingKind.TEXTURE, BindingKind.IMAGE
 

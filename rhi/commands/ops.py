@@ -18,8 +18,6 @@ from rhi.contract.descriptors import (
     VertexArrayDescriptor,
 )
 
-__rhi_internal__ = True
-
 
 class Op(enum.IntEnum):
     """The operation of a command, one per method of `rhi.contract.Backend` that is a command.

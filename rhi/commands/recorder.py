@@ -21,9 +21,7 @@ from rhi.commands.ops import Op
 from rhi.commands.stream import CommandStream
 from rhi.contract.backend import Backend, Capabilities
 from rhi.contract.descriptors import Id, VertexArrayDescriptor
-from rhi.errors import MARK
-
-__rhi_internal__ = True
+from rhi.errors import MARK, MARKED, mark_library
 
 
 class CommandMethods:
@@ -48,6 +46,7 @@ class CommandMethods:
         if "METHOD" not in vars(cls):
             return
         namespace = {"__name__": cls.__module__, **cls.GLOBALS}
+        mark_library()
         if hasattr(sys.modules[cls.__module__], MARK):
             namespace[MARK] = True  # else the generated frames would pass for the user's
         for name, method in _make_methods(cls, namespace).items():
@@ -109,7 +108,8 @@ def _make_methods(cls: type[CommandMethods], namespace: dict[str, object]) -> di
             elif annotation.startswith("Sequence["):
                 lines.append(f"    {name} = tuple({name})")
         arguments = "".join(f"{name}, " for name in op.parameters)
-        lines.append(cls.METHOD.format(op=int(op), method=op.method, arguments=arguments))
+        look = "pass" if op.method.startswith(_IN_PASSES) else _LOOK
+        lines.append(cls.METHOD.format(op=int(op), method=op.method, arguments=arguments, look=look))
     source = "\n".join(lines)
     file = f"<{cls.__module__}.{cls.__qualname__}>"
     linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)  # for tracebacks
@@ -130,6 +130,7 @@ class _NoFrame:
 
 
 FIND_CALLER: Final = f"""\
+    {{look}}
     frame = get_frame(1)
     while "{MARK}" in frame.f_globals:
         frame = frame.f_back or no_frame
@@ -137,7 +138,14 @@ FIND_CALLER: Final = f"""\
 """The part of a `METHOD` that finds the innermost frame of user code: `frame`, with its code object
 (`frame.f_code`) and instruction offset (`frame.f_lasti`)."""
 
-FIND_CALLER_GLOBALS: Final = MappingProxyType({"get_frame": sys._getframe, "no_frame": _NoFrame()})
+_LOOK: Final = "if len(modules) != marked[0]: mark_library()"
+_IN_PASSES: Final = ("bind_", "set_", "draw", "end_", "push_", "pop_")
+"""How the commands begin that don't look whether modules were imported, since a pass has begun before them."""
+
+FIND_CALLER_GLOBALS: Final = MappingProxyType({
+    "get_frame": sys._getframe, "no_frame": _NoFrame(), "mark_library": mark_library, "marked": MARKED,
+    "modules": sys.modules,
+})  # fmt: skip
 """The `GLOBALS` that `FIND_CALLER` uses."""
 
 _RECORD: Final = f"{FIND_CALLER}    self._write(({{op}}, {{arguments}}frame.f_code, frame.f_lasti))\n"

@@ -21,10 +21,8 @@ from rhi.commands.context import CONTEXT_OPS, StreamContext
 from rhi.commands.ops import DRAWS, WIDTHS, Descriptor, Op, States
 from rhi.commands.text import describe_call
 from rhi.contract.descriptors import Id, PassDescriptor, ProgramDescriptor
-from rhi.errors import CallSite, RhiError, refuse
+from rhi.errors import CallSite, RhiError, make_call_site, refuse
 from rhi.errors.rules import COMMAND_ARGUMENT, COMMAND_CLEARED
-
-__rhi_internal__ = True
 
 __all__ = ["Command", "CommandStream", "Commands", "Failure", "Op", "Refusal", "StreamContext"]
 
@@ -73,7 +71,7 @@ def find_site(code: CodeType | None, offset: int) -> CallSite | None:
         return None
     position = next(islice(code.co_positions(), offset // 2, None), None)
     line = position[0] if position is not None else None
-    return CallSite(code.co_filename, line or code.co_firstlineno, code.co_qualname)
+    return make_call_site(code, line or code.co_firstlineno)
 
 
 class Command:

@@ -12,8 +12,6 @@ from collections.abc import Mapping
 
 from rhi.contract.states import PlatformState, StateChange
 
-__rhi_internal__ = True
-
 
 def describe_call(method: str, arguments: Mapping[str, object]) -> str:
     """Return a call as text: `method(name=value, …)`."""

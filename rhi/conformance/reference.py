@@ -212,13 +212,13 @@ def halve(format: Format, stored: Array) -> Float:
 # -- coverage --------------------------------------------------------------------------------------------
 
 
-def rasterise(triangle: ArrayLike, width: int, height: int) -> NDArray[np.bool_]:
+def rasterise(triangle: ArrayLike, width: int, height: int, subtexels: int = SUBTEXELS) -> NDArray[np.bool_]:
     """Return the texels whose centers a triangle covers by the top-left rule, exactly.
 
-    `triangle` is (3, 2) int: window x (right), y (down) in 1/16 texel, of either winding.
+    `triangle` is (3, 2) int: window x (right), y (down) in 1/16 texel, or in 1/`subtexels`, of either winding.
     """
     inside = np.ones((height, width), bool)
-    for edge, is_top_left, _ in _edges(triangle, width, height):
+    for edge, is_top_left, _ in _edges(triangle, width, height, subtexels):
         inside &= (edge >= 0) if is_top_left else (edge > 0)
     return inside
 
@@ -255,13 +255,15 @@ def rasterise_within(
     return certain, possible
 
 
-def _edges(triangle: ArrayLike, width: int, height: int) -> list[tuple[NDArray[np.int64], bool, float]]:
+def _edges(
+    triangle: ArrayLike, width: int, height: int, subtexels: int = SUBTEXELS
+) -> list[tuple[NDArray[np.int64], bool, float]]:
     """Return for each edge the edge function at the texel centers (positive inside), whether it is a top or left edge,
     and its length in subtexels. A triangle without area gets one edge with every texel outside."""
     corners = [(int(x), int(y)) for x, y in np.asarray(triangle, np.int64)]
     (ax, ay), (bx, by), (cx, cy) = corners
     area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-    y, x = np.mgrid[0:height, 0:width].astype(np.int64) * SUBTEXELS + SUBTEXELS // 2
+    y, x = np.mgrid[0:height, 0:width].astype(np.int64) * subtexels + subtexels // 2
     if area == 0:
         return [(np.full_like(x, -1 << 40), False, 1.0)]
     if area < 0:  # clockwise as seen with y down

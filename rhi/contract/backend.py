@@ -47,8 +47,6 @@ from rhi.contract.descriptors import (
 from rhi.contract.formats import Format
 from rhi.contract.states import PlatformState, StateChange
 
-__rhi_internal__ = True
-
 FOREVER: Final = 3600.0
 """Timeout in seconds of a wait that has no limit; a device that takes longer counts as lost."""
 
@@ -240,7 +238,8 @@ class PreparesKernels(Protocol):
 
         Args:
             vertex_array: a vertex array of the program; 0 for none.
-            colors, depth, samples: the formats and samples of the targets; without any, they aren't known yet.
+            colors: the formats of the color targets; without any target, they aren't known yet.
+            depth: the format of the depth target. samples: those of all targets.
             states: the value of every state type.
         """
 

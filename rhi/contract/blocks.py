@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 
 from rhi.contract.formats import Choice, Format
 
-__rhi_internal__ = True
-
 BLOCK: Final = 4
 """Edge length of a block in texels."""
 _STRIP: Final = 1 << 13  # blocks that are decoded at once, to bound the memory for their bits

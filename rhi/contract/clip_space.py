@@ -12,8 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 from rhi.errors import refuse
 from rhi.errors.rules import DEVICE_ARGUMENT
 
-__rhi_internal__ = True
-
 
 def convert_projection(projection: ArrayLike, *, reverse: bool = True) -> NDArray[np.float64]:
     """Convert projections with a clip depth of -1…1, as OpenGL's libraries make them, to this interface's 0…1.

@@ -19,8 +19,6 @@ from rhi.contract.formats import Choice, Format, IndexFormat
 from rhi.contract.states import Comparison
 from rhi.errors.arguments import Fields
 
-__rhi_internal__ = True
-
 Id: TypeAlias = int
 """The name of a resource. The device assigns it and never uses it again; 0 means none."""
 # Traces are checked by these annotations, which say what an id stands for.

@@ -14,8 +14,6 @@ from rhi.contract.descriptors import ProgramDescriptor, Stage, StageText
 from rhi.errors import CallSite, ShaderError
 from rhi.errors.rules import SHADER_DRIVER
 
-__rhi_internal__ = True
-
 SHOWN: Final = 10
 """Number of messages that are shown."""
 

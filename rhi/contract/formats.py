@@ -1,7 +1,8 @@
 """Texel and index formats.
 
-- A `Format` has channels of one kind, and the NumPy dtype that `Texture.read` and `Texture.write` use. A backend keeps
-  its own table from `Format` to the names of its API.
+- A `Format` has channels of one kind, and the NumPy dtype that `Texture.read` and `Texture.write` use. Its row is
+  where a format is described: whatever else knows of formats is derived from the parts of the row. A port adds what
+  only its API knows, a name.
 - In a packed format all channels of a texel share one number, the first channel in its lowest bits. Arrays have one
   number per texel, as stored; `rhi.contract.texels` packs and unpacks them.
 - Depth formats read back as float32, however they are stored; stencil reads back as uint8.
@@ -13,8 +14,6 @@ import enum
 from typing import Final
 
 import numpy as np
-
-__rhi_internal__ = True
 
 
 class Choice(enum.Enum):
@@ -40,9 +39,10 @@ class Format(Choice):
     """A texel format: (channels, kind, NumPy dtype of one channel, bytes of a stored texel).
 
     The parts are also attributes: `channels`, `kind`, `dtype` and `texel_bytes`. Packed formats also name the bits of
-    each channel; their `dtype` is that of a texel.
+    each channel; their `dtype` is that of a texel. Depth formats in fixed point name the bits of a depth.
 
     Attributes:
+        depth_steps: the integer that represents depth 1 in a fixed-point depth format; 0 for other formats.
         components: numbers of `dtype` per texel in arrays: the channels, or 1 in a packed format.
         channel_bits: bits of each channel, in the order of the channels.
     """
@@ -78,10 +78,10 @@ class Format(Choice):
     RGB10A2 = (4, ChannelKind.UNORM, "u4", 4, (10, 10, 10, 2))
     RGB10A2UI = (4, ChannelKind.UINT, "u4", 4, (10, 10, 10, 2))
     R11G11B10F = (3, ChannelKind.FLOAT, "u4", 4, (11, 11, 10))
-    D16 = (1, ChannelKind.DEPTH, "f4", 2)
-    D24 = (1, ChannelKind.DEPTH, "f4", 4)
+    D16 = (1, ChannelKind.DEPTH, "f4", 2, (), 16)
+    D24 = (1, ChannelKind.DEPTH, "f4", 4, (), 24)
     D32F = (1, ChannelKind.DEPTH, "f4", 4)
-    D24S8 = (1, ChannelKind.DEPTH_STENCIL, "f4", 4)
+    D24S8 = (1, ChannelKind.DEPTH_STENCIL, "f4", 4, (), 24)
     D32FS8 = (1, ChannelKind.DEPTH_STENCIL, "f4", 8)
 
     channels: int
@@ -90,18 +90,20 @@ class Format(Choice):
     texel_bytes: int
     components: int
     channel_bits: tuple[int, ...]
+    depth_steps: int
 
     def __init__(
-        self, channels: int, kind: ChannelKind, dtype: str, texel_bytes: int, packed: tuple[int, ...] = ()
-    ) -> None:
-        # Two formats may have the same four parts (D24 and D32F do). Enum would make them aliases if their values
-        # were equal, so __new__ below numbers them.
+        self, channels: int, kind: ChannelKind, dtype: str, texel_bytes: int, packed: tuple[int, ...] = (),
+        depth_bits: int = 0,
+    ) -> None:  # fmt: skip
+        # Enum would make two formats of equal parts aliases, so __new__ below numbers them.
         self.channels = channels
         self.kind = kind
         self.dtype = np.dtype(dtype)
         self.texel_bytes = texel_bytes
         self.components = 1 if packed else channels
         self.channel_bits = packed or (8 * self.dtype.itemsize,) * channels
+        self.depth_steps = (1 << depth_bits) - 1 if depth_bits else 0
 
     def __new__(cls, *parts: object) -> Format:
         member = object.__new__(cls)
@@ -129,17 +131,10 @@ class Format(Choice):
         return self.kind is ChannelKind.DEPTH_STENCIL
 
     @property
-    def depth_steps(self) -> int:
-        """The integer that represents depth 1 in a fixed-point depth format; 0 for other formats."""
-        return _DEPTH_STEPS.get(self.name, 0)
-
-    @property
     def is_integer(self) -> bool:
         """Whether shaders read integers: no filtering, no blending."""
         return self.kind in (ChannelKind.UINT, ChannelKind.INT)
 
-
-_DEPTH_STEPS: Final = {"D16": (1 << 16) - 1, "D24": (1 << 24) - 1, "D24S8": (1 << 24) - 1}
 
 
 class IndexFormat(Choice):

@@ -19,8 +19,6 @@ import numpy as np
 
 from rhi.contract.formats import Choice
 
-__rhi_internal__ = True
-
 
 class Layout(Choice):
     """Rules by which the parts of a type are placed in memory."""

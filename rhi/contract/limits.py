@@ -67,8 +67,6 @@ from rhi.errors.rules import (
     TEXTURE_SIZE,
 )
 
-__rhi_internal__ = True
-
 
 class Fault(NamedTuple):
     """A broken rule, with the parts of its message."""
@@ -82,6 +80,9 @@ class Fault(NamedTuple):
 Faults = Iterator[Fault]
 
 _MANY: Final = 1 << 16
+MAX_ROW_BYTES: Final = (1 << 31) - 1
+"""The largest distance between rows of a copy: drivers take 32 bits. The size of a buffer doesn't bound one row's."""
+
 ANY_DEVICE: Final = Capabilities(
     "any", "", "", max_texture_size=_MANY, max_texture_layers=_MANY, sample_counts=(1, 2, 4, 8, 16, 32),
     max_vertex_attributes=_MANY, max_uniform_bytes=1 << 40, max_storage_bytes=1 << 40, max_uniform_slots=1 << 10,
@@ -243,6 +244,8 @@ def row_faults(
     least, step = region.width * texel, max(texel, limits.copy_row_alignment)
     if row_bytes < least or row_bytes % step:
         yield Fault(BUFFER_ALIGNMENT, f"row_bytes={row_bytes}", f"a multiple of {step}, {least} or more")
+    if row_bytes > MAX_ROW_BYTES:
+        yield Fault(BUFFER_ALIGNMENT, f"row_bytes={row_bytes}", f"at most {MAX_ROW_BYTES}")
     step = max(texel, limits.copy_offset_alignment)
     if offset % step:
         yield Fault(BUFFER_ALIGNMENT, f"offset={offset}", f"a multiple of {step}")
@@ -287,11 +290,14 @@ def buffer_copy_faults(
 ) -> Faults:
     """Yield what is wrong with a copy between buffers, or within one (`same`)."""
     alignment = limits.copy_alignment
-    for whole, start in ((source_size, offset), (target_size, target_offset)):
-        if start < 0 or size <= 0 or start + size > whole:
-            yield Fault(BUFFER_RANGE, f"{size} bytes at {start}", f"1 or more within {whole} bytes")
-        if start % alignment or size % alignment:
-            yield Fault(BUFFER_ALIGNMENT, f"{size} bytes at {start}", f"multiples of {alignment} bytes")
+    if size <= 0 or not 0 <= offset <= source_size - size:  # no loop over the two: renderers copy in each frame
+        yield Fault(BUFFER_RANGE, f"{size} bytes at {offset}", f"1 or more within {source_size} bytes")
+    if offset % alignment or size % alignment:
+        yield Fault(BUFFER_ALIGNMENT, f"{size} bytes at {offset}", f"multiples of {alignment} bytes")
+    if not 0 <= target_offset <= target_size - size:
+        yield Fault(BUFFER_RANGE, f"{size} bytes at {target_offset}", f"1 or more within {target_size} bytes")
+    if target_offset % alignment:
+        yield Fault(BUFFER_ALIGNMENT, f"{size} bytes at {target_offset}", f"multiples of {alignment} bytes")
     if same and abs(offset - target_offset) < size:
         yield Fault(BUFFER_OVERLAP, f"{offset} to {target_offset}, {size} bytes")
 

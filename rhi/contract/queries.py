@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from rhi.contract.backend import Backend
 from rhi.contract.descriptors import DRAW, Id, Primitive
 
-__rhi_internal__ = True
-
 
 class PlainQueries:
     """A group of occlusion queries that begins and ends each query with a command of its own."""

@@ -22,8 +22,6 @@ from rhi.contract.formats import Choice
 from rhi.errors.arguments import Fields
 from rhi.errors.rules import STATE_VALUE
 
-__rhi_internal__ = True
-
 MAX_TARGETS: Final = 8
 MAX_VIEWPORT_SIZE: Final = 16_384
 MAX_VIEWPORT_OFFSET: Final = 32_767

@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 
 from rhi.contract.formats import ChannelKind, Format
 
-__rhi_internal__ = True
-
 _Taps: TypeAlias = tuple[NDArray[np.intp], NDArray[np.float64]]
 _STRIP: Final = 256  # rows of a level that are filtered at once, to bound the float64 copies
 

@@ -65,8 +65,6 @@ from rhi.errors.rules import (
     RESOURCE_FOREIGN,
 )
 
-__rhi_internal__ = True
-
 PreparedCall = tuple[Callable[..., object], tuple[Any, ...]]
 
 _EMPTY, _RECORDING, _READY, _INVALID = "not recorded", "being recorded", "recorded", "invalid after an error"

@@ -71,8 +71,6 @@ from rhi.errors.rules import (
 )
 from rhi.shading import Shader, Struct, compile_shader
 
-__rhi_internal__ = True
-
 P = ParamSpec("P")
 S = TypeVar("S", bound=Struct)
 T = TypeVar("T")

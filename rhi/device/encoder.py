@@ -44,8 +44,6 @@ from rhi.errors.rules import (
     RESOURCE_FOREIGN,
 )
 
-__rhi_internal__ = True
-
 P = ParamSpec("P")
 _ONES: Final = (1, 1, 1)
 
@@ -103,7 +101,8 @@ class Encoder:
         """Create a render pass: `with device.render_pass(color, depth, clear=(0, 0, 0, 1), clear_depth=0):`
 
         Args:
-            color, depth: textures, or `texture.at(level, layer)`, all of the same size and number of samples.
+            color: textures, or `texture.at(level, layer)`, all of the same size and number of samples.
+            depth: a depth texture, likewise.
             clear: (red, green, blue, alpha) for all color targets, or one per target (None keeps the contents).
             clear_depth: 0 is far and 1 near under reversed depth; None keeps the contents.
             resolve: single-sampled textures that receive the averaged samples at the end.

@@ -22,8 +22,6 @@ from rhi.errors.rules import IMMEDIATE_VERTEX, SCOPE_ORDER
 if TYPE_CHECKING:
     from rhi.shading import Struct
 
-__rhi_internal__ = True
-
 S = TypeVar("S", bound="Struct")
 
 

@@ -29,8 +29,6 @@ from rhi.errors.rules import (
     QUERY_STATE,
 )
 
-__rhi_internal__ = True
-
 T = TypeVar("T")
 RenderTarget: TypeAlias = Texture | TextureTarget
 Color: TypeAlias = Sequence[float] | NDArray[Any]

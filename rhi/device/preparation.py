@@ -25,8 +25,6 @@ from rhi.device.resources.textures import Texture
 from rhi.errors.arguments import Arguments
 from rhi.errors.rules import DEVICE_ARGUMENT, TEXTURE_SIZE
 
-__rhi_internal__ = True
-
 _CALL = "device.prepare"
 
 

@@ -26,8 +26,6 @@ from rhi.device.transient import TransientOwner
 from rhi.errors import find_user_frame
 from rhi.errors.rules import DEVICE_CLOSED, RECORD_STATE, RECORD_TRANSIENT
 
-__rhi_internal__ = True
-
 
 class ResourceUse(NamedTuple):
     """A resource that a command buffer uses, with its name and the line of its first use."""

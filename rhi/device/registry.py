@@ -26,8 +26,6 @@ from rhi.errors import DeviceError, RhiError, refuse
 from rhi.errors.arguments import Arguments
 from rhi.errors.rules import DEVICE_ARGUMENT, DEVICE_DRIVER, DEVICE_UNKNOWN
 
-__rhi_internal__ = True
-
 GROUP: Final = "rhi.backends"
 PREFERENCE: Final = ("gl",)
 """Backends that are tried first, in this order, if no name is given; one that doesn't render must be named."""

@@ -36,8 +36,6 @@ from rhi.errors.rules import DEVICE_ARGUMENT, PASS_OPEN, RELOAD_WATCH
 from rhi.shading.compile import compile_shader, forget_compiled, is_same, restore_compiled
 from rhi.shading.language.edits import Edit, defines_shaders
 
-__rhi_internal__ = True
-
 LOGGER: Final = logging.getLogger("rhi.reload")
 _SETTLE: Final = 20
 """Milliseconds without a further change after which changes are taken: editors write a file in several steps."""

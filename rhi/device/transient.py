@@ -35,8 +35,6 @@ from rhi.errors.rules import IMMEDIATE_VERTEX, MESH_ATTRIBUTE
 from rhi.shading import Struct
 from rhi.shading.language.bindings import StorageRange, UniformRange
 
-__rhi_internal__ = True
-
 T = TypeVar("T")
 MAX_LAYOUTS: Final = 1024
 """Pairs of a program and a layout of vertices that are kept from frame to frame."""

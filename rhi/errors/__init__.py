@@ -2,22 +2,36 @@
 
 - Every error names one `Rule`: a stable id, a sentence, a tip. `rhi.errors.rules` is the table of the interface's
   rules, `rhi.shading.language.rules` that of the shading language. Defining a rule adds it to `RULES`.
-- An error names the *user's* line. Modules of this package have `__rhi_internal__ = True` among their globals, and
-  `find_user_frame` skips all frames with this mark. The recorder uses the same mark: to look up a name in the globals
-  of a frame is the cheapest way to leave a package (40 ns a frame).
+- An error names the *user's* line. `mark_library` decides which frames are the library's own: those of the files of
+  `rhi`, `rhi_screen` and `renderer`, and of `contextlib`, through which users enter scopes. They get a mark,
+  `__rhi_internal__`, among the globals of their module, once for each: to look up a name there is the cheapest way to
+  leave a package (40 ns a frame), and the recorder does so too. A port has the mark in its own modules.
 - This module imports nothing else of the package.
 """
 
 from __future__ import annotations
 
+import contextlib
+import os
 import sys
 from dataclasses import dataclass, field
-from types import FrameType
+from types import CodeType, FrameType
 from typing import Any, Final, NoReturn
 
-__rhi_internal__ = True
-
 MARK: Final = "__rhi_internal__"
+"""The name among a module's globals that says that its frames are the library's, not the user's."""
+
+_FOLDER: Final = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
+_PACKAGES: Final = ("rhi", "rhi_screen", "renderer")
+_OWN: Final = tuple(os.path.join(_FOLDER, name, "") for name in _PACKAGES)
+_KIT: Final = os.path.join(_FOLDER, "rhi", "conformance", "")
+"""The conformance kit uses the interface as its users do."""
+_START: Final = "<frozen runpy>"
+"""The outermost file of `python -m`: where the search for the user's line ends without one."""
+
+MARKED: Final = [0]
+"""The number of imported modules when the library's were marked last."""
+vars(contextlib)[MARK] = True  # its frames stand between the user's line and a scope that an exit stack enters
 
 RULES: Final[dict[str, Rule]] = {}
 """Every rule by its id, in the order of definition."""
@@ -123,8 +137,26 @@ def _as_text(value: object) -> str:
     return value if isinstance(value, str) else repr(value)
 
 
+def mark_library() -> None:
+    """Mark the library's modules among those that were imported since the last call.
+
+    A file of the library that the user runs as a program is the user's, but for `__main__.py`.
+    """
+    if len(sys.modules) == MARKED[0]:
+        return
+    MARKED[0] = len(sys.modules)
+    for name, module in list(sys.modules.items()):
+        if name == "__main__" or name.partition(".")[0] in _PACKAGES:  # others may load when they are asked anything
+            scope = getattr(module, "__dict__", {})
+            file = scope.get("__file__") or ""
+            is_program = scope.get("__name__") == "__main__" and os.path.basename(file) != "__main__.py"
+            if file.startswith(_OWN) and not file.startswith(_KIT) and not is_program:
+                scope[MARK] = True
+
+
 def find_user_frame(depth: int = 1) -> FrameType | None:
     """Return the innermost frame outside this package, starting `depth` frames above the caller."""
+    mark_library()
     frame: FrameType | None = sys._getframe(depth)
     while frame is not None and MARK in frame.f_globals:
         frame = frame.f_back
@@ -134,6 +166,9 @@ def find_user_frame(depth: int = 1) -> FrameType | None:
 def find_call_site() -> CallSite | None:
     """Return the user's line that led to this call, or None if the whole stack is internal."""
     frame = find_user_frame(2)
-    if frame is None:
-        return None
-    return CallSite(frame.f_code.co_filename, frame.f_lineno, frame.f_code.co_qualname)
+    return None if frame is None else make_call_site(frame.f_code, frame.f_lineno)
+
+
+def make_call_site(code: CodeType, line: int) -> CallSite | None:
+    """Return the call site at a line of a code object; None if `python -m` started the library itself there."""
+    return None if code.co_filename == _START else CallSite(code.co_filename, line, code.co_qualname)

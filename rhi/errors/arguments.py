@@ -23,8 +23,6 @@ from numpy.typing import NDArray
 from rhi.errors import Rule, refuse
 from rhi.errors.rules import DEVICE_ARGUMENT
 
-__rhi_internal__ = True
-
 E = TypeVar("E", bound=enum.Enum)
 T = TypeVar("T")
 C = TypeVar("C", tuple[Any, ...], frozenset[Any])

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import ModuleType
 
-__rhi_internal__ = True
-
 
 def list_public(namespace: Mapping[str, object]) -> list[str]:
     """Return the names for `__all__` of a package, sorted: all in its namespace but modules and private ones.

@@ -12,8 +12,6 @@ import sys
 from collections.abc import Callable
 from typing import Final, TextIO
 
-__rhi_internal__ = True
-
 GONE: Final = 141
 """The exit status of a program whose reader has gone away: that of one ended by SIGPIPE, as shells report it."""
 

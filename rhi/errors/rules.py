@@ -10,8 +10,6 @@ from typing import Final
 
 from rhi.errors import Rule
 
-__rhi_internal__ = True
-
 # -- containers ------------------------------------------------------------------------------------------
 
 CONTAINER_CAPACITY: Final = Rule("container-capacity", "a container needs a capacity of at least one element")

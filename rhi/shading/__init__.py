@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from rhi.shading.numpy.kernel import NumpyKernel
     from rhi.shading.numpy.textures import HostTexture
 
-__rhi_internal__ = True
-
 
 def __getattr__(name: str) -> Any:
     if name in ("evaluate", "run_compute"):  # few programs need these, and they take as long to import as all the rest

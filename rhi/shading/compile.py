@@ -37,8 +37,6 @@ from rhi.shading.parser.signatures import Callee, find_method
 from rhi.shading.parser.stage import StageParser
 from rhi.shading.parser.unused import check_bindings_are_used
 
-__rhi_internal__ = True
-
 _compiled: weakref.WeakKeyDictionary[type[Shader], tuple[ProgramDescriptor, ShaderCode]] = weakref.WeakKeyDictionary()
 
 Compiled = Mapping[type[Shader], tuple[ProgramDescriptor, ShaderCode]]

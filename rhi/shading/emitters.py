@@ -18,8 +18,6 @@ from rhi.shading.ir import tree
 from rhi.shading.language import rules
 from rhi.shading.language.builtins import Precision
 
-__rhi_internal__ = True
-
 # Lane code, OpenCL C and the writers of further languages are imported when a shader first needs them: they would take
 # a tenth of the time of `import rhi`.
 if TYPE_CHECKING:

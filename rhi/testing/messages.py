@@ -7,8 +7,6 @@ from typing import Final, NoReturn
 
 from rhi.commands.stream import Command
 
-__rhi_internal__ = True
-
 SHOWN: Final = 5
 """Maximum number of commands in each list of a message."""
 

@@ -21,8 +21,6 @@ from rhi.contract.backend import Capabilities
 from rhi.device.device import Device
 from rhi.errors import RhiError
 
-__rhi_internal__ = True
-
 
 @dataclass(frozen=True)
 class Obstacle:

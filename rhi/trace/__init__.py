@@ -8,22 +8,16 @@
   fault.
 """
 
-from rhi.trace.diff import Difference, Differences, diff
-from rhi.trace.file import Trace, load, save
-from rhi.trace.reduce import reduce, write_test
-from rhi.trace.replay import Replay, replay
+from rhi.errors.exports import list_public as _list_public
+from rhi.trace.diff import Difference as Difference
+from rhi.trace.diff import Differences as Differences
+from rhi.trace.diff import diff as diff
+from rhi.trace.file import Trace as Trace
+from rhi.trace.file import load as load
+from rhi.trace.file import save as save
+from rhi.trace.reduce import reduce as reduce
+from rhi.trace.reduce import write_test as write_test
+from rhi.trace.replay import Replay as Replay
+from rhi.trace.replay import replay as replay
 
-__rhi_internal__ = True
-
-__all__ = [
-    "Difference",
-    "Differences",
-    "Replay",
-    "Trace",
-    "diff",
-    "load",
-    "reduce",
-    "replay",
-    "save",
-    "write_test",
-]
+__all__ = _list_public(globals())

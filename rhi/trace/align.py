@@ -14,8 +14,6 @@ from collections.abc import Hashable, Iterator, Sequence
 from difflib import SequenceMatcher
 from typing import Final, TypeAlias
 
-__rhi_internal__ = True
-
 Pair: TypeAlias = tuple[int, int]
 
 _SHORT: Final = 250_000

@@ -21,8 +21,6 @@ from numpy.typing import NDArray
 from rhi.errors import Rule, refuse
 from rhi.trace.rules import TRACE_ARRAY, TRACE_FILE, TRACE_MEMBER, TRACE_SIZE
 
-__rhi_internal__ = True
-
 HEADER: Final = "trace.json"
 COMMANDS: Final = "commands.jsonl"
 MAX_BYTES: Final = 1 << 30

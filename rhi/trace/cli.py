@@ -26,8 +26,6 @@ from rhi.trace.file import Trace, load, save
 from rhi.trace.reduce import reduce, write_test
 from rhi.trace.replay import replay
 
-__rhi_internal__ = True
-
 _EXAMPLES = """\
 examples:
   python -m rhi trace show frame.zip --label sun

@@ -25,8 +25,6 @@ from rhi.device.registry import find_function
 from rhi.errors import RhiError, ShaderError
 from rhi.trace.rules import TRACE_SOURCE
 
-__rhi_internal__ = True
-
 LANGUAGES: Final = ("glsl", "opencl1", "opencl4", "opencl8", "opencl16")
 """Languages in which the stages of a program are saved, as far as they exist in them."""
 

@@ -39,8 +39,6 @@ from rhi.trace.align import align
 from rhi.trace.codec import encode, sources_of
 from rhi.trace.file import Trace
 
-__rhi_internal__ = True
-
 TraceSource = Trace | Device | Commands
 Thing = Command | Refusal
 REFUSED: Final = "refused"

@@ -38,8 +38,6 @@ from rhi.trace.rules import (
 )
 from rhi.trace.validation import SequenceValidator
 
-__rhi_internal__ = True
-
 FORMAT: Final = "rhi-trace"
 VERSION: Final = 2
 """Version of the format. 2 added lines for refused calls."""

@@ -9,8 +9,6 @@ from typing import Any, Final, NamedTuple
 from rhi.commands.ops import ID_KINDS, Op
 from rhi.contract.descriptors import Id
 
-__rhi_internal__ = True
-
 _PLAIN: Final = frozenset({"int", "float", "bool", "str", "bytes", "BytesLike", "Primitive"})
 _OPTIONAL: Final = frozenset({(Op.PRESENT, "texture"), (Op.DRAW_INDIRECT, "count_buffer")})
 """Arguments that are 0 for no resource. Of a descriptor's fields, those with a default may be."""

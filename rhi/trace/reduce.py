@@ -28,8 +28,6 @@ from rhi.trace.file import Trace, save
 from rhi.trace.ids import ids_of
 from rhi.trace.rules import TRACE_PREDICATE
 
-__rhi_internal__ = True
-
 ATTEMPTS: Final = 2000
 _OPENS: Final = {end: begin for begin, end in CLOSES.items()}
 

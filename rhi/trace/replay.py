@@ -30,8 +30,6 @@ from rhi.trace.file import Trace, as_trace
 from rhi.trace.ids import map_ids
 from rhi.trace.validation import check_capabilities
 
-__rhi_internal__ = True
-
 _FOLLOWED: Final = frozenset({Op.SET_STATES, *CLOSES, *CLOSES.values()})
 _ONCE: Final = _FOLLOWED | {Op.DESTROY, Op.SIGNAL, Op.WAIT, Op.PRESENT}
 """What isn't executed again if it failed."""

@@ -6,8 +6,6 @@ from typing import Final
 
 from rhi.errors import Rule
 
-__rhi_internal__ = True
-
 TRACE_FILE: Final = Rule("trace-file", "the file is not a complete trace", "save it again; it may be truncated")
 TRACE_VERSION: Final = Rule(
     "trace-version", "this package doesn't support the version of the trace", "update the package"

@@ -83,8 +83,6 @@ from rhi.trace.archive import ArchiveReader
 from rhi.trace.ids import kinds_of
 from rhi.trace.rules import TRACE_CAPABILITY, TRACE_REFERENCE, TRACE_SIZE
 
-__rhi_internal__ = True
-
 T = TypeVar("T")
 
 MAX_MEMORY: Final = 16 << 30

@@ -1,13 +1,14 @@
 """Random faults, one at a time, each tried against the tests that are responsible for its module.
 
-    python tests/meta/random_faults.py --faults 20 --seed 7 [rhi.device renderer.lights …] [--jobs 2] [--list]
+    python tests/meta/random_faults.py --faults 20 --seed 7 [rhi.device renderer.lights …] [--after 10] [--jobs 2]
+    python tests/meta/random_faults.py --faults 20 --seed 7 --list
 
 A fault is one small change of an operator, a constant, a condition or a call. It is made in a copy of the tracked
 files, which is deleted afterwards, so that processes that tests start, shaders that are parsed from their text and
 kernels in files see it too, and the working tree is never touched. Tests run in stages until one fails: first those of
 the module's folder, then for `rhi` those of its package and the conformance kit on the backends concerned, and for
-`renderer` the tests elsewhere that use the module most, and the exam. A stage that takes far longer than without a
-fault has noticed it.
+`renderer` the tests elsewhere that use the module most, and the exam. The test that fails is run once more without the
+fault, where it has to pass. One that doesn't end has noticed the fault, too.
 
 What no stage notices is printed with its line, unless `unseen_faults` explains it. The last line gives the share that
 is noticed of what can be seen. The exit status is 1 if there are survivors without an explanation.
@@ -21,6 +22,7 @@ from __future__ import annotations
 import argparse
 import ast
 import compileall
+import contextlib
 import functools
 import os
 import random
@@ -30,11 +32,10 @@ import signal
 import subprocess
 import sys
 import tempfile
-import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from py_compile import PycInvalidationMode
 from queue import SimpleQueue
@@ -52,8 +53,10 @@ PACKAGES: Final = (
 """Where faults are made unless packages are named: not in tests, the kit, scenes to look at, and what only measures."""
 
 _BACKENDS: Final = ("cl", "gl", "null")
-_SLACK: Final = 4.0, 30.0
-"""A stage may take so many times as long as without a fault, and so many seconds more."""
+_PATIENCE: Final = 180.0, 3600.0
+"""A test and a stage may take so many seconds."""
+
+_TEST: Final = re.compile(r"^(?:FAILED|ERROR) (\S+\.py(?:::.+?)?)(?: - .*)?$", re.MULTILINE)
 
 _MOST_USERS: Final = 8
 """Of the files of tests elsewhere that use a module of the renderer, so many are tried."""
@@ -362,24 +365,26 @@ class Copy:
                 compileall.compile_dir(folder / package, quiet=2, invalidation_mode=PycInvalidationMode.CHECKED_HASH)
         return cls(folder)
 
-    def run(self, tests: Sequence[str], seconds: float) -> tuple[bool, str]:
-        """Run tests, and return whether they fail or don't end, and the first that does."""
+    def run(self, tests: Sequence[str]) -> tuple[bool, str]:
+        """Run tests, and return whether they fail or don't end, and what they say of it."""
         environment = os.environ | {
             "PYTHONPATH": str(self.root), "PYTHONDONTWRITEBYTECODE": "1", "RHI_KERNELS": "quick",
         }  # fmt: skip
-        command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-p", "no:randomly", *tests]
+        command = [
+            sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-p", "no:randomly", "--tb=short",
+            "-o", f"faulthandler_timeout={_PATIENCE[0]}", "-o", "faulthandler_exit_on_timeout=true", *tests,
+        ]  # fmt: skip
         with subprocess.Popen(
             command, cwd=self.root, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
             errors="replace", start_new_session=True,
         ) as process:  # fmt: skip
             try:
-                output, _ = process.communicate(timeout=seconds)
+                output, _ = process.communicate(timeout=_PATIENCE[1])
             except subprocess.TimeoutExpired:
+                output = f"no end after {_PATIENCE[1]:.0f} s"
+            with contextlib.suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)  # the processes of tests too
-                process.communicate()
-                return True, f"no end after {seconds:.0f} s"
-        failed = [line for line in output.splitlines() if line.startswith(("FAILED", "ERROR", "E  "))]
-        return process.returncode not in (0, 5), failed[-1] if failed else output[-200:]
+        return process.returncode not in (0, 5), output
 
     def make_fault(self, fault: Fault) -> Callable[[], object]:
         """Write a fault, and return what takes it out again."""
@@ -389,56 +394,46 @@ class Copy:
         return functools.partial(file.write_text, text)
 
 
-@dataclass
-class Trials:
-    """Trials of faults, and what stages take without one."""
+def attempt_fault(copy: Copy, fault: Fault) -> str:
+    """Return what noticed a fault, "" if nothing did."""
+    for stage in choose_tests(copy.root, fault.file):
+        undo = copy.make_fault(fault)
+        try:
+            failed, told = copy.run(stage)
+        finally:
+            undo()
+        if failed:
+            options = stage[stage.index("--rhi-backend") :] if "--rhi-backend" in stage else ()
+            names = _TEST.findall(told)
+            again, why = copy.run((*names, *options) if names else (*stage, "--collect-only"))
+            assert not again, f"without a fault, {' '.join(names or stage)}: {why[-2000:]}"
+            lines = [line for line in told.splitlines() if line.startswith(("FAILED", "ERROR", "E  ", "Timeout"))]
+            return lines[-1] if lines else told[-200:]
+    return ""
 
-    project: Path
-    _seconds: dict[tuple[str, ...], float] = field(default_factory=dict)
 
-    def _measure(self, copy: Copy, stage: tuple[str, ...]) -> float:
-        if stage not in self._seconds:
-            began = time.monotonic()
-            failed, told = copy.run(stage, 3600.0)
-            assert not failed, f"without a fault, {' '.join(stage)}: {told}"
-            self._seconds[stage] = time.monotonic() - began
-        return self._seconds[stage]
+def attempt_faults(project: Path, faults: Sequence[Fault], jobs: int) -> Iterator[tuple[Fault, str]]:
+    """Yield each fault with what noticed it. `jobs`: how many are tried at a time, each in a copy of its own."""
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(jobs) as pool:
+        free: SimpleQueue[Copy] = SimpleQueue()
+        for number in range(jobs):
+            free.put(Copy.make(project, Path(folder) / str(number)))
 
-    def attempt(self, copy: Copy, fault: Fault) -> str:
-        """Return what noticed a fault, "" if nothing did."""
-        for stage in choose_tests(self.project, fault.file):
-            seconds = self._measure(copy, stage)
-            undo = copy.make_fault(fault)
+        def attempt(fault: Fault) -> str:
+            copy = free.get()
             try:
-                failed, told = copy.run(stage, _SLACK[0] * seconds + _SLACK[1])
+                return attempt_fault(copy, fault)
             finally:
-                undo()
-            if failed:
-                return told
-        return ""
+                free.put(copy)
 
-    def attempt_all(self, faults: Sequence[Fault], jobs: int) -> Iterator[tuple[Fault, str]]:
-        """Yield each fault with what noticed it. `jobs`: how many are tried at a time, each in a copy of its own."""
-        with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(jobs) as pool:
-            free: SimpleQueue[Copy] = SimpleQueue()
-            for number in range(jobs):
-                free.put(Copy.make(self.project, Path(folder) / str(number)))
-
-            def attempt(fault: Fault) -> str:
-                copy = free.get()
-                try:
-                    return self.attempt(copy, fault)
-                finally:
-                    free.put(copy)
-
-            yield from zip(faults, pool.map(attempt, faults), strict=True)
+        yield from zip(faults, pool.map(attempt, faults), strict=True)
 
 
 def try_faults(project: Path, faults: Sequence[Fault], jobs: int = 1) -> list[Fault]:
     """Try faults, print what becomes of each, and return those that nothing noticed and nothing explains."""
     counts: Counter[str] = Counter()
     survivors = []
-    for fault, noticed in Trials(project).attempt_all(faults, jobs):
+    for fault, noticed in attempt_faults(project, faults, jobs):
         reason = "" if noticed else explain(fault.file, fault.text, fault.old, fault.new)
         counts["noticed" if noticed else "unseen" if reason else "escaped"] += 1
         said = f"noticed  {fault}\n         {noticed[:200]}" if noticed else f"unseen   {fault}\n         {reason}"
@@ -456,10 +451,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("packages", nargs="*", default=PACKAGES, help="where: packages or modules (default: all)")
     parser.add_argument("--faults", type=int, default=20, help="how many (default 20)")
     parser.add_argument("--seed", type=int, default=1, help="which: a seed has always the same (default 1)")
+    parser.add_argument("--after", type=int, default=0, help="go on after so many of them (default 0)")
     parser.add_argument("--jobs", type=int, default=1, help="how many at a time (default 1)")
     parser.add_argument("--list", action="store_true", help="only list them")
     options = parser.parse_args(arguments)
-    faults = choose_faults(ROOT, options.packages, options.faults, options.seed)
+    faults = choose_faults(ROOT, options.packages, options.faults, options.seed)[options.after :]
     if options.list:
         print(*faults, sep="\n")
         return 0

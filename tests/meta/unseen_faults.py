@@ -12,6 +12,7 @@ COST: Final = "the same results; only time, memory or the number of kernels diff
 SAME: Final = "the same value for all arguments that can occur"
 GUARD: Final = "a second guard: another check refuses the same"
 WORDS: Final = "the wording of a text for people"
+LOOK: Final = "a measure of how something looks, for which another number is as right"
 DRIVER: Final = "another driver would show it; the installed ones behave alike"
 
 
@@ -29,6 +30,18 @@ UNSEEN: Final[tuple[Unseen, ...]] = (
     Unseen(
         "rhi/trace/diff.py", "elif isinstance(old, bytes) and isinstance(new, bytes):", "and", "or",
         f"{SAME}: two commands of one kind have bytes in the same places",
+    ),
+    Unseen(
+        "renderer/layers/overlay/overlay.py", "_NAMES: Final = 130  # width of the names of counters", "130", "131",
+        f"{LOOK}: the distance of two columns",
+    ),
+    Unseen(
+        "rhi/backends/gl/backend.py", "self._tests_alpha = False", "False", "True",
+        f"{SAME}: the first program that is bound finds out",
+    ),
+    Unseen(
+        "rhi/backends/cl/raster/kernels/vertex.cl", "const int last = draw->vertices - 1 - part * GROUP;", "*", "/",
+        f"{SAME}: nobody uses the lanes beyond the last vertex, and what they fetch is kept within the buffer",
     ),
     Unseen(
         "rhi/shading/opencl/prelude.py", 'body = body.replace("SELECT(", "rhi_select(" if lanes == 1 else "select(")',

@@ -8,6 +8,4 @@ from renderer.content.gltf.extras import Surroundings
 from renderer.content.gltf.reader import add_gltf
 from renderer.content.gltf.writer import write_gltf
 
-__rhi_internal__ = True
-
 __all__ = ["Surroundings", "add_gltf", "write_gltf"]

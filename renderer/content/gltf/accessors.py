@@ -15,8 +15,6 @@ from renderer.content.gltf.container import GltfFile
 from renderer.content.gltf.document import JsonObject
 from renderer.scene.arrays import Floats
 
-__rhi_internal__ = True
-
 _COMPONENTS: Final[dict[int, np.dtype[Any]]] = {
     5120: np.dtype("<i1"),
     5121: np.dtype("<u1"),

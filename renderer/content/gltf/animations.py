@@ -27,8 +27,6 @@ from renderer.content.gltf.tracks import (
 from renderer.scene.arrays import Floats, Rows
 from renderer.scene.omissions import Omissions
 
-__rhi_internal__ = True
-
 TARGETS: Final = {"translation": TRANSLATION, "rotation": ROTATION, "scale": SCALE, "weights": WEIGHTS}
 KINDS: Final = {"LINEAR": LINEAR, "STEP": STEP, "CUBICSPLINE": CUBIC}
 

@@ -19,8 +19,6 @@ from renderer import rules
 from renderer.content.gltf.document import JsonObject
 from rhi.errors import refuse
 
-__rhi_internal__ = True
-
 EXTENSIONS: Final = (
     "EXT_texture_webp",
     "KHR_lights_punctual",

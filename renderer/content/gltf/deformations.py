@@ -29,8 +29,6 @@ from renderer.scene.catching_up import Recompute
 from renderer.scene.meshes import VERTEX, MeshBounds, MeshGeometry
 from renderer.scene.transforms import multiply, transform_bounds
 
-__rhi_internal__ = True
-
 _FIRST: Final = np.zeros(1, np.int64)
 _ROUNDING: Final = 2.0**-18  # of the largest coordinate: vertices are computed in float32
 

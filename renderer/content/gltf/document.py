@@ -16,8 +16,6 @@ from renderer import rules
 from renderer.scene.arrays import Floats
 from rhi.errors import refuse
 
-__rhi_internal__ = True
-
 _LARGEST: Final = 1e30  # of a number: products of a few don't overflow
 _SHOWN: Final = 60  # characters of a value that a refusal shows
 

@@ -23,8 +23,6 @@ from renderer.scene.camera import Depth, Orthographic, Perspective, Projection
 from renderer.scene.paths import CameraPath
 from renderer.scene.scene import Scene
 
-__rhi_internal__ = True
-
 KEY: Final = "rhi"
 PLACED: Final = "placed"
 SPECULAR: Final = ("specular_color", "shininess", "rim_strength", "rim_power")

@@ -21,8 +21,6 @@ from renderer.scene.scene import SceneBuilder
 from rhi import Filter, SamplerDescriptor, Wrap
 from rhi.errors import RhiError
 
-__rhi_internal__ = True
-
 ALPHA_MODES: Final = {"OPAQUE": AlphaMode.OPAQUE, "MASK": AlphaMode.MASK, "BLEND": AlphaMode.BLEND}
 MAGNIFY: Final = {9728: Filter.NEAREST, 9729: Filter.LINEAR}
 MINIFY: Final = {

@@ -20,8 +20,6 @@ from renderer.scene.lights import Lights
 from renderer.scene.omissions import Omissions
 from renderer.scene.transforms import multiply
 
-__rhi_internal__ = True
-
 CANDELA: Final = 1.0 / np.pi
 """Intensity of a light for each candela: a white surface that faces it reflects 1 / π of what it receives in glTF, and
 all of it here."""

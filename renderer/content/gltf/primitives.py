@@ -21,8 +21,6 @@ from renderer.scene.meshes import VERTEX, MeshGeometry, compute_normals, vertex_
 from renderer.scene.omissions import Omissions
 from rhi.errors import refuse
 
-__rhi_internal__ = True
-
 TRIANGLES: Final = 4
 _STRIP: Final = 5
 _MODES: Final = (

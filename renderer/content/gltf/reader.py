@@ -43,8 +43,6 @@ from renderer.scene.arrays import Floats
 from renderer.scene.meshes import MeshGeometry
 from renderer.scene.scene import SceneBuilder
 
-__rhi_internal__ = True
-
 _ELSEWHERE = (
     "KHR_materials_",
     "KHR_texture_",

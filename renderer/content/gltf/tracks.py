@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 from renderer.scene.arrays import Floats, Rows
 from renderer.scene.catching_up import Recompute
 
-__rhi_internal__ = True
-
 STEP, LINEAR, CUBIC = range(3)
 """What is between two keys."""
 

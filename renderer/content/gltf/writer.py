@@ -34,8 +34,6 @@ from renderer.scene.scene import Scene
 from rhi import SamplerDescriptor
 from rhi.errors import refuse
 
-__rhi_internal__ = True
-
 FORMATS: Final = (".glb", ".gltf")
 """The extensions of the files that can be written."""
 

@@ -42,8 +42,6 @@ from renderer.scene.arrays import Floats
 from renderer.settings import RenderSettings
 from rhi import Device, refuse
 
-__rhi_internal__ = True
-
 MOST_POINTS: Final = 24
 """The most combinations that are drawn: those between the ends are left out evenly."""
 _MARGIN: Final = 4.0

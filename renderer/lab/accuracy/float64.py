@@ -41,8 +41,6 @@ from rhi.shading import (
     vec4,
 )
 
-__rhi_internal__ = True
-
 _TRIANGLES: Final = "triangles"
 _CHUNK: Final = 1 << 14
 """Fragments that are shaded at a time, each with three helpers."""

@@ -36,8 +36,6 @@ from renderer.lab.accuracy.sweep import (
 )
 from renderer.settings import to_plain
 
-__rhi_internal__ = True
-
 _VERSION: Final = 3
 """To be raised with any change of what is measured or stored."""
 

@@ -21,8 +21,6 @@ from renderer.shadows import ShadowFilter
 from rhi import Filter
 from rhi.shading import Precision
 
-__rhi_internal__ = True
-
 
 class Unit(Enum):
     """What an error is."""

@@ -46,8 +46,6 @@ from renderer.stereo import find_rig
 from renderer.visibility import find_obstacle
 from rhi import Device
 
-__rhi_internal__ = True
-
 T = TypeVar("T")
 
 _CROP: Final = (112, 63)

@@ -8,6 +8,4 @@ from renderer.lab.exam.case import Case, Found, Picture
 from renderer.lab.exam.examine import ExamRow, examine
 from renderer.lab.exam.table import CASES, find_cases
 
-__rhi_internal__ = True
-
 __all__ = ["CASES", "Case", "ExamRow", "Found", "Picture", "examine", "find_cases"]

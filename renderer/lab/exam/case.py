@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from rhi import Capabilities, Device
 
-__rhi_internal__ = True
-
 Picture = NDArray[Any]
 """An image (height, width, 4) uint8 of sRGB colours, or errors (height, width) of another type, shown by brightness."""
 

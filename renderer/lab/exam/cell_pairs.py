@@ -15,8 +15,6 @@ from renderer.scene import Depth, Orthographic, Perspective, Projection
 from renderer.scene.arrays import Floats
 from rhi.shading import evaluate
 
-__rhi_internal__ = True
-
 
 @dataclass(frozen=True)
 class OffAxis:

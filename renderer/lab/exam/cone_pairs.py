@@ -27,8 +27,6 @@ from renderer.scene.arrays import Floats
 from rhi import Device
 from rhi.shading import Shader, Storage, StorageRW, Struct, Uniform, evaluate, global_id, ivec2, uint
 
-__rhi_internal__ = True
-
 COUNT: Final = 3_000
 _NEXT: Final = (-1e-5, 0.0, 1e-5)
 ANGLES: Final[Floats] = np.radians(

@@ -59,8 +59,6 @@ from rhi.shading import (
     vertex_index,
 )
 
-__rhi_internal__ = True
-
 
 class EveryEncoding(Shader):
     """Stores and reads each value with every encoding; four results for each."""

@@ -11,8 +11,6 @@ import numpy as np
 from renderer.lab.exam.case import Case, Found
 from rhi import Device
 
-__rhi_internal__ = True
-
 
 @dataclass(frozen=True, slots=True)
 class ExamRow:

@@ -35,8 +35,6 @@ from renderer.tessellation.settings import TessellationSettings
 from renderer.visibility import NoCulling, VisibilitySettings
 from rhi import Device, RhiError, create_device
 
-__rhi_internal__ = True
-
 ENDLESS: Final = {"Perspective.far", "StereoRig.convergence", "StereoRig.comfortable.farthest", "make_grid.reach"}
 """Values that may be infinite."""
 CAMERA: Final = Camera.look_at((0.0, 0.0, 5.0), (0.0, 0.0, 0.0))

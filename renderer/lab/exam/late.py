@@ -9,8 +9,6 @@ from typing import Any, Final
 
 from rhi import OcclusionQuery, QuerySet
 
-__rhi_internal__ = True
-
 _PATIENCE: Final = 10.0  # seconds, for a device that never answers
 _BEGINS: Final[tuple[tuple[Any, str], ...]] = ((OcclusionQuery, "begin"), (QuerySet, "draw"))
 

@@ -48,8 +48,6 @@ from rhi.shading import (
     vec4,
 )
 
-__rhi_internal__ = True
-
 GROUP: Final = 64
 PAIRS: Final = 4_000  # of each of six lenses
 EXACT: Final = [name for name, test in SPHERE_TESTS.items() if test.is_exact]

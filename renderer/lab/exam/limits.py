@@ -26,8 +26,6 @@ from renderer.visibility import FrustumCulling, NoCulling, find_visible, list_al
 from rhi import CullMode, Device, Format, create_device
 from rhi.shading import Shader, fragment_coordinate, vec4, vertex_index
 
-__rhi_internal__ = True
-
 _YEARS: Final = 1e8
 _MANY_FRAMES: Final = 100_000
 _INTERVALS: Final = (60, 90, 240, 1000)  # steps per second

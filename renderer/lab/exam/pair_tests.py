@@ -12,8 +12,6 @@ from renderer.lights.culling.cells import CellGrid
 from rhi import Device
 from rhi.shading import Shader, Struct, uint
 
-__rhi_internal__ = True
-
 GROUP: Final = 64
 """The work-group of a shader of tests."""
 

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from renderer.lab.exam.case import Picture
 
-__rhi_internal__ = True
-
 _LEAST: Final = 256  # pixels of height, so that single ones can be seen
 _GAP: Final = 4
 

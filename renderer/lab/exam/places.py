@@ -20,8 +20,6 @@ from renderer.techniques import TECHNIQUES
 from renderer.visibility import FrustumCulling, NoCulling
 from rhi import Device
 
-__rhi_internal__ = True
-
 SIZE: Final = (96, 54)
 TWO_EYES: Final = "two eyes"
 DRAWN_BY: Final = ("forward", "deferred", TWO_EYES)

@@ -16,8 +16,6 @@ from renderer.techniques import TECHNIQUES
 from renderer.visibility import NoCulling
 from rhi import Device, Format, ValidationError, create_device
 
-__rhi_internal__ = True
-
 COUNT: Final = 300
 _IMAGE: Final = (Target("image", Format.RGBA8_SRGB), Target("depth", Format.D32F))
 _LAMPS: Final = ("light", "shadow", "tile", "lamp")

@@ -23,8 +23,6 @@ from renderer.scene.transforms import multiply, scaling, translation
 from renderer.visibility import NoCulling, VisibilityAlgorithm
 from rhi import Device
 
-__rhi_internal__ = True
-
 SIZE: Final = (97, 55)
 ORIGIN: Final = (0.0, 0.0, 0.0)
 WALL: Final = (0.0, 0.0, -5.0)

@@ -18,8 +18,6 @@ from renderer.shadows.cascades import Cascade, fit_cascades
 from renderer.visibility import NoCulling
 from rhi import Device
 
-__rhi_internal__ = True
-
 SETTINGS: Final = ShadowSettings(cascades=1, cascade_size=128, distance=20.0)
 FINE: Final = ShadowSettings(cascades=1, cascade_size=1024, distance=4.0)
 """Settings with texels of less than a centimetre."""

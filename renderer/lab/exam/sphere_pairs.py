@@ -30,8 +30,6 @@ from renderer.lights.culling.table import SPHERE_TESTS
 from rhi import Device
 from rhi.shading import Shader, Storage, StorageRW, Struct, Uniform, function, global_id, ivec2, uint, vec3
 
-__rhi_internal__ = True
-
 
 class SpherePair(Struct):
     """A sphere, and the cell of a tile between two depths."""

@@ -17,8 +17,6 @@ from renderer.stereo import ANAGLYPHS, Stereo, mix_anaglyph
 from renderer.visibility import FrustumCulling
 from rhi import Device
 
-__rhi_internal__ = True
-
 SIZE: Final = (97, 55)  # odd: neither halves evenly
 RIG: Final = StereoRig(0.3, 6.0)
 NATURAL: Final = StereoRig(0.065, 2.5)

@@ -10,8 +10,6 @@ from renderer.lab.exam import encodings, inputs, lights, limits, places, plans, 
 from renderer.lab.exam.case import Case
 from rhi import refuse
 
-__rhi_internal__ = True
-
 _SUBJECTS: Final = (visibility, lights, encodings, places, stereo, shadows, plans, inputs, limits)
 CASES: Final[dict[int, Case]] = {
     case.number: case

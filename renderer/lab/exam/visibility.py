@@ -25,8 +25,6 @@ from renderer.visibility import ALGORITHMS, ChcPlusPlus, VisibilitySettings, lis
 from renderer.visibility.queries.chc_plus_plus import STAYS_HIDDEN, choose_size
 from rhi import Device, FixedQueue, ValidationError
 
-__rhi_internal__ = True
-
 NAMES: Final = tuple(name for name in ALGORITHMS if name != "none")
 ASKING: Final = ("stop_and_wait", "chc", "chc_plus_plus", "conditional")
 """The algorithms that ask the device by queries."""

@@ -22,8 +22,6 @@ from renderer.shaders.lighting import tone_map
 from rhi import to_srgb
 from rhi.shading import evaluate
 
-__rhi_internal__ = True
-
 Pixels = NDArray[np.uint8]
 
 

@@ -19,8 +19,6 @@ from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Rows
 from rhi import Command, Commands, Op
 
-__rhi_internal__ = True
-
 _BINDINGS: Final = (Op.BIND_UNIFORM, Op.BIND_STORAGE, Op.BIND_TEXTURE, Op.BIND_IMAGE)
 
 

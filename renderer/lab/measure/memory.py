@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from renderer.frame.images import SceneImages
 from rhi import Command, Op
 
-__rhi_internal__ = True
-
 
 @dataclass(frozen=True, slots=True)
 class MemoryRow:

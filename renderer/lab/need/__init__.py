@@ -1,23 +1,19 @@
 """What each effect needs: a ladder of scenes, what each rung adds to a frame, and that removing it takes this away."""
 
-from renderer.lab.need.counting import SIZE, Ascent, compare, count_rung, remove_rung
-from renderer.lab.need.ladder import LADDER, Rung
-from renderer.lab.need.report import RungRow, count_need, find_rungs, show_added, show_removed, time_need
-from renderer.lab.need.timing import time_asking
+from renderer.lab.need.counting import SIZE as SIZE
+from renderer.lab.need.counting import Ascent as Ascent
+from renderer.lab.need.counting import compare as compare
+from renderer.lab.need.counting import count_rung as count_rung
+from renderer.lab.need.counting import remove_rung as remove_rung
+from renderer.lab.need.ladder import LADDER as LADDER
+from renderer.lab.need.ladder import Rung as Rung
+from renderer.lab.need.report import RungRow as RungRow
+from renderer.lab.need.report import count_need as count_need
+from renderer.lab.need.report import find_rungs as find_rungs
+from renderer.lab.need.report import show_added as show_added
+from renderer.lab.need.report import show_removed as show_removed
+from renderer.lab.need.report import time_need as time_need
+from renderer.lab.need.timing import time_asking as time_asking
+from rhi.errors.exports import list_public as _list_public
 
-__all__ = [
-    "LADDER",
-    "SIZE",
-    "Ascent",
-    "Rung",
-    "RungRow",
-    "compare",
-    "count_need",
-    "count_rung",
-    "find_rungs",
-    "remove_rung",
-    "show_added",
-    "show_removed",
-    "time_asking",
-    "time_need",
-]
+__all__ = _list_public(globals())

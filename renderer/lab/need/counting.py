@@ -27,8 +27,6 @@ from rhi import Commands, Op
 from rhi.testing import frames
 from rhi.trace import Differences, diff
 
-__rhi_internal__ = True
-
 SIZE: Final = (320, 180)
 """The size of the ladder's pictures."""
 

@@ -36,8 +36,6 @@ from renderer.techniques import Forward, Smoothed
 from rhi import BlendFunction, Op
 from rhi.testing import Footprint
 
-__rhi_internal__ = True
-
 Switch = Callable[[Renderer, int, bool], None]
 """Switches an effect on or off, given the row of the material that its rung has added, -1 if it has added none."""
 

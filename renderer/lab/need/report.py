@@ -13,8 +13,6 @@ from renderer.lab.need.counting import FrameCosts, Left, compare, count_rung, re
 from renderer.lab.need.ladder import LADDER
 from renderer.lab.need.timing import RungTime, time_removal, time_rungs
 
-__rhi_internal__ = True
-
 _ROUNDS_OF_REMOVAL: Final = 5
 """How many times as many rounds the removal of an effect is timed as what it adds: it is a matter of percents."""
 

@@ -19,8 +19,6 @@ from renderer.lab.need.counting import Ascent, open_without, remove
 from renderer.lab.need.ladder import move_eye
 from renderer.layers.overlay import Overlay
 
-__rhi_internal__ = True
-
 _WARM: Final = 12
 """Frames that aren't timed: kernels are built and replaced by better ones."""
 _ASKED: Final = 20

@@ -12,6 +12,4 @@ from renderer.layers.canvas.canvas import Canvas, srgb
 from renderer.layers.canvas.font import BOX, MONOSPACED, Font
 from renderer.layers.canvas.text import TextLayout, lay_out
 
-__rhi_internal__ = True
-
 __all__ = ["BOX", "MONOSPACED", "Canvas", "Font", "TextLayout", "lay_out", "srgb"]

@@ -36,8 +36,6 @@ from rhi.shading import (
     vertex_index,
 )
 
-__rhi_internal__ = True
-
 _CAPACITY: Final = 1024  # parallelograms at first
 _CORNERS: Final = 6  # of the two triangles
 

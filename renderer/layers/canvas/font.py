@@ -25,8 +25,6 @@ from PIL import ImageFont, features
 from renderer import rules
 from rhi import refuse
 
-__rhi_internal__ = True
-
 BOX: Final = 256
 """The glyph of characters that a font can't draw."""
 TAB: Final = 257

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from renderer.layers.canvas.font import LINE, TAB, Font
 
-__rhi_internal__ = True
-
 
 class TextLayout(NamedTuple):
     """A text laid out, in pixels from its top left.

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__rhi_internal__ = True
-
 
 class History:
     """The latest `room` values; the memory is allocated once."""

@@ -16,8 +16,6 @@ from renderer.scene import Camera, Scene
 from renderer.visibility import CullingWalk, WalkOutcome
 from rhi import TimerNode
 
-__rhi_internal__ = True
-
 TEXT: Final = srgb("#e8edf2")
 DIM: Final = srgb("#93a1ae")
 PANEL: Final = srgb("#0a0f14", 0.78)

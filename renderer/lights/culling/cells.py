@@ -34,8 +34,6 @@ from rhi.shading import (
     vec4,
 )
 
-__rhi_internal__ = True
-
 PADDING: Final = 2.0**-20
 """The share of a test's lengths by which a radius is enlarged, for the rounding of float32."""
 DEPTH_SLACK: Final = 2.0**-22

@@ -12,8 +12,6 @@ from renderer.lights.culling.cells import Cell, corner, extent_along, seen_from
 from renderer.lights.culling.sphere_tests import nearest_vertex
 from rhi.shading import Struct, dot, function, length, max, min, sqrt, vec3, vec4
 
-__rhi_internal__ = True
-
 
 class Cone(Struct):
     """The volume of a spot light in eye space: points within `range` of `apex`, and within the angle from the unit

@@ -30,8 +30,6 @@ from renderer.shaders.prefix_sum import PrefixSum
 from rhi import Device, Encoder, Readback, StorageBuffer, Texture, UniformBuffer
 from rhi.shading import uint
 
-__rhi_internal__ = True
-
 _START: Final = 64
 """Number of lights for each cell that lists have room for at first."""
 
@@ -69,8 +67,8 @@ class LightGrid:
     its point lights begin, where they end and its spot lights begin, and where those end.
 
     The lists have room for as many lights as earlier frames needed. If a frame needs more, those for which there is no
-    room are missing in that frame. A later `collect` learns their number without waiting, enlarges the lists, and notes
-    it in `overflows` and `dropped`.
+    room are missing in that frame, and in those that begin before the device has finished it. A later `collect` learns
+    their number without waiting, enlarges the lists, and notes it in `overflows` and `dropped`.
 
     Attributes:
         capacity: number of lights that fit in all lists together.

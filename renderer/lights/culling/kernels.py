@@ -56,8 +56,6 @@ from rhi.shading import (
     vec4,
 )
 
-__rhi_internal__ = True
-
 BLOCK: Final = 8
 """The side of a block in tiles."""
 GROUP: Final = BLOCK * BLOCK

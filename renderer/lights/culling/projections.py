@@ -12,8 +12,6 @@ from renderer.scene import Depth, Projection
 from renderer.scene.arrays import Floats
 from rhi.errors import refuse
 
-__rhi_internal__ = True
-
 _FARTHEST: Final = 1e9
 """The end, in metres, of a grid that neither a projection nor a light ends: float32 can square it."""
 

@@ -10,8 +10,6 @@ from __future__ import annotations
 from renderer.lights.culling.cells import Cell, corner, extent_along, seen_from, squared_distance
 from rhi.shading import abs, dot, function, length, max, min, vec2, vec3
 
-__rhi_internal__ = True
-
 
 @function
 def overlaps_always(cell: Cell, centre: vec3, radius: float) -> bool:

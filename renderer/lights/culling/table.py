@@ -13,8 +13,6 @@ from renderer.lights.culling.cone_tests import Cone
 from rhi.shading import vec3
 from rhi.shading.language.function import ShadingFunction
 
-__rhi_internal__ = True
-
 
 @dataclass(frozen=True, slots=True)
 class SphereTest:

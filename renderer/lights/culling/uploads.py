@@ -15,8 +15,6 @@ from renderer.scene import Camera, Lights, Perspective
 from rhi import Device, StorageBuffer, UniformBuffer
 from rhi.shading import vec4
 
-__rhi_internal__ = True
-
 
 class BufferSet:
     """Storage buffers by name, each of the size that a frame needs."""

@@ -13,8 +13,6 @@ from renderer.scene import Camera, Lights
 from renderer.scene.arrays import Floats
 from rhi.shading import evaluate
 
-__rhi_internal__ = True
-
 WORD: Final = 32
 """Number of lights whose results are the bits of a word."""
 

@@ -24,8 +24,6 @@ from renderer.techniques.parts.variants import Lighting, explain_lamps
 from rhi import Device, refuse
 from rhi.shading import Shader, Storage, Uniform, dot, fragment_coordinate, ivec2, ivec3
 
-__rhi_internal__ = True
-
 
 @dataclass(frozen=True, slots=True)
 class LightCells:

@@ -11,8 +11,6 @@ from renderer.techniques.parts.scene_shader import SceneShader
 from renderer.techniques.parts.variants import COVERAGE, bind, find_variant, scene_pass
 from rhi import Program
 
-__rhi_internal__ = True
-
 
 class PartialDepth(SceneShader):
     """Draws depth, of what isn't left out."""

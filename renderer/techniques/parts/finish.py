@@ -13,8 +13,6 @@ from renderer.techniques.parts.variants import FORWARD, Lighting, draw_full_scre
 from rhi import DepthFunction
 from rhi.shading import Struct, Uniform, fragment_coordinate, vec3, vec4
 
-__rhi_internal__ = True
-
 
 class Background(Struct):
     """The light of what is behind everything."""

@@ -13,8 +13,6 @@ from renderer.scene import Camera, Depth
 from renderer.shaders.pixels import PixelRays
 from rhi import DepthFunction, Device, Mesh, UniformBuffer
 
-__rhi_internal__ = True
-
 Color = tuple[float, float, float, float]
 
 BEHIND: Final = {Depth.REVERSED: DepthFunction.LESS, Depth.STANDARD: DepthFunction.GREATER}

@@ -52,8 +52,6 @@ from rhi.shading import (
     vec4,
 )
 
-__rhi_internal__ = True
-
 _EDGE: Final = SamplerDescriptor(mip=None, wrap_u=Wrap.CLAMP, wrap_v=Wrap.CLAMP)
 _OVER: Final = BlendFunction(BlendFactor.CONSTANT, BlendFactor.ONE_MINUS_CONSTANT)
 _EXPONENT: Final = 0x7F800000

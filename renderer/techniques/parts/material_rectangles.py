@@ -65,8 +65,6 @@ from rhi.shading import (
     vertex_index,
 )
 
-__rhi_internal__ = True
-
 TILE: Final = 32
 """The side of a tile in pixels: larger ones have more materials each, smaller ones more rectangles."""
 IDS_FORMAT: Final = Format.D16

@@ -61,8 +61,6 @@ from rhi.shading import (
     vec4,
 )
 
-__rhi_internal__ = True
-
 MOST_MATERIALS: Final = 1 << 16
 """The number of materials that the buffer can tell apart."""
 

@@ -19,8 +19,6 @@ from renderer.techniques.parts.full_screen import BEHIND, Color, bind_rays, make
 from renderer.techniques.parts.scene_shader import ForwardShader
 from rhi import BlendFunction, CullMode, DepthFunction, DepthTest, DepthWrite, Program, State, Texture
 
-__rhi_internal__ = True
-
 
 @dataclass(frozen=True, slots=True)
 class Lighting:

@@ -19,8 +19,6 @@ from renderer.scene import Camera, Depth, FrustumPlane
 from renderer.scene.arrays import Floats, Rows
 from renderer.visibility.boxes.volumes import RotatedBoxes
 
-__rhi_internal__ = True
-
 _SHARE: Final = 2.0**-11  # of half the image: 1/256 pixel or more where half the image has 8 pixels or more
 ROUNDING: Final = 2.0**-20  # of the distance: 16 times the rounding of a float32 position
 _DEPTH_STEPS: Final = 2.0**-21  # of standard depth, whose floats are dense near the eye and sparse far away

@@ -9,8 +9,6 @@ import numpy as np
 from rhi import Device, Mesh
 from rhi.shading import Struct, mat4, vec3
 
-__rhi_internal__ = True
-
 _CORNERS: Final = np.array([(x, y, z) for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)], np.float32)
 
 _FACES: Final = np.array(

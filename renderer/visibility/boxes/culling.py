@@ -27,8 +27,6 @@ from numpy.typing import NDArray
 from renderer.scene.arrays import Floats, Rows
 from renderer.visibility.boxes.hierarchy import LARGEST, Hierarchy
 
-__rhi_internal__ = True
-
 Bits = NDArray[np.uint8]
 """A set of planes for each box: bit p is plane p. `_OUTSIDE` marks a box that some plane culls."""
 

@@ -10,8 +10,6 @@ from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Floats
 from renderer.visibility.boxes.volumes import Containment, classify
 
-__rhi_internal__ = True
-
 _CORNERS: Final = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)], bool)
 _FACES: Final = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
 

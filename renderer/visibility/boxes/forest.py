@@ -24,8 +24,6 @@ from renderer.visibility.boxes.culling import find_visible
 from renderer.visibility.boxes.hierarchy import build_by_area, build_by_middle
 from renderer.visibility.boxes.volumes import TightestBoxes
 
-__rhi_internal__ = True
-
 OUTSIDE: Final = 0
 INSIDE: Final = 1
 NEAR: Final = 2

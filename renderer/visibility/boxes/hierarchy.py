@@ -21,9 +21,6 @@ from renderer import rules
 from renderer.scene.arrays import Floats, Rows
 from rhi.errors import refuse
 
-__rhi_internal__ = True
-
-
 LARGEST: Final = 1e300
 """The largest allowed absolute coordinate of a box, so that distances to planes never overflow."""
 

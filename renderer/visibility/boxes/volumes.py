@@ -20,8 +20,6 @@ from numpy.typing import NDArray
 from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Floats, Rows
 
-__rhi_internal__ = True
-
 _MARGIN: Final = 64.0 * float(np.finfo(np.float64).eps)  # of the terms' sum; they round by 16 eps at most
 
 _RIGHT: Final = 1e-9  # largest cosine of an angle that counts as right

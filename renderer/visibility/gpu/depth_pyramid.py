@@ -44,8 +44,6 @@ from rhi.shading import (
     vec4,
 )
 
-__rhi_internal__ = True
-
 _LEVELS: Final = 9
 """The number of levels of an image of 65,536 pixels a side, the image included."""
 

@@ -23,8 +23,6 @@ from renderer.visibility.repeated import RepeatedCommands
 from renderer.visibility.scene_pass import ScenePass
 from rhi import Device, Encoder, refuse
 
-__rhi_internal__ = True
-
 
 class DeviceCulling(ABC):
     """Base class of the algorithms that run on the device; it opens and closes the scene pass itself.

@@ -44,8 +44,6 @@ from rhi.shading import (
     uint,
 )
 
-__rhi_internal__ = True
-
 _BUCKETS: Final = 31
 """Number of distance classes: up to 1/8 m, then a half octave each up to 4 km, then all beyond."""
 _HIDDEN_KEY: Final = DRAW_LISTS * _BUCKETS

@@ -25,8 +25,6 @@ from rhi.shading import (
     min,
 )
 
-__rhi_internal__ = True
-
 SCALE: Final = 4
 """Number of texels of a level, in each direction, that one texel of the next level covers."""
 _GROUP: Final = 8

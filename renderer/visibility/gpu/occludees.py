@@ -53,8 +53,6 @@ from rhi.shading import (
     vec4,
 )
 
-__rhi_internal__ = True
-
 HIDDEN: Final = 0
 """The mark of an object that is hidden, as far as is known."""
 VISIBLE: Final = 1

@@ -48,8 +48,6 @@ from rhi.shading import (
     vec4,
 )
 
-__rhi_internal__ = True
-
 _NEARER: Final = {Depth.REVERSED: DepthFunction.GREATER, Depth.STANDARD: DepthFunction.LESS}
 _WINDINGS: Final = ((False, FrontFace.COUNTER_CLOCKWISE), (True, FrontFace.CLOCKWISE))
 

@@ -59,8 +59,6 @@ from rhi.shading import (
     vertex_index,
 )
 
-__rhi_internal__ = True
-
 _GROUP: Final = 8
 
 

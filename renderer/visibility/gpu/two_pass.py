@@ -22,8 +22,6 @@ from renderer.visibility.scene_pass import ScenePass
 from renderer.visibility.settings import DEFAULTS, VisibilitySettings
 from rhi import Device, Encoder
 
-__rhi_internal__ = True
-
 
 class TwoPassCulling(DeviceCulling):
     """Draws what the last frame's depth doesn't hide, then what this frame's depth doesn't hide."""

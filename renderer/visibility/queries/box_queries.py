@@ -25,8 +25,6 @@ from renderer.visibility.boxes.cubes import BoxCamera, CubeCorner, make_cube
 from rhi import ColorWrite, CullMode, DepthWrite, Device, FrontFace, OcclusionQuery, QuerySet, StateScope
 from rhi.shading import Shader, Storage, Struct, Uniform, cross, instance_index, vec3, vec4
 
-__rhi_internal__ = True
-
 
 class QueryBox(Struct):
     """A box: its centre relative to the eye, and half its size along its own axes."""

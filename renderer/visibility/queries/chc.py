@@ -23,8 +23,6 @@ from renderer.visibility.settings import DEFAULTS, VisibilitySettings
 from renderer.visibility.walk import CullingWalk, walk_forest
 from rhi import Device, FixedQueue, OcclusionQuery
 
-__rhi_internal__ = True
-
 
 class Chc(TreeCulling):
     """Draws what was visible and queries whether it still is; queries all else before drawing it."""

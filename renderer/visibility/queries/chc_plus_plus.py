@@ -34,8 +34,6 @@ from renderer.visibility.settings import DEFAULTS, VisibilitySettings
 from renderer.visibility.walk import CullingWalk, walk_forest
 from rhi import Device, FixedQueue, QuerySet
 
-__rhi_internal__ = True
-
 Asked: TypeAlias = tuple[QuerySet, list[list[int]]]
 """A query set in flight, and the nodes that each of its rows is about."""
 

@@ -28,8 +28,6 @@ from renderer.visibility.scene_pass import ScenePass
 from renderer.visibility.settings import DEFAULTS, VisibilitySettings
 from rhi import Device, FixedQueue, refuse
 
-__rhi_internal__ = True
-
 _MOST_ASKED: Final = 8
 """The largest number of frames whose answers are awaited; older ones are given up."""
 

@@ -12,8 +12,6 @@ import numpy as np
 
 from renderer.visibility.boxes.forest import Forest
 
-__rhi_internal__ = True
-
 NEVER: Final = -2
 """A frame number for "not visited yet": it is less than that of any last frame."""
 

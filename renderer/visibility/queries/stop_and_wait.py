@@ -14,8 +14,6 @@ from renderer.visibility.scene_pass import ScenePass
 from renderer.visibility.settings import DEFAULTS, VisibilitySettings
 from rhi import Device
 
-__rhi_internal__ = True
-
 
 class StopAndWait(QueryCulling):
     """Queries each object in the frustum, front to back, and waits for each result before the next query.

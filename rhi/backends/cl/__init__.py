@@ -13,8 +13,6 @@ from rhi.errors.rules import DEVICE_DRIVER
 if TYPE_CHECKING:
     from rhi.backends.cl.backend import ClBackend
 
-__rhi_internal__ = True
-
 
 def create_backend(*, validation: bool = False) -> ClBackend:
     """Create a backend on the first OpenCL device that works, or on the one that `RHI_CL_DEVICE` names.

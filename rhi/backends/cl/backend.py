@@ -21,8 +21,8 @@ from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.errors import DRIVER_ERRORS, make_error
 from rhi.backends.cl.fence import Fence, Timestamps
 from rhi.backends.cl.memory.buffers import Buffers
+from rhi.backends.cl.memory.in_flight import InFlight
 from rhi.backends.cl.memory.samplers import Samplers
-from rhi.backends.cl.memory.staging import Staging
 from rhi.backends.cl.memory.textures import Textures
 from rhi.backends.cl.programs import ComputePrograms
 from rhi.backends.cl.raster.query_sets import ClQuerySet
@@ -45,8 +45,6 @@ from rhi.contract.descriptors import (
 )
 from rhi.contract.formats import Format
 from rhi.contract.states import StateChange
-
-__rhi_internal__ = True
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -82,15 +80,15 @@ class ClBackend:
     def __init__(self, context: ClContext) -> None:
         self.context = context
         self._queue = context.queue
-        staging = Staging()
-        self._buffers = Buffers(context, staging)
-        self._textures = Textures(context, staging)
+        in_flight = InFlight()
+        self._buffers = Buffers(context, in_flight)
+        self._textures = Textures(context, in_flight)
         self._samplers = Samplers(context.context)
         self._programs = ComputePrograms(context, self._buffers, self._textures, self._samplers)
         self._timestamps = Timestamps(context.queue)
         self._state = CommandState()
         self._rasteriser = Rasteriser(
-            context, self._state.slots, self._buffers, self._textures, self._samplers
+            context, self._state.slots, self._buffers, self._textures, self._samplers, in_flight
         )
         self._bind = self._rasteriser.bindings.bind
         self._draw_state = self._rasteriser.state
@@ -99,7 +97,7 @@ class ClBackend:
         self._capabilities = query_capabilities(context, self._rasteriser.works)
         self._sample_queries = self._rasteriser.queries
         self._flush = self._rasteriser.flush
-        self._fence = Fence(context.queue, staging, self._rasteriser.retired)
+        self._fence = Fence(context.queue, in_flight)
         self._held = context.programs
         self._destroyers: dict[Id, Callable[[Id], None]] = {}
         self._kinds: dict[Id, QueryKind] = {}
@@ -115,8 +113,10 @@ class ClBackend:
 
     def close(self) -> None:
         try:
-            self._flush()
-            self._queue.finish()
+            try:
+                self._flush()
+            finally:  # commands use memory that is released below
+                self._queue.finish()
         finally:
             for resource in list(self._destroyers):
                 self.destroy(resource)
@@ -159,14 +159,17 @@ class ClBackend:
         self._destroyers.pop(resource)(resource)
 
     def _destroy_buffer(self, buffer: Id) -> None:
-        self._flush()
-        self._rasteriser.forget(buffer)
+        self._forget(buffer)
         self._buffers.destroy(buffer)
 
     def _destroy_texture(self, texture: Id) -> None:
-        self._flush()
-        self._rasteriser.forget(texture)
+        self._forget(texture)
         self._textures.destroy(texture)
+
+    def _forget(self, resource: Id) -> None:
+        self._flush()
+        self._vertex_arrays.forget(resource)
+        self._programs.forget(resource)
 
     def _destroy_vertex_array(self, vertex_array: Id) -> None:
         self._draws.forget(vertex_array)

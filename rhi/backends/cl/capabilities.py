@@ -8,8 +8,6 @@ from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.memory.planes import alignment
 from rhi.contract.backend import Capabilities
 
-__rhi_internal__ = True
-
 _MAX_UNIFORM_BYTES: Final = 65536
 _MAX_POINT_SIZE: Final = 1024.0  # MAX_POINT_SIZE in kernels/polygon.cl
 _MAX_LINE_WIDTH: Final = 256.0

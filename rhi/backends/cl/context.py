@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, NoReturn
+from typing import Any, Final, NoReturn
 
 import numpy as np
 import pyopencl as cl
@@ -29,8 +29,6 @@ from rhi.backends.cl.pocl.held_programs import HeldProgram, HeldPrograms
 from rhi.backends.cl.pocl.workers import list_threads, spread_threads
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_DRIVER
-
-__rhi_internal__ = True
 
 ENVIRONMENT: Final = "RHI_CL_DEVICE"
 KERNELS_ENVIRONMENT: Final = "RHI_KERNELS"
@@ -52,6 +50,7 @@ PAGE: Final = 4096
 """Alignment in bytes of host memory that drivers use in place."""
 _INCLUDED: Final = str(Path(cl.__file__).parent)
 """The place of pyopencl's headers, which it gives the driver with each program. The driver's own keys depend on it."""
+_NOTHING: Final = np.zeros(0, np.uint8)
 _COUNT: Final = 64
 _PROBE: Final = """
 __kernel void probe(__global uint *words) {
@@ -59,9 +58,6 @@ __kernel void probe(__global uint *words) {
     words[i] = words[i] * 3u + i;
     atomic_add(&words[get_global_size(0)], i);
 }
-// `find` returns the address of memory; `read` reads at an address given as a number (rhi.backends.cl.memory.pools).
-__kernel void find(__global uchar *memory, __global ulong *answer) { *answer = (ulong)memory; }
-__kernel void read(ulong address, __global ulong *answer) { *answer = *(__global ulong *)address; }
 """
 
 
@@ -70,7 +66,6 @@ class ClContext:
     """A working device with its context and queue.
 
     Attributes:
-        probe: the program of the probe kernel, and of the kernels that find addresses.
         shares_memory: whether kernels read and write the host memory of a `USE_HOST_PTR` buffer in place.
         passed_over: the devices that were tried before, each with the reason why it can't be used.
         cache: the compiled programs of this device.
@@ -80,7 +75,6 @@ class ClContext:
     device: cl.Device
     context: cl.Context
     queue: cl.CommandQueue
-    probe: cl.Program
     shares_memory: bool
     passed_over: tuple[str, ...]
     cache: KernelCache
@@ -129,7 +123,7 @@ def open_context(loading: Loading | None = None) -> ClContext:
             driver = f"{describe(device)} {device.driver_version} {_INCLUDED}"
             cached = caches_kernels(device)
             cache = KernelCache(folder if cached else None, driver, declares=cached and declares_kernels(device))
-            program, shares_memory = probe(context, queue, cache)
+            shares_memory = probe(context, queue, cache)
         except (cl.Error, RuntimeError) as error:
             passed_over.append(f"{describe(device)}: {shorten(error)}")
         else:
@@ -137,7 +131,7 @@ def open_context(loading: Loading | None = None) -> ClContext:
             if len(begun) == device.max_compute_units:  # PoCL starts workers with its first device
                 spread_threads(begun)
             programs = HeldPrograms(releases=cache.works)
-            return ClContext(device, context, queue, program, shares_memory, tuple(passed_over), cache, programs)
+            return ClContext(device, context, queue, shares_memory, tuple(passed_over), cache, programs)
     if not devices:
         _refuse_nothing()
     given = "\n".join(passed_over)
@@ -207,8 +201,8 @@ def declares_kernels(device: cl.Device) -> bool:
     return "cl_khr_fp64" in device.extensions.split()
 
 
-def probe(context: cl.Context, queue: cl.CommandQueue, cache: KernelCache) -> tuple[cl.Program, bool]:
-    """Build a kernel and run it twice, on host memory that changes in between. Return the program, and whether kernel
+def probe(context: cl.Context, queue: cl.CommandQueue, cache: KernelCache) -> bool:
+    """Build a kernel and run it twice, on host memory that changes in between. Return whether kernel
     and host saw each other's writes.
 
     Raises:
@@ -242,7 +236,7 @@ def probe(context: cl.Context, queue: cl.CommandQueue, cache: KernelCache) -> tu
     shows = np.array_equal(words, seen)
     words[:] = 7
     run()
-    return program, shows and np.array_equal(seen[:_COUNT], 21 + ramp) and np.array_equal(words, seen)
+    return shows and np.array_equal(seen[:_COUNT], 21 + ramp) and np.array_equal(words, seen)
 
 
 def build_cached(
@@ -296,8 +290,10 @@ def build_again(context: cl.Context, text: str | bytes, options: Sequence[str]) 
     return built
 
 
-def allocate_pages(size: int) -> NDArray[np.uint8]:
-    """Return page-aligned host memory of zeros, shape (size,)."""
+def allocate_pages(size: int, contents: NDArray[Any] = _NOTHING) -> NDArray[np.uint8]:
+    """Return page-aligned host memory, shape (size,): the bytes of `contents`, shape (n,), then zeros."""
     memory = np.zeros(size + PAGE, np.uint8)
     start = -memory.ctypes.data % PAGE
-    return memory[start : start + size]
+    memory = memory[start : start + size]
+    memory[: contents.nbytes] = contents.view(np.uint8)
+    return memory

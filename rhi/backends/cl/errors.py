@@ -11,8 +11,6 @@ import pyopencl as cl
 from rhi.errors import DeviceError, Rule
 from rhi.errors.rules import DEVICE_DRIVER, DEVICE_LOST, DEVICE_MEMORY
 
-__rhi_internal__ = True
-
 _codes = cl.status_code
 _RULES: Final[dict[int, Rule]] = {
     _codes.MEM_OBJECT_ALLOCATION_FAILURE: DEVICE_MEMORY,

@@ -1,7 +1,7 @@
 """The fence and timestamp queries: markers in the queue, whose events are polled without blocking.
 
 - A marker is complete when all commands before it are. PoCL completes it without a flush, other drivers need one.
-- When the device reaches a fence value, the staged copies and retired memory before it are released; when the CPU has
+- When the device reaches a fence value, the memory kept for the commands before it is released; when the CPU has
   waited for the whole queue, all of them.
 - A timestamp is the completion time of its marker on the device's clock, in nanoseconds. On the same clock OpenCL says
   when the CPU has enqueued the marker.
@@ -16,14 +16,11 @@ from typing import Final
 
 import pyopencl as cl
 
-from rhi.backends.cl.memory.pools import Retired
-from rhi.backends.cl.memory.staging import Staging
+from rhi.backends.cl.memory.in_flight import InFlight
 from rhi.contract.backend import FOREVER
 from rhi.contract.descriptors import Id, QueryKind
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_LOST
-
-__rhi_internal__ = True
 
 _POLLS: Final = 20  # of 0.5 µs each; to sleep and be woken takes 10 to 20
 _FIRST_PAUSE: Final = 20e-6
@@ -45,22 +42,19 @@ def is_done(event: cl.Event) -> bool:
 class Fence:
     """The device's fence: a value that rises as the device completes work."""
 
-    def __init__(self, queue: cl.CommandQueue, staging: Staging, retired: Retired) -> None:
+    def __init__(self, queue: cl.CommandQueue, in_flight: InFlight) -> None:
         self._queue = queue
-        self._staging = staging
-        self._retired = retired
+        self._in_flight = in_flight
         self._pending: deque[tuple[int, cl.Event, list[object]]] = deque()
         self._value = 0
 
     def signal(self, value: int) -> None:
-        kept = [*self._staging.clear(), *self._retired.take()]
-        self._pending.append((value, cl.enqueue_marker(self._queue), kept))
+        self._pending.append((value, cl.enqueue_marker(self._queue), self._in_flight.take()))
         self._queue.flush()
 
     def release(self) -> None:
         """Release what was kept for commands, since a blocking read has waited for all of them."""
-        self._staging.clear()
-        self._retired.take()
+        self._in_flight.take()
 
     def poll(self) -> int:
         """Return the value that the device has reached, without waiting."""

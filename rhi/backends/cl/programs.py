@@ -23,6 +23,7 @@ import pyopencl as cl
 from rhi.backends.cl.context import FLUSHES_DENORMALS, ClContext
 from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.memory.buffers import Buffers
+from rhi.backends.cl.memory.planes import allocate
 from rhi.backends.cl.memory.samplers import Samplers
 from rhi.backends.cl.memory.textures import Textures
 from rhi.backends.cl.slots import CommandState
@@ -31,8 +32,6 @@ from rhi.contract.driver_log import make_driver_error
 from rhi.errors import ShaderError
 from rhi.errors.rules import SHADER_DRIVER
 from rhi.shading.ir.faults import FAULT_WORDS, find_fault
-
-__rhi_internal__ = True
 
 _WIDTHS: Final = (16, 8, 4)
 _LINE: Final = re.compile(r":(\d+):\d+: *(?:(?:fatal )?error: *)?")  # file:line:column: …, Clang's format
@@ -58,11 +57,11 @@ class KernelArguments:
         if binding.kind is BindingKind.TEXTURE:
             name, sampler = bound
             texture = self._textures[name]
-            return texture.levels[0].memory, self._samplers.describe(texture, sampler)
+            return texture.levels[0].memory, self._samplers.describe(texture, sampler).memory
         name, first, second = bound
         if binding.kind is BindingKind.IMAGE:
             texture = self._textures[name]
-            return texture.levels[0].memory, self._samplers.describe_image(texture, first, second)
+            return texture.levels[0].memory, self._samplers.describe_image(texture, first, second).memory
         memory = self._buffers.bound(name, first, second)
         if binding.kind is BindingKind.UNIFORM:
             return (memory,)
@@ -75,9 +74,8 @@ class FaultBuffer:
     def __init__(self, context: cl.Context, lines: Sequence[tuple[str, int]]) -> None:
         self._lines = lines
         self._words = np.zeros(FAULT_WORDS, np.int32)
-        flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
         with translate_errors("device.program", "memory for the faults of a checked shader"):
-            self.memory = cl.Buffer(context, flags, hostbuf=self._words)
+            self.memory = allocate(context, self._words.nbytes)
 
     def read(self, queue: cl.CommandQueue) -> None:
         """Wait for the launch, and check whether it reported a fault.
@@ -135,6 +133,11 @@ class ComputeProgram:
         self._given: dict[int, tuple[cl.Buffer | np.int32, ...]] = {}
         self._builds = 0  # of the program, at the last launch
 
+    def forget(self, resource: Id) -> None:
+        """Drop the arguments that keep the memory of a resource which is being destroyed."""
+        for place in [place for place, bound in self._bound.items() if bound[0] == resource]:
+            del self._bound[place], self._given[place]
+
     def launch(self, queue: cl.CommandQueue, state: CommandState, groups: tuple[int, int, int]) -> None:
         """Run work-groups with the bound resources."""
         kernel = self._program.find(self._name)
@@ -174,6 +177,11 @@ class ComputePrograms:
 
     def destroy(self, program: Id) -> None:
         del self._programs[program]
+
+    def forget(self, resource: Id) -> None:
+        """Drop what is kept of a buffer or texture that is being destroyed."""
+        for program in self._programs.values():
+            program.forget(resource)
 
 
 def make_shader_error(

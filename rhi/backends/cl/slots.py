@@ -9,9 +9,6 @@ from typing import TypeAlias
 
 from rhi.contract.descriptors import BindingKind, Id, PassDescriptor
 
-__rhi_internal__ = True
-
-
 Slots: TypeAlias = dict[tuple[BindingKind, int], tuple[int, ...]]
 """Bound resources by kind and slot: the arguments of the binding command that follow the slot."""
 

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from rhi.backends.gl.backend import GlBackend
     from rhi.backends.gl.host import HostContext
 
-__rhi_internal__ = True
-
 __all__ = ["DepthClamp", "create_backend", "find_obstacle"]
 
 

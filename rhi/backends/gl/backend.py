@@ -65,8 +65,6 @@ from rhi.contract.states import AlphaFunction, AlphaReference, AlphaTest, StateC
 from rhi.errors import DeviceError, refuse
 from rhi.errors.rules import DEVICE_CONTEXT, TEXTURE_FORMAT
 
-__rhi_internal__ = True
-
 _QUADS: Final = Primitive.QUADS
 _TESTS_ALPHA: Final = AlphaTest.ON
 _MAX_LABELS: Final = 60  # open at a time; GL guarantees 64

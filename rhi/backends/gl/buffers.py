@@ -30,8 +30,6 @@ from rhi.contract.descriptors import BufferDescriptor, BufferUsage, Id
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_MEMORY
 
-__rhi_internal__ = True
-
 BindRange: TypeAlias = Callable[[int, int, int], object]
 """(slot, offset, size)"""
 

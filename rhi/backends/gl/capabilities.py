@@ -15,8 +15,6 @@ from rhi.contract.blocks import CompressedFormat
 from rhi.contract.formats import COLOR_FORMATS, Format
 from rhi.contract.states import MAX_TARGETS
 
-__rhi_internal__ = True
-
 _PROBE_SIZE: Final = 4
 _MAX_SAMPLE_COUNTS: Final = 16
 

@@ -12,8 +12,6 @@ from rhi.errors.rules import DEVICE_DRIVER
 if TYPE_CHECKING:
     import moderngl
 
-__rhi_internal__ = True
-
 _CALL: Final = "rhi.create_device('gl')"
 _VERSION: Final = 450
 """The first version in which direct state access, clip control and inverted conditional rendering are core."""

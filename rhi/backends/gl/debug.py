@@ -28,8 +28,6 @@ from rhi.contract.descriptors import Id, Primitive
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_DEBUG
 
-__rhi_internal__ = True
-
 _FATAL: Final = (enums.DEBUG_TYPE_ERROR, enums.DEBUG_TYPE_UNDEFINED_BEHAVIOR)
 
 

@@ -20,8 +20,6 @@ from rhi.backends.gl.quads import QuadIndices
 from rhi.contract.descriptors import DRAW, Id, Primitive, VertexArrayDescriptor
 from rhi.contract.formats import IndexFormat
 
-__rhi_internal__ = True
-
 MODES: Final = {
     Primitive.POINTS: enums.POINTS,
     Primitive.LINES: enums.LINES,

@@ -14,8 +14,6 @@ from rhi.contract.descriptors import ProgramDescriptor, Stage, StageText
 from rhi.contract.driver_log import make_driver_error
 from rhi.errors import ShaderError
 
-__rhi_internal__ = True
-
 _LINE: Final = re.compile(r"^(?:ERROR: |WARNING: )?\d+[:(](\d+)[):(]")
 
 

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 else:
     _CArgObject = type(ctypes.byref(ctypes.c_int()))
 
-__rhi_internal__ = True
-
 Int: TypeAlias = Annotated[int, ctypes.c_int]
 """Any 32-bit integer: GLint, GLuint, GLenum, GLsizei, GLbitfield, GLboolean."""
 Size: TypeAlias = Annotated[int, ctypes.c_ssize_t]

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Final
 
-__rhi_internal__ = True
-
 # -- errors and strings --------------------------------------------------------------------------------------
 
 NO_ERROR: Final = 0

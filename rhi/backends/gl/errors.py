@@ -9,8 +9,6 @@ from rhi.backends.gl.entry_points import EntryPoints
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_DRIVER, DEVICE_LOST, DEVICE_MEMORY
 
-__rhi_internal__ = True
-
 _RULES: Final = {enums.OUT_OF_MEMORY: DEVICE_MEMORY, enums.CONTEXT_LOST: DEVICE_LOST}
 
 NAMES: Final = {

@@ -8,8 +8,6 @@ from typing import Final
 from rhi.backends.gl import enums
 from rhi.backends.gl.entry_points import EntryPoints
 
-__rhi_internal__ = True
-
 _NANOSECONDS: Final = 1_000_000_000
 _SIGNALED: Final = (enums.ALREADY_SIGNALED, enums.CONDITION_SATISFIED)
 

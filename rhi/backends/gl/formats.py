@@ -9,8 +9,6 @@ from rhi.contract.blocks import CompressedFormat
 from rhi.contract.descriptors import VertexFormat
 from rhi.contract.formats import Format, IndexFormat
 
-__rhi_internal__ = True
-
 
 class PixelFormat(NamedTuple):
     """The internal format of a texel, and the format and type in which the CPU transfers it."""
@@ -20,43 +18,15 @@ class PixelFormat(NamedTuple):
     type: int
 
 
-_INTERNAL: Final = {
-    Format.R8: enums.R8,
-    Format.RG8: enums.RG8,
-    Format.RGBA8: enums.RGBA8,
-    Format.RGBA8_SRGB: enums.SRGB8_ALPHA8,
-    Format.R8_SNORM: enums.R8_SNORM,
-    Format.RG8_SNORM: enums.RG8_SNORM,
-    Format.RGBA8_SNORM: enums.RGBA8_SNORM,
-    Format.R16: enums.R16,
-    Format.RG16: enums.RG16,
-    Format.RGBA16: enums.RGBA16,
-    Format.R16F: enums.R16F,
-    Format.RG16F: enums.RG16F,
-    Format.RGBA16F: enums.RGBA16F,
-    Format.R32F: enums.R32F,
-    Format.RG32F: enums.RG32F,
-    Format.RGBA32F: enums.RGBA32F,
-    Format.R8UI: enums.R8UI,
-    Format.RG8UI: enums.RG8UI,
-    Format.RGBA8UI: enums.RGBA8UI,
-    Format.R16UI: enums.R16UI,
-    Format.RG16UI: enums.RG16UI,
-    Format.RGBA16UI: enums.RGBA16UI,
-    Format.R32UI: enums.R32UI,
-    Format.RG32UI: enums.RG32UI,
-    Format.RGBA32UI: enums.RGBA32UI,
-    Format.R32I: enums.R32I,
-    Format.RG32I: enums.RG32I,
-    Format.RGBA32I: enums.RGBA32I,
-    Format.RGB10A2: enums.RGB10_A2,
-    Format.RGB10A2UI: enums.RGB10_A2UI,
-    Format.R11G11B10F: enums.R11F_G11F_B10F,
-    Format.D16: enums.DEPTH_COMPONENT16,
-    Format.D24: enums.DEPTH_COMPONENT24,
-    Format.D32F: enums.DEPTH_COMPONENT32F,
-    Format.D24S8: enums.DEPTH24_STENCIL8,
-    Format.D32FS8: enums.DEPTH32F_STENCIL8,
+_NAMES: Final = {
+    "RGBA8_SRGB": "SRGB8_ALPHA8", "RGB10A2": "RGB10_A2", "RGB10A2UI": "RGB10_A2UI", "R11G11B10F": "R11F_G11F_B10F",
+    "D16": "DEPTH_COMPONENT16", "D24": "DEPTH_COMPONENT24", "D32F": "DEPTH_COMPONENT32F", "D24S8": "DEPTH24_STENCIL8",
+    "D32FS8": "DEPTH32F_STENCIL8",
+}  # fmt: skip
+"""The formats that GL calls by another name."""
+
+_INTERNAL: Final[dict[Format, int]] = {
+    texel: getattr(enums, _NAMES.get(texel.name, texel.name)) for texel in Format
 }
 
 _TYPES: Final = {

@@ -13,8 +13,6 @@ from rhi.contract.formats import ChannelKind
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_DRIVER
 
-__rhi_internal__ = True
-
 _AttachmentKey: TypeAlias = tuple[object, ...]
 
 _LAYERED: Final = (TextureKind.D2_ARRAY, TextureKind.D3, TextureKind.CUBE)

@@ -23,8 +23,6 @@ from rhi.backends.gl.entry_points import EntryPoints
 from rhi.errors import DeviceError, refuse
 from rhi.errors.rules import DEVICE_ARGUMENT, DEVICE_DRIVER
 
-__rhi_internal__ = True
-
 HostContext: TypeAlias = "moderngl.Context | Literal['current']"
 """A context of other code: moderngl's, or the one that is current on the calling thread."""
 

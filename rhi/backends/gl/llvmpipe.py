@@ -19,8 +19,6 @@ from typing import Final
 
 from rhi.backends.gl.entry_points import EntryPoints
 
-__rhi_internal__ = True
-
 # mallopt's parameter, and bytes. A scene is at most 36 MiB. Setting the first threshold stops glibc from adjusting
 # the second, so the second is set to the value at which the adjustment ends.
 _TRIM_THRESHOLD: Final = (-1, 64 << 20)

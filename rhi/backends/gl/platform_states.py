@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from rhi.contract.states import PlatformState
 
-__rhi_internal__ = True
-
 
 class DepthClamp(PlatformState):
     """Whether depth beyond the viewport's range is clamped to it, instead of clipping triangles at the near and the far

@@ -29,8 +29,6 @@ from rhi.backends.gl.formats import VERTEX_TYPES
 from rhi.contract.descriptors import Id, ProgramDescriptor, Stage, StageText, VertexArrayDescriptor
 from rhi.contract.states import AlphaFunction
 
-__rhi_internal__ = True
-
 GlProgram: TypeAlias = moderngl.Program | moderngl.ComputeShader
 
 Render: TypeAlias = Callable[[int, int, int, int], object]

@@ -18,8 +18,6 @@ from rhi.backends.gl.buffers import Buffers
 from rhi.contract.descriptors import Id
 from rhi.contract.formats import IndexFormat
 
-__rhi_internal__ = True
-
 CORNERS: Final = np.array([0, 1, 2, 0, 2, 3], np.uint32)
 
 

@@ -19,8 +19,6 @@ from rhi.backends.gl import enums
 from rhi.backends.gl.entry_points import EntryPoints
 from rhi.contract.descriptors import Id, QueryKind
 
-__rhi_internal__ = True
-
 
 @dataclass(slots=True, eq=False)
 class CounterValue:

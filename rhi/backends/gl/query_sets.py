@@ -24,8 +24,6 @@ from rhi.contract.backend import Backend
 from rhi.contract.descriptors import Id, Primitive
 from rhi.contract.queries import PlainQueries
 
-__rhi_internal__ = True
-
 
 class _DrawingBackend(Backend, Protocol):
     """The methods of the backend that this module uses."""

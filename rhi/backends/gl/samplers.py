@@ -10,8 +10,6 @@ from rhi.backends.gl.entry_points import EntryPoints
 from rhi.backends.gl.states import COMPARISONS
 from rhi.contract.descriptors import Filter, Id, SamplerDescriptor, Wrap
 
-__rhi_internal__ = True
-
 _WRAPS: Final = {
     Wrap.REPEAT: enums.REPEAT,
     Wrap.MIRROR: enums.MIRRORED_REPEAT,

@@ -56,8 +56,6 @@ from rhi.contract.states import (
     Viewport,
 )
 
-__rhi_internal__ = True
-
 COMPARISONS: Final = {
     Comparison.NEVER: enums.NEVER,
     Comparison.LESS: enums.LESS,

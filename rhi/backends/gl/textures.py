@@ -20,8 +20,6 @@ from rhi.backends.gl.errors import drain_errors, find_error
 from rhi.backends.gl.formats import CLEAR_FORMATS, COMPRESSED, PIXEL_FORMATS, PixelFormat
 from rhi.contract.descriptors import Id, Region, TextureDescriptor, TextureKind
 
-__rhi_internal__ = True
-
 _ANY_SIZE: Final = (1 << 31) - 1
 _TARGETS: Final = {
     TextureKind.D2: enums.TEXTURE_2D,

@@ -18,8 +18,6 @@ from rhi.contract.backend import Backend, Capabilities
 from rhi.errors import refuse
 from rhi.errors.rules import DEVICE_ARGUMENT
 
-__rhi_internal__ = True
-
 __all__ = [
     "PROFILES",
     "Activity",

@@ -20,8 +20,6 @@ from rhi.commands.recorder import ForwardingBackend
 from rhi.contract.backend import Backend
 from rhi.contract.descriptors import Id
 
-__rhi_internal__ = True
-
 
 @dataclass(frozen=True)
 class RecordedAnswers:

@@ -47,8 +47,6 @@ from rhi.contract.descriptors import (
     VertexArrayDescriptor,
 )
 
-__rhi_internal__ = True
-
 COMMAND_NANOSECONDS: Final = 1000
 QUEUED_BYTES: Final = 1 << 24
 """Bytes of written data that the queue may hold before it is executed."""

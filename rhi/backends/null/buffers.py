@@ -13,8 +13,6 @@ from rhi.contract.descriptors import BufferDescriptor, Id
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_MEMORY
 
-__rhi_internal__ = True
-
 
 class Buffers:
     """All buffers of a device.

@@ -20,10 +20,8 @@ from rhi.contract.formats import ChannelKind, Format
 from rhi.errors import refuse
 from rhi.errors.rules import DEVICE_ARGUMENT
 
-__rhi_internal__ = True
-
 _SNORM: Final = frozenset(form for form in Format if form.kind is ChannelKind.SNORM)
-_UNORM16: Final = frozenset({Format.R16, Format.RG16, Format.RGBA16})
+_UNORM16: Final = frozenset(f for f in Format if f.kind is ChannelKind.UNORM and f.channel_bits[0] == 16)
 _FLOAT: Final = frozenset(form for form in Format if form.kind is ChannelKind.FLOAT)
 
 

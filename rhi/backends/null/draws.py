@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from rhi.backends.null.buffers import Buffers
 from rhi.contract.descriptors import DRAW, DRAW_UNINDEXED, Id, Primitive
 
-__rhi_internal__ = True
-
 
 @dataclass(frozen=True, slots=True)
 class Draw:

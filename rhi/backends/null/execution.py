@@ -12,8 +12,6 @@ from rhi.commands.context import StreamContext
 from rhi.contract.descriptors import Id, ProgramDescriptor, SamplerDescriptor, VertexArrayDescriptor
 from rhi.contract.formats import Choice
 
-__rhi_internal__ = True
-
 
 class DrawOutcome(Choice):
     """The outcome of a draw under conditional rendering."""

@@ -22,8 +22,6 @@ from rhi.contract.descriptors import Id, ProgramDescriptor, QueryKind
 from rhi.errors import DeviceError, ShaderError
 from rhi.errors.rules import DEVICE_LOST, DEVICE_MEMORY, SHADER_DRIVER
 
-__rhi_internal__ = True
-
 FRAME_SECONDS = 1 / 60
 """Seconds that a wait takes for each frame by which a fence is late."""
 

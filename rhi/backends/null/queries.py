@@ -19,8 +19,6 @@ from rhi.contract.descriptors import Id, QueryKind
 from rhi.errors import refuse
 from rhi.errors.rules import NULL_ANSWER, NULL_SAMPLES
 
-__rhi_internal__ = True
-
 
 class _QueryState:
     """A query: its kind, its value, and how often it was used."""

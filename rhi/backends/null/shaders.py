@@ -22,8 +22,6 @@ from rhi.backends.null.textures import Textures
 from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor, Stage
 from rhi.contract.layout import Layout, dtype_of, element_dtype
 
-__rhi_internal__ = True
-
 StandIn: TypeAlias = Callable[[Mapping[str, Any], Draw | None], object]
 """A function called in place of a program, with the bound resources by name, and the draw (None for a dispatch).
 Storage is an array of its elements (n,), a uniform an array of one element. Both are the memory itself, to be read

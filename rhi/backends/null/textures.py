@@ -23,8 +23,6 @@ from rhi.contract.texels import encode, halve
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_MEMORY
 
-__rhi_internal__ = True
-
 
 class TextureMemory:
     """The contents of a texture.

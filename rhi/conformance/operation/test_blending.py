@@ -91,6 +91,32 @@ def test_blending_of_normalised_targets_is_clamped(device: Device, operation: Bl
     assert_near(*blended(device, function, Format.RGBA8), 1.01 / 255, "8 bits, before and after")
 
 
+@pytest.mark.parametrize("format", [Format.RGBA8, Format.RGBA32F], ids=lambda f: f.name)
+@pytest.mark.parametrize(
+    ("source", "destination"),
+    [
+        (BlendFactor.DESTINATION_COLOR, BlendFactor.ONE),
+        (BlendFactor.ZERO, BlendFactor.CONSTANT),
+        (BlendFactor.ZERO, BlendFactor.ONE_MINUS_CONSTANT),
+    ],
+)
+def test_colors_and_constants_are_clamped_before_they_are_blended_but_not_for_floats(
+    device: Device, source: BlendFactor, destination: BlendFactor, format: Format
+) -> None:
+    """OpenGL 4.5, 17.3.6.1: clamping the result alone would give others."""
+    new, constant = np.array([1.5, -0.5, 1.25, -0.25]), np.array([-0.5, 1.25, -0.25, 1.5])
+    function = BlendFunction(source, destination)
+    with device.texture((2, 2), format) as image, device.mesh(rectangle(color=new)) as mesh:
+        with device.render_pass(image, clear=(0.2, 0.2, 0.2, 0.2)):
+            pass
+        with device.render_pass(image), device.states(function, BlendColor(*constant)):
+            device.draw(device.program(Colored), mesh)
+        back = decode(format, image.read())
+    if format is Format.RGBA8:
+        new, constant = np.clip(new, 0, 1), np.clip(constant, 0, 1)
+    assert_near(back, blend(function, new, np.full(4, 0.2), constant), 1.01 / 255, "8 bits, before and after")
+
+
 FUNCTIONS = st.builds(
     BlendFunction,
     st.sampled_from(BlendFactor),
@@ -181,13 +207,20 @@ def test_srgb_targets_blend_in_linear_light(device: Device) -> None:
 # -- color write -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("mask", range(16))
-def test_color_write_chooses_channels(device: Device, mask: int) -> None:
+@pytest.mark.parametrize(
+    ("format", "mask"),
+    [
+        *((Format.RGBA8, mask) for mask in range(16)),
+        *((f, mask) for f in (Format.RG16F, Format.RGB10A2, Format.RGBA16F, Format.RGBA32F) for mask in (5, 6, 9, 10)),
+    ],
+)
+def test_color_write_chooses_channels(device: Device, format: Format, mask: int) -> None:
+    require_renderable(device, format)
     channels = [bool(mask >> i & 1) for i in range(4)]
-    with device.texture((2, 2), Format.RGBA8) as image, device.mesh(rectangle(color=(1, 1, 1, 1))) as mesh:
+    with device.texture((2, 2), format) as image, device.mesh(rectangle(color=(1, 1, 1, 1))) as mesh:
         with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(ColorWrite(*channels)):
             device.draw(device.program(Colored), mesh)
-        assert_same(image.read(), np.array(channels) * 255)
+        assert_same(channels_of(format, image.read()), encode(format, np.array(channels)))
 
 
 def test_color_write_does_not_touch_clears(device: Device) -> None:

@@ -354,8 +354,11 @@ def test_without_the_state_alpha_covers_nothing_less(device: Device) -> None:
 
 
 @pytest.mark.needs("alpha_test")
+@pytest.mark.parametrize("reference", [0.5, 0.25])
 @pytest.mark.parametrize("function", list(AlphaFunction), ids=lambda f: f.name)
-def test_an_alpha_function_compares_alpha_with_the_reference(device: Device, function: AlphaFunction) -> None:
+def test_an_alpha_function_compares_alpha_with_the_reference(
+    device: Device, function: AlphaFunction, reference: float
+) -> None:
     alphas = np.array([0.25, 0.5, 0.75])
     rows = corners(
         centers([(0, 0), (1, 0), (2, 0)], (3, 1)), np.stack([alphas * 0 + 1] * 3 + [alphas], axis=1)
@@ -363,10 +366,10 @@ def test_an_alpha_function_compares_alpha_with_the_reference(device: Device, fun
     with device.texture((3, 1), Format.R8) as image, device.mesh(rows, primitive=Primitive.POINTS) as mesh:
         with (
             device.render_pass(image, clear=(0, 0, 0, 0)),
-            device.states(AlphaTest.ON, function, AlphaReference(0.5)),
+            device.states(AlphaTest.ON, function, AlphaReference(reference)),
         ):
             device.draw(device.program(Colored), mesh)
-        assert_same(image.read()[0], compare(function, alphas, 0.5) * 255)
+        assert_same(image.read()[0], compare(function, alphas, reference) * 255)
 
 
 def test_points_and_lines_ignore_culling(device: Device) -> None:

@@ -16,8 +16,6 @@ from rhi.errors import refuse
 from rhi.errors.arguments import Arguments
 from rhi.errors.rules import CONTAINER_CAPACITY, CONTAINER_EMPTY, CONTAINER_FULL
 
-__rhi_internal__ = True
-
 T = TypeVar("T")
 MOST: Final = (1 << 31) - 1
 """The largest capacity."""

@@ -43,8 +43,6 @@ from rhi.errors.rules import (
     RESOURCE_FOREIGN,
 )
 
-__rhi_internal__ = True
-
 D = TypeVar("D")
 NO_THREAD: Final = 0
 """The `Core.thread` of a device that belongs to no thread."""

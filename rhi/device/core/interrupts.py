@@ -18,8 +18,6 @@ from collections.abc import Callable
 from types import FrameType, TracebackType
 from typing import Any, Final
 
-__rhi_internal__ = True
-
 _MAIN: Final = threading.main_thread()
 
 

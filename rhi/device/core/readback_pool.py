@@ -18,8 +18,6 @@ from rhi.contract.backend import Backend
 from rhi.contract.descriptors import BufferDescriptor, BufferUsage, Id
 from rhi.device.core.timeline import Timeline
 
-__rhi_internal__ = True
-
 LIMIT: Final = 1 << 27
 _PAGE: Final = 1 << 12
 _MOST_FREE: Final = 4

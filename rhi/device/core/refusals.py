@@ -14,8 +14,6 @@ from rhi.commands.recorder import Recorder
 from rhi.contract.backend import Backend
 from rhi.errors import RhiError, Rule, refuse
 
-__rhi_internal__ = True
-
 
 class RefusalLog:
     """Raises the errors of one device's front end, keeping each in the device's command stream.

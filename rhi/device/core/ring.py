@@ -24,8 +24,6 @@ from rhi.device.core.interrupts import HeldInterrupts
 from rhi.device.core.timeline import Timeline
 from rhi.errors.rules import TRANSIENT_SIZE
 
-__rhi_internal__ = True
-
 LIMIT: Final = 1 << 28
 
 

@@ -27,8 +27,6 @@ from rhi.device.core.refusals import NO_LOG, RefusalLog
 from rhi.errors import CallSite, find_call_site
 from rhi.errors.rules import CONTAINER_FULL, SCOPE_OPEN, SCOPE_ORDER
 
-__rhi_internal__ = True
-
 STACK_DEPTH: Final = 256
 _OWN: Final = 2
 """Number of references to a block that asking for their number makes: a variable's and an argument's."""

@@ -34,8 +34,6 @@ from rhi.device.core.refusals import NO_LOG, RefusalLog
 from rhi.device.core.scopes import OpenScopes, Scope, unwrap
 from rhi.errors.rules import STATE_DUPLICATE, STATE_TYPE
 
-__rhi_internal__ = True
-
 POOL_ENTRIES: Final = 16_384
 
 

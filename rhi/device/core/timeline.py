@@ -24,9 +24,6 @@ from rhi.device.core.refusals import NO_LOG, RefusalLog
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_LOST, FENCE_VALUE
 
-__rhi_internal__ = True
-
-
 MAX_WAITING: Final = 256
 """Resources that are retired before a creation signals the fence for them."""
 MAX_WAITING_BYTES: Final = 1 << 26

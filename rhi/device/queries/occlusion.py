@@ -33,8 +33,6 @@ from rhi.errors.rules import (
     RESOURCE_FOREIGN,
 )
 
-__rhi_internal__ = True
-
 T = TypeVar("T")
 
 ANSWER_SECONDS: Final = 10.0

@@ -25,8 +25,6 @@ from rhi.device.queries.occlusion import PendingQuery
 from rhi.errors.arguments import Arguments
 from rhi.errors.rules import QUERY_ROWS
 
-__rhi_internal__ = True
-
 MAX_ROWS: Final = 1 << 20
 """Largest number of rows of a query set."""
 

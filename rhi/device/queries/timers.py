@@ -23,8 +23,6 @@ from rhi.device.core.interrupts import HeldInterrupts
 from rhi.device.core.scopes import Scope
 from rhi.errors.arguments import Arguments
 
-__rhi_internal__ = True
-
 
 @dataclass(slots=True)
 class TimerNode:

@@ -41,8 +41,6 @@ from rhi.shading import Struct, uint, value_type_of
 from rhi.shading.language.bindings import StorageRange, UniformRange
 from rhi.shading.language.vectors import CLASSES, Composite
 
-__rhi_internal__ = True
-
 T = TypeVar("T")
 MAX_BYTES = 1 << 40
 
@@ -181,8 +179,8 @@ class Buffer(Resource):
         core.check_ready()
         core.check_usable(self, call)
         core.check_usable(other, call)
-        sizes = (self.size, offset, other.size, target_offset, size)
-        self.core.require(call, buffer_copy_faults(*sizes, other is self, core.capabilities))
+        same, limits = other is self, core.capabilities
+        self.core.require(call, buffer_copy_faults(self.size, offset, other.size, target_offset, size, same, limits))
         core.backend.copy_buffer(self.id, offset, other.id, target_offset, size)
 
     def _check(self, call: str) -> None:

@@ -23,8 +23,6 @@ from typing import Any, Final, NamedTuple
 from rhi.contract.descriptors import Binding, BindingKind
 from rhi.errors import ValidationError
 
-__rhi_internal__ = True
-
 MISSING: Final = object()
 """The value of a binding that was not given."""
 

@@ -7,8 +7,6 @@ from typing import Protocol, Self
 from rhi.contract.descriptors import Id
 from rhi.device.core.core import Core
 
-__rhi_internal__ = True
-
 
 class Resource:
     """A resource of the device, destroyed by `destroy` or at the end of a `with` block."""

@@ -18,8 +18,6 @@ from rhi.contract.descriptors import Access
 from rhi.device.core.core import Owner, describe_object
 from rhi.errors.rules import LOCK_CLOSED, LOCK_TWICE, RESOURCE_DESTROYED
 
-__rhi_internal__ = True
-
 
 class Lock:
     """A `with buffer.lock(Access.WRITE) as array:` block; after it, and under READ, the array is read-only."""

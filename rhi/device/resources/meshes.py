@@ -38,8 +38,6 @@ from rhi.errors import Rule
 from rhi.errors.arguments import Arguments, as_whole
 from rhi.errors.rules import DRAW_ARRAY, MESH_ATTRIBUTE, MESH_DATA, MESH_INDEX, MESH_RANGE
 
-__rhi_internal__ = True
-
 VertexSource: TypeAlias = NDArray[Any] | Mapping[str, NDArray[Any]] | Buffer
 """Vertices: a structured array, arrays by attribute name, or a buffer with a structured dtype.
 (`device.mesh` also accepts a number of vertices without attributes.)"""

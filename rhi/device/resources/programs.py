@@ -42,8 +42,6 @@ from rhi.errors.rules import (
 from rhi.shading import Struct
 from rhi.shading.language.bindings import ImageBinding, StorageRange, TextureBinding, UniformRange
 
-__rhi_internal__ = True
-
 P = ParamSpec("P")
 MAX_INSTANCES: Final = (1 << 31) - 1
 _RANGES = {BindingKind.UNIFORM: UniformRange, BindingKind.STORAGE: StorageRange}

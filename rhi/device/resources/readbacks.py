@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from rhi.contract.descriptors import Id
 from rhi.device.core.core import Core
 
-__rhi_internal__ = True
-
 
 class Readback:
     """The future of a read: `done` polls, `result` waits.

@@ -53,8 +53,6 @@ from rhi.errors.rules import (
 )
 from rhi.shading.language.bindings import ImageBinding, TextureBinding
 
-__rhi_internal__ = True
-
 _LINEAR = SamplerDescriptor()
 _NEAREST = SamplerDescriptor(minify=Filter.NEAREST, magnify=Filter.NEAREST, mip=Filter.NEAREST)
 

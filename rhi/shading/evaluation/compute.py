@@ -33,8 +33,6 @@ from rhi.shading.numpy.writer import write_numpy_function
 from rhi.shading.parser.signatures import Callee
 from rhi.shading.parser.stage import StageParser
 
-__rhi_internal__ = True
-
 Array = NDArray[Any]
 
 _DTYPES: Final = {ScalarKind.INT: np.int32, ScalarKind.UINT: np.uint32, ScalarKind.BOOL: np.bool_}

@@ -33,8 +33,6 @@ from rhi.shading.numpy.runtime import Invocations
 from rhi.shading.numpy.writer import write_numpy_function
 from rhi.shading.parser.interface import attributes_read, varyings_read, words_of_varyings
 
-__rhi_internal__ = True
-
 Array = NDArray[Any]
 Dtype = type[np.float32] | type[np.float64]
 

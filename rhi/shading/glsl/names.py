@@ -6,8 +6,6 @@ from typing import Final
 
 from rhi.shading.language.builtins import BUILTINS
 
-__rhi_internal__ = True
-
 _KEYWORDS: Final = """
 attribute const uniform varying buffer shared coherent volatile restrict readonly writeonly atomic_uint
 layout centroid flat smooth noperspective patch sample break continue do for while switch case default if

@@ -15,8 +15,6 @@ from rhi.shading.ir import tree
 from rhi.shading.language import rules
 from rhi.shading.language.source import SourceSpan, refuse_at, suggest
 
-__rhi_internal__ = True
-
 # Patterns are compiled on first use, which most programs never make.
 _MAIN: Final = r"(?m)^\s*void\s+main\s*\("
 _QUALIFIERS: Final = (

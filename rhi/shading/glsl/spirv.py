@@ -20,8 +20,6 @@ from rhi.contract.descriptors import Stage, StageText
 from rhi.errors import CallSite, ShaderError, find_call_site
 from rhi.shading.language import rules
 
-__rhi_internal__ = True
-
 TARGET: Final = "vulkan1.1"
 """The environment that modules are compiled for: SPIR-V 1.3."""
 _STAGES: Final = {Stage.VERTEX: "vert", Stage.FRAGMENT: "frag", Stage.COMPUTE: "comp"}

@@ -23,8 +23,6 @@ from rhi.shading.language.types import VECTORS, VOID, ImageType, StorageType
 from rhi.shading.text.names import Names
 from rhi.shading.text.writer import constant_key
 
-__rhi_internal__ = True
-
 _PACKED_IMAGES: Final = {
     Format.RGB10A2: "rgb10_a2",
     Format.RGB10A2UI: "rgb10_a2ui",

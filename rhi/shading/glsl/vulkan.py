@@ -20,8 +20,6 @@ from rhi.shading.language.builtins import Builtin
 from rhi.shading.language.shader import Declaration, StorageClass
 from rhi.shading.language.types import TextureType
 
-__rhi_internal__ = True
-
 SETS: Final = {
     BindingKind.UNIFORM: 0,
     BindingKind.STORAGE: 1,

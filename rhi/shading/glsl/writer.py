@@ -23,8 +23,6 @@ from rhi.shading.language.source import SourceSpan
 from rhi.shading.language.types import ImageType, TextureType, Type, VoidType, scalar_of
 from rhi.shading.text.writer import TextWriter, int_text
 
-__rhi_internal__ = True
-
 _SHAPES: Final = {"2d": "2D", "2d_array": "2DArray", "3d": "3D", "cube": "Cube"}
 _PREFIX: Final = {FLOAT: "", INT: "i", UINT: "u"}
 _LONGEST_LIST: Final = 32

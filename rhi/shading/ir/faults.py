@@ -16,8 +16,6 @@ from rhi.errors import CallSite, ShaderError
 from rhi.shading.language import rules
 from rhi.shading.language.source import SourceSpan, show
 
-__rhi_internal__ = True
-
 FAULT_WORDS: Final = 3
 _DIFFERENT: Final = -1
 

@@ -8,8 +8,6 @@ from rhi.contract.descriptors import Attribute, FragmentOutput
 from rhi.contract.layout import HostType
 from rhi.shading.language.annotations import Role
 
-__rhi_internal__ = True
-
 
 @dataclass(frozen=True, slots=True)
 class Varying:

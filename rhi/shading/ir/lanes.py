@@ -20,8 +20,6 @@ from typing import Final, TypeAlias
 from rhi.contract.descriptors import TextureKind
 from rhi.shading.ir import nodes
 
-__rhi_internal__ = True
-
 
 class ScalarKind(enum.Enum):
     """The scalar type of a component. A varying bool is a mask."""

@@ -8,8 +8,6 @@ from dataclasses import fields
 from operator import attrgetter
 from typing import Any, Final, TypeAlias
 
-__rhi_internal__ = True
-
 _Reader: TypeAlias = Callable[[Any], tuple[Any, ...]]
 
 

@@ -16,8 +16,6 @@ from typing import Final
 
 from rhi.shading.language.builtins import BUILTINS, Builtin, Precision
 
-__rhi_internal__ = True
-
 
 @dataclass(frozen=True, slots=True)
 class PrimitiveOperation:

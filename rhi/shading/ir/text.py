@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-__rhi_internal__ = True
-
 
 class Lines:
     """A stage's text under construction. `origins` holds each line's Python (file, line), ("", 0) if it has none."""

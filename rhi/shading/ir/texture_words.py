@@ -18,8 +18,6 @@ from rhi.contract.formats import ChannelKind as FormatKind
 from rhi.contract.formats import Format
 from rhi.contract.states import Comparison
 
-__rhi_internal__ = True
-
 GRAIN: Final = 16
 """Alignment in bytes of levels and layers."""
 
@@ -120,24 +118,23 @@ class LevelLayout(NamedTuple):
 
 
 _STORED: Final = {
-    (FormatKind.UNORM, 1): Stored.UNORM8,
-    (FormatKind.SRGB, 1): Stored.SRGB8,
-    (FormatKind.SNORM, 1): Stored.SNORM8,
-    (FormatKind.UNORM, 2): Stored.UNORM16,
-    (FormatKind.FLOAT, 2): Stored.HALF,
-    (FormatKind.FLOAT, 4): Stored.SINGLE,
-    (FormatKind.DEPTH, 4): Stored.SINGLE,
-    (FormatKind.DEPTH_STENCIL, 4): Stored.SINGLE,
-    (FormatKind.UINT, 1): Stored.WHOLE8,
-    (FormatKind.UINT, 2): Stored.WHOLE16,
-    (FormatKind.UINT, 4): Stored.WHOLE32,
-    (FormatKind.INT, 4): Stored.WHOLE32,
+    (FormatKind.UNORM, 8): Stored.UNORM8,
+    (FormatKind.SRGB, 8): Stored.SRGB8,
+    (FormatKind.SNORM, 8): Stored.SNORM8,
+    (FormatKind.UNORM, 16): Stored.UNORM16,
+    (FormatKind.FLOAT, 16): Stored.HALF,
+    (FormatKind.FLOAT, 32): Stored.SINGLE,
+    (FormatKind.DEPTH, 32): Stored.SINGLE,
+    (FormatKind.DEPTH_STENCIL, 32): Stored.SINGLE,
+    (FormatKind.UNORM, 10): Stored.UNORM10,
+    (FormatKind.FLOAT, 11): Stored.POSITIVE11,
+    (FormatKind.UINT, 8): Stored.WHOLE8,
+    (FormatKind.UINT, 10): Stored.WHOLE10,
+    (FormatKind.UINT, 16): Stored.WHOLE16,
+    (FormatKind.UINT, 32): Stored.WHOLE32,
+    (FormatKind.INT, 32): Stored.WHOLE32,
 }
-_PACKED: Final = {
-    Format.RGB10A2: Stored.UNORM10,
-    Format.RGB10A2UI: Stored.WHOLE10,
-    Format.R11G11B10F: Stored.POSITIVE11,
-}
+"""Storage types by the kind of a format and the bits of its first channel."""
 _SHAPES: Final = {
     TextureKind.D2: Shape.FLAT,
     TextureKind.D2_ARRAY: Shape.LAYERED,
@@ -150,6 +147,11 @@ _COMPARISONS: Final = {comparison: number for number, comparison in enumerate(Co
 _LOADS: Final = SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, None)
 
 
+def find_stored(format: Format) -> Stored:
+    """Return the storage type of a format's channels."""
+    return _STORED[format.kind, format.channel_bits[0]]
+
+
 def describe_texture(
     format: Format, kind: TextureKind, levels: Sequence[LevelLayout], sampler: SamplerDescriptor = _LOADS
 ) -> NDArray[np.int32]:
@@ -158,7 +160,7 @@ def describe_texture(
     Integer formats are never filtered, nor anisotropic, and the edges of a cube are always seams.
     """
     words = np.zeros(Word.LEVELS + LEVEL_WORDS * len(levels), np.int32)
-    stored = _PACKED[format] if format.is_packed else _STORED[format.kind, format.dtype.itemsize]
+    stored = find_stored(format)
     texel = format.transfer_bytes
     linear = [
         filter is Filter.LINEAR and not format.is_integer for filter in (sampler.minify, sampler.magnify)

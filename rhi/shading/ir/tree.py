@@ -26,9 +26,6 @@ from rhi.shading.language.shader import Declaration
 from rhi.shading.language.source import SourceSpan
 from rhi.shading.language.types import Type
 
-__rhi_internal__ = True
-
-
 # -- expressions -------------------------------------------------------------------------------------------
 
 

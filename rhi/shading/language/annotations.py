@@ -9,8 +9,6 @@ from rhi.contract.layout import BOOL, FLOAT, INT, ArrayType, HostType
 from rhi.shading.language.types import LANGUAGE_NAMES
 from rhi.shading.language.vectors import Array, ArrayLength, ReadOnlyArray
 
-__rhi_internal__ = True
-
 LANGUAGE_NAMES.update(("Flat", "FragmentDepth", "NoPerspective", "PointSize"))
 
 T = TypeVar("T")

@@ -14,8 +14,6 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from rhi.shading.language.types import LANGUAGE_NAMES
 from rhi.shading.language.vectors import Array, ReadOnlyArray
 
-__rhi_internal__ = True
-
 LANGUAGE_NAMES.update(("Storage", "StorageRW", "Uniform"))
 
 T = TypeVar("T")

@@ -26,8 +26,6 @@ from rhi.errors import refuse
 from rhi.shading.language import rules
 from rhi.shading.language.types import LANGUAGE_NAMES, MATRICES, VECTORS, VOID, Type, converts
 
-__rhi_internal__ = True
-
 LANGUAGE_NAMES.add("Precision")
 
 

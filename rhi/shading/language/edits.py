@@ -30,8 +30,6 @@ from rhi.shading.language.source import SourceFile, exchange_source, forget_sign
 from rhi.shading.language.structs import Struct
 from rhi.shading.language.types import StorageType
 
-__rhi_internal__ = True
-
 _KEPT: Final = frozenset(
     ("__dict__", "__weakref__", "__module__", "__qualname__", "__firstlineno__", "__static_attributes__", "_declared")
 )

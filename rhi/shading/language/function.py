@@ -19,8 +19,6 @@ from rhi.shading.language import rules
 from rhi.shading.language.source import locals_of, resolve_annotations, source_of
 from rhi.shading.language.types import LANGUAGE_NAMES
 
-__rhi_internal__ = True
-
 LANGUAGE_NAMES.update(("function", "native"))
 
 P = ParamSpec("P")

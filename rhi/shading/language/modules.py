@@ -20,8 +20,6 @@ from rhi.shading.language.function import ShadingFunction
 from rhi.shading.language.shader import Shader
 from rhi.shading.language.source import SourceFile, SourceSpan, show, suggest, suggest_name
 
-__rhi_internal__ = True
-
 _numbers: Final = itertools.count(1)
 
 

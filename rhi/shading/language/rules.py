@@ -6,8 +6,6 @@ from typing import Final
 
 from rhi.errors import Rule
 
-__rhi_internal__ = True
-
 NO_SOURCE: Final = Rule(
     "shading-no-source",
     "the source of a shader can't be read",

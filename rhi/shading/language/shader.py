@@ -33,8 +33,6 @@ from rhi.shading.language.textures import ImageFormat, SampledTexture, StorageIm
 from rhi.shading.language.types import LANGUAGE_NAMES, ImageType, StorageType, Type
 from rhi.shading.language.vectors import Array
 
-__rhi_internal__ = True
-
 LANGUAGE_NAMES.update(("Shader", "shared"))
 
 T = TypeVar("T")

@@ -27,8 +27,6 @@ from rhi.shading.language import rules
 from rhi.shading.language.tips import FOREIGN
 from rhi.shading.language.types import LANGUAGE_NAMES
 
-__rhi_internal__ = True
-
 MISSING: Final = object()
 _SOURCE: Final = "_rhi_source"
 

@@ -44,8 +44,6 @@ from rhi.shading.language.source import globals_of, locals_of, suggest, suggest_
 from rhi.shading.language.types import LANGUAGE_NAMES, scalar_of
 from rhi.shading.language.vectors import CLASSES, ArrayLength, array, uint
 
-__rhi_internal__ = True
-
 LANGUAGE_NAMES.add("Struct")
 
 _TOO_LARGE: Final = 3.4028235677973366e38

@@ -16,8 +16,6 @@ from rhi.contract.layout import FLOAT, INT, UINT
 from rhi.shading.language.builtins import Builtin, BuiltinParameter, Overload, SideEffect, expand
 from rhi.shading.language.types import LANGUAGE_NAMES, VECTORS, ImageType, TextureType, Type
 
-__rhi_internal__ = True
-
 __all__ = [  # noqa: F822 (the texture and image classes are created below)
     "DepthTexture2D",
     "DepthTexture2DArray",

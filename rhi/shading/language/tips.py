@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from typing import Final
 
-__rhi_internal__ = True
-
 _SAMPLING: Final = "a texture is a field of the shader, and its methods read it: "
 
 FOREIGN: Final[dict[str, str]] = {

@@ -23,8 +23,6 @@ from rhi.contract.layout import (
     VectorType,
 )
 
-__rhi_internal__ = True
-
 LANGUAGE_NAMES: Final[set[str]] = set()
 """The names that shaders import from `rhi.shading`. Each module that defines some adds them when it is imported."""
 

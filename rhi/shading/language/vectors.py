@@ -18,8 +18,6 @@ import numpy as np
 from rhi.contract.layout import BOOL, FLOAT, INT, UINT, HostType
 from rhi.shading.language.types import LANGUAGE_NAMES, MATRICES, VECTORS
 
-__rhi_internal__ = True
-
 __all__ = [  # noqa: F822 (the vector and matrix classes are created below)
     "Array",
     "ReadOnlyArray",

@@ -42,8 +42,6 @@ from rhi.shading.ir.lanes import (
     literal,
 )
 
-__rhi_internal__ = True
-
 _INPUTS: Final = "inputs_"
 _REACHES: Final = "reaches_"
 _FIXED: Final = (AddressSpace.UNIFORM, AddressSpace.STORAGE, AddressSpace.CONSTANT)

@@ -13,8 +13,6 @@ from rhi.shading.lowering.expansions import expansion_of
 from rhi.shading.lowering.expressions import ExpressionLowering
 from rhi.shading.lowering.lvalues import MemoryLvalue
 
-__rhi_internal__ = True
-
 
 class BuiltinLowering(ExpressionLowering):
     """Lowers calls of `rhi.shading.language.functions`."""

@@ -21,8 +21,6 @@ from rhi.contract.layout import (
 from rhi.shading.ir.lanes import ScalarKind
 from rhi.shading.language.types import count_scalars
 
-__rhi_internal__ = True
-
 KINDS: Final = {FLOAT: ScalarKind.FLOAT, INT: ScalarKind.INT, UINT: ScalarKind.UINT, BOOL: ScalarKind.BOOL}
 
 

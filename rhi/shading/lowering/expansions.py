@@ -16,8 +16,6 @@ from rhi.shading.ir.lanes import ScalarKind, Value, apply, literal
 from rhi.shading.ir.tree import OPERATORS
 from rhi.shading.language.builtins import BUILTINS, Builtin
 
-__rhi_internal__ = True
-
 Components: TypeAlias = Sequence[Value]
 LetFunction: TypeAlias = Callable[[Value], Value]
 Expansion: TypeAlias = Callable[..., list[Value]]

@@ -41,8 +41,6 @@ from rhi.shading.lowering.lvalues import (
 )
 from rhi.shading.lowering.scopes import ScopeLowering
 
-__rhi_internal__ = True
-
 DEEPEST_VALUE: Final = 24
 """The most operations that nest in one expression of a text: C's compilers and Python's parser limit brackets."""
 

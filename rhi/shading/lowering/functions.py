@@ -43,8 +43,6 @@ from rhi.shading.lowering.lvalues import (
 from rhi.shading.lowering.scopes import InlinedFrame, MaskScope
 from rhi.shading.lowering.textures import TextureLowering
 
-__rhi_internal__ = True
-
 
 def has_lane_code(stage: tree.StageTree) -> bool:
     """Return whether a stage can be lowered: all its functions have a Python body."""

@@ -24,8 +24,6 @@ from rhi.contract.layout import (
 from rhi.shading.ir.lanes import Literal, MemoryRegion, Uniformity, Value, Variable, apply, number
 from rhi.shading.lowering.components import leaf_kinds, words_of
 
-__rhi_internal__ = True
-
 
 @dataclass(slots=True, eq=False)
 class Slot:

@@ -33,8 +33,6 @@ from rhi.shading.ir.lanes import (
 from rhi.shading.language.source import SourceSpan, refuse_at
 from rhi.shading.lowering.lvalues import Home, Slot
 
-__rhi_internal__ = True
-
 R = TypeVar("R")
 
 _UNKNOWN: Final = (Uniformity.DISPATCH, 0)

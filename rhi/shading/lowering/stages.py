@@ -40,8 +40,6 @@ from rhi.shading.lowering.components import all_kinds
 from rhi.shading.lowering.functions import Lowering
 from rhi.shading.lowering.scopes import InlinedFrame
 
-__rhi_internal__ = True
-
 _DIFFERENCES: Final = frozenset({"ddx", "ddy", "fwidth", "sample", "sample_bias", "sample_compare"})
 """The built-ins that compare pixels of a quad, including the texture methods that compute the mip level implicitly."""
 

@@ -26,8 +26,6 @@ from rhi.shading.language.types import ImageType, TextureType
 from rhi.shading.lowering.builtins import BuiltinLowering
 from rhi.shading.lowering.components import KINDS, all_kinds
 
-__rhi_internal__ = True
-
 _LEVEL_AXES: Final = {TextureKind.D2: 2, TextureKind.D2_ARRAY: 2, TextureKind.D3: 3, TextureKind.CUBE: 3}
 """The number of coordinate components that differ within a pixel: a layer doesn't."""
 

@@ -20,8 +20,6 @@ from rhi.shading.ir.lanes import AddressSpace, Code
 from rhi.shading.numpy import runtime as numpy_runtime
 from rhi.shading.numpy.writer import write_numpy_function
 
-__rhi_internal__ = True
-
 LaneFunction = Callable[..., tuple[Any, ...]]
 """A `run(F, M, P, arguments)` that `rhi.shading.numpy.writer` has written."""
 

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from rhi.shading.ir.faults import make_index_error
 
-__rhi_internal__ = True
-
 Array = NDArray[Any]
 
 

@@ -22,8 +22,6 @@ from rhi.shading.ir.texture_words import anisotropy_of, border_color, has_fixed_
 from rhi.shading.language import rules
 from rhi.shading.numpy.runtime import clamp
 
-__rhi_internal__ = True
-
 Array = NDArray[Any]
 FourArrays = tuple[Array, Array, Array, Array]
 TexelComparison = Callable[[Array, Array], Array]

@@ -15,8 +15,6 @@ from rhi.shading.ir import lanes
 from rhi.shading.ir.lanes import AddressSpace, Code, MemoryRegion, ScalarKind, Value
 from rhi.shading.ir.primitives import spelling
 
-__rhi_internal__ = True
-
 _ZEROS: Final = {
     ScalarKind.FLOAT: "F(0)",
     ScalarKind.INT: "np.int32(0)",

@@ -9,8 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Final
 
-__rhi_internal__ = True
-
 HEX: Final = "0123456789abcdef"
 
 _HEAD: Final = "inline __attribute__((overloadable, always_inline)) "

@@ -34,8 +34,6 @@ from rhi.shading.ir.lanes import FIRST_VERTEX, WIDTH, Argument, PositionBounds, 
 from rhi.shading.language.builtins import Precision
 from rhi.shading.opencl.writer import OpenCLWriter
 
-__rhi_internal__ = True
-
 LANGUAGE: Final = f"opencl{WIDTH}"
 _INLINE: Final = "inline __attribute__((always_inline))"
 _VERTEX: Final = "int16 vertex, int instance, int draw, int16 mask, private uint16 *outputs"

@@ -20,8 +20,6 @@ from rhi.shading.ir.texture_words import enumerations
 from rhi.shading.language.builtins import Precision
 from rhi.shading.opencl.prelude import HEX
 
-__rhi_internal__ = True
-
 _HEAD: Final = """typedef global const uchar *rhi_texture;
 typedef global uchar *rhi_image;
 typedef global const int *rhi_description;

@@ -32,8 +32,6 @@ from rhi.shading.language.builtins import Precision
 from rhi.shading.opencl import prelude
 from rhi.shading.opencl.textures import textures_text
 
-__rhi_internal__ = True
-
 _NAMES: Final = {ScalarKind.FLOAT: "float", ScalarKind.INT: "int", ScalarKind.UINT: "uint", ScalarKind.BOOL: "int"}
 _ATOMICS: Final = {"exchange": "xchg", "compare_exchange": "cmpxchg"}
 _SPACES: Final = {

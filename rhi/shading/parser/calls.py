@@ -23,8 +23,6 @@ from rhi.shading.language.vectors import array
 from rhi.shading.parser.expressions import ExpressionParser, member_tip
 from rhi.shading.parser.signatures import Callee, Signature, UnsizedArray, fits
 
-__rhi_internal__ = True
-
 _PYTHON_BUILTINS: Final[dict[Any, Builtin]] = {
     builtins.abs: BUILTINS["abs"],
     builtins.min: BUILTINS["min"],

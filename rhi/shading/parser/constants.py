@@ -33,8 +33,6 @@ from rhi.shading.language.types import VECTORS, scalar_of
 from rhi.shading.language.vectors import Composite
 from rhi.shading.parser.operators import convert
 
-__rhi_internal__ = True
-
 MAX_CONSTANTS: Final = 16_384
 """The greatest number of scalars in a constant array: 64 KiB, the constant memory that OpenCL guarantees."""
 

@@ -45,8 +45,6 @@ from rhi.shading.parser.constants import constant, tip_for
 from rhi.shading.parser.operators import binary, convert, typed, unary
 from rhi.shading.parser.signatures import Callee
 
-__rhi_internal__ = True
-
 _ORDER_FUNCTIONS: Final = {
     "<": "less_than",
     "<=": "less_than_equal",

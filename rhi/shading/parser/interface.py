@@ -30,8 +30,6 @@ from rhi.shading.language.source import suggest
 from rhi.shading.language.types import VEC4, VOID, Type, scalar_of
 from rhi.shading.parser.signatures import Callee, struct_class
 
-__rhi_internal__ = True
-
 
 def vertex_inputs(vertex: Callee) -> tuple[Attribute, ...]:
     """Return the attributes of the vertex stage's parameters, in order."""

@@ -15,8 +15,6 @@ from rhi.shading.ir.tree import Binary, Constant, Construct, Convert, Expression
 from rhi.shading.language.source import SourceSpan
 from rhi.shading.language.types import Type, converts, scalar_of, with_scalar
 
-__rhi_internal__ = True
-
 BITWISE: Final = frozenset({Operator.BIT_AND, Operator.BIT_OR, Operator.BIT_XOR})
 _DIVISIONS: Final = frozenset({Operator.DIVIDE, Operator.FLOOR_DIVIDE, Operator.MODULO})
 SHIFTS: Final = frozenset({Operator.SHIFT_LEFT, Operator.SHIFT_RIGHT})

@@ -18,8 +18,6 @@ from rhi.shading.language.textures import SampledTexture
 from rhi.shading.language.types import VOID, Type
 from rhi.shading.language.vectors import Array, ReadOnlyArray
 
-__rhi_internal__ = True
-
 
 @dataclass(frozen=True, slots=True)
 class UnsizedArray:

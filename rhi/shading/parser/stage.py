@@ -24,8 +24,6 @@ from rhi.shading.language.types import StorageType, Type, count_scalars, has_arr
 from rhi.shading.parser.signatures import Callee, UnsizedArray, find_method
 from rhi.shading.parser.statements import FunctionParser
 
-__rhi_internal__ = True
-
 PIXELS: Final = 16
 """The invocations of a vertex or fragment stage that run together on a CPU."""
 MAX_STACK: Final = 1 << 20

@@ -32,8 +32,6 @@ from rhi.shading.parser.expressions import StageContext
 from rhi.shading.parser.operators import convert
 from rhi.shading.parser.signatures import Callee, evaluate_annotation
 
-__rhi_internal__ = True
-
 _STATEMENT_TIPS: Final = {
     "With": "",
     "Try": "devices have no exceptions",

@@ -16,8 +16,6 @@ from rhi.shading.language.function import NATIVE
 from rhi.shading.language.shader import Shader
 from rhi.shading.language.source import SourceSpan, show, source_of, span_of
 
-__rhi_internal__ = True
-
 
 def check_bindings_are_used(shader: type[Shader], used: frozenset[str]) -> None:
     """Refuse a shader that declares a binding no method names; `used` are the bindings its stages read or write.

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Hashable
 
-__rhi_internal__ = True
-
 
 class Names:
     """The names of a scope, unique and stored by key. A child scope avoids the names of its parent."""

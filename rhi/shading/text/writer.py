@@ -20,8 +20,6 @@ from rhi.shading.language.source import SourceSpan, refuse_at
 from rhi.shading.language.types import TextureType, Type, VoidType, scalar_of
 from rhi.shading.text.names import Names
 
-__rhi_internal__ = True
-
 _MOST_RETURNS: Final = 16
 """The most returns outside loops that are written as such."""
 _LONGEST_CHAIN: Final = 16

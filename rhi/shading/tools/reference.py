@@ -13,8 +13,6 @@ from typing import Final
 
 from rhi.shading.language.builtins import BUILTINS, OPERATORS, Builtin, ErrorBound, SideEffect
 
-__rhi_internal__ = True
-
 BEGIN: Final = "<!-- built-ins, written by `python -m rhi.shading.tools.reference` -->"
 END: Final = "<!-- end of built-ins -->"
 _SECTIONS: Final = {

@@ -343,12 +343,14 @@ def test_the_overlay_also_runs_where_nothing_is_drawn(capsys: pytest.CaptureFixt
     assert report["image"] is None
 
 
-def test_a_missing_pillow_is_one_line_that_says_what_to_install() -> None:
-    program = "import sys; sys.modules['PIL'] = None; sys.argv = ['renderer', 'render', 'city', '--overlay']; " \
+@pytest.mark.parametrize("module", ["PIL", "tqdm"])
+def test_a_missing_package_is_one_line_that_says_what_to_install_by_name_and_from_a_checkout(module: str) -> None:
+    program = f"import sys; sys.modules['{module}'] = None; sys.argv = ['renderer', 'render', 'city', '--overlay']; " \
         "import runpy; runpy.run_module('renderer', run_name='__main__')"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert done.stderr == "error: PIL is missing; install it with: pip install 'rhi[renderer]'\n"
+    by_name, in_a_checkout = "pip install 'rhi[renderer]'", "pip install --editable '.[renderer]'"
+    assert done.stderr == f"error: {module} is missing; install it with: {by_name}, or in a checkout: {in_a_checkout}\n"
 
 
 def test_plan_says_why_each_pass_is_there_and_what_is_left_out(capsys: pytest.CaptureFixture[str]) -> None:
@@ -410,7 +412,7 @@ def test_a_device_chooses_the_technique_of_a_plan(capsys: pytest.CaptureFixture[
     assert report["passes"][0]["name"] == first
 
 
-@pytest.mark.parametrize(("name", "code"), [("plan.svg", 0), ("plan.png", 0), ("plan.txt", 2)])
+@pytest.mark.parametrize(("name", "code"), [("plan.svg", 0), ("plan.png", 0), ("plan.jpg", 0), ("plan.txt", 2)])
 def test_a_plan_is_plotted_to_a_file_that_is_a_chart(
     capsys: pytest.CaptureFixture[str], here: Path, name: str, code: int
 ) -> None:

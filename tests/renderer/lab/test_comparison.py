@@ -7,11 +7,13 @@ import os
 import time as clock
 from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 import rhi
+from renderer.cli import main
 from renderer.cli.arguments import add_rounds
 from renderer.cli.comparison import run_benchmark
 from renderer.lab.comparison import (
@@ -27,6 +29,7 @@ from renderer.lab.comparison import (
     ratio,
     time,
 )
+from tests.renderer.conftest import open_device
 
 COLUMNS: dict[str, Column] = {"ratio": ratio(), "speed": ratio(inverse=True)}
 
@@ -160,3 +163,22 @@ def test_kernels_are_those_of_the_timed_rounds(good: int, said: str | None) -> N
 def test_a_device_without_quick_kernels_says_nothing_of_them() -> None:
     with rhi.create_device("null") as device:
         assert compare([Subject({}, lambda _: None, device=device)], {"kernels": kernels}, [0]) == [{"kernels": None}]
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "techniques grid --techniques forward --rounds 1 --size 32x18",
+        "stereo grid --stereo grey --frames 1 --sizes 32x18",
+        "visibility grid --algorithms none --frames 1 --size 32x18",
+        pytest.param("deferred-plus grid:count=1,lights=0 --frames 1 --size 32x18", marks=pytest.mark.slow),
+    ],
+)
+def test_each_comparison_says_which_kernels_cl_ran(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("RHI_KERNELS", "quick")
+    monkeypatch.setenv("RHI_CACHE", str(tmp_path))  # which has no optimised ones
+    with open_device("cl"):  # or the test is skipped
+        assert main(["compare", *command.split(), "--backend", "cl", "--json"]) == 0
+    assert {row["kernels"] for row in json.loads(capsys.readouterr().out)["rows"]} == {"quick"}

@@ -200,9 +200,3 @@ def test_the_camera_says_which_way_depth_runs(
     (begin,) = stream.filter(Op.BEGIN_PASS)
     assert begin["descriptor"].depth.clear == far
     assert stream.draws()[0].states[rhi.DepthFunction] is function
-
-
-def test_call_sites_are_lines_of_the_scene_pass(null: rhi.Device) -> None:
-    (draw,) = record(null, boxes((0, 0, 0)).build()).draws()
-    assert draw.site is not None
-    assert draw.site.file.endswith("frame/passes.py")

@@ -17,7 +17,7 @@ import rhi
 from renderer.cli import main
 from renderer.cli.output import show_progress
 from renderer.content import load_scene
-from renderer.lab.measure.visibility import FORGETFUL, Picture, WalkFrame, list_contenders, list_frames
+from renderer.lab.visibility import FORGETFUL, Picture, WalkFrame, list_contenders, list_frames
 from renderer.renderer import Renderer
 from renderer.visibility import ALGORITHMS, VisibilitySettings, make_visibility
 from renderer.visibility.software_depth import can_rasterise
@@ -25,7 +25,7 @@ from renderer.visibility.software_depth import can_rasterise
 ROW = [
     "algorithm", "milliseconds", "ratio", "triangles", "draws", "queries", "software_state_changes",
     "hardware_state_changes", "wrong_pixels", "tied_pixels", "stalled_milliseconds", "simulation_steps",
-    "skipped_simulations",
+    "skipped_simulations", "kernels",
 ]  # fmt: skip
 COMMAND = ["compare", "visibility", "city:blocks=4,detail=2", "--size", "64x36", "--frames", "3"]
 
@@ -189,7 +189,7 @@ def test_a_table_in_markdown_has_the_same_columns(capsys: pytest.CaptureFixture[
     plain = capsys.readouterr().out.splitlines()
     assert main([*command, "--markdown"]) == 0
     table = [line.strip("| ").split(" | ") for line in capsys.readouterr().out.splitlines()]
-    assert [len(line) for line in table] == [11] * 4
+    assert [len(line) for line in table] == [12] * 4
     assert " ".join(table[0]).split() == plain[0].split()
     assert [line[0] for line in table[2:]] == ["none", "frustum"]
     assert [line[3] for line in table[2:]] == [line.split()[3] for line in plain[2:]]

@@ -2,28 +2,32 @@
 
 - `SAMPLES` holds for each method a call that works and, for each parameter, the value of that call and a predicate: the
   values that the documentation allows. The test replaces one value at a time by every value of `WRONG`.
+- Both follow from the parameter's annotation and default; `EXCEPTIONS` holds what they don't say.
 - A predicate may allow a value that the call refuses for another reason (a texture of another format, an index beyond
   the end). What it doesn't allow has to be refused.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import enum
+import functools
 import inspect
 import math
+import re
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from contextlib import ExitStack, nullcontext
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
 import rhi
-from rhi import Access, BufferUsage, Device, Filter, Format, Primitive, Region, TextureKind, Wrap
+from rhi import Device, Format, Primitive
 from rhi.conformance.compare import assert_same
 from rhi.conformance.shaders import Colored, Corner, Tint, Tinted
 from rhi.conformance.shapes import rectangle
-from rhi.contract.states import BlendFactor, BlendOperation, Comparison, StencilOperation
+from rhi.contract.states import STATE_TYPES
 from rhi.shading import Shader, StorageRW, Struct
 
 Takes = Callable[["House", Any], bool]
@@ -76,6 +80,14 @@ class House:
             self.query, self.queries,
         ]  # fmt: skip
 
+    @property
+    def transient(self) -> rhi.TransientMemory:
+        return self.device.transient
+
+    @property
+    def transient_mesh(self) -> rhi.TransientMesh:
+        return self.transient.mesh(self.plain, ROWS)
+
     def owns(self, value: object) -> bool:
         """Return whether a value is one of this house's objects."""
         return any(value is each for each in vars(self).values())
@@ -87,6 +99,20 @@ CLASSES: Final[list[Any]] = [
     rhi.Immediate, rhi.ColorWrite, rhi.BlendFunction,
 ]  # fmt: skip
 """The classes whose methods are called."""
+
+VALUES: Final[list[Any]] = [
+    rhi.Region, rhi.SamplerDescriptor, rhi.IndirectDraws, rhi.TextureTarget, rhi.Sampler, rhi.FixedStack,
+    rhi.FixedQueue, rhi.ProgramDescriptor, *(kind for kind in STATE_TYPES if dataclasses.is_dataclass(kind)),
+]  # fmt: skip
+"""The classes whose objects are values, which users create."""
+
+OBJECTS: Final = {
+    "Device": "device", "Buffer": "buffer", "UniformBuffer": "tint", "UniformArray": "tints",
+    "StorageBuffer": "numbers", "Texture": "image", "Mesh": "mesh", "Program": "program", "OcclusionQuery": "query",
+    "QuerySet": "queries", "CommandBuffer": "commands", "TransientMemory": "transient",
+    "TransientMesh": "transient_mesh",
+}  # fmt: skip
+"""The house's object of each class."""
 
 INTERNAL: Final = {
     "CommandBuffer": {"note_retired"},
@@ -169,6 +195,169 @@ flag, text, nothing = instance(bool, np.bool_), instance(str), lambda house, val
 natural = whole(0)
 
 
+ROWS: Final = np.zeros(6, Corner.dtype)
+DRAWS: Final = array(rhi.DRAW_UNINDEXED)
+MANY: Final = either(natural, array("i8"), lambda house, value: array("f8")(house, value) and not len(value))
+WORD, BYTE, TARGET, PORTION = whole(-(2**31), 2**32 - 1), whole(0, 255), whole(0, 7), number(0, 1)
+CONSTANTS: Final = either(instance(Struct, float, np.number), whole(-(2**31), 2**31 - 1), array("f8"))
+
+
+def of(name: str) -> Callable[[House], Any]:
+    """The object of this name."""
+    return lambda house: getattr(house, name)
+
+
+KINDS: Final[dict[str, tuple[Any, Takes]]] = {
+    "bool": (False, flag),
+    "int": (1, natural),
+    "float": (0.5, number()),
+    "str": ("name", text),
+    "None": (None, lambda house, value: value is None),
+    "NDArray": (np.arange(6, dtype="u2"), array("i8")),
+    "Sequence": ((), empty),
+    "Clear": ((0, 0, 0, 1), optional(either(array("f8", "i8", "f4"), instance(tuple)))),
+    "Region": (rhi.Region(0, 0, 1, 1), instance(rhi.Region)),
+    "Drawable": (of("mesh"), own(rhi.Mesh)),
+    "RenderTarget": (of("target"), own(rhi.Texture)),
+    "IndirectDraws": (of("indirect"), instance(rhi.IndirectDraws)),
+    "Sampler": (of("sampler"), instance(rhi.Sampler)),
+    "SamplerDescriptor": (rhi.SamplerDescriptor(), instance(rhi.SamplerDescriptor)),
+    **{kind: (of(name), own(getattr(rhi, kind))) for kind, name in OBJECTS.items()},
+}
+"""For each annotation a value, and what it takes. Those of an enum are its members."""
+
+
+def each(names: str, value: Any = ..., takes: Any = ...) -> dict[str, tuple[Any, Any]]:
+    """The same for several parameters."""
+    return dict.fromkeys(names.split(), (value, takes))
+
+
+EXCEPTIONS: Final[dict[str, tuple[Any, Any]]] = {
+    # of any call
+    **each("label", "name"),
+    **each("tint", of("tint"), own(rhi.UniformBuffer)),
+    **each("numbers", of("numbers"), own(rhi.StorageBuffer)),
+    **each("first", 1),
+    **each("count", 2),
+    **each("size", 8),
+    **each("format", Format.RGBA8),
+    **each("row_bytes depth", None),
+    **each("clear_depth", None, optional(PORTION)),
+    **each("clear_stencil", None, optional(BYTE)),
+    **each("draws", lambda house: house.mesh.draws([0, 3], 3), DRAWS),
+    **each("rows", [0, 1], optional(array("i8"))),
+    **each("clips", [(0, 0, 2, 2), (1, 0, 0, 1)], nothing),
+    **each("element", float, lambda house, value: value is int),
+    **each("capacity", 4, whole(1, 1 << 40)),
+    **each("front back", 1, BYTE),
+    # of a method of any class
+    **each("at.target", 0, optional(TARGET)),
+    **each("clear.value", ..., WORD),
+    **each("copy_buffer.target", of("other")),
+    **each("copy_texture.target", of("copy")),
+    **each("dispatch.groups", 1, either(natural, array("i8"))),
+    **each("dispatch.program dispatch_indirect.program", of("compute")),
+    **each("dispatch_indirect.buffer", of("arguments")),
+    **each("draw.instances", ..., whole(0, 2**31 - 1)),
+    **each("draws.first draws.base_instance", 0, MANY),
+    **each("draws.count", 3, optional(MANY)),
+    **each("draws.instances", 1, MANY),
+    **each("draws.base_vertex", 0, either(whole(), MANY)),
+    **each("immediate.primitive", Primitive.POINTS),
+    **each("instances.arrays", {"color": np.zeros((2, 4), "f4")}, nothing),
+    **each("render_pass.color resolve.source", of("many")),
+    **each("render_pass.resolve resolve.target resolve_to.target", of("target")),
+    **each("states.states", rhi.CullMode.NONE, nothing),
+    **each("uniform.value", Tint(color=(1, 1, 1, 1)), CONSTANTS),
+    **each("vertex.position vertex.color", (0, 0, 0, 1), nothing),
+    **each("vertices.arrays", ROWS, nothing),
+    **each("view.first", 0),
+    **each("view.count", 3),
+    **each("view.base_vertex", 0, whole()),
+    # of one call
+    **each("create_device.name", "null"),
+    **each("create_device.frames_in_flight", ..., whole(1)),
+    **each("Device.adopt_texture.native", 1, natural),
+    **each("Device.backend_as.kind", object, instance(type)),
+    **each("Device.buffer.dtype", "u4", optional(instance(type, str))),
+    **each("Device.buffer.source", 8, either(natural, array("f8", "i8"))),
+    **each("Device.mesh.vertices", ROWS, either(natural, own(rhi.Buffer))),
+    **each("Device.mesh.instances", None, optional(own(rhi.Buffer))),
+    **each("Device.prepare.program", of("plain"), either(own(rhi.Program), empty)),
+    **each("Device.prepare.states", (rhi.CullMode.NONE,)),
+    **each("Device.prepare.targets", (Format.RGBA8,)),
+    **each("Device.program.shader", Colored, nothing),
+    **each("Device.query_set.size", 2, whole(0, 1 << 20)),
+    **each("Device.storage.source", 4, either(natural, own(rhi.Buffer), array("f4"))),
+    **each("Device.texture.source", (4, 4), nothing),
+    **each("Device.uniform_array.struct", Tint, lambda house, value: value is Tint),
+    **each("Device.wait.seconds", 0.01, optional(number(0))),
+    **each("Device.wait.value", 0),
+    **each("TransientMemory.mesh.instances", None, optional(nothing)),
+    **each("TransientMemory.mesh.program", of("plain")),
+    **each("TransientMemory.mesh.vertices", ROWS, nothing),
+    **each("TransientMemory.storage.source", 4, either(natural, array("f4"))),
+    **each("Buffer.copy_to.target", of("other")),
+    **each("Buffer.write.data", np.zeros(4, "u4"), array("u4")),
+    **each("UniformBuffer.write.value", Tint(color=(1, 1, 1, 1)), instance(Tint)),
+    **each("UniformArray.write.rows", lambda house: np.zeros(2, house.tints.dtype), nothing),
+    **each("StorageBuffer.write.rows", np.zeros(4, "f4"), either(array("f4"), instance(np.float32))),
+    **each("Texture.copy_to.target", of("copy")),
+    **each("Texture.image.layer", 0),
+    **each("Texture.write.texels", np.zeros((2, 2, 4), "u1"), nothing),
+    **each("Region.x Region.y Region.width Region.height Region.layer Region.layers", 1, whole()),
+    **each("SamplerDescriptor.border", (0, 0, 0, 1), nothing),
+    **each("SamplerDescriptor.max_anisotropy", ..., number(1)),
+    **each("IndirectDraws.buffer", of("draws"), instance(rhi.Buffer, rhi.StorageBuffer)),  # checked in draws
+    **each("IndirectDraws.count", None, optional(instance(rhi.Buffer, rhi.StorageBuffer))),
+    **each("IndirectDraws.draws", 1, whole()),
+    **each("IndirectDraws.offset IndirectDraws.stride IndirectDraws.count_offset", ..., whole()),
+    **each("Sampler.id", lambda house: house.sampler.id, whole(1)),  # the descriptor decides
+    **each("Sampler.descriptor", lambda house: house.sampler.descriptor),
+    **each("ProgramDescriptor.stages", frozenset({rhi.Stage.COMPUTE}), nothing),
+    **each("ProgramDescriptor.bindings ProgramDescriptor.attributes ProgramDescriptor.outputs", (), nothing),
+    **each("ProgramDescriptor.varyings", (), nothing),
+    **each("ProgramDescriptor.work_group", (1, 1, 1), nothing),
+    **each("ProgramDescriptor.emit", len, lambda house, value: callable(value)),
+    **each("AlphaReference.value Viewport.near Viewport.far", ..., PORTION),
+    **each("ColorWrite.target BlendFunction.target", 0, optional(TARGET)),
+    **each("Viewport.x Viewport.y", ..., number(-32_767, 32_767)),
+    **each("Viewport.width Viewport.height", ..., number(0, 16_384)),
+    **each("Scissor.x Scissor.y", ..., whole(-(2**30), 2**30)),
+    **each("Scissor.width Scissor.height", ..., whole(0, 2**30)),
+    **each("LineWidth.width", ..., number(1)),
+}
+"""Values and what is taken where the annotation and the default don't say it (`...`: they do), by parameter, by method
+and parameter, or by class too: the longest name that is found counts."""
+
+
+def describe(call: str, parameter: inspect.Parameter) -> tuple[Any, Takes]:
+    """Return a parameter's value in a call that works, and what it takes."""
+    name = parameter.name
+    keys = f"{call}.{name}", f"{call.rpartition('.')[2]}.{name}", name
+    value, takes = next((EXCEPTIONS[key] for key in keys if key in EXCEPTIONS), (..., ...))
+    if value is ... or takes is ...:
+        shown = str(parameter.annotation)
+        while (plain := re.sub(r"\[[^][]*\]", "", shown)) != shown:
+            shown = plain
+        kinds = [find_kind(part) for part in shown.split(" | ")]
+        if takes is ...:
+            takes = either(*(each for _, each in kinds))
+        if value is ...:
+            has_default = parameter.default not in (None, inspect.Parameter.empty)
+            value = parameter.default if has_default else kinds[0][0]
+    return value, takes
+
+
+def find_kind(annotation: str) -> tuple[Any, Takes]:
+    """Return a value of one annotation, and what it takes."""
+    if annotation not in KINDS:
+        kind = getattr(rhi, annotation)
+        assert issubclass(kind, enum.Enum), f"{annotation} isn't among the kinds"
+        return next(iter(kind)), instance(kind)
+    return KINDS[annotation]
+
+
 # -- the calls ---------------------------------------------------------------------------------------------
 
 
@@ -181,545 +370,122 @@ class Sample:
         parameters: for each parameter its value, or a function of the house that returns it, and what it takes.
         within: opens what the call needs to be open.
         enters: whether the result is a context manager, which the test enters.
+        needs: the capabilities that the device needs for it.
     """
 
     call: Callable[..., Any]
     parameters: dict[str, tuple[Any, Takes]]
     within: Callable[[House, ExitStack], None] = lambda house, stack: None
     enters: bool = False
-    needs: tuple[str, ...] = field(default=())
-
-
-def method(of: str, name: str) -> Callable[..., Any]:
-    """A call of a method by keywords."""
-    return lambda house, **given: getattr(getattr(house, of), name)(**given)
+    needs: tuple[str, ...] = ()
 
 
 def in_pass(house: House, stack: ExitStack) -> None:
     stack.enter_context(house.device.render_pass(house.target))
 
 
-def of(name: str) -> Callable[[House], Any]:
-    """The object of this name."""
-    return lambda house: getattr(house, name)
+def call_method(name: str, positional: list[str], house: House, **given: Any) -> Any:
+    """Call a method of the house's object."""
+    kind, _, method = name.partition(".")
+    called = getattr(getattr(house, RECEIVERS.get(name, OBJECTS[kind])), method)
+    first = [given.pop(each) for each in positional]
+    return called(*first, **given)
 
 
-@contextmanager
-def recording(house: House) -> Iterator[rhi.CommandBuffer]:
-    with house.device.record() as commands:
-        yield commands
+def call_encoder(name: str, positional: list[str], house: House, **given: Any) -> None:
+    """Call a method that devices and command buffers share, or one of a command buffer, where it may be called."""
+    kind, _, method = name.partition(".")
+    is_recorded = kind == "CommandBuffer"
+    with house.device.record() if is_recorded else nullcontext(house.device) as encoder, ExitStack() as stack:
+        if method.startswith(("draw", "immediate", "query")) and house.device._core.render_pass is None:
+            stack.enter_context(encoder.render_pass(house.target))
+        if method == "draw_conditional":
+            draws = house.mesh.draws([0, 3], 3)
+            encoder.draw_counted(house.program, house.mesh, draws, house.queries, tint=house.tint)
+        first = [given.pop(each) for each in positional]
+        made = getattr(encoder, method)(*first, **given)
+        if hasattr(made, "__enter__"):
+            with made:
+                if method == "immediate":  # a block without vertices draws nothing
+                    made.vertex(position=(0, 0, 0, 1), color=(0, 0, 0, 1))
 
 
-RANGE: Final = {"first": (1, natural), "count": (2, optional(natural))}
-LAYER: Final = {"level": (0, natural), "layer": (0, natural)}
-REGION: Final = (None, optional(instance(Region)))
-COLOR: Final = either(array("f8", "i8", "f4"), instance(tuple))
-ROWS: Final = np.zeros(6, Corner.dtype)
+def call_immediate(name: str, positional: list[str], house: House, **given: Any) -> None:
+    """Call a method of an immediate-mode block."""
+    with house.device.render_pass(house.target), house.device.immediate(house.plain, Primitive.POINTS) as block:
+        getattr(block, name.partition(".")[2])(**given)
+        if name == "Immediate.instances":
+            block.vertex(position=(0, 0, 0, 1))
 
-BUFFER_COPY: Final = {
-    "target": (of("other"), own(rhi.Buffer, rhi.StorageBuffer)),
-    "size": (8, optional(natural)),
-    "offset": (0, natural),
-    "target_offset": (0, natural),
+
+RECEIVERS: Final = {"Texture.read_stencil": "depth", "Texture.resolve_to": "many"}
+"""The names of other objects of the house whose methods are called."""
+
+CALLS: Final[dict[str, Callable[..., Any]]] = {
+    "create_device": lambda house, **given: rhi.create_device(**given).close(),
+    "Device.backend_as": lambda house, kind: bool(house.device.backend_as(kind)),
+    "Device.close": lambda house, quiet: Device(rhi.backends.null.NullBackend()).close(quiet=quiet),
+    "Device.program": lambda house, shader: bool(house.device.program(shader)),
+    "Device.timing": lambda house, on: setattr(house.device, "timing", on),
+    "ColorWrite.at": lambda house, target: rhi.ColorWrite.OFF.at(target),
+    "BlendFunction.at": lambda house, target: rhi.BlendFunction.ALPHA.at(target),
+    "TextureTarget": lambda house, **given: house.device.render_pass(rhi.TextureTarget(**given)),
+    "Sampler": lambda house, **given: house.image.sampled(rhi.Sampler(**given)),
 }
-TEXTURE_COPY: Final = {
-    "target": (of("copy"), own(rhi.Texture)),
-    "level": (0, natural),
-    "region": REGION,
-    "target_level": (0, natural),
-    "x": (0, natural),
-    "y": (0, natural),
-    "layer": (0, natural),
-}
-ROWS_COPY: Final = {
-    "level": (0, natural),
-    "region": REGION,
-    "offset": (0, natural),
-    "row_bytes": (None, optional(natural)),
-}
-BUFFER: Final = (of("buffer"), own(rhi.Buffer, rhi.StorageBuffer))
-PROGRAM: Final = (of("program"), own(rhi.Program))
-MESH: Final = (of("mesh"), own(rhi.Mesh))
-TINT: Final = (of("tint"), own(rhi.UniformBuffer))
-LABEL: Final = ("name", text)
-PART: Final = {"first": (0, natural), "count": (3, optional(natural))}
-DRAWS: Final = (lambda house: house.mesh.draws([0, 3], 3), array(rhi.DRAW_UNINDEXED))
-DRAWS_BY_ROW: Final = {
-    "program": PROGRAM,
-    "mesh": MESH,
-    "draws": DRAWS,
-    "queries": (of("queries"), own(rhi.QuerySet)),
-    "rows": ([0, 1], optional(array("i8"))),
-    "tint": TINT,
-}
-ELEMENT: Final = (float, lambda house, value: value is int)
-CONSTANTS: Final = either(instance(Struct, float, np.number), whole(-(2**31), 2**31 - 1), array("f8"))
+"""How what isn't a method of the house's object is called, or what becomes of the result."""
+
+NEEDS: Final = {
+    "adopt_texture": ("shares_textures",), "native_texture": ("shares_textures",),
+    "conditional": ("conditional_rendering",), "draw_conditional": ("conditional_rendering",),
+}  # fmt: skip
+"""The capabilities that methods need."""
 
 
-def encoder_samples(open_encoder: Callable[[House], Any]) -> dict[str, Sample]:
-    """The methods that devices and command buffers share."""
-
-    def call(name: str, *positional: str, bare: bool = False) -> Callable[..., Any]:
-        def make(house: House, **given: Any) -> Any:
-            with open_encoder(house) as encoder:
-                with ExitStack() as stack:
-                    if name.startswith(("draw", "immediate")) and house.device._core.render_pass is None:
-                        stack.enter_context(encoder.render_pass(house.target))
-                    if name == "draw_conditional":
-                        draws = house.mesh.draws([0, 3], 3)
-                        encoder.draw_counted(house.program, house.mesh, draws, house.queries, tint=house.tint)
-                    first = [given.pop(each) for each in positional]
-                    made = getattr(encoder, name)(*first, **given)
-                    if hasattr(made, "__enter__"):
-                        with made:
-                            if name == "immediate":  # a block without vertices draws nothing
-                                made.vertex(position=(0, 0, 0, 1), color=(0, 0, 0, 1))
-
-        return make
-
-    return {
-        "render_pass": Sample(
-            call("render_pass"),
-            {
-                "color": (of("many"), optional(either(own(rhi.Texture), instance(list)))),
-                "depth": (None, optional(own(rhi.Texture))),
-                "clear": ((0, 0, 0, 1), optional(COLOR)),
-                "clear_depth": (None, optional(number(0, 1))),
-                "clear_stencil": (None, optional(whole(0, 255))),
-                "resolve": (of("target"), optional(either(own(rhi.Texture), instance(list)))),
-                "label": LABEL,
-            },
-        ),
-        "states": Sample(call("states", "states"), {"states": (rhi.CullMode.NONE, nothing)}),
-        "event": Sample(call("event"), {"label": LABEL}),
-        "conditional": Sample(
-            call("conditional"),
-            {"query": (of("query"), own(rhi.OcclusionQuery)), "inverted": (False, flag)},
-            needs=("conditional_rendering",),
-        ),
-        "draw": Sample(
-            call("draw", "program", "mesh", "instances"),
-            {"program": PROGRAM, "mesh": MESH, "instances": (1, whole(0, 2**31 - 1)), "tint": TINT},
-        ),
-        "draw_many": Sample(
-            call("draw_many", "program", "mesh", "draws"),
-            {"program": PROGRAM, "mesh": MESH, "draws": DRAWS, "tint": TINT},
-        ),
-        "draw_clipped": Sample(
-            call("draw_clipped", "program", "mesh", "draws", "clips"),
-            {
-                "program": PROGRAM,
-                "mesh": MESH,
-                "draws": DRAWS,
-                "clips": ([(0, 0, 2, 2), (1, 0, 0, 1)], nothing),
-                "tint": TINT,
-            },
-        ),
-        "draw_counted": Sample(
-            call("draw_counted", "program", "mesh", "draws", "queries", "rows"),
-            DRAWS_BY_ROW,
-        ),
-        "draw_conditional": Sample(
-            call("draw_conditional", "program", "mesh", "draws", "queries", "rows"),
-            DRAWS_BY_ROW,
-            needs=("conditional_rendering",),
-        ),
-        "draw_indirect": Sample(
-            call("draw_indirect", "program", "mesh", "arguments"),
-            {
-                "program": PROGRAM,
-                "mesh": MESH,
-                "arguments": (of("indirect"), instance(rhi.IndirectDraws)),
-                "tint": TINT,
-            },
-        ),
-        "dispatch": Sample(
-            call("dispatch", "program", "groups"),
-            {
-                "program": (of("compute"), own(rhi.Program)),
-                "groups": (1, either(natural, array("i8"))),
-                "numbers": (of("numbers"), own(rhi.StorageBuffer)),
-            },
-        ),
-        "dispatch_indirect": Sample(
-            call("dispatch_indirect", "program", "buffer", "offset"),
-            {
-                "program": (of("compute"), own(rhi.Program)),
-                "buffer": (of("arguments"), own(rhi.Buffer, rhi.StorageBuffer)),
-                "offset": (0, natural),
-                "numbers": (of("numbers"), own(rhi.StorageBuffer)),
-            },
-        ),
-        "immediate": Sample(
-            call("immediate", "program", "primitive"),
-            {"program": PROGRAM, "primitive": (Primitive.POINTS, instance(Primitive)), "tint": TINT},
-        ),
-    }
+def list_signatures() -> Iterator[tuple[str, inspect.Signature]]:
+    """Yield each public method and property that can be set, and each value's class, with its parameters."""
+    yield "create_device", inspect.signature(rhi.create_device)
+    for kind in CLASSES:
+        for name, member in inspect.getmembers(kind):
+            if not name.startswith("_") and name not in INTERNAL.get(kind.__name__, ()):
+                function = member.fset if isinstance(member, property) else member
+                if inspect.isfunction(function):
+                    yield f"{kind.__name__}.{name}", inspect.signature(function)
+    for kind in VALUES:
+        yield kind.__name__, inspect.signature(kind.__init__)
+    draw = inspect.signature(Device.draw)  # that of a program is generated
+    yield "Program.draw", draw.replace(parameters=[each for each in draw.parameters.values() if each.name != "program"])
 
 
-@contextmanager
-def device_of(house: House) -> Iterator[Device]:
-    yield house.device
+def make_sample(name: str, signature: inspect.Signature) -> Sample | None:
+    """Return a call of a method or a class, None if it has no parameters."""
+    kind, _, method = name.partition(".")
+    parameters = [each for each in signature.parameters.values() if each.name not in ("self", "args", "options")]
+    positional = [each.name for each in parameters if each.kind in (each.POSITIONAL_ONLY, each.VAR_POSITIONAL)]
+    for rest in [each for each in parameters if each.kind is each.VAR_KEYWORD]:
+        names = ["position", "color"] if rest.name == "fields" else ["numbers" if "dispatch" in name else "tint"]
+        parameters.remove(rest)
+        parameters += [rest.replace(name=each, kind=rest.KEYWORD_ONLY) for each in names]
+    if not parameters:
+        return None
+    if name in CALLS:
+        call = CALLS[name]
+    elif not method:
+        call = functools.partial(lambda made, house, **given: made(**given), getattr(rhi, name))
+    elif kind == "CommandBuffer" or (kind == "Device" and hasattr(rhi.CommandBuffer, method)):
+        call = functools.partial(call_encoder, name, positional)
+    else:
+        call = functools.partial(call_immediate if kind == "Immediate" else call_method, name, positional)
+    return Sample(
+        call,
+        {each.name: describe(name, each) for each in parameters},
+        within=in_pass if name == "Program.draw" else Sample.within,
+        enters=method == "lock",
+        needs=NEEDS.get(method, ()),
+    )
 
 
-def commands(name: str, parameters: dict[str, tuple[Any, Takes]]) -> Sample:
-    """A call of a command buffer."""
-
-    def call(house: House, **given: Any) -> None:
-        with recording(house) as encoder, ExitStack() as stack:
-            if name == "query":
-                stack.enter_context(encoder.render_pass(house.target))
-            made = getattr(encoder, name)(**given)
-            if made is not None:
-                with made:
-                    pass
-
-    return Sample(call, parameters)
-
-
-def immediate(name: str, parameters: dict[str, tuple[Any, Takes]]) -> Sample:
-    """A call of an immediate-mode block."""
-
-    def call(house: House, **given: Any) -> None:
-        with house.device.render_pass(house.target):
-            with house.device.immediate(house.plain, Primitive.POINTS) as block:
-                getattr(block, name)(**given)
-                if name == "instances":
-                    block.vertex(position=(0, 0, 0, 1))
-
-    return Sample(call, parameters)
-
-
-def fields(kind: Any, parameters: dict[str, tuple[Any, Takes]]) -> Sample:
-    """The creation of a value."""
-    return Sample(lambda house, **given: kind(**given), parameters)
-
-
-def transient_mesh(house: House) -> rhi.TransientMesh:
-    return house.device.transient.mesh(house.plain, ROWS)
-
-
-PARTS: Final = {
-    **PART,
-    "base_vertex": (0, whole()),
-    "base_instance": (0, natural),
-}
-MANY: Final = either(natural, array("i8"), lambda house, value: array("f8")(house, value) and not len(value))
-MANY_DRAWS: Final = {
-    "first": (0, MANY),
-    "count": (3, optional(MANY)),
-    "instances": (1, MANY),
-    "base_vertex": (0, either(whole(), MANY)),
-    "base_instance": (0, MANY),
-}
-VIEW: Final = {**PARTS, "primitive": (None, optional(instance(Primitive)))}
-BYTE, TARGET = whole(0, 255), (0, optional(whole(0, 7)))
-FACE: Final = {
-    "function": (Comparison.ALWAYS, instance(Comparison)),
-    **{
-        name: (StencilOperation.KEEP, instance(StencilOperation))
-        for name in ("stencil_fail", "depth_fail", "both_pass")
-    },
-}
-
-SAMPLES: Final[dict[str, Sample]] = {
-    **{f"Device.{name}": sample for name, sample in encoder_samples(device_of).items()},
-    **{f"CommandBuffer.{name}": sample for name, sample in encoder_samples(recording).items()},
-    "Device.backend_as": Sample(
-        lambda house, kind: bool(house.device.backend_as(kind)), {"kind": (object, instance(type))}
-    ),
-    "Device.buffer": Sample(
-        method("device", "buffer"),
-        {
-            "source": (8, either(natural, array("f8", "i8"))),
-            "dtype": ("u4", optional(instance(type, str))),
-            "usage": (BufferUsage.STATIC, instance(BufferUsage)),
-            "label": LABEL,
-        },
-    ),
-    "Device.close": Sample(
-        lambda house, quiet: Device(rhi.backends.null.NullBackend()).close(quiet=quiet), {"quiet": (False, flag)}
-    ),
-    "Device.mesh": Sample(
-        method("device", "mesh"),
-        {
-            "vertices": (ROWS, either(natural, own(rhi.Buffer))),
-            "indices": (np.arange(6, dtype="u2"), optional(either(own(rhi.Buffer), array("i8")))),
-            "instances": (None, optional(own(rhi.Buffer))),
-            "primitive": (Primitive.TRIANGLES, instance(Primitive)),
-            "label": LABEL,
-        },
-    ),
-    "Device.occlusion_query": Sample(method("device", "occlusion_query"), {"emulated": (False, flag)}),
-    "Device.prepare": Sample(
-        method("device", "prepare"),
-        {
-            "program": (of("plain"), either(own(rhi.Program), empty)),
-            "mesh": (of("mesh"), optional(own(rhi.Mesh))),
-            "targets": ((Format.RGBA8,), empty),
-            "states": ((rhi.CullMode.NONE,), empty),
-        },
-    ),
-    "Device.present": Sample(method("device", "present"), {"image": (of("target"), optional(own(rhi.Texture)))}),
-    "Device.program": Sample(
-        lambda house, shader: bool(house.device.program(shader)), {"shader": (Colored, nothing)}
-    ),
-    "Device.query_set": Sample(
-        method("device", "query_set"), {"size": (2, whole(0, 1 << 20)), "emulated": (False, flag)}
-    ),
-    "Device.record": Sample(method("device", "record"), {"label": LABEL}),
-    "Device.sampler": Sample(
-        method("device", "sampler"), {"descriptor": (rhi.SamplerDescriptor(), instance(rhi.SamplerDescriptor))}
-    ),
-    "Device.storage": Sample(
-        method("device", "storage"),
-        {
-            "element": ELEMENT,
-            "source": (4, either(natural, own(rhi.Buffer), array("f4"))),
-            "label": LABEL,
-        },
-    ),
-    "Device.submit": Sample(
-        lambda house, buffers: house.device.submit(buffers), {"buffers": (of("commands"), own(rhi.CommandBuffer))}
-    ),
-    "Device.adopt_texture": Sample(
-        method("device", "adopt_texture"), {"native": (1, natural), "label": LABEL}, needs=("shares_textures",)
-    ),
-    "Device.native_texture": Sample(
-        method("device", "native_texture"), {"texture": (of("image"), own(rhi.Texture))}, needs=("shares_textures",)
-    ),
-    "Device.texture": Sample(
-        method("device", "texture"),
-        {
-            "source": ((4, 4), nothing),
-            "format": (Format.RGBA8, instance(Format)),
-            "kind": (TextureKind.D2, instance(TextureKind)),
-            "layers": (1, optional(natural)),
-            "levels": (1, optional(natural)),
-            "samples": (1, natural),
-            "label": LABEL,
-        },
-    ),
-    "Device.timing": Sample(lambda house, on: setattr(house.device, "timing", on), {"on": (False, flag)}),
-    "Device.uniform": Sample(
-        method("device", "uniform"), {"value": (Tint(color=(1, 1, 1, 1)), CONSTANTS), "label": LABEL}
-    ),
-    "Device.uniform_array": Sample(
-        method("device", "uniform_array"),
-        {"struct": (Tint, lambda house, value: value is Tint), "count": (4, natural), "label": LABEL},
-    ),
-    "Device.wait": Sample(
-        method("device", "wait"), {"value": (0, natural), "seconds": (0.01, optional(number(0)))}
-    ),
-    "create_device": Sample(
-        lambda house, **given: rhi.create_device(**given).close(),
-        {
-            "name": ("null", optional(text)),
-            "validation": (False, flag),
-            "record": (None, optional(flag)),
-            "timing": (False, flag),
-            "frames_in_flight": (2, whole(1)),
-        },
-    ),
-    "CommandBuffer.clear": commands(
-        "clear",
-        {"buffer": (of("buffer"), own(rhi.Buffer, rhi.StorageBuffer)), "value": (0, whole(-(2**31), 2**32 - 1))},
-    ),
-    "CommandBuffer.copy_buffer": commands(
-        "copy_buffer", {"source": (of("buffer"), own(rhi.Buffer, rhi.StorageBuffer)), **BUFFER_COPY}
-    ),
-    "CommandBuffer.copy_texture_to_buffer": commands(
-        "copy_texture_to_buffer", {"source": (of("image"), own(rhi.Texture)), "target": BUFFER, **ROWS_COPY}
-    ),
-    "CommandBuffer.copy_buffer_to_texture": commands(
-        "copy_buffer_to_texture", {"source": BUFFER, "target": (of("image"), own(rhi.Texture)), **ROWS_COPY}
-    ),
-    "CommandBuffer.copy_texture": commands(
-        "copy_texture", {"source": (of("image"), own(rhi.Texture)), **TEXTURE_COPY}
-    ),
-    "CommandBuffer.generate_mipmaps": commands("generate_mipmaps", {"texture": (of("image"), own(rhi.Texture))}),
-    "CommandBuffer.query": commands("query", {"query": (of("query"), own(rhi.OcclusionQuery))}),
-    "CommandBuffer.resolve": commands(
-        "resolve", {"source": (of("many"), own(rhi.Texture)), "target": (of("target"), own(rhi.Texture))}
-    ),
-    "TransientMemory.uniform": Sample(
-        lambda house, value: house.device.transient.uniform(value), {"value": (Tint(color=(1, 1, 1, 1)), CONSTANTS)}
-    ),
-    "TransientMemory.storage": Sample(
-        lambda house, **given: house.device.transient.storage(**given),
-        {"element": ELEMENT, "source": (4, either(natural, array("f4")))},
-    ),
-    "TransientMemory.mesh": Sample(
-        lambda house, **given: house.device.transient.mesh(**given),
-        {
-            "program": (of("plain"), own(rhi.Program)),
-            "vertices": (ROWS, nothing),
-            "indices": (np.arange(6, dtype="u2"), optional(array("i8"))),
-            "primitive": (Primitive.TRIANGLES, instance(Primitive)),
-            "instances": (None, optional(nothing)),
-        },
-    ),
-    "Buffer.clear": Sample(method("buffer", "clear"), {"value": (0, whole(-(2**31), 2**32 - 1))}),
-    "Buffer.copy_to": Sample(method("buffer", "copy_to"), BUFFER_COPY),
-    "Buffer.lock": Sample(
-        method("buffer", "lock"), {"access": (Access.READ, instance(Access)), **RANGE}, enters=True
-    ),
-    "Buffer.read_async": Sample(method("buffer", "read_async"), RANGE),
-    "Buffer.read": Sample(method("buffer", "read"), RANGE),
-    "Buffer.write": Sample(
-        method("buffer", "write"), {"data": (np.zeros(4, "u4"), array("u4")), "first": (1, natural)}
-    ),
-    "UniformBuffer.write": Sample(method("tint", "write"), {"value": (Tint(color=(1, 1, 1, 1)), instance(Tint))}),
-    "UniformArray.lock": Sample(
-        method("tints", "lock"), {"access": (Access.READ, instance(Access)), **RANGE}, enters=True
-    ),
-    "UniformArray.write": Sample(
-        method("tints", "write"),
-        {"rows": (lambda house: np.zeros(2, house.tints.dtype), nothing), "first": (1, natural)},
-    ),
-    "StorageBuffer.clear": Sample(method("numbers", "clear"), {"value": (0, whole(-(2**31), 2**32 - 1))}),
-    "StorageBuffer.lock": Sample(
-        method("numbers", "lock"), {"access": (Access.READ, instance(Access)), **RANGE}, enters=True
-    ),
-    "StorageBuffer.read_async": Sample(method("numbers", "read_async"), RANGE),
-    "StorageBuffer.read": Sample(method("numbers", "read"), RANGE),
-    "StorageBuffer.write": Sample(
-        method("numbers", "write"),
-        {"rows": (np.zeros(4, "f4"), either(array("f4"), instance(np.float32))), "first": (1, natural)},
-    ),
-    "Texture.at": Sample(method("image", "at"), LAYER),
-    "Texture.copy_to": Sample(method("image", "copy_to"), TEXTURE_COPY),
-    "Texture.image": Sample(method("image", "image"), {"level": (0, natural), "layer": (0, optional(natural))}),
-    "Texture.lock": Sample(
-        method("image", "lock"),
-        {"access": (Access.READ, instance(Access)), **LAYER, "region": REGION},
-        enters=True,
-    ),
-    "Texture.copy_to_buffer": Sample(method("image", "copy_to_buffer"), {"target": BUFFER, **ROWS_COPY}),
-    "Texture.copy_from_buffer": Sample(method("image", "copy_from_buffer"), {"source": BUFFER, **ROWS_COPY}),
-    "Texture.read_async": Sample(method("image", "read_async"), {**LAYER, "region": REGION}),
-    "Texture.read": Sample(method("image", "read"), {**LAYER, "region": REGION}),
-    "Texture.read_layers": Sample(method("image", "read_layers"), {"level": (0, natural)}),
-    "Texture.read_stencil": Sample(method("depth", "read_stencil"), {**LAYER, "region": REGION}),
-    "Texture.resolve_to": Sample(method("many", "resolve_to"), {"target": (of("target"), own(rhi.Texture))}),
-    "Texture.sampled": Sample(
-        method("image", "sampled"), {"sampler": (of("sampler"), instance(rhi.Sampler, rhi.SamplerDescriptor))}
-    ),
-    "Texture.write": Sample(
-        method("image", "write"),
-        {"texels": (np.zeros((2, 2, 4), "u1"), nothing), **LAYER, "x": (0, natural), "y": (0, natural)},
-    ),
-    "Mesh.draws": Sample(method("mesh", "draws"), MANY_DRAWS),
-    "Mesh.view": Sample(method("mesh", "view"), VIEW),
-    "TransientMesh.draws": Sample(lambda house, **given: transient_mesh(house).draws(**given), MANY_DRAWS),
-    "TransientMesh.view": Sample(lambda house, **given: transient_mesh(house).view(**given), VIEW),
-    "Immediate.instances": immediate("instances", {"arrays": ({"color": np.zeros((2, 4), "f4")}, nothing)}),
-    "Immediate.vertex": immediate(
-        "vertex", {"position": ((0, 0, 0, 1), nothing), "color": ((0, 0, 0, 1), nothing)}
-    ),
-    "Immediate.vertices": immediate("vertices", {"arrays": (ROWS, nothing)}),
-    "Program.draw": Sample(
-        lambda house, mesh, instances, tint: house.program.draw(mesh, instances, tint=tint),
-        {"mesh": MESH, "instances": (1, whole(0, 2**31 - 1)), "tint": TINT},
-        within=in_pass,
-    ),
-    "Region": fields(Region, dict.fromkeys(("x", "y", "width", "height", "layer", "layers"), (1, whole()))),
-    "SamplerDescriptor": fields(
-        rhi.SamplerDescriptor,
-        {
-            "minify": (Filter.LINEAR, instance(Filter)),
-            "magnify": (Filter.LINEAR, instance(Filter)),
-            "mip": (Filter.LINEAR, optional(instance(Filter))),
-            **{name: (Wrap.CLAMP, instance(Wrap)) for name in ("wrap_u", "wrap_v", "wrap_w")},
-            "border": ((0, 0, 0, 1), nothing),
-            "compare": (None, optional(instance(Comparison))),
-            "max_anisotropy": (1, number(1)),
-        },
-    ),
-    "IndirectDraws": fields(
-        rhi.IndirectDraws,
-        {
-            "buffer": (of("draws"), instance(rhi.Buffer, rhi.StorageBuffer)),  # checked when they are drawn
-            "draws": (1, whole()),
-            "offset": (0, whole()),
-            "stride": (20, whole()),
-            "count": (None, optional(instance(rhi.Buffer, rhi.StorageBuffer))),
-            "count_offset": (0, whole()),
-        },
-    ),
-    "TextureTarget": Sample(
-        lambda house, **given: house.device.render_pass(rhi.TextureTarget(**given)),
-        {"texture": (of("image"), own(rhi.Texture)), **LAYER},
-    ),
-    "Sampler": Sample(
-        lambda house, **given: house.image.sampled(rhi.Sampler(**given)),
-        {
-            "id": (lambda house: house.sampler.id, whole(1)),  # the descriptor decides
-            "descriptor": (lambda house: house.sampler.descriptor, instance(rhi.SamplerDescriptor)),
-        },
-    ),
-    "ProgramDescriptor": fields(
-        rhi.ProgramDescriptor,
-        {
-            "name": LABEL,
-            "stages": (frozenset({rhi.Stage.COMPUTE}), nothing),
-            **dict.fromkeys(("bindings", "attributes", "outputs", "varyings"), ((), nothing)),
-            "work_group": ((1, 1, 1), nothing),
-            "emit": (len, lambda house, value: callable(value)),
-            **dict.fromkeys(
-                ("writes_memory", "discards", "early_depth", "writes_depth", "checked", "flushes_denormals",
-                 "reads_point_coordinates"),
-                (False, flag),
-            ),
-            "point_size": ("", LABEL[1]),
-            "shared_bytes": (0, natural),
-        },
-    ),
-    "FixedStack": fields(rhi.FixedStack, {"capacity": (4, whole(1, 1 << 40))}),
-    "FixedQueue": fields(rhi.FixedQueue, {"capacity": (4, whole(1, 1 << 40))}),
-    "AlphaReference": fields(rhi.AlphaReference, {"value": (0.5, number(0, 1))}),
-    "ColorWrite": fields(
-        rhi.ColorWrite, {**dict.fromkeys(("red", "green", "blue", "alpha"), (True, flag)), "target": TARGET}
-    ),
-    "ColorWrite.at": Sample(lambda house, target: rhi.ColorWrite.OFF.at(target), {"target": TARGET}),
-    "BlendFunction": fields(
-        rhi.BlendFunction,
-        {
-            "source": (BlendFactor.ONE, instance(BlendFactor)),
-            "destination": (BlendFactor.ONE, instance(BlendFactor)),
-            "operation": (BlendOperation.ADD, instance(BlendOperation)),
-            "source_alpha": (None, optional(instance(BlendFactor))),
-            "destination_alpha": (None, optional(instance(BlendFactor))),
-            "operation_alpha": (None, optional(instance(BlendOperation))),
-            "target": TARGET,
-        },
-    ),
-    "BlendFunction.at": Sample(lambda house, target: rhi.BlendFunction.ALPHA.at(target), {"target": TARGET}),
-    "BlendColor": fields(rhi.BlendColor, dict.fromkeys(("red", "green", "blue", "alpha"), (0.5, number()))),
-    "StencilFront": fields(rhi.StencilFront, FACE),
-    "StencilBack": fields(rhi.StencilBack, FACE),
-    **{
-        kind.__name__: fields(kind, {"front": (1, BYTE), "back": (1, BYTE)})
-        for kind in (rhi.StencilReference, rhi.StencilReadMask, rhi.StencilWriteMask)
-    },
-    "Viewport": fields(
-        rhi.Viewport,
-        {
-            **dict.fromkeys(("x", "y"), (1, number(-32_767, 32_767))),
-            **dict.fromkeys(("width", "height"), (1, number(0, 16_384))),
-            **dict.fromkeys(("near", "far"), (1, number(0, 1))),
-        },
-    ),
-    "Scissor": fields(
-        rhi.Scissor,
-        {
-            **dict.fromkeys(("x", "y"), (1, whole(-(2**30), 2**30))),
-            **dict.fromkeys(("width", "height"), (1, whole(0, 2**30))),
-        },
-    ),
-    "DepthBias": fields(rhi.DepthBias, {"units": (0.5, number())}),
-    "LineWidth": fields(rhi.LineWidth, {"width": (1.5, number(1))}),
-    "PolygonOffset": fields(rhi.PolygonOffset, {"slope": (0.5, number()), "clamp": (0.5, number())}),
+SAMPLES: Final = {
+    name: sample for name, signature in list_signatures() if (sample := make_sample(name, signature)) is not None
 }
 
 

@@ -10,7 +10,18 @@ from dataclasses import replace
 
 import calls
 import pytest
-from calls import CLASSES, INTERNAL, SAMPLES, Doubled, House, check_drawing, given_arguments, in_pass, run
+from calls import (
+    CLASSES,
+    INTERNAL,
+    OBJECTS,
+    SAMPLES,
+    Doubled,
+    House,
+    check_drawing,
+    given_arguments,
+    in_pass,
+    run,
+)
 
 import rhi
 from rhi.errors import rules
@@ -31,11 +42,6 @@ FRESH = {
     "Device.sampler": {"descriptor": rhi.SamplerDescriptor(mip=None)},
 }
 """Arguments of which the device has made nothing yet; what it has made, any thread may ask for."""
-OBJECTS = {
-    "Device": "device", "Buffer": "buffer", "UniformBuffer": "tint", "UniformArray": "tints",
-    "StorageBuffer": "numbers", "Texture": "image", "Mesh": "mesh", "Program": "program", "OcclusionQuery": "query",
-    "QuerySet": "queries",
-}  # fmt: skip
 QUERY = "is_finished visible_samples wait destroy"
 MORE = [
     f"{kind}.{name}"

@@ -106,7 +106,7 @@ def report_of(name: str, device: str | None = None) -> BackendReport:
         (
             "",
             [report_of("gl", "llvmpipe"), report_of("cl", "a CPU")],
-            "gl\nllvmpipe draws on the CPU; RHI_BACKEND=cl does so several times as fast",
+            "gl\nllvmpipe draws on the CPU; RHI_BACKEND=cl is faster, but for long shaders",
         ),
     ],
 )

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pyopencl as cl
+import pytest
 
 from rhi.backends.cl.context import KERNELS_ENVIRONMENT, QUICK, caches_kernels, declares_kernels
 from rhi.backends.cl.pocl.cache import KernelCache
@@ -26,8 +27,12 @@ PROBE = "kernel void probe(global int *p) { p[get_global_id(0)] = (int)get_globa
 
 @cache
 def queue() -> cl.CommandQueue:
-    """Return a queue on the first device that does build and run a kernel."""
-    for platform in cl.get_platforms():
+    """Return a queue on the first device that does build and run a kernel; without one the test is skipped."""
+    try:
+        platforms = cl.get_platforms()
+    except cl.LogicError:  # no platform at all
+        platforms = []
+    for platform in platforms:
         for device in platform.get_devices():
             try:
                 found = cl.Context([device])
@@ -40,7 +45,7 @@ def queue() -> cl.CommandQueue:
                     return found_queue
             except cl.Error:
                 continue
-    raise RuntimeError("no OpenCL device works")
+    pytest.skip("no OpenCL device works")
 
 
 Built = tuple[StageText, cl.Program, str]

@@ -1,31 +1,27 @@
 """Buffers: plain OpenCL buffers, and the commands that move bytes between them.
 
-- A buffer is filled with zeros when it is created, so a driver that allocates late reports at once that it can't. It
-  is followed by padding, since vector loads may run past its end.
-- Data that the CPU writes is copied first, and the copy is kept until the device has read it (`Staging`). A write that
+- A buffer is host memory of zeros, followed by padding, since vector loads may run past its end.
+- Data that the CPU writes is copied first, and the copy is kept until the device has read it (`InFlight`). A write that
   is too large for that waits for the device.
 - What indirect draws read from a buffer that only the CPU writes is kept on the host from the first time on, so that
   later ones don't wait for the device.
-- A STREAM buffer is host memory that kernels read in place, if the device can; writing it is then a plain copy. So is
-  reading a READBACK buffer.
+- If kernels read host memory in place, writing a STREAM buffer is a plain copy. So is reading a READBACK buffer.
 """
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
-from rhi.backends.cl.context import ClContext, allocate_pages
+from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.errors import translate_errors
-from rhi.backends.cl.memory.planes import GRAIN, allocate, fill, round_to_grain
-from rhi.backends.cl.memory.staging import Staging
+from rhi.backends.cl.memory.in_flight import InFlight
+from rhi.backends.cl.memory.planes import allocate, fill, find_address
 from rhi.contract.descriptors import BufferDescriptor, BufferUsage, Id
-
-__rhi_internal__ = True
 
 _MAX_RANGES: Final = 4096
 _MAX_KNOWN: Final = 1 << 24  # size in bytes of a buffer whose contents are kept on the host
@@ -35,54 +31,49 @@ class BufferMemory:
     """The memory of one buffer.
 
     Attributes:
-        cl: OpenCL's buffer.
-        host: the host memory that kernels read in place, or None.
+        cl: OpenCL's buffer; `address`: where kernels find it.
+        host: its memory, if commands and the CPU may use that at the same time, or None.
         ranges: the sub-buffers that were bound, by offset and size.
         known: what the CPU wrote, if that is kept on the host, or None.
         device_wrote: whether a command or a shader may have written it; if not, `host` or `known` is what it holds.
         read_in_place: whether reads take what `host` holds now, without waiting.
     """
 
-    __slots__ = ("cl", "device_wrote", "host", "known", "ranges", "read_in_place", "size")
+    __slots__ = ("address", "cl", "device_wrote", "host", "known", "ranges", "read_in_place", "size")
 
-    def __init__(self, made: cl.Buffer, size: int, host: NDArray[np.uint8] | None = None) -> None:
+    def __init__(self, made: cl.Buffer, size: int, usage: BufferUsage) -> None:
+        """`usage`: STATIC for memory that only commands use."""
         self.cl = made
+        self.address = find_address(made)
         self.size = size
-        self.host = host
+        host: Any = made.hostbuf
+        self.host: NDArray[np.uint8] | None = None if usage is BufferUsage.STATIC else host
         self.known: NDArray[np.uint8] | None = None
         self.ranges: dict[tuple[int, int], cl.Buffer] = {}
         self.device_wrote = False
-        self.read_in_place = False
-
-    def release(self) -> None:
-        for part in self.ranges.values():
-            part.release()
-        self.cl.release()
+        self.read_in_place = usage is BufferUsage.READBACK
 
 
 class Buffers:
     """All buffers of a device, by id."""
 
-    def __init__(self, context: ClContext, staging: Staging) -> None:
+    def __init__(self, context: ClContext, in_flight: InFlight) -> None:
         self._context = context
         self._queue = context.queue
-        self._staging = staging
+        self._in_flight = in_flight
         self._buffers: dict[Id, BufferMemory] = {}
 
     def create(self, buffer: Id, descriptor: BufferDescriptor) -> None:
         with translate_errors("device.buffer", f"{descriptor.size} bytes"):
-            if descriptor.usage is not BufferUsage.STATIC and self._context.shares_memory:
-                host = allocate_pages(round_to_grain(descriptor.size) + GRAIN)
-                flags = cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR
-                shared = cl.Buffer(self._context.context, flags, hostbuf=host)
-                made = BufferMemory(shared, descriptor.size, host)
-                made.read_in_place = descriptor.usage is BufferUsage.READBACK
-            else:
-                made = BufferMemory(allocate(self._context, descriptor.size), descriptor.size)
-        self._buffers[buffer] = made
+            memory = allocate(self._context.context, descriptor.size)
+        usage = descriptor.usage if self._context.shares_memory else BufferUsage.STATIC
+        self._buffers[buffer] = BufferMemory(memory, descriptor.size, usage)
 
     def destroy(self, buffer: Id) -> None:
-        self._buffers.pop(buffer).release()
+        memory = self._buffers.pop(buffer)
+        for part in memory.ranges.values():
+            part.release()
+        self._in_flight.release(memory.cl)
 
     def __getitem__(self, buffer: Id) -> BufferMemory:
         return self._buffers[buffer]
@@ -104,13 +95,13 @@ class Buffers:
         if memory.host is not None:
             memory.host[offset : offset + len(source)] = source
         elif len(source):
-            staged = self._staging.has_room(len(source))
+            staged = self._in_flight.has_room(len(source))
             source = source.copy() if staged else source
             event = cl.enqueue_copy(self._queue, memory.cl, source, dst_offset=offset, is_blocking=not staged)
             if staged:
-                self._staging.add(event, len(source))
+                self._in_flight.add(event, len(source))
             else:
-                self._staging.clear()
+                self._in_flight.take()
             if memory.known is not None:
                 memory.known[offset : offset + len(source)] = source
 

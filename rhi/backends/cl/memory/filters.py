@@ -16,13 +16,12 @@ from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.memory.planes import TexelPlane
 from rhi.backends.cl.pocl.held_programs import HeldProgram
-from rhi.contract.formats import ChannelKind, Format
+from rhi.contract.formats import Format
 from rhi.contract.texels import from_srgb
-
-__rhi_internal__ = True
+from rhi.shading.ir.texture_words import Stored, find_stored
 
 _SOURCE: Final = """
-enum { UNORM8, UNORM16, SNORM8, SRGB8, HALF, FLOAT, UNORM10, FLOAT11 };  // the last two are packed
+enum { STORED_VALUES };  // the storage types of a channel; from UNORM10 on they are packed
 
 // sRGB: the linear value of each stored number, and the thresholds between consecutive numbers.
 __constant float LINEAR[256] = {LINEAR_VALUES};
@@ -37,7 +36,7 @@ uchar to_srgb(float value) {
 
 // A packed texel is one element of memory: channel c begins at bit 10 c or 11 c.
 uint channel_bits(int stored, int channel) {
-    return stored == UNORM10 && channel == 3 ? 2 : stored == FLOAT11 && channel < 2 ? 11 : 10;
+    return stored == UNORM10 && channel == 3 ? 2 : stored == POSITIVE11 && channel < 2 ? 11 : 10;
 }
 int channel_start(int stored, int channel) { return channel * (stored == UNORM10 ? 10 : 11); }
 
@@ -59,7 +58,7 @@ uint make_packed(float value, int stored, int channel) {
 float load(__global const void *texels, size_t place, int stored, int channel) {
     switch (stored) {
     case UNORM10:
-    case FLOAT11: return load_packed(((__global const uint *)texels)[place], stored, channel);
+    case POSITIVE11: return load_packed(((__global const uint *)texels)[place], stored, channel);
     case UNORM8: return ((__global const uchar *)texels)[place] * (1.0f / 255.0f);
     case UNORM16: return ((__global const ushort *)texels)[place] * (1.0f / 65535.0f);
     case SNORM8: return max(((__global const char *)texels)[place] * (1.0f / 127.0f), -1.0f);
@@ -73,7 +72,7 @@ float load(__global const void *texels, size_t place, int stored, int channel) {
 void store(__global void *texels, size_t place, int stored, int channel, float value) {
     switch (stored) {
     case UNORM10:
-    case FLOAT11: {  // channels are stored in order
+    case POSITIVE11: {  // channels are stored in order
         __global uint *texel = (__global uint *)texels + place;
         *texel = (channel ? *texel : 0u) | make_packed(value, stored, channel) << channel_start(stored, channel);
         break;
@@ -152,14 +151,6 @@ __kernel void resolve(__global const void *samples, __global void *texels, int s
 }
 """
 
-_STORED: Final = {
-    (ChannelKind.UNORM, 1): 0, (ChannelKind.UNORM, 2): 1, (ChannelKind.SNORM, 1): 2, (ChannelKind.SRGB, 1): 3,
-    (ChannelKind.FLOAT, 2): 4, (ChannelKind.FLOAT, 4): 5,
-}  # fmt: skip
-"""Storage type of a channel, by kind and size in bytes: the values of the kernels' enum."""
-
-_PACKED: Final = {Format.RGB10A2: 6, Format.R11G11B10F: 7}
-
 
 class Filters:
     """The averaging kernels of one device, built on first use."""
@@ -178,7 +169,7 @@ class Filters:
         ]
         sizes = [np.array([plane.width, plane.height, plane.layers, 0], np.int32) for plane in planes]
         self._run(
-            "halve", (below.height, below.layers), above.memory, *places, _storage(format),
+            "halve", (below.height, below.layers), above.memory, *places, np.int32(find_stored(format)),
             np.int32(format.channels), *sizes,
         )  # fmt: skip
 
@@ -191,7 +182,7 @@ class Filters:
             return
         self._run(
             "resolve", (texels.layer_bytes // format.dtype.itemsize,), samples.memory, texels.memory,
-            _storage(format), np.int32(format.channels), np.int32(samples.layers),
+            np.int32(find_stored(format)), np.int32(format.channels), np.int32(samples.layers),
         )  # fmt: skip
 
     def _run(self, name: str, size: tuple[int, ...], *arguments: Any) -> None:
@@ -203,15 +194,10 @@ class Filters:
         cl.enqueue_nd_range_kernel(self._context.queue, kernel, size, None)
 
 
-def _storage(format: Format) -> np.int32:
-    if format.is_packed:
-        return np.int32(_PACKED[format])
-    return np.int32(_STORED[format.kind, format.dtype.itemsize])
-
-
 def _write_source() -> str:
     numbers = {"LINEAR_VALUES": np.arange(256.0), "EDGE_VALUES": np.arange(255) + 0.5}
-    source = _SOURCE
+    types = ", ".join(f"{stored.name} = {stored}" for stored in Stored)
+    source = _SOURCE.replace("STORED_VALUES", types)
     for name, stored in numbers.items():
         values = from_srgb(np.asarray(stored / 255.0, np.float64)).astype(np.float32).tolist()
         source = source.replace(name, ", ".join(f"{value!r}f" for value in values))

@@ -8,11 +8,9 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from rhi.backends.cl.context import ClContext
+from rhi.backends.cl.context import allocate_pages
 from rhi.backends.cl.errors import translate_errors
 from rhi.contract.descriptors import Region
-
-__rhi_internal__ = True
 
 GRAIN: Final = 128
 """Allocations are multiples of this many bytes, with at least this many bytes of padding behind the requested size."""
@@ -22,24 +20,27 @@ BLOCK: Final = 4
 _copy_box: Final[Any] = cl.enqueue_copy  # its stubs misname the arguments of a copy between boxes
 
 _MAX_PATTERN: Final = 128
+_NOTHING: Final = np.zeros(0, np.uint8)
 
 
 class TexelPlane:
     """Layers of texels that begin at byte `start` of a buffer, top row first.
 
     Attributes:
+        address: that of the buffer's first byte, where kernels read host memory in place.
         texel: size of a texel in bytes.
         width, height, layers: extent in texels, without padding.
         pitch: bytes from one row to the next.
         layer_bytes: bytes from one layer to the next.
     """
 
-    __slots__ = ("height", "layer_bytes", "layers", "memory", "pitch", "start", "texel", "width")
+    __slots__ = ("address", "height", "layer_bytes", "layers", "memory", "pitch", "start", "texel", "width")
 
     def __init__(
         self, memory: cl.Buffer, start: int, texel: int, width: int, height: int, layers: int
     ) -> None:
         self.memory = memory
+        self.address = find_address(memory)
         self.start = start
         self.texel = texel
         self.width = width
@@ -132,20 +133,21 @@ def alignment(device: cl.Device) -> int:
     return max(16, int(device.mem_base_addr_align) // 8)
 
 
-def allocate(context: ClContext, size: int) -> cl.Buffer:
-    """Return a new buffer of zeros, with padding behind it.
+def allocate(context: cl.Context, size: int, contents: NDArray[Any] = _NOTHING) -> cl.Buffer:
+    """Return a new buffer in host memory that lives as long as the buffer's Python object: `contents`, then zeros, with
+    padding behind them.
 
     Raises:
-        pyopencl.Error: out of memory.
+        pyopencl.Error, MemoryError: out of memory.
     """
-    size = round_to_grain(size) + GRAIN
-    made = cl.Buffer(context.context, cl.mem_flags.READ_WRITE, size)
-    try:
-        fill(context.queue, made, b"\0", 0, size)
-    except cl.Error:
-        made.release()
-        raise
-    return made
+    host = allocate_pages(round_to_grain(size) + GRAIN, contents)
+    return cl.Buffer(context, cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR, hostbuf=host)
+
+
+def find_address(memory: cl.Buffer) -> int:
+    """Return the address of a buffer that `allocate` made; 0 for others."""
+    host: Any = memory.hostbuf
+    return 0 if host is None else int(host.ctypes.data)
 
 
 def fill(queue: cl.CommandQueue, memory: cl.Buffer, pattern: bytes, offset: int, size: int) -> None:

@@ -11,12 +11,10 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from rhi.backends.cl.errors import translate_errors
-from rhi.backends.cl.memory.planes import TexelPlane
-from rhi.backends.cl.memory.textures import ClTexture
+from rhi.backends.cl.memory.planes import TexelPlane, allocate, find_address
+from rhi.backends.cl.memory.textures import ClTexture, TextureWords
 from rhi.contract.descriptors import Id, SamplerDescriptor, TextureKind
 from rhi.shading.ir.texture_words import LevelLayout, describe_texture
-
-__rhi_internal__ = True
 
 
 class Samplers:
@@ -32,7 +30,7 @@ class Samplers:
     def destroy(self, sampler: Id) -> None:
         del self._samplers[sampler]
 
-    def describe(self, texture: ClTexture, sampler: Id) -> cl.Buffer:
+    def describe(self, texture: ClTexture, sampler: Id) -> TextureWords:
         """Return the description of a texture that is read through a sampler, creating it on first use."""
         known = texture.words.get(sampler)
         if known is None:
@@ -42,7 +40,7 @@ class Samplers:
             known = texture.words[sampler] = self._buffer(words)
         return known
 
-    def describe_image(self, texture: ClTexture, level: int, layer: int) -> cl.Buffer:
+    def describe_image(self, texture: ClTexture, level: int, layer: int) -> TextureWords:
         """Return the description of one level for loads and stores, creating it on first use; layer -1: all layers."""
         known = texture.words.get((level, layer))
         if known is None:
@@ -55,10 +53,10 @@ class Samplers:
             known = texture.words[level, layer] = self._buffer(words)
         return known
 
-    def _buffer(self, words: NDArray[np.int32]) -> cl.Buffer:
-        flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+    def _buffer(self, words: NDArray[np.int32]) -> TextureWords:
         with translate_errors("device.draw", "a texture's words"):
-            return cl.Buffer(self._context, flags, hostbuf=words)
+            memory = allocate(self._context, words.nbytes, words)
+        return TextureWords(memory, find_address(memory))
 
 
 def _place(plane: TexelPlane) -> LevelLayout:

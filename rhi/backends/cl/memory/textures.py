@@ -1,6 +1,6 @@
 """Textures: planes of texels in plain OpenCL buffers, and the commands that move texels between them.
 
-- A texture is filled with zeros when it is created, so a driver that allocates late reports at once that it can't.
+- A texture begins as zeros.
 - Its mip levels lie one after the other in one buffer. A level consists of layers of rows of texels; each sample of a
   multi-sampled texture is a layer of its own.
 - Rows and columns are padded to multiples of `planes.BLOCK`, so a block of pixels always lies in memory. The contents
@@ -10,6 +10,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
@@ -18,11 +20,16 @@ from typing_extensions import Buffer as BytesLike
 from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.memory.filters import Filters
+from rhi.backends.cl.memory.in_flight import InFlight
 from rhi.backends.cl.memory.planes import TexelPlane, allocate, pitches_of, round_to_grain
-from rhi.backends.cl.memory.staging import Staging
 from rhi.contract.descriptors import Id, Region, TextureDescriptor
 
-__rhi_internal__ = True
+
+class TextureWords(NamedTuple):
+    """A description of a texture, in memory of its own at this address."""
+
+    memory: cl.Buffer
+    address: int
 
 
 class ClTexture:
@@ -40,16 +47,12 @@ class ClTexture:
         self.descriptor = descriptor
         self.changes = 0
         self._memory: list[cl.Buffer] = []
-        self.words: dict[Id | tuple[int, int], cl.Buffer] = {}
+        self.words: dict[Id | tuple[int, int], TextureWords] = {}
         self.stencil: list[TexelPlane] = []
         format = descriptor.format
         self.levels = self._allocate(context, format.transfer_bytes)
         if format.has_stencil:
-            try:
-                self.stencil = self._allocate(context, 1)
-            except cl.Error:
-                self.release()
-                raise
+            self.stencil = self._allocate(context, 1)
 
     def _allocate(self, context: ClContext, texel: int) -> list[TexelPlane]:
         """Allocate one buffer for all levels, each beginning at a multiple of `planes.GRAIN`."""
@@ -61,22 +64,21 @@ class ClTexture:
         starts = [0]
         for width, height, layers in boxes:
             starts.append(round_to_grain(starts[-1] + pitches_of(texel, width, height)[1] * layers))
-        memory = allocate(context, starts[-1])
+        memory = allocate(context.context, starts[-1])
         self._memory.append(memory)
         return [TexelPlane(memory, start, texel, *box) for start, box in zip(starts, boxes, strict=False)]
 
-    def release(self) -> None:
-        for memory in (*self._memory, *self.words.values()):
-            memory.release()
+    def list_memory(self) -> list[cl.Buffer]:
+        return [*self._memory, *[words.memory for words in self.words.values()]]
 
 
 class Textures:
     """All textures of a device, by id."""
 
-    def __init__(self, context: ClContext, staging: Staging) -> None:
+    def __init__(self, context: ClContext, in_flight: InFlight) -> None:
         self._context = context
         self._queue = context.queue
-        self._staging = staging
+        self._in_flight = in_flight
         self._filters = Filters(context)
         self._textures: dict[Id, ClTexture] = {}
 
@@ -88,17 +90,18 @@ class Textures:
             self._textures[texture] = ClTexture(self._context, descriptor)
 
     def destroy(self, texture: Id) -> None:
-        self._textures.pop(texture).release()
+        for memory in self._textures.pop(texture).list_memory():
+            self._in_flight.release(memory)
 
     def write(self, texture: Id, level: int, region: Region, data: BytesLike) -> None:
         made, source = self._textures[texture], np.frombuffer(memoryview(data), np.uint8)
         made.changes += 1
         plane = made.levels[level]
-        if self._staging.has_room(len(source)):
-            self._staging.add(plane.write(self._queue, region, source.copy(), False), len(source))
+        if self._in_flight.has_room(len(source)):
+            self._in_flight.add(plane.write(self._queue, region, source.copy(), False), len(source))
         else:
             plane.write(self._queue, region, source, True)
-            self._staging.clear()
+            self._in_flight.take()
 
     def read(self, texture: Id, level: int, region: Region, stencil: bool) -> NDArray[np.generic]:
         source = self._textures[texture]

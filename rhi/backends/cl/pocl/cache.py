@@ -37,8 +37,6 @@ except ImportError:  # not on Windows, where PoCL's users are few
 
 from rhi.backends.cl.pocl.declarations import GUARD, declare
 
-__rhi_internal__ = True
-
 ENVIRONMENT: Final = "RHI_CACHE"
 LIMIT: Final = 512 << 20
 """Bytes of compiled kernels that are kept."""

@@ -16,8 +16,6 @@ from functools import lru_cache
 from itertools import product
 from typing import Final
 
-__rhi_internal__ = True
-
 GUARD: Final = "-D_OPENCL_H_"
 """Build option: the header isn't read."""
 _WIDTHS: Final = ("", "2", "3", "4", "8", "16")

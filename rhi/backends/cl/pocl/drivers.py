@@ -14,8 +14,6 @@ from contextlib import suppress
 
 from rhi.backends.cl.pocl.workers import list_threads
 
-__rhi_internal__ = True
-
 
 class Loading:
     """Drivers that are being loaded. The process's threads are listed before, because drivers start some."""

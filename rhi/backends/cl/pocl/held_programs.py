@@ -24,8 +24,6 @@ import pyopencl as cl
 
 from rhi.backends.cl.pocl.cache import Request
 
-__rhi_internal__ = True
-
 LIMIT: Final = 32
 """Programs in memory, of which none is released."""
 AGE: Final = 128

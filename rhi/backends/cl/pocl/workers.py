@@ -16,8 +16,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-__rhi_internal__ = True
-
 _VARIABLE: Final = "POCL_AFFINITY"
 _TASKS: Final = Path("/proc/self/task")
 

@@ -25,8 +25,6 @@ from typing_extensions import Buffer as BytesLike
 from rhi.contract.descriptors import Id, Primitive
 from rhi.contract.formats import IndexFormat
 
-__rhi_internal__ = True
-
 T = TypeVar("T")
 _Indices: TypeAlias = "NDArray[Any]"
 _ListKey: TypeAlias = tuple[Primitive, IndexFormat, int, int]

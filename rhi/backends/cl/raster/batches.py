@@ -33,8 +33,6 @@ from rhi.backends.cl.raster.tables import EMPTY_BATCH, MAX_PLANES, TILE, point_s
 from rhi.backends.cl.raster.targets import PassSurfaces
 from rhi.contract.descriptors import Interpolation
 
-__rhi_internal__ = True
-
 _EDGES: Final = 3  # of a triangle
 _FIRST_GREATER: Final = 4  # the first comparison that greater depths pass, see merger.py
 

@@ -2,25 +2,18 @@
 
 - A draw's row is picked out of `columns`. The columns before those of the slots are set by `draws` and `queries`.
 - Compute programs read `slots` instead, which holds the same bindings in the contract's terms.
-- The address of each resource and part is looked up once, and forgotten when the resource is destroyed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-import pyopencl as cl
-
 from rhi.backends.cl.memory.buffers import Buffers
-from rhi.backends.cl.memory.planes import TexelPlane
-from rhi.backends.cl.memory.pools import Addresses
 from rhi.backends.cl.memory.samplers import Samplers
 from rhi.backends.cl.memory.textures import Textures
 from rhi.backends.cl.raster.rows import COLUMN_COUNT, SLOT_COLUMNS, SLOT_COUNTS
 from rhi.backends.cl.slots import Slots
 from rhi.contract.descriptors import BindingKind, Id
-
-__rhi_internal__ = True
 
 
 class Bindings:
@@ -30,16 +23,12 @@ class Bindings:
         columns: the list that draws' rows are picked from.
     """
 
-    def __init__(
-        self, slots: Slots, addresses: Addresses, buffers: Buffers, textures: Textures, samplers: Samplers
-    ) -> None:
+    def __init__(self, slots: Slots, buffers: Buffers, textures: Textures, samplers: Samplers) -> None:
         self.columns = [0] * COLUMN_COUNT
         self._slots = slots
-        self._addresses = addresses
         self._buffers = buffers
         self._textures = textures
         self._samplers = samplers
-        self._found: dict[Id, dict[object, int]] = {}  # by resource and part
 
     def bind(self, kind: BindingKind, slot: int, what: tuple[int, ...]) -> None:
         """Bind a resource; `what`: the arguments of the binding command that follow the slot."""
@@ -65,26 +54,10 @@ class Bindings:
 
     def find_buffer(self, buffer: Id) -> int:
         """Return a buffer's address."""
-        return self._find(buffer, None, lambda: self._buffers[buffer].cl)
-
-    def find_plane(self, texture: Id, plane: TexelPlane, stencil: bool) -> int:
-        """Return the address of the memory that contains a plane of a texture."""
-        return self._find(texture, stencil, lambda: plane.memory)
-
-    def forget(self, resource: Id) -> None:
-        """Drop the addresses of a resource that is being destroyed."""
-        self._found.pop(resource, None)
+        return self._buffers[buffer].address
 
     def _find_texture(self, kind: BindingKind, what: tuple[int, ...]) -> tuple[int, int]:
         """Return the addresses of a texture's memory, and of its description for this kind of binding."""
         texture = self._textures[what[0]]
         describe = self._samplers.describe if kind is BindingKind.TEXTURE else self._samplers.describe_image
-        words = self._find(what[0], (kind, *what[1:]), lambda: describe(texture, *what[1:]))
-        return self.find_plane(what[0], texture.levels[0], False), words
-
-    def _find(self, resource: Id, part: object, get: Callable[[], cl.Buffer]) -> int:
-        found = self._found.setdefault(resource, {})
-        address = found.get(part)
-        if address is None:
-            address = found[part] = self._addresses.find(get())
-        return address
+        return texture.levels[0].address, describe(texture, *what[1:]).address

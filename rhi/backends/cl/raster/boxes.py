@@ -20,8 +20,6 @@ from rhi.backends.cl.memory.pools import Pool
 from rhi.backends.cl.raster.draw_tables import PreparedDraws
 from rhi.contract.descriptors import Id
 
-__rhi_internal__ = True
-
 _BOX_BYTES: Final = 32
 _MIN_GROUPS: Final = 4  # of vertices; testing a box costs as much as transforming one
 _TO_MEASURE: Final = 1  # flag in the address of a box

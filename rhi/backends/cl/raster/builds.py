@@ -41,8 +41,6 @@ if TYPE_CHECKING:
     from rhi.backends.cl.pocl.held_programs import HeldProgram
     from rhi.backends.cl.raster.compiler import Compiler
 
-__rhi_internal__ = True
-
 LOGGER: Final = logging.getLogger("rhi.kernels")
 HOT: Final = 2000
 """Work-items after which a kernel is optimised: tiles of 64×64 texels, or a thousand vertices each. Up to here the time

@@ -20,8 +20,6 @@ import threading
 from contextlib import suppress
 from typing import IO, Any, Final, NamedTuple
 
-__rhi_internal__ = True
-
 _NICE: Final = 10  # frames go first
 _PATIENCE: Final = 0.02  # seconds that closing a device waits at most
 

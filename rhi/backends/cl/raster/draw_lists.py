@@ -20,8 +20,6 @@ from rhi.backends.cl.raster.draw_tables import DrawList, DrawSlot, PreparedDraws
 from rhi.backends.cl.raster.rows import COUNTER_BYTES
 from rhi.contract.descriptors import DRAW, Id, Primitive
 
-__rhi_internal__ = True
-
 _MAX_KNOWN: Final = 1 << 17
 """Limit of the number of cached draws and of draws in cached arrays, together. A longer array is alone in the cache."""
 _NAMES: Final = DRAW.names or ()

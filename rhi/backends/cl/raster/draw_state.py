@@ -21,7 +21,6 @@ from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.memory.planes import TexelPlane
 from rhi.backends.cl.memory.textures import Textures
 from rhi.backends.cl.raster.batches import describe_batch
-from rhi.backends.cl.raster.bindings import Bindings
 from rhi.backends.cl.raster.builds import Kernel
 from rhi.backends.cl.raster.merger import MergerKey, make_key, make_state
 from rhi.backends.cl.raster.pipelines import Pipeline, VertexKernels
@@ -50,8 +49,6 @@ from rhi.contract.states import (
     Viewport,
 )
 
-__rhi_internal__ = True
-
 _MAX_MEMO: Final = 4096
 _FAR: Final = 1 << 20
 
@@ -66,9 +63,8 @@ class DrawState:
         values: the current value of each render state.
     """
 
-    def __init__(self, textures: Textures, bindings: Bindings) -> None:
+    def __init__(self, textures: Textures) -> None:
         self._textures = textures
-        self._bindings = bindings
         self.ready_for: VertexKernels | None = None
         self.pipeline: Pipeline | None = None
         self.target: PassSurfaces | None = None
@@ -98,23 +94,21 @@ class DrawState:
             depth_format = texture.descriptor.format
             depth = self._make_surface(attachment, texture.levels, depth_clear(attachment, depth_format))
             if texture.stencil:
-                stencil = self._make_surface(attachment, texture.stencil, stencil_clear(attachment), True)
+                stencil = self._make_surface(attachment, texture.stencil, stencil_clear(attachment))
         self.target = PassSurfaces(descriptor.size, descriptor.samples, colors, depth, stencil, drawn)
         self._formats = tuple(formats), depth_format
         self.ready_for = None
 
     def _make_surface(
         self, attachment: Attachment | DepthAttachment, planes: Sequence[TexelPlane], clear: bytes | None,
-        stencil: bool = False,
     ) -> RenderSurface:  # fmt: skip
         """Return the surface of an attachment; `planes`: those of the texture's levels."""
         plane = planes[attachment.level]
         if clear is not None:
             self._textures[attachment.texture].changes += 1
             self.has_clears = True
-        address = self._bindings.find_plane(attachment.texture, plane, stencil)
         samples = self._textures[attachment.texture].descriptor.samples
-        return RenderSurface(plane, attachment.layer, samples, address, clear)
+        return RenderSurface(plane, attachment.layer, samples, plane.address, clear)
 
     def fill_cleared(self, queue: cl.CommandQueue) -> None:
         """Perform the clears of the pass that no draw has performed."""

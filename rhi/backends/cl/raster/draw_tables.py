@@ -29,8 +29,6 @@ from rhi.backends.cl.raster.rows import (
 )
 from rhi.backends.cl.raster.tables import DRAW_STRUCT, MAX_STREAMS
 
-__rhi_internal__ = True
-
 _PIECE_GROUPS: Final = 1 << 15  # of vertices: 512 k, 16 MiB of positions; larger pieces cull each other less
 _FIRST_PIECE_GROUPS: Final = 1 << 14  # the following pieces double
 

@@ -30,8 +30,6 @@ from rhi.contract.descriptors import DRAW, DRAW_UNINDEXED, Binding, Id, Primitiv
 from rhi.contract.queries import list_draws
 from rhi.contract.states import Scissor, StateChange, Viewport
 
-__rhi_internal__ = True
-
 _COUNT_BYTES: Final = 4  # of the number of indirect draws
 
 

@@ -10,8 +10,6 @@ import numpy as np
 
 from rhi.backends.cl.pocl.cache import strip_comments
 
-__rhi_internal__ = True
-
 _TYPES: Final = {"u8": "ulong", "i4": "int", "u4": "uint", "f4": "float"}
 
 

@@ -14,7 +14,8 @@ from typing import Final
 import pyopencl as cl
 
 from rhi.backends.cl.context import ClContext
-from rhi.backends.cl.memory.pools import Addresses, Pool, Retired, Uploads
+from rhi.backends.cl.memory.in_flight import InFlight
+from rhi.backends.cl.memory.pools import Pool, Uploads
 from rhi.backends.cl.raster.batches import BatchState, GatheredDraws
 from rhi.backends.cl.raster.boxes import AttributeBoxes
 from rhi.backends.cl.raster.builds import Builds
@@ -29,8 +30,6 @@ from rhi.backends.cl.raster.tables import (
     pack_batch,
     varying_words,
 )
-
-__rhi_internal__ = True
 
 _SLICE_GROUPS: Final = 1 << 15  # 512 k records: 74 MiB of records, boxes and lists
 _CHUNKS: Final = 32  # of a slice: enough to balance a few cores, few enough to keep the counts of tiles small
@@ -54,8 +53,8 @@ class Scratch:
         pools: one for each purpose, by the field of the batch table that holds its address.
     """
 
-    def __init__(self, context: ClContext, addresses: Addresses, retired: Retired) -> None:
-        self.pools = {name: Pool(context, addresses, retired) for name in POOLS}
+    def __init__(self, in_flight: InFlight) -> None:
+        self.pools = {name: Pool(in_flight) for name in POOLS}
         self._fields: dict[str, int] = {}
         self._reserved_for: object = None
 
@@ -98,13 +97,13 @@ class Launcher:
     """Launches the batches of one device."""
 
     def __init__(
-        self, context: ClContext, builds: Builds, addresses: Addresses, retired: Retired, boxes: AttributeBoxes
+        self, context: ClContext, builds: Builds, in_flight: InFlight, boxes: AttributeBoxes
     ) -> None:
         self._queue = context.queue
         self._builds = builds
         self._boxes = boxes
-        self._uploads = Uploads(context, addresses)
-        self._scratch = Scratch(context, addresses, retired)
+        self._uploads = Uploads()
+        self._scratch = Scratch(in_flight)
         self._bounds: tuple[object, ...] | None = None  # what the bounds of depth in memory depend on, see BatchState
 
     @cached_property

@@ -46,8 +46,6 @@ from rhi.contract.states import (
     StencilWriteMask,
 )
 
-__rhi_internal__ = True
-
 _PASSES: Final = {
     "never": 0, "less": 1, "equal": 2, "less_equal": 3, "greater": 4, "not_equal": 5, "greater_equal": 6, "always": 7,
 }  # fmt: skip

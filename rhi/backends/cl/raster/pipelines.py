@@ -21,7 +21,7 @@ from typing import Final, TypeAlias
 import pyopencl as cl
 
 from rhi.backends.cl.context import ClContext
-from rhi.backends.cl.memory.pools import Addresses
+from rhi.backends.cl.memory.planes import find_address
 from rhi.backends.cl.pocl.cache import Request
 from rhi.backends.cl.pocl.held_programs import HeldProgram
 from rhi.backends.cl.programs import FaultBuffer, make_shader_error
@@ -30,8 +30,6 @@ from rhi.backends.cl.raster.builds import Builds, Kernel, Optimisation
 from rhi.backends.cl.raster.kernel_text import read_kernels
 from rhi.backends.cl.raster.rows import FIXED_COLUMNS, SLOT_COLUMNS
 from rhi.contract.descriptors import BindingKind, ProgramDescriptor, Stage, StageText, VertexStream
-
-__rhi_internal__ = True
 
 LANGUAGE: Final = "opencl16"
 _RASTER: Final = "raster"
@@ -71,9 +69,7 @@ class Pipeline:
             source.
     """
 
-    def __init__(
-        self, context: ClContext, builds: Builds, descriptor: ProgramDescriptor, addresses: Addresses
-    ) -> None:
+    def __init__(self, context: ClContext, builds: Builds, descriptor: ProgramDescriptor) -> None:
         self._builds = builds
         self.descriptor = descriptor
         self.starts = tables.row_starts(descriptor.bindings)
@@ -97,7 +93,7 @@ class Pipeline:
         for stage in descriptor.stages if descriptor.checked else ():
             text = self._vertex_text if stage is Stage.VERTEX else self._fragment_text
             self.faults[stage] = FaultBuffer(context.context, text.origins)
-            self._fault_places[stage] = addresses.find(self.faults[stage].memory)
+            self._fault_places[stage] = find_address(self.faults[stage].memory)
         self._vertex: dict[StreamLayout, VertexKernels] = {}
         self._raster: dict[merger.MergerKey, Kernel] = {}
         self._general_raster: HeldProgram | None = None

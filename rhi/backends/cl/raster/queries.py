@@ -21,13 +21,10 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from rhi.backends.cl.context import ClContext, allocate_pages
+from rhi.backends.cl.context import allocate_pages
 from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.fence import is_done
-from rhi.backends.cl.memory.pools import Addresses
 from rhi.contract.descriptors import Id, QueryKind
-
-__rhi_internal__ = True
 
 _PAGE_COUNTERS: Final = 512
 _MOST_PENDING: Final = 64  # batches, or segments of the running counter, that wait to be looked at
@@ -36,27 +33,13 @@ _MOST_PENDING: Final = 64  # batches, or segments of the running counter, that w
 class _CounterMemory:
     """Memory of counters. `batch`: the last batch that may add to them."""
 
-    __slots__ = ("_buffer", "_queue", "_shared", "address", "batch", "host", "words")
+    __slots__ = ("address", "batch", "host", "words")
 
-    def __init__(self, context: ClContext, addresses: Addresses, counters: int) -> None:
+    def __init__(self, counters: int) -> None:
         self.host = allocate_pages(8 * counters).view(np.uint64)
         self.words = self.host.data
-        self._shared = context.shares_memory
-        share = cl.mem_flags.USE_HOST_PTR if self._shared else cl.mem_flags.COPY_HOST_PTR
-        self._buffer = cl.Buffer(context.context, cl.mem_flags.READ_WRITE | share, hostbuf=self.host)
-        self.address = addresses.find(self._buffer)
-        self._queue = addresses.queue  # its commands don't wait for draws
+        self.address: int = self.host.ctypes.data
         self.batch = 0
-
-    def fetch(self) -> None:
-        """Update `host` and `words`, which are the same memory, from the device."""
-        if not self._shared:
-            cl.enqueue_copy(self._queue, self.host, self._buffer)
-
-    def clear(self) -> None:
-        self.host[:] = 0
-        if not self._shared:
-            cl.enqueue_copy(self._queue, self._buffer, self.host)
 
 
 class _CounterPage:
@@ -91,15 +74,11 @@ class Segment:
         """Return the sum of all counters. The batch has to be complete."""
         if self.size > 1:
             return int(self.read_each().sum())
-        memory = self._page.memory
-        memory.fetch()
-        return memory.words[self._place]
+        return self._page.memory.words[self._place]
 
     def read_each(self) -> NDArray[np.uint64]:
         """Return a view of the counters, (size,). The batch has to be complete."""
-        memory = self._page.memory
-        memory.fetch()
-        return memory.host[self._place : self._place + self.size]
+        return self._page.memory.host[self._place : self._place + self.size]
 
 
 class _SampleQuery:
@@ -119,17 +98,14 @@ class SampleQueries:
     """
 
     def __init__(
-        self, context: ClContext, addresses: Addresses, count_into: Callable[[int], None], flush: Callable[[], None],
-        is_gathering: Callable[[], bool],
-    ) -> None:  # fmt: skip
+        self, count_into: Callable[[int], None], flush: Callable[[], None], is_gathering: Callable[[], bool]
+    ) -> None:
         """
         Args:
             count_into: receives the address of the counter for the following draws; 0: none.
             flush: submits the gathered draws.
             is_gathering: returns whether there are gathered draws.
         """
-        self._context = context
-        self._addresses = addresses
         self._count_into = count_into
         self._flush = flush
         self._is_gathering = is_gathering
@@ -312,10 +288,10 @@ class SampleQueries:
     def _find_memory(self, size: int) -> _CounterMemory:
         for index, memory in enumerate(self._free):
             if len(memory.host) >= size and self.is_done(memory.batch):
-                memory.clear()
+                memory.host[:] = 0
                 return self._free.pop(index)
         pages = max(1, -(-size // _PAGE_COUNTERS))
-        return _CounterMemory(self._context, self._addresses, pages * _PAGE_COUNTERS)
+        return _CounterMemory(pages * _PAGE_COUNTERS)
 
     def release(self, memory: _CounterMemory) -> None:
         """Free memory that no segment needs. Draws gathered until now may still add to it."""

@@ -12,8 +12,6 @@ from rhi.backends.cl.raster.rasteriser import Rasteriser
 from rhi.backends.cl.raster.rows import COUNTER_BYTES
 from rhi.contract.descriptors import Id, Primitive
 
-__rhi_internal__ = True
-
 
 class ClQuerySet:
     """See `rhi.contract.backend.PreparedQueries`. Each `draw` has counters of its own: earlier draws may still run."""

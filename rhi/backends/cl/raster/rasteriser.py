@@ -17,7 +17,8 @@ import pyopencl as cl
 from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.memory.buffers import Buffers
-from rhi.backends.cl.memory.pools import Addresses, Pool, Retired
+from rhi.backends.cl.memory.in_flight import InFlight
+from rhi.backends.cl.memory.pools import IndexList, Pool
 from rhi.backends.cl.memory.samplers import Samplers
 from rhi.backends.cl.memory.textures import Textures
 from rhi.backends.cl.raster.assembly import Assembler
@@ -33,22 +34,18 @@ from rhi.backends.cl.raster.merger import make_key
 from rhi.backends.cl.raster.pipelines import Pipeline
 from rhi.backends.cl.raster.queries import SampleQueries
 from rhi.backends.cl.raster.rows import CONDITION, INVERTED, SAMPLES
-from rhi.backends.cl.raster.vertex_arrays import VertexArrays, upload_indices
+from rhi.backends.cl.raster.vertex_arrays import VertexArrays
 from rhi.backends.cl.slots import Slots
 from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor, VertexArrayDescriptor
 from rhi.contract.formats import Format
-
-__rhi_internal__ = True
 
 
 class Rasteriser:
     """The rasteriser of one device.
 
     Attributes:
-        works: whether the device is a CPU, for which the kernels are written, and addresses work as
-            `rhi.backends.cl.memory.pools` needs it. A GPU executes them, but stops where they load vectors at any
-            address.
-        retired: memory to keep until the next fence value has passed.
+        works: whether the device is a CPU, for which the kernels are written, and reads host memory in place. A GPU
+            executes them, but stops where they load vectors at any address.
         bindings: the bound resources.
         state: the pass, program and render states of the next draw.
         vertex_arrays: vertex arrays, and what changes of buffers do to prepared draws.
@@ -57,25 +54,24 @@ class Rasteriser:
     """
 
     def __init__(
-        self, context: ClContext, slots: Slots, buffers: Buffers, textures: Textures, samplers: Samplers
+        self, context: ClContext, slots: Slots, buffers: Buffers, textures: Textures, samplers: Samplers,
+        in_flight: InFlight,
     ) -> None:
         self._context = context
-        self._addresses = addresses = Addresses(context)
-        self.works = addresses.work and bool(context.device.type & cl.device_type.CPU)
-        self.retired = Retired()
+        self.works = context.shares_memory and bool(context.device.type & cl.device_type.CPU)
         self._builds = Builds(context)
         self._programs: dict[Id, Pipeline] = {}
         self._slots = slots
         self._buffers = buffers
         self._prepared = prepared = PreparedDraws()
-        boxes = AttributeBoxes(prepared, Pool(context, addresses, self.retired))
+        boxes = AttributeBoxes(prepared, Pool(in_flight))
         self._batch = Batch(prepared, boxes)
-        self._launcher = Launcher(context, self._builds, addresses, self.retired, boxes)
-        self.bindings = Bindings(slots, addresses, buffers, textures, samplers)
-        self.state = DrawState(textures, self.bindings)
-        assembler = Assembler(self._read_indices, partial(upload_indices, context, addresses, self.retired))
+        self._launcher = Launcher(context, self._builds, in_flight, boxes)
+        self.bindings = Bindings(slots, buffers, textures, samplers)
+        self.state = DrawState(textures)
+        assembler = Assembler(self._read_indices, partial(IndexList, in_flight))
         self.vertex_arrays = VertexArrays(assembler, prepared, boxes, buffers, self.bindings)
-        self.queries = SampleQueries(context, addresses, self._count_into, self.flush, self._is_gathering)
+        self.queries = SampleQueries(self._count_into, self.flush, self._is_gathering)
         self.draws = Draws(
             self._batch, prepared, self.state, self.vertex_arrays, self.bindings.columns, buffers, self.flush,
             self._flush_batch, self.change_stored,
@@ -97,7 +93,7 @@ class Rasteriser:
 
     def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
         """Emit the code of a program that draws. Its kernels are built when vertex layout and targets are known."""
-        self._programs[program] = Pipeline(self._context, self._builds, descriptor, self._addresses)
+        self._programs[program] = Pipeline(self._context, self._builds, descriptor)
         _ = self._launcher.geometry
 
     def prepare_kernels(
@@ -132,11 +128,6 @@ class Rasteriser:
         self.vertex_arrays.create(vertex_array, descriptor, self._programs[descriptor.program])
 
     # -- buffers and textures --------------------------------------------------------------------------------
-
-    def forget(self, resource: Id) -> None:
-        """Drop what is known of a buffer or texture that is being destroyed."""
-        self.bindings.forget(resource)
-        self.vertex_arrays.forget(resource)
 
     def change_stored(self, bindings: Sequence[Binding]) -> None:
         """Note that shaders wrote what is bound to these bindings."""

@@ -12,8 +12,6 @@ from typing import Final
 from rhi.backends.cl.capabilities import MAX_STORAGE_SLOTS
 from rhi.contract.descriptors import BindingKind
 
-__rhi_internal__ = True
-
 PREPARED, INSTANCES, VIEW, SAMPLES, CONDITION, INVERTED = range(6)
 """Columns: the prepared draw's number; the number of instances, and in the upper half the draw's number in its array;
 the view's number; the addresses of the samples counter and of the condition's counter; whether the condition is

@@ -31,8 +31,6 @@ from rhi.contract.descriptors import (
 )
 from rhi.contract.layout import VectorType
 
-__rhi_internal__ = True
-
 MAX_STREAMS: Final = 16
 MAX_PLANES: Final = 10
 TILE: Final = 64

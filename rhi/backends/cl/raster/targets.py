@@ -22,8 +22,6 @@ from rhi.contract.descriptors import Attachment, DepthAttachment
 from rhi.contract.formats import Format
 from rhi.contract.texels import encode
 
-__rhi_internal__ = True
-
 PATTERN_BYTES: Final = 16
 """Size of the pattern that kernels clear with: the clear value's texel, repeated."""
 

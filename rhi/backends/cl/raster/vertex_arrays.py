@@ -7,17 +7,14 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
-import pyopencl as cl
 from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
-from rhi.backends.cl.context import ClContext
-from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.memory.buffers import Buffers
-from rhi.backends.cl.memory.pools import Addresses, IndexList, Retired
+from rhi.backends.cl.memory.pools import IndexList
 from rhi.backends.cl.raster.assembly import CORNERS, LISTS, Assembler
 from rhi.backends.cl.raster.bindings import Bindings
 from rhi.backends.cl.raster.boxes import AttributeBoxes
@@ -25,10 +22,6 @@ from rhi.backends.cl.raster.draw_tables import DrawSlot, PreparedDraws
 from rhi.backends.cl.raster.pipelines import Pipeline, VertexKernels
 from rhi.backends.cl.raster.tables import DRAW_STRUCT, GROUP, MAX_STREAMS
 from rhi.contract.descriptors import Id, Primitive, VertexArrayDescriptor
-
-__rhi_internal__ = True
-
-_PADDING: Final = 3 * GROUP  # indices: the loads of a group may run past the end
 
 
 class VertexArray:
@@ -179,14 +172,3 @@ class VertexArrays:
             bindings.find_buffer(stream.buffer) + stream.offset for stream in made.streams
         ]
         return True
-
-
-def upload_indices(
-    context: ClContext, addresses: Addresses, retired: Retired, indices: NDArray[np.uint32]
-) -> IndexList:
-    """Copy an index list to the device."""
-    flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
-    padded = np.append(indices, np.zeros(_PADDING, np.uint32))
-    with translate_errors("device.draw", f"{len(indices)} indices"):
-        memory = cl.Buffer(context.context, flags, hostbuf=padded)
-    return IndexList(memory, addresses.find(memory), retired)

@@ -18,8 +18,6 @@ from typing import TYPE_CHECKING, Any, Final
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__rhi_internal__ = True
-
 
 class Lane(enum.Enum):
     """A row of the timeline: one of the two processors."""

@@ -49,8 +49,6 @@ from rhi.contract.descriptors import (
 from rhi.errors import find_user_frame, refuse
 from rhi.errors.rules import DEVICE_ARGUMENT
 
-__rhi_internal__ = True
-
 Site: TypeAlias = tuple[CodeType | None, int]
 """A call site: a code object and an instruction offset."""
 

@@ -13,8 +13,6 @@ from typing import NamedTuple
 from rhi.commands.ops import Op
 from rhi.contract.descriptors import Primitive
 
-__rhi_internal__ = True
-
 
 class CommandWork(NamedTuple):
     """The work of the GPU for one command."""

@@ -44,8 +44,6 @@ from rhi.contract.descriptors import (
 from rhi.contract.states import ColorWrite, DepthTest, DepthWrite, StencilTest
 from rhi.errors import CallSite
 
-__rhi_internal__ = True
-
 
 class HazardKind(enum.Enum):
     """The kind of a hazard; the value describes it in a sentence."""

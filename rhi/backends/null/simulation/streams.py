@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from rhi.contract.descriptors import Id, Primitive, VertexArrayDescriptor
 
-__rhi_internal__ = True
-
 CommandUse: TypeAlias = tuple[int, CodeType | None, int, int]
 """A call that uses resources, for hazards: its number in the order of the calls, its site (code and instruction
 offset) and its op. It is a plain tuple because one is created for each draw."""

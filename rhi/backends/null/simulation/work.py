@@ -27,8 +27,6 @@ from rhi.contract.descriptors import (
 )
 from rhi.contract.states import Scissor, StateChange, Viewport
 
-__rhi_internal__ = True
-
 
 class WorkMeter:
     """Measures the commands of one device. Its methods are the commands with work of their own, named as in

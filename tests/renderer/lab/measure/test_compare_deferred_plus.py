@@ -12,8 +12,8 @@ from PIL import Image
 import rhi
 from renderer.cli import main
 from renderer.content import load_scene
+from renderer.lab.deferred_plus import TECHNIQUES
 from renderer.lab.measure.contents import color_rows
-from renderer.lab.measure.deferred_plus import TECHNIQUES
 from renderer.renderer import Renderer
 from renderer.techniques import Clustered, Forward
 from renderer.visibility import NoCulling, TwoPassCulling

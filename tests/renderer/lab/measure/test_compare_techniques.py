@@ -10,12 +10,12 @@ import pytest
 
 import rhi
 from renderer.cli import main
-from renderer.lab.measure.techniques import compare_techniques, vary_scene
+from renderer.lab.techniques import compare_techniques, vary_scene
 from renderer.techniques import TECHNIQUES, Clustered, Deferred, Forward, ForwardMultipass
 from rhi import ValidationError
 
 ROW = [
-    "technique", "objects", "lights", "milliseconds", "processor_milliseconds", "light_evaluations",
+    "technique", "objects", "lights", "milliseconds", "processor_milliseconds", "kernels", "light_evaluations",
     "bytes_per_pixel", "draws",
 ]  # fmt: skip
 GRID = "grid:mesh=box"
@@ -51,15 +51,17 @@ def test_draws_are_those_of_the_stream(null: rhi.Device) -> None:
     """A masked light is two draws, besides those of geometry and of the image."""
     techniques = {"masked": Deferred(stencil=True), "at once": Deferred()}
     rows = compare_techniques(null, GRID, techniques, (32, 16), objects=[4], lights=[1, 7], rounds=1)
-    assert [(row.technique, row.lights, row.draws) for row in rows] == [
+    assert [(row["technique"], row["lights"], row["draws"]) for row in rows] == [
         ("masked", 1, 4), ("at once", 1, 3), ("masked", 7, 16), ("at once", 7, 3),
     ]  # fmt: skip
 
 
 def test_forward_looks_at_lights_of_objects_and_clusters_at_those_that_are_near(gl: rhi.Device) -> None:
     techniques = {"objects": Forward(), "pairs": ForwardMultipass(), "clusters": Clustered()}
-    rows = compare_techniques(gl, GRID, techniques, (64, 36), objects=[64], lights=[8, 64], rounds=1)
-    few, more = ({row.technique: row.light_evaluations or 0 for row in rows if row.lights == n} for n in (8, 64))
+    rows = list(compare_techniques(gl, GRID, techniques, (64, 36), objects=[64], lights=[8, 64], rounds=1))
+    few, more = (
+        {row["technique"]: row["light_evaluations"] or 0 for row in rows if row["lights"] == n} for n in (8, 64)
+    )
     assert few["objects"] == few["pairs"] > 0  # boxes that don't hide each other
     assert more["objects"] > 4 * few["objects"]
     assert more["clusters"] > few["clusters"] > 0

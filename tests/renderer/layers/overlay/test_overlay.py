@@ -13,7 +13,7 @@ import rhi
 from renderer.content import load_scene
 from renderer.frame import Frame
 from renderer.layers.canvas import Canvas, Font, srgb
-from renderer.layers.overlay import Overlay
+from renderer.layers.overlay import Overlay, panels
 from renderer.layers.overlay.history import History
 from renderer.layers.overlay.overlay import name_algorithm
 from renderer.layers.overlay.panels import Box, draw_graph, draw_legend, draw_map, draw_timers, find_ground
@@ -267,10 +267,8 @@ def test_auto_is_named_with_its_choice(null: rhi.Device, scene: Scene) -> None:
     assert name_algorithm(make_visibility("none", scene, null)) == "NoCulling"
 
 
-@pytest.mark.parametrize("outcome", list(WalkOutcome))
-def test_every_outcome_has_its_color_on_the_map(gl: rhi.Device, outcome: WalkOutcome) -> None:
-    corners = np.array([(10.0, 0.0, 10.0)])
-    walk = CullingWalk(False, corners, corners + 20.0, np.array([outcome], np.uint8))
+def draw_ground(gl: rhi.Device, walk: CullingWalk) -> np.ndarray:
+    """Return a map of 100 × 100 texels, of which two at its edges are left free."""
     canvas, camera = Canvas(gl, Font.load()), Camera.look_at((-900, 0, 900), (-1000, 0, 1000))
     with gl.texture((100, 100), Format.RGBA8) as image:
         draw_map(canvas, Box(0, 0, 100, 100), (np.zeros(2), np.full(2, 98.0)), walk, camera)
@@ -278,5 +276,18 @@ def test_every_outcome_has_its_color_on_the_map(gl: rhi.Device, outcome: WalkOut
             canvas.draw((100, 100))
         pixels = image.read()
     canvas.destroy()
-    rows, columns = np.nonzero(pixels[:, :, :3].any(axis=2))
+    return np.asarray(pixels[:, :, :3].any(axis=2))
+
+
+@pytest.mark.parametrize("outcome", list(WalkOutcome))
+def test_every_outcome_has_its_color_on_the_map(gl: rhi.Device, outcome: WalkOutcome) -> None:
+    corners = np.array([(10.0, 0.0, 10.0)])
+    rows, columns = np.nonzero(draw_ground(gl, CullingWalk(False, corners, corners + 20.0, np.array([outcome], "u1"))))
     assert (rows.min(), rows.max(), columns.min(), columns.max()) == (11, 30, 11, 30)
+
+
+def test_of_too_many_boxes_the_map_shows_the_largest(gl: rhi.Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(panels, "MOST_BOXES", 2)
+    corners, sides = np.array([(x, 0.0, 10.0) for x in (10.0, 30.0, 50.0, 70.0)]), np.array([4.0, 9.0, 5.0, 8.0])
+    walk = CullingWalk(False, corners, corners + sides[:, None], np.full(4, WalkOutcome.HIDDEN, np.uint8))
+    assert draw_ground(gl, walk)[13, [12, 32, 52, 72]].tolist() == [False, True, False, True]

@@ -1,4 +1,4 @@
-"""The output merger in isolation: a kernel that merges given fragments, and the same in NumPy.
+"""The output merger in isolation: a kernel that merges given fragments.
 
 The kernel is the general one, which reads formats and states as data; `special=True` takes that of the key alone.
 
@@ -7,7 +7,7 @@ Images consist of whole blocks. Fragments are (samples, height, width) arrays: o
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -17,35 +17,17 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from rhi.backends.cl.context import QUICK, open_context
-from rhi.backends.cl.memory.pools import Addresses
+from rhi.backends.cl.memory.planes import allocate, find_address
 from rhi.backends.cl.raster.kernel_text import read_kernels
 from rhi.backends.cl.raster.merger import MergerKey, general_defines, make_key, make_state
-from rhi.conformance import reference
 from rhi.contract.descriptors import FragmentOutput, ProgramDescriptor, Stage, StageText
 from rhi.contract.formats import ChannelKind, Format
 from rhi.contract.states import (
     DEFAULTS,
     MAX_TARGETS,
     PER_TARGET,
-    AlphaFunction,
-    AlphaReference,
-    AlphaTest,
-    AlphaToCoverage,
-    BlendColor,
-    BlendFunction,
-    ColorWrite,
-    DepthFunction,
-    DepthTest,
-    DepthWrite,
     State,
-    StencilBack,
-    StencilFront,
-    StencilReadMask,
-    StencilReference,
-    StencilTest,
-    StencilWriteMask,
 )
-from rhi.contract.texels import encode, pack, unpack
 
 _KERNEL = """
 kernel void merge(global const uint *state, global const uint16 *fragments, int front, int columns,
@@ -67,9 +49,6 @@ kernel void merge(global const uint *state, global const uint16 *fragments, int 
 }
 """
 _context = cache(open_context)
-
-
-_addresses = cache(lambda: Addresses(_context()))
 
 
 @cache
@@ -157,7 +136,7 @@ def merge(
         buffers.append((upload(memory), memory, rows, plane))
         places.append((start, pitch, layer))
     table = np.frombuffer(key.words + np.array(places, "u8").tobytes(), np.uint8)
-    surfaces = np.array([_addresses().find(buffer) for buffer, *_ in buffers] or [0], "u8")
+    surfaces = np.array([find_address(buffer) for buffer, *_ in buffers] or [0], "u8")
     given = upload(state), upload(np.ascontiguousarray(blocks)), upload(table), upload(surfaces)
     kernel.set_args(*given[:2], np.int32(front), np.int32(width // 4), *given[2:])  # which doesn't keep them alive
     cl.enqueue_nd_range_kernel(queue, kernel, (width * height // 16,), (1,))
@@ -183,8 +162,7 @@ def merge(
 
 
 def upload(data: NDArray[Any]) -> cl.Buffer:
-    flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
-    return cl.Buffer(_context().context, flags, hostbuf=data)
+    return allocate(_context().context, data.nbytes, np.ascontiguousarray(data).reshape(-1))
 
 
 def run(
@@ -195,76 +173,3 @@ def run(
     values = state_values(*states)
     key = make_key(describe(formats, **program), values, formats, depth, len(covered))
     return merge(key, make_state(values, formats), planes, outputs, z, covered, front, special)
-
-
-# -- the same in NumPy ---------------------------------------------------------------------------------------
-
-
-def expected(
-    formats: Sequence[Format], depth: Format | None, states: Sequence[State], planes: Planes, outputs: NDArray[Any],
-    z: NDArray[np.float32], covered: NDArray[np.bool_], front: bool = True, components: int = 4,
-) -> tuple[Planes, list[NDArray[np.float64]]]:  # fmt: skip
-    """Return the expected planes, and the written colors before rounding, in units of the stored numbers."""
-    values, after = state_values(*states), planes.copy()
-    mask, exact = covered.copy(), []
-    if formats and not formats[0].is_integer and components == 4:
-        alpha = outputs.view(np.float32)[..., 3]
-        if values[AlphaTest] is AlphaTest.ON:
-            mask &= reference.compare(values[AlphaFunction], alpha, np.float32(values[AlphaReference].value))
-        if values[AlphaToCoverage] is AlphaToCoverage.ON and len(covered) > 1:
-            count = np.floor(alpha.astype(np.float64) * len(covered) + 0.5)
-            mask &= np.arange(len(covered))[:, None, None] < count
-    mask = _expected_depth_stencil(depth, values, after, z, mask, front)
-    for location, format in enumerate(formats):
-        words = outputs[..., 4 * location : 4 * location + 4].copy()
-        if components < 4:
-            one = np.array([1], np.uint32 if format.is_integer else np.float32).view(np.uint32)[0]
-            words[..., components:] = (0, 0, 0, one)[components:]
-        color = words.view({ChannelKind.UINT: np.uint32, ChannelKind.INT: np.int32}.get(format.kind, np.float32))
-        color = color.astype(np.float64)
-        function: BlendFunction = values[BlendFunction][location]
-        numbers = unpack(format, planes.colors[location])
-        if not function.is_off and not format.is_integer:
-            stored = reference.decode(format, numbers)
-            constant = values[BlendColor]
-            constants = np.array([constant.red, constant.green, constant.blue, constant.alpha])
-            if format.kind is not ChannelKind.FLOAT:
-                low = -1.0 if format.kind is ChannelKind.SNORM else 0.0
-                color, constants = np.clip(color, low, 1.0), np.clip(constants, low, 1.0)
-            color = reference.blend(function, color, stored, constants)
-        stored_numbers = unpack(format, encode(format, color[..., : format.channels]))
-        write: ColorWrite = values[ColorWrite][location]
-        channels = np.array([write.red, write.green, write.blue, write.alpha])[: format.channels]
-        where = mask[..., None] & channels
-        after.colors[location] = pack(format, np.where(where, stored_numbers, numbers))
-        exact.append(np.where(where, reference.encode(format, color), numbers))
-    return after, exact
-
-
-def _expected_depth_stencil(
-    depth: Format | None, values: Mapping[type, Any], after: Planes, z: NDArray[np.float32],
-    covered: NDArray[np.bool_], front: bool,
-) -> NDArray[np.bool_]:  # fmt: skip
-    if depth is None or after.depth is None:
-        return covered
-    stored = encode(depth, z.astype(np.float64)).astype(np.float32)
-    near = np.ones_like(covered)
-    if values[DepthTest] is DepthTest.ON:
-        near = reference.compare(values[DepthFunction], stored, after.depth)
-    equal = np.ones_like(covered)
-    if depth.has_stencil and values[StencilTest] is StencilTest.ON:
-        assert after.stencil is not None
-        side = values[StencilFront if front else StencilBack]
-        masks = [values[t] for t in (StencilReference, StencilReadMask, StencilWriteMask)]
-        ref, read, write = [m.front if front else m.back for m in masks]
-        equal = reference.compare(side.function, np.full(covered.shape, ref & read), after.stencil & read)
-        table = np.array(
-            [[reference.stencil(op, old, ref, write) for old in range(256)]
-             for op in (side.stencil_fail, side.depth_fail, side.both_pass)], np.uint8,
-        )  # fmt: skip
-        outcome = np.where(equal, np.where(near, 2, 1), 0)
-        after.stencil = np.where(covered, table[outcome, after.stencil], after.stencil)
-    passed = covered & near & equal
-    if values[DepthWrite] is DepthWrite.ON:
-        after.depth = np.where(passed, stored, after.depth)
-    return passed

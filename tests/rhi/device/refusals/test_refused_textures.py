@@ -382,6 +382,17 @@ def test_rows_and_offsets_are_whole_texels(
         texture.copy_from_buffer(buffer, **good)
 
 
+def test_a_single_row_that_is_too_long_for_a_driver_is_refused(recording: Device) -> None:
+    with recording.texture((4, 3), Format.RGBA8) as texture, recording.buffer(16) as buffer:
+        row = rhi.Region(0, 0, 4, 1)
+        with refuses(rules.BUFFER_ALIGNMENT, recording):
+            texture.copy_to_buffer(buffer, region=row, row_bytes=1 << 31)
+        with refuses(rules.BUFFER_ALIGNMENT, recording):
+            texture.copy_from_buffer(buffer, region=row, row_bytes=1 << 70)
+        texture.copy_from_buffer(buffer, region=row, row_bytes=(1 << 31) - 4)
+        texture.read()
+
+
 def test_depth_is_not_copied_from_a_buffer(recording: Device) -> None:
     with recording.texture((4, 4), Format.D32F) as texture, recording.buffer(64) as buffer:
         with refuses(rules.TEXTURE_FORMAT, recording):

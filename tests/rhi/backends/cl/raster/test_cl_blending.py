@@ -1,4 +1,5 @@
-"""Blending that the kit can't ask of every platform: llvmpipe doesn't clamp the factors of signed targets."""
+"""Merging that the kit can't ask of every platform: llvmpipe doesn't clamp the factors of signed targets, and OpenGL
+leaves open what becomes of components that a shader doesn't give, and how alpha is rounded to samples."""
 
 from __future__ import annotations
 
@@ -8,11 +9,12 @@ import numpy as np
 import pytest
 
 import rhi
-from rhi import BlendColor, BlendFactor, BlendFunction, Device, Format
+from rhi import AlphaToCoverage, BlendColor, BlendFactor, BlendFunction, Device, Format
 from rhi.conformance.compare import assert_near
 from rhi.conformance.reference import blend_factor, channels_of, decode, encode
-from rhi.conformance.shaders import Colored
+from rhi.conformance.shaders import Colored, Shade
 from rhi.conformance.shapes import rectangle
+from rhi.shading import vec2, vec3
 
 
 @pytest.fixture(scope="module")
@@ -22,17 +24,60 @@ def device() -> Iterator[Device]:
 
 
 @pytest.mark.parametrize("factor", list(BlendFactor), ids=lambda f: f.name)
+@pytest.mark.parametrize("of_source", [True, False], ids=["source", "destination"])
 @pytest.mark.parametrize("format", [Format.R8_SNORM, Format.RGBA8_SNORM], ids=lambda f: f.name)
-def test_factors_of_signed_normalised_targets_are_clamped(device: Device, format: Format, factor: BlendFactor) -> None:
+def test_factors_of_signed_normalised_targets_are_clamped(
+    device: Device, format: Format, of_source: bool, factor: BlendFactor
+) -> None:
     """1 - (-1) is 2, and as a factor 1 (OpenGL 4.5, 17.3.8)."""
     new, old, constant = (-1.0, 0.5, -0.5, -0.75), (-0.5, -1.0, 0.25, 0.5), (-0.25, 0.75, -1.0, 0.5)
     with device.texture((2, 2), format) as image, device.mesh(rectangle(color=new)) as mesh:
         with device.render_pass(image, clear=old):
             pass
         stored = decode(format, channels_of(format, image.read()))
-        states = BlendFunction(BlendFactor.ZERO, factor), BlendColor(*constant)
-        with device.render_pass(image), device.states(*states):
+        function = BlendFunction(*((factor, BlendFactor.ZERO) if of_source else (BlendFactor.ZERO, factor)))
+        with device.render_pass(image), device.states(function, BlendColor(*constant)):
             device.draw(device.program(Colored), mesh)
         back = channels_of(format, image.read())
     factors = np.clip(blend_factor(factor, np.broadcast_to(new, stored.shape), stored, constant), -1.0, 1.0)
-    assert_near(back, encode(format, stored * factors), 0.51, "rounding to the nearest stored number")
+    wanted = encode(format, (new if of_source else stored) * factors)
+    assert_near(back, wanted, 0.51, "rounding to the nearest stored number")
+
+
+class One(Colored):
+    def fragment(self, v: Shade) -> float:  # type: ignore[override]
+        return v.color.x
+
+
+class Two(Colored):
+    def fragment(self, v: Shade) -> vec2:  # type: ignore[override]
+        return v.color.xy
+
+
+class Three(Colored):
+    def fragment(self, v: Shade) -> vec3:  # type: ignore[override]
+        return v.color.xyz
+
+
+@pytest.mark.parametrize(("shader", "components"), [(One, 1), (Two, 2), (Three, 3)])
+def test_components_that_a_shader_does_not_give_are_0_and_alpha_1(
+    device: Device, shader: type[Colored], components: int
+) -> None:
+    with device.texture((2, 2), Format.RGBA32F) as image, device.mesh(rectangle(color=(0.5, 0.25, 0.75, 2))) as mesh:
+        with device.render_pass(image, clear=(9, 9, 9, 9)):
+            device.draw(device.program(shader), mesh)
+        assert_near(image.read(), [0.5, 0.25, 0.75][:components] + [0.0] * (3 - components) + [1.0], 0, "exact numbers")
+
+
+def test_alpha_to_coverage_covers_as_many_samples_as_alpha_says(device: Device) -> None:
+    alphas = np.linspace(0.0, 1.0, 16)
+    columns = [rectangle(-1 + i / 8, -1, -1 + (i + 1) / 8, 1, color=(1, 1, 1, a)) for i, a in enumerate(alphas)]
+    with (
+        device.texture((16, 1), Format.RGBA8, samples=4) as image,
+        device.texture((16, 1), Format.RGBA8) as mean,
+        device.mesh(np.concatenate(columns)) as mesh,
+    ):
+        with device.render_pass(image, clear=(0, 0, 0, 0), resolve=mean), device.states(AlphaToCoverage.ON):
+            device.draw(device.program(Colored), mesh)
+        covered = mean.read()[0, :, 0] / 255.0
+    assert_near(covered, np.floor(4 * alphas + 0.5) / 4, 0.003, "a mean in 8 bits")

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 import rhi
 from rhi import BlendFunction, ColorWrite, CullMode, DepthFunction, DepthWrite, Device, Format, Mesh
+from rhi.conformance.programs.coverage import SAMPLES, SUBTEXELS
+from rhi.conformance.reference import rasterise
 from rhi.conformance.shaders import FlatColored
 from rhi.conformance.shapes import corners, rectangle
 
@@ -71,20 +73,16 @@ def plains(count: int, seed: int) -> Floats:
     return project(points @ np.swapaxes(np.moveaxis(np.array(rows), -1, 0) @ tilt, 1, 2))
 
 
-def cover_exactly(triangle: Floats) -> NDArray[np.bool_]:
-    """(h, w): which samples a triangle (3, 4) in front of the eye covers: whole numbers and the top-left rule."""
+def cover_exactly(triangle: Floats, sample: tuple[int, int] = (0, 0), *, back: bool = False) -> NDArray[np.bool_]:
+    """(h, w): which samples, so many subtexels from the centres, a triangle (3, 4) in front of the eye covers, by its
+    front or also by its `back`: whole numbers and the top-left rule."""
     single = triangle.astype(np.float32)
     divided = (single[:, :2] * (np.float32(1) / single[:, 3:])).astype(np.float64)
     window = ((divided * (1, -1) + 1) * np.array(SIZE) / 2).astype(np.float32)
-    fixed = np.rint((window - np.float32(0.5)) * np.float32(256)).astype(np.int64)
-    (ax, ay), (bx, by), (cx, cy) = fixed
-    area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-    y, x = np.mgrid[0 : SIZE[1], 0 : SIZE[0]] * 256
-    inside = np.full(SIZE[::-1], area < 0)  # y counts downwards: a front
-    for (sx, sy), (ex, ey) in zip(fixed, np.roll(fixed, -1, axis=0), strict=True):
-        dx, dy = sx - ex, sy - ey
-        inside &= dx * (y - sy) - dy * (x - sx) >= (0 if dy < 0 or (dy == 0 and dx > 0) else 1)
-    return inside
+    fixed = np.rint((window - np.float32(0.5)) * np.float32(SUBTEXELS)).astype(np.int64)
+    if not back and np.linalg.det(fixed[1:] - fixed[:1]) > 0:  # y counts downwards
+        return np.zeros(SIZE[::-1], bool)
+    return rasterise(fixed + SUBTEXELS // 2 - sample, *SIZE, SUBTEXELS)
 
 
 def find_planes(triangle: Floats) -> tuple[Floats, Floats]:
@@ -200,6 +198,31 @@ def test_counts_of_random_triangles_are_whole_numbers(device: Device) -> None:
         counts = draw_counted(device, meshes, depth, waits=False)
     assert counts == [int((cover_exactly(place) & ~wall).sum()) for place in places]
     assert sum(count > 0 for count in counts) > 20
+
+
+@pytest.mark.parametrize("samples", [1, 4])
+def test_triangles_beyond_the_target_cover_what_whole_numbers_say(device: Device, samples: int) -> None:
+    """Of all sizes and in any order, half of them with perspective: only what a fixed-point grid can't hold is cut."""
+    rng = np.random.default_rng(samples)
+    middle, size = rng.uniform(-1.3, 1.3, (480, 1, 2)), 2.0 ** rng.uniform(-7, 1.5, (480, 1, 1))
+    flat = np.clip(middle + size * rng.uniform(-1, 1, (480, 3, 2)), -4.0, 4.0)
+    places = np.concatenate([flat, rng.uniform(0.1, 0.9, (480, 3, 1)), np.ones((480, 3, 1))], -1)
+    places *= np.where(rng.random((480, 1, 1)) < 0.5, 2.0 ** rng.uniform(-2, 2, (480, 3, 1)), 1.0)
+    places = places.astype(np.float32).astype(np.float64)
+    with (
+        device.texture(SIZE, Format.R32F, samples=samples) as image,
+        device.texture(SIZE, Format.R32F) as mean,
+        device.mesh(corners(places.reshape(-1, 4))) as mesh,
+    ):
+        with device.render_pass(image), device.states(CullMode.NONE, BlendFunction.ADDITIVE):
+            device.draw(device.program(FlatColored), mesh)
+        if samples > 1:
+            image.resolve_to(mean)
+        drawn = (mean if samples > 1 else image).read() * samples
+    offsets = SAMPLES[samples]
+    expected = sum(cover_exactly(place, offset, back=True).astype(int) for place in places for offset in offsets)
+    np.testing.assert_array_equal(drawn, expected)
+    assert drawn.sum() > 400_000 * samples
 
 
 @pytest.mark.parametrize("seed", range(2))

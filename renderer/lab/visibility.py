@@ -10,18 +10,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields, replace
-from statistics import mean, median
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.lab.measure.frames import measure_frame
+from renderer.lab.comparison import Column, Record, Subject, average, compare, kernels, largest, ratio, time
 from renderer.renderer import FrameResult, Renderer
-from renderer.scene import FRAMES_PER_SECOND, Camera, CameraPath
-from renderer.visibility import NoCulling, VisibilitySettings, make_visibility
+from renderer.scene import FRAMES_PER_SECOND, CameraPath, Simulator
+from renderer.visibility import NoCulling, VisibilityAlgorithm, VisibilitySettings, make_visibility
 from renderer.visibility.boxes.cubes import TRIANGLES
 
 QUERYING: Final = ("stop_and_wait", "chc", "chc_plus_plus")
@@ -31,27 +30,21 @@ FORGETFUL: Final = ("none", "frustum", "stop_and_wait", "software_depth")
 """The algorithms that draw a frame the same whatever was drawn before."""
 
 
-@dataclass(frozen=True, slots=True)
-class AlgorithmRow:
-    """The cost of an algorithm in one frame, or in several.
-
-    For several frames, `milliseconds` and `ratio` are medians, `wrong_pixels` and `tied_pixels` maxima, and all else
-    means. `wrong_pixels` and `tied_pixels` are None where the device draws nothing.
-    """
-
-    algorithm: str
-    milliseconds: float
-    ratio: float
-    triangles: int
-    draws: int
-    queries: int
-    software_state_changes: int
-    hardware_state_changes: int
-    wrong_pixels: int | None
-    tied_pixels: int | None
-    stalled_milliseconds: float
-    simulation_steps: int
-    skipped_simulations: int
+COLUMNS: Final[dict[str, Column]] = {
+    "milliseconds": time(),
+    "ratio": ratio(),
+    "triangles": average(),
+    "draws": average(),
+    "queries": average(),
+    "software_state_changes": average(),
+    "hardware_state_changes": average(),
+    "wrong_pixels": largest,  # and tied ones: None where the device draws nothing
+    "tied_pixels": largest,
+    "stalled_milliseconds": average(3),
+    "simulation_steps": average(),
+    "skipped_simulations": average(),
+    "kernels": kernels,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,79 +132,79 @@ def list_frames(
 
 def compare_algorithms(
     renderer: Renderer, contenders: Sequence[Contender], path: CameraPath, frames: Iterable[WalkFrame]
-) -> list[AlgorithmRow]:
+) -> list[Record]:
     """Return a row for each contender: its cost in the counted frames of the path, of which there must be one."""
-    scene, device = renderer.scene, renderer.device
-    reference = NoCulling(scene)
-    draws_pixels = device.capabilities.shading
-    algorithms = {
-        each.name: make_visibility(each.algorithm, scene, device, each.settings) for each in contenders
-    }
-    names = list(algorithms)
-    # What was simulated before must have been for all.
-    warmed = [each.name for each in contenders if scene.simulated or each.algorithm not in FORGETFUL]
-    rows: dict[str, list[AlgorithmRow]] = {name: [] for name in names}
-    # Each algorithm has its own simulator, so that none draws what another one has stepped.
-    simulators = {name: scene.make_simulator() for name in ("", *names)}
-    for frame in frames:
-        camera, seconds = path.camera(frame.number), frame.number / FRAMES_PER_SECOND
-        renderer.visibility, renderer.simulator = reference, simulators[""]
-        expected = None
-        if draws_pixels and frame.is_counted:
-            expected = Picture.of(renderer.render(camera, seconds))
-        start = len(rows[names[0]]) % len(names)
-        found: dict[str, AlgorithmRow] = {}
-        for name in names[start:] + names[:start]:
-            renderer.visibility, renderer.simulator = algorithms[name], simulators[name]
+    walk = _SharedWalk(renderer, contenders, path)
+    return compare(walk.subjects, COLUMNS, walk.list_counted(frames), warm_ups=0)
+
+
+class _SharedWalk:
+    """A walk through a scene, which all contenders draw with one renderer.
+
+    `expected` is the picture of a frame without culling; None where the device draws nothing.
+    """
+
+    expected: Picture | None
+
+    def __init__(self, renderer: Renderer, contenders: Sequence[Contender], path: CameraPath) -> None:
+        self.renderer, self._path = renderer, path
+        scene, device = renderer.scene, renderer.device
+        self._reference = _Walker(self, NoCulling(scene), scene.make_simulator())
+        self._warmed: list[_Walker] = []
+        self.subjects: list[Subject] = []
+        for each in contenders:
+            algorithm = make_visibility(each.algorithm, scene, device, each.settings)
+            # Each has its own simulator, so that none draws what another one has stepped.
+            one = _Walker(self, algorithm, scene.make_simulator())
+            self.subjects.append(Subject({"algorithm": each.name}, one.draw, one.prepare, one.count, device))
+            if scene.simulated or each.algorithm not in FORGETFUL:  # what was simulated before must have been for all
+                self._warmed.append(one)
+
+    def render(self, number: int) -> FrameResult:
+        """Draw a frame of the path."""
+        return self.renderer.render(self._path.camera(number), number / FRAMES_PER_SECOND)
+
+    def list_counted(self, frames: Iterable[WalkFrame]) -> Iterator[int]:
+        """Yield the numbers of counted frames: each after those before it were drawn, and itself without culling."""
+        device = self.renderer.device
+        draws_pixels = device.capabilities.shading
+        for frame in frames:
             if frame.is_counted:
-                found[name] = _measure_row(name, renderer, camera, seconds, expected)
-            elif name in warmed:
-                renderer.render(camera, seconds)
-                device.finish()
-        for name, row in found.items():
-            rows[name].append(replace(row, ratio=row.milliseconds / found[names[0]].milliseconds))
-        if not draws_pixels:
-            device.stream.clear()
-    return [_summarize(rows[name]) for name in names]
+                self._reference.prepare()
+                self.expected = Picture.of(self.render(frame.number)) if draws_pixels else None
+                yield frame.number
+            else:
+                for one in self._warmed:
+                    one.prepare()
+                    one.draw(frame.number)
+            if not draws_pixels:
+                device.stream.clear()
 
 
-def _measure_row(
-    name: str, renderer: Renderer, camera: Camera, seconds: float, expected: Picture | None
-) -> AlgorithmRow:
-    """Measure one frame; the algorithm of the row `name` is the renderer's."""
-    result, cost = measure_frame(renderer, camera, seconds)
-    found, counters = result.visibility, cost.statistics
-    assert found is not None
-    wrong, tied = (None, None) if expected is None else Picture.of(result).compare(expected)
-    return AlgorithmRow(
-        algorithm=name,
-        milliseconds=cost.milliseconds,
-        ratio=1.0,
-        triangles=counters.triangles + TRIANGLES * found.boxes,
-        draws=counters.draws + found.box_draws,
-        queries=counters.queries,
-        software_state_changes=counters.software_state_changes,
-        hardware_state_changes=counters.hardware_state_changes,
-        wrong_pixels=wrong,
-        tied_pixels=tied,
-        stalled_milliseconds=found.stalled_milliseconds,
-        simulation_steps=counters.simulation_steps,
-        skipped_simulations=counters.skipped_simulations,
-    )
+class _Walker:
+    """An algorithm and its simulator in a walk."""
 
+    _result: FrameResult
 
-def _summarize(frames: list[AlgorithmRow]) -> AlgorithmRow:
-    """Combine the rows of an algorithm's frames into one."""
-    found: dict[str, Any] = {}
-    for field in fields(AlgorithmRow)[1:]:
-        values = [getattr(row, field.name) for row in frames]
-        match field.name:
-            case "milliseconds" | "ratio":
-                found[field.name] = round(median(values), 3)
-            case "wrong_pixels" | "tied_pixels":
-                found[field.name] = None if None in values else max(values)
-            case "stalled_milliseconds":
-                found[field.name] = round(float(mean(values)), 3)
-            case _:
-                found[field.name] = round(mean(values))
-    return AlgorithmRow(frames[0].algorithm, **found)
+    def __init__(self, walk: _SharedWalk, algorithm: VisibilityAlgorithm, simulator: Simulator) -> None:
+        self._walk, self._algorithm, self._simulator = walk, algorithm, simulator
+
+    def prepare(self) -> None:
+        self._walk.renderer.visibility, self._walk.renderer.simulator = self._algorithm, self._simulator
+
+    def draw(self, number: int) -> None:
+        self._result = self._walk.render(number)
+        self._walk.renderer.device.finish()
+
+    def count(self) -> Record:
+        found, expected = self._result.visibility, self._walk.expected
+        assert found is not None
+        wrong, tied = (None, None) if expected is None else Picture.of(self._result).compare(expected)
+        counts = asdict(self._result.statistics)
+        return counts | {
+            "triangles": counts["triangles"] + TRIANGLES * found.boxes,
+            "draws": counts["draws"] + found.box_draws,
+            "wrong_pixels": wrong,
+            "tied_pixels": tied,
+            "stalled_milliseconds": found.stalled_milliseconds,
+        }

@@ -1,0 +1,105 @@
+"""The benchmark matrix of stereo: what a frame costs with one eye and with two, with and without shadows (Russell).
+
+All ways to draw a frame of one size take turns in one process, frame by frame along a path. So a ratio compares the
+same frame in the same round, and disturbances of the machine affect all alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from typing import Final
+
+from renderer import rules
+from renderer.lab.comparison import Column, Record, Subject, average, compare, kernels, ratio, time
+from renderer.renderer import FrameResult, Renderer
+from renderer.scene import FRAMES_PER_SECOND, CameraPath, Scene, StereoRig
+from renderer.stereo import OUTPUTS, Stereo
+from renderer.techniques import Technique
+from renderer.visibility import FrustumCulling
+from rhi import Device
+
+MONO: Final = "mono"
+"""The row that others are compared with: one eye."""
+REPROJECTED: Final = "_reprojected"
+"""The end of the name of an output whose right picture is made from the left one's."""
+COLUMNS: Final[dict[str, Column]] = {
+    "milliseconds": time(),
+    "ratio": ratio(),
+    "processor_milliseconds": time(processor=True),
+    "processor_ratio": ratio(processor=True),
+    "draws": average(1),  # objects drawn for eyes
+    "maps_drawn": average(1),  # of shadows
+    "calls": average(1),  # of the device, that draw or dispatch
+    "upload_bytes": average(),
+    "kernels": kernels,
+}
+_SETTLES: Final = 3  # frames that aren't counted
+
+
+def list_stereos() -> list[str]:
+    """Return the names of all rows but `MONO`: each output, drawn and reprojected."""
+    return [*OUTPUTS, *(f"{name}{REPROJECTED}" for name in OUTPUTS)]
+
+
+def make_stereo(name: str, rig: StereoRig) -> Stereo | None:
+    """Return the stereo of a row's name, None for `MONO`."""
+    if name == MONO:
+        return None
+    if name not in list_stereos():
+        rules.refuse_name(rules.UNKNOWN_STEREO, f"make_stereo({name!r})", name, [MONO, *list_stereos()])
+    return Stereo(rig, name.removesuffix(REPROJECTED), is_reprojected=name.endswith(REPROJECTED))
+
+
+def compare_stereo(
+    device: Device, scenes: Mapping[bool, Scene], path: CameraPath, rig: StereoRig, sizes: Sequence[tuple[int, int]],
+    stereos: Sequence[str], frames: range, technique: Callable[[], Technique],
+    progress: Callable[[range], Iterable[int]] = lambda frames: frames,
+) -> Iterator[Record]:  # fmt: skip
+    """Yield a row for each size, with and without shadows, for one eye and each way to show two.
+
+    Args:
+        scenes: the scene without shadows (False), with them (True), or both.
+        stereos: names of `list_stereos`. frames: those of the path; the one before them is drawn first.
+        technique: makes a technique for each way.
+    """
+    start = max(frames.start - 1, 0)
+    for size in sizes:
+        for has_shadows, scene in scenes.items():
+            with ExitStack() as opened:
+                subjects = []
+                for name in [MONO, *stereos]:
+                    renderer = opened.enter_context(
+                        Renderer(device, scene, technique=technique(), visibility=FrustumCulling(scene), size=size)
+                    )
+                    renderer.stereo = make_stereo(name, rig)
+                    way = _Way(renderer, path, start)
+                    about = {"stereo": name, "shadows": has_shadows, "size": size}
+                    subjects.append(Subject(about, way.draw, way.prepare, way.count, device))
+                yield from compare(subjects, COLUMNS, progress(range(1, len(frames) + 1)), warm_ups=_SETTLES)
+
+
+class _Way:
+    """A way to show a scene. It draws the frames of a path after `start`, and knows what the latest one took."""
+
+    _result: FrameResult
+
+    def __init__(self, renderer: Renderer, path: CameraPath, start: int) -> None:
+        self._renderer, self._path, self._start = renderer, path, start
+
+    def prepare(self) -> None:
+        self._before = self._renderer.device.statistics
+
+    def draw(self, number: int) -> None:
+        frame = self._start + number
+        self._result = self._renderer.render(self._path.camera(frame), frame / FRAMES_PER_SECOND)
+        self._renderer.device.finish()
+
+    def count(self) -> dict[str, int]:
+        before, after = self._before, self._renderer.device.statistics
+        return {
+            "draws": self._result.statistics.draws,
+            "maps_drawn": self._renderer.shadows.count("drawn"),
+            "calls": after.draws - before.draws + after.dispatches - before.dispatches,
+            "upload_bytes": after.upload_bytes - before.upload_bytes,
+        }

@@ -1,0 +1,86 @@
+"""Build the documentation: `python scripts/build_site.py [FOLDER]` (`out/documentation`), with the extra `docs`.
+
+The pages are those of `docs/`, the README as the first one, the changelog, and the API reference, which mkdocstrings
+makes from docstrings. The generator is Zensical, the successor of MkDocs Material (which is kept until May 2027 only);
+it reads the same `mkdocs.yml`. What either warns of is an error here. What docstrings say of parameters and rules is
+checked by tests/test_reference.py, links and the search by tests/test_site.py.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Final
+
+ROOT: Final = Path(__file__).resolve().parents[1]
+
+MODULES: Final = (
+    "rhi", "rhi.shading", "rhi.testing", "rhi.testing.portability", "rhi.trace", "rhi.contract", "rhi.backends.null",
+    "rhi.conformance",
+)  # fmt: skip
+"""The modules that users and ports import."""
+
+FRONT: Final = {
+    "README.md": "index.md",
+    "CHANGELOG.md": "changelog.md",
+    "CONTRIBUTING.md": "contributing.md",
+    "examples/numpy_backend/README.md": "numpy-backend.md",
+}
+"""The pages outside of `docs/`, with their names in the site."""
+
+LINK: Final = re.compile(r"\]\((?![a-z]+:|#)([^)#\s]+)")
+_HARMLESS: Final = ("Build started", "No issues found", "Build finished")
+
+
+def collect_pages(folder: Path) -> None:
+    """Write the pages of the site to a folder, with the files that they link."""
+    shutil.copytree(ROOT / "docs", folder)
+    for page in (*(ROOT / "docs").glob("*.md"), *(ROOT / name for name in FRONT)):
+
+        def lead(link: re.Match[str], home: Path = page.parent) -> str:
+            return f"]({_find_target((home / link[1]).resolve(), folder)}"
+
+        name = FRONT.get(page.relative_to(ROOT).as_posix(), page.name)
+        (folder / name).write_text(LINK.sub(lead, page.read_text(encoding="utf-8")), encoding="utf-8")
+    (folder / "reference").mkdir()
+    for module in MODULES:
+        (folder / "reference" / f"{module}.md").write_text(f"# {module}\n\n::: {module}\n", encoding="utf-8")
+
+
+def _find_target(target: Path, folder: Path) -> str:
+    """Return the link of the site's pages to a file of the project, which is copied there if it is no page."""
+    if target.is_relative_to(ROOT / "docs"):
+        return target.relative_to(ROOT / "docs").as_posix()
+    name = (target / "README.md" if target.is_dir() else target).relative_to(ROOT).as_posix()
+    if name in FRONT:
+        return FRONT[name]
+    copied = folder / "files" / f"{name}.txt"  # which browsers show
+    copied.parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(ROOT / name, copied)
+    return copied.relative_to(folder).as_posix()
+
+
+def build(folder: Path) -> list[str]:
+    """Build the site in `folder/site` and return the generator's warnings."""
+    shutil.rmtree(folder, ignore_errors=True)
+    collect_pages(folder / "docs")
+    shutil.copyfile(ROOT / "mkdocs.yml", folder / "mkdocs.yml")
+    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    environment = {**os.environ, "PYTHONPATH": path, "NO_COLOR": "1"}
+    done = subprocess.run(
+        [sys.executable, "-m", "zensical", "build", "--strict", "--config-file", str(folder / "mkdocs.yml")],
+        cwd=folder, env=environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    lines = [line for line in (done.stdout + done.stderr).splitlines() if line.strip()]
+    return [line for line in lines if not line.strip().startswith(_HARMLESS)] + ["failed"] * (done.returncode != 0)
+
+
+if __name__ == "__main__":
+    target = Path(sys.argv[1] if len(sys.argv) > 1 else "out/documentation").resolve()
+    warnings = build(target)
+    print("\n".join([*warnings, str(target / "site" / "index.html")]))
+    sys.exit(bool(warnings))
