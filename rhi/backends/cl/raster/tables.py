@@ -33,11 +33,13 @@ from rhi.contract.layout import VectorType
 
 MAX_STREAMS: Final = 16
 MAX_PLANES: Final = 10
-TILE: Final = 64
 GROUP: Final = 16
+_TILE_BITS: Final = 6
+_PART_BITS: Final = 4
+TILE: Final = 1 << _TILE_BITS
+PART: Final = 1 << _PART_BITS
 RECORD_BYTES: Final = 64
 EXTENT_BYTES: Final = 32
-PART: Final = 16
 
 
 def _fields(text: str, code: str) -> list[tuple[str, str]]:
@@ -144,9 +146,11 @@ def point_size_word(descriptor: ProgramDescriptor) -> int:
 
 @cache
 def common_structs() -> str:
-    """Return the structs that every kernel's text begins with."""
+    """Return the sizes and structs that every kernel's text begins with."""
+    sizes = {"GROUP": GROUP, "TILE_BITS": _TILE_BITS, "PART_BITS": _PART_BITS}
     structs = {"Batch": BATCH_STRUCT, "Draw": DRAW_STRUCT, "View": VIEW_STRUCT}
-    return "".join(declare_struct(*each) for each in structs.items())
+    defines = "".join(f"#define {name} {size}\n" for name, size in sizes.items())
+    return defines + "".join(declare_struct(*each) for each in structs.items())
 
 
 def vertex_macros(descriptor: ProgramDescriptor, streams: Sequence[VertexStream], faults: int = 0) -> str:

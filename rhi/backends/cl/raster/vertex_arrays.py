@@ -107,12 +107,9 @@ class VertexArrays:
         """Fill in a prepared draw."""
         made = array.descriptor
         assembly = self._assembler.assemble(primitive, first, count, made.index_buffer, made.index_format)
-        prepared = self._prepared
-        row = prepared.draws[slot.number]
         slot.memory = assembly.memory
-        primitives = assembly.count // assembly.corners
-        row["primitives"], row["primitive"] = primitives, assembly.corners
-        row["primitive_groups"] = -(-primitives // GROUP)
+        row = np.zeros((), DRAW_STRUCT)
+        row["primitives"], row["primitive"] = assembly.count // assembly.corners, assembly.corners
         indices, index_bytes = 0, 0
         if assembly.memory is not None:
             indices, index_bytes = assembly.memory.address + 4 * assembly.start, 4
@@ -120,29 +117,22 @@ class VertexArrays:
             indices = self._bindings.find_buffer(made.index_buffer) + made.index_format.size * assembly.start
             index_bytes = made.index_format.size
         base = assembly.base + (base_vertex if made.index_buffer else 0)
-        row["indices"], row["index_bytes"] = indices, index_bytes
-        row["vertex_indices"], row["vertex_index_bytes"] = 0, 0
         if assembly.lowest is None or assembly.highest is None:  # one vertex per index
             row["vertex_indices"], row["vertex_index_bytes"] = indices, index_bytes
-            row["indices"], row["index_bytes"] = 0, 0
-            row["lowest"], row["vertices"], row["first_vertex"] = 0, assembly.count, base
+            row["vertices"], row["first_vertex"] = assembly.count, base
         else:
+            row["indices"], row["index_bytes"] = indices, index_bytes
             row["lowest"], row["vertices"] = assembly.lowest, assembly.highest - assembly.lowest + 1
             row["first_vertex"] = assembly.lowest + base
-        row["vertex_groups"] = -(-int(row["vertices"]) // GROUP)
-        row["base_instance"], row["box"] = base_instance, 0
-        prepared.arrays[slot.number], prepared.seen[slot.number] = array.id, False
-        prepared.streams[slot.number, : len(made.streams)] = [
-            self._bindings.find_buffer(stream.buffer) + stream.offset for stream in made.streams
-        ]
-
+        row["base_instance"] = base_instance
+        self._store(slot.number, array, row)
 
     def prepare_lists(
         self, numbers: NDArray[np.int64], array: VertexArray, primitive: Primitive, draws: NDArray[Any]
     ) -> bool:
         """Fill in prepared draws, by their numbers, for an array of draws; return False if they have to be prepared one
         by one, because of strips, restarts, or indices that aren't known."""
-        made, prepared, bindings = array.descriptor, self._prepared, self._bindings
+        made = array.descriptor
         if primitive not in LISTS:
             return False
         first, count = (draws[name].astype(np.int64) for name in ("first", "count"))
@@ -155,7 +145,7 @@ class VertexArrays:
                 return False
             low, high = ranges
             size = made.index_format.size
-            rows["indices"] = bindings.find_buffer(made.index_buffer) + size * first
+            rows["indices"] = self._bindings.find_buffer(made.index_buffer) + size * first
             rows["index_bytes"] = size
             rows["first_vertex"] = low + draws["base_vertex"]
         else:
@@ -163,12 +153,17 @@ class VertexArrays:
             rows["first_vertex"] = low
         rows["lowest"], rows["vertices"] = low, high - low + 1
         rows["primitives"], rows["primitive"] = whole // corners, corners
+        rows["base_instance"] = draws["base_instance"]
+        self._store(numbers, array, rows)
+        return True
+
+    def _store(self, numbers: int | NDArray[np.int64], array: VertexArray, rows: NDArray[Any]) -> None:
+        """Store prepared draws, by their numbers; `rows`: `DRAW_STRUCT`s without their groups."""
+        prepared, streams = self._prepared, array.descriptor.streams
         rows["primitive_groups"] = -(-rows["primitives"] // GROUP)
         rows["vertex_groups"] = -(-rows["vertices"] // GROUP)
-        rows["base_instance"] = draws["base_instance"]
         prepared.draws[numbers] = rows
         prepared.arrays[numbers], prepared.seen[numbers] = array.id, False
-        prepared.streams[numbers, : len(made.streams)] = [
-            bindings.find_buffer(stream.buffer) + stream.offset for stream in made.streams
+        prepared.streams[numbers, : len(streams)] = [
+            self._bindings.find_buffer(stream.buffer) + stream.offset for stream in streams
         ]
-        return True

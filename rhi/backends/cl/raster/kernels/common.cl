@@ -14,7 +14,6 @@
 #define SINGLE kernel __attribute__((reqd_work_group_size(1, 1, 1))) void
 #define AT(type, address) ((global type *)(address))
 #define LANES (int16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15)
-#define GROUP 16
 typedef uint4 word_uint4 __attribute__((aligned(4)));  // without alignment to 16 bytes
 #define UNROLL _Pragma("unroll")  // PoCL unrolls only loops with a pragma; else arrays would be stored in memory
 #if defined(__x86_64__) || defined(__aarch64__)
@@ -29,11 +28,9 @@ typedef uint4 word_uint4 __attribute__((aligned(4)));  // without alignment to 1
 #define POSITION_LIMIT 4194000.0f
 #define CLIP_LIMIT 16380.0f  // texels
 
-#define TILE_BITS 6
 #define TILE (1 << TILE_BITS)  // edge length in texels: 4096 depths are 16 KiB, half of a core's L1 cache
 
 // There is a bound of depth for each PART × PART texels.
-#define PART_BITS 4
 #define PART (1 << PART_BITS)
 #define PARTS (TILE >> PART_BITS)  // in a row of a tile
 

@@ -169,32 +169,6 @@ def test_a_range_is_exact_after_any_writes(data: st.DataObject, format: IndexFor
         assert (made.lowest, made.highest) == (chosen.min(), chosen.max())
 
 
-def test_after_a_small_write_few_indices_are_scanned_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    scanned: list[int] = []
-    find = assembly._find_extremes
-    monkeypatch.setattr(assembly, "_find_extremes", lambda part: scanned.append(len(part)) or find(part))
-    host = Host()
-    buffer = host.buffer(1, np.arange(100_000, dtype=np.uint32))
-    host.assembler.assemble(Primitive.POINTS, 0, 90_000, buffer)
-    host.write(buffer, 40_000, np.array([200_000], np.uint32).tobytes())
-    made = host.assembler.assemble(Primitive.POINTS, 0, 90_000, buffer)
-    assert (made.lowest, made.highest) == (0, 200_000)
-    assert scanned == [100_000, 1024]
-
-
-def test_a_draw_within_two_spans_scans_its_own_indices_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    scanned: list[int] = []
-    find = assembly._find_extremes
-    monkeypatch.setattr(assembly, "_find_extremes", lambda part: scanned.append(len(part)) or find(part))
-    host = Host()
-    buffer = host.buffer(1, np.arange(100_000, dtype=np.uint32))
-    made = host.assembler.assemble(Primitive.POINTS, 900, 300, buffer)
-    assert (made.lowest, made.highest) == (900, 1199)
-    assert not scanned
-    host.assembler.assemble(Primitive.POINTS, 900, 3000, buffer)
-    assert scanned == [100_000]
-
-
 # -- what is kept --------------------------------------------------------------------------------------------
 
 STRIP = np.array([0, 1, 2, 3, 0xFFFF, 4, 5, 6], np.uint16)

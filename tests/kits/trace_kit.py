@@ -28,8 +28,8 @@ from rhi import (
 from rhi.shading import Shader, Storage, StorageRW, Texture2D, global_id, vec2, vec4
 from rhi.trace import save
 
-VERSION_1 = Path(__file__).parent / "version-1.zip"
-VERSION_2 = Path(__file__).parent / "version-2.zip"
+VERSION_1 = Path(__file__).parents[1] / "rhi/trace/version-1.zip"
+VERSION_2 = Path(__file__).parents[1] / "rhi/trace/version-2.zip"
 
 
 class Doubled(Shader):
