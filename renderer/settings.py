@@ -135,7 +135,7 @@ class RenderSettings:
             parts = {**found.get(_FORMAT, {}), **({"visibility": found["visibility"]} if "visibility" in found else {})}
             if not parts:
                 refuse(rules.BAD_SETTINGS, call, f"neither {_FORMAT} nor visibility")
-            settings: Self = from_plain(cls, parts, call)
+            settings: Self = from_plain(cls, parts, call, cls())
         except RhiError:
             raise
         except (ValueError, KeyError, TypeError, AttributeError) as error:
@@ -162,11 +162,12 @@ def to_plain(value: Any) -> Any:
     return value
 
 
-def from_plain(kind: Any, value: Any, call: str) -> Any:
-    """Return settings of a type from what `to_plain` has made of them; what is missing has its default."""
+def from_plain(kind: Any, value: Any, call: str, default: Any = None) -> Any:
+    """Return settings of a type from what `to_plain` has made of them; what is missing is that of `default`, or of the
+    type if that is None."""
     some = [one for one in get_args(kind) if one is not type(None)]
     if some:
-        return None if value is None else from_plain(some[0], value, call)
+        return None if value is None else from_plain(some[0], value, call, default)
     if isinstance(kind, type) and issubclass(kind, Enum):
         return kind(value)
     if not (isinstance(kind, type) and is_dataclass(kind)):
@@ -179,4 +180,5 @@ def from_plain(kind: Any, value: Any, call: str) -> Any:
     for name in value:
         if name not in hints:
             rules.refuse_name(rules.BAD_SETTINGS, call, name, hints)
-    return kind(**{name: from_plain(hints[name], one, call) for name, one in value.items()})
+    given = {name: from_plain(hints[name], one, call, getattr(default, name, None)) for name, one in value.items()}
+    return kind(**given) if default is None else replace(default, **given)

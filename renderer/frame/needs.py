@@ -6,9 +6,11 @@ comes with the reason why it is needed or not.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any, Final
+from operator import attrgetter
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +21,7 @@ from renderer.frame.targets import IMAGE_FORMAT
 from renderer.lights.in_view import find_lights_in_view
 from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Rows
+from renderer.scene.lights import Lights
 from renderer.visibility.boxes.volumes import find_in_view
 from rhi import Format, refuse
 
@@ -57,6 +60,20 @@ class Effect(Enum):
 
 SHADOW_EFFECTS: Final = (Effect.SUN_SHADOWS, Effect.POINT_SHADOWS, Effect.SPOT_SHADOWS)
 """The shadows of each kind of light."""
+
+
+class LampKind(NamedTuple):
+    """One of the kinds of lights that have a range: their rows in a scene's lights, and their shadows."""
+
+    find_rows: Callable[[Lights], NDArray[Any]]
+    shadows: Effect
+
+
+LAMPS: Final = {
+    Effect.POINT_LIGHTS: LampKind(attrgetter("point"), Effect.POINT_SHADOWS),
+    Effect.SPOT_LIGHTS: LampKind(attrgetter("spot"), Effect.SPOT_SHADOWS),
+}
+"""The lights that have a range, point lights first."""
 
 
 class Blending(Enum):
@@ -129,20 +146,16 @@ class Needs:
     Attributes:
         effects: those that are needed. counts: of each effect, how many of its causes the scene has.
         material_count: the number of materials.
-        point_rows, spot_rows: the rows of the lights whose light may reach something in view.
-        point_casting, spot_casting: those of them that cast shadows; none if no object does.
-        transparent_rows: the rows of the transparent objects in view. blending: how they are put together.
-        glow: how glow is made. has_glow: whether the scene has glow, whatever shines in it.
+        in_view: the rows of the point and of the spot lights whose light may reach something in view; as their shadows,
+            the rows of those of them that cast some, none if no object does; and of the transparent objects in view.
+        blending: how transparent objects are put together. glow: how glow is made.
+        has_glow: whether the scene has glow, whatever shines in it.
     """
 
     effects: frozenset[Effect]
     counts: dict[Effect, int]
     material_count: int
-    point_rows: Rows
-    spot_rows: Rows
-    point_casting: Rows
-    spot_casting: Rows
-    transparent_rows: Rows
+    in_view: Mapping[Effect, Rows]
     blending: Blending
     glow: GlowSettings
     has_glow: bool
@@ -151,6 +164,11 @@ class Needs:
     def image(self) -> Target:
         """What a technique draws: the image itself, or where there is glow, linear light of any strength."""
         return _BRIGHT_IMAGE if Effect.GLOW in self.effects else _PLAIN_IMAGE
+
+    @property
+    def lamps_in_view(self) -> int:
+        """The number of point and spot lights whose light may reach something in view."""
+        return sum(len(self.in_view[effect]) for effect in LAMPS)
 
     @property
     def has_sun(self) -> bool:
@@ -180,32 +198,22 @@ class Needs:
     def explain(self, effect: Effect) -> str:
         """Return why the effect is needed or not, such as `3 of 13 point lights reach what is in view`."""
         count = self.counts[effect]
-        if effect is Effect.HAZE:
-            return "the scene has haze" if count else "the scene has no haze"
-        if effect is Effect.FOG:
-            return "the scene has fog" if count else "the scene has no fog"
+        if effect in (Effect.HAZE, Effect.FOG):
+            return f"the scene has {effect.value if count else f'no {effect.value}'}"
         if effect is Effect.GLOW:
             return self._explain_glow(count)
         noun, plural = _NOUNS[effect]
         if not count:
             return f"the scene has no {noun}"
-        reaching = {
-            Effect.POINT_LIGHTS: self.point_rows,
-            Effect.SPOT_LIGHTS: self.spot_rows,
-            Effect.POINT_SHADOWS: self.point_casting,
-            Effect.SPOT_SHADOWS: self.spot_casting,
-        }
-        if effect in reaching:
-            rows = reaching[effect]
-            if count == 1 and not len(rows):
-                return f"the only {noun} doesn't reach what is in view"
-            reach = "reaches" if len(rows) == 1 else "reach"
-            return f"{len(rows) or 'none'} of {count} {plural if count > 1 else noun} {reach} what is in view"
+        nouns = f"{count} {plural if count > 1 else noun}"
+        if effect not in self.in_view:
+            return f"the scene has {nouns}"
+        seen = len(self.in_view[effect])
         if effect is Effect.TRANSPARENCY:
-            seen = len(self.transparent_rows)
-            verb = "is" if seen == 1 else "are"
-            return f"{seen or 'none'} of {count} {plural if count > 1 else noun} {verb} in view"
-        return f"the scene has {count} {plural if count > 1 else noun}"
+            return f"{seen or 'none'} of {nouns} {'is' if seen == 1 else 'are'} in view"
+        if count == 1 and not seen:
+            return f"the only {noun} doesn't reach what is in view"
+        return f"{seen or 'none'} of {nouns} {'reaches' if seen == 1 else 'reach'} what is in view"
 
     def _explain_glow(self, count: int) -> str:
         if not self.has_glow:
@@ -232,16 +240,10 @@ def find_needs(
     lights = scene.lights
     planes = camera.frustum.planes if len(lights.point) or len(lights.spot) else np.zeros((0, 4))
     none = np.zeros(0, np.int64)
-    point, spot = (
-        find_lights_in_view(planes, some["position"], some["range"].astype(np.float64)) if reached else none
-        for some, reached in zip((lights.point, lights.spot), reaches, strict=True)
-    )
     transparent = scene.find_transparent()
-    seen = find_in_view(scene, camera, transparent)
+    in_view: dict[Effect, Rows] = {Effect.TRANSPARENCY: find_in_view(scene, camera, transparent)}
     counts = {
         Effect.DIRECTIONAL_LIGHTS: len(lights.directional),
-        Effect.POINT_LIGHTS: len(lights.point),
-        Effect.SPOT_LIGHTS: len(lights.spot),
         Effect.HAZE: int(scene.haze > 0.0),
         Effect.FOG: int(scene.fog is not None),
         Effect.GLOW: 0 if scene.glow is None else scene.count_glowing(),
@@ -249,24 +251,17 @@ def find_needs(
         Effect.HEIGHT_FIELDS: len(scene.height_fields),
         Effect.SUN_SHADOWS: _count_casting(scene, lights.directional),
         **{Effect(name): count for name, count in scene.count_features().items()},
-        Effect.POINT_SHADOWS: _count_casting(scene, lights.point),
-        Effect.SPOT_SHADOWS: _count_casting(scene, lights.spot),
     }
-    point_casting = point[lights.point["casts_shadow"][point]] if counts[Effect.POINT_SHADOWS] else none
-    spot_casting = spot[lights.spot["casts_shadow"][spot]] if counts[Effect.SPOT_SHADOWS] else none
-    in_view = {
-        Effect.POINT_LIGHTS: point,
-        Effect.SPOT_LIGHTS: spot,
-        Effect.POINT_SHADOWS: point_casting,
-        Effect.SPOT_SHADOWS: spot_casting,
-        Effect.TRANSPARENCY: seen,
-    }
+    for (effect, kind), reached in zip(LAMPS.items(), reaches, strict=True):
+        some = kind.find_rows(lights)
+        counts[effect], counts[kind.shadows] = len(some), _count_casting(scene, some)
+        ranges = some["range"].astype(np.float64)
+        rows = find_lights_in_view(planes, some["position"], ranges) if reached else none
+        in_view[effect] = rows
+        in_view[kind.shadows] = rows[some["casts_shadow"][rows]] if counts[kind.shadows] else none
     hidden = {effect for effect, rows in in_view.items() if not len(rows)}
     effects = frozenset(effect for effect, count in counts.items() if count and effect not in hidden)
-    return Needs(
-        effects, counts, len(scene.materials), point, spot, point_casting, spot_casting, seen, blending,
-        glow, scene.glow is not None,
-    )  # fmt: skip
+    return Needs(effects, counts, len(scene.materials), in_view, blending, glow, scene.glow is not None)
 
 
 def _count_casting(scene: Scene, lights: NDArray[Any]) -> int:

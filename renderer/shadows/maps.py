@@ -22,7 +22,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from renderer.frame import SHADOW_EFFECTS, Effect, Frame, Needs, Pass
+from renderer.frame import LAMPS, SHADOW_EFFECTS, Effect, Frame, Needs, Pass
 from renderer.frame.mirrors import MirroredValue, split_doubles
 from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Rows
@@ -237,7 +237,7 @@ class ShadowMaps:
 
     def _write_lamps(self, scene: Scene, needs: Needs) -> None:
         """Give shaders the maps of lamps, if they have changed."""
-        if not len(needs.point_casting) + len(needs.spot_casting):
+        if not any(len(needs.in_view[kind.shadows]) for kind in LAMPS.values()):
             if not needs.counts[Effect.POINT_SHADOWS] + needs.counts[Effect.SPOT_SHADOWS]:
                 self._forget_lamps()
             return  # no shader reads them

@@ -148,8 +148,8 @@ class NeededMaps:
         settings, found = self._settings, list[WantedLamp]()
         lower, upper = scene.objects.lower[visible], scene.objects.upper[visible]
         for kind, lights, rows in (
-            ("point", scene.lights.point, needs.point_casting),
-            ("spot", scene.lights.spot, needs.spot_casting),
+            ("point", scene.lights.point, needs.in_view[Effect.POINT_SHADOWS]),
+            ("spot", scene.lights.spot, needs.in_view[Effect.SPOT_SHADOWS]),
         ):
             if not len(rows):
                 continue

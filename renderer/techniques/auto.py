@@ -107,7 +107,7 @@ class AutoTechnique:
         elif seconds is not None:
             self._trial.add_time(seconds, camera)
         elif not self._trial.is_trying:
-            self._trial.rest(len(needs.point_rows) + len(needs.spot_rows) + _SOME)
+            self._trial.rest(needs.lamps_in_view + _SOME)
         self.because = because if len(self._trial.names) == 1 else self._explain()
 
     def _explain(self) -> str:
@@ -123,7 +123,7 @@ def list_candidates(device: Device, needs: Needs, names: Iterable[str]) -> tuple
     """Return those of the techniques `names` that are worth a trial on a device in a frame with these needs, and why
     there is only the first one, if so."""
     first, *others = names
-    lamps = len(needs.point_rows) + len(needs.spot_rows)
+    lamps = needs.lamps_in_view
     can = device.capabilities
     if not can.renders:
         return [first], f"a {device.backend_name} device draws nothing that could be measured"

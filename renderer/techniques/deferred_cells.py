@@ -205,15 +205,15 @@ class ClusteredDeferred:
 
 def light_tiles(frame: Frame) -> None:
     """Add up the light of point and spot lights in `light`."""
-    dispatch_tiles(frame, frame.targets["light"])
+    dispatch_tiles(frame, frame.targets["light"], TiledLighting)
 
 
-def dispatch_tiles(frame: Frame, lit: Texture, shader: type[TiledLighting] = TiledLighting) -> None:
-    """Run the compute shader for all tiles."""
+def dispatch_tiles(frame: Frame, lit: Texture, *bases: type[Any]) -> None:
+    """Run the compute shader with these bases for all tiles."""
     uploads = frame.view.workspace(_make_uploads)
     uploads.write(frame.camera, frame.targets.size, frame.resources.scene.lights)
     count = uploads.layout.count
-    program: Any = frame.program(find_variant(frame, shader, **find_contents(frame.needs)))
+    program: Any = frame.program(find_variant(frame, *bases, **find_contents(frame.needs)))
     cones = uploads.cones if Effect.SPOT_LIGHTS in frame.needs.effects else {}
     own = {"lit": lit.image(0), **uploads.bindings, **cones}
     frame.device.dispatch(program, (count.x, count.y), **bind(frame, program, own))

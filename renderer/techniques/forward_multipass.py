@@ -25,7 +25,6 @@ from renderer.techniques.parts.resolve import LIGHT_FORMAT, sum_pass
 from renderer.techniques.parts.scene_shader import ForwardShader, LampShader, MaterialShader
 from renderer.techniques.parts.variants import (
     FORWARD,
-    LAMPS,
     NO_LAMPS,
     bind,
     find_variant,
@@ -33,7 +32,7 @@ from renderer.techniques.parts.variants import (
     scene_pass,
 )
 from rhi import BlendFunction, CullMode, DepthFunction, DepthTest, DepthWrite, Program, State, Texture
-from rhi.shading import Shader, Storage, Struct, instance_index, ivec3, vec3, vec4
+from rhi.shading import Storage, Struct, instance_index, ivec3, vec3, vec4
 
 _ADDED: Final[tuple[State, ...]] = (
     DepthTest.ON,
@@ -57,8 +56,8 @@ class Pair(Struct):
     entry: int
 
 
-class PointPairs(MaterialShader, LampShader):
-    """Adds the light of pairs of an object and one point light that reaches it; a pair is an instance."""
+class LampPairs(MaterialShader, LampShader):
+    """Adds the light of pairs of an object and one lamp of a kind that reaches it; a pair is an instance."""
 
     pairs: Storage[Pair]
 
@@ -67,18 +66,10 @@ class PointPairs(MaterialShader, LampShader):
 
     def list_lights(self, thing: Object) -> ivec3:
         entry = self.pairs[instance_index()].entry
-        return ivec3(entry, entry + 1, entry + 1)
+        return ivec3(entry, entry + 1 if self.has_point_lights else entry, entry + 1)
 
     def fragment(self, v: SurfaceVarying) -> vec4:
         return vec4(self.lamplight(self.find_surface(v, self.materials[v.material]), v.lights), 0.0)
-
-
-class SpotPairs(PointPairs):
-    """Adds the light of pairs of an object and one spot light that reaches it."""
-
-    def list_lights(self, thing: Object) -> ivec3:
-        entry = self.pairs[instance_index()].entry
-        return ivec3(entry, entry, entry + 1)
 
 
 class ForwardMultipass:
@@ -99,10 +90,10 @@ class ForwardMultipass:
         )
         passes, light = [base], "light"
         for effect in lamps:
-            result = f"light with {LAMPS[effect]}"
+            result = f"light with {effect.value}"
             passes.append(
                 Pass(
-                    LAMPS[effect],
+                    effect.value,
                     partial(_add_lamps, effect=effect),
                     f"adds a light at a time; {needs.explain(effect)}",
                     reads=("depth",),
@@ -122,30 +113,25 @@ def _draw_base(frame: Frame) -> None:
 
 
 def _add_lamps(frame: Frame, effect: Effect) -> None:
-    is_point = effect is Effect.POINT_LIGHTS
-    kinds = {"has_point_lights": is_point, "has_spot_lights": not is_point}
-    shader = find_variant(frame, PointPairs if is_point else SpotPairs, **kinds)
-    draw_pairs(frame, effect, shader, frame.targets["light"])
+    draw_pairs(frame, effect, frame.targets["light"], LampPairs)
 
 
-def draw_pairs(frame: Frame, effect: Effect, shader: type[Shader], color: Texture, **bindings: Any) -> None:
-    """Draw every pair of a visible object and a light that reaches it, adding up what the shader returns.
-
-    Args:
-        shader: a variant of `PointPairs` or `SpotPairs`, with those of its `bindings` that are its own.
-    """
+def draw_pairs(frame: Frame, effect: Effect, color: Texture, *bases: type[Any]) -> None:
+    """Draw every pair of a visible object and a light of a kind that reaches it, adding up what the variant of
+    `LampPairs` with these bases returns."""
     device, resources = frame.device, frame.resources
-    is_point = effect is Effect.POINT_LIGHTS
-    lights = frame.needs.point_rows if is_point else frame.needs.spot_rows
-    objects, entries = resources.pair_lights(_list_visible(frame), lights, spots=not is_point)
+    is_spot = effect is Effect.SPOT_LIGHTS
+    lights = frame.needs.in_view[effect]
+    objects, entries = resources.pair_lights(_list_visible(frame), lights, spots=is_spot)
     if not len(objects):
         return
     pairs: Any = np.zeros(len(objects), Pair.dtype)
     pairs["object"], pairs["entry"] = objects, entries
     draws = resources.draws[objects]
     draws["base_instance"] = np.arange(len(objects))
-    program: Program[Any] = frame.program(shader)
-    bindings = bind(frame, program, {**bindings, "pairs": device.transient.storage(Pair, pairs)})
+    kinds = {"has_point_lights": not is_spot, "has_spot_lights": is_spot}
+    program: Program[Any] = frame.program(find_variant(frame, *bases, **kinds))
+    bindings = bind(frame, program, {"pairs": device.transient.storage(Pair, pairs)})
     with device.render_pass(color, frame.targets["depth"]), device.states(CullMode.BACK, *_ADDED):
         for number, states in resources.groups:
             chosen = draws[resources.find_group(objects, number)]

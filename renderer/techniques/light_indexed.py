@@ -20,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.frame import Frame, Needs, Pass, Target, Targets
+from renderer.frame import LAMPS, Frame, Needs, Pass, Target, Targets
 from renderer.lights.rectangles import bound_cones, bound_spheres
 from renderer.shaders.lighting import safe_normalize
 from renderer.shaders.pixels import PixelRays, distance_at, nearness_of, place_pixel
@@ -189,7 +189,7 @@ class LightIndexed:
                 reads=("depth",),
                 writes=(Target(INDICES, Format.RGBA32F),),
             ),
-            lit_pass(needs, _BY_INDICES, because, after_depth=True),
+            lit_pass(needs, BY_INDICES, because, after_depth=True),
             *finish_image(needs, FORWARD),
         )
 
@@ -221,7 +221,7 @@ def _pack_indices(frame: Frame) -> None:
 def list_volumes(frame: Frame) -> NDArray[Any]:
     """Return the volumes (l,) of `IndexedVolume` of the lights in view: point lights, then spot lights."""
     needs, lights, eye = frame.needs, frame.resources.scene.lights, frame.camera.position
-    points, spots = lights.point[needs.point_rows], lights.spot[needs.spot_rows]
+    points, spots = (kind.find_rows(lights)[needs.in_view[effect]] for effect, kind in LAMPS.items())
     volumes: Any = np.zeros(len(points) + len(spots), IndexedVolume.dtype)
     first, last = volumes[: len(points)], volumes[len(points) :]
     first["cos_outer"] = -2.0
@@ -248,8 +248,9 @@ def pack_numbers(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _bind_indices(frame: Frame) -> dict[str, Any]:
-    numbered = np.concatenate([frame.needs.point_rows, ~frame.needs.spot_rows]).astype(np.int32)
+    points, spots = (frame.needs.in_view[effect] for effect in LAMPS)
+    numbered = np.concatenate([points, ~spots]).astype(np.int32)
     return {"light_indices": frame.targets[INDICES], "numbered": frame.device.transient.storage(int, numbered)}
 
 
-_BY_INDICES: Final = Lighting((LitByIndices,), bind=_bind_indices, reads=(INDICES,))
+BY_INDICES: Final = Lighting((LitByIndices,), bind=_bind_indices, reads=(INDICES,))

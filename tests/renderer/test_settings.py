@@ -49,6 +49,13 @@ def test_what_a_file_lacks_has_its_default(tmp_path: Path) -> None:
     )
 
 
+def test_cells_that_a_file_gives_in_part_are_otherwise_those_of_their_technique(tmp_path: Path) -> None:
+    given = {"tiles": {"sphere_test": "hybrid"}, "clusters": {"slices": 12}}
+    (tmp_path / "s.json").write_text(json.dumps({"rendering": {"technique": given}}))
+    technique = RenderSettings.load(tmp_path / "s.json").technique
+    assert (technique.tiles, technique.clusters) == (LightCells(16, 1, "hybrid"), LightCells(64, 12, "exact"))
+
+
 @pytest.mark.parametrize(
     "text",
     [

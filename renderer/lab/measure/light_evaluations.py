@@ -12,16 +12,16 @@ It holds for visibility algorithms that draw one batch, as frustum culling does.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cache, partial
-from typing import Any, Final, cast
+from functools import partial
+from typing import Final
 
 import numpy as np
 
-from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target, TechniquePass
+from renderer.frame import DEPTH_FORMAT, Frame, Needs, Pass, Target
 from renderer.renderer import Renderer
 from renderer.scene import Camera
-from renderer.shaders.pixels import FullScreen, PixelRays, distance_at, nearness_of
-from renderer.shaders.structs import SurfacePoint, SurfaceVarying
+from renderer.shaders.pixels import FullScreen, distance_at, nearness_of
+from renderer.shaders.structs import Material, SurfacePoint
 from renderer.techniques import (
     Clustered,
     ClusteredDeferred,
@@ -37,95 +37,53 @@ from renderer.techniques import (
     TiledDeferred,
 )
 from renderer.techniques.deferred_cells import TiledLighting, dispatch_tiles
-from renderer.techniques.forward_multipass import PointPairs, SpotPairs, draw_pairs
-from renderer.techniques.light_indexed import INDICES, LIGHT_BITS, LIGHTS_FULL, next_light
-from renderer.techniques.parts.cell_lists import CLUSTERS, CellReader, LightCells, bind_lists
-from renderer.techniques.parts.geometry_buffer import SurfaceReader
+from renderer.techniques.forward_multipass import LampPairs, draw_pairs
+from renderer.techniques.light_indexed import BY_INDICES
+from renderer.techniques.parts.cell_lists import CLUSTERS, CellReader, bind_lists, by_cells
+from renderer.techniques.parts.deferred_lighting import LitByLists
+from renderer.techniques.parts.geometry_buffer import find_contents
 from renderer.techniques.parts.light_volumes import VolumeShader, VolumeVarying, draw_volumes
 from renderer.techniques.parts.resolve import LIGHT_FORMAT
-from renderer.techniques.parts.scene_shader import SceneShader
-from renderer.techniques.parts.variants import bind, draw_full_screen, list_lamps
+from renderer.techniques.parts.scene_shader import LampShader
+from renderer.techniques.parts.variants import FORWARD, Lighting, draw_full_screen, list_lamps, scene_pass
 from rhi import BlendFunction, DepthFunction, DepthWrite, Format, State
-from rhi.shading import (
-    Shader,
-    Texture2D,
-    Uniform,
-    dot,
-    floor,
-    fragment_coordinate,
-    ivec2,
-    ivec3,
-    max,
-    uint_bits_to_float,
-    uvec4,
-    vec3,
-    vec4,
-)
+from rhi.shading import Shader, Texture2D, floor, fragment_coordinate, ivec2, vec3, vec4
 
 EVALUATIONS: Final = "light evaluations"
 """The contents with the number of evaluations of each pixel."""
 
 _THOUSAND: Final = 1000.0
 _SEEN: Final[tuple[State, ...]] = (DepthFunction.EQUAL, DepthWrite.OFF)
+_NONE: Final = (0.0, 0.0, 0.0, 0.0)
 _LEARNS: Final = 4
 """Frames after which lists of cells have room for all lights: one that needs it, one that asks, one that learns."""
 
 
-class ListLengths(Shader):
-    """The base of shaders that count the lights of lists: of the kinds that a frame needs."""
+class CountedLights(Shader):
+    """Makes a technique's shader count the lights that it looks at: each of them adds 1, and nothing else is seen. As
+    the first base of a variant it leaves the lists that are walked to the technique."""
 
-    has_points = False
-    has_spots = False
+    lean = True
 
-    def count(self, lights: ivec3) -> float:
-        """Return the number of lights between three places in the light rows."""
-        points = lights.y - lights.x if self.has_points else 0
-        spots = lights.z - lights.y if self.has_spots else 0
-        return float(points + spots)
+    def shade(self, surface: SurfacePoint, material: Material) -> vec3:
+        return vec3(0.0)
 
+    def pointlight(self, surface: SurfacePoint, row: int) -> vec3:
+        return vec3(1.0)
 
-class ObjectLights(ListLengths, SceneShader):
-    """Counts the lights of the object's list."""
+    def spotlight(self, surface: SurfacePoint, row: int) -> vec3:
+        return vec3(1.0)
 
-    def fragment(self, v: SurfaceVarying) -> vec4:
-        return vec4(self.count(v.lights))
+    def finish(self, color: vec3, position: vec3) -> vec4:
+        return vec4(color, 1.0)
 
-
-class CellLights(ListLengths, CellReader, SceneShader):
-    """Counts the lights of the list of a fragment's cell."""
-
-    rays: Uniform[PixelRays]
-
-    def fragment(self, v: SurfaceVarying) -> vec4:
-        return vec4(self.count(self.find_cell_lights(dot(v.position, self.rays.forward))))
+    def encode_light(self, color: vec3) -> vec4:
+        """Return a number for an image of half floats: what is left of thousands, and thousands."""
+        thousands = floor((color.x + 0.5) / _THOUSAND)
+        return vec4(color.x - thousands * _THOUSAND, thousands, 0.0, 0.0)
 
 
-class IndexedLights(ListLengths, SceneShader):
-    """Counts the lights that are packed for the pixel, or those of the object's list if they are too many."""
-
-    light_indices: Texture2D
-
-    def fragment(self, v: SurfaceVarying) -> vec4:
-        indices = self.light_indices.load(ivec2(fragment_coordinate().xy))
-        if max(max(indices.x, indices.y), max(indices.z, indices.w)) >= LIGHTS_FULL:
-            return vec4(self.count(v.lights))
-        packed = uvec4(indices)
-        number = 0.0
-        while next_light(packed) > 0:
-            packed = packed >> uvec4(LIGHT_BITS)
-            number += 1.0
-        return vec4(number)
-
-
-class PixelLights(ListLengths, CellReader, FullScreen, SurfaceReader):
-    """Counts the lights of the list of a pixel's cell."""
-
-    def fragment(self) -> vec4:
-        texel = self.surface.load(ivec2(fragment_coordinate().xy))
-        return vec4(self.count(self.find_cell_lights(uint_bits_to_float(texel.y))))
-
-
-class PlacedLights(ListLengths, CellReader, FullScreen):
+class PlacedLights(CellReader, LampShader, FullScreen):
     """Counts the lights of the list of a pixel's cell, whose place follows from its depth."""
 
     depth: Texture2D
@@ -134,38 +92,16 @@ class PlacedLights(ListLengths, CellReader, FullScreen):
         nearness = nearness_of(self.rays, self.depth.load(ivec2(fragment_coordinate().xy)).x)
         if nearness == 0.0:
             return vec4(0.0)
-        return vec4(self.count(self.find_cell_lights(distance_at(self.rays, nearness))))
-
-
-class TileLights(TiledLighting):
-    """Counts the lights that a tile keeps, for an image of half floats: what is left of thousands, and thousands."""
-
-    def light_of(self, surface: SurfacePoint, light: int) -> vec3:
-        return vec3(1.0)
-
-    def encode_light(self, color: vec3) -> vec4:
-        thousands = floor((color.x + 0.5) / _THOUSAND)
-        return vec4(color.x - thousands * _THOUSAND, thousands, 0.0, 0.0)
+        lights = self.find_cell_lights(distance_at(self.rays, nearness))
+        points = lights.y - lights.x if self.has_point_lights else 0
+        spots = lights.z - lights.y if self.has_spot_lights else 0
+        return vec4(float(points + spots))
 
 
 class VolumeFragments(VolumeShader):
     """Counts the fragments of lights' volumes."""
 
     def fragment(self, v: VolumeVarying) -> vec4:
-        return vec4(1.0)
-
-
-class PointPairFragments(PointPairs):
-    """Counts the fragments of pairs of an object and a point light."""
-
-    def fragment(self, v: SurfaceVarying) -> vec4:
-        return vec4(1.0)
-
-
-class SpotPairFragments(SpotPairs):
-    """Counts the fragments of pairs of an object and a spot light."""
-
-    def fragment(self, v: SurfaceVarying) -> vec4:
         return vec4(1.0)
 
 
@@ -212,16 +148,15 @@ def find_count(technique: Technique) -> Pass[Frame] | None:
     """Return the pass that counts the evaluations of a technique with lamps in view; None for an unknown technique."""
     match technique:
         case Forward(samples=1):
-            return _declare(_count_objects, targets=(Target("counted depth", DEPTH_FORMAT),))
+            return _declare_fragments(FORWARD)
         case Clustered():
-            run = partial(_count_cells, cells=technique.cells, after_depth=False)
-            return _declare(run, "light lists", targets=(Target("counted depth", DEPTH_FORMAT),))
+            return _declare_fragments(by_cells(technique.cells))
         case ForwardPlus():
-            return _declare(partial(_count_cells, cells=technique.cells, after_depth=True), "light lists", "depth")
+            return _declare_fragments(by_cells(technique.cells), after_depth=True)
         case LightIndexed():
-            return _declare(_count_indices, INDICES, "depth")
+            return _declare_fragments(BY_INDICES, after_depth=True)
         case ClusteredDeferred():
-            return _declare(_count_pixels, "light lists", "surface", "depth")
+            return _declare(_count_pixels, "light lists", "surface", "material", "depth")
         case DeferredPlus():
             return _declare(_count_places, "light lists", "depth")
         case TiledDeferred():
@@ -247,69 +182,43 @@ def _declare(
     return Pass(EVALUATIONS, run, "was asked for", reads, (counts, *targets), has_side_effects=True)
 
 
-@cache
-def counting_variant(bases: tuple[type[Shader], ...], *, has_points: bool, has_spots: bool) -> type[Shader]:
-    """Return a shader that counts the lights of lists of these kinds."""
-    kinds = {"has_points": has_points, "has_spots": has_spots}
-    return type("Counting", bases, {"__module__": __name__, **kinds})
+def _declare_fragments(lighting: Lighting, *, after_depth: bool = False) -> Pass[Frame]:
+    run = partial(_count_fragments, lighting=lighting, after_depth=after_depth)
+    if after_depth:
+        return _declare(run, *lighting.reads, "depth")
+    return _declare(run, *lighting.reads, targets=(Target("counted depth", DEPTH_FORMAT),))
 
 
-def _count_kinds(frame: Frame, base: type[Shader]) -> type[Shader]:
-    effects = frame.needs.effects
-    return counting_variant(
-        (base,), has_points=Effect.POINT_LIGHTS in effects, has_spots=Effect.SPOT_LIGHTS in effects
-    )
-
-
-def _count_fragments(frame: Frame, base: type[Shader], *, after_depth: bool, **bindings: Any) -> None:
+def _count_fragments(frame: Frame, *, lighting: Lighting, after_depth: bool) -> None:
     """Draw the visible objects with a shader that counts: those that are seen, or all as if they were lit at once."""
-    resources = frame.resources
-    program = frame.program(_count_kinds(frame, base))
-    frame.draw_visible(
-        TechniquePass(
-            frame.device,
-            resources,
-            frame.view,
-            program,
-            bind(frame, program, bindings),
-            color=frame.targets[EVALUATIONS],
-            depth=frame.targets["depth" if after_depth else "counted depth"],
-            clear=(0.0, 0.0, 0.0, 0.0),
-            states=(BlendFunction.ADDITIVE, *(_SEEN if after_depth else ())),
-            clears=not after_depth,
-        )
+    counting = scene_pass(
+        frame,
+        CountedLights,
+        *lighting.bases,
+        own=lighting.bind(frame),
+        switches=lighting.switches,
+        color=frame.targets[EVALUATIONS],
+        depth=frame.targets["depth" if after_depth else "counted depth"],
+        clear=_NONE,
+        states=(BlendFunction.ADDITIVE, *(_SEEN if after_depth else ())),
+        clears=not after_depth,
     )
-
-
-def _count_objects(frame: Frame) -> None:
-    _count_fragments(frame, ObjectLights, after_depth=False)
-
-
-def _count_cells(frame: Frame, *, cells: LightCells, after_depth: bool) -> None:
-    bindings = bind_lists(frame, cells)
-    _count_fragments(frame, CellLights, after_depth=after_depth, **bindings)
-
-
-def _count_indices(frame: Frame) -> None:
-    _count_fragments(frame, IndexedLights, after_depth=True, light_indices=frame.targets[INDICES])
+    frame.draw_visible(counting)
 
 
 def _count_pixels(frame: Frame) -> None:
-    targets, shader = frame.targets, cast("type[FullScreen]", _count_kinds(frame, PixelLights))
-    bindings = bind_lists(frame, CLUSTERS)
-    draw_full_screen(
-        frame, shader, targets[EVALUATIONS], bindings, depth=targets["depth"], clear=(0.0, 0.0, 0.0, 0.0)
-    )
+    targets, shader = frame.targets, (CountedLights, LitByLists)
+    own, switches = bind_lists(frame, CLUSTERS), find_contents(frame.needs)
+    depth = targets["depth"]
+    draw_full_screen(frame, shader, targets[EVALUATIONS], own, depth=depth, clear=_NONE, switches=switches)
 
 
 def _count_places(frame: Frame) -> None:
-    targets, shader = frame.targets, cast("type[FullScreen]", _count_kinds(frame, PlacedLights))
-    bindings = {"depth": targets["depth"]} | bind_lists(frame, CLUSTERS)
-    draw_full_screen(frame, shader, targets[EVALUATIONS], bindings)
+    draw_full_screen(frame, PlacedLights, frame.targets[EVALUATIONS], bind_lists(frame, CLUSTERS))
 
 
 def _count_tiles(frame: Frame) -> None:
-    dispatch_tiles(frame, frame.targets[EVALUATIONS], TileLights)
+    dispatch_tiles(frame, frame.targets[EVALUATIONS], CountedLights, TiledLighting)
 
 
 def _count_volumes(frame: Frame, *, stencil: bool, depth: str) -> None:
@@ -320,9 +229,8 @@ def _count_volumes(frame: Frame, *, stencil: bool, depth: str) -> None:
 
 
 def _count_pairs(frame: Frame) -> None:
-    targets = frame.targets
-    with frame.device.render_pass(targets[EVALUATIONS], clear=(0.0, 0.0, 0.0, 0.0)):
+    target = frame.targets[EVALUATIONS]
+    with frame.device.render_pass(target, clear=_NONE):
         pass
     for effect in list_lamps(frame.needs):
-        shader = PointPairFragments if effect is Effect.POINT_LIGHTS else SpotPairFragments
-        draw_pairs(frame, effect, shader, targets[EVALUATIONS])
+        draw_pairs(frame, effect, target, CountedLights, LampPairs)

@@ -24,7 +24,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.frame import Effect, Frame, Needs, Pass, Target
+from renderer.frame import LAMPS, Effect, Frame, Needs, Pass, Target
 from renderer.frame.passes import NEARER
 from renderer.lights.hulls import make_cone, make_sphere
 from renderer.shaders.lighting import is_near, point_incidence, spot_incidence
@@ -213,7 +213,7 @@ def declare_lights(
     """
     passes: list[Pass[Frame]] = []
     last: list[str] = []
-    for effect in (Effect.POINT_LIGHTS, Effect.SPOT_LIGHTS):
+    for effect in LAMPS:
         if effect not in needs.effects:
             continue
         names = [f"{buffer} with {effect.value}" for buffer in buffers] if last else list(buffers)
@@ -233,17 +233,12 @@ def declare_lights(
 
 def list_volumes(frame: Frame, effect: Effect) -> list[tuple[Mesh, NDArray[np.int64]]]:
     """Return the meshes of the point or spot lights in view, each with the rows of its lights."""
-    find_mesh = frame.resources.workspace
-    if effect is Effect.POINT_LIGHTS:
-        return [(find_mesh(_make_sphere), frame.needs.point_rows)]
-    rows = frame.needs.spot_rows
-    narrow = frame.resources.scene.lights.spot["outer"][rows] <= WIDEST_CONE
-    volumes = []
-    if narrow.any():
-        volumes.append((find_mesh(_make_cone), rows[narrow]))
-    if not narrow.all():
-        volumes.append((find_mesh(_make_sphere), rows[~narrow]))
-    return volumes
+    rows = frame.needs.in_view[effect]
+    narrow = np.zeros(len(rows), bool)
+    if effect is Effect.SPOT_LIGHTS:
+        narrow = frame.resources.scene.lights.spot["outer"][rows] <= WIDEST_CONE
+    volumes = ((_make_cone, rows[narrow]), (_make_sphere, rows[~narrow]))
+    return [(frame.resources.workspace(make), some) for make, some in volumes if len(some)]
 
 
 def draw_volumes(
@@ -299,8 +294,7 @@ def draw_volumes(
 def find_cut(frame: Frame, effect: Effect, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return (k,) which lights of `rows` may have volumes that a far plane cuts. Those can't be masked: moved to the
     depth of the background, their front faces would undo what their back faces have marked."""
-    camera, lights = frame.camera, frame.resources.scene.lights
-    some = (lights.point if effect is Effect.POINT_LIGHTS else lights.spot)[rows]
+    camera, some = frame.camera, LAMPS[effect].find_rows(frame.resources.scene.lights)[rows]
     distances = (some["position"] - camera.position) @ camera.forward
     # The base of a cone is at most √3 ranges wide.
     cut: NDArray[np.bool_] = distances + 2.0 * FARTHEST_CORNER * some["range"] > 0.999 * find_far(camera)

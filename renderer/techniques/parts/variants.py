@@ -11,7 +11,17 @@ from dataclasses import dataclass, field
 from functools import cache, partial
 from typing import Any, Final
 
-from renderer.frame import DEPTH_FORMAT, SHADOW_EFFECTS, Effect, Frame, Needs, Pass, Target, TechniquePass
+from renderer.frame import (
+    DEPTH_FORMAT,
+    LAMPS,
+    SHADOW_EFFECTS,
+    Effect,
+    Frame,
+    Needs,
+    Pass,
+    Target,
+    TechniquePass,
+)
 from renderer.frame.air import bind_fog, bind_haze
 from renderer.frame.images import MOST_ARRAYS, SceneImages
 from renderer.shadows import FILTERS, ShadowMaps, ShadowReceiver
@@ -31,8 +41,6 @@ class Lighting:
     reads: tuple[str, ...] = ()
 
 
-LAMPS: Final = {Effect.POINT_LIGHTS: "point lights", Effect.SPOT_LIGHTS: "spot lights"}
-"""The lights that have a range, and the names of their passes."""
 NO_LAMPS: Final = {"has_point_lights": False, "has_spot_lights": False}
 
 

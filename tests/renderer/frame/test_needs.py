@@ -85,7 +85,7 @@ def test_the_key_is_the_same_while_the_effects_are() -> None:
 def test_the_reasons_count_the_lights() -> None:
     scene = build(lambda b: [b.lights.add_point((0, 2, z), 4.0) for z in (0, 0, 40)])
     needs = find_needs(scene, EYE)
-    assert needs.point_rows.tolist() == [0, 1]
+    assert needs.in_view[Effect.POINT_LIGHTS].tolist() == [0, 1]
     assert needs.explain(Effect.POINT_LIGHTS) == "2 of 3 point lights reach what is in view"
     assert find_needs(scene, AWAY).explain(Effect.POINT_LIGHTS) == "1 of 3 point lights reaches what is in view"
     away = Camera.look_at((0, 0, 10), (0, 40, 10))
