@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import rhi
-from renderer.content import load_scene
 from renderer.frame import (
     DEPTH_FORMAT,
     IMAGE_FORMAT,
@@ -70,11 +69,6 @@ class DepthFirst:
                 states=(DepthFunction.EQUAL, DepthWrite.OFF),
             )
         )  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def city() -> Scene:
-    return load_scene("city:blocks=6")
 
 
 @pytest.mark.parametrize(

@@ -44,11 +44,6 @@ RIG: Final = StereoRig(0.3, 6.0)
 
 
 @pytest.fixture(scope="module")
-def city() -> Scene:
-    return load_scene("city:blocks=6")
-
-
-@pytest.fixture(scope="module")
 def hall() -> Scene:
     return load_scene("hall:columns=6,flags=4,fountains=1")
 
