@@ -22,13 +22,13 @@ import argparse
 import gc
 import threading
 from collections.abc import Callable, Iterator
+from typing import Final
 
 from scenes import Scene
 
 import rhi
-from renderer.cli.arguments import add_rounds
+from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
-from renderer.cli.subcommand import Parser
 from renderer.lab.comparison import Record, Subject, compare, time
 
 
@@ -85,11 +85,12 @@ def record_on_threads(scene: Scene, count: int) -> None:
         thread.join()
 
 
-def add_arguments(parser: Parser) -> None:
-    parser.add_argument("--backend", default="gl", help="backend to measure (default: %(default)s)")
-    parser.add_argument("--draws", type=int, default=5000, help="draws per round (default: %(default)s)")
-    add_rounds(parser, "rounds", 15)
+OPTIONS: Final = (
+    options.option("--backend", "backend to measure", "gl"),
+    options.count("--draws", "draws per round", 5000),
+    options.rounds("rounds", 15),
+)
 
 
 if __name__ == "__main__":
-    run_benchmark(__doc__, add_arguments, measure)
+    run_benchmark(__doc__, OPTIONS, measure)

@@ -11,11 +11,11 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from contextlib import ExitStack
+from typing import Final
 
 import rhi
-from renderer.cli.arguments import add_backend, add_rounds, add_size
+from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
-from renderer.cli.subcommand import Parser
 from renderer.content import load_scene, parse_camera
 from renderer.lab.comparison import Frames, Record, Subject, compare, interval, ratio, time
 from renderer.settings import RenderSettings
@@ -28,11 +28,12 @@ COLUMNS = {
 }  # fmt: skip
 
 
-def add_arguments(parser: Parser) -> None:
-    add_backend(parser)
-    add_size(parser)
-    parser.add_argument("--technique", default="forward", choices=list(TECHNIQUES))
-    add_rounds(parser, "rounds", 15)
+OPTIONS: Final = (
+    options.BACKEND,
+    options.size(),
+    options.choice("--technique", "how the scene is drawn", TECHNIQUES, "forward"),
+    options.rounds("rounds", 15),
+)
 
 
 def measure(given: argparse.Namespace) -> Iterator[Record]:
@@ -50,4 +51,4 @@ def measure(given: argparse.Namespace) -> Iterator[Record]:
 
 
 if __name__ == "__main__":
-    run_benchmark(__doc__, add_arguments, measure)
+    run_benchmark(__doc__, OPTIONS, measure)

@@ -13,12 +13,13 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from renderer.cli.comparison import run_benchmark
-from renderer.cli.subcommand import Parser
+from renderer.cli.options import count, switch
 from renderer.lab.comparison import Record, Subject, compare, ratio, time
 from renderer.scene import Camera, Perspective
 from renderer.visibility import Culler, build_by_area, find_visible
@@ -65,9 +66,10 @@ def cull_with_early_out(planes: Floats, lower: Floats, upper: Floats) -> Rows:
     return left
 
 
-def add_arguments(parser: Parser) -> None:
-    parser.add_argument("--boxes", type=int, default=100_000, help="number of boxes (default: %(default)s)")
-    parser.add_argument("--cube", action="store_true", help="spread the boxes in a cube: more cross planes")
+OPTIONS: Final = (
+    count("--boxes", "number of boxes", 100_000),
+    switch("--cube", "spread the boxes in a cube: more cross planes"),
+)
 
 
 def measure(given: argparse.Namespace) -> Iterator[Record]:
@@ -106,4 +108,4 @@ def measure(given: argparse.Namespace) -> Iterator[Record]:
 
 
 if __name__ == "__main__":
-    run_benchmark(__doc__, add_arguments, measure)
+    run_benchmark(__doc__, OPTIONS, measure)

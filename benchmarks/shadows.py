@@ -12,13 +12,13 @@ import argparse
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
 import rhi
-from renderer.cli.arguments import add_backend, add_rounds, add_size
+from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
-from renderer.cli.subcommand import Parser
 from renderer.content import load_scene
 from renderer.lab.comparison import Frames, Record, Subject, compare, ratio, time
 from renderer.settings import RenderSettings
@@ -28,10 +28,7 @@ SCENES = {"city:blocks=8": "street", "night:blocks=6,lights=64": "crossing"}
 COLUMNS = {"processor_milliseconds": time(digits=1, processor=True), "processor_ratio": ratio(2, processor=True)}
 
 
-def add_arguments(parser: Parser) -> None:
-    add_backend(parser)
-    add_size(parser, (480, 270))
-    add_rounds(parser, "rounds", 9)
+OPTIONS: Final = (options.BACKEND, options.size((480, 270)), options.rounds("rounds", 9))
 
 
 def measure(given: argparse.Namespace) -> Iterator[Record]:
@@ -57,4 +54,4 @@ def measure(given: argparse.Namespace) -> Iterator[Record]:
 
 
 if __name__ == "__main__":
-    run_benchmark(__doc__, add_arguments, measure)
+    run_benchmark(__doc__, OPTIONS, measure)

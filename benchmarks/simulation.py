@@ -11,13 +11,13 @@ from __future__ import annotations
 import argparse
 import gc
 from collections.abc import Iterator
+from typing import Final
 
 from scenes import Scene
 
 import rhi
-from renderer.cli.arguments import add_rounds
+from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
-from renderer.cli.subcommand import Parser
 from renderer.lab.comparison import Record, Subject, compare, rate
 from rhi.backends.null import Simulation
 
@@ -50,10 +50,8 @@ def measure(given: argparse.Namespace) -> Iterator[Record]:
         yield row | {"commands/s": round(len(scene.device.stream) * row["commands/s"])}
 
 
-def add_arguments(parser: Parser) -> None:
-    parser.add_argument("--draws", type=int, default=5000, help="draws per frame (default: %(default)s)")
-    add_rounds(parser, "rounds", 9)
+OPTIONS: Final = (options.count("--draws", "draws per frame", 5000), options.rounds("rounds", 9))
 
 
 if __name__ == "__main__":
-    run_benchmark(__doc__, add_arguments, measure)
+    run_benchmark(__doc__, OPTIONS, measure)

@@ -33,9 +33,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rhi
-from renderer.cli.arguments import add_rounds, add_size, parse_names
+from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
-from renderer.cli.subcommand import Parser
 from renderer.lab.comparison import Record, Subject, compare, ratio, time
 from rhi import BlendFactor, BlendFunction, CullMode, DepthTest, DepthWrite, Format, Primitive
 from rhi.shading import (
@@ -373,11 +372,12 @@ class Bench:
         return work.get(name, draw_flat)
 
 
-def add_arguments(parser: Parser) -> None:
-    add_rounds(parser, "rounds", 21)
-    add_size(parser, (640, 360))
-    parser.add_argument("--only", type=parse_names(["empty", *SHADERS], "is no program"), default=["empty", *SHADERS])
-    parser.add_argument("--kernels", choices=("optimised", "quick"), default="optimised")
+OPTIONS: Final = (
+    options.rounds("rounds", 21),
+    options.size((640, 360)),
+    options.some("--only", ["empty", *SHADERS], "is no program", ["empty", *SHADERS], "all"),
+    options.choice("--kernels", "which kernels cl runs", ("optimised", "quick"), "optimised"),
+)
 
 
 def measure(given: argparse.Namespace) -> Iterator[Record]:
@@ -397,4 +397,4 @@ def measure(given: argparse.Namespace) -> Iterator[Record]:
 
 
 if __name__ == "__main__":
-    run_benchmark(__doc__, add_arguments, measure)
+    run_benchmark(__doc__, OPTIONS, measure)

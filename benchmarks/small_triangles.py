@@ -21,8 +21,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import rhi
-from renderer.cli.arguments import parse_size
 from renderer.cli.comparison import run_benchmark
+from renderer.cli.options import option, rounds, size
 from renderer.lab.comparison import Frames, Record, Subject, compare, kernels, ratio, time
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene, SceneBuilder, make_height_field
@@ -56,13 +56,11 @@ def make_ground() -> Scene:
     return builder.build()
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
-    parser.add_argument("--backend", default="cl", help="a backend that draws (default: %(default)s)")
-    parser.add_argument("--size", type=parse_size, default=(640, 360), metavar="WxH", help="default: 640x360")
-    parser.add_argument(
-        "--rounds", type=int, default=5, help="frames that are timed of each (default: %(default)s)"
-    )
+OPTIONS: Final = (
+    option("--backend", "a backend that draws", "cl", metavar="NAME"),
+    size((640, 360)),
+    rounds("frames that are timed of each"),
+)
 
 
 def measure(given: argparse.Namespace) -> Iterator[Record]:
@@ -86,4 +84,4 @@ def measure(given: argparse.Namespace) -> Iterator[Record]:
 
 
 if __name__ == "__main__":
-    run_benchmark(__doc__, add_arguments, measure)
+    run_benchmark(__doc__, OPTIONS, measure)

@@ -15,9 +15,8 @@ from functools import partial
 from typing import Final
 
 import rhi
-from renderer.cli.arguments import add_rounds
+from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
-from renderer.cli.subcommand import Parser
 from renderer.lab.comparison import Record, Subject, compare, rate
 from renderer.layers.canvas import Canvas, Font, lay_out, srgb
 
@@ -31,9 +30,10 @@ def forget_commands(device: rhi.Device) -> None:
         device.stream.clear()
 
 
-def add_arguments(parser: Parser) -> None:
-    parser.add_argument("--backends", default=",".join(rhi.backend_names()), help="default: %(default)s")
-    add_rounds(parser, "rounds", 41)
+OPTIONS: Final = (
+    options.option("--backends", "backends to measure", ",".join(rhi.backend_names())),
+    options.rounds("rounds", 41),
+)
 
 
 def measure(given: argparse.Namespace) -> Iterator[Record]:
@@ -72,4 +72,4 @@ def measure_device(device: rhi.Device, rounds: int) -> Iterator[Record]:
 
 
 if __name__ == "__main__":
-    run_benchmark(__doc__, add_arguments, measure)
+    run_benchmark(__doc__, OPTIONS, measure)

@@ -23,7 +23,7 @@ from typing import Any, Final
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import rhi
-from renderer.cli.arguments import add_size, parse_count, parse_frame
+from renderer.cli.options import parse_count, parse_frame, size
 from renderer.cli.output import draw_chart, show_progress
 from renderer.cli.subcommand import Parser
 from renderer.content import load_scene
@@ -240,7 +240,7 @@ def main() -> None:
     parser.add_argument(
         "--warm-up", type=parse_frame, default=4, help="frames before each (default: %(default)s)"
     )
-    add_size(parser)
+    parser.add_argument("--size", **size().told)
     parser.add_argument("--figure", type=Path, metavar="F.png", help="write the figure")
     parser.add_argument(
         "--into", type=Path, metavar="PAGE.md", help="replace the tables and the figure of this page"

@@ -25,7 +25,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import rhi
-from renderer.cli.arguments import parse_size
+from renderer.cli.options import parse_size
 from renderer.content import load_scene
 from renderer.lab.measure.exact import ExactVisibility
 from renderer.lab.visibility import Picture

@@ -11,20 +11,13 @@ from typing import Any, Final
 
 import rhi
 from renderer import rules
+from renderer.cli import options
 from renderer.cli.accuracy_report import plot_all, write_images, write_page
-from renderer.cli.arguments import (
-    add_backend,
-    add_form,
-    add_rounds,
-    add_scene,
-    add_settings,
-    add_size,
-    load_settings,
-    parse_count,
-)
-from renderer.cli.executors import add_executor, make_executor
+from renderer.cli.arguments import load_settings
+from renderer.cli.executors import KINDS, make_executor
+from renderer.cli.options import option
 from renderer.cli.output import OutputError, note, prepare_image, show_progress
-from renderer.cli.subcommand import Parser, Subcommand
+from renderer.cli.subcommand import Subcommand
 from renderer.content import load_scene
 from renderer.lab.accuracy import (
     KNOBS,
@@ -64,42 +57,24 @@ DIR/settings.json, which `render`, `compare techniques`, `compare visibility` an
 older one is removed before anything is measured, so none is left where the choice is refused."""
 
 
-def _add_arguments(parser: Parser) -> None:
-    add_scene(parser)
-    parser.add_argument(
-        "--knob", action="append", default=[], metavar="K", help=f"only this one; repeatable. {', '.join(KNOBS)}"
-    )
-    add_backend(parser)
-    parser.add_argument(
-        "--camera", default="", metavar="CAMERA", help="a path, a walk-through or a view (default: ground, or a view)"
-    )
-    add_size(parser, (480, 270))
-    parser.add_argument(
-        "--views", type=parse_count, default=3, metavar="N", help="frames that are compared (default: %(default)s)"
-    )
-    add_rounds(parser, "frames that are timed", 11)
-    add_settings(parser, "settings to begin with, written by `accuracy` or `tune`")
-    parser.add_argument(
-        "--budget-ms",
-        type=parse_bound,
-        metavar="M",
-        help="choose the most accurate settings that take at most this time for a frame",
-    )
-    parser.add_argument(
-        "--error-at-most",
-        type=parse_bound,
-        metavar="E",
-        help="choose the fastest settings with a mean error within this, in levels of 255",
-    )
-    add_executor(parser, "shares of knobs")
-    parser.add_argument("--plot", type=Path, metavar="F.png", help="write charts of errors and times")
-    parser.add_argument(
-        "--output",
-        type=Path,
-        metavar="DIR",
-        help="folder for the results; a sweep that was interrupted goes on there",
-    )
-    add_form(parser)
+_OPTIONS: Final = (
+    options.SCENE,
+    option("--knob", f"only this one; repeatable. {', '.join(KNOBS)}", [], "", action="append", metavar="K"),
+    options.BACKEND,
+    option("--camera", "a path, a walk-through or a view", "", "ground, or a view", metavar="CAMERA"),
+    options.size((480, 270)),
+    options.count("--views", "frames that are compared", 3),
+    options.rounds("frames that are timed", 11),
+    options.settings("settings to begin with, written by `accuracy` or `tune`"),
+    option("--budget-ms", "choose the most accurate settings that take at most this time for a frame",
+           type=options.parse_bound, metavar="M"),
+    option("--error-at-most", "choose the fastest settings with a mean error within this, in levels of 255",
+           type=options.parse_bound, metavar="E"),
+    options.executor("shares of knobs", KINDS),
+    options.file("--plot", "write charts of errors and times"),
+    options.file("--output", "folder for the results; a sweep that was interrupted goes on there", "DIR"),
+    *options.form(),
+)  # fmt: skip
 
 
 def _run(given: argparse.Namespace) -> None:
@@ -261,5 +236,5 @@ def parse_bound(text: str) -> float:
 
 
 COMMAND: Final = Subcommand(
-    "accuracy", "show what accuracy costs in time: error and time of each choice", _add_arguments, _run, _NOTES
+    "accuracy", "show what accuracy costs in time: error and time of each choice", _OPTIONS, _run, _NOTES
 )

@@ -8,26 +8,16 @@ from statistics import median
 from typing import Final
 
 import rhi
-from renderer.cli.arguments import (
-    DECIDES,
-    add_backend,
-    add_camera,
-    add_frame,
-    add_frames,
-    add_scene,
-    add_size,
-    add_technique,
-    make_technique,
-    open_scene,
-)
+from renderer.cli import options
+from renderer.cli.arguments import make_technique, open_scene
 from renderer.cli.output import draw_chart, note, prepare_chart, print_report, show_progress
-from renderer.cli.subcommand import Parser, Subcommand
+from renderer.cli.subcommand import Subcommand
 from renderer.content import parse_camera
 from renderer.lab.measure.capture import CapturedFrame, capture_frames, list_passes, write_frames
 from renderer.lab.measure.table import format_table
 from renderer.renderer import Renderer
 from renderer.scene import FRAMES_PER_SECOND
-from renderer.visibility import ALGORITHMS, check_algorithm, make_visibility
+from renderer.visibility import check_algorithm, make_visibility
 
 _NOTES: Final = """\
   python -m renderer capture city --camera ground --frames 1000 --output city.csv
@@ -39,20 +29,19 @@ counted, nor are those in which `auto` looks for what is the fastest before it. 
 work of a pass between its timestamps only in part: the sum of a frame is exact, its division among passes is not."""
 
 
-def _add_arguments(parser: Parser) -> None:
-    add_scene(parser)
-    add_backend(parser)
-    add_technique(parser, default="forward")
-    parser.add_argument("--visibility", choices=ALGORITHMS, default="frustum", help=DECIDES)
-    add_camera(parser, "the scene's first path")
-    add_frame(parser)
-    add_frames(parser, 1000)
-    add_size(parser)
-    parser.add_argument(
-        "--output", type=Path, required=True, metavar="F.csv", help="table of all frames to write"
-    )
-    parser.add_argument("--plot", type=Path, metavar="F.svg", help="chart of the frames' times to write")
-    parser.add_argument("--json", action="store_true", help="print the medians as JSON")
+_OPTIONS: Final = (
+    options.SCENE,
+    options.BACKEND,
+    *options.technique("forward"),
+    options.visibility("frustum"),
+    options.camera(shown="the scene's first path"),
+    options.frame(),
+    options.frames(1000),
+    options.size(),
+    options.file("--output", "table of all frames to write", "F.csv", required=True),
+    options.file("--plot", "chart of the frames' times to write", "F.svg"),
+    options.switch("--json", "print the medians as JSON"),
+)
 
 
 def _run(given: argparse.Namespace) -> None:
@@ -136,5 +125,5 @@ def plot_frames(frames: list[CapturedFrame], path: Path, title: str) -> None:
 
 
 COMMAND: Final = Subcommand(
-    "capture", "write the times of frames and of their passes to a file", _add_arguments, _run, _NOTES
+    "capture", "write the times of frames and of their passes to a file", _OPTIONS, _run, _NOTES
 )

@@ -8,20 +8,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from renderer.cli.arguments import (
-    add_camera_path,
-    add_chart,
-    add_form,
-    add_rounds,
-    add_scene,
-    add_size,
-    open_scene,
-    parse_frame,
-    parse_names,
-)
+from renderer.cli import options
+from renderer.cli.arguments import open_scene
 from renderer.cli.comparison import ComparisonProgram, Report, repeat
 from renderer.cli.output import show_progress
-from renderer.cli.subcommand import Parser
 from renderer.content import find_path
 from renderer.lab.backends import compare_backends
 from renderer.lab.comparison import Record
@@ -41,33 +31,17 @@ a first run only; RHI_KERNELS=optimised measures a long run."""
 _BASE = "gl"
 
 
-def _add_arguments(parser: Parser) -> None:
-    add_scene(parser)
-    parser.add_argument(
-        "--passes",
-        type=parse_names(PASSES, "is not a pass"),
-        default=["depth", "lit", "queries"],
-        metavar="A,B,…",
-        help=f"some of {', '.join(PASSES)} (default: depth,lit,queries)",
-    )
-    parser.add_argument(
-        "--backends",
-        type=lambda text: text.split(","),
-        default=["cl"],
-        metavar="A,B,…",
-        help=f"backends to compare with {_BASE} (default: cl)",
-    )
-    add_camera_path(parser)
-    parser.add_argument(
-        "--frame",
-        type=parse_frame,
-        metavar="N",
-        help="frame whose camera is used (default: the path's middle)",
-    )
-    add_rounds(parser, "rounds of each pass", 15)
-    add_size(parser, (1280, 720), "size of the targets in pixels")
-    add_chart(parser)
-    add_form(parser)
+_OPTIONS: Final = (
+    options.SCENE,
+    options.some("--passes", PASSES, "is not a pass", ["depth", "lit", "queries"]),
+    options.several("--backends", f"backends to compare with {_BASE}", str, ["cl"], "cl", "A,B,…"),
+    options.PATH,
+    options.frame("frame whose camera is used", None, "the path's middle"),
+    options.rounds("rounds of each pass", 15),
+    options.size((1280, 720), "size of the targets in pixels"),
+    options.chart(),
+    *options.form(),
+)
 
 
 def _measure(given: argparse.Namespace) -> Report:
@@ -110,6 +84,6 @@ def plot_backends(figure: Any, rows: Sequence[Record]) -> None:
 
 
 COMMAND: Final = ComparisonProgram(
-    "backends", "compare what a scene's passes cost on each backend", _NOTES, _add_arguments, _measure,
+    "backends", "compare what a scene's passes cost on each backend", _NOTES, _OPTIONS, _measure,
     plot=plot_backends,
 ).command  # fmt: skip

@@ -4,23 +4,13 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import Any, Final
 
 import rhi
-from renderer.cli.arguments import (
-    add_backend,
-    add_camera_path,
-    add_form,
-    add_frame,
-    add_frames,
-    add_scene,
-    add_size,
-    open_scene,
-)
+from renderer.cli import options
+from renderer.cli.arguments import open_scene
 from renderer.cli.comparison import ComparisonProgram, Report, describe, repeat
 from renderer.cli.output import note, prepare_image, show_progress, write_image
-from renderer.cli.subcommand import Parser
 from renderer.content import find_path
 from renderer.lab.comparison import Record
 from renderer.lab.deferred_plus import STEPS, compare_deferred_plus
@@ -41,15 +31,16 @@ pixels` are those that aren't the same without culling. Under OpenCL set RHI_KER
 ones cl ran in the frames whose times were taken."""
 
 
-def _add_arguments(parser: Parser) -> None:
-    add_scene(parser)
-    add_camera_path(parser)
-    add_frame(parser)
-    add_frames(parser, 16)
-    add_size(parser)
-    add_backend(parser)
-    parser.add_argument("--output", type=Path, metavar="F.png", help="write a picture of the buffers and rectangles")
-    add_form(parser, "tables")
+_OPTIONS: Final = (
+    options.SCENE,
+    options.PATH,
+    options.frame(),
+    options.frames(16),
+    options.size(),
+    options.BACKEND,
+    options.file("--output", "write a picture of the buffers and rectangles"),
+    *options.form("tables"),
+)
 
 
 def _measure(given: argparse.Namespace) -> Report:
@@ -100,5 +91,5 @@ def show_culling(about: Mapping[str, Any], markdown: bool) -> Sequence[str]:
 
 COMMAND: Final = ComparisonProgram(
     "deferred-plus", "compare Deferred+ and clustered forward shading, with and without culling", _NOTES,
-    _add_arguments, _measure, show=show_steps, more=show_culling,
+    _OPTIONS, _measure, show=show_steps, more=show_culling,
 ).command  # fmt: skip

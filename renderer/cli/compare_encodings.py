@@ -9,10 +9,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Final
 
-import rhi
-from renderer.cli.arguments import add_form, add_rounds, parse_count
-from renderer.cli.output import draw_chart, note, prepare_image, show_progress
-from renderer.cli.subcommand import Parser, Subcommand
+from renderer.cli import options
+from renderer.cli.options import option
+from renderer.cli.output import draw_chart, note, open_working, prepare_image, show_progress
+from renderer.cli.subcommand import Subcommand
 from renderer.lab.measure import format_table
 from renderer.lab.measure.encodings import ENCODINGS, EncodingRow, compare_encodings
 
@@ -27,22 +27,19 @@ repetition, for positions millionths of the distance along the view, or pixels b
 are for encoding and decoding one value, on all cores together; they are medians."""
 
 
-def _add_arguments(parser: Parser) -> None:
-    parser.add_argument(
-        "--backend", metavar="NAME", help="gl or cl (default: all devices here that run shaders)"
-    )
-    parser.add_argument(
-        "--count", type=parse_count, default=1 << 14, metavar="N", help="number of values (default: %(default)s)"
-    )
-    add_rounds(parser, "times each is timed")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="write a chart of errors and times")
-    add_form(parser)
+_OPTIONS: Final = (
+    option("--backend", "gl or cl", None, "all devices here that run shaders", metavar="NAME"),
+    options.count("--count", "number of values", 1 << 14),
+    options.rounds("times each is timed"),
+    options.file("--plot", "write a chart of errors and times", "FILE"),
+    *options.form(),
+)
 
 
 def _run(given: argparse.Namespace) -> None:
     path = prepare_image(given.plot) if given.plot else None
     with ExitStack() as made:
-        devices = [made.enter_context(device) for device in _make_devices(given.backend)]
+        devices = open_working(made, ("gl", "cl") if given.backend is None else (given.backend,))
         rows = compare_encodings(
             devices,
             ENCODINGS,
@@ -56,19 +53,6 @@ def _run(given: argparse.Namespace) -> None:
         note(f"wrote {path}")
     report = {"devices": names, "count": given.count, "rows": [asdict(row) for row in rows]}
     print(json.dumps(report) if given.json else show_rows(rows, markdown=given.markdown))
-
-
-def _make_devices(backend: str | None) -> list[rhi.Device]:
-    """Create a device of the backend, or of each one that runs compute shaders here."""
-    if backend is not None:
-        return [rhi.create_device(backend)]
-    devices = []
-    for name in ("gl", "cl"):
-        try:
-            devices.append(rhi.create_device(name))
-        except rhi.DeviceError as error:
-            note(f"{name} is left out: {error.given or error.rule.sentence}")
-    return devices
 
 
 def show_rows(rows: list[EncodingRow], *, markdown: bool = False) -> str:
@@ -114,6 +98,4 @@ def plot_rows(rows: list[EncodingRow], path: Path) -> None:
         times.legend()
 
 
-COMMAND: Final = Subcommand(
-    "encodings", "compare the encodings of a geometry buffer", _add_arguments, _run, _NOTES
-)
+COMMAND: Final = Subcommand("encodings", "compare the encodings of a geometry buffer", _OPTIONS, _run, _NOTES)

@@ -7,20 +7,10 @@ from dataclasses import asdict
 from typing import Final
 
 import rhi
-from renderer.cli.arguments import (
-    add_backend,
-    add_camera,
-    add_form,
-    add_frame,
-    add_rounds,
-    add_scene,
-    add_size,
-    open_scene,
-    parse_count,
-    parse_names,
-)
+from renderer.cli import options
+from renderer.cli.arguments import open_scene
 from renderer.cli.output import print_report, show_progress
-from renderer.cli.subcommand import Parser, Subcommand
+from renderer.cli.subcommand import Subcommand
 from renderer.content import parse_camera
 from renderer.lab.measure import format_rows
 from renderer.lab.measure.light_culling import LightCullingRow, compare_light_culling
@@ -44,53 +34,24 @@ overlap, `missed` counts lights that aren't listed for a cell with a pixel that 
 _SWITCHES: Final = {"on": (True,), "off": (False,), "both": (True, False)}
 
 
-def _add_arguments(parser: Parser) -> None:
-    add_scene(parser)
-    add_camera(parser)
-    add_frame(parser, "frame of a path")
-    parser.add_argument(
-        "--lights",
-        type=lambda text: [parse_count(part) for part in text.split(",")],
-        default=[64, 128, 256, 512, 1024],
-        metavar="N,N,…",
-        help="numbers of lights (default: 64,128,256,512,1024)",
-    )
-    parser.add_argument(
-        "--tests",
-        type=parse_names(SPHERE_TESTS, "is not a test"),
-        default=list(SPHERE_TESTS),
-        metavar="A,B,…",
-        help=f"some of {', '.join(SPHERE_TESTS)} (default: all)",
-    )
-    add_size(parser, (1280, 720))
-    parser.add_argument(
-        "--tile", type=parse_count, default=8, metavar="N", help="side of a tile in pixels (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--slices", type=parse_count, default=1, metavar="N", help="depth slices of a tile (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--cones",
-        type=parse_names(CONE_TESTS, "is not a test"),
-        default=["sphere"],
-        metavar="A,B,…",
-        help=f"tests of spot lights' cones, some of {', '.join(CONE_TESTS)} (default: sphere, which makes none)",
-    )
-    parser.add_argument(
-        "--depth-mask",
-        choices=_SWITCHES,
-        default="off",
-        help="whether 32 slices of a tile's depths are told apart (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--pre-filter",
-        choices=_SWITCHES,
-        default="on",
-        help="whether blocks of tiles are tested before tiles (default: %(default)s)",
-    )
-    add_rounds(parser, "times each test is timed")
-    add_backend(parser)
-    add_form(parser)
+_COUNTS: Final = [64, 128, 256, 512, 1024]
+_OPTIONS: Final = (
+    options.SCENE,
+    options.camera(),
+    options.frame("frame of a path"),
+    options.several("--lights", "numbers of lights", options.parse_count, _COUNTS, "64,128,256,512,1024", "N,N,…"),
+    options.some("--tests", SPHERE_TESTS, "is not a test", list(SPHERE_TESTS), "all"),
+    options.size((1280, 720)),
+    options.count("--tile", "side of a tile in pixels", 8),
+    options.count("--slices", "depth slices of a tile", 1),
+    options.some("--cones", CONE_TESTS, "is not a test", ["sphere"], "sphere, which makes none",
+                 "tests of spot lights' cones, "),
+    options.choice("--depth-mask", "whether 32 slices of a tile's depths are told apart", _SWITCHES, "off"),
+    options.choice("--pre-filter", "whether blocks of tiles are tested before tiles", _SWITCHES, "on"),
+    options.rounds("times each test is timed"),
+    options.BACKEND,
+    *options.form(),
+)  # fmt: skip
 
 
 def _run(given: argparse.Namespace) -> None:
@@ -135,5 +96,5 @@ def show_rows(rows: list[LightCullingRow], *, markdown: bool = False) -> str:
 
 
 COMMAND: Final = Subcommand(
-    "light-culling", "compare the tests that assign lights to tiles or clusters", _add_arguments, _run, _NOTES
+    "light-culling", "compare the tests that assign lights to tiles or clusters", _OPTIONS, _run, _NOTES
 )

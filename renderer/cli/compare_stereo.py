@@ -7,20 +7,10 @@ from collections.abc import Iterable, Sequence
 from typing import Final
 
 import rhi
-from renderer.cli.arguments import (
-    add_backend,
-    add_camera_path,
-    add_form,
-    add_frame,
-    add_frames,
-    add_scene,
-    parse_length,
-    parse_names,
-    parse_size,
-)
+from renderer.cli import options
 from renderer.cli.comparison import ComparisonProgram, Report, describe, repeat
+from renderer.cli.options import option
 from renderer.cli.output import show_progress
-from renderer.cli.subcommand import Parser
 from renderer.content import find_path, load_scene
 from renderer.lab.comparison import Record
 from renderer.lab.stereo import compare_stereo, list_stereos
@@ -40,45 +30,6 @@ one eye in the same frame. An output that ends in _reprojected makes the right e
 by kernels that were built in a hurry; `kernels` says which ones cl ran in the frames."""
 _SWITCH: Final = {"off": False, "on": True}
 _DEFAULT: Final = ("dubois", "color", "side_by_side", "color_reprojected")
-
-
-def _add_arguments(parser: Parser) -> None:
-    add_scene(parser)
-    parser.add_argument(
-        "--sizes",
-        type=lambda text: [parse_size(part) for part in text.split(",")],
-        default=[(640, 360), (960, 540)],
-        metavar="WxH,…",
-        help="sizes of the image in pixels (default: 640x360,960x540)",
-    )
-    parser.add_argument(
-        "--shadows",
-        type=_parse_switches,
-        default=[False],
-        metavar="off,on",
-        help="without shadows, with them, or both (default: off)",
-    )
-    parser.add_argument(
-        "--stereo",
-        type=parse_names(list_stereos(), "is no output"),
-        default=list(_DEFAULT),
-        metavar="A,B,…",
-        help=f"some of {', '.join(list_stereos())} (default: {','.join(_DEFAULT)})",
-    )
-    parser.add_argument(
-        "--technique", choices=TECHNIQUES, default="forward", help="how the scene is drawn (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--eye-distance", type=parse_length, metavar="M", help="metres between the eyes (default: comfortable)"
-    )
-    parser.add_argument(
-        "--convergence", type=parse_length, metavar="M", help="metres to the screen (default: comfortable)"
-    )
-    add_camera_path(parser)
-    add_frame(parser, default=900)
-    add_frames(parser, 20)
-    add_backend(parser)
-    add_form(parser)
 
 
 def _measure(given: argparse.Namespace) -> Report:
@@ -137,6 +88,21 @@ def _parse_switches(text: str) -> list[bool]:
     return [_SWITCH[name] for name in dict.fromkeys(names)]
 
 
+_OPTIONS: Final = (
+    options.SCENE,
+    options.several("--sizes", "sizes of the image in pixels", options.parse_size, [(640, 360), (960, 540)],
+                    "640x360,960x540", "WxH,…"),
+    option("--shadows", "without shadows, with them, or both", [False], "off", type=_parse_switches, metavar="off,on"),
+    options.some("--stereo", list_stereos(), "is no output", _DEFAULT),
+    options.choice("--technique", "how the scene is drawn", TECHNIQUES, "forward"),
+    options.length("--eye-distance", "metres between the eyes", "comfortable"),
+    options.length("--convergence", "metres to the screen", "comfortable"),
+    options.PATH,
+    options.frame(default=900),
+    options.frames(20),
+    options.BACKEND,
+    *options.form(),
+)  # fmt: skip
 COMMAND: Final = ComparisonProgram(
-    "stereo", "compare what a frame costs with one eye and with two", _NOTES, _add_arguments, _measure, show=show_sizes
+    "stereo", "compare what a frame costs with one eye and with two", _NOTES, _OPTIONS, _measure, show=show_sizes
 ).command

@@ -7,23 +7,10 @@ from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
 import rhi
-from renderer.cli.arguments import (
-    add_backend,
-    add_camera,
-    add_chart,
-    add_form,
-    add_frame,
-    add_rounds,
-    add_scene,
-    add_settings,
-    add_size,
-    load_settings,
-    parse_count,
-    parse_names,
-)
+from renderer.cli import options
+from renderer.cli.arguments import load_settings
 from renderer.cli.comparison import ComparisonProgram, Report, describe, repeat
 from renderer.cli.output import show_progress
-from renderer.cli.subcommand import Parser
 from renderer.lab.comparison import Record
 from renderer.lab.techniques import compare_techniques
 from renderer.techniques import TECHNIQUES
@@ -46,31 +33,23 @@ plan. `draws` are draw commands; one may draw many objects or lights. Under Open
 first frames are drawn by kernels that were built in a hurry; `kernels` says which ones cl ran in the rounds."""
 
 
-def _add_arguments(parser: Parser) -> None:
-    add_scene(parser)
-    for what in ("objects", "lights"):
-        parser.add_argument(
-            f"--{what}",
-            type=lambda text: [parse_count(part) for part in text.split(",")],
-            default=[None],
-            metavar="N,N,…",
-            help=f"numbers of {what} (default: those of the scene as it is)",
-        )
-    parser.add_argument(
-        "--techniques",
-        type=parse_names(TECHNIQUES, "is not a technique"),
-        default=list(TECHNIQUES),
-        metavar="A,B,…",
-        help=f"some of {', '.join(TECHNIQUES)} (default: all)",
-    )
-    add_camera(parser)
-    add_frame(parser, "frame of a path")
-    add_rounds(parser, "times each technique is timed")
-    add_size(parser)
-    add_settings(parser, "file with settings, written by `accuracy`; all but the technique and the algorithm count")
-    add_backend(parser)
-    add_chart(parser)
-    add_form(parser)
+_OPTIONS: Final = (
+    options.SCENE,
+    *(
+        options.several(f"--{what}", f"numbers of {what}", options.parse_count, [None], "those of the scene as it is",
+                        "N,N,…")
+        for what in ("objects", "lights")
+    ),
+    options.some("--techniques", TECHNIQUES, "is not a technique", list(TECHNIQUES), "all"),
+    options.camera(),
+    options.frame("frame of a path"),
+    options.rounds("times each technique is timed"),
+    options.size(),
+    options.settings("file with settings, written by `accuracy`; all but the technique and the algorithm count"),
+    options.BACKEND,
+    options.chart(),
+    *options.form(),
+)  # fmt: skip
 
 
 def _measure(given: argparse.Namespace) -> Report:
@@ -118,6 +97,6 @@ def plot_techniques(figure: Any, rows: Sequence[Record]) -> None:
 
 
 COMMAND: Final = ComparisonProgram(
-    "techniques", "compare what a frame costs with each technique", _NOTES, _add_arguments, _measure,
+    "techniques", "compare what a frame costs with each technique", _NOTES, _OPTIONS, _measure,
     plot=plot_techniques,
 ).command  # fmt: skip

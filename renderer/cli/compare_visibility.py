@@ -8,23 +8,11 @@ from dataclasses import asdict, replace
 from typing import Any, Final
 
 import rhi
-from renderer.cli.arguments import (
-    QUERY_KINDS,
-    add_backend,
-    add_chart,
-    add_form,
-    add_scene,
-    add_settings,
-    add_size,
-    add_walk,
-    open_scene,
-    parse_count,
-    parse_frame,
-    parse_names,
-)
+from renderer.cli import options
+from renderer.cli.arguments import open_scene
 from renderer.cli.comparison import ComparisonProgram, Report, describe, repeat
+from renderer.cli.options import option
 from renderer.cli.output import OutputError, show_progress
-from renderer.cli.subcommand import Parser
 from renderer.content import find_path
 from renderer.lab.comparison import Record
 from renderer.lab.visibility import compare_algorithms, list_contenders, list_frames
@@ -52,55 +40,6 @@ surfaces the one drawn first stays. `stalled` is how long the CPU waited. Where 
 `simulation steps` counts the steps of what was drawn, and `skipped simulations` what wasn't drawn.
 `kernels` says which kernels cl ran in the counted frames: RHI_KERNELS=optimised measures a long run.
 The null device answers no queries. On it `auto` is frustum culling, and algorithms that use queries don't run."""
-
-
-def _add_arguments(parser: Parser) -> None:
-    add_scene(parser)
-    add_walk(parser, "number of frames to time")
-    add_backend(parser)
-    parser.add_argument(
-        "--algorithms",
-        type=parse_names(ALGORITHMS, "is not an algorithm"),
-        metavar="A,B,…",
-        help=f"some of {', '.join(ALGORITHMS)} (default: all that the device can run)",
-    )
-    parser.add_argument(
-        "--queries",
-        type=_parse_kinds,
-        default=["native"],
-        metavar="KIND",
-        help="native, emulated (by two counters and a fence), or both: native,emulated (default: native)",
-    )
-    add_settings(parser, "adds a row for CHC++ with the parameters in this file, which `tune` has written")
-    add_size(parser)
-    parser.add_argument(
-        "--stride",
-        type=parse_count,
-        default=1,
-        metavar="N",
-        help="count every Nth frame of the path (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--warm-up",
-        type=parse_frame,
-        default=1,
-        metavar="N",
-        help="number of frames that are drawn before a counted one, unless they are counted (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--threshold",
-        type=parse_frame,
-        metavar="N",
-        help="count boxes that pass at most this many samples as hidden (default: the settings', 0)",
-    )
-    parser.add_argument(
-        "--teleport",
-        type=parse_count,
-        metavar="N",
-        help="jump to the other half of the path, or back, after every N frames",
-    )
-    add_form(parser)
-    add_chart(parser, "times and triangles")
 
 
 def _measure(given: argparse.Namespace) -> Report:
@@ -166,14 +105,32 @@ def plot_algorithms(figure: Any, rows: Sequence[Record]) -> None:
 def _parse_kinds(text: str) -> list[str]:
     kinds = text.split(",")
     for kind in kinds:
-        if kind not in QUERY_KINDS:
+        if kind not in options.QUERY_KINDS:
             raise argparse.ArgumentTypeError(
                 f"{kind!r} is not a kind of query; give native, emulated or native,emulated"
             )
-    return [kind for kind in QUERY_KINDS if kind in kinds]
+    return [kind for kind in options.QUERY_KINDS if kind in kinds]
 
 
+_OPTIONS: Final = (
+    options.SCENE,
+    *options.walk("number of frames to time"),
+    options.BACKEND,
+    options.some("--algorithms", ALGORITHMS, "is not an algorithm", None, "all that the device can run"),
+    option("--queries", "native, emulated (by two counters and a fence), or both: native,emulated", ["native"],
+           "native", type=_parse_kinds, metavar="KIND"),
+    options.settings("adds a row for CHC++ with the parameters in this file, which `tune` has written"),
+    options.size(),
+    options.count("--stride", "count every Nth frame of the path", 1),
+    options.count("--warm-up", "number of frames that are drawn before a counted one, unless they are counted", 1,
+                  least=0),
+    options.count("--threshold", "count boxes that pass at most this many samples as hidden", None, "the settings', 0",
+                  least=0),
+    options.count("--teleport", "jump to the other half of the path, or back, after every N frames"),
+    *options.form(),
+    options.chart("times and triangles"),
+)  # fmt: skip
 COMMAND: Final = ComparisonProgram(
-    "visibility", "compare visibility algorithms along a camera path", _NOTES, _add_arguments, _measure,
+    "visibility", "compare visibility algorithms along a camera path", _NOTES, _OPTIONS, _measure,
     show=show_rows, plot=plot_algorithms,
 ).command  # fmt: skip

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import rhi
-from renderer.cli.arguments import add_form
+from renderer.cli.options import CommandOption, add_options, form
 from renderer.cli.output import draw_chart, list_left_out, note, prepare_chart
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.lab.comparison import Record
@@ -46,7 +46,7 @@ class ComparisonProgram:
 
     Attributes:
         notes: examples, and what the columns mean.
-        add_arguments: declares all arguments: those of `add_form`, too, and of `add_chart` if there is a chart.
+        options: all its options: those of `options.form`, too, and that of `options.chart` if there is a chart.
         measure: makes the report.
         titles: the titles of columns whose names don't say enough.
         show: makes rows for people of those for JSON.
@@ -58,7 +58,7 @@ class ComparisonProgram:
     name: str
     summary: str
     notes: str
-    add_arguments: Callable[[Parser], None]
+    options: Sequence[CommandOption]
     measure: Callable[[argparse.Namespace], Report]
     titles: Mapping[str, str] = field(default_factory=dict)
     show: Callable[[Sequence[Record]], Sequence[Record]] = lambda rows: rows
@@ -68,7 +68,7 @@ class ComparisonProgram:
     @property
     def command(self) -> Subcommand:
         """The comparison as a command."""
-        return Subcommand(self.name, self.summary, self.add_arguments, self.run, self.notes)
+        return Subcommand(self.name, self.summary, self.options, self.run, self.notes)
 
     def run(self, given: argparse.Namespace) -> None:
         """Compare, and print what was found."""
@@ -95,15 +95,15 @@ class ComparisonProgram:
 
 
 def run_benchmark(
-    text: str | None, add_arguments: Callable[[Parser], None], measure: Callable[[argparse.Namespace], Iterable[Record]]
+    text: str | None, options: Sequence[CommandOption], measure: Callable[[argparse.Namespace], Iterable[Record]]
 ) -> None:
-    """Run a program of `benchmarks`: its docstring, its arguments, and the function that yields its rows.
+    """Run a program of `benchmarks`: its docstring, its options but for those of `form`, and the function that yields
+    its rows.
 
     Unless RHI_KERNELS says otherwise, cl runs optimised kernels, as a long run does.
     """
     os.environ.setdefault("RHI_KERNELS", "optimised")
-    comparison = ComparisonProgram("", "", "", add_arguments, lambda given: Report({}, list(measure(given))))
+    comparison = ComparisonProgram("", "", "", options, lambda given: Report({}, list(measure(given))))
     parser = Parser(description=text)
-    add_arguments(parser)
-    add_form(parser)
+    add_options(parser, (*options, *form()))
     comparison.run(parser.parse_args())

@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 import json
 from dataclasses import asdict
-from pathlib import Path
 from typing import Final
 
-from renderer.cli.arguments import add_scene, open_scene
+from renderer.cli import options
+from renderer.cli.arguments import open_scene
 from renderer.cli.output import note
-from renderer.cli.subcommand import Parser, Subcommand
+from renderer.cli.subcommand import Subcommand
 from renderer.content import save_scene
 
 _NOTES: Final = """\
@@ -21,12 +21,11 @@ _NOTES: Final = """\
 A scene that was written is read back the same. What the file can't hold is listed on stderr."""
 
 
-def _add_arguments(parser: Parser) -> None:
-    add_scene(parser)
-    parser.add_argument(
-        "output", type=Path, metavar="FILE", help="file to write: .glb, or .gltf with a .bin beside it"
-    )
-    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+_OPTIONS: Final = (
+    options.SCENE,
+    options.file("output", "file to write: .glb, or .gltf with a .bin beside it", "FILE"),
+    options.JSON,
+)
 
 
 def _run(given: argparse.Namespace) -> None:
@@ -46,4 +45,4 @@ def _run(given: argparse.Namespace) -> None:
     print(json.dumps(report) if given.json else summary)
 
 
-COMMAND: Final = Subcommand("convert", "write a scene as a glTF file", _add_arguments, _run, _NOTES)
+COMMAND: Final = Subcommand("convert", "write a scene as a glTF file", _OPTIONS, _run, _NOTES)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -11,20 +10,10 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 import rhi
-from renderer.cli.arguments import (
-    CAMERA_HELP,
-    DECIDES,
-    add_backend,
-    add_frame,
-    add_scene,
-    add_settings,
-    add_size,
-    load_settings,
-    open_scene,
-    parse_frame,
-)
+from renderer.cli import options
+from renderer.cli.arguments import load_settings, open_scene
 from renderer.cli.output import OutputError, note, prepare_image, print_report
-from renderer.cli.subcommand import Parser, Subcommand
+from renderer.cli.subcommand import Subcommand
 from renderer.content import parse_camera
 from renderer.lab.measure.pictures import (
     COLORS,
@@ -36,7 +25,7 @@ from renderer.lab.measure.pictures import (
 )
 from renderer.renderer import Renderer
 from renderer.scene import FRAMES_PER_SECOND
-from renderer.visibility import ALGORITHMS, make_visibility
+from renderer.visibility import make_visibility
 
 _NOTES: Final = """\
   python -m renderer debug visibility city --frame 900 --output culled.png
@@ -51,41 +40,18 @@ _LEGEND = 22
 """Height in pixels of the line of text below the pictures."""
 
 
-def _add_arguments(parser: Parser) -> None:
-    add_scene(parser)
-    parser.add_argument(
-        "--algorithm",
-        choices=ALGORITHMS,
-        default="chc_plus_plus",
-        help=DECIDES,
-    )
-    add_settings(parser)
-    parser.add_argument(
-        "--camera",
-        default="ground",
-        metavar="CAMERA",
-        help=f"{CAMERA_HELP} (default: %(default)s)",
-    )
-    add_frame(parser, "frame of the path")
-    parser.add_argument(
-        "--warm-up",
-        type=parse_frame,
-        default=30,
-        metavar="N",
-        help="number of frames to draw before it (default: %(default)s)",
-    )
-    add_backend(parser)
-    add_size(parser, what="size of each of the two pictures in pixels")
-    parser.add_argument(
-        "--output",
-        type=Path,
-        default=Path("visibility.png"),
-        metavar="F.png",
-        help="file to write (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--json", action="store_true", help="print the number of objects of each outcome as JSON"
-    )
+_OPTIONS: Final = (
+    options.SCENE,
+    options.visibility("chc_plus_plus", flag="--algorithm"),
+    options.settings(),
+    options.camera("ground"),
+    options.frame("frame of the path"),
+    options.count("--warm-up", "number of frames to draw before it", 30, least=0),
+    options.BACKEND,
+    options.size(what="size of each of the two pictures in pixels"),
+    options.file("--output", "file to write", default="visibility.png"),
+    options.switch("--json", "print the number of objects of each outcome as JSON"),
+)
 
 
 def _run(given: argparse.Namespace) -> None:
@@ -136,4 +102,4 @@ def compose(
     return image
 
 
-COMMAND: Final = Subcommand("visibility", "picture what was culled and why", _add_arguments, _run, _NOTES)
+COMMAND: Final = Subcommand("visibility", "picture what was culled and why", _OPTIONS, _run, _NOTES)

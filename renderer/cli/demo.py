@@ -10,9 +10,11 @@ from pathlib import Path
 from typing import Final
 
 import rhi
-from renderer.cli.arguments import add_frames, add_size, open_scene
-from renderer.cli.output import name_of, note, prepare_image, show_progress, write_image
-from renderer.cli.subcommand import Parser, Subcommand
+from renderer.cli import options
+from renderer.cli.arguments import open_scene
+from renderer.cli.options import option
+from renderer.cli.output import name_of, note, open_working, prepare_image, show_progress, write_image
+from renderer.cli.subcommand import Subcommand
 from renderer.lab.comparison import Column, Subject, average, compare, kernels, ratio, time
 from renderer.lab.measure import format_rows
 from renderer.renderer import FrameResult, FrameStatistics, Renderer
@@ -71,23 +73,12 @@ class RenderVariant:
         return self.result
 
 
-def _add_arguments(parser: Parser) -> None:
-    parser.add_argument(
-        "scene",
-        metavar="SCENE",
-        nargs="?",
-        default="city",
-        help="a scene generator (see `scenes`) or a model file (default: city)",
-    )
-    parser.add_argument(
-        "--output",
-        type=Path,
-        default=Path("out"),
-        metavar="DIR",
-        help="folder for the pictures (default: out)",
-    )
-    add_frames(parser, 9, "number of frames of each path")
-    add_size(parser, what="size of the images in pixels")
+_OPTIONS: Final = (
+    option("scene", "a scene generator (see `scenes`) or a model file", "city", nargs="?", metavar="SCENE"),
+    options.file("--output", "folder for the pictures", "DIR", "out"),
+    options.frames(9, "number of frames of each path"),
+    options.size(what="size of the images in pixels"),
+)
 
 
 def _run(given: argparse.Namespace) -> None:
@@ -125,17 +116,7 @@ def _run(given: argparse.Namespace) -> None:
 def open_devices(stack: ExitStack) -> list[rhi.Device]:
     """Open the device that RHI_BACKEND names, or one on each backend that works here; the null device is the last."""
     chosen = os.environ.get("RHI_BACKEND")
-    devices: list[rhi.Device] = []
-    errors: list[tuple[str, rhi.RhiError]] = []
-    for name in (chosen,) if chosen else rhi.backend_names():
-        try:
-            devices.append(stack.enter_context(rhi.create_device(name)))
-        except rhi.RhiError as error:
-            errors.append((name, error))
-    if not devices:
-        raise errors[0][1]
-    for name, reason in errors:
-        note(f"{name} is left out: {reason.given or reason.rule.sentence}")
+    devices = open_working(stack, (chosen,) if chosen else rhi.backend_names())
     if all(device.backend_name != "null" for device in devices):
         devices.append(stack.enter_context(rhi.create_device("null")))
     return devices
@@ -152,9 +133,5 @@ def write_picture(variant: RenderVariant, folder: Path) -> None:
 
 
 COMMAND: Final = Subcommand(
-    "demo",
-    "render a scene along its paths in several ways and print what each costs",
-    _add_arguments,
-    _run,
-    _NOTES,
+    "demo", "render a scene along its paths in several ways and print what each costs", _OPTIONS, _run, _NOTES
 )

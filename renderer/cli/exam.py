@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Final
 
 import rhi
-from renderer.cli.arguments import add_form
-from renderer.cli.output import note, prepare_image, show_progress, write_image
-from renderer.cli.subcommand import Parser, Subcommand
+from renderer.cli import options
+from renderer.cli.options import option
+from renderer.cli.output import note, open_working, prepare_image, show_progress, write_image
+from renderer.cli.subcommand import Subcommand
 from renderer.lab.exam import CASES, Case, ExamRow, examine, find_cases
 from renderer.lab.exam.pictures import join_pictures
 from renderer.lab.measure import format_table
@@ -29,29 +30,26 @@ its capabilities; a case that needs it doesn't apply, and isn't passed. A case t
 code is 1 if a case has failed on some backend."""
 
 
-def _add_arguments(parser: Parser) -> None:
-    parser.add_argument(
-        "--backend",
-        action="append",
-        metavar="NAME",
-        help="a registered backend; may be repeated (default: gl, cl and null, as far as they work here)",
-    )
-    parser.add_argument(
-        "--case", action="append", type=int, default=[], metavar="N", help="only this case; may be repeated"
-    )
-    parser.add_argument("--long", action="store_true", help="also the cases that take minutes")
-    parser.add_argument("--show", type=int, metavar="N", help="print all numbers of one case")
-    parser.add_argument(
-        "--output", type=Path, metavar="F.png", help="with --show: where its pictures go (default: none is written)"
-    )
-    add_form(parser)
+_OPTIONS: Final = (
+    option("--backend", "a registered backend; may be repeated", None, "gl, cl and null, as far as they work here",
+           action="append", metavar="NAME"),
+    option("--case", "only this case; may be repeated", [], "", action="append", type=int, metavar="N"),
+    options.switch("--long", "also the cases that take minutes"),
+    option("--show", "print all numbers of one case", type=int, metavar="N"),
+    option("--output", "with --show: where its pictures go", None, "none is written", type=Path, metavar="F.png"),
+    *options.form(),
+)  # fmt: skip
 
 
 def _run(given: argparse.Namespace) -> None:
     if given.output is not None:
         prepare_image(given.output)
     with ExitStack() as made:
-        devices = [made.enter_context(device) for device in _open_devices(given.backend)]
+        devices = (
+            [made.enter_context(rhi.create_device(name)) for name in given.backend]
+            if given.backend
+            else open_working(made, ("gl", "cl", "null"))
+        )
         if given.show is not None:
             (case,) = find_cases([given.show])
             has_failed = _show(case, devices, given.output, as_json=given.json)
@@ -66,18 +64,6 @@ def _run(given: argparse.Namespace) -> None:
             print(_format(rows, as_json=given.json, markdown=given.markdown))
     if has_failed:
         sys.exit(1)
-
-
-def _open_devices(names: Sequence[str] | None) -> list[rhi.Device]:
-    if names:
-        return [rhi.create_device(name) for name in names]
-    devices = []
-    for name in ("gl", "cl", "null"):
-        try:
-            devices.append(rhi.create_device(name))
-        except rhi.DeviceError as error:
-            note(f"{name} is left out: {error.given or error.rule.sentence}")
-    return devices
 
 
 def _format(rows: Sequence[ExamRow], *, as_json: bool, markdown: bool) -> str:
@@ -160,6 +146,4 @@ def _list_report(report: dict[str, object]) -> str:
     return "\n".join(lines)
 
 
-COMMAND: Final = Subcommand(
-    "exam", f"examine backends in {len(CASES)} hard cases", _add_arguments, _run, _NOTES
-)
+COMMAND: Final = Subcommand("exam", f"examine backends in {len(CASES)} hard cases", _OPTIONS, _run, _NOTES)

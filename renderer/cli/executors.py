@@ -19,13 +19,12 @@ from pathlib import Path
 from typing import Any, Final, ParamSpec, TypeVar
 
 from renderer.cli.output import OutputError
-from renderer.cli.subcommand import Parser
 from renderer.rules import describe_missing
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
-_KINDS: Final = "serial, processes, processes:N, threads:N, dask:ADDRESS"
+KINDS: Final = "serial, processes, processes:N, threads:N, dask:ADDRESS"
 _THREAD_COUNTS: Final = ("POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT", "LP_NUM_THREADS")
 """The variables that drivers take the number of their threads from: PoCL up to version 4, PoCL since, llvmpipe."""
 _TASKS: Final = Path("/proc/self/task")
@@ -43,16 +42,6 @@ class SerialExecutor(Executor):
         except Exception as error:
             future.set_exception(error)
         return future
-
-
-def add_executor(parser: Parser, what: str) -> None:
-    """Add `--executor E`; `what` says what runs there."""
-    parser.add_argument(
-        "--executor",
-        default="serial",
-        metavar="E",
-        help=f"where {what} run: {_KINDS} of a scheduler (default: %(default)s)",
-    )
 
 
 @contextmanager
@@ -83,7 +72,7 @@ def make_executor(text: str) -> Iterator[Executor]:
         with client:
             yield client.get_executor()
     else:
-        raise OutputError(f"--executor: {text!r} is none of {_KINDS}")
+        raise OutputError(f"--executor: {text!r} is none of {KINDS}")
 
 
 def list_cpus() -> list[int]:

@@ -12,10 +12,11 @@ from typing import Any, Final
 from numpy.typing import NDArray
 
 import rhi
-from renderer.cli.arguments import add_form
+from renderer.cli import options
 from renderer.cli.need_page import PAGE
+from renderer.cli.options import option
 from renderer.cli.output import OutputError, draw_chart, note, show_progress
-from renderer.cli.subcommand import Parser, Subcommand
+from renderer.cli.subcommand import Subcommand
 from renderer.lab.need import (
     LADDER,
     SIZE,
@@ -47,21 +48,16 @@ _SHOWN: Final = 60
 """The number of the frame that pictures show: by then the fountain is full."""
 
 
-def _add_arguments(parser: Parser) -> None:
-    names = ", ".join(rung.name for rung in LADDER)
-    parser.add_argument(
-        "--rung", action="append", default=[], metavar="NAME", choices=[rung.name for rung in LADDER],
-        help=f"only this rung; may be repeated (default: all, {names})",
-    )  # fmt: skip
-    parser.add_argument(
-        "--backend", action="append", default=[], metavar="NAME",
-        help="time frames on this backend, too; may be repeated (default: only counts)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--rounds", type=int, default=40, metavar="N", help="frames of each rung that are timed (default: 40)"
-    )
-    parser.add_argument("--output", type=Path, metavar="DIR", help="where the page and its picture go")
-    add_form(parser, "tables")
+_RUNGS: Final = [rung.name for rung in LADDER]
+_OPTIONS: Final = (
+    option("--rung", "only this rung; may be repeated", [], f"all, {', '.join(_RUNGS)}", action="append",
+           choices=_RUNGS, metavar="NAME"),
+    option("--backend", "time frames on this backend, too; may be repeated", [], "only counts", action="append",
+           metavar="NAME"),
+    option("--rounds", "frames of each rung that are timed", 40, type=int, metavar="N"),
+    options.file("--output", "where the page and its picture go", "DIR"),
+    *options.form("tables"),
+)  # fmt: skip
 
 
 def _run(given: argparse.Namespace) -> None:
@@ -145,4 +141,6 @@ def _render(numbers: Iterable[int]) -> list[NDArray[Any]]:
     raise OutputError("--output: no backend here draws pictures")
 
 
-COMMAND: Final = Subcommand("need", "what each effect adds to a frame, and takes away", _add_arguments, _run, _NOTES)
+COMMAND: Final = Subcommand(
+    "need", "what each effect adds to a frame, and takes away", _OPTIONS, _run, _NOTES
+)

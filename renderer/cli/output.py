@@ -6,7 +6,7 @@ import json
 import logging
 import sys
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from tqdm import tqdm
 
+import rhi
 from renderer.scene import Scene
 
 T = TypeVar("T")
@@ -108,3 +109,23 @@ def draw_chart(path: Path, title: str = "", dpi: int = 100) -> Iterator[Any]:
 def note(text: str) -> None:
     """Print a message to stderr: anything but the result."""
     print(text, file=sys.stderr)
+
+
+def open_working(stack: ExitStack, names: Iterable[str]) -> list[rhi.Device]:
+    """Open a device of each of these backends that works here, and say why the others are left out.
+
+    Raises:
+        RhiError: none of them works; it is the first one's.
+    """
+    devices: list[rhi.Device] = []
+    errors: dict[str, rhi.RhiError] = {}
+    for name in names:
+        try:
+            devices.append(stack.enter_context(rhi.create_device(name)))
+        except rhi.RhiError as error:
+            errors[name] = error
+    if not devices:
+        raise next(iter(errors.values()))
+    for name, reason in errors.items():
+        note(f"{name} is left out: {reason.given or reason.rule.sentence}")
+    return devices

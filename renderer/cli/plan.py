@@ -9,18 +9,11 @@ from pathlib import Path
 from typing import Final
 
 import rhi
-from renderer.cli.arguments import (
-    add_camera,
-    add_frame,
-    add_scene,
-    add_size,
-    add_technique,
-    explain_technique,
-    make_technique,
-    open_scene,
-)
+from renderer.cli import options
+from renderer.cli.arguments import explain_technique, make_technique, open_scene
+from renderer.cli.options import option
 from renderer.cli.output import draw_chart, note, prepare_chart
-from renderer.cli.subcommand import Parser, Subcommand
+from renderer.cli.subcommand import Subcommand
 from renderer.content import parse_camera
 from renderer.lab.measure import format_table, settle
 from renderer.lab.measure.memory import MemoryReport
@@ -42,21 +35,17 @@ says which technique is the fastest; the null device doesn't know. In the plot a
 with the contents that it holds in turn: dark where they are written, light where they are read."""
 
 
-def _add_arguments(parser: Parser) -> None:
-    add_scene(parser)
-    add_technique(parser)
-    add_camera(parser)
-    add_frame(parser, "frame of the path")
-    add_size(parser)
-    parser.add_argument(
-        "--backend",
-        default="null",
-        metavar="NAME",
-        help="with --technique auto, the device that measures which is the fastest (default: null, which measures "
-        "nothing)",
-    )
-    parser.add_argument("--plot", type=Path, metavar="F.svg", help="chart of passes and textures to write")
-    parser.add_argument("--json", action="store_true", help="print the plan as JSON")
+_OPTIONS: Final = (
+    options.SCENE,
+    *options.technique(),
+    options.camera(),
+    options.frame("frame of the path"),
+    options.size(),
+    option("--backend", "with --technique auto, the device that measures which is the fastest", "null",
+           "null, which measures nothing", metavar="NAME"),
+    options.file("--plot", "chart of passes and textures to write", "F.svg"),
+    options.switch("--json", "print the plan as JSON"),
+)  # fmt: skip
 
 
 def _run(given: argparse.Namespace) -> None:
@@ -168,5 +157,5 @@ def plot_plan(report: PlanReport, path: Path, title: str) -> None:
 
 
 COMMAND: Final = Subcommand(
-    "plan", "show the passes of a frame, and why each of them is there", _add_arguments, _run, _NOTES
+    "plan", "show the passes of a frame, and why each of them is there", _OPTIONS, _run, _NOTES
 )

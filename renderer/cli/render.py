@@ -11,39 +11,23 @@ from pathlib import Path
 from typing import Any, Final
 
 import rhi
-from renderer.cli.arguments import (
-    DECIDES,
-    add_backend,
-    add_camera,
-    add_frame,
-    add_frames,
-    add_queries,
-    add_scene,
-    add_settings,
-    add_size,
-    add_stereo,
-    add_technique,
-    explain_technique,
-    make_stereo,
-    merge_settings,
-    open_scene,
-)
+from renderer.cli import options
+from renderer.cli.arguments import explain_technique, make_stereo, merge_settings, open_scene
+from renderer.cli.options import option
 from renderer.cli.output import list_left_out, name_of, note, prepare_image, show_progress, write_image
-from renderer.cli.subcommand import Parser, Subcommand
+from renderer.cli.subcommand import Subcommand
 from renderer.content import parse_camera
-from renderer.frame import Blending
 from renderer.lab.measure import FrameCost, measure_frame
 from renderer.lab.measure.contents import picture_contents
 from renderer.layers.overlay import Overlay
 from renderer.layers.particles import Particles
 from renderer.renderer import FrameResult, Renderer
-from renderer.scene import FRAMES_PER_SECOND, CameraPath, Depth, Scene
+from renderer.scene import FRAMES_PER_SECOND, CameraPath, Scene
 from renderer.settings import RenderSettings
 from renderer.stereo import Stereo, find_holes
 from renderer.techniques import AutoTechnique, Forward, Technique, Watched
 from renderer.techniques.inspection import INSPECTIONS, Inspection
 from renderer.techniques.light_indexed import count_overflowing
-from renderer.visibility import ALGORITHMS
 from rhi.trace import save
 
 _NOTES: Final = """\
@@ -68,70 +52,33 @@ or with several frames their mean. The image is that of the last frame."""
 _MAGENTA: Final = (255, 0, 255, 255)
 
 
-def _add_arguments(parser: Parser) -> None:
-    add_scene(parser)
-    add_backend(parser)
-    add_technique(parser)
-    parser.add_argument(
-        "--visibility",
-        choices=ALGORITHMS,
-        help=DECIDES.replace("%(default)s", "the settings', auto"),
-    )
-    add_settings(parser, "file with settings, written by `accuracy` or `tune`; other arguments count more")
-    add_queries(parser, "the settings', native")
-    add_camera(parser)
-    add_frame(parser, "first frame of the path, at 60 a second")
-    add_frames(parser, 1, "number of frames to time")
-    add_size(parser)
-    add_stereo(parser)
-    parser.add_argument(
-        "--holes",
-        type=Path,
-        metavar="F.png",
-        help="as --reproject, and write the right eye's picture with its holes in magenta",
-    )
-    parser.add_argument(
-        "--depth",
-        choices=[depth.value for depth in Depth],
-        help="direction of depth: reversed has near at 1, standard has near at 0 (default: the settings', reversed)",
-    )
-    parser.add_argument(
-        "--blending",
-        choices=[blending.value for blending in Blending],
-        help="transparent surfaces are drawn back to front, or averaged in any order (default: the settings', sorted)",
-    )
-    parser.add_argument(
-        "--edge-pixels",
-        type=float,
-        metavar="N",
-        help="length in pixels that edges of height fields are split down to (default: the settings', 8)",
-    )
-    parser.add_argument(
-        "--show",
-        metavar="NAME",
-        help=f"picture what the frame is made of instead of its light: {', '.join(INSPECTIONS)}, or a texture of the "
-        "technique's plan, such as surface (see `plan`)",
-    )
-    parser.add_argument("--output", type=Path, metavar="F.png", help="image to write (default: SCENE.png)")
-    parser.add_argument(
-        "--trace", type=Path, metavar="F.zip", help="write a trace of all commands (see python -m rhi trace)"
-    )
-    parser.add_argument(
-        "--record",
-        type=Path,
-        metavar="F.json",
-        help="write the frames' cameras as a walk-through, for --camera and --camera-path",
-    )
-    parser.add_argument(
-        "--particles", action="store_true", help="draw the drops of the hall's fountains as particles, too"
-    )
-    parser.add_argument(
-        "--overlay",
-        action="store_true",
-        help="draw frame times, counters, the timer tree and the culling over each frame, which costs time, too",
-    )
-    parser.add_argument("--json", action="store_true", help="print the result as JSON")
-    parser.set_defaults(technique=None, samples=None)  # so that settings of a file can hold
+_OPTIONS: Final = (
+    options.SCENE,
+    options.BACKEND,
+    *options.technique(is_given=False),
+    options.visibility(None, "the settings', auto"),
+    options.settings("file with settings, written by `accuracy` or `tune`; other arguments count more"),
+    options.queries("the settings', native"),
+    options.camera(),
+    options.frame("first frame of the path, at 60 a second"),
+    options.frames(1, "number of frames to time"),
+    options.size(),
+    *options.STEREO,
+    options.file("--holes", "as --reproject, and write the right eye's picture with its holes in magenta"),
+    options.DEPTH,
+    options.BLENDING,
+    option("--edge-pixels", "length in pixels that edges of height fields are split down to", None, "the settings', 8",
+           type=float, metavar="N"),
+    option("--show", f"picture what the frame is made of instead of its light: {', '.join(INSPECTIONS)}, or a texture "
+           "of the technique's plan, such as surface (see `plan`)", metavar="NAME"),
+    option("--output", "image to write", None, "SCENE.png", type=Path, metavar="F.png"),
+    options.file("--trace", "write a trace of all commands (see python -m rhi trace)", "F.zip"),
+    options.file("--record", "write the frames' cameras as a walk-through, for --camera and --camera-path", "F.json"),
+    options.switch("--particles", "draw the drops of the hall's fountains as particles, too"),
+    options.switch("--overlay", "draw frame times, counters, the timer tree and the culling over each frame, which "
+                   "costs time, too"),
+    options.JSON,
+)  # fmt: skip
 
 
 def _run(given: argparse.Namespace) -> None:
@@ -273,5 +220,5 @@ def show_report(report: dict[str, Any]) -> str:
 
 
 COMMAND: Final = Subcommand(
-    "render", "render a scene to an image and report what it cost", _add_arguments, _run, _NOTES
+    "render", "render a scene to an image and report what it cost", _OPTIONS, _run, _NOTES
 )

@@ -5,16 +5,12 @@ from __future__ import annotations
 import argparse
 from typing import Final
 
-from renderer.cli.subcommand import Parser, Subcommand
+from renderer.cli.subcommand import Subcommand
 from renderer.content import GENERATORS
 
 _NOTES: Final = """\
   python -m renderer scenes
   python -m renderer render city:blocks=12,seed=3"""
-
-
-def _add_arguments(parser: Parser) -> None:
-    """Declare nothing: the command takes no arguments."""
 
 
 def _run(given: argparse.Namespace) -> None:
@@ -27,6 +23,4 @@ def _run(given: argparse.Namespace) -> None:
     print("or a model file: glTF (.gltf, .glb), OBJ, PLY or STL")
 
 
-COMMAND: Final = Subcommand(
-    "scenes", "list the scene generators and their options", _add_arguments, _run, _NOTES
-)
+COMMAND: Final = Subcommand("scenes", "list the scene generators and their options", (), _run, _NOTES)

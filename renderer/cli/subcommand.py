@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NoReturn
+
+from renderer.cli.options import CommandOption, add_options
 
 
 class Parser(argparse.ArgumentParser):
@@ -27,14 +29,14 @@ class Subcommand:
 
     Attributes:
         summary: one line for the list of commands; it begins the command's own help.
-        add_arguments: declares the command's arguments.
+        options: the command's arguments.
         run: executes the command, given its parsed arguments.
         notes: examples, and what the results mean; the end of the command's help.
     """
 
     name: str
     summary: str
-    add_arguments: Callable[[Parser], None]
+    options: Sequence[CommandOption]
     run: Callable[[argparse.Namespace], None]
     notes: str
 
@@ -46,7 +48,7 @@ class Subcommand:
             description=_sentence(self.summary),
             epilog=f"examples:\n{self.notes}",
         )
-        self.add_arguments(parser)
+        add_options(parser, self.options)
         parser.set_defaults(run=self.run)
 
 

@@ -11,18 +11,12 @@ from pathlib import Path
 from typing import Final
 
 import rhi
-from renderer.cli.arguments import (
-    add_backend,
-    add_queries,
-    add_rounds,
-    add_scene,
-    add_size,
-    add_walk,
-    open_scene,
-)
-from renderer.cli.executors import add_executor, make_executor
+from renderer.cli import options
+from renderer.cli.arguments import open_scene
+from renderer.cli.executors import KINDS, make_executor
+from renderer.cli.options import option
 from renderer.cli.output import OutputError, draw_chart, note, print_report, show_progress
-from renderer.cli.subcommand import Parser, Subcommand
+from renderer.cli.subcommand import Subcommand
 from renderer.content import find_path
 from renderer.lab.measure import format_table, title_of
 from renderer.lab.measure.tuning import ParameterPair, Trial, Walk, find_best, search, space_evenly, try_pairs
@@ -44,37 +38,6 @@ pairs are judged by the ratio of the two times, so trials may run at the same ti
 three are then compared in one process. --leaf-size 1:16 then tries the best pair with leaves of 1, 2, 4, 8 and 16
 objects, which are queried and drawn together. `trials.csv`, `trials.png` and `settings.json` are written to DIR;
 `render`, `compare visibility` and `debug visibility` read the last with --settings."""
-
-
-def _add_arguments(parser: Parser) -> None:
-    add_scene(parser)
-    add_walk(parser, "number of frames that a trial renders")
-    parser.add_argument(
-        "--b", type=_parse_range, default=(1, 100), metavar="LOW:HIGH", help="range of b (default: 1:100)"
-    )
-    parser.add_argument(
-        "--n", type=_parse_range, default=(1, 40), metavar="LOW:HIGH", help="range of n (default: 1:40)"
-    )
-    parser.add_argument(
-        "--leaf-size",
-        type=_parse_range,
-        default=(1, 1),
-        metavar="LOW:HIGH",
-        help="range of the leaf size to try with the best pair (default: 1)",
-    )
-    add_rounds(parser, "rounds of the search, the first of which tries a grid of values", 4)
-    add_executor(parser, "trials")
-    add_queries(parser, "native")
-    add_backend(parser)
-    add_size(parser)
-    parser.add_argument(
-        "--output",
-        type=Path,
-        default=Path("tuned"),
-        metavar="DIR",
-        help="folder for the results (default: %(default)s)",
-    )
-    parser.add_argument("--json", action="store_true", help="print the result as JSON")
 
 
 def _run(given: argparse.Namespace) -> None:
@@ -200,6 +163,21 @@ def _parse_range(text: str) -> ParameterPair:
     return int(low), int(high)
 
 
+_OPTIONS: Final = (
+    options.SCENE,
+    *options.walk("number of frames that a trial renders"),
+    option("--b", "range of b", (1, 100), "1:100", type=_parse_range, metavar="LOW:HIGH"),
+    option("--n", "range of n", (1, 40), "1:40", type=_parse_range, metavar="LOW:HIGH"),
+    option("--leaf-size", "range of the leaf size to try with the best pair", (1, 1), "1", type=_parse_range,
+           metavar="LOW:HIGH"),
+    options.rounds("rounds of the search, the first of which tries a grid of values", 4),
+    options.executor("trials", KINDS),
+    options.queries("native"),
+    options.BACKEND,
+    options.size(),
+    options.file("--output", "folder for the results", "DIR", "tuned"),
+    options.JSON,
+)  # fmt: skip
 COMMAND: Final = Subcommand(
-    "tune", "find the best b and n of CHC++ along a camera path", _add_arguments, _run, _NOTES
+    "tune", "find the best b and n of CHC++ along a camera path", _OPTIONS, _run, _NOTES
 )

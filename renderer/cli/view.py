@@ -3,29 +3,15 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import Final
 
-from renderer.cli.arguments import (
-    DECIDES,
-    add_backend,
-    add_camera,
-    add_frame,
-    add_scene,
-    add_settings,
-    add_size,
-    add_technique,
-    load_settings,
-    open_scene,
-    parse_count,
-    parse_frame,
-)
+from renderer.cli import options
+from renderer.cli.arguments import load_settings, open_scene
+from renderer.cli.options import option
 from renderer.cli.output import note
-from renderer.cli.subcommand import Parser, Subcommand
+from renderer.cli.subcommand import Subcommand
 from renderer.content import parse_camera
-from renderer.stereo import OUTPUTS
 from renderer.viewer.look import PLAIN, SHADOWS, Look
-from renderer.visibility import ALGORITHMS
 
 _NOTES: Final = """\
   python -m renderer view city
@@ -39,40 +25,28 @@ F1 shows what the keys do, F2 or ` opens the console, in which Tab completes. A 
 what the console can, such as write pictures."""
 
 
-def _add_arguments(parser: Parser) -> None:
-    add_scene(parser)
-    add_backend(parser)
-    add_technique(parser, default="forward")
-    parser.add_argument(
-        "--visibility", choices=ALGORITHMS, help=DECIDES.replace("%(default)s", "the settings', or frustum")
-    )
-    add_settings(parser, "file with settings; what is saved to it takes effect; other arguments count more at first")
-    add_camera(parser)
-    add_frame(parser, "frame of the path")
-    add_size(parser, what="size of the window in pixels")
-    parser.add_argument(
-        "--shadows",
-        choices=SHADOWS,
-        default=SHADOWS[0],
-        help="lights that cast shadows: those of which the scene says so, all, or none (default: %(default)s)",
-    )
-    parser.add_argument("--stereo", choices=OUTPUTS, help="draw two eyes, and show them like this (docs/stereo.md)")
-    parser.add_argument("--show", metavar="NAME", help="picture what the frame is made of, as `render` does")
-    parser.add_argument("--particles", action="store_true", help="draw the drops of the hall's fountains as particles")
-    parser.add_argument("--overlay", action="store_true", help="draw times, counters and the culling over each frame")
-    parser.add_argument(
-        "--canvas",
-        choices=("window", "qt", "page"),
-        default="window",
-        help="where the picture is shown; page is one in the browser (default: %(default)s)",
-    )
-    parser.add_argument("--immediate", action="store_true", help="don't wait for the display's refresh")
-    parser.add_argument("--script", type=Path, metavar="F", help="commands to run, a line each")
-    parser.add_argument(
-        "--listen", type=parse_frame, metavar="PORT", help="run commands from this port of the loopback address"
-    )
-    parser.add_argument("--frames", type=parse_count, metavar="N", help="end after so many frames, and say how fast")
-    parser.set_defaults(technique=None, samples=None)  # so that settings of a file can hold
+_OPTIONS: Final = (
+    options.SCENE,
+    options.BACKEND,
+    *options.technique("forward", is_given=False),
+    options.visibility(None, "the settings', or frustum"),
+    options.settings("file with settings; what is saved to it takes effect; other arguments count more at first"),
+    options.camera(),
+    options.frame("frame of the path"),
+    options.size(what="size of the window in pixels"),
+    options.choice("--shadows", "lights that cast shadows: those of which the scene says so, all, or none", SHADOWS,
+                   SHADOWS[0]),
+    options.STEREO_OUTPUT,
+    option("--show", "picture what the frame is made of, as `render` does", metavar="NAME"),
+    options.switch("--particles", "draw the drops of the hall's fountains as particles"),
+    options.switch("--overlay", "draw times, counters and the culling over each frame"),
+    options.choice("--canvas", "where the picture is shown; page is one in the browser", ("window", "qt", "page"),
+                   "window"),
+    options.switch("--immediate", "don't wait for the display's refresh"),
+    options.file("--script", "commands to run, a line each", "F"),
+    option("--listen", "run commands from this port of the loopback address", type=options.parse_frame, metavar="PORT"),
+    options.count("--frames", "end after so many frames, and say how fast"),
+)  # fmt: skip
 
 
 def _run(given: argparse.Namespace) -> None:
@@ -113,4 +87,4 @@ def _run(given: argparse.Namespace) -> None:
         shown.close()
 
 
-COMMAND: Final = Subcommand("view", "show a scene in a window, and move through it", _add_arguments, _run, _NOTES)
+COMMAND: Final = Subcommand("view", "show a scene in a window, and move through it", _OPTIONS, _run, _NOTES)

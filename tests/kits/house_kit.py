@@ -242,6 +242,7 @@ def make_things_to_destroy(house: House) -> None:
     create_queries(house)
     with house.device.render_pass(house.other):
         house.device.draw(program, house.full, tint=house.tints[0])
+        house.device.draw_many(program, house.half, house.half.draws([0, 0], 3), tint=house.tints[0])
         house.device.draw(house.flat, house.made[3], tint=house.tints[0])
 
 

@@ -36,6 +36,11 @@ UNSEEN: Final[tuple[Unseen, ...]] = (
         f"{LOOK}: the distance of two columns",
     ),
     Unseen(
+        "renderer/frame/resources.py", "self.simulate(self.find_in_view(camera, rows), is_drawn=False)",
+        "self.simulate(self.find_in_view(camera, rows), is_drawn=False)", "pass",
+        f"{COST}: what is drawn is simulated then, one after the other",
+    ),
+    Unseen(
         "rhi/backends/gl/backend.py", "self._tests_alpha = False", "False", "True",
         f"{SAME}: the first program that is bound finds out",
     ),

@@ -20,10 +20,15 @@ def numbers(count: int, dtype: str = "u4") -> NDArray[Any]:
     return (np.arange(count, dtype=np.uint64) * 2654435761 % (1 << 32)).astype(dtype)
 
 
-@pytest.mark.parametrize("size", [1, 3, 4, 255, 4096, 1 << 20])
-def test_a_new_buffer_holds_zeros(device: Device, size: int) -> None:
-    with device.buffer(size) as buffer:
-        assert_same(buffer.read(), np.zeros(size))
+@pytest.mark.parametrize("usage", [BufferUsage.STATIC, BufferUsage.STREAM])
+@pytest.mark.parametrize("size", [1, 3, 4, 127, 128, 129, 255, 4096, 1 << 20])
+def test_a_new_buffer_holds_zeros(device: Device, size: int, usage: BufferUsage) -> None:
+    """Also one that may get the memory of another that was destroyed."""
+    for _ in range(2):
+        with device.buffer(size, usage=usage) as buffer:
+            assert_same(buffer.read(), np.zeros(size))
+            buffer.write(np.full(size, 0xFF, np.uint8))
+        device.finish()
 
 
 @pytest.mark.parametrize("usage", [BufferUsage.STATIC, BufferUsage.STREAM])

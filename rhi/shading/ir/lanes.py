@@ -18,18 +18,17 @@ from dataclasses import dataclass, field
 from typing import Final, TypeAlias
 
 from rhi.contract.descriptors import TextureKind
+from rhi.contract.formats import Choice
 from rhi.shading.ir import nodes
 
 
-class ScalarKind(enum.Enum):
+class ScalarKind(Choice):
     """The scalar type of a component. A varying bool is a mask."""
 
     FLOAT = "float"
     INT = "int"
     UINT = "uint"
     BOOL = "bool"
-
-    __hash__ = object.__hash__
 
 
 class Uniformity(enum.IntEnum):
@@ -50,7 +49,7 @@ class Variable:
     uniformity: Uniformity
 
 
-class AddressSpace(enum.Enum):
+class AddressSpace(Choice):
     """The kind of memory a region lies in, as far as lane code distinguishes it."""
 
     UNIFORM = "uniform"
@@ -60,8 +59,6 @@ class AddressSpace(enum.Enum):
     CONSTANT = "constant"
     TEXTURE = "texture"
     IMAGE = "image"
-
-    __hash__ = object.__hash__
 
 
 @dataclass(slots=True, eq=False)
@@ -169,15 +166,13 @@ class ElementCount(Value):
     memory: MemoryRegion
 
 
-class DispatchIndex(enum.Enum):
+class DispatchIndex(Choice):
     """A built-in index of an invocation or its work-group. Those with several axes are read one axis at a time."""
 
     GROUP_ID = "group_id"
     GROUP_COUNT = "group_count"
     ITEM = "item"
     LOCAL_INDEX = "local_index"
-
-    __hash__ = object.__hash__
 
 
 @dataclass(slots=True, eq=False)

@@ -11,13 +11,13 @@
 from __future__ import annotations
 
 import ast
-import enum
 import operator
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, Final, TypeAlias
 
 from rhi.contract.descriptors import Stage
+from rhi.contract.formats import Choice
 from rhi.contract.layout import StructType
 from rhi.shading.ir import nodes
 from rhi.shading.language.builtins import Builtin, Overload, SideEffect
@@ -29,7 +29,7 @@ from rhi.shading.language.types import Type
 # -- expressions -------------------------------------------------------------------------------------------
 
 
-class Operator(enum.Enum):
+class Operator(Choice):
     """Operators on values of one type, or on a scalar and a vector or matrix by component.
 
     Attributes:
@@ -69,8 +69,6 @@ class Operator(enum.Enum):
         self.syntax = syntax
         self.fold = fold
         self.primitive = primitive
-
-    __hash__ = object.__hash__
 
 
 OPERATORS: Final = {op.syntax: op for op in Operator}

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import enum
 from typing import Annotated, Any, TypeAlias, TypeVar, get_args, get_origin
 
+from rhi.contract.formats import Choice
 from rhi.contract.layout import BOOL, FLOAT, INT, ArrayType, HostType
 from rhi.shading.language.types import LANGUAGE_NAMES
 from rhi.shading.language.vectors import Array, ArrayLength, ReadOnlyArray
@@ -14,15 +14,13 @@ LANGUAGE_NAMES.update(("Flat", "FragmentDepth", "NoPerspective", "PointSize"))
 T = TypeVar("T")
 
 
-class Role(enum.Enum):
+class Role(Choice):
     """The special treatment of a struct's field as a varying or a fragment output."""
 
     FLAT = "flat"
     NO_PERSPECTIVE = "noperspective"
     FRAGMENT_DEPTH = "fragment depth"
     POINT_SIZE = "point size"
-
-    __hash__ = object.__hash__
 
 
 Flat = Annotated[T, Role.FLAT]

@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final, NoReturn
 
 from rhi.contract.descriptors import Stage
+from rhi.contract.formats import Choice
 from rhi.contract.layout import BOOL, FLOAT, INT, UINT
 from rhi.errors import refuse
 from rhi.shading.language import rules
@@ -29,7 +30,7 @@ from rhi.shading.language.types import LANGUAGE_NAMES, MATRICES, VECTORS, VOID, 
 LANGUAGE_NAMES.add("Precision")
 
 
-class Precision(enum.Enum):
+class Precision(Choice):
     """Accuracy of pow, exp, log, sin, cos, roots and divisions on OpenCL: EXACT is within a few ulp, FAST less exact.
 
     With FAST, OpenCL may flush numbers below 2^-126 to 0. `python -m rhi shading accuracy` measures the errors of both.
@@ -37,8 +38,6 @@ class Precision(enum.Enum):
 
     EXACT = "exact"
     FAST = "fast"
-
-    __hash__ = object.__hash__
 
 
 class SideEffect(enum.Enum):

@@ -10,7 +10,6 @@
 
 from __future__ import annotations
 
-import enum
 import inspect
 import os
 import sys
@@ -21,7 +20,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, TypeVar, get_args, ge
 
 from typing_extensions import dataclass_transform
 
-from rhi.contract.formats import ChannelKind
+from rhi.contract.formats import ChannelKind, Choice
 from rhi.contract.layout import ArrayType, HostType, is_host_shareable
 from rhi.errors import ShaderError, find_call_site, refuse
 from rhi.shading.language import rules
@@ -38,7 +37,7 @@ LANGUAGE_NAMES.update(("Shader", "shared"))
 T = TypeVar("T")
 
 
-class StorageClass(enum.Enum):
+class StorageClass(Choice):
     """The kind of resource or memory that a shader's field stands for."""
 
     UNIFORM = "uniform"
@@ -46,8 +45,6 @@ class StorageClass(enum.Enum):
     TEXTURE = "texture"
     IMAGE = "image"
     SHARED = "shared"
-
-    __hash__ = object.__hash__
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,7 +36,7 @@ def write_much() -> None:
 def test_commands_of_both_packages_end_quietly(
     package: ModuleType, arguments: list[str], monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    much = Subcommand("much", "print much", lambda parser: None, lambda given: write_much(), "")
+    much = Subcommand("much", "print much", (), lambda given: write_much(), "")
     monkeypatch.setattr(cli, "COMMANDS", (*cli.COMMANDS, much))
     monkeypatch.setattr(sys, "argv", [package.__name__, *arguments])
     with stream_to_pipe(monkeypatch, "stdout", is_read=False), pytest.raises(SystemExit) as ended:

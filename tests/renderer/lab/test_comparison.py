@@ -13,8 +13,7 @@ from typing import Any
 import pytest
 
 import rhi
-from renderer.cli import main
-from renderer.cli.arguments import add_rounds
+from renderer.cli import main, options
 from renderer.cli.comparison import run_benchmark
 from renderer.lab.comparison import (
     Column,
@@ -115,7 +114,7 @@ def test_a_benchmark_prints_its_rows(
     monkeypatch.setattr("sys.argv", ["some.py", "--rounds", "1", *form.split()])
     monkeypatch.setenv("RHI_KERNELS", "")  # and so back to what it was at the end
     monkeypatch.delenv("RHI_KERNELS")
-    run_benchmark("Says what it is.", lambda parser: add_rounds(parser, "rounds"), measure)
+    run_benchmark("Says what it is.", [options.rounds("rounds")], measure)
     assert os.environ["RHI_KERNELS"] == "optimised"  # as a long run has them
     out = capsys.readouterr().out
     if form == "--json":
@@ -132,7 +131,7 @@ def test_a_benchmark_keeps_the_kernels_that_were_asked_for(
 ) -> None:
     monkeypatch.setattr("sys.argv", ["some.py"])
     monkeypatch.setenv("RHI_KERNELS", "quick")
-    run_benchmark("Says what it is.", lambda parser: None, lambda given: [{"a": 1}])
+    run_benchmark("Says what it is.", (), lambda given: [{"a": 1}])
     assert os.environ["RHI_KERNELS"] == "quick"
     capsys.readouterr()
 

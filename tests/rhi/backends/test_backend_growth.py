@@ -19,7 +19,7 @@ import pytest
 from house_kit import CALLS, SIZE, Count, House, draw_many, make_things_to_destroy, wait_for_a_query
 
 import rhi
-from rhi import Format
+from rhi import Format, Primitive
 from rhi.backends.cl.backend import ClBackend
 from rhi.backends.gl.backend import GlBackend
 
@@ -47,7 +47,17 @@ def rewrite_indices(house: House) -> None:
     draw_many(house)
 
 
-REPEATED = [*CALLS, make_things_to_destroy, dispatch_a_new_program, draw_beside_a_lasting_target, rewrite_indices]
+def draw_new_quads(house: House) -> None:
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], np.float32)
+    house.made.append(house.device.mesh({"position": corners}, np.arange(4, dtype="u4"), primitive=Primitive.QUADS))
+    with house.device.render_pass(house.other):
+        house.device.draw(house.flat, house.made[-1], tint=house.tints[0])
+
+
+REPEATED = [
+    *CALLS, make_things_to_destroy, dispatch_a_new_program, draw_beside_a_lasting_target, rewrite_indices,
+    draw_new_quads,
+]  # fmt: skip
 COMPILED = {make_things_to_destroy: 4, dispatch_a_new_program: 4}
 """How often, where each time programs are compiled; other calls are repeated `TIMES` times."""
 TIMES = 20

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from house_kit import Corner
 from null_kit import Camera, Kit
 
 import rhi
@@ -17,13 +18,9 @@ from rhi import Device, Format, Op, SamplerDescriptor
 from rhi.device.core import core
 from rhi.device.core.timeline import MAX_WAITING, MAX_WAITING_BYTES
 from rhi.device.queries.timers import MAX_EVENTS
-from rhi.shading import Shader, StorageRW, Struct, Uniform, global_id, run_compute, vec2, vec4
+from rhi.shading import Shader, StorageRW, Uniform, global_id, run_compute, vec4
 
 pytestmark = pytest.mark.usefixtures("quick_collections")
-
-
-class Corner(Struct):
-    position: vec2
 
 
 CORNERS = np.array([[-1, -1], [1, -1], [0, 1]], np.float32)

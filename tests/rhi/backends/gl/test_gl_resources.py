@@ -16,7 +16,6 @@ from rhi.backends.gl.quads import expand_indices
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
 from rhi.contract.descriptors import (
-    BufferDescriptor,
     BufferUsage,
     DepthAttachment,
     PassDescriptor,
@@ -48,15 +47,6 @@ def test_a_buffer_takes_whatever_is_bytes_in_a_row(gl_kit: GlKit, source: object
     buffer = gl_kit.buffer(bytes(64), usage)
     gl_kit.backend.write_buffer(buffer, 16, source)  # type: ignore[arg-type]
     assert gl_kit.backend.read_buffer(buffer, 0, 64) == bytes(16) + VALUES.tobytes() + bytes(16)
-
-
-@pytest.mark.parametrize("usage", BufferUsage)
-def test_a_buffer_starts_as_zeros(gl_kit: GlKit, usage: BufferUsage) -> None:
-    for buffer in (1, 2):  # the second may get the memory of the first
-        gl_kit.backend.create_buffer(buffer, BufferDescriptor(5000, usage))
-        assert gl_kit.backend.read_buffer(buffer, 0, 5000) == bytes(5000)
-        gl_kit.backend.write_buffer(buffer, 0, b"\xff" * 5000)
-        gl_kit.backend.destroy(buffer)
 
 
 def test_what_is_written_to_a_stream_is_seen_by_the_gpu(gl_kit: GlKit) -> None:

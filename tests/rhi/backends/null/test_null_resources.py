@@ -1,6 +1,5 @@
 """Buffers and textures of the null backend: writes, reads, copies, clears, in order."""
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -10,12 +9,10 @@ from rhi.backends.null.backend import QUEUED_BYTES
 from rhi.contract.descriptors import (
     BufferDescriptor,
     BufferUsage,
-    DepthAttachment,
-    PassDescriptor,
     Region,
     TextureDescriptor,
 )
-from rhi.contract.formats import DEPTH_FORMATS, Format
+from rhi.contract.formats import Format
 from rhi.errors import DeviceError
 
 BY_NAME = {"ids": lambda f: f.name}
@@ -133,27 +130,3 @@ def test_the_queue_makes_no_difference_to_memory(operations):
             backend.signal(fence + 1)
     for buffer, model in models.items():
         assert backend.read_buffer(buffer, 0, 32) == model
-
-
-# -- textures --------------------------------------------------------------------------------------------
-
-
-# -- passes ----------------------------------------------------------------------------------------------
-
-
-def run_pass(backend, size, *colors, depth=None, samples=1):
-    backend.begin_pass(PassDescriptor(size, colors, depth, samples))
-    backend.end_pass()
-
-
-@pytest.mark.parametrize("format", DEPTH_FORMATS, **BY_NAME)
-def test_a_pass_clears_depth_and_stencil(backend, format):
-    descriptor = texture(backend, 1, (3, 2), format)
-    run_pass(backend, (3, 2), depth=DepthAttachment(1, clear=0.25, clear_stencil=0x1FE))
-    depth = backend.read_texture(1, 0, whole(descriptor), False)
-    assert depth.dtype == np.float32
-    assert np.abs(depth - 0.25).max() <= 1 / 65535
-    if format.has_stencil:
-        stencil = backend.read_texture(1, 0, whole(descriptor), True)
-        assert (stencil.dtype, stencil.shape) == (np.uint8, (1, 2, 3, 1))
-        assert (stencil == 0xFE).all()

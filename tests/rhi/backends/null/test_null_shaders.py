@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from house_kit import Corner
 
 import rhi
 from rhi import Format, IndirectDraws
@@ -24,7 +25,6 @@ from rhi.shading import (
     instance_index,
     ivec2,
     uint,
-    vec2,
     vec3,
     vec4,
 )
@@ -66,10 +66,6 @@ class Careless(Shader):
 
     def compute(self) -> None:
         self.weights[global_id().x + 7] = 1.0
-
-
-class Corner(Struct):
-    position: vec2
 
 
 class Mark(Shader):

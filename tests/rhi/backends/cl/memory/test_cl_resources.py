@@ -15,10 +15,8 @@ from rhi.backends.cl.backend import ClBackend
 from rhi.backends.cl.memory import buffers, textures
 from rhi.conformance.formats import random_texels
 from rhi.contract.descriptors import (
-    Attachment,
     BufferDescriptor,
     BufferUsage,
-    PassDescriptor,
     Region,
     TextureDescriptor,
     TextureKind,
@@ -47,16 +45,6 @@ def test_a_cl_buffer_takes_whatever_is_bytes_in_a_row(
     buffer = cl_kit.buffer(bytes(64), usage)
     cl_kit.backend.write_buffer(buffer, 16, source)  # type: ignore[arg-type]
     assert cl_kit.backend.read_buffer(buffer, 0, 64) == bytes(16) + VALUES.tobytes() + bytes(16)
-
-
-@pytest.mark.parametrize("usage", BufferUsage)
-@pytest.mark.parametrize("size", [1, 127, 128, 129, 5000])
-def test_a_cl_buffer_starts_as_zeros(cl_kit: ClKit, size: int, usage: BufferUsage) -> None:
-    for buffer in (1, 2):  # the second may get the memory of the first
-        cl_kit.backend.create_buffer(buffer, BufferDescriptor(size, usage))
-        assert cl_kit.backend.read_buffer(buffer, 0, size) == bytes(size)
-        cl_kit.backend.write_buffer(buffer, 0, b"\xff" * size)
-        cl_kit.backend.destroy(buffer)
 
 
 @pytest.mark.parametrize("shares_memory", [True, False])
@@ -235,20 +223,6 @@ def test_levels_and_layers_of_odd_sizes_stay_apart(cl_kit: ClKit) -> None:
         np.testing.assert_array_equal(back, data[level])
 
 
-def test_clearing_depth_and_stencil_of_a_layer_leaves_the_others(cl_kit: ClKit) -> None:
-    from rhi.contract.descriptors import DepthAttachment
-
-    texture = cl_kit.texture(TextureDescriptor((3, 5), Format.D32FS8, TextureKind.D2_ARRAY, 3))
-    attachment = DepthAttachment(texture, 0, 1, 0.25, 7)
-    cl_kit.backend.begin_pass(PassDescriptor((3, 5), (), attachment))
-    cl_kit.backend.end_pass()
-    whole = Region(0, 0, 3, 5, 0, 3)
-    for stencil, value in ((False, 0.25), (True, 7)):
-        back = cl_kit.backend.read_texture(texture, 0, whole, stencil)
-        assert (back[1] == value).all()
-        assert not back[[0, 2]].any()
-
-
 RESOLVED = [f for f in Format if not f.is_depth and not f.is_integer]
 
 
@@ -276,16 +250,6 @@ def test_a_resolve_of_integers_takes_a_sample(cl_kit: ClKit) -> None:
     cl_kit.backend.write_texture(source, 0, Region(0, 0, 2, 1, 0, 4), bytes(range(1, 9)))
     cl_kit.backend.resolve_texture(source, target)
     assert cl_kit.read(target, 2, 1)[0, :, 0].tolist() == [1, 2]
-
-
-def test_the_end_of_a_pass_resolves_what_its_begin_cleared_in_all_samples(cl_kit: ClKit) -> None:
-    source = cl_kit.texture(TextureDescriptor((3, 3), Format.RGBA8, samples=4))
-    target = cl_kit.texture(TextureDescriptor((3, 3), Format.RGBA8))
-    color = Attachment(source, clear=(1.0, 0.5, 0.0, 1.0), resolve=target)
-    cl_kit.backend.begin_pass(PassDescriptor((3, 3), (color,), samples=4))
-    assert not cl_kit.read(target, 3, 3).any()
-    cl_kit.backend.end_pass()
-    assert (cl_kit.read(target, 3, 3) == (255, 128, 0, 255)).all()
 
 
 @pytest.mark.parametrize("size", [(5, 7), (1, 9), (6, 3), (2, 1)], ids=str)

@@ -1,7 +1,6 @@
-"""Coverage, depth and sample counts of triangles, checked in integers where nothing is clipped, else in float64.
+"""Coverage and sample counts of triangles that nothing clips, in whole numbers; the kit examines those that are cut.
 
-A window position is float32, rounded to 1/256 pixel; from there on coverage is exact. Of what is clipped, edges are
-rounded where they are cut, so that one may lie up to 1/256 pixel off, and only that is allowed.
+A window position is float32, rounded to 1/256 pixel; from there on coverage is exact.
 """
 
 from __future__ import annotations
@@ -59,20 +58,6 @@ def random_boxes(count: int, seed: int, nearest: float) -> Floats:
     return project((points - middle) @ turn.T + middle)[:, triangles]
 
 
-def plains(count: int, seed: int) -> Floats:
-    """(count, 3, 4): wide triangles below and around the eye, as far as the horizon."""
-    rng = np.random.default_rng(seed)
-    reach, height = 10.0 ** rng.uniform(2, 4, count), 10.0 ** rng.uniform(-1, 2.5, count)
-    points = np.stack([*rng.uniform(-1, 1, (2, count, 3))], -1) * reach[:, None, None]
-    points = np.stack([points[..., 0], np.broadcast_to(-height[:, None], (count, 3)), points[..., 1]], -1)
-    pitch, roll = rng.uniform(-0.6, 0.6, count), rng.uniform(-0.5, 0.5, count)
-    one, none = np.ones(count), np.zeros(count)
-    rows = [[one, none, none], [none, np.cos(pitch), -np.sin(pitch)], [none, np.sin(pitch), np.cos(pitch)]]
-    tilt = np.moveaxis(np.array(rows), -1, 0)
-    rows = [[np.cos(roll), -np.sin(roll), none], [np.sin(roll), np.cos(roll), none], [none, none, one]]
-    return project(points @ np.swapaxes(np.moveaxis(np.array(rows), -1, 0) @ tilt, 1, 2))
-
-
 def cover_exactly(triangle: Floats, sample: tuple[int, int] = (0, 0), *, back: bool = False) -> NDArray[np.bool_]:
     """(h, w): which samples, so many subtexels from the centres, a triangle (3, 4) in front of the eye covers, by its
     front or also by its `back`: whole numbers and the top-left rule."""
@@ -83,30 +68,6 @@ def cover_exactly(triangle: Floats, sample: tuple[int, int] = (0, 0), *, back: b
     if not back and np.linalg.det(fixed[1:] - fixed[:1]) > 0:  # y counts downwards
         return np.zeros(SIZE[::-1], bool)
     return rasterise(fixed + SUBTEXELS // 2 - sample, *SIZE, SUBTEXELS)
-
-
-def find_planes(triangle: Floats) -> tuple[Floats, Floats]:
-    """Return planes in the window for a triangle (3, 4), clipped or not: (3, 3) of the corners' weights divided by w,
-    and (3,) of depth. The dot product of a plane with (x, y, 1) is its value."""
-    width, height = SIZE
-    x, y, z, w = triangle.T
-    window = np.stack([(x + w) * width / 2, (w - y) * height / 2, w], 1)
-    planes = np.array([np.cross(window[(i + 1) % 3], window[(i + 2) % 3]) for i in range(3)])
-    planes /= window[0] @ planes[0]
-    return planes, z @ planes
-
-
-def cover(triangle: Floats) -> tuple[NDArray[np.bool_], Floats]:
-    """(h, w): which samples a triangle (3, 4) covers, clipped by near and far, in float64; and how many pixels each
-    lies from the nearest edge or cut."""
-    weights, depth = find_planes(triangle)
-    y, x = np.mgrid[0 : SIZE[1], 0 : SIZE[0]] + 0.5
-    inside, distance = np.full(SIZE[::-1], True), np.full(SIZE[::-1], np.inf)
-    for plane in (*weights, depth, np.array([0, 0, 1]) - depth, weights.sum(0)):
-        value = plane[0] * x + plane[1] * y + plane[2]
-        inside &= value >= 0
-        distance = np.minimum(distance, np.abs(value) / max(float(np.hypot(*plane[:2])), 1e-30))
-    return inside, distance
 
 
 def draw_alone(device: Device, mesh: Mesh, depth: rhi.Texture, *states: Any) -> NDArray[np.int64]:
@@ -223,51 +184,3 @@ def test_triangles_beyond_the_target_cover_what_whole_numbers_say(device: Device
     expected = sum(cover_exactly(place, offset, back=True).astype(int) for place in places for offset in offsets)
     np.testing.assert_array_equal(drawn, expected)
     assert drawn.sum() > 400_000 * samples
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_what_is_clipped_covers_what_float64_says(device: Device, seed: int) -> None:
-    """Plains to the horizon and boxes that the near plane cuts differ only in samples within 1/256 pixel of an edge."""
-    triangles = np.concatenate([plains(40, seed), random_boxes(6, seed, -1.0).reshape(-1, 3, 4)])
-    covered = 0
-    with device.texture(SIZE, Format.D32F) as depth:
-        for triangle in triangles:
-            with device.mesh(corners(triangle)) as mesh:
-                with device.render_pass(depth=depth, clear_depth=0.0):
-                    pass
-                drawn = draw_alone(device, mesh, depth, CullMode.NONE) > 0
-            inside, distance = cover(triangle)
-            covered += int(inside.sum())
-            assert (distance[drawn != inside] <= 1 / 256).all(), triangle.tolist()
-    assert covered > 300_000
-
-
-def test_depth_of_steep_slivers_is_that_of_unrounded_corners(device: Device) -> None:
-    """Triangles a few subtexels thin with steep depth have the depth of the plane computed in float64. Of texels beside
-    it, which rounded edges cover, it is the nearest depth that the triangle has."""
-    rng = np.random.default_rng(0)
-    errors, slopes = [], []
-    with device.texture(SIZE, Format.D32F) as depth:
-        for _ in range(60):
-            start, along = rng.uniform(-0.9, 0.9, 2), rng.uniform(-1, 1, 2)
-            across = np.array([-along[1], along[0]]) / np.hypot(*along) * rng.uniform(8, 24) / 256 / 128
-            triangle = np.zeros((3, 4))
-            triangle[:, :2] = start, start + along, start + 0.5 * along + across
-            triangle[:, 2], triangle[:, 3] = (0.5, 0.5, 0.5 + rng.uniform(0.001, 0.02)), 1.0
-            triangle = triangle.astype(np.float32).astype(np.float64)
-            with device.mesh(corners(triangle)) as mesh:
-                with (
-                    device.render_pass(depth=depth, clear_depth=0.0),
-                    device.states(CullMode.NONE, DepthFunction.ALWAYS),
-                ):
-                    device.draw(device.program(FlatColored), mesh)
-            drawn = depth.read().astype(np.float64)
-            y, x = np.nonzero(drawn)
-            plane = find_planes(triangle)[1]
-            exact = plane[0] * (x + 0.5) + plane[1] * (y + 0.5) + plane[2]
-            within = np.clip(exact, triangle[:, 2].min(), triangle[:, 2].max())  # beside an edge it may lie beyond
-            errors.append(np.abs(within - drawn[y, x]))
-            slopes.append(np.hypot(*plane[:2]))
-    assert np.median(slopes) > 0.05  # a pixel: rounding of corners would be seen
-    assert sum(map(len, errors)) > 150
-    assert np.concatenate(errors).max() < 1e-5

@@ -30,30 +30,12 @@ from rhi.backends.cl.memory import pools as memory
 from rhi.backends.cl.raster import draw_tables, launcher
 from rhi.conformance.compare import assert_mask
 from rhi.conformance.reference import SUBTEXELS, rasterise
-from rhi.conformance.shaders import Colored, Corner
+from rhi.conformance.shaders import Bare, Colored, Corner, Tint, Tinted
 from rhi.conformance.shapes import corners, rectangle, window_to_clip
 from rhi.errors import DeviceError
 from rhi.shading import Shader, StorageRW, Struct, Uniform, global_id, instance_index, uint, vec2, vec4
 
 SIZE = (200, 150)
-
-
-class Tint(Struct):
-    color: vec4
-
-
-class Bare(Struct):
-    clip: vec4
-
-
-class Tinted(Shader):
-    tint: Uniform[Tint]
-
-    def vertex(self, v: Corner) -> Bare:
-        return Bare(clip=v.position)
-
-    def fragment(self, v: Bare) -> vec4:
-        return self.tint.color
 
 
 class Start(Struct):
