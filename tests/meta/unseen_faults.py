@@ -36,6 +36,14 @@ UNSEEN: Final[tuple[Unseen, ...]] = (
         f"{LOOK}: the distance of two columns",
     ),
     Unseen(
+        "rhi/backends/cl/raster/assembly.py", "self.listed = 0  # indices in the lists that were made for `kept`",
+        "0", "1", f"{COST}: lists are made again one index earlier",
+    ),
+    Unseen(
+        "rhi/backends/cl/raster/kernels/raster.cl", "if (COLOR_COUNT && (MAX_SAMPLES == 1 || bits_of(mask)))", "1", "2",
+        f"{COST}: colors are merged under a mask, empty or not",
+    ),
+    Unseen(
         "renderer/frame/resources.py", "self.simulate(self.find_in_view(camera, rows), is_drawn=False)",
         "self.simulate(self.find_in_view(camera, rows), is_drawn=False)", "pass",
         f"{COST}: what is drawn is simulated then, one after the other",

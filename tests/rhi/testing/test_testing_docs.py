@@ -51,3 +51,20 @@ def test_the_page_notices_a_broken_renderer(
     file.write_text(source.replace(old, new, 1))
     run = pytester.runpytest("-p", "no:cacheprovider")
     assert run.parseoutcomes()["failed"] >= 1
+
+
+@pytest.mark.parametrize(
+    ("block", "old", "new"),
+    [
+        (0, 'device.event("sun")', 'device.event("moon")'),
+        (1, "render_without_shadows(renderer, null_device)\n    with_shadows", "renderer.render()\n    with_shadows"),
+    ],
+)
+def test_the_page_shows_what_a_failure_says(
+    pytester: pytest.Pytester, tests: int, block: int, old: str, new: str
+) -> None:
+    shown = re.findall(r"```text\n(.*?)```", PAGE.read_text(), re.DOTALL)[block].replace("renderer.py", "*.py")
+    file = pytester.path / "test_shadow.py"
+    file.write_text(file.read_text().replace(old, new, 1))
+    run = pytester.runpytest("-p", "no:cacheprovider")
+    run.stdout.fnmatch_lines([f"*{line.replace('…', '*')}*" for line in shown.splitlines() if line != "…"])

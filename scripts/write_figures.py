@@ -1,0 +1,199 @@
+"""Make figures of the docs again: `python scripts/write_figures.py [--check | --ratios] [NAME …]`.
+
+The mark `<!-- figures: NAME -->` stands in a page on the line above a table. `FIGURES[NAME]` finds the cells of some of
+its columns. Those that don't depend on time are written into the page. With `--check` nothing is written: what differs
+is printed, and the exit code is 1 then. The nightly tests do so with all of them.
+
+Times differ from one machine to another, ratios less so. With `--ratios`, the times of each row are divided by those
+of the first one, and the ratios of the page are printed beside those of this machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+ROOT: Final = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+import rhi  # noqa: E402
+from renderer.content import load_scene, parse_camera  # noqa: E402
+from renderer.renderer import Renderer  # noqa: E402
+from renderer.techniques import Forward, Inferred  # noqa: E402
+
+Rows = Mapping[str, Sequence[str]]
+"""The cells of some columns, by the first cell of their row."""
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A table of a page: `find` finds the cells of its `columns`, then those of `times`, by a row's first cell."""
+
+    page: str
+    columns: tuple[str, ...]
+    find: Callable[[], Rows]
+    times: tuple[str, ...] = ()
+
+
+def _read_report(*arguments: str) -> Any:
+    command = [sys.executable, "-m", "renderer", *arguments, "--json"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    return json.loads(done.stdout)
+
+
+def _significant(value: float, digits: int) -> str:
+    """Return a number with so many significant digits."""
+    return np.format_float_positional(value, digits, fractional=False, trim="-") if value < 1e3 else \
+        f"{float(f'{value:.{digits - 1}e}'):,.0f}"  # fmt: skip
+
+
+def find_orders() -> Rows:
+    """Count what changes between the draws of `bazaar`, in several orders of its objects."""
+    names = ("programs", "materials", "meshes", "draws")
+    found = _read_report("plan", "bazaar", "--technique", "forward")["orders"]
+    return {row["order"]: [f"{row[name]:,}" for name in names] for row in found}
+
+
+def find_encodings() -> Rows:
+    """Find the errors of encodings against float64, the larger ones of gl and cl."""
+    found = _read_report("compare", "encodings")["rows"]
+    return {
+        row["name"]: [
+            _significant(row["mean_error"], 2),
+            _significant(row["max_error"], 3),
+            *(str(row["nanoseconds"][backend]) for backend in ("gl", "cl")),
+        ]
+        for row in found
+    }
+
+
+def find_draw_order() -> Rows:
+    """Count what changes between draws one by one, in several orders, and time them."""
+    done = subprocess.run(
+        [sys.executable, "benchmarks/draw_order.py", "--json"],
+        cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    names = ("programs", "bindings", "meshes", "draws")
+    return {
+        order: [*(f"{row[name]:,}" for name in names), f"{row['microseconds']:.1f}"]
+        for order, row in json.loads(done.stdout).items()
+    }
+
+
+def find_inferred() -> Rows:
+    """Compare pictures of inferred lighting at several scales with forward shading's, on gl."""
+    scene = load_scene("hall")
+    camera = parse_camera("overview", scene)
+    with rhi.create_device("gl") as device, Renderer(device, scene, technique=Forward(), size=(480, 270)) as renderer:
+        truth = renderer.render(camera).image.read()[..., :3].astype(np.float64)
+        rows = {}
+        for scale in (1, 0.8, 0.6, 0.5, 0.4):
+            renderer.technique = Inferred(scale=scale)
+            off = np.abs(renderer.render(camera).image.read()[..., :3] - truth)
+            loudness = 10 * np.log10(255**2 / np.square(off).mean())
+            rows[f"{scale}"] = [f"{loudness:.1f}", f"{100 * np.mean(off.max(-1) > 2):.2g} %"]
+    return rows
+
+
+FIGURES: Final = {
+    "orders": Figure("docs/materials.md", ("programs", "materials", "meshes", "draws"), find_orders),
+    "encodings": Figure("docs/deferred-plus.md", ("mean error", "largest error"), find_encodings, ("ns, gl", "ns, cl")),
+    "draw order": Figure("docs/materials.md", ("programs", "bindings", "meshes", "draws"), find_draw_order, ("µs",)),
+    "inferred": Figure("docs/lighting.md", ("PSNR, dB", "pixels more than 2 of 255 off"), find_inferred),
+}
+"""The tables that are made again, by the names of their marks."""
+
+
+def _split(line: str) -> list[str]:
+    return [cell.strip() for cell in line.strip().strip("|").split("|")]
+
+
+def find_table(text: str, name: str, rows: Rows) -> tuple[list[str], dict[int, list[str]]]:
+    """Return, of the table of this name, the titles of its columns, and the cells of its rows by line.
+
+    Raises:
+        ValueError: there is no such table, or its rows are others.
+    """
+    lines = text.split("\n")
+    mark = f"<!-- figures: {name} -->"
+    if mark not in lines:
+        raise ValueError(f"no line {mark}")
+    first = lines.index(mark) + 1
+    end = next((number for number in range(first, len(lines)) if not lines[number].startswith("|")), len(lines))
+    cells = {number: _split(lines[number]) for number in range(first + 2, end)}
+    seen = [row[0] for row in cells.values()]
+    if set(seen) != set(rows):
+        raise ValueError(f"{name}: the page has rows {seen}, and found are {list(rows)}")
+    return _split(lines[first]), cells
+
+
+def replace_cells(text: str, name: str, columns: Sequence[str], rows: Rows) -> str:
+    """Return a page with other cells in some columns of its table of this name."""
+    titles, cells = find_table(text, name, rows)
+    lines = text.split("\n")
+    for number, row in cells.items():
+        for column, cell in zip(columns, rows[row[0]], strict=False):  # times follow
+            row[titles.index(column)] = cell
+        lines[number] = f"| {' | '.join(row)} |"
+    return "\n".join(lines)
+
+
+def list_ratios(text: str, name: str, figure: Figure, rows: Rows) -> Iterator[str]:
+    """Yield the ratios of times to those of the first row: of the page, and those that were found."""
+    titles, cells = find_table(text, name, rows)
+    base, *others = cells.values()
+    for row in others:
+        for number, column in enumerate(figure.times, len(figure.columns)):
+            pairs = [(each[titles.index(column)], rows[each[0]][number]) for each in (row, base)]
+            try:
+                (old, new), (old_base, new_base) = [[float(cell.replace(",", "")) for cell in pair] for pair in pairs]
+            except ValueError:  # a cell without a time
+                continue
+            yield f"{name:<12} {row[0]:<52} {column:<8} {old / old_base:8.2f} {new / new_base:8.2f}"
+
+
+def list_differences(before: str, after: str) -> Iterator[str]:
+    """Yield the lines of a page that other cells change, old and new."""
+    for old, new in zip(before.split("\n"), after.split("\n"), strict=True):
+        if re.sub(r"\s*\|\s*", "|", old) != re.sub(r"\s*\|\s*", "|", new):
+            yield f"- {old}\n+ {new}"
+
+
+def main() -> int:
+    """Write or check figures, or print ratios; return 1 if checked ones differ."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"{', '.join(FIGURES)} (default: all)")
+    form = parser.add_mutually_exclusive_group()
+    form.add_argument("--check", action="store_true", help="write nothing, and end with 1 if figures differ")
+    form.add_argument("--ratios", action="store_true", help="print ratios of times, old and new")
+    arguments = parser.parse_args()
+    differences = []
+    for name in arguments.names or FIGURES:
+        figure = FIGURES[name]
+        if arguments.ratios and not figure.times:
+            continue
+        page = ROOT / figure.page
+        text, rows = page.read_text(encoding="utf-8"), figure.find()
+        if arguments.ratios:
+            print(*list_ratios(text, name, figure, rows), sep="\n")
+            continue
+        written = replace_cells(text, name, figure.columns, rows)
+        differences += list_differences(text, written)
+        if written != text and not arguments.check:
+            page.write_text(written, encoding="utf-8")
+    print("\n".join(differences), end="\n" if differences else "")
+    return 1 if differences and arguments.check else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
