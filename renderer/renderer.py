@@ -251,7 +251,7 @@ class Renderer:
 
     @property
     def tessellator(self) -> Tessellator:
-        """The tessellator, which chooses the triangles of height fields; its `settings` may be exchanged between any two frames."""
+        """The tessellator of height fields; its `settings` may be exchanged between any two frames."""
         return self._resources.workspace(Tessellator)
 
     @property

@@ -81,8 +81,8 @@ class ShadingModel(IntEnum):
 
 
 class AlphaMode(IntEnum):
-    """The meaning of a material's alpha: nothing, a mask that is cut at `alpha_cutoff`, or how much of the surface covers
-    what is behind it."""
+    """The meaning of a material's alpha: nothing, a mask that is cut at `alpha_cutoff`, or the share by which the
+    surface covers what is behind it."""
 
     OPAQUE = 0
     MASK = 1

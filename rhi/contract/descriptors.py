@@ -367,8 +367,8 @@ class FragmentOutput:
 
 
 class Interpolation(Choice):
-    """The interpolation of a varying: SMOOTH with perspective correction, FLAT from the first vertex, or NO_PERSPECTIVE,
-    linearly in screen space."""
+    """The interpolation of a varying: SMOOTH with perspective correction, FLAT from the first vertex, or
+    NO_PERSPECTIVE, linearly in screen space."""
 
     SMOOTH = "smooth"
     FLAT = "flat"

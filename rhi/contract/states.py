@@ -120,7 +120,7 @@ class AlphaToCoverage(Choice):
 
 
 class PolygonMode(Choice):
-    """The way in which triangles are drawn: filled, or as their three edges (wireframe). LINE needs `capabilities.wireframe`.
+    """The drawing of triangles: filled, or as their three edges (wireframe). LINE needs `capabilities.wireframe`.
 
     An edge is a line of the `LineWidth`; triangles that share it draw it twice. Culling, the depth offset and flat
     varyings are those of the triangle. Some drivers test the edges of back faces by `StencilFront`.
