@@ -12,14 +12,15 @@ finished.
 from __future__ import annotations
 
 import argparse
-import json
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
 import rhi
+from renderer.cli import options
+from renderer.cli.comparison import run_benchmark
 from renderer.content import BUILT_IN
-from renderer.lab.measure import alternate
+from renderer.lab.comparison import Column, Record, Subject, average, compare, ratio, time
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Orthographic, Recompute, Scene, SceneBuilder, rotation, translation
 from renderer.visibility import FrustumCulling
@@ -27,6 +28,10 @@ from renderer.visibility import FrustumCulling
 SPACING = 3.0
 VIEWS = {"nothing": 0.0, "half": 0.5, "everything": 1.0}
 """The share of the boxes that each view sees."""
+COLUMNS: dict[str, Column] = {
+    "calls": average(1), "computed": average(1), "bytes": average(1), "milliseconds": time(), "ratio": ratio(),
+}  # fmt: skip
+"""What a frame takes; the ratio is to running everywhere."""
 
 
 class Turning:
@@ -49,19 +54,6 @@ class Turning:
         return self.places[members] @ rotation((0, 1, 0), self.angle[members])
 
 
-@dataclass(frozen=True)
-class Row:
-    """The cost of a frame; `ratio` is that of the times, to running everywhere."""
-
-    drawn: str
-    run: str
-    calls: float
-    computed: float
-    bytes: float
-    milliseconds: float
-    ratio: float
-
-
 def make_scene(count: int, *, bounded: bool) -> Scene:
     """Make `count` boxes in a row along x."""
     builder = SceneBuilder("row")
@@ -82,69 +74,53 @@ def look(count: int, share: float) -> Camera:
 
 
 class Variant:
-    """A scene and its renderer; `sums` are the calls, the members computed and the bytes of its frames."""
+    """A scene and its renderer."""
 
     def __init__(self, device: rhi.Device, scene: Scene) -> None:
         self.device = device
         self.renderer = Renderer(device, scene, visibility=FrustumCulling(scene), size=(64, 64))
         self.camera = look(1, 0.0)
         self.frames = 0
-        self.sums = np.zeros(3)
 
-    def draw(self) -> None:
-        """Draw the next frame, and count what it took."""
-        self.frames += 1
+    def prepare(self) -> None:
         Turning.calls = Turning.computed = 0
-        result = self.renderer.render(self.camera, self.frames / 60)
-        self.device.finish()
-        self.sums += (Turning.calls, Turning.computed, result.statistics.upload_bytes)
         if self.device.backend_name == "null":
             self.device.stream.clear()
 
+    def draw(self, _: int) -> None:
+        """Draw the next frame."""
+        self.frames += 1
+        self.result = self.renderer.render(self.camera, self.frames / 60)
+        self.device.finish()
 
-def measure(backend: str, count: int, rounds: int) -> list[Row]:
-    """Return the cost of each view and variant."""
-    rows = []
-    with rhi.create_device(backend) as device:
+    def count(self) -> Mapping[str, int]:
+        bytes = self.result.statistics.upload_bytes
+        return {"calls": Turning.calls, "computed": Turning.computed, "bytes": bytes}
+
+
+def measure(given: argparse.Namespace) -> Iterator[Record]:
+    """Yield the cost of each view and variant."""
+    with rhi.create_device(given.backend) as device:
         variants = {
-            "everywhere": Variant(device, make_scene(count, bounded=False)),
-            "where drawn": Variant(device, make_scene(count, bounded=True)),
+            "everywhere": Variant(device, make_scene(given.objects, bounded=False)),
+            "where drawn": Variant(device, make_scene(given.objects, bounded=True)),
         }
-        work = {name: lambda _, one=one: one.draw() for name, one in variants.items()}
         for view, share in VIEWS.items():
-            for one in variants.values():
-                one.camera = look(count, share)
-                one.draw()  # uploads what the view before has left
-                one.draw()
-                one.sums[:] = 0.0
-            times = alternate(work, range(rounds), warm_ups=0)
-            base = times["everywhere"]
+            subjects = []
             for name, one in variants.items():
-                cost = (one.sums / rounds).tolist()
-                rows.append(Row(view, name, *cost, 1e3 * times[name].median, times[name].compare_to(base).median))
+                one.camera = look(given.objects, share)
+                subjects.append(Subject({"drawn": view, "run": name}, one.draw, one.prepare, one.count))
+            yield from compare(subjects, COLUMNS, range(given.rounds), warm_ups=2)  # these upload what was left
         for one in variants.values():
             one.renderer.destroy()
-    return rows
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--backend", default="null", help="the device (default: %(default)s)")
-    parser.add_argument("--objects", type=int, default=2000, help="animated boxes (default: %(default)s)")
-    parser.add_argument("--rounds", type=int, default=25, help="rounds (default: %(default)s)")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
-    given = parser.parse_args()
-    rows = measure(given.backend, given.objects, given.rounds)
-    if given.json:
-        print(json.dumps([asdict(row) for row in rows], indent=2))
-        return
-    print(f"{'drawn':12}{'run':14}{'calls':>8}{'computed':>10}{'bytes':>10}{'ms':>8}{'ratio':>8}")
-    for row in rows:
-        print(
-            f"{row.drawn:12}{row.run:14}{row.calls:8.1f}{row.computed:10,.0f}{row.bytes:10,.0f}"
-            f"{row.milliseconds:8.2f}{row.ratio:8.2f}"
-        )
+OPTIONS = (
+    options.option("--backend", "the device", "null"),
+    options.count("--objects", "animated boxes", 2000),
+    options.rounds("rounds", 25),
+)
 
 
 if __name__ == "__main__":
-    main()
+    run_benchmark(__doc__, OPTIONS, measure)

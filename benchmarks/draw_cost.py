@@ -5,8 +5,8 @@
 - `device.draw_many`: as many draws of one shared mesh in one call, with the constants as instance attributes.
 - `scope of 3 states`: entering and leaving `device.states` with 3 states, without a draw.
 
-A second table has what a scope of each kind costs around nothing, its creation included, on a null device without a
-recorder, so that no driver hides it. Its reference is `empty block`: a Python `with` block that does nothing. `ratio`
+The rows on `null` have what a scope of each kind costs around nothing, its creation included, on a device without a
+recorder, so that no driver hides it. Their reference is `empty block`: a Python `with` block that does nothing. `ratio`
 is the cost in such blocks. Timing is off, except in `timed event`.
 
 The target has 64×64 pixels. The variants take turns, round by round, in one process. A figure is the time of all draws
@@ -23,15 +23,16 @@ from __future__ import annotations
 import argparse
 import gc
 import itertools
-import json
-import statistics
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 
 import moderngl
 import numpy as np
 
 import rhi
+from renderer.cli import options
+from renderer.cli.comparison import run_benchmark
+from renderer.lab.comparison import Record, Subject, compare, ratio, time
 from rhi import ColorWrite, CullMode, DepthWrite
 from rhi.backends.gl.backend import GlBackend
 from rhi.backends.null import NullBackend
@@ -90,8 +91,9 @@ class FlatMany(Shader):
         return v.color
 
 
-def measure(draws: int, triangles: int, rounds: int, rasterize: bool) -> dict[str, dict[str, float]]:
-    """Return the microseconds per draw of each variant, and its ratio to the bare loop."""
+def measure_draws(given: argparse.Namespace) -> Iterator[Record]:
+    """Yield the microseconds per draw of each variant, and its ratio to the bare loop."""
+    draws, triangles = given.draws, given.triangles
     device = rhi.create_device("gl")
     backend = device.backend_as(GlBackend)
     program, many = device.program(Flat), device.program(FlatMany)
@@ -154,22 +156,24 @@ def measure(draws: int, triangles: int, rounds: int, rasterize: bool) -> dict[st
         "device.draw_many": many_draws,
         "scope of 3 states": scopes,
     }
-    times: dict[str, list[float]] = {name: [] for name in variants}
-    if not rasterize:
+    if not given.rasterize:
         backend.gl.Enable(RASTERIZER_DISCARD)
-    gc.disable()
-    for _ in range(rounds):
-        for name, run in variants.items():
-            with device.render_pass(image, clear=(0, 0, 0, 1)), device.states(CullMode.NONE):
-                # One untimed draw binds the program and the camera, which the bare loop does not bind itself.
-                own_draw(meshes[0], camera=camera, object=ranges[0])
-                start = time.perf_counter()
-                run()
-                times[name].append((time.perf_counter() - start) / draws * 1e6)
+    with ExitStack() as opened:
+
+        def open_pass() -> None:
+            opened.close()
             device.finish()
-    gc.enable()
+            opened.enter_context(device.render_pass(image, clear=(0, 0, 0, 1)))
+            opened.enter_context(device.states(CullMode.NONE))
+            # One untimed draw binds the program and the camera, which the bare loop does not bind itself.
+            own_draw(meshes[0], camera=camera, object=ranges[0])
+
+        subjects = [Subject({"variant": name}, lambda _, run=run: run(), open_pass) for name, run in variants.items()]
+        gc.disable()
+        rows = compare(subjects, {"microseconds": time(1e6 / draws), "ratio": ratio()}, range(given.rounds))
+        gc.enable()
     device.close()
-    return {name: summarize(values, times["bare moderngl"]) for name, values in times.items()}
+    yield from rows
 
 
 class EmptyBlock:
@@ -184,8 +188,8 @@ class EmptyBlock:
         pass
 
 
-def measure_scopes(count: int, rounds: int) -> dict[str, dict[str, float]]:
-    """Return the microseconds of a scope of each kind, and its ratio to an empty block."""
+def measure_scopes(count: int, rounds: int) -> Iterator[Record]:
+    """Yield the microseconds of a scope of each kind, and its ratio to an empty block."""
     device, timed = rhi.Device(NullBackend()), rhi.Device(NullBackend(), timing=True)
     image = device.texture((4, 4), rhi.Format.R8)
     query, answered = device.occlusion_query(), device.occlusion_query()
@@ -250,54 +254,44 @@ def measure_scopes(count: int, rounds: int) -> dict[str, dict[str, float]]:
         "condition": conditions,
     }
     outside: dict[str, Callable[[], None]] = {"timed event": timed_events, "render pass": passes}
-    times: dict[str, list[float]] = {name: [] for name in (in_pass | outside)}
-    gc.disable()
-    for _ in range(rounds):
-        for name, run in (in_pass | outside).items():
-            block = render_pass(image) if name in in_pass else EmptyBlock()
-            with block:
-                start = time.process_time()
-                run()
-                times[name].append((time.process_time() - start) / count * 1e6)
+    with ExitStack() as opened:
+
+        def open_pass(name: str) -> None:
+            opened.close()
             for each in (device, timed):
                 each.present()
                 each.finish()
-    gc.enable()
+            if name in in_pass:
+                opened.enter_context(render_pass(image))
+
+        subjects = [
+            Subject({"variant": name}, lambda _, run=run: run(), lambda name=name: open_pass(name))
+            for name, run in (in_pass | outside).items()
+        ]
+        columns = {"microseconds": time(1e6 / count, processor=True), "ratio": ratio(processor=True)}
+        gc.disable()
+        rows = compare(subjects, columns, range(rounds))
+        gc.enable()
     device.close()
     timed.close()
-    return {name: summarize(values, times["empty block"]) for name, values in times.items()}
+    yield from rows
 
 
-def summarize(values: list[float], reference: list[float]) -> dict[str, float]:
-    """Return the median of the times, and of their ratios to the reference of the same round."""
-    ratio = statistics.median(v / r for v, r in zip(values, reference, strict=True))
-    return {"microseconds": statistics.median(values), "ratio": ratio}
+def measure(given: argparse.Namespace) -> Iterator[Record]:
+    """Yield the rows of draws, and those of scopes around nothing on the null device."""
+    for row in measure_draws(given):
+        yield {"on": "gl", **row}
+    for row in measure_scopes(1000, given.rounds):
+        yield {"on": "null", **row}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
-    parser.add_argument("--draws", type=int, default=2000, help="draws per round (default: %(default)s)")
-    parser.add_argument("--triangles", type=int, default=10, help="triangles per draw (default: %(default)s)")
-    parser.add_argument("--rounds", type=int, default=41, help="rounds (default: %(default)s)")
-    parser.add_argument("--rasterize", action="store_true", help="let the triangles reach the rasteriser")
-    options = parser.parse_args()
-    draws = measure(options.draws, options.triangles, options.rounds, options.rasterize)
-    scopes = measure_scopes(1000, options.rounds)
-    if options.json:
-        print(json.dumps({"draws": draws, "scopes": scopes}, indent=2))
-        return
-    print(f"{options.draws} draws of {options.triangles} triangles, {options.rounds} rounds")
-    print_rows(draws)
-    print("scopes of each kind around nothing, on the null device")
-    print_rows(scopes)
-
-
-def print_rows(rows: dict[str, dict[str, float]]) -> None:
-    """Print the figures of each variant."""
-    for name, row in rows.items():
-        print(f"{name:<24} {row['microseconds']:8.3f} µs   ×{row['ratio']:.2f}")
+OPTIONS = (
+    options.count("--draws", "draws per round", 2000),
+    options.count("--triangles", "triangles per draw", 10),
+    options.rounds("rounds", 41),
+    options.switch("--rasterize", "let the triangles reach the rasteriser"),
+)
 
 
 if __name__ == "__main__":
-    main()
+    run_benchmark(__doc__, OPTIONS, measure)

@@ -18,10 +18,8 @@ pixels costs all orders the same. The orders take turns in one process; figures 
 from __future__ import annotations
 
 import argparse
-import json
-import statistics
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import asdict
 from typing import Any
 
@@ -29,6 +27,9 @@ import moderngl
 import numpy as np
 
 import rhi
+from renderer.cli import options
+from renderer.cli.comparison import run_benchmark
+from renderer.lab.comparison import Record, Subject, compare, time
 from renderer.lab.measure.draw_order import count_changes
 from rhi.shading import Shader, Storage, Struct, Uniform, instance_index, vec2, vec4
 
@@ -155,45 +156,37 @@ def count(given: argparse.Namespace) -> dict[str, dict[str, int]]:
     return found
 
 
-def measure(given: argparse.Namespace) -> dict[str, float]:
-    """Return the microseconds per object in each order, on the CPU."""
-    times: dict[str, list[float]] = {}
-    with rhi.create_device("gl") as device:
+def measure(given: argparse.Namespace) -> Iterator[Record]:
+    """Yield what changes in each order, and its microseconds per object on the CPU."""
+    counts = count(given)
+    with rhi.create_device("gl") as device, ExitStack() as opened:
         orders = Orders(device, given)
+
+        def open_pass() -> None:
+            opened.close()
+            device.finish()
+            opened.enter_context(device.render_pass(orders.image))
+
         context = moderngl.get_context()
         context.enable_direct(RASTERIZER_DISCARD)
-        for number in range(given.rounds + 2):
-            names = list(orders.by_name)
-            turn = number % len(names)
-            for name in [*names[turn:], *names[:turn]]:
-                with device.render_pass(orders.image):
-                    start = time.process_time()
-                    orders.by_name[name]()
-                    taken = time.process_time() - start
-                device.finish()
-                if number >= 2:  # the first rounds build programs
-                    times.setdefault(name, []).append(1e6 * taken / given.objects)
+        subjects = [
+            Subject({"order": name, **counts[name]}, lambda _, draw=draw: draw(), open_pass)
+            for name, draw in orders.by_name.items()
+        ]
+        columns = {"microseconds": time(1e6 / given.objects, processor=True)}
+        yield from compare(subjects, columns, range(given.rounds), warm_ups=2)  # these build programs
+        opened.close()
         context.disable_direct(RASTERIZER_DISCARD)
-    return {name: statistics.median(values) for name, values in times.items()}
 
 
-def main() -> None:
-    """Print what changes in each order and what it costs."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", action="store_true")
-    for name, default in (("objects", 5000), ("programs", 2), ("materials", 300), ("meshes", 400), ("rounds", 15)):
-        parser.add_argument(f"--{name}", type=int, default=default)
-    given = parser.parse_args()
-    counts, times = count(given), measure(given)
-    rows = {name: {**counts[name], "microseconds": round(times[name], 3)} for name in counts}
-    if given.json:
-        print(json.dumps(rows))
-        return
-    header = list(next(iter(rows.values())))
-    print(f"{'order':<12}" + "".join(f"{name:>14}" for name in header))
-    for name, row in rows.items():
-        print(f"{name:<12}" + "".join(f"{value:>14,}" for value in row.values()))
+OPTIONS = (
+    *(
+        options.count(f"--{name}", f"number of {name}", default)
+        for name, default in {"objects": 5000, "programs": 2, "materials": 300, "meshes": 400}.items()
+    ),
+    options.rounds("rounds", 15),
+)
 
 
 if __name__ == "__main__":
-    main()
+    run_benchmark(__doc__, OPTIONS, measure)

@@ -3,8 +3,8 @@
 The scene is 100,000 boxes on a plain, like a city, seen along a camera path of 200 frames; about 5 % of the boxes are
 visible. The reference, "every box", is the fastest plain NumPy form that was found: for each plane it tests the
 p-vertex of every box (the corner farthest along the plane's normal), with contiguous columns. Each other method
-alternates with it, frame by frame, in one process. Times are medians over the frames, and a ratio is the quotient of
-the medians. "cold" is the same measurement with 64 MB of other memory read before each call, as in a busy frame.
+alternates with it, frame by frame, in one process. Times are medians over the frames, and a ratio is the median of the
+frames' ratios. "cold" is the same measurement with 64 MB of other memory read before each call, as in a busy frame.
 
     python benchmarks/frustum.py [--json] [--boxes 100000] [--cube]
 """

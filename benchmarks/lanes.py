@@ -2,8 +2,8 @@
 
 - Each of the 64 lights reaches 22 % of the pixels. Each of the 64 far lights reaches 61 %, so that an early exit which
   needs all lanes to be out of range is seldom taken.
-- The variants alternate in one process; times are medians in milliseconds. On OpenGL a time is that of a dispatch and
-  `glFinish`, on OpenCL that of a launch and a wait. Buffers are filled beforehand.
+- The variants take turns in one process; times are medians in milliseconds, ratios those of the rounds. On OpenGL a
+  time is that of a dispatch and `glFinish`, on OpenCL that of a launch and a wait. Buffers are filled beforehand.
 - `ratio` is OpenGL's time divided by the time with 16 lanes, `target_ratio` its goal. `lanes_16_over_1` is the time
   with 1 lane divided by the time with 16.
 - `emit_ms` is the time of compiling the shader to OpenCL C with 16 lanes. `build_ms` and `cached_build_ms` are the
@@ -19,17 +19,16 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import json
 import pkgutil
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests/rhi/shading"))
 
 import moderngl
@@ -38,6 +37,11 @@ from opencl_runner import Kernel, queue
 
 import renderer
 import rhi
+from renderer.cli import options
+from renderer.cli.comparison import ComparisonProgram, Report
+from renderer.cli.subcommand import Parser
+from renderer.lab.comparison import Subject, compare, ratio
+from renderer.lab.comparison import time as time_column
 from rhi.contract.descriptors import BindingKind, SamplerDescriptor, Stage
 from rhi.contract.formats import Format
 from rhi.contract.layout import Layout, element_dtype
@@ -371,6 +375,10 @@ def milliseconds(call: Callable[[], None]) -> float:
     return 1e3 * (time.perf_counter() - started)
 
 
+def launch(one: GlRun | Kernel, groups: tuple[int, int], _: int) -> None:
+    one.launch(groups)
+
+
 def measure(repeats: int) -> list[dict[str, Any]]:
     """Measure all cases.
 
@@ -398,23 +406,17 @@ def measure(repeats: int) -> list[dict[str, Any]]:
         gl.launch(groups)
         for kernel in kernels.values():
             np.testing.assert_allclose(kernel.results()[result], gl.result(result), rtol=2e-2, atol=2e-3)
-        times: dict[str, list[float]] = {"glsl": [], "1": [], "16": []}
-        for _ in range(repeats):
-            times["glsl"].append(milliseconds(lambda gl=gl, groups=groups: gl.launch(groups)))
-            for width, kernel in kernels.items():
-                times[str(width)].append(
-                    milliseconds(lambda kernel=kernel, groups=groups: kernel.launch(groups))
-                )
-        median = {way: float(np.median(values)) for way, values in times.items()}
+        ways = {"lanes_16_ms": kernels[16], "glsl_ms": gl, "lanes_1_ms": kernels[1]}
+        subjects = [Subject({"way": way}, partial(launch, one, groups)) for way, one in ways.items()]
+        columns = {"ms": time_column(digits=2), "ratio": ratio(2)}
+        timed = {row["way"]: row for row in compare(subjects, columns, range(repeats))}
         rows.append(
             {
                 "case": name,
-                "glsl_ms": round(median["glsl"], 2),
-                "lanes_1_ms": round(median["1"], 2),
-                "lanes_16_ms": round(median["16"], 2),
-                "ratio": round(median["glsl"] / median["16"], 2),
+                **{way: timed[way]["ms"] for way in ("glsl_ms", "lanes_1_ms", "lanes_16_ms")},
+                "ratio": timed["glsl_ms"]["ratio"],
                 "target_ratio": TARGETS[name],
-                "lanes_16_over_1": round(median["1"] / median["16"], 2),
+                "lanes_16_over_1": timed["lanes_1_ms"]["ratio"],
                 "emit_ms": round(emit, 1),
                 "build_ms": round(build["cold"], 0),
                 "cached_build_ms": round(build["cached"], 0),
@@ -448,23 +450,19 @@ def measure_front_end() -> dict[str, float]:
     return {"shaders": len(shaders) - bases, "seconds": round(time.process_time() - started, 3)}
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument("--repeats", type=int, default=9, help="runs of each variant (default: %(default)s)")
-    given = parser.parse_args()
+def measure_all(given: argparse.Namespace) -> Report:
     front_end = measure_front_end()
-    rows = measure(given.repeats)
-    if given.json:
-        print(json.dumps({"cases": rows, "front_end": front_end}, indent=2))
-        return 0
-    columns = list(rows[0])
-    print("  ".join(f"{name:>15}" for name in columns))
-    for row in rows:
-        print("  ".join(f"{row[name]!s:>15}" for name in columns))
-    print(f"front end: {front_end['shaders']} shaders in {front_end['seconds']} s")
-    return 0
+    return Report({"front_end": front_end}, measure(given.repeats))
+
+
+OPTIONS = (options.count("--repeats", "runs of each variant", 9), *options.form())
+
+
+def show_front_end(about: Mapping[str, Any], _: bool) -> list[str]:
+    return ["front end: {shaders} shaders in {seconds} s".format(**about["front_end"])]
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    parser = Parser(description=__doc__)
+    options.add_options(parser, OPTIONS)
+    ComparisonProgram("lanes", "", "", OPTIONS, measure_all, more=show_front_end).run(parser.parse_args())

@@ -11,23 +11,24 @@ from __future__ import annotations
 
 import argparse
 import gc
-import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 from scenes import Scene
 
 import rhi
-from renderer.lab.measure import alternate
+from renderer.cli import options
+from renderer.cli.comparison import run_benchmark
+from renderer.lab.comparison import Record, Subject, compare, rate
 from rhi.backends.null import create_backend
 from rhi.commands.recorder import Recorder
 from rhi.contract.descriptors import Primitive
 
 
-def measure(draws: int, rounds: int) -> dict[str, dict[str, float]]:
-    """Return the commands per second and the bytes per command of each variant."""
+def measure(given: argparse.Namespace) -> Iterator[Record]:
+    """Yield the commands per second and the bytes per command of each variant."""
     device = rhi.create_device("null")
-    scene = Scene(device, draws)
+    scene = Scene(device, given.draws)
 
     def through_program() -> None:
         draw, mesh = scene.program.draw, scene.mesh
@@ -52,7 +53,7 @@ def measure(draws: int, rounds: int) -> dict[str, dict[str, float]]:
         "recorder alone": (bare, lambda: recorder.signal(next(fences)), recorder.stream),
     }
 
-    def prepare(name: str) -> None:
+    def prepare() -> None:
         for _, finish, stream in variants.values():
             finish()
             stream.clear()
@@ -63,20 +64,21 @@ def measure(draws: int, rounds: int) -> dict[str, dict[str, float]]:
         run()
         finish()
 
-    work: dict[str, Callable[[int], object]] = {name: lambda _, run=run: run() for name, (run, *_) in variants.items()}
-    work |= {f"{name}, executed": lambda _, name=name: record_and_execute(name) for name in variants}
-    times = alternate(work, range(rounds), before=prepare)
-    rows = {}
-    for name, (run, _, stream) in variants.items():
-        prepare(name)
+    subjects = []
+    for name, (run, *_) in variants.items():
+        subjects.append(Subject({"variant": name}, lambda _, run=run: run(), prepare))
+        subjects.append(Subject({}, lambda _, name=name: record_and_execute(name), prepare))
+    rows = compare(subjects, {"rate": rate(1.0)}, range(given.rounds))
+    for row, executed, (run, _, stream) in zip(rows[::2], rows[1::2], variants.values(), strict=True):
+        prepare()
         run()
-        rows[name] = {
-            "commands_per_second": len(stream) / times[name].median,
-            "executed_per_second": len(stream) / times[f"{name}, executed"].median,
-            "bytes_per_command": bytes_per_command(stream),
+        yield {
+            "variant": row["variant"],
+            "recorded/s": round(len(stream) * row["rate"]),
+            "executed/s": round(len(stream) * executed["rate"]),
+            "bytes each": bytes_per_command(stream),
         }
     device.close()
-    return rows
 
 
 def bytes_per_command(stream: rhi.CommandStream) -> float:
@@ -85,21 +87,8 @@ def bytes_per_command(stream: rhi.CommandStream) -> float:
     return (sys.getsizeof(stream.data) + offsets) / len(stream)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--draws", type=int, default=5000, help="draws per round (default: %(default)s)")
-    parser.add_argument("--rounds", type=int, default=15, help="rounds (default: %(default)s)")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
-    arguments = parser.parse_args()
-    result = measure(arguments.draws, arguments.rounds)
-    if arguments.json:
-        print(json.dumps(result, indent=2))
-        return
-    print(f"{'':16} {'recorded/s':>12} {'executed/s':>12} {'bytes each':>11}")
-    for name, row in result.items():
-        numbers = row["commands_per_second"], row["executed_per_second"], row["bytes_per_command"]
-        print("{:16} {:12,.0f} {:12,.0f} {:11.1f}".format(name, *numbers))
+OPTIONS = (options.count("--draws", "draws per round", 5000), options.rounds("rounds", 15))
 
 
 if __name__ == "__main__":
-    main()
+    run_benchmark(__doc__, OPTIONS, measure)

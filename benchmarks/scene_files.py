@@ -4,7 +4,7 @@ The files are written by this program into a temporary folder; images are JPEG f
 processor time of all threads and by the clock, medians of the rounds, in which the files take turns. "decoding" is
 that of the images alone, without the rest of the file.
 
-    python benchmarks/scene_files.py [--rounds 5]
+    python benchmarks/scene_files.py [--rounds 5] [--json]
 """
 
 from __future__ import annotations
@@ -12,23 +12,23 @@ from __future__ import annotations
 import argparse
 import io
 import json
-import sys
 import tempfile
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 from PIL import Image
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
+from renderer.cli import options
+from renderer.cli.comparison import run_benchmark
 from renderer.content import load_model, save_scene
+from renderer.lab.comparison import Column, Record, Subject, compare, time
 from renderer.scene import MeshGeometry, SceneBuilder, make_geometry, translation
 
 IMAGES: Final = 24
 IMAGE_SIZE: Final = 1024
+COLUMNS: Final[dict[str, Column]] = {"processor seconds": time(1.0, processor=True), "seconds": time(1.0)}
 
 
 def make_grid(side: int, seed: int) -> MeshGeometry:
@@ -76,21 +76,13 @@ def add_images(path: Path) -> list[bytes]:
     return encoded
 
 
-def measure(run: Callable[[], object]) -> tuple[float, float]:
-    began, clock = time.process_time(), time.perf_counter()
-    run()
-    return time.process_time() - began, time.perf_counter() - clock
-
-
 def decode(images: list[bytes]) -> None:
     for each in images:
         np.asarray(Image.open(io.BytesIO(each)).convert("RGBA"))
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description="How long glTF files take to load.")
-    parser.add_argument("--rounds", type=int, default=5)
-    rounds = parser.parse_args().rounds
+def measure(given: argparse.Namespace) -> Iterator[Record]:
+    """Yield the times of each file."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         write_scene(folder / "mesh.glb", 1, 1030, 1)
@@ -106,10 +98,12 @@ def main() -> None:
         total = sum(map(len, images))
         sizes = [(folder / f"{each}.glb").stat().st_size for each in ("mesh", "meshes")]
         sizes += [total + sum(file.stat().st_size for file in folder.glob("images.*")), total]
-        times = [[measure(run) for run in runs.values()] for _ in range(rounds)]
-    for what, size, (processor, clock) in zip(runs, sizes, np.median(times, axis=0), strict=True):
-        print(f"{what}: {size / 1e6:.0f} MB, {processor:.1f} s of processor time, {clock:.1f} s by the clock")
+        subjects = [
+            Subject({"file": what, "megabytes": round(size / 1e6)}, lambda _, run=run: run())
+            for (what, run), size in zip(runs.items(), sizes, strict=True)
+        ]
+        yield from compare(subjects, COLUMNS, range(given.rounds), warm_ups=0)
 
 
 if __name__ == "__main__":
-    main()
+    run_benchmark(__doc__, (options.rounds("rounds"),), measure)

@@ -11,30 +11,25 @@ in the frustum, repeated. Times are medians.
 from __future__ import annotations
 
 import argparse
-import json
-import sys
-import time
-from pathlib import Path
-from typing import Any
+from collections.abc import Iterator
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
 import rhi
-from renderer.cli.options import parse_size
+from renderer.cli import options
+from renderer.cli.comparison import run_benchmark
 from renderer.content import load_scene
+from renderer.lab.comparison import Record, Subject, compare, kernels, time
 from renderer.scene import Scene
 from renderer.visibility import FrustumCulling, SoftwareDepth, VisibilitySettings, find_visible_objects
 from renderer.visibility.boxes.bounds import find_near, pad_boxes
 from renderer.visibility.gpu.occluder_depth import OccluderDepth
 from renderer.visibility.software_depth import BACKEND
 
-TARGET = 2.0
-"""The goal for testing 10,000 boxes, in milliseconds."""
+COLUMNS = {"milliseconds": time(), "kernels": kernels}
 
 
-def measure(scene: Scene, path: str, boxes: int, size: tuple[int, int], rounds: int) -> dict[str, Any]:
+def measure_path(scene: Scene, path: str, boxes: int, size: tuple[int, int], rounds: int) -> Record:
     """Measure one path; return its row."""
     frames = scene.paths[path]
     camera = frames.camera(len(frames) // 2).with_aspect(size[0] / size[1])
@@ -45,50 +40,43 @@ def measure(scene: Scene, path: str, boxes: int, size: tuple[int, int], rounds: 
     lower, upper, far = pad_boxes(camera, scene.objects.lower[rows], scene.objects.upper[rows])
     tested = np.resize(np.flatnonzero(~find_near(camera, lower, upper, far)), boxes)
     centre, half = 0.5 * (lower + upper)[tested] - camera.position, 0.5 * (upper - lower)[tested]
-    times = []
     with rhi.create_device(BACKEND) as device:
         depth = OccluderDepth(device, scene, VisibilitySettings().occluders, boxes)
-        for _ in range(rounds + 3):  # the first rounds compile, and are dropped
-            begin = time.perf_counter()
+
+        def build(_: int) -> None:
             depth.render(camera, chosen, size)
             device.finish()
-            built = time.perf_counter()
-            shown = depth.find_shown(centre, half)
-            times.append((built - begin, time.perf_counter() - built))
+
+        steps = [Subject({}, build, device=device), Subject({}, lambda _: depth.find_shown(centre, half))]
+        built, tested_boxes = compare(steps, COLUMNS, range(rounds), warm_ups=3)
+        shown = depth.find_shown(centre, half)
         depth.destroy()
-    build, test = 1e3 * np.median(times[3:], axis=0)
     return {
         "path": path,
         "occluders": len(chosen),
         "triangles": scene.count_triangles(chosen),
         "boxes": boxes,
         "hidden_share": round(1.0 - float(shown.mean()), 3),
-        "depth_milliseconds": round(float(build), 3),
-        "test_milliseconds": round(float(test), 3),
+        "depth_milliseconds": built["milliseconds"],
+        "test_milliseconds": tested_boxes["milliseconds"],
+        "kernels": built["kernels"],
     }
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument(
-        "--scene", default="city", help="a scene with paths `ground` and `sky` (default: %(default)s)"
-    )
-    parser.add_argument("--boxes", type=int, default=10_000, help="boxes to test in one batch (default: %(default)s)")
-    parser.add_argument(
-        "--size", type=parse_size, default=(960, 540), metavar="WxH", help="size of the image (default: 960x540)"
-    )
-    parser.add_argument("--rounds", type=int, default=60, help="rounds for each path (default: %(default)s)")
-    given = parser.parse_args()
+def measure(given: argparse.Namespace) -> Iterator[Record]:
+    """Yield the row of each path."""
     scene = load_scene(given.scene)
-    rows = [measure(scene, path, given.boxes, given.size, given.rounds) for path in ("ground", "sky")]
-    if given.json:
-        print(json.dumps({"target_milliseconds": TARGET, "rows": rows}, indent=2))
-        return 0
-    for row in rows:
-        print("  ".join(f"{key} {value}" for key, value in row.items()))
-    return 0
+    for path in ("ground", "sky"):
+        yield measure_path(scene, path, given.boxes, given.size, given.rounds)
+
+
+OPTIONS = (
+    options.option("--scene", "a scene with paths `ground` and `sky`", "city"),
+    options.count("--boxes", "boxes to test in one batch", 10_000),
+    options.size(),
+    options.rounds("rounds for each path", 60),
+)
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    run_benchmark(__doc__, OPTIONS, measure)

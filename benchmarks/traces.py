@@ -11,15 +11,16 @@ from __future__ import annotations
 
 import argparse
 import gc
-import json
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from scenes import Scene
 
 import rhi
-from renderer.lab.measure import alternate
+from renderer.cli import options
+from renderer.cli.comparison import run_benchmark
+from renderer.lab.comparison import Record, Subject, compare, rate, time
 from rhi import CullMode, DepthWrite
 from rhi.trace import Trace, diff, load, replay, save
 
@@ -41,9 +42,9 @@ def record(commands: int, changed: int = -1) -> Trace:
         return Trace(device.stream, "null")
 
 
-def measure(commands: int = 10_000, rounds: int = 7) -> dict[str, float]:
-    """Return the commands per second of each kind of work, and the seconds of each diff."""
-    trace, other = record(commands), record(commands, commands // 4)
+def measure(given: argparse.Namespace) -> Iterator[Record]:
+    """Yield the commands per second of each kind of work, and its milliseconds."""
+    trace, other = record(given.commands), record(given.commands, given.commands // 4)
     folder = tempfile.TemporaryDirectory()
     file = Path(folder.name) / "trace.zip"
 
@@ -62,25 +63,14 @@ def measure(commands: int = 10_000, rounds: int = 7) -> dict[str, float]:
     }
     with folder:
         save(trace, file)
-        times = alternate(work, range(rounds), before=lambda name: gc.collect())
-    medians = {name: each.median for name, each in times.items()}
-    rates = {f"{name} commands_per_second": len(trace) / medians[name] for name in work if "diff" not in name}
-    return rates | {f"{name} seconds": medians[name] for name in work if "diff" in name}
+        subjects = [Subject({"work": name}, run, gc.collect) for name, run in work.items()]
+        columns = {"commands/s": rate(len(trace)), "milliseconds": time()}
+        for row in compare(subjects, columns, range(given.rounds)):
+            yield row | {"commands/s": round(row["commands/s"])}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--commands", type=int, default=10_000, help="length of the trace (default: %(default)s)")
-    parser.add_argument("--rounds", type=int, default=7, help="rounds (default: %(default)s)")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
-    options = parser.parse_args()
-    result = measure(options.commands, options.rounds)
-    if options.json:
-        print(json.dumps(result, indent=2))
-        return
-    for name, value in result.items():
-        print(f"{name:<44} {value:14,.3f}" if "seconds" in name[-8:] else f"{name:<44} {value:14,.0f}")
+OPTIONS = (options.count("--commands", "length of the trace", 10_000), options.rounds("rounds", 7))
 
 
 if __name__ == "__main__":
-    main()
+    run_benchmark(__doc__, OPTIONS, measure)

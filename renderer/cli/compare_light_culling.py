@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import asdict
 from typing import Final
 
 import rhi
 from renderer.cli import options
 from renderer.cli.arguments import open_scene
-from renderer.cli.output import print_report, show_progress
-from renderer.cli.subcommand import Subcommand
+from renderer.cli.comparison import ComparisonProgram, Report, describe, repeat
+from renderer.cli.output import show_progress
 from renderer.content import parse_camera
-from renderer.lab.measure import format_rows
-from renderer.lab.measure.light_culling import LightCullingRow, compare_light_culling
+from renderer.lab.light_culling import compare_light_culling
 from renderer.lights.culling import CONE_TESTS, SPHERE_TESTS
 from renderer.renderer import Renderer
 from renderer.visibility import make_visibility
@@ -30,7 +28,8 @@ pairs that overlap, found in float64, and `missed` counts those that overlap and
 from all point and spot lights of the scene; of a spot light the sphere around its cone is tested. `tests made` includes
 those of blocks of 8 x 8 tiles. With a test of cones or the depth mask, which drop pairs of which only the spheres
 overlap, `missed` counts lights that aren't listed for a cell with a pixel that they light. Times are medians:
-`collect ms` from the upload of the lights until the lists are finished, `draw ms` of drawing the scene by the lists."""
+`collect ms` from the upload of the lights until the lists are finished, `draw ms` of drawing the scene by the lists.
+`kernels` says which kernels cl drew with: RHI_KERNELS=optimised measures a long run."""
 _SWITCHES: Final = {"on": (True,), "off": (False,), "both": (True, False)}
 
 
@@ -54,7 +53,7 @@ _OPTIONS: Final = (
 )  # fmt: skip
 
 
-def _run(given: argparse.Namespace) -> None:
+def _measure(given: argparse.Namespace) -> Report:
     scene = open_scene(given.scene)
     camera = parse_camera(given.camera or next(iter(scene.views)), scene, given.frame)
     with rhi.create_device(given.backend) as device:
@@ -73,28 +72,10 @@ def _run(given: argparse.Namespace) -> None:
                 rounds=given.rounds,
                 progress=lambda rounds: show_progress(rounds, len(rounds), "collect"),
             )
-        report = {
-            "backend": device.backend_name,
-            "device": device.capabilities.device,
-            "scene": scene.name,
-            "camera": given.camera or next(iter(scene.views)),
-            "frame": given.frame,
-            "size": list(given.size),
-            "tile": given.tile,
-            "slices": given.slices,
-            "rows": [asdict(row) for row in rows],
-        }
-    if given.json:
-        print_report(report, scene)
-    else:
-        print(show_rows(rows, markdown=given.markdown))
+        about = describe(device) | {"scene": scene.name, "camera": given.camera or next(iter(scene.views))}
+    return Report(about | repeat(given, "frame", "size", "tile", "slices", "rounds"), rows, scene=scene)
 
 
-def show_rows(rows: list[LightCullingRow], *, markdown: bool = False) -> str:
-    """Format the rows as a table: aligned text, or Markdown."""
-    return format_rows([asdict(row) for row in rows], markdown=markdown)
-
-
-COMMAND: Final = Subcommand(
-    "light-culling", "compare the tests that assign lights to tiles or clusters", _OPTIONS, _run, _NOTES
-)
+COMMAND: Final = ComparisonProgram(
+    "light-culling", "compare the tests that assign lights to tiles or clusters", _NOTES, _OPTIONS, _measure
+).command

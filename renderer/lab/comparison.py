@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from statistics import fmean
+from statistics import fmean, median
 from typing import Any, Final, Protocol, runtime_checkable
 
 import rhi
@@ -92,6 +92,11 @@ def interval(digits: int = 3) -> Column:
 def average(digits: int | None = None) -> Column:
     """Return the column of the mean of what was counted under its name."""
     return lambda found, name: round(fmean(found.counts[name]), digits)
+
+
+def middle(scale: float = 1.0, digits: int = 3) -> Column:
+    """Return the column of the median of what was counted under its name."""
+    return lambda found, name: round(scale * median(found.counts[name]), digits)
 
 
 def largest(found: Result, name: str) -> Any:

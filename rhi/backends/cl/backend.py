@@ -27,7 +27,6 @@ from rhi.backends.cl.memory.textures import Textures
 from rhi.backends.cl.programs import ComputePrograms
 from rhi.backends.cl.raster.query_sets import ClQuerySet
 from rhi.backends.cl.raster.rasteriser import Rasteriser
-from rhi.backends.cl.slots import CommandState
 from rhi.contract.backend import Capabilities, PreparedQueries
 from rhi.contract.descriptors import (
     BindingKind,
@@ -63,7 +62,7 @@ def _reports_errors_as(
             try:
                 return method(self, *arguments, **named)
             except DRIVER_ERRORS as error:
-                raise make_error(error, self._state.locate(call)) from error
+                raise make_error(error, self._locate(call)) from error
 
         return run
 
@@ -86,10 +85,11 @@ class ClBackend:
         self._samplers = Samplers(context.context)
         self._programs = ComputePrograms(context, self._buffers, self._textures, self._samplers)
         self._timestamps = Timestamps(context.queue)
-        self._state = CommandState()
-        self._rasteriser = Rasteriser(
-            context, self._state.slots, self._buffers, self._textures, self._samplers, in_flight
-        )
+        self._program: Id = 0
+        self._render_pass = PassDescriptor((0, 0))
+        self._labels: list[str] = []  # the open ones, outermost first
+        self._rasteriser = Rasteriser(context, self._buffers, self._textures, self._samplers, in_flight)
+        self._slots = self._rasteriser.bindings.slots
         self._bind = self._rasteriser.bindings.bind
         self._draw_state = self._rasteriser.state
         self._draws = self._rasteriser.draws
@@ -122,6 +122,10 @@ class ClBackend:
                 self.destroy(resource)
             self._fence.release()
             self._rasteriser.close()
+
+    def _locate(self, call: str) -> str:
+        """Return the name of a call with the labels that are open around it, for an error."""
+        return f"{call} in {' / '.join(self._labels)}" if self._labels else call
 
     # -- resources ---------------------------------------------------------------------------------------
 
@@ -259,7 +263,7 @@ class ClBackend:
     @_reports_errors_as("device.render_pass")
     def begin_pass(self, descriptor: PassDescriptor) -> None:
         self._flush()
-        self._state.render_pass = descriptor
+        self._render_pass = descriptor
         self._draw_state.begin_pass(descriptor)
 
     def set_states(self, changes: Sequence[StateChange]) -> None:
@@ -268,12 +272,12 @@ class ClBackend:
     @_reports_errors_as("the end of a pass")
     def end_pass(self) -> None:
         self._flush()
-        for color in self._state.render_pass.colors:
+        for color in self._render_pass.colors:
             if color.resolve:
                 self._textures.resolve(color.texture, color.resolve)
 
     def bind_program(self, program: Id) -> None:
-        self._state.program = program
+        self._program = program
         self._rasteriser.bind_program(program)
 
     def bind_uniform(self, slot: int, buffer: Id, offset: int, size: int) -> None:
@@ -344,8 +348,8 @@ class ClBackend:
     @_reports_errors_as("device.dispatch")
     def dispatch(self, x: int, y: int, z: int) -> None:
         self._flush()
-        program = self._programs[self._state.program]
-        program.launch(self._queue, self._state, (x, y, z))
+        program = self._programs[self._program]
+        program.launch(self._queue, self._slots, (x, y, z))
         self._rasteriser.change_stored(program.written)
 
     @_reports_errors_as("device.dispatch_indirect")
@@ -399,11 +403,10 @@ class ClBackend:
         self._rasteriser.end_conditional()
 
     def push_label(self, text: str) -> None:
-        labels = self._state.labels
-        self._state.labels = [*labels, text]
+        self._labels.append(text)
 
     def pop_label(self) -> None:
-        self._state.labels = self._state.labels[:-1]
+        del self._labels[-1:]
 
     @_reports_errors_as("device.present")
     def present(self, texture: Id) -> None:

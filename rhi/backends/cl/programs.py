@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 import pyopencl as cl
@@ -26,13 +26,14 @@ from rhi.backends.cl.memory.buffers import Buffers
 from rhi.backends.cl.memory.planes import allocate
 from rhi.backends.cl.memory.samplers import Samplers
 from rhi.backends.cl.memory.textures import Textures
-from rhi.backends.cl.slots import CommandState
 from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor, Stage, StageText
 from rhi.contract.driver_log import make_driver_error
 from rhi.errors import ShaderError
 from rhi.errors.rules import SHADER_DRIVER
 from rhi.shading.ir.faults import FAULT_WORDS, find_fault
 
+Slots: TypeAlias = dict[tuple[BindingKind, int], tuple[int, ...]]
+"""Bound resources by kind and slot: the arguments of the binding command that follow the slot."""
 _WIDTHS: Final = (16, 8, 4)
 _LINE: Final = re.compile(r":(\d+):\d+: *(?:(?:fatal )?error: *)?")  # file:line:column: …, Clang's format
 
@@ -138,7 +139,7 @@ class ComputeProgram:
         for place in [place for place, bound in self._bound.items() if bound[0] == resource]:
             del self._bound[place], self._given[place]
 
-    def launch(self, queue: cl.CommandQueue, state: CommandState, groups: tuple[int, int, int]) -> None:
+    def launch(self, queue: cl.CommandQueue, slots: Slots, groups: tuple[int, int, int]) -> None:
         """Run work-groups with the bound resources."""
         kernel = self._program.find(self._name)
         if self._builds != self._program.builds:  # the kernel has no arguments yet
@@ -147,7 +148,7 @@ class ComputeProgram:
             if self._faults is not None:
                 kernel.set_arg(self._fault_place, self._faults.memory)
         for place, binding in self._bindings:
-            bound = state.slots[binding.kind, binding.slot]
+            bound = slots[binding.kind, binding.slot]
             if self._bound.get(place) != bound:
                 given = self._given[place] = self._arguments.find(binding, bound)
                 for i, argument in enumerate(given):

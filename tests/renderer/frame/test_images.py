@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from frames import open_renderer
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import rhi
 from renderer.content import BUILT_IN
 from renderer.frame.images import MOST_ARRAYS, MOST_MEMORY, SceneImages, count_bytes, plan_arrays
-from renderer.renderer import Renderer
 from renderer.scene import AlphaMode, Scene, SceneBuilder, TextureMap
 from renderer.techniques import ForwardPlus
-from renderer.visibility import NoCulling
 from rhi import Op, SamplerDescriptor, Wrap
 
 CLAMPED = SamplerDescriptor(wrap_u=Wrap.CLAMP, wrap_v=Wrap.CLAMP)
@@ -131,7 +130,7 @@ def test_colors_and_data_are_in_arrays_of_their_own_that_passes_read_alone(null:
     assert images.table is not None
     places = images.table.read()["array"][scene.materials["texture"]].tolist()
     assert places == images.table.read()["array"][scene.materials["normal_texture"]].tolist() == [0, 1]
-    with Renderer(null, scene, technique=ForwardPlus(), visibility=NoCulling(scene), size=(8, 8)) as renderer:
+    with open_renderer(null, scene, ForwardPlus()) as renderer:
         renderer.render(scene.views["overview"])
     names = [{one.name for one in c["descriptor"].bindings} for c in null.stream.filter(Op.CREATE_PROGRAM)]
     reading = [name & {"images", "images_1", "maps", "maps_1"} for name in names if "images" in name]

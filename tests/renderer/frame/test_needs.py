@@ -6,23 +6,20 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from frames import EYE, make_boxes
 from hypothesis import given
 from hypothesis import strategies as st
 
-from renderer.content import BUILT_IN, load_scene
+from renderer.content import load_scene
 from renderer.frame import Effect, find_needs
 from renderer.lights.in_view import find_lights_in_view
 from renderer.scene import Camera, Frustum, Scene, SceneBuilder
 
-EYE = Camera.look_at((0, 0, 10), (0, 0, 0))
 AWAY = Camera.look_at((0, 0, 10), (0, 0, 20))
 
 
 def build(change: Callable[[SceneBuilder], object] = lambda _: None, emission: float = 0.0) -> Scene:
-    builder = SceneBuilder("box")
-    builder.add_objects(
-        builder.add_node(), builder.add_mesh(BUILT_IN["box"]()), builder.add_material(emission=emission)
-    )
+    builder = make_boxes((0, 0, 0), emission=emission)
     change(builder)
     return builder.build()
 

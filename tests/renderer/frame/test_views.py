@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
 import pytest
+from frames import open_renderer as open_any
 
 import rhi
 from renderer.content import load_scene
@@ -20,18 +22,18 @@ from renderer.frame import (
     TechniquePass,
     View,
 )
-from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene
 from renderer.shaders import ViewConstants
 from renderer.shaders.depth import DepthOnly
 from renderer.techniques import Forward
 from renderer.techniques.parts.scene_shader import ForwardShader
 from renderer.techniques.parts.variants import bind, find_variant
-from renderer.visibility import FrustumCulling, list_algorithms, make_visibility
+from renderer.visibility import FrustumCulling, list_algorithms
 from rhi import DepthFunction, DepthWrite, Format
 from rhi.backends.null import NullBackend
 
 SIZE: Final = (96, 54)
+open_renderer = partial(open_any, size=SIZE)
 FRAMES: Final = (600, 601, 602)
 
 
@@ -87,12 +89,10 @@ def test_two_passes_of_a_view_draw_the_same_picture_as_one(
         pytest.skip(f"this device can't run {name}")
     images = []
     for technique in (Forward(), DepthFirst()):
-        algorithm = make_visibility(name, city, drawing_device)
-        with Renderer(drawing_device, city, technique=technique, visibility=algorithm, size=SIZE) as renderer:
+        with open_renderer(drawing_device, city, technique, visibility=name) as renderer:
             for frame in FRAMES:
                 result = renderer.render(city.paths["ground"].camera(frame), frame / 60)
             images.append((result.image.read(), result.depth.read()))
-        algorithm.destroy()
     (lit, depth), (later, first) = images
     assert np.array_equal(depth, first)
     assert np.abs(lit.astype(int) - later).max() <= 0
@@ -104,9 +104,7 @@ def test_a_view_asks_once_however_many_passes_draw_it(null: rhi.Device, city: Sc
     null.backend_as(NullBackend).answer_queries(100)
     counts = []
     for technique in (Forward(), DepthFirst()):
-        with Renderer(
-            null, city, technique=technique, visibility=make_visibility(name, city, null), size=SIZE
-        ) as renderer:
+        with open_renderer(null, city, technique, visibility=name) as renderer:
             statistics = [renderer.render(city.paths["ground"].camera(frame)).statistics for frame in FRAMES]
         counts.append([(one.queries, one.draws, one.triangles) for one in statistics])
     assert counts[0] == counts[1]
@@ -115,8 +113,7 @@ def test_a_view_asks_once_however_many_passes_draw_it(null: rhi.Device, city: Sc
 
 def test_a_second_pass_of_a_view_is_one_draw_of_all_batches(null: rhi.Device, city: Scene) -> None:
     null.backend_as(NullBackend).answer_queries(100)
-    visibility = make_visibility("chc", city, null)
-    with Renderer(null, city, technique=DepthFirst(), visibility=visibility, size=SIZE) as renderer:
+    with open_renderer(null, city, DepthFirst(), visibility="chc") as renderer:
         null.stream.clear()
         result = renderer.render(city.paths["ground"].camera(600))
         lit = [draw for draw in null.stream.draws() if draw.labels[0] == "lit"]
@@ -152,7 +149,7 @@ def test_each_view_culls_for_its_own_camera(null: rhi.Device, city: Scene) -> No
     down = Camera.look_at(street.position + np.array([0, 60, 0]), street.position).with_aspect(SIZE[0] / SIZE[1])
     technique.above = View(null, "above", FrustumCulling(city))
     technique.above.aim(down)
-    with Renderer(null, city, technique=technique, visibility=FrustumCulling(city), size=SIZE) as renderer:
+    with open_renderer(null, city, technique, visibility="frustum") as renderer:
         result = renderer.render(street)
     expected = [sees(null, city, camera) for camera in (street, down)]
     assert result.visible.tolist() == expected[0]
@@ -163,10 +160,7 @@ def test_each_view_culls_for_its_own_camera(null: rhi.Device, city: Scene) -> No
 
 
 def sees(device: rhi.Device, scene: Scene, camera: Camera) -> list[int]:
-    with (
-        rhi.create_device("null") as other,
-        Renderer(other, scene, visibility=FrustumCulling(scene), size=SIZE) as renderer,
-    ):
+    with rhi.create_device("null") as other, open_renderer(other, scene, visibility="frustum") as renderer:
         rows: list[int] = renderer.render(camera).visible.tolist()
         return rows
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from frames import make_boxes
 
 import rhi
 from renderer.content import BUILT_IN, load_scene
@@ -35,8 +36,7 @@ SMALL = ShadowSettings(cascades=2, cascade_size=64)
 
 def stage(*, casts: bool = True, casters: bool = True, moves: bool = False) -> SceneBuilder:
     """Make a floor and a box over it, which moves with time or not, and a sun."""
-    builder = SceneBuilder("stage")
-    box, material = builder.add_mesh(BUILT_IN["box"]()), builder.add_material()
+    builder, box, material = make_boxes(name="stage"), 0, 0
     floor = builder.add_node(translation((0, -0.5, 0)) @ scaling((30, 1, 30)))
     builder.add_objects(floor, box, material, casts_shadow=False)
     above = builder.add_node(translation((0, 2, 0)), dynamic=moves)
@@ -58,13 +58,6 @@ def draw(renderer: Renderer, camera: Camera = EYE, seconds: float = 0.0) -> Coun
     """Draw a frame; return the numbers of maps by what became of them."""
     renderer.render(camera, seconds)
     return Counter(report.state for report in renderer.shadows.reports)
-
-
-def record(device: rhi.Device, scene: Scene) -> list[tuple[object, ...]]:
-    device.stream.clear()
-    renderer = make_renderer(device, scene)
-    renderer.render(EYE)
-    return [(command.op, command.arguments) for command in device.stream]
 
 
 @pytest.mark.parametrize("missing", [{"casts": False}, {"casters": False}], ids=["light", "caster"])
@@ -134,8 +127,7 @@ def test_casters_that_shade_nothing_visible_arent_drawn(null: rhi.Device) -> Non
 
 def street(lamps: int = 64, *, car: bool = True) -> Scene:
     """Make a street of casting lamps, 12 m apart, with a post each, and a car that passes at 10 m/s, or none."""
-    builder = SceneBuilder("street")
-    box, material = builder.add_mesh(BUILT_IN["box"]()), builder.add_material()
+    builder, box, material = make_boxes(name="street"), 0, 0
     along = 12.0 * np.arange(lamps)
     for x in along:
         ground = translation((x, -0.5, 0)) @ scaling((12, 1, 20))
@@ -185,12 +177,10 @@ def test_a_car_that_passes_draws_only_the_maps_that_it_touches(null: rhi.Device)
 
 
 def test_what_moves_without_shading_anything_visible_draws_no_map_again(null: rhi.Device) -> None:
-    builder = SceneBuilder("shelf")
-    box, material = builder.add_mesh(BUILT_IN["box"]()), builder.add_material()
-    for x in (0.0, 40.0):  # the second one isn't in view
-        builder.add_objects(builder.add_node(translation((x, -0.5, 0)) @ scaling((30, 1, 30))), box, material)
+    along = (0.0, 40.0)  # the second one isn't in view
+    builder = make_boxes(*(translation((x, -0.5, 0)) @ scaling((30, 1, 30)) for x in along), name="shelf")
     moves = builder.add_node(translation((26, 1, 0)), dynamic=True)
-    builder.add_objects(moves, box, material)
+    builder.add_objects(moves, 0, 0)
     builder.animate(moves, lambda seconds: translation(((26.0 + seconds, 1.0, 0.0),)))
     builder.lights.add_point((20, 2, 0), 24.0, casts_shadow=True)
     down = Camera.look_at((0, 10, 0), (0, 0, 0), (0, 0, -1), Perspective(fov=1.0, aspect=4 / 3, near=1.0))
@@ -203,10 +193,9 @@ def test_what_moves_without_shading_anything_visible_draws_no_map_again(null: rh
 
 
 def test_far_maps_take_turns_when_there_are_more_than_the_budget(null: rhi.Device) -> None:
-    builder = SceneBuilder("crowd")
-    box, material = builder.add_mesh(BUILT_IN["box"]()), builder.add_material()
+    builder = make_boxes(name="crowd")
     nodes = builder.add_nodes(translation([(12.0 * i, 1.0, 0.0) for i in range(10)]), dynamic=True)
-    builder.add_objects(nodes, box, material)
+    builder.add_objects(nodes, 0, 0)
     builder.animate(nodes, lambda s: translation([(12.0 * i + s, 1.0, 0.0) for i in range(10)]))
     builder.lights.add_spots([(12.0 * i, 5, 0) for i in range(10)], (0, -1, 0), 8.0, 0.4, 0.6, casts_shadow=True)
     camera = Camera.look_at((54, 200, 0), (54, 0, 0), (0, 0, -1), Perspective(fov=1.0, aspect=4 / 3, near=1.0))

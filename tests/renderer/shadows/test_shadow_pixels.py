@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 import pytest
 from filter_reference import find_lit_share
+from frames import make_boxes, open_renderer, read_colors
 from numpy.typing import NDArray
 
 import rhi
@@ -31,7 +32,6 @@ from renderer.shadows import ShadowFilter, ShadowSettings
 from renderer.shadows.maps import FarDepth
 from renderer.shadows.receiver import FILTERS, ShadowReader
 from renderer.techniques import TECHNIQUES
-from renderer.visibility import NoCulling
 from rhi.shading import (
     FragmentDepth,
     Storage,
@@ -133,13 +133,17 @@ def compare_filter(device: rhi.Device, filter: ShadowFilter) -> None:
     assert 0.2 < want.mean() < 0.8
 
 
-def render(device: rhi.Device, scene: Scene, camera: Camera, settings: ShadowSettings | None, size: int = 64) -> Pixels:
+def render(
+    device: rhi.Device, scene: Scene, camera: Camera, settings: ShadowSettings | None = None, size: int = 64,
+    *, casts: bool | None = None, technique: str = "forward",
+) -> Pixels:  # fmt: skip
+    """Return the picture (h, w, 3); all lights cast shadows or none does, unless `casts` is None."""
     for lights in (scene.lights.directional, scene.lights.point, scene.lights.spot):
-        lights["casts_shadow"] = settings is not None
-    with Renderer(device, scene, visibility=NoCulling(scene), size=(size, size)) as renderer:
-        if settings is not None:
-            renderer.shadows.settings = settings
-        return renderer.render(camera).image.read()[..., :3].astype(int)
+        if casts is not None:
+            lights["casts_shadow"] = casts
+    with open_renderer(device, scene, TECHNIQUES[technique](), size=(size, size)) as renderer:
+        renderer.shadows.settings = settings or SETTINGS
+        return read_colors(renderer.render(camera))
 
 
 @pytest.mark.parametrize("filter", [one for one in ShadowFilter if one is not SETTINGS.filter])
@@ -152,12 +156,10 @@ def block_scene(
     degrees: float, normal_map: NDArray[np.uint8] | None = None
 ) -> tuple[Scene, NDArray[np.float64]]:
     """Make a block on a floor and a sun; return the scene and the sun's direction."""
-    scene_builder = SceneBuilder("block")
-    mesh, material = scene_builder.add_mesh(BUILT_IN["box"]()), scene_builder.add_material(specular_color=(0, 0, 0))
+    scene_builder = make_boxes((0, 0.5, 0), name="block", specular_color=(0, 0, 0))
     floor = scene_builder.add_node(translation((0, -0.5, 0)) @ scaling((30, 1, 30)))
     maps = {} if normal_map is None else {"normal_texture": scene_builder.add_image(normal_map)}
-    scene_builder.add_objects(floor, mesh, scene_builder.add_material(specular_color=(0, 0, 0), **maps))
-    scene_builder.add_objects(scene_builder.add_node(translation((0, 0.5, 0))), mesh, material)
+    scene_builder.add_objects(floor, 0, scene_builder.add_material(specular_color=(0, 0, 0), **maps))
     angle, turn = np.radians(degrees), 0.7
     down = np.array((np.sin(angle) * np.cos(turn), -np.cos(angle), np.sin(angle) * np.sin(turn)))
     scene_builder.lights.add_directional(down, intensity=1.0 / np.cos(angle))
@@ -180,9 +182,9 @@ def test_shadows_touch_their_casters_and_end_within_a_texel(
 ) -> None:
     scene, down = block_scene(degrees)
     above = Camera.look_at((0, 10, 0), (0, 0, 0), (0, 0, -1), Orthographic(height=8.0, aspect=1.0, near=1.0, far=10.5))
-    shown = render(gl, scene, above, replace(SETTINGS, filter=filter, cascade_size=256), size=256)
+    shown = render(gl, scene, above, replace(SETTINGS, filter=filter, cascade_size=256), size=256, casts=True)
     scene.lights.directional["intensity"] *= 0.5
-    lit = shown[..., 0] >= render(gl, scene, above, None, size=256)[..., 0]
+    lit = shown[..., 0] >= render(gl, scene, above, size=256, casts=False)[..., 0]
     across = (np.arange(256) + 0.5) / 256 * 8 - 4
     floor = np.stack(np.meshgrid(across, across), -1) @ np.array(((1, 0, 0), (0, 0, 1)))
     floor = floor.reshape(-1, 3)
@@ -216,7 +218,7 @@ def leaf_scene(*, turned: bool = False, **material: Any) -> Scene:
 def find_shadow(device: rhi.Device, scene: Scene) -> tuple[bool, bool]:
     """Return whether the shadow of the sheet's left half is on the floor, and that of its right half."""
     above = Camera.look_at((0, 10, 0), (0, 0, 0), (0, 0, -1), Orthographic(height=8.0, aspect=1.0, near=1.0, far=10.5))
-    shown, lit = (render(device, scene, above, settings)[24:40, :, 0] for settings in (SETTINGS, None))
+    shown, lit = (render(device, scene, above, casts=casts)[24:40, :, 0] for casts in (True, False))
     halves = [columns < lit[:, :-1][:, :1] for columns in (shown[:, 42:45], shown[:, 51:54])]
     for half in halves:
         assert half.all() == half.any()
@@ -248,15 +250,14 @@ ROOM = 4.0  # half its width
 
 def lamp_scene(*, block: tuple[float, float, float] | None, at: tuple[float, float, float] = (0, 0, 0)) -> SceneBuilder:
     """Make a room, of walls that are boxes, around `at`, with a block in it or not. It has no light yet."""
-    builder = SceneBuilder("room")
-    mesh, material = builder.add_mesh(BUILT_IN["box"]()), builder.add_material(specular_color=(0, 0, 0))
+    boxes = []
     for axis in range(3):
         for side in (-1.0, 1.0):
             middle, size = np.zeros(3), np.full(3, 2 * ROOM + 2)
             middle[axis], size[axis] = side * (ROOM + 0.5), 1.0
-            builder.add_objects(builder.add_node(translation(middle + at) @ scaling(size)), mesh, material)
-    if block is not None:
-        builder.add_objects(builder.add_node(translation(np.add(block, at))), mesh, material)
+            boxes.append(translation(middle + at) @ scaling(size))
+    blocks = [] if block is None else [np.add(block, at)]
+    builder = make_boxes(*boxes, *blocks, name="room", specular_color=(0, 0, 0))
     builder.lights.sky = builder.lights.ground = (0.1, 0.1, 0.1)
     return builder
 
@@ -279,10 +280,7 @@ def look_around(at: tuple[float, ...] = (0, 0, 0)) -> list[Camera]:
 LAMPS = ShadowSettings(smallest=64, largest=64)
 
 
-def render_lamps(device: rhi.Device, scene: Scene, camera: Camera, settings: ShadowSettings, size: int = 48) -> Pixels:
-    with Renderer(device, scene, visibility=NoCulling(scene), size=(size, size)) as renderer:
-        renderer.shadows.settings = settings
-        return renderer.render(camera).image.read()[..., :3].astype(int)
+render_lamps = partial(render, size=48)
 
 
 @pytest.mark.parametrize("filter", ShadowFilter)
@@ -425,14 +423,14 @@ def test_maps_of_few_texels_are_looked_up(gl: rhi.Device, size: int) -> None:
     scene, _ = block_scene(30.0)
     scene.lights.add_point((1.5, 2.0, 0.5), 8.0, intensity=4.0, casts_shadow=True)
     small = replace(SETTINGS, cascade_size=size, smallest=size, largest=size)
-    shown = render(gl, scene, Camera.look_at((3, 4, 5), (0, 0, 0)), small)
+    shown = render(gl, scene, Camera.look_at((3, 4, 5), (0, 0, 0)), small, casts=True)
     assert len(np.unique(shown)) > 4
 
 
 def test_a_map_is_the_same_to_the_bit_after_a_move_below_a_texel(gl: rhi.Device) -> None:
     scene, _ = block_scene(30.0)
     scene.lights.directional["casts_shadow"] = True
-    with Renderer(gl, scene, visibility=NoCulling(scene), size=(64, 64)) as renderer:
+    with open_renderer(gl, scene, size=(64, 64)) as renderer:
         renderer.shadows.settings = SETTINGS
         renderer.render(FLOOR)
         first, tiles = renderer.shadows.atlas.read().copy(), renderer.shadows.tiles
@@ -446,18 +444,18 @@ def test_a_map_is_the_same_to_the_bit_after_a_move_below_a_texel(gl: rhi.Device)
             first = shown.copy()
 
 
-def test_all_techniques_show_the_same_shadows(gl: rhi.Device) -> None:
+def lit_block() -> Scene:
+    """Make the block under a weak sun, beside a point light and a spot light."""
     scene, _ = block_scene(50.0)
-    camera = Camera.look_at((3, 4, 5), (0, 0, 0))
     scene.lights.directional["intensity"] *= 0.3
     scene.lights.add_point((1.2, 1.5, 0.8), 6.0, intensity=2.0)
     scene.lights.add_spot((-1.5, 2.5, 1.0), (0.5, -1.0, -0.3), 8.0, 0.4, 0.7, intensity=8.0)
-    scene.lights.cast_shadows()
-    shown: dict[str, Pixels] = {}
-    for name, technique in TECHNIQUES.items():
-        with Renderer(gl, scene, technique=technique(), visibility=NoCulling(scene), size=(64, 64)) as renderer:
-            renderer.shadows.settings = SETTINGS
-            shown[name] = renderer.render(camera).image.read()[..., :3].astype(int)
+    return scene
+
+
+def test_all_techniques_show_the_same_shadows(gl: rhi.Device) -> None:
+    scene, camera = lit_block(), Camera.look_at((3, 4, 5), (0, 0, 0))
+    shown = {name: render(gl, scene, camera, casts=True, technique=name) for name in TECHNIQUES}
     for name, pixels in shown.items():
         # Inferred lighting has light for 36 % of the pixels.
         assert (np.abs(pixels - shown["forward"]).max(-1) > 3).mean() < (0.05 if name == "inferred" else 0.01), name
@@ -465,13 +463,8 @@ def test_all_techniques_show_the_same_shadows(gl: rhi.Device) -> None:
 
 
 def test_shadows_are_the_same_on_each_device(drawing_device: rhi.Device) -> None:
-    scene, _ = block_scene(50.0)
-    scene.lights.directional["intensity"] *= 0.3
-    scene.lights.add_point((1.2, 1.5, 0.8), 6.0, intensity=2.0)
-    scene.lights.add_spot((-1.5, 2.5, 1.0), (0.5, -1.0, -0.3), 8.0, 0.4, 0.7, intensity=8.0)
-    camera = Camera.look_at((3, 4, 5), (0, 0, 0))
-    pixels = render(drawing_device, scene, camera, SETTINGS, size=32)
-    plain = render(drawing_device, scene, camera, None, size=32)
+    scene, camera = lit_block(), Camera.look_at((3, 4, 5), (0, 0, 0))
+    pixels, plain = (render(drawing_device, scene, camera, size=32, casts=casts) for casts in (True, False))
     darker = plain[..., 0] - pixels[..., 0]
     assert 0.03 < (darker > 4).mean() < 0.2
     assert len(np.unique(darker)) > 10
@@ -489,15 +482,8 @@ def render_plain_and_shadowed(
     device: rhi.Device, scene: Scene, camera: Camera, technique: str = "forward", filter: ShadowFilter = SETTINGS.filter
 ) -> list[Pixels]:
     """Return a frame of a scene without shadows, and one with those of all lights."""
-    shown = []
-    for casts in (False, True):
-        for lights in (scene.lights.directional, scene.lights.point, scene.lights.spot):
-            lights["casts_shadow"] = casts
-        kind = TECHNIQUES[technique]()
-        with Renderer(device, scene, technique=kind, visibility=NoCulling(scene), size=(64, 64)) as renderer:
-            renderer.shadows.settings = replace(SETTINGS, filter=filter, smallest=64, largest=64)
-            shown.append(renderer.render(camera).image.read()[..., :3].astype(int))
-    return shown
+    settings = replace(SETTINGS, filter=filter, smallest=64, largest=64)
+    return [render(device, scene, camera, settings, casts=casts, technique=technique) for casts in (False, True)]
 
 
 def make_bumps(degrees: float) -> Scene:
@@ -509,14 +495,14 @@ def make_bumps(degrees: float) -> Scene:
 
 def test_normal_maps_bring_no_acne_at_any_slope(gl: rhi.Device) -> None:
     scene = make_bumps(0.0)
-    with Renderer(gl, scene, visibility=NoCulling(scene), size=(64, 64)) as renderer:
+    with open_renderer(gl, scene, size=(64, 64)) as renderer:
         renderer.shadows.settings = SETTINGS
         for degrees in SLOPES:
             scene.lights.directional["direction"] = make_bumps(degrees).lights.directional["direction"]
             shown = []
             for casts in (False, True):
                 scene.lights.directional["casts_shadow"] = casts
-                shown.append(renderer.render(FLOOR).image.read()[..., :3].astype(int))
+                shown.append(read_colors(renderer.render(FLOOR)))
             assert (shown[0] > shown[0].min() + 20).any(-1).mean() > 0.1
             assert np.abs(shown[1] - shown[0]).max() <= 1, degrees
 

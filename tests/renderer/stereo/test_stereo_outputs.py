@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 import pytest
+from frames import open_renderer
 from numpy.typing import NDArray
 
 import rhi
@@ -15,7 +16,6 @@ from renderer.content import load_scene
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import Camera, Scene, StereoRig
 from renderer.stereo import OUTPUTS, Stereo, mix_anaglyph
-from renderer.visibility import FrustumCulling
 
 SIZE: Final = (97, 55)  # odd: neither halves evenly
 RIG: Final = StereoRig(0.3, 6.0)
@@ -45,7 +45,7 @@ def city() -> Scene:
 
 @pytest.fixture(scope="module")
 def eyes(drawing_device: rhi.Device, city: Scene) -> Iterator[Eyes]:
-    with Renderer(drawing_device, city, size=SIZE, visibility=FrustumCulling(city)) as renderer:
+    with open_renderer(drawing_device, city, visibility="frustum", size=SIZE) as renderer:
         yield Eyes(renderer, city.paths["ground"].camera(600))
 
 

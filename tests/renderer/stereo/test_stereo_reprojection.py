@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
 import pytest
+from frames import open_renderer as open_any
 
 import rhi
 from renderer.content import load_scene
@@ -26,10 +28,10 @@ from renderer.scene import (
 )
 from renderer.scene.transforms import multiply
 from renderer.stereo import Stereo, find_holes
-from renderer.visibility import FrustumCulling
 from rhi import Op
 
 SIZE: Final = (96, 54)
+open_renderer = partial(open_any, size=SIZE, visibility="frustum")
 NEAR, FAR = 3.0, 27.0
 # With this lens, P00 · width / 2 is 27 pixels: a wall moves by +2, the box before it by -6.
 LENS: Final = Perspective(np.pi / 2, SIZE[0] / SIZE[1])
@@ -68,7 +70,7 @@ def draw(renderer: Renderer, camera: Camera, rig: StereoRig, *, moved: bool) -> 
 @pytest.mark.parametrize("depth", list(Depth))
 def test_pixels_move_by_the_parallax_of_their_depth(drawing_device: rhi.Device, wall: Scene, depth: Depth) -> None:
     camera = look(Perspective(LENS.fov, LENS.aspect, depth=depth))
-    with Renderer(drawing_device, wall, size=SIZE, visibility=FrustumCulling(wall)) as renderer:
+    with open_renderer(drawing_device, wall) as renderer:
         _, left, drawn = draw(renderer, camera, RIG, moved=False)
         result, same, moved = draw(renderer, camera, RIG, moved=True)
         holes = find_holes(result.frames[1])
@@ -86,7 +88,7 @@ def test_pixels_move_by_the_parallax_of_their_depth(drawing_device: rhi.Device, 
 
 
 def test_eyes_without_a_distance_move_nothing(drawing_device: rhi.Device, wall: Scene) -> None:
-    with Renderer(drawing_device, wall, size=SIZE, visibility=FrustumCulling(wall)) as renderer:
+    with open_renderer(drawing_device, wall) as renderer:
         result, left, right = draw(renderer, look(), StereoRig(0.0, 9.0), moved=True)
         assert np.array_equal(left, right)
         assert not find_holes(result.frames[1]).any()
@@ -94,7 +96,7 @@ def test_eyes_without_a_distance_move_nothing(drawing_device: rhi.Device, wall: 
 
 
 def test_all_converges_where_the_wall_is(drawing_device: rhi.Device, wall: Scene) -> None:
-    with Renderer(drawing_device, wall, size=SIZE, visibility=FrustumCulling(wall)) as renderer:
+    with open_renderer(drawing_device, wall) as renderer:
         for convergence, edge in ((FAR, []), (FAR * 0.9, [0]), (FAR * 1.1, [95])):
             result, left, right = draw(renderer, look(), StereoRig(6.0, convergence), moved=True)
             holes = np.flatnonzero(find_holes(result.frames[1])[0]).tolist()
@@ -113,7 +115,7 @@ LENSES: Final = {
 @pytest.mark.parametrize("name", LENSES)
 def test_each_lens_moves_pixels(drawing_device: rhi.Device, wall: Scene, name: str) -> None:
     lens, rig = LENSES[name]
-    with Renderer(drawing_device, wall, size=SIZE, visibility=FrustumCulling(wall)) as renderer:
+    with open_renderer(drawing_device, wall) as renderer:
         _, left, drawn = draw(renderer, look(lens), rig, moved=False)
         result, _, moved = draw(renderer, look(lens), rig, moved=True)
         seen = ~find_holes(result.frames[1])
@@ -139,7 +141,7 @@ class Looker:
 
 def test_layers_find_the_depth_of_moved_pixels(drawing_device: rhi.Device, wall: Scene) -> None:
     looker = Looker()
-    with Renderer(drawing_device, wall, size=SIZE, visibility=FrustumCulling(wall)) as renderer:
+    with open_renderer(drawing_device, wall) as renderer:
         renderer.layers.append(looker)
         draw(renderer, look(), RIG, moved=False)
         result, _, _ = draw(renderer, look(), RIG, moved=True)
@@ -154,7 +156,7 @@ def test_only_the_left_eye_draws_the_scene(null: rhi.Device) -> None:
     scene = load_scene("city:blocks=6")
     draws, passes = [], []
     for moved in (False, True):
-        with Renderer(null, scene, size=SIZE, visibility=FrustumCulling(scene)) as renderer:
+        with open_renderer(null, scene) as renderer:
             renderer.stereo = Stereo(RIG, "color", is_reprojected=moved)
             before = len(null.stream)
             draws.append(renderer.render(scene.paths["ground"].camera(600)).statistics.draws)
@@ -167,7 +169,7 @@ def test_lights_are_not_placed_for_an_eye_that_draws_nothing(null: rhi.Device) -
     scene = load_scene("grid:count=9,lights=16")
     camera, placed = next(iter(scene.views.values())), []
     for moved in (False, True):
-        with Renderer(null, scene, size=SIZE, visibility=FrustumCulling(scene)) as renderer:
+        with open_renderer(null, scene) as renderer:
             renderer.stereo = Stereo(RIG, "color", is_reprojected=moved)
             renderer.render(camera)
             aside = replace(camera, position=np.add(camera.position, (0.1, 0.0, 0.0)))

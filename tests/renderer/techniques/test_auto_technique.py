@@ -4,22 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
+from frames import EYE, make_lit_boxes, open_renderer
 
 import rhi
-from renderer.content import BUILT_IN, load_scene
+from renderer.content import load_scene
 from renderer.frame import Frame, Needs, find_needs
 from renderer.renderer import Renderer
-from renderer.scene import Camera, Scene, SceneBuilder
+from renderer.scene import Camera, Scene
 from renderer.techniques import AutoTechnique, ClusteredDeferred, Forward, Smoothed, TiledDeferred
 from renderer.techniques.auto import CANDIDATES, FEW_LAMPS, list_candidates
-from renderer.visibility import NoCulling, make_visibility
+from renderer.visibility import NoCulling
 from rhi import Op
 
 SIZE = (32, 16)
-EYE = Camera.look_at((0, 0, 10), (0, 0, 0))
 
 
 class Clock:
@@ -67,13 +68,7 @@ def log() -> list[str]:
     return []
 
 
-def box(lamps: int = 3) -> Scene:
-    builder = SceneBuilder("box")
-    builder.add_objects(builder.add_node(), builder.add_mesh(BUILT_IN["box"]()), builder.add_material())
-    for number in range(lamps):
-        builder.lights.add_point((0.01 * number, 1.5, 0), 3.0)
-    builder.views["eye"] = EYE
-    return builder.build()
+box = partial(make_lit_boxes, 3)
 
 
 def make_auto(
@@ -217,7 +212,7 @@ def test_exchanges_leave_nothing_behind(null: rhi.Device, log: list[str], render
 
 
 def needs_of(lamps: int) -> Needs:
-    return find_needs(box(lamps), EYE)
+    return find_needs(make_lit_boxes(lamps), EYE)
 
 
 def test_a_device_that_draws_nothing_has_one_candidate_and_waits_for_nothing(
@@ -279,7 +274,7 @@ def test_pictures_of_a_trial_are_alike_and_so_are_smoothed_ones(gl: rhi.Device) 
         (Forward(), AutoTechnique(scene, gl, rest=0)),
         (Smoothed(Forward()), AutoTechnique(scene, gl, makers)),
     ):
-        with Renderer(gl, scene, technique=technique, visibility=NoCulling(scene), size=(96, 64)) as renderer:
+        with open_renderer(gl, scene, technique, size=(96, 64)) as renderer:
             wanted = renderer.render(camera).image.read().astype(int)
             renderer.technique = auto
             used = set()
@@ -293,13 +288,11 @@ def test_pictures_of_a_trial_are_alike_and_so_are_smoothed_ones(gl: rhi.Device) 
 
 def test_visibility_and_technique_are_tried_one_after_the_other(gl: rhi.Device) -> None:
     scene = box()
-    visibility, auto = make_visibility("auto", scene, gl), AutoTechnique(scene, gl)
-    with Renderer(gl, scene, technique=auto, visibility=visibility, size=SIZE) as renderer:
+    with open_renderer(gl, scene, AutoTechnique(scene, gl), visibility="auto", size=SIZE) as renderer:
         order = []
         renderer.render(EYE)
         while renderer.is_trying:
             order.append("visibility" if renderer._is_trying_visibility else "technique")
             renderer.render(EYE)
-    visibility.destroy()
     assert order == sorted(order, reverse=True)
     assert set(order) == {"visibility", "technique"}

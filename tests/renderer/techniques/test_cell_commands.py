@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import pytest
+from frames import make_lit_boxes, open_renderer
 
 import rhi
-from renderer.content import BUILT_IN
 from renderer.lab.measure.plans import describe_plan
-from renderer.renderer import Renderer
-from renderer.scene import Camera, Scene, SceneBuilder
 from renderer.techniques import (
     Clustered,
     ClusteredDeferred,
@@ -20,7 +18,6 @@ from renderer.techniques import (
     TiledDeferred,
 )
 from renderer.techniques.parts.cell_lists import CLUSTERS
-from renderer.visibility import NoCulling
 from rhi import Op
 
 SIZE = (64, 32)
@@ -42,22 +39,11 @@ PASSES: dict[str, tuple[Callable[[], Technique], list[str], list[str]]] = {
 }
 
 
-def box(points: int = 0, spots: int = 0) -> Scene:
-    builder = SceneBuilder("box")
-    builder.add_objects(builder.add_node(), builder.add_mesh(BUILT_IN["box"]()), builder.add_material())
-    for _ in range(points):
-        builder.lights.add_point((0, 2, 0), 4.0)
-    for _ in range(spots):
-        builder.lights.add_spot((0, 2, 0), (0, -1, 0), 4.0, 0.3, 0.5)
-    builder.views["eye"] = Camera.look_at((0, 0, 10), (0, 0, 0))
-    return builder.build()
-
-
 @pytest.mark.parametrize("name", PASSES)
 @pytest.mark.parametrize(("points", "spots"), [(0, 0), (1, 0), (0, 1), (3, 2)])
 def test_lights_to_list_bring_their_passes_and_none_bring_none(name: str, points: int, spots: int) -> None:
     make, without, listed = PASSES[name]
-    scene = box(points, spots)
+    scene = make_lit_boxes(points, spots)
     report = describe_plan(scene, make(), scene.views["eye"], SIZE)
     assert [one.name for one in report.passes] == (listed if points + spots else without)
 
@@ -76,7 +62,7 @@ def test_lights_to_list_bring_their_passes_and_none_bring_none(name: str, points
 def test_lists_take_a_few_dispatches_however_many_lights_there_are(name: str, dispatches: list[int]) -> None:
     make, _, _ = PASSES[name]
     for points in (1, 100):
-        scene = box(points)
+        scene = make_lit_boxes(points)
         report = describe_plan(scene, make(), scene.views["eye"], SIZE)
         assert [one.dispatches for one in report.passes] == dispatches
 
@@ -87,15 +73,15 @@ def test_a_kind_of_light_that_a_scene_lacks_is_not_bound(
     null: rhi.Device, name: str, points: int, spots: int
 ) -> None:
     make, _, _ = PASSES[name]
-    scene = box(points, spots)
-    with Renderer(null, scene, technique=make(), visibility=NoCulling(scene), size=SIZE) as renderer:
+    scene = make_lit_boxes(points, spots)
+    with open_renderer(null, scene, make(), size=SIZE) as renderer:
         renderer.render(scene.views["eye"])
         labels = [c["descriptor"].label for c in null.stream.filter(Op.CREATE_BUFFER)]
     assert ("point lights" in labels, "spot lights" in labels) == (bool(points), bool(spots))
 
 
 def test_a_geometry_pass_is_drawn_once(null: rhi.Device) -> None:
-    scene = box(3, 2)
+    scene = make_lit_boxes(3, 2)
     counts = {}
     for name, (make, _, _) in PASSES.items():
         report = describe_plan(scene, make(), scene.views["eye"], SIZE)
@@ -111,8 +97,8 @@ def test_a_geometry_pass_is_drawn_once(null: rhi.Device) -> None:
 
 
 def test_clusters_have_room_for_64_lights_each_at_first(null: rhi.Device) -> None:
-    scene = box(1)
-    with Renderer(null, scene, technique=Clustered(), visibility=NoCulling(scene), size=SIZE) as renderer:
+    scene = make_lit_boxes(1)
+    with open_renderer(null, scene, Clustered(), size=SIZE) as renderer:
         renderer.render(scene.views["eye"])
         grid = renderer._view.workspace(CLUSTERS)
         assert grid.capacity == 64 * grid.cells

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 import pytest
+from frames import count_draws, find_eye, list_passes, make_lit_boxes, open_renderer, record
 
 import rhi
-from renderer.content import BUILT_IN, load_scene
-from renderer.renderer import Renderer
-from renderer.scene import Camera, Perspective, Scene, SceneBuilder
+from renderer.content import load_scene
+from renderer.scene import Perspective
 from renderer.techniques import Deferred, Forward, Inferred, LightPrePass, Technique
-from renderer.visibility import NoCulling
 from rhi import DepthFunction, DepthWrite, Op
 
 SIZE = (32, 16)
@@ -19,50 +21,14 @@ PRE_PASS = [LightPrePass(), LightPrePass(stencil=True), LightPrePass(specular_ch
 ALL: list[Technique] = [*DEFERRED, *PRE_PASS, Inferred()]
 
 
-def boxes(lamps: int = 0, *, narrow: int = 0, wide: int = 0) -> Scene:
-    """Make two boxes in front of the eye, with lamps in view."""
-    builder = SceneBuilder("boxes")
-    mesh, material = builder.add_mesh(BUILT_IN["box"]()), builder.add_material()
-    for _ in range(2):
-        builder.add_objects(builder.add_node(), mesh, material)
-    for number in range(lamps):
-        builder.lights.add_point((0.01 * number, 1, 0), 3.0)
-    for outer, count in ((0.5, narrow), (2.0, wide)):
-        for number in range(count):
-            builder.lights.add_spot((0.01 * number, 2, 0), (0, -1, 0), 3.0, 0.2, outer)
-    builder.views["eye"] = Camera.look_at((0, 0, 10), (0, 0, 0))
-    return builder.build()
-
-
-def record(
-    device: rhi.Device, scene: Scene, technique: Technique, camera: Camera | None = None
-) -> rhi.CommandStream:
-    """Return the commands of the second of two frames."""
-    renderer = Renderer(device, scene, technique=technique, visibility=NoCulling(scene), size=SIZE)
-    for _ in range(2):
-        device.stream.clear()
-        renderer.render(camera or scene.views["eye"])
-    return device.stream
-
-
-def count(device: rhi.Device, scene: Scene, technique: Technique) -> tuple[int, int]:
-    """Return the number of render passes and of draw calls in a frame."""
-    stream = record(device, scene, technique)
-    return len(stream.filter(Op.BEGIN_PASS)), len(stream.draws())
-
-
-def names(device: rhi.Device, scene: Scene, technique: Technique) -> list[str]:
-    """Return the names of the passes of a frame."""
-    with Renderer(device, scene, technique=technique, visibility=NoCulling(scene), size=SIZE) as renderer:
-        renderer.render(scene.views["eye"])
-        _, plan = renderer.plan(scene.views["eye"])
-    return [one.name for one in plan.passes]
+boxes = partial(make_lit_boxes, boxes=2)
+"""Makes two boxes in front of the eye, with lamps in view."""
 
 
 @pytest.mark.parametrize("technique", DEFERRED)
 def test_deferred_without_lamps_draws_geometry_and_one_triangle(null: rhi.Device, technique: Technique) -> None:
-    assert names(null, boxes(), technique) == ["geometry", "resolve"]
-    assert count(null, boxes(), technique) == (2, 2)
+    assert list_passes(null, boxes(), technique) == ["geometry", "resolve"]
+    assert count_draws(null, boxes(), technique) == (2, 2)
 
 
 @pytest.mark.parametrize("technique", [LightPrePass(), LightPrePass(specular_channels=1), Inferred()])
@@ -74,22 +40,22 @@ def test_a_light_pre_pass_without_lamps_is_forward_shading(null: rhi.Device, tec
 
 
 def test_a_lamp_adds_its_pass_and_one_draw(null: rhi.Device) -> None:
-    assert names(null, boxes(1), Deferred()) == ["geometry", "point lights", "resolve"]
-    assert count(null, boxes(1), Deferred()) == (3, 3)
-    assert names(null, boxes(1), LightPrePass()) == ["normals", "point lights", "materials"]
-    assert count(null, boxes(1), LightPrePass()) == (3, 3)
-    assert names(null, boxes(1), Inferred()) == ["normals", "shrink", "point lights", "materials"]
-    assert count(null, boxes(1), Inferred()) == (4, 4)
+    assert list_passes(null, boxes(1), Deferred()) == ["geometry", "point lights", "resolve"]
+    assert count_draws(null, boxes(1), Deferred()) == (3, 3)
+    assert list_passes(null, boxes(1), LightPrePass()) == ["normals", "point lights", "materials"]
+    assert count_draws(null, boxes(1), LightPrePass()) == (3, 3)
+    assert list_passes(null, boxes(1), Inferred()) == ["normals", "shrink", "point lights", "materials"]
+    assert count_draws(null, boxes(1), Inferred()) == (4, 4)
 
 
 @pytest.mark.parametrize("technique", [Deferred(), LightPrePass()])
 def test_lamps_of_a_kind_are_one_draw_and_narrow_and_wide_spots_are_two(
     null: rhi.Device, technique: Technique
 ) -> None:
-    assert count(null, boxes(200), technique) == (3, 3)
-    assert count(null, boxes(0, narrow=5), technique) == count(null, boxes(0, wide=5), technique) == (3, 3)
-    assert count(null, boxes(0, narrow=5, wide=3), technique) == (3, 4)
-    assert count(null, boxes(200, narrow=5, wide=3), technique) == (4, 5)
+    assert count_draws(null, boxes(200), technique) == (3, 3)
+    assert count_draws(null, boxes(0, spots=5), technique) == count_draws(null, boxes(0, wide=5), technique) == (3, 3)
+    assert count_draws(null, boxes(0, spots=5, wide=3), technique) == (3, 4)
+    assert count_draws(null, boxes(200, spots=5, wide=3), technique) == (4, 5)
 
 
 @pytest.mark.parametrize("technique", [Deferred(), LightPrePass()])
@@ -100,7 +66,7 @@ def test_one_draw_has_an_instance_for_each_lamp(null: rhi.Device, technique: Tec
 
 @pytest.mark.parametrize("technique", [Deferred(stencil=True), LightPrePass(stencil=True)])
 def test_a_masked_lamp_is_drawn_twice(null: rhi.Device, technique: Technique) -> None:
-    assert count(null, boxes(7), technique) == (3, 2 + 2 * 7)
+    assert count_draws(null, boxes(7), technique) == (3, 2 + 2 * 7)
     stream = record(null, boxes(7), technique)
     marking, marked = stream.draws()[1:3]
     assert marking.states[rhi.CullMode] is rhi.CullMode.NONE
@@ -113,7 +79,7 @@ def test_a_masked_lamp_is_drawn_twice(null: rhi.Device, technique: Technique) ->
 def test_inferred_light_is_collected_in_smaller_buffers(
     null: rhi.Device, scale: float, size: tuple[int, int]
 ) -> None:
-    stream = record(null, boxes(1), Inferred(scale=scale))
+    stream = record(null, boxes(1), Inferred(scale=scale), size=SIZE)
     sizes = [begin["descriptor"].size for begin in stream.filter(Op.BEGIN_PASS)]
     assert sizes == [SIZE, size, size, SIZE]
 
@@ -161,8 +127,8 @@ def test_a_pixel_takes_so_many_bytes(
     null: rhi.Device, technique: Technique, text: str, lamps: int, bytes_per_pixel: int
 ) -> None:
     scene = boxes(lamps) if text == "boxes" else load_scene(text)
-    view = next(iter(scene.views.values()))
-    with Renderer(null, scene, technique=technique, visibility=NoCulling(scene), size=SIZE) as renderer:
+    view = find_eye(scene)
+    with open_renderer(null, scene, technique) as renderer:
         renderer.render(view)
         _, plan = renderer.plan(view)
     assert plan.count_bytes(SIZE) == bytes_per_pixel * SIZE[0] * SIZE[1]
@@ -173,30 +139,30 @@ def test_a_second_frame_uploads_the_rows_of_its_lamps(
     null: rhi.Device, technique: Technique
 ) -> None:
     scene = boxes(50)
-    with Renderer(null, scene, technique=technique, visibility=NoCulling(scene), size=SIZE) as renderer:
+    with open_renderer(null, scene, technique) as renderer:
         renderer.render(scene.views["eye"])
         again = renderer.render(scene.views["eye"]).statistics
     # Passes over the geometry are recorded with their draws.
     assert again.upload_bytes == 50 * np.dtype(np.int32).itemsize
 
 
-@pytest.mark.parametrize("scale", [0.0, -0.5, 1.001, float("nan")])
-def test_a_scale_out_of_range_is_refused(scale: float) -> None:
+@pytest.mark.parametrize(
+    "make",
+    [
+        *(partial(Inferred, scale=scale) for scale in (0.0, -0.5, 1.001, float("nan"))),
+        *(partial(LightPrePass, specular_channels=channels) for channels in (0, 2, 4)),
+    ],
+)
+def test_a_parameter_out_of_its_range_is_refused(make: Callable[[], Technique]) -> None:
     with pytest.raises(rhi.ValidationError, match="technique-parameter"):
-        Inferred(scale=scale)
+        make()
     assert Inferred(scale=1e-3).scale == 1e-3
-
-
-@pytest.mark.parametrize("channels", [0, 2, 4])
-def test_a_number_of_specular_channels_other_than_1_and_3_is_refused(channels: int) -> None:
-    with pytest.raises(rhi.ValidationError, match="technique-parameter"):
-        LightPrePass(specular_channels=channels)
 
 
 @pytest.mark.parametrize("technique", ALL)
 def test_everything_is_given_back(null: rhi.Device, technique: Technique) -> None:
-    scene = boxes(3, narrow=2, wide=1)
-    with Renderer(null, scene, technique=technique, visibility=NoCulling(scene), size=SIZE) as renderer:
+    scene = boxes(3, spots=2, wide=1)
+    with open_renderer(null, scene, technique) as renderer:
         renderer.render(scene.views["eye"])
     null.finish()
     made = null.stream.filter(

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from frames import draw_each, find_difference, make_boxes, open_renderer
 from numpy.typing import NDArray
 
 import rhi
@@ -28,7 +29,7 @@ from renderer.techniques import DeferredPlus, Forward
 from renderer.techniques.deferred_plus import PackedShading
 from renderer.techniques.parts.material_rectangles import MaterialRectangles
 from renderer.techniques.parts.packed_geometry import MOST_MATERIALS, PackedPlain, PackedTextures
-from renderer.visibility import FrustumCulling, NoCulling, TwoPassCulling
+from renderer.visibility import FrustumCulling, TwoPassCulling
 from rhi import Op, Stage
 from rhi.shading import compile_shader
 
@@ -63,8 +64,7 @@ def scatter(materials: int, *, images: bool = True, objects: int = 60, unused: i
 
 def draw(device: rhi.Device, scene: Scene, *, multi_pass: bool) -> dict[str, NDArray[Any]]:
     """Return the contents of a frame, and its rectangles."""
-    technique = DeferredPlus(multi_pass=multi_pass)
-    with Renderer(device, scene, technique=technique, visibility=NoCulling(scene), size=SIZE) as renderer:
+    with open_renderer(device, scene, DeferredPlus(multi_pass=multi_pass), size=SIZE) as renderer:
         targets = renderer.render(EYE).targets
         names = ("image", "depth", "packed", *(("material ids",) if multi_pass else ()))
         found = {name: targets[name].read() for name in names}
@@ -93,7 +93,7 @@ def test_no_texel_and_no_material_is_read_when_geometry_is_drawn(shader: type[An
 def test_a_scene_without_images_or_lamps_binds_neither(null: rhi.Device) -> None:
     scene = scatter(3, images=False)
     scene.lights.point = scene.lights.point[:0]
-    with Renderer(null, scene, technique=DeferredPlus(), visibility=NoCulling(scene), size=SIZE) as renderer:
+    with open_renderer(null, scene, DeferredPlus(), size=SIZE) as renderer:
         renderer.render(EYE)
         labels = {c["descriptor"].label for c in null.stream.filter(Op.CREATE_BUFFER)}
         assert renderer.plan(EYE)[1].textures[0].format == rhi.Format.RG32UI
@@ -104,7 +104,7 @@ def test_a_buffer_of_16_bits_refuses_more_materials(null: rhi.Device) -> None:
     scene = scatter(1)
     for count, is_refused in ((MOST_MATERIALS, False), (MOST_MATERIALS + 1, True)):
         scene.materials = np.repeat(scene.materials[:1], count)
-        with Renderer(null, scene, technique=DeferredPlus(), visibility=NoCulling(scene), size=SIZE) as renderer:
+        with open_renderer(null, scene, DeferredPlus(), size=SIZE) as renderer:
             if is_refused:
                 with pytest.raises(rhi.ValidationError) as refusal:
                     renderer.render(EYE)
@@ -134,12 +134,9 @@ def test_textures_are_filtered_as_in_forward_shading_wherever_they_begin(
     drawing_device: rhi.Device, uv: float
 ) -> None:
     scene, camera = tiles(uv), Camera.look_at((3.5, 1, 3), (0, 0, 0))
-    images = []
-    with Renderer(drawing_device, scene, visibility=NoCulling(scene), size=SIZE) as renderer:
-        for renderer.technique in (Forward(), DeferredPlus()):
-            images.append(renderer.render(camera).image.read().astype(int))
-    assert np.ptp(images[0][..., :3]) > 100
-    assert np.abs(images[0] - images[1]).max() <= 2
+    lit, shaded = draw_each(drawing_device, scene, Forward(), DeferredPlus(), camera=camera, size=SIZE)
+    assert np.ptp(lit[..., :3]) > 100
+    assert find_difference(lit, shaded) <= 2
 
 
 # materials
@@ -205,7 +202,7 @@ def test_a_material_is_shaded_where_it_is_seen_however_many_there_are(
 def test_pixels_without_a_surface_are_left_out_before_they_are_shaded(null: rhi.Device) -> None:
     """Reading the depth and discarding them would be too late."""
     scene = scatter(2)
-    with Renderer(null, scene, technique=DeferredPlus(), visibility=NoCulling(scene), size=SIZE) as renderer:
+    with open_renderer(null, scene, DeferredPlus(), size=SIZE) as renderer:
         renderer.render(EYE)
         targets = renderer.render(EYE).targets
         begun = null.stream.filter(Op.BEGIN_PASS)[-1]["descriptor"]
@@ -226,7 +223,7 @@ def test_all_65536_materials_are_those_of_forward_shading(gl: rhi.Device) -> Non
     rows[:] = random.integers(0, MOST_MATERIALS, len(rows))
     rows[:2] = MOST_MATERIALS - 1, 0  # the floor, and a box
     images = []
-    with Renderer(gl, scene, visibility=NoCulling(scene), size=SIZE) as renderer:
+    with open_renderer(gl, scene, size=SIZE) as renderer:
         for renderer.technique in (Forward(), DeferredPlus(), DeferredPlus(multi_pass=True)):
             images.append(renderer.render(EYE).image.read().astype(int))
         found = renderer.view.workspace(MaterialRectangles).read()
@@ -237,8 +234,7 @@ def test_all_65536_materials_are_those_of_forward_shading(gl: rhi.Device) -> Non
 
 
 def test_the_list_has_room_for_each_material_in_each_tile(null: rhi.Device) -> None:
-    scene, technique = scatter(5), DeferredPlus(multi_pass=True)
-    with Renderer(null, scene, technique=technique, visibility=NoCulling(scene), size=(65, 32)) as renderer:
+    with open_renderer(null, scatter(5), DeferredPlus(multi_pass=True), size=(65, 32)) as renderer:
         renderer.render(EYE)
         assert renderer.view.workspace(MaterialRectangles).rectangles.count == 3 * 5  # of 32 × 32 pixels
 
@@ -249,14 +245,8 @@ def test_the_list_has_room_for_each_material_in_each_tile(null: rhi.Device) -> N
 def test_the_second_pass_draws_little_and_nothing_is_missing(device: rhi.Device) -> None:
     """A walk through a grid of boxes, of which few are visible: what the first pass misses is under 3 % of all, and no
     pixel is wrong."""
-    builder = SceneBuilder("grid")
-    mesh, material = builder.add_mesh(BUILT_IN["box"]()), builder.add_material()
-    for x in range(-8, 9):
-        for z in range(-8, 9):
-            builder.add_objects(
-                builder.add_node(translation((2.0 * x, 0, 2.0 * z)) @ scaling((1.5, 2, 1.5))), mesh, material
-            )
-    scene = builder.build()
+    along = 2.0 * np.arange(-8, 9)
+    scene = make_boxes(*(translation((x, 0, z)) @ scaling((1.5, 2, 1.5)) for x in along for z in along)).build()
     culling = TwoPassCulling(scene, device)
     first = second = 0
     with (
@@ -325,7 +315,7 @@ def test_maps_are_evaluated_as_in_forward_shading(drawing_device: rhi.Device, sc
     """On llvmpipe, textures are filtered to 8 bits. So what is stored with an error may make a normal of a map that is
     0.4° off, which shows in sharp highlights: in a pixel of a thousand."""
     scene, images = mapped(scale), []
-    with Renderer(drawing_device, scene, visibility=NoCulling(scene), size=SIZE) as renderer:
+    with open_renderer(drawing_device, scene, size=SIZE) as renderer:
         for renderer.technique in (Forward(), DeferredPlus(), DeferredPlus(multi_pass=True)):
             images.append(renderer.render(EYE).image.read().astype(int))
         assert [one.name for one in renderer.plan(EYE)[1].passes][-1] == "shading"
@@ -337,12 +327,10 @@ def test_maps_are_evaluated_as_in_forward_shading(drawing_device: rhi.Device, sc
 
 def test_normals_that_are_not_filtered_are_those_of_forward_shading(drawing_device: rhi.Device) -> None:
     """The bits of normals and tangents alone make no pixel differ by more than 2."""
-    scene, images = mapped(1.7, uniform=True), []
-    with Renderer(drawing_device, scene, visibility=NoCulling(scene), size=SIZE) as renderer:
-        for renderer.technique in (Forward(), DeferredPlus()):
-            images.append(renderer.render(EYE).image.read().astype(int))
-    assert np.ptp(images[0][..., :3]) > 100
-    assert 0 < np.abs(images[1] - images[0]).max() <= 2
+    scene = mapped(1.7, uniform=True)
+    lit, shaded = draw_each(drawing_device, scene, Forward(), DeferredPlus(), camera=EYE, size=SIZE)
+    assert np.ptp(lit[..., :3]) > 100
+    assert 0 < find_difference(lit, shaded) <= 2
 
 
 SQUARE = [(0, 1), (1, 1), (1, 0), (0, 0)]
@@ -396,7 +384,7 @@ def odd_squares() -> Scene:
 def check_odd_squares(device: rhi.Device) -> None:
     scene, images = odd_squares(), []
     camera = Camera.look_at((0, 0, 6.5), (0, 0, 0)).with_aspect(1.0)
-    with Renderer(device, scene, visibility=NoCulling(scene), size=(96, 96)) as renderer:
+    with open_renderer(device, scene, size=(96, 96)) as renderer:
         for renderer.technique in (Forward(), DeferredPlus()):
             images.append(renderer.render(camera).image.read().astype(int))
         assert [one.name for one in renderer.plan(camera)[1].passes][-1] == "shading"

@@ -11,18 +11,17 @@ from functools import cache
 
 import numpy as np
 import pytest
+from frames import EYE, open_renderer
 
 import rhi
 from renderer.content import BUILT_IN
 from renderer.frame import Effect
 from renderer.renderer import Renderer
-from renderer.scene import AlphaMode, Camera, Fog, Glow, Scene, SceneBuilder
+from renderer.scene import AlphaMode, Fog, Glow, Scene, SceneBuilder
 from renderer.techniques import TECHNIQUES
-from renderer.visibility import NoCulling
 from rhi import Op
 
 SIZE = (64, 32)
-EYE = Camera.look_at((0, 0, 10), (0, 0, 0))
 
 
 @dataclass(frozen=True)
@@ -71,21 +70,16 @@ def make(effects: set[Effect]) -> Scene:
 
 
 @contextmanager
-def open_renderer(scene: Scene, name: str) -> Iterator[Renderer]:
+def open_technique(scene: Scene, name: str) -> Iterator[Renderer]:
     """A renderer that draws with this technique on a null device."""
-    with (
-        rhi.create_device("null") as device,
-        Renderer(
-            device, scene, technique=TECHNIQUES[name](), visibility=NoCulling(scene), size=SIZE
-        ) as renderer,
-    ):
+    with rhi.create_device("null") as device, open_renderer(device, scene, TECHNIQUES[name](), size=SIZE) as renderer:
         yield renderer
 
 
 def find_traces(scene: Scene, name: str, trace: Trace) -> set[str]:
     """Return which kinds of traces a frame of this technique has."""
     found = set()
-    with open_renderer(scene, name) as renderer:
+    with open_technique(scene, name) as renderer:
         renderer.render(EYE)
         stream = renderer.device.stream
         for command in stream.filter((Op.CREATE_BUFFER, Op.CREATE_TEXTURE)):
@@ -144,7 +138,7 @@ def make_material(effects: set[Effect]) -> Scene:
 @cache
 def write_programs(effects: frozenset[Effect], name: str) -> str:
     """Return the text of all programs of a frame."""
-    with open_renderer(make_material(set(effects)), name) as renderer:
+    with open_technique(make_material(set(effects)), name) as renderer:
         renderer.render(EYE)
         programs = [command["descriptor"] for command in renderer.device.stream.filter(Op.CREATE_PROGRAM)]
         return "\n".join(one.emit("glsl", stage).text for one in programs for stage in one.stages)
@@ -187,7 +181,7 @@ ADDED: dict[str, tuple[list[str], list[str]]] = {
 
 
 def list_passes(scene: Scene, name: str) -> list[str]:
-    with open_renderer(scene, name) as renderer:
+    with open_technique(scene, name) as renderer:
         renderer.render(EYE)
         events = [command["text"] for command in renderer.device.stream.filter(Op.PUSH_LABEL)]
         _, plan = renderer.plan(EYE)
@@ -264,7 +258,7 @@ class Measured:
 
 
 def measure(scene: Scene, name: str) -> Measured:
-    with open_renderer(scene, name) as renderer:
+    with open_technique(scene, name) as renderer:
         renderer.render(EYE)
         _, plan = renderer.plan(EYE)
         draws = len(renderer.device.stream.draws())

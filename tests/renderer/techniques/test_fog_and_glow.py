@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fog_reference import add_up
+from frames import SIZE, draw, open_renderer, read_colors
 from glow_reference import add_glow
 from lighting_reference import encode, tone_map
 from numpy.typing import NDArray
@@ -17,7 +18,6 @@ from renderer.content import BUILT_IN
 from renderer.frame import Blending, GlowSettings
 from renderer.frame.tones import find_light
 from renderer.layers.overlay import Overlay
-from renderer.renderer import Renderer
 from renderer.scene import (
     AlphaMode,
     Camera,
@@ -35,10 +35,8 @@ from renderer.scene import (
 )
 from renderer.stereo import Stereo
 from renderer.techniques import TECHNIQUES, Forward, Smoothed, Technique
-from renderer.visibility import NoCulling
 from rhi import Op
 
-SIZE = (48, 32)
 EYE = Camera.look_at((0, 3, 9), (0, 2, 0), projection=Perspective(aspect=SIZE[0] / SIZE[1]))
 FOG = Fog(0.08, (0.3, 0.5, 0.4), 0.15, base=1.0)
 GROUND = make_geometry([(-1, 0, -1), (-1, 0, 1), (1, 0, 1), (1, 0, -1)], [(0, 1, 2), (0, 2, 3)])
@@ -66,19 +64,6 @@ def stage(*, panes: bool = False, lamps: bool = False, emission: float = 1.0) ->
         builder.lights.add_spot((-2.0, 5.0, 2.0), (0.0, -1.0, 0.0), 9.0, 0.4, 0.7, (0.4, 0.6, 1.0), 20.0)
     builder.views["eye"] = EYE
     return builder
-
-
-def draw(
-    device: rhi.Device,
-    scene: Scene,
-    technique: Technique | None = None,
-    camera: Camera = EYE,
-    blending: Blending = Blending.SORTED,
-) -> NDArray[np.float64]:
-    with Renderer(
-        device, scene, technique=technique, visibility=NoCulling(scene), size=SIZE, blending=blending
-    ) as renderer:
-        return renderer.render(camera).image.read()[..., :3].astype(float)
 
 
 def find_rays(camera: Camera) -> NDArray[np.float64]:
@@ -184,10 +169,10 @@ def test_glow_of_a_scene_is_that_of_its_light_in_float64(gl: rhi.Device) -> None
     builder = stage(emission=12.0)
     builder.glow = Glow(0.3)
     scene = builder.build()
-    with Renderer(gl, scene, visibility=NoCulling(scene), size=SIZE) as renderer:
+    with open_renderer(gl, scene) as renderer:
         result = renderer.render(EYE)
         light = result.targets["bright image"].read()[..., :3].astype(float)
-        image = result.image.read()[..., :3].astype(float)
+        image = read_colors(result)
     assert light.max() == 12.0
     assert light[0, 0] == pytest.approx(find_light(scene.background), rel=1e-3)
     assert np.abs(image - encode(tone_map(add_glow(light, 0.3, 6)))).max() <= 1.0
@@ -294,7 +279,7 @@ def test_both_eyes_have_their_own_fog_and_glow_and_layers_come_last(null: rhi.De
     builder.fog, builder.glow = FOG, Glow()
     scene = builder.build()
     rolled = replace(EYE, rotation=np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1.0]]) @ EYE.rotation)
-    with Renderer(null, scene, visibility=NoCulling(scene), size=SIZE) as renderer:
+    with open_renderer(null, scene) as renderer:
         renderer.stereo = Stereo(StereoRig(0.06, 10.0), "side_by_side")
         renderer.layers.append(Overlay(null))
         heights = [frame.camera.position[1] for frame in renderer.render(rolled).frames]
@@ -324,7 +309,7 @@ def test_samples_at_edges_of_the_sky_are_fogged(gl: rhi.Device) -> None:
 def test_settings_of_air_are_exchanged_between_frames(null: rhi.Device) -> None:
     builder = stage(emission=12.0)
     scene = builder.build()
-    with Renderer(null, scene, visibility=NoCulling(scene), size=SIZE) as renderer:
+    with open_renderer(null, scene) as renderer:
         renderer.render(EYE)
         null.stream.clear()
         for renderer.glow in (GlowSettings(levels=2), GlowSettings(levels=4)):

@@ -2,42 +2,30 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
+from frames import make_boxes, open_renderer
+from frames import record as record_any
 
 import rhi
 from renderer.content import BUILT_IN as MESHES
 from renderer.content import load_scene
-from renderer.renderer import Renderer
-from renderer.scene import Camera, Depth, Perspective, Scene, SceneBuilder, scaling, translation
+from renderer.scene import Camera, Depth, Perspective, SceneBuilder, scaling, translation
 from renderer.techniques import TECHNIQUES
-from renderer.visibility import NoCulling, make_visibility
 from rhi import Op
 from rhi.backends.null import NullBackend
 
 
 def boxes(*places: tuple[float, float, float], mirrored: int = 0) -> SceneBuilder:
     """Make a box at each position, the first `mirrored` of them mirrored; no lights."""
-    builder = SceneBuilder("boxes")
-    mesh, material = builder.add_mesh(MESHES["box"]()), builder.add_material()
-    for number, place in enumerate(places):
-        turned = scaling((-1, 1, 1) if number < mirrored else (1, 1, 1))
-        builder.add_objects(builder.add_node(translation(place) @ turned), mesh, material)
-    builder.views["eye"] = Camera.look_at((0, 0, 10), (0, 0, 0))
-    return builder
+    sides = [scaling((-1 if number < mirrored else 1, 1, 1)) for number in range(len(places))]
+    return make_boxes(*(translation(place) @ side for place, side in zip(places, sides, strict=True)))
 
 
-def record(device: rhi.Device, scene: Scene, camera: Camera | None = None, frame: int = 1) -> rhi.CommandStream:
-    """Return the commands of a frame: the second, or the one with the number `frame`."""
-    renderer = Renderer(device, scene, size=(32, 16))
-    view = camera or next(iter(scene.views.values()))
-    for _ in range(frame):
-        renderer.render(view)
-    device.stream.clear()
-    renderer.render(view)
-    return device.stream
+record = partial(record_any, visibility="auto")
 
 
 def count(stream: rhi.CommandStream, op: Op) -> int:
@@ -58,7 +46,7 @@ def test_a_whole_scene_is_one_draw_call(null: rhi.Device) -> None:
 
 
 def test_mirrored_objects_are_a_second_call_of_the_other_winding(null: rhi.Device) -> None:
-    stream = record(null, boxes((-2, 0, 0), (0, 0, 0), (2, 0, 0), mirrored=1).build(), frame=0)
+    stream = record(null, boxes((-2, 0, 0), (0, 0, 0), (2, 0, 0), mirrored=1).build(), frames=1)
     first, second = stream.draws()
     assert (sorted(list_rows(stream, first)), list_rows(stream, second)) == ([1, 2], [0])
     assert first.states[rhi.FrontFace] is rhi.FrontFace.COUNTER_CLOCKWISE
@@ -90,7 +78,7 @@ def list_groups(draws: rhi.Commands) -> list[tuple[object, object]]:
 
 
 def test_objects_that_need_other_states_are_a_call_each_and_no_more(null: rhi.Device) -> None:
-    stream = record(null, leaves(of_each=5).build(), frame=0)
+    stream = record(null, leaves(of_each=5).build(), frames=1)
     draws = stream.draws()
     rows = [sorted(list_rows(stream, draw)) for draw in draws]
     assert rows == [list(range(group, 20, 4)) for group in range(4)]
@@ -101,7 +89,7 @@ def test_objects_that_need_other_states_are_a_call_each_and_no_more(null: rhi.De
 def test_every_algorithm_culls_the_backs_of_materials_with_one_side(null: rhi.Device, name: str) -> None:
     null.backend_as(NullBackend).answer_queries(100)
     scene = leaves().build()
-    with Renderer(null, scene, visibility=make_visibility(name, scene, null), size=(32, 16)) as renderer:
+    with open_renderer(null, scene, visibility=name) as renderer:
         null.stream.clear()
         renderer.render(scene.views["eye"])
         found = list_groups(null.stream.draws().filter(where=lambda draw: "materials" in draw.bindings))
@@ -117,7 +105,7 @@ def test_a_depth_pass_of_materials_with_two_sides_has_no_fragment_to_discard(nul
     builder = leaves()
     builder.lights.add_point((0, 0, 2), 50.0)
     scene = builder.build()
-    with Renderer(null, scene, technique=TECHNIQUES["forward_plus"](), visibility=NoCulling(scene)) as renderer:
+    with open_renderer(null, scene, TECHNIQUES["forward_plus"]()) as renderer:
         null.stream.clear()
         renderer.render(scene.views["eye"])
         depth = null.stream.filter(label="depth").draws()
@@ -127,14 +115,14 @@ def test_a_depth_pass_of_materials_with_two_sides_has_no_fragment_to_discard(nul
 
 def test_nothing_in_view_is_a_pass_without_a_draw(null: rhi.Device) -> None:
     away = Camera.look_at((0, 0, 10), (0, 0, 20))
-    stream = record(null, boxes((0, 0, 0)).build(), away)
+    stream = record(null, boxes((0, 0, 0)).build(), camera=away)
     assert count(stream, Op.BEGIN_PASS) == 1
     assert not len(stream.draws())
 
 
 def test_objects_are_drawn_front_to_back(null: rhi.Device) -> None:
     scene = boxes((0, 0, -4), (0, 0, 4), (0, 0, 0)).build()
-    (draw,) = record(null, scene, frame=0).draws()
+    (draw,) = record(null, scene, frames=1).draws()
     rows = list_rows(null.stream, draw)
     assert [scene.nodes.world[scene.objects.node[row], 2, 3] for row in rows] == [4, 0, -4]
 
@@ -145,7 +133,7 @@ def test_what_stands_on_a_wide_ground_is_drawn_before_it(null: rhi.Device) -> No
     ground = builder.add_node(translation((0, -2, 0)) @ scaling((20, 1, 20)))
     builder.add_objects(ground, 0, 0)
     scene = builder.build()
-    (draw,) = record(null, scene, frame=0).draws()
+    (draw,) = record(null, scene, frames=1).draws()
     assert list_rows(null.stream, draw) == [0, 1]
 
 
@@ -196,7 +184,7 @@ def test_the_camera_says_which_way_depth_runs(
     null: rhi.Device, depth: Depth, far: float, function: rhi.DepthFunction
 ) -> None:
     camera = Camera.look_at((0, 0, 10), (0, 0, 0), projection=Perspective(depth=depth))
-    stream = record(null, boxes((0, 0, 0)).build(), camera)
+    stream = record(null, boxes((0, 0, 0)).build(), camera=camera)
     (begin,) = stream.filter(Op.BEGIN_PASS)
     assert begin["descriptor"].depth.clear == far
     assert stream.draws()[0].states[rhi.DepthFunction] is function

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from typing import Any
+from functools import partial
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from frames import draw as draw_any
+from frames import find_difference, list_passes, make_boxes, open_renderer, read_colors, record
 
 import rhi
-from renderer.content import BUILT_IN as MESHES
 from renderer.content import load_scene
-from renderer.renderer import Renderer
 from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene, SceneBuilder, scaling, translation
 from renderer.techniques import Forward, ForwardMultipass, LightIndexed, Smoothed, Technique
 from renderer.techniques.light_indexed import (
@@ -23,27 +22,21 @@ from renderer.techniques.light_indexed import (
     count_overflowing,
     pack_numbers,
 )
-from renderer.visibility import make_visibility
 from rhi import Op
 
 SIZE = (64, 48)
+draw = partial(draw_any, size=SIZE)
 TECHNIQUES = [ForwardMultipass, LightIndexed]
 
 
 def lamps(points: int, spots: int = 0, *, haze: float = 0.0, mirrored: bool = False) -> SceneBuilder:
     """Make boxes on a floor, lit by lamps that reach a part of them each."""
     rng = np.random.default_rng(8)
-    builder = SceneBuilder("lamps")
-    material = builder.add_material(
-        base_color=(0.8, 0.7, 0.6), specular_color=(0.2, 0.2, 0.2), shininess=20.0
-    )
-    mesh = builder.add_mesh(MESHES["box"]())
-    for x in range(-2, 3):
-        for z in range(-2, 3):
-            flip = scaling((-1, 1, 1) if mirrored and x == z else (1, 1, 1))
-            builder.add_objects(builder.add_node(translation((2.0 * x, 0, 2.0 * z)) @ flip), mesh, material)
-    floor = builder.add_node(translation((0, -0.6, 0)) @ scaling((14, 0.1, 14)))
-    builder.add_objects(floor, mesh, material)
+    grid = [(x, z) for x in range(-2, 3) for z in range(-2, 3)]
+    places = [translation((2.0 * x, 0, 2.0 * z)) @ scaling((-1 if mirrored and x == z else 1, 1, 1)) for x, z in grid]
+    floor = translation((0, -0.6, 0)) @ scaling((14, 0.1, 14))
+    look = {"base_color": (0.8, 0.7, 0.6), "specular_color": (0.2, 0.2, 0.2), "shininess": 20.0}
+    builder = make_boxes(*places, floor, **look)
     for _ in range(points):
         place = rng.uniform((-4, 0.8, -4), (4, 2.0, 4))
         builder.lights.add_point(place, 3.0, rng.uniform(0.2, 1, 3), 1.5)
@@ -53,27 +46,6 @@ def lamps(points: int, spots: int = 0, *, haze: float = 0.0, mirrored: bool = Fa
     builder.haze, builder.background = haze, (0.3, 0.5, 0.7)
     builder.views["eye"] = Camera.look_at((4, 5, 7), (0, 0, 0))
     return builder
-
-
-def draw(
-    device: rhi.Device,
-    scene: Scene,
-    technique: Technique,
-    camera: Camera | None = None,
-    *,
-    visibility: str = "frustum",
-    size: tuple[int, int] = SIZE,
-) -> NDArray[Any]:
-    """Return the image (height, width, 3)."""
-    found = make_visibility(visibility, scene, device)
-    with Renderer(device, scene, technique=technique, visibility=found, size=size) as renderer:
-        for _ in range(2 if visibility != "frustum" else 1):
-            result = renderer.render(camera or next(iter(scene.views.values())))
-        return result.image.read()[..., :3].astype(int)
-
-
-def farthest_apart(one: NDArray[Any], other: NDArray[Any]) -> int:
-    return int(np.abs(one - other).max())
 
 
 SCENES = ("city:blocks=6", "hall:columns=6,flags=2", "grid:count=9")
@@ -91,7 +63,7 @@ def test_a_scene_looks_as_in_one_pass(
     camera = scene.paths["ground"].camera(500)
     wanted = draw(drawing_device, scene, Forward(), camera)
     assert wanted.std() > 5.0
-    assert farthest_apart(draw(drawing_device, scene, technique(), camera), wanted) <= 2
+    assert find_difference(draw(drawing_device, scene, technique(), camera), wanted) <= 2
 
 
 @pytest.mark.cl_nightly  # by day one scene on cl; lenses on cl in test_technique_pixels.py
@@ -109,7 +81,7 @@ def test_every_lens_and_direction_of_depth_looks_as_in_one_pass(
     scene = lamps(5, 2, haze=0.05, mirrored=True).build()
     camera = Camera.look_at((4, 5, 7), (0, 0, 0), projection=projection)
     wanted = draw(drawing_device, scene, Forward(), camera)
-    assert farthest_apart(draw(drawing_device, scene, technique(), camera), wanted) <= 2
+    assert find_difference(draw(drawing_device, scene, technique(), camera), wanted) <= 2
 
 
 @pytest.mark.parametrize("technique", TECHNIQUES)
@@ -124,8 +96,8 @@ def test_lamps_around_and_beside_the_eye_look_as_in_one_pass(
     camera = Camera.look_at((0.9, 1.1, 1.2), (0, 0, -1))
     dark = draw(drawing_device, lamps(0).build(), Forward(), camera)
     wanted = draw(drawing_device, scene, Forward(), camera)
-    assert farthest_apart(wanted, dark) > 50
-    assert farthest_apart(draw(drawing_device, scene, technique(), camera), wanted) <= 2
+    assert find_difference(wanted, dark) > 50
+    assert find_difference(draw(drawing_device, scene, technique(), camera), wanted) <= 2
 
 
 @pytest.mark.parametrize("technique", [*TECHNIQUES, lambda: Forward(samples=4)])
@@ -134,8 +106,8 @@ def test_every_way_to_find_the_visible_objects_gives_the_same_image(
     gl: rhi.Device, technique: Callable[[], Technique], visibility: str
 ) -> None:
     scene = lamps(4, 2, mirrored=True).build()
-    wanted = draw(gl, scene, technique(), visibility="none")
-    assert farthest_apart(draw(gl, scene, technique(), visibility=visibility), wanted) == 0
+    wanted = draw(gl, scene, technique())
+    assert find_difference(draw(gl, scene, technique(), visibility=visibility, frames=2), wanted) == 0
 
 
 def test_a_pixel_with_too_many_lights_is_counted_and_lit_by_all_of_them(drawing_device: rhi.Device) -> None:
@@ -147,12 +119,9 @@ def test_a_pixel_with_too_many_lights_is_counted_and_lit_by_all_of_them(drawing_
     for builder in (few, many):
         scene = builder.build()
         wanted = draw(drawing_device, scene, Forward())
-        found = make_visibility("frustum", scene, drawing_device)
-        with Renderer(
-            drawing_device, scene, technique=LightIndexed(), visibility=found, size=SIZE
-        ) as renderer:
+        with open_renderer(drawing_device, scene, LightIndexed(), size=SIZE) as renderer:
             result = renderer.render(scene.views["eye"])
-            assert farthest_apart(result.image.read()[..., :3].astype(int), wanted) <= 2
+            assert find_difference(read_colors(result), wanted) <= 2
             indices = result.targets["light indices"].read()
             assert (indices[..., 0] > 0.0).any()
             counts.append(count_overflowing(result.targets))
@@ -163,7 +132,7 @@ def test_a_pixel_with_too_many_lights_is_counted_and_lit_by_all_of_them(drawing_
 
 def test_a_technique_without_light_indices_counts_no_overflow(null: rhi.Device) -> None:
     scene = lamps(1).build()
-    with Renderer(null, scene, size=SIZE) as renderer:
+    with open_renderer(null, scene) as renderer:
         assert count_overflowing(renderer.render(scene.views["eye"]).targets) is None
 
 
@@ -182,13 +151,6 @@ def test_packed_numbers_are_exact_up_to_the_last_light_and_fill_a_pixel_beyond()
             assert bool((pixel >= LIGHTS_FULL).any()) == (count > LIGHTS_PER_PIXEL)
 
 
-def passes_of(device: rhi.Device, scene: Scene, technique: Technique) -> list[str]:
-    camera = next(iter(scene.views.values()))
-    with Renderer(device, scene, technique=technique, size=SIZE) as renderer:
-        renderer.render(camera)
-        return [one.name for one in renderer.plan(camera)[1].passes]
-
-
 @pytest.mark.parametrize(
     ("points", "spots", "multipass", "indexed"),
     [
@@ -204,18 +166,8 @@ def test_only_lamps_in_view_have_passes(
     builder = lamps(points, spots)
     builder.lights.add_point((500, 1, 0), 2.0)  # reaches nothing
     scene = builder.build()
-    assert passes_of(null, scene, ForwardMultipass()) == multipass
-    assert passes_of(null, scene, LightIndexed()) == indexed
-
-
-def record(device: rhi.Device, scene: Scene, technique: Technique) -> rhi.CommandStream:
-    """Return the commands of the second of two frames."""
-    found = make_visibility("frustum", scene, device)
-    renderer = Renderer(device, scene, technique=technique, visibility=found, size=SIZE)
-    for _ in range(2):
-        device.stream.clear()
-        renderer.render(next(iter(scene.views.values())))
-    return device.stream
+    assert list_passes(null, scene, ForwardMultipass()) == multipass
+    assert list_passes(null, scene, LightIndexed()) == indexed
 
 
 def round_up(count: int) -> int:
@@ -225,7 +177,7 @@ def round_up(count: int) -> int:
 
 def test_all_pairs_of_objects_and_point_lights_are_one_call(null: rhi.Device) -> None:
     scene = lamps(6).build()
-    base, added, _ = record(null, scene, ForwardMultipass()).draws()
+    base, added, _ = record(null, scene, ForwardMultipass(), visibility="frustum").draws()
     lists, lights = scene.objects, scene.lights.point
     away = lights["position"] - np.clip(lights["position"], lists.lower[:, None], lists.upper[:, None])
     reached = (away**2).sum(-1) < lights["range"].astype(float) ** 2
@@ -237,7 +189,7 @@ def test_all_pairs_of_objects_and_point_lights_are_one_call(null: rhi.Device) ->
 
 def test_a_lights_objects_are_drawn_together(null: rhi.Device) -> None:
     scene = lamps(6, 3).build()
-    with Renderer(null, scene, size=SIZE) as renderer:
+    with open_renderer(null, scene) as renderer:
         renderer.render(scene.views["eye"])
         resources, rows = renderer._resources, np.arange(len(scene.objects))
         for spots, lights in ((False, scene.lights.point), (True, scene.lights.spot)):
@@ -251,7 +203,7 @@ def test_a_lights_objects_are_drawn_together(null: rhi.Device) -> None:
 
 
 def test_all_lights_are_packed_by_one_draw(null: rhi.Device) -> None:
-    depth, packed, lit = record(null, lamps(6, 3).build(), LightIndexed()).draws()
+    depth, packed, lit = record(null, lamps(6, 3).build(), LightIndexed(), visibility="frustum").draws()
     assert packed["instances"] == 9
     assert depth["draws"] == lit["draws"] == round_up(26)
     assert lit.states[rhi.DepthFunction] is rhi.DepthFunction.EQUAL
@@ -259,17 +211,15 @@ def test_all_lights_are_packed_by_one_draw(null: rhi.Device) -> None:
 
 def test_one_sample_per_pixel_takes_one_pass(null: rhi.Device) -> None:
     scene = lamps(1).build()
-    assert passes_of(null, scene, Forward()) == ["forward"]
-    assert passes_of(null, scene, Forward(samples=4)) == ["depth", "forward", "resolve"]
-    stream = record(null, scene, Forward())
+    assert list_passes(null, scene, Forward()) == ["forward"]
+    assert list_passes(null, scene, Forward(samples=4)) == ["depth", "forward", "resolve"]
+    stream = record(null, scene, Forward(), visibility="frustum")
     assert len(stream.filter(Op.BEGIN_PASS)) == 1
 
 
 def edge() -> Scene:
     """Make a bright box whose sides are slanted in the image, before a dark background."""
-    builder = SceneBuilder("edge")
-    bright = builder.add_material(base_color=(1, 1, 1), specular_color=(0, 0, 0), emission=1.0)
-    builder.add_objects(builder.add_node(np.eye(4)), builder.add_mesh(MESHES["box"]()), bright)
+    builder = make_boxes((0, 0, 0), base_color=(1, 1, 1), specular_color=(0, 0, 0), emission=1.0)
     builder.views["eye"] = Camera.look_at((0.25, 0.1, 2.1), (0, 0, 0), up=(0.17, 1, 0))
     return builder.build()
 
@@ -301,4 +251,4 @@ def test_fxaa_leaves_what_has_no_edges_as_it_is(drawing_device: rhi.Device) -> N
 @pytest.mark.parametrize("technique", [Forward, *TECHNIQUES])
 def test_fxaa_is_one_pass_after_any_technique(null: rhi.Device, technique: Callable[[], Technique]) -> None:
     scene = lamps(2).build()
-    assert passes_of(null, scene, Smoothed(technique())) == [*passes_of(null, scene, technique()), "fxaa"]
+    assert list_passes(null, scene, Smoothed(technique())) == [*list_passes(null, scene, technique()), "fxaa"]

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from frames import SIZE, draw
 from lighting_reference import shade_plane
 from numpy.typing import NDArray
 
@@ -17,15 +18,12 @@ from renderer.scene import (
     Camera,
     Depth,
     Perspective,
-    Scene,
     SceneBuilder,
     make_geometry,
     scaling,
     translation,
 )
-from renderer.visibility import NoCulling
 
-SIZE = (48, 32)
 LENS = Perspective(fov=0.9, aspect=SIZE[0] / SIZE[1])
 MIDDLE = np.array([10_000_000.3, 20.2, -30_000_000.3])
 """Far from the origin, where a step of float32 is a metre and more."""
@@ -51,11 +49,6 @@ def slope(*, texture: NDArray[np.uint8] | None = None, mirror: bool = False, **m
     builder.add_objects(node, builder.add_mesh(SLOPE), made)
     builder.views["eye"] = Camera.look_at(MIDDLE + np.array([3.4, 4.0, 1.0]), MIDDLE, projection=LENS)
     return builder
-
-
-def render(device: rhi.Device, scene: Scene, camera: Camera | None = None) -> NDArray[Any]:
-    with Renderer(device, scene, visibility=NoCulling(scene), size=SIZE) as renderer:
-        return renderer.render(camera or scene.views["eye"]).image.read()[:, :, :3].astype(float)
 
 
 def add_sun(builder: SceneBuilder) -> None:
@@ -91,7 +84,7 @@ def test_a_lit_plane_is_within_one_level_of_a_float64_evaluation(gl: rhi.Device,
     albedo = scene.materials[0]["base_color"][:3].astype(float)
     wanted = shade_plane(scene, scene.views["eye"], SIZE, MIDDLE, NORMAL, albedo)
     assert wanted.std() > 1.0  # a picture, not one colour
-    assert np.abs(render(gl, scene) - wanted).max() <= 1.0
+    assert np.abs(draw(gl, scene) - wanted).max() <= 1.0
 
 
 def test_a_normal_stretched_along_with_the_object_would_be_noticed(gl: rhi.Device) -> None:
@@ -103,7 +96,7 @@ def test_a_normal_stretched_along_with_the_object_would_be_noticed(gl: rhi.Devic
     wrong = shade_plane(
         scene, scene.views["eye"], SIZE, MIDDLE, NORMAL, albedo, along / np.linalg.norm(along)
     )
-    assert np.abs(render(gl, scene) - wrong).max() > 20.0
+    assert np.abs(draw(gl, scene) - wrong).max() > 20.0
 
 
 def test_textures_multiply_the_base_colour_in_linear_light(gl: rhi.Device) -> None:
@@ -112,7 +105,7 @@ def test_textures_multiply_the_base_colour_in_linear_light(gl: rhi.Device) -> No
     linear = ((np.array([200, 100, 50]) / 255 + 0.055) / 1.055) ** 2.4
     albedo = scene.materials[0]["base_color"][:3] * linear
     wanted = shade_plane(scene, scene.views["eye"], SIZE, MIDDLE, NORMAL, albedo)
-    assert np.abs(render(gl, scene) - wanted).max() <= 1.0
+    assert np.abs(draw(gl, scene) - wanted).max() <= 1.0
 
 
 def test_a_texture_shows_its_first_row_at_v_0_and_its_first_column_at_u_0(gl: rhi.Device) -> None:
@@ -126,7 +119,7 @@ def test_a_texture_shows_its_first_row_at_v_0_and_its_first_column_at_u_0(gl: rh
     # From above, up is -z (v = 0) and right is +x (u = 1).
     above = Camera.look_at(MIDDLE + np.array([0, 60, 0]), MIDDLE, up=(0, 0, -1), projection=LENS)
     height, width = SIZE[1], SIZE[0]
-    picture = render(gl, scene, above)
+    picture = draw(gl, scene, camera=above)
     corners = {
         "top left": picture[height // 2 - 6, width // 2 - 6],
         "top right": picture[height // 2 - 6, width // 2 + 5],
@@ -148,7 +141,7 @@ def test_images_of_several_sizes_are_layers_of_one_texture(gl: rhi.Device) -> No
     other = builder.add_material(texture=wide, base_color=(1, 1, 1), specular_color=(0, 0, 0))
     node = builder.add_node(translation(MIDDLE + np.array([0, 0.5, 0])) @ scaling((0.5, 0.5, 0.5)))
     builder.add_objects(node, 0, other)
-    picture = render(gl, builder.build())
+    picture = draw(gl, builder.build())
     middle, edge = picture[SIZE[1] // 2, SIZE[0] // 2], picture[1, 1]
     assert middle[1] > 4 * middle[0] + 40
     assert edge[0] > 4 * edge[1] + 40
@@ -163,13 +156,13 @@ def test_an_object_is_seen_from_its_front_mirrored_or_not(gl: rhi.Device, mirror
     assert Renderer(gl, scene)._resources.mirrored.tolist() == [mirror]
     albedo = scene.materials[0]["base_color"][:3].astype(float)
     wanted = shade_plane(scene, scene.views["eye"], SIZE, MIDDLE, NORMAL, albedo)
-    assert np.abs(render(gl, scene) - wanted).max() <= 1.0
+    assert np.abs(draw(gl, scene) - wanted).max() <= 1.0
 
 
 def test_an_object_is_not_seen_from_behind(gl: rhi.Device) -> None:
     scene = slope().build()
     behind = Camera.look_at(MIDDLE - np.array([3.4, 4.0, 1.0]), MIDDLE, projection=LENS)
-    picture = render(gl, scene, behind)
+    picture = draw(gl, scene, camera=behind)
     assert (picture == picture[0, 0]).all()
 
 
@@ -184,7 +177,7 @@ def test_what_is_near_hides_what_is_far(gl: rhi.Device, depth: Depth, order: tup
     scene.objects.material[:] = scene.objects.material[list(order)]
     eye = scene.views["eye"]
     camera = eye.with_projection(Perspective(LENS.fov, LENS.aspect, depth=depth))
-    picture = render(gl, scene, camera)
+    picture = draw(gl, scene, camera=camera)
     near = 1 if order == (0, 1) else 0
     assert (picture[..., near] > 4 * picture[..., 1 - near] + 20).all()
 
@@ -197,17 +190,17 @@ def test_lights_that_do_not_reach_an_object_are_left_out_without_a_trace(
     cameras = [scene.paths[path].camera(frame) for path in ("ground", "sky") for frame in (200, 900)]
     assert len(scene.lights.point)
     assert len(scene.lights.spot)
-    listed = [render(gl, scene, camera) for camera in cameras]
+    listed = [draw(gl, scene, camera=camera) for camera in cameras]
 
     def list_all(lower: Any, upper: Any, positions: Any, ranges: Any) -> Any:
         objects, lights = len(lower), len(positions)
         return np.arange(objects + 1) * lights, np.tile(np.arange(lights), objects)
 
     monkeypatch.setattr(resources, "list_lights", list_all)
-    everything = [render(gl, scene, camera) for camera in cameras]
+    everything = [draw(gl, scene, camera=camera) for camera in cameras]
     assert np.array_equal(listed, everything)
     monkeypatch.setattr(
         resources, "list_lights", lambda lower, *_: (np.zeros(len(lower) + 1, int), np.zeros(0, int))
     )
-    nothing = [render(gl, scene, camera) for camera in cameras]
+    nothing = [draw(gl, scene, camera=camera) for camera in cameras]
     assert not np.array_equal(listed, nothing)  # the control: lights are seen

@@ -7,20 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from frames import draw, make_boxes
 from glow_reference import Floats, add_glow
 from lighting_reference import encode, tone_map
 
 import rhi
-from renderer.content import BUILT_IN
 from renderer.frame import GlowSettings, Needs, Pass, Target
 from renderer.frame.frame import Frame
-from renderer.renderer import Renderer
-from renderer.scene import Camera, Glow, Scene, SceneBuilder
+from renderer.scene import Glow, Scene
 from renderer.techniques.parts.glow import glow_passes
-from renderer.visibility import NoCulling
 from rhi import Format
-
-EYE = Camera.look_at((0, 0, 10), (0, 0, 0))
 
 
 class Given:
@@ -45,8 +41,7 @@ class Given:
 
 
 def glowing(share: float = 0.5) -> Scene:
-    builder = SceneBuilder("lamp")
-    builder.add_objects(builder.add_node(), builder.add_mesh(BUILT_IN["box"]()), builder.add_material(emission=4.0))
+    builder = make_boxes((0, 0, 0), name="lamp", emission=4.0)
     builder.glow = Glow(share)
     return builder.build()
 
@@ -56,11 +51,7 @@ def show(device: rhi.Device, light: Floats, share: float = 0.5, **settings: obje
     scene, technique = glowing(share), Given(light)
     height, width, _ = light.shape
     glow = replace(GlowSettings(), **settings)  # type: ignore[arg-type]
-    with Renderer(
-        device, scene, technique=technique, visibility=NoCulling(scene), size=(width, height), glow=glow
-    ) as renderer:
-        image = renderer.render(EYE).image.read()[..., :3].astype(float)
-    return image, technique.spread
+    return draw(device, scene, technique, size=(width, height), glow=glow), technique.spread
 
 
 def make_lights(height: int, width: int) -> Floats:

@@ -6,16 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from frames import draw, find_eye, make_boxes, open_renderer, read_colors
 from numpy.typing import NDArray
 
 import rhi
 from renderer.cli import main
-from renderer.content import BUILT_IN as MESHES
-from renderer.renderer import FrameResult, Renderer
-from renderer.scene import Camera, Scene, SceneBuilder, scaling, translation
+from renderer.scene import Camera, Scene, scaling, translation
 from renderer.techniques.inspection import INSPECTIONS, Inspection, heat_color
 from renderer.techniques.parts.cell_lists import TILES
-from renderer.visibility import NoCulling
 from rhi.shading import evaluate
 
 SIZE = (32, 24)
@@ -24,32 +22,28 @@ BLUE, CYAN = (0, 0, 255), (0, 255, 255)
 
 def tower(points: int = 0, spots: int = 0) -> Scene:
     """Make a floor seen from straight above, with lamps above its middle, and one that reaches nothing in view."""
-    builder = SceneBuilder("tower")
-    floor = builder.add_node(translation((0, -0.5, 0)) @ scaling((8, 1, 8)))
-    builder.add_objects(floor, builder.add_mesh(MESHES["box"]()), builder.add_material())
+    builder = make_boxes(translation((0, -0.5, 0)) @ scaling((8, 1, 8)), name="tower")
     for _ in range(points):
         builder.lights.add_point((0, 1, 0), 1.5)
     for _ in range(spots):
         builder.lights.add_spot((0, 1, 0), (0, -1, 0), 1.5, 0.2, 0.3)
-    builder.views["above"] = Camera.look_at((0, 6, 0), (0, 0, 0), up=(0, 0, -1))
+    builder.views["eye"] = Camera.look_at((0, 6, 0), (0, 0, 0), up=(0, 0, -1))
     return builder.build()
 
 
-def show(device: rhi.Device, scene: Scene, shown: str) -> tuple[NDArray[Any], FrameResult]:
+def show(device: rhi.Device, scene: Scene, shown: str) -> NDArray[Any]:
     """Return the picture (height, width, 3)."""
-    renderer = Renderer(device, scene, technique=Inspection(shown), visibility=NoCulling(scene), size=SIZE)
-    result = renderer.render(scene.views["above"])
-    return result.image.read()[..., :3], result
+    return draw(device, scene, Inspection(shown), size=SIZE)
 
 
 def test_normals_are_colours_along_the_worlds_axes(drawing_device: rhi.Device) -> None:
-    middle = show(drawing_device, tower(), "normals")[0][SIZE[1] // 2, SIZE[0] // 2]
-    assert np.abs(middle.astype(int) - (188, 255, 188)).max() <= 1  # (0, 1, 0): halves in sRGB are 188
+    middle = show(drawing_device, tower(), "normals")[SIZE[1] // 2, SIZE[0] // 2]
+    assert np.abs(middle - (188, 255, 188)).max() <= 1  # (0, 1, 0): halves in sRGB are 188
 
 
 def test_depth_gets_darker_with_distance(drawing_device: rhi.Device) -> None:
     scene = tower()
-    picture, _ = show(drawing_device, scene, "depth")
+    picture = show(drawing_device, scene, "depth")
     shade = (1 - np.log10(6.0 / 0.1) / 4) ** 2
     wanted = 255 * (1.055 * shade ** (1 / 2.4) - 0.055)
     assert np.abs(picture[SIZE[1] // 2, SIZE[0] // 2] - wanted).max() <= 2.0
@@ -61,15 +55,17 @@ def test_depth_gets_darker_with_distance(drawing_device: rhi.Device) -> None:
 def test_lights_are_counted_where_they_reach(
     drawing_device: rhi.Device, points: int, spots: int, color: tuple[int, int, int]
 ) -> None:
-    picture, _ = show(drawing_device, tower(points, spots), "lights")
+    picture = show(drawing_device, tower(points, spots), "lights")
     assert picture[SIZE[1] // 2, SIZE[0] // 2].tolist() == list(color)
     assert not picture[1, 1].any()  # out of their range
 
 
 def test_overdraw_counts_each_fragment(drawing_device: rhi.Device) -> None:
-    picture, result = show(drawing_device, tower(), "overdraw")
-    fragments = result.targets["fragments"].read()
-    assert (fragments == (result.depth.read() > 0.0)).all()
+    scene = tower()
+    with open_renderer(drawing_device, scene, Inspection("overdraw"), size=SIZE) as renderer:
+        result = renderer.render(find_eye(scene))
+        picture, fragments = read_colors(result), result.targets["fragments"].read()
+        assert (fragments == (result.depth.read() > 0.0)).all()
     assert picture[SIZE[1] // 2, SIZE[0] // 2].tolist() == list(BLUE)
 
 
@@ -86,11 +82,8 @@ def test_colours_of_counts_change_where_they_double() -> None:
 def test_tiles_have_the_colours_of_their_lists(gl: rhi.Device) -> None:
     scene = tower(9)
     scene.lights.add_spot((2, 1, 0), (0, -1, 0), 1.2, 0.2, 0.3)
-    size = (64, 48)
-    with Renderer(
-        gl, scene, technique=Inspection("tiles"), visibility=NoCulling(scene), size=size
-    ) as renderer:
-        picture = renderer.render(scene.views["above"]).image.read()[..., :3]
+    with open_renderer(gl, scene, Inspection("tiles"), size=(64, 48)) as renderer:
+        picture = read_colors(renderer.render(find_eye(scene)))
         lists = renderer.view.workspace(TILES).read()
     counts = (lists.ends - lists.begins).reshape(3, 4)
     assert {0, 9} <= {*counts.ravel().tolist()} <= {0, 1, 9, 10}
@@ -104,7 +97,7 @@ def test_tiles_have_the_colours_of_their_lists(gl: rhi.Device) -> None:
 
 
 def test_tiles_without_lights_are_black(gl: rhi.Device) -> None:
-    assert not show(gl, tower(), "tiles")[0].any()
+    assert not show(gl, tower(), "tiles").any()
 
 
 def test_volumes_are_seen_in_front_of_what_they_reach(gl: rhi.Device) -> None:
@@ -112,7 +105,7 @@ def test_volumes_are_seen_in_front_of_what_they_reach(gl: rhi.Device) -> None:
     for one in (scene, unlit):
         one.lights.sky = one.lights.ground = (0.2, 0.2, 0.2)
     scene.lights.point["intensity"] = 0.0
-    shown, plain = (show(gl, one, "volumes")[0].astype(int) for one in (scene, unlit))
+    shown, plain = (show(gl, one, "volumes") for one in (scene, unlit))
     middle = SIZE[1] // 2, SIZE[0] // 2
     assert (shown >= plain).all()
     assert (shown - plain)[middle].max() > 5

@@ -7,14 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from frames import draw, draw_each, find_difference, find_eye, open_renderer, read_colors
 from material_scene import build_materials, make_noise
 from numpy.typing import NDArray
 
 import rhi
-from renderer.renderer import Renderer
 from renderer.scene import AlphaMode, Camera, Scene, SceneBuilder, TextureMap, make_geometry
 from renderer.techniques import TECHNIQUES, Deferred, Forward, Inferred, Technique
-from renderer.visibility import NoCulling, make_visibility
 from rhi import Filter, SamplerDescriptor
 
 COMPARED: dict[str, Callable[[], Technique]] = {
@@ -26,22 +25,11 @@ SIZE = (120, 90)
 NEAREST = SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, None)
 
 
-def render(
-    device: rhi.Device, scene: Scene, *techniques: Technique, size: tuple[int, int] = SIZE
-) -> list[NDArray[Any]]:
-    """Return the picture (h, w, 3) of each technique."""
-    camera = next(iter(scene.views.values())).with_aspect(size[0] / size[1])
-    images = []
-    with Renderer(device, scene, visibility=NoCulling(scene), size=size) as renderer:
-        for renderer.technique in techniques:
-            images.append(renderer.render(camera).image.read()[..., :3].astype(int))
-    return images
-
-
 def check_techniques(device: rhi.Device, scene: Scene) -> None:
-    expected, *images = render(device, scene, Forward(), *(make() for make in COMPARED.values()))
-    assert expected.std() > 30.0
-    off = {name: int(np.abs(image - expected).max()) for name, image in zip(COMPARED, images, strict=True)}
+    techniques, camera = (Forward(), *(make() for make in COMPARED.values())), find_eye(scene).with_aspect(4 / 3)
+    expected, *images = draw_each(device, scene, *techniques, camera=camera, size=SIZE)
+    assert expected[..., :3].std() > 30.0
+    off = {name: find_difference(image, expected) for name, image in zip(COMPARED, images, strict=True)}
     assert max(off.values()) <= 2, off
 
 
@@ -71,8 +59,8 @@ SMALL = (16, 16)
 
 
 def look(device: rhi.Device, builder: SceneBuilder) -> NDArray[Any]:
-    (image,) = render(device, builder.build(), Forward(), size=SMALL)
-    return image
+    scene = builder.build()
+    return draw(device, scene, camera=find_eye(scene).with_aspect(1.0), size=SMALL)
 
 
 @pytest.mark.parametrize(("alpha", "drawn"), [(0.25, True), (0.2499, False), (0.2501, True)])
@@ -107,11 +95,11 @@ def test_a_material_that_gets_a_second_side_shows_its_back_from_then_on(gl: rhi.
     builder = square(base_color=(1, 1, 1))
     builder.lights.add_directional((0, 0, 1), (1, 1, 1), 3.0)  # lights the back
     behind, scene = Camera.look_at((0, 0, -3), (0, 0, 0)), builder.build()
-    with Renderer(gl, scene, technique=technique(), visibility=NoCulling(scene), size=SMALL) as renderer:
+    with open_renderer(gl, scene, technique(), size=SMALL) as renderer:
         seen = []
         for sides in (0, 1, 0):
             scene.materials["double_sided"] = sides
-            seen.append(bool((renderer.render(behind).image.read()[..., :3] > 200).all()))
+            seen.append(bool((read_colors(renderer.render(behind)) > 200).all()))
     assert seen == [False, True, False]
 
 
@@ -123,7 +111,7 @@ def test_a_normal_map_without_a_direction_leaves_the_normal(gl: rhi.Device, texe
         builder = square(roughness=0.5, **maps)
         builder.lights.add_directional((0, -1, -1), (1, 1, 1), 1.0)
         images.append(look(gl, builder))
-    assert (np.abs(images[0] - images[1]).max() > 10) == bends
+    assert (find_difference(images[0], images[1]) > 10) == bends
 
 
 @pytest.mark.parametrize(("texel", "towards"), [((255, 128, 128), (-1, 0, 0)), ((128, 255, 128), (0, -1, 0))])
@@ -173,17 +161,12 @@ def test_texture_coordinates_beyond_1_repeat(gl: rhi.Device, uv: tuple[float, fl
     builder.views["front"] = Camera.look_at((0, 0, 3), (0, 0, 0))
     column, row = (int(np.floor(x % 1.0 * 8)) for x in uv)
     alike = np.full((8, 8, 4), texture[row, column], np.uint8)
-    assert np.abs(look(gl, builder) - look(gl, square(texture=alike, **white))).max() <= 1
+    assert find_difference(look(gl, builder), look(gl, square(texture=alike, **white))) <= 1
 
 
 @pytest.mark.parametrize("name", ["frustum", "two_pass", "chc_plus_plus"])
 def test_masks_hide_nothing_behind_their_holes(gl: rhi.Device, name: str) -> None:
     scene = build_materials(lamps=False)
     camera = scene.views["front"].with_aspect(SIZE[0] / SIZE[1])
-    images = []
-    for visibility in (NoCulling(scene), make_visibility(name, scene, gl)):
-        with Renderer(gl, scene, visibility=visibility, size=SIZE) as renderer:
-            for _ in range(3):
-                image = renderer.render(camera).image.read()
-            images.append(image)
+    images = [draw(gl, scene, camera=camera, visibility=one, frames=3, size=SIZE) for one in ("none", name)]
     assert np.array_equal(*images)

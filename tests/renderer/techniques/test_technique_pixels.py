@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from frames import draw_each, find_difference, make_boxes
 from numpy.typing import NDArray
 
 import rhi
@@ -107,24 +108,13 @@ def add_random_lights(builder: SceneBuilder, count: int, seed: int) -> None:
             builder.lights.add_spot(place, direction, reach, 0.6 * outer, outer, color, 1.5 * reach)
 
 
-def render_all(
-    device: rhi.Device, scene: Scene, camera: Camera, techniques: list[Technique], size: tuple[int, int] = SIZE
-) -> list[NDArray[np.int64]]:
-    """Return the image (h, w, 4) of each technique."""
-    images = []
-    with Renderer(device, scene, visibility=NoCulling(scene), size=size) as renderer:
-        for renderer.technique in techniques:
-            images.append(renderer.render(camera).image.read().astype(np.int64))
-    return images
-
-
 def check_all(
     device: rhi.Device, scene: Scene, camera: Camera = EYE, size: tuple[int, int] = SIZE
 ) -> NDArray[np.int64]:
     """Check that each technique gives forward shading's picture, which is returned."""
     techniques = [Forward(), *(make() for make in TECHNIQUES.values())]
-    expected, *images = render_all(device, scene, camera, techniques, size)
-    off = {name: np.abs(image - expected).max() for name, image in zip(TECHNIQUES, images, strict=True)}
+    expected, *images = draw_each(device, scene, *techniques, camera=camera, size=size)
+    off = {name: find_difference(image, expected) for name, image in zip(TECHNIQUES, images, strict=True)}
     # Deferred+ filters textures by stored derivatives, which are at most 0.3 % off.
     slack = {name: int(bool(scene.images)) for name in TECHNIQUES if name.startswith("deferred plus")}
     assert all(most <= 2 + slack.get(name, 0) for name, most in off.items()), off
@@ -221,8 +211,8 @@ def test_a_light_reaches_what_it_reaches_in_forward_shading(
     light = stage()
     LIGHTS[where](light)
     image = check_all(drawing_device, light.build())
-    (unlit,) = render_all(drawing_device, stage().build(), EYE, [Forward()])
-    assert np.abs(image - unlit).max() > 2, "the light can be seen"
+    (unlit,) = draw_each(drawing_device, stage().build(), Forward(), camera=EYE, size=SIZE)
+    assert find_difference(image, unlit) > 2, "the light can be seen"
 
 
 def test_a_light_of_radius_0_lights_nothing(drawing_device: rhi.Device) -> None:
@@ -270,7 +260,7 @@ def test_every_visibility_algorithm_draws_to_geometry_buffers(gl: rhi.Device) ->
                 renderer.visibility = visibility = make_visibility(name, scene, gl)
                 for frame in (300, 304, 308):
                     image = renderer.render(path.camera(frame)).image.read().astype(np.int64)
-                assert np.abs(image - expected).max() <= 2, (name, renderer.technique)
+                assert find_difference(image, expected) <= 2, (name, renderer.technique)
                 renderer.visibility = none
                 visibility.destroy()
 
@@ -281,9 +271,11 @@ def test_a_missing_light_is_seen_by_the_comparison(drawing_device: rhi.Device) -
     for one in (builder, without):
         one.lights.add_point((0, 1.5, 3), 2.0, intensity=2.0)
     builder.lights.add_spot((0, 3.5, 3), (0, -1, 0), 5.0, 0.4, 0.8, intensity=6.0)
-    (expected,) = render_all(drawing_device, builder.build(), EYE, [Forward()])
-    images = render_all(drawing_device, without.build(), EYE, [make() for make in TECHNIQUES.values()])
-    assert min(np.abs(image - expected).max() for image in images) > 2
+    (expected,) = draw_each(drawing_device, builder.build(), Forward(), camera=EYE, size=SIZE)
+    images = draw_each(
+        drawing_device, without.build(), *(make() for make in TECHNIQUES.values()), camera=EYE, size=SIZE
+    )
+    assert min(find_difference(image, expected) for image in images) > 2
 
 
 def test_one_specular_channel_is_exact_for_one_light_and_loses_hues_for_two(
@@ -292,13 +284,13 @@ def test_one_specular_channel_is_exact_for_one_light_and_loses_hues_for_two(
     techniques: list[Technique] = [Forward(), LightPrePass(specular_channels=1), LightPrePass()]
     builder = stage()
     builder.lights.add_point((-3, 2, 3), 9.0, (1.0, 0.2, 0.1), intensity=9.0)
-    expected, one, three = render_all(drawing_device, builder.build(), EYE, techniques)
-    assert np.abs(one - expected).max() <= 2
-    assert np.abs(three - expected).max() <= 2
+    expected, one, three = draw_each(drawing_device, builder.build(), *techniques, camera=EYE, size=SIZE)
+    assert find_difference(one, expected) <= 2
+    assert find_difference(three, expected) <= 2
     builder.lights.add_point((3, 2, 3), 9.0, (0.1, 0.2, 1.0), intensity=9.0)
-    expected, one, three = render_all(drawing_device, builder.build(), EYE, techniques)
-    assert np.abs(one - expected).max() > 2
-    assert np.abs(three - expected).max() <= 2
+    expected, one, three = draw_each(drawing_device, builder.build(), *techniques, camera=EYE, size=SIZE)
+    assert find_difference(one, expected) > 2
+    assert find_difference(three, expected) <= 2
 
 
 def find_signal_to_noise(image: NDArray[np.int64], expected: NDArray[np.int64]) -> float:
@@ -310,7 +302,7 @@ def test_inferred_light_is_near_and_nearer_with_more_of_it(drawing_device: rhi.D
     builder = stage(textured=True)
     add_random_lights(builder, 20, seed=4)
     techniques: list[Technique] = [Forward(), *(Inferred(scale=scale) for scale in (0.4, 0.6, 0.8))]
-    expected, *images = render_all(drawing_device, builder.build(), EYE, techniques, (192, 128))
+    expected, *images = draw_each(drawing_device, builder.build(), *techniques, camera=EYE, size=(192, 128))
     quality = [find_signal_to_noise(image, expected) for image in images]
     assert quality[0] > 24
     assert quality[1] > 26
@@ -319,20 +311,17 @@ def test_inferred_light_is_near_and_nearer_with_more_of_it(drawing_device: rhi.D
 
 def test_light_does_not_leak_over_edges(gl: rhi.Device, monkeypatch: pytest.MonkeyPatch) -> None:
     # A bright floor far below a dark table: beside the edges, four texels are of both.
-    builder = SceneBuilder("table")
-    box = builder.add_mesh(BUILT_IN["box"]())
-    material = builder.add_material(base_color=(0.8, 0.8, 0.8), specular_color=(0, 0, 0))
-    builder.add_objects(builder.add_node(scaling((40, 1, 40))), box, material)
-    builder.add_objects(builder.add_node(translation((0, 8, 0)) @ scaling((3, 0.1, 3))), box, material)
+    floor, table = scaling((40, 1, 40)), translation((0, 8, 0)) @ scaling((3, 0.1, 3))
+    builder = make_boxes(floor, table, name="table", base_color=(0.8, 0.8, 0.8), specular_color=(0, 0, 0))
     for x in (-3, 3):
         for z in (-3, 3):
             builder.lights.add_point((x, 5, z), 30.0, intensity=40.0)
     builder.lights.sky = (0.01, 0.01, 0.01)
     scene, camera = builder.build(), Camera.look_at((0.5, 14, 1), (0, 8, 0))
-    expected, image = render_all(gl, scene, camera, [Forward(), Inferred()])
+    expected, image = draw_each(gl, scene, Forward(), Inferred(), camera=camera, size=SIZE)
     variants.combine.cache_clear()
     monkeypatch.setattr(inferred, "_NEAR_PLANE", 1e6)  # the control: a bilinear filter
-    (blurred,) = render_all(gl, scene, camera, [Inferred()])
+    (blurred,) = draw_each(gl, scene, Inferred(), camera=camera, size=SIZE)
     variants.combine.cache_clear()
     assert (np.abs(image - expected) > 16).any(2).mean() < 0.002
     assert (np.abs(blurred - expected) > 16).any(2).mean() > 0.02

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
+from frames import SIZE, count_draws, draw, find_difference, make_boxes, open_renderer, read_colors, record
 from lighting_reference import encode, look_at_plane
 from numpy.typing import NDArray
 from test_technique_pixels import EYE, add_random_lights, stage
@@ -14,7 +15,7 @@ import rhi
 from renderer.content import BUILT_IN
 from renderer.frame import Blending, Effect, find_needs
 from renderer.frame.frame import sort_back_to_front
-from renderer.renderer import FrameResult, Renderer
+from renderer.renderer import Renderer
 from renderer.scene import (
     AlphaMode,
     Camera,
@@ -28,17 +29,16 @@ from renderer.scene import (
     translation,
 )
 from renderer.shadows.casters import SceneCasters
-from renderer.techniques import TECHNIQUES, Forward, Inferred, Smoothed, Technique, inferred
+from renderer.techniques import TECHNIQUES, Forward, Inferred, Smoothed, inferred
 from renderer.techniques.parts import variants
 from renderer.techniques.parts.scene_shader import ForwardShader
 from renderer.techniques.parts.transparency import TransparentShader, WeightedShader
-from renderer.visibility import ALGORITHMS, NoCulling, TwoPassCulling, list_algorithms, make_visibility
+from renderer.visibility import ALGORITHMS, NoCulling, TwoPassCulling, list_algorithms
 from renderer.visibility.gpu.occludees import DRAWN, OUTSIDE
 from rhi import DepthWrite, Op
 from rhi.contract.descriptors import Stage
 from rhi.shading import Shader, compile_shader
 
-SIZE = (48, 32)
 PANE = make_geometry([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], [(0, 1, 2), (0, 2, 3)])
 FRONT = Camera.look_at((0, 0, 8), (0, 0, 0), projection=Perspective(fov=0.9, aspect=SIZE[0] / SIZE[1]))
 
@@ -65,22 +65,6 @@ def panes(*layers: tuple[float, Sequence[float]]) -> SceneBuilder:
     builder.background, builder.haze = (0.2, 0.3, 0.5), 0.05
     builder.views["front"] = FRONT
     return builder
-
-
-def render(
-    device: rhi.Device,
-    scene: Scene,
-    technique: Technique | None = None,
-    blending: Blending = Blending.SORTED,
-    camera: Camera | None = None,
-    size: tuple[int, int] = SIZE,
-) -> NDArray[np.int64]:
-    visibility = NoCulling(scene)
-    with Renderer(
-        device, scene, technique=technique, visibility=visibility, size=size, blending=blending
-    ) as renderer:
-        view = camera or next(iter(scene.views.values()))
-        return renderer.render(view).image.read()[..., :3].astype(np.int64)
 
 
 WALL: tuple[float, Sequence[float]] = (-3.0, (0.5, 0.5, 0.4))
@@ -131,17 +115,17 @@ def test_panes_are_within_two_levels_of_compositing_in_float64(
     wanted = composite(scene, layers, blending)
     assert wanted.std() > 3.0  # a picture, not one colour
     # Each layer is rounded to 8 bits.
-    assert np.abs(render(drawing_device, scene, blending=blending) - wanted).max() <= 2.0
+    assert np.abs(draw(drawing_device, scene, blending=blending) - wanted).max() <= 2.0
     other = composite(scene, [(-z, color) for z, color in layers], blending)
-    assert np.abs(other - wanted).max() > 20.0
+    assert find_difference(other, wanted) > 20.0
 
 
 def test_a_pane_of_opacity_1_hides_what_is_behind_it(drawing_device: rhi.Device) -> None:
     scene = panes(*LAYERS).build()
     wanted = composite(scene, LAYERS, Blending.SORTED)
-    assert np.abs(render(drawing_device, scene) - wanted).max() <= 2.0
-    alone = render(drawing_device, panes(*(layer for layer in LAYERS if layer[0] >= 2.0)).build())
-    assert (render(drawing_device, scene) == alone).all()
+    assert np.abs(draw(drawing_device, scene) - wanted).max() <= 2.0
+    alone = draw(drawing_device, panes(*(layer for layer in LAYERS if layer[0] >= 2.0)).build())
+    assert (draw(drawing_device, scene) == alone).all()
 
 
 def test_a_texels_alpha_multiplies_the_materials(gl: rhi.Device) -> None:
@@ -151,15 +135,15 @@ def test_a_texels_alpha_multiplies_the_materials(gl: rhi.Device) -> None:
         image = builder.add_image(np.full((2, 2, 4), (255, 255, 255, texel), np.uint8))
         glass = builder.add_material(base_color=(1, 0, 0, alpha), alpha_mode=AlphaMode.BLEND, texture=image)
         builder.add_objects(builder.add_node(scaling((9, 9, 1))), builder.add_mesh(PANE), glass)
-        images.append(render(gl, builder.build()))
-    assert np.abs(images[0] - images[1]).max() <= 1
-    assert np.abs(images[0] - render(gl, panes((-3.0, (0.5, 0.5, 0.4))).build())).max() > 10
+        images.append(draw(gl, builder.build()))
+    assert find_difference(images[0], images[1]) <= 1
+    assert np.abs(images[0] - draw(gl, panes((-3.0, (0.5, 0.5, 0.4))).build())).max() > 10
 
 
 def test_weighted_surfaces_look_the_same_in_any_order(drawing_device: rhi.Device) -> None:
     scenes = [panes(*LAYERS[:-1]).build(), panes(*LAYERS[-2::-1]).build()]
-    first, second = (render(drawing_device, scene, blending=Blending.WEIGHTED) for scene in scenes)
-    assert np.abs(first - second).max() <= 1
+    first, second = (draw(drawing_device, scene, blending=Blending.WEIGHTED) for scene in scenes)
+    assert find_difference(first, second) <= 1
 
 
 def glassy(seed: int = 0, *, textured: bool = False) -> Scene:
@@ -184,12 +168,12 @@ def glassy(seed: int = 0, *, textured: bool = False) -> Scene:
 
 def check_all(device: rhi.Device, scene: Scene, blending: Blending) -> None:
     """Check that each technique gives forward shading's picture."""
-    expected = render(device, scene, Forward(), blending)
+    expected = draw(device, scene, Forward(), blending=blending)
     off = {}
     for name, make in TECHNIQUES.items():
         if name != "inferred":
-            image = render(device, scene, make(), blending)
-            off[name] = int(np.abs(image - expected).max())
+            image = draw(device, scene, make(), blending=blending)
+            off[name] = int(find_difference(image, expected))
     assert max(off.values()) <= 2, off
 
 
@@ -220,22 +204,22 @@ def test_inferred_light_reaches_three_transparent_surfaces_behind_each_other(
     builder = panes((-3.0, (0.5, 0.5, 0.4)), *GLASS)
     builder.lights.add_point((0.0, 0.0, 2.5), 9.0, (1.0, 0.6, 0.3), 40.0)  # before two of the three
     scene = builder.build()
-    expected = render(gl, scene)
-    image = render(gl, scene, Inferred(scale=scale))
+    expected = draw(gl, scene)
+    image = draw(gl, scene, Inferred(scale=scale))
     variants.combine.cache_clear()
     monkeypatch.setattr(inferred, "_LAYERS", 1)  # the control: all three have the same texel
-    wrong = render(gl, scene, Inferred(scale=scale))
+    wrong = draw(gl, scene, Inferred(scale=scale))
     variants.combine.cache_clear()
-    assert np.abs(image - expected).max() <= 8
-    assert np.abs(wrong - expected).max() > 15
+    assert find_difference(image, expected) <= 8
+    assert find_difference(wrong, expected) > 15
 
 
 @pytest.mark.nightly
 def test_stippled_light_is_near_that_of_forward_shading(drawing_device: rhi.Device) -> None:
     scene = glassy()
-    expected, size = render(drawing_device, scene, size=(240, 160)), (240, 160)
+    expected, size = draw(drawing_device, scene, size=(240, 160)), (240, 160)
     for technique, least in ((Inferred(stippled=False), 40.0), (Inferred(), 28.0)):
-        image = render(drawing_device, scene, technique, size=size)
+        image = draw(drawing_device, scene, technique, size=size)
         assert 10.0 * np.log10(255.0**2 / ((image - expected) ** 2).mean()) > least
 
 
@@ -247,14 +231,12 @@ def test_every_visibility_algorithm_shows_transparent_objects_and_what_they_cove
     add_pane(builder, 0.0, (0.9, 0.1, 0.1), size=0.5)  # behind the glass
     add_pane(builder, -4.0, (0.1, 0.9, 0.1, 0.5), size=0.5)  # behind the wall
     scene = builder.build()
-    wanted = render(gl, scene)
-    visibility = make_visibility(name, scene, gl)
-    with Renderer(gl, scene, visibility=visibility, size=SIZE) as renderer:
+    wanted = draw(gl, scene)
+    with open_renderer(gl, scene, visibility=name) as renderer:
         for _ in range(5):  # until what was hidden has been asked about
             result = renderer.render(FRONT)
-            assert np.abs(result.image.read()[..., :3].astype(int) - wanted).max() <= 1
+            assert find_difference(read_colors(result), wanted) <= 1
             assert {0, 1, 2} <= {*result.visible.tolist()}
-    visibility.destroy()
 
 
 def test_the_device_lists_no_transparent_object(gl: rhi.Device) -> None:
@@ -276,32 +258,10 @@ def test_a_transparent_object_behind_a_wall_is_culled_where_the_cpu_knows(gl: rh
         pytest.skip(f"{name} doesn't run here")
     builder = panes((2.0, (0.5, 0.5, 0.4)))
     add_pane(builder, -4.0, (0.1, 0.9, 0.1, 0.5), size=0.5)
-    scene = builder.build()
-    visibility = make_visibility(name, scene, gl)
-    with Renderer(gl, scene, visibility=visibility, size=SIZE) as renderer:
+    with open_renderer(gl, builder.build(), visibility=name) as renderer:
         for _ in range(30):
             visible = renderer.render(FRONT).visible.tolist()
-    visibility.destroy()
     assert visible == [0]
-
-
-def record(
-    device: rhi.Device, scene: Scene, technique: Technique | None = None, blending: Blending = Blending.SORTED
-) -> tuple[rhi.CommandStream, FrameResult]:
-    """Return the commands of the second of two frames, and its result."""
-    renderer = Renderer(
-        device, scene, technique=technique, visibility=NoCulling(scene), size=SIZE, blending=blending
-    )
-    for _ in range(2):
-        device.stream.clear()
-        result = renderer.render(FRONT)
-    return device.stream, result
-
-
-def count(device: rhi.Device, scene: Scene, blending: Blending = Blending.SORTED) -> tuple[int, int]:
-    """Return the number of render passes and of draw calls in a frame."""
-    stream, _ = record(device, scene, blending=blending)
-    return len(stream.filter(Op.BEGIN_PASS)), len(stream.draws())
 
 
 @pytest.mark.parametrize("blending", Blending)
@@ -310,20 +270,20 @@ def test_a_transparent_object_out_of_view_costs_nothing(null: rhi.Device, name: 
     builder = panes(WALL)
     add_pane(builder, 20.0, (1.0, 1.0, 1.0, 0.5))
     with rhi.create_device("null") as other:
-        wanted, _ = record(other, panes(WALL).build(), TECHNIQUES[name](), blending)
-        stream, _ = record(null, builder.build(), TECHNIQUES[name](), blending)
+        wanted = record(other, panes(WALL).build(), TECHNIQUES[name](), blending=blending)
+        stream = record(null, builder.build(), TECHNIQUES[name](), blending=blending)
         assert [c.op for c in stream] == [c.op for c in wanted]
 
 
 def test_transparent_objects_add_a_pass_and_a_draw_for_each_run_of_a_winding(null: rhi.Device) -> None:
-    assert count(null, panes(WALL).build()) == (1, 1)
+    assert count_draws(null, panes(WALL).build()) == (1, 1)
     one = (1.0, (1.0, 1.0, 1.0, 0.5))
-    assert count(null, panes(WALL, one).build()) == (2, 2)
+    assert count_draws(null, panes(WALL, one).build()) == (2, 2)
     builder = panes(WALL)
     for number, mirrored in enumerate((False, False, True, True, True, False)):
         add_pane(builder, number, (1.0, 1.0, 1.0, 0.5), mirrored=mirrored)
-    assert count(null, builder.build()) == (2, 1 + 3)
-    assert count(null, builder.build(), Blending.WEIGHTED) == (3, 1 + 2 + 1)
+    assert count_draws(null, builder.build()) == (2, 1 + 3)
+    assert count_draws(null, builder.build(), blending=Blending.WEIGHTED) == (3, 1 + 2 + 1)
 
 
 @pytest.mark.parametrize(("stippled", "passes"), [(True, 6), (False, 5)])
@@ -331,17 +291,18 @@ def test_stippling_is_one_more_pass_where_a_lamp_reaches_something(
     null: rhi.Device, stippled: bool, passes: int
 ) -> None:
     one = (1.0, (1.0, 1.0, 1.0, 0.5))
-    stream, _ = record(null, panes(WALL, one).build(), Inferred(stippled=stippled))
+    stream = record(null, panes(WALL, one).build(), Inferred(stippled=stippled))
     assert len(stream.filter(Op.BEGIN_PASS)) == len(stream.draws()) == passes
     unlit = panes(WALL, one)
     unlit.lights.point = unlit.lights.point[:0]
-    stream, _ = record(null, unlit.build(), Inferred(stippled=stippled))
+    stream = record(null, unlit.build(), Inferred(stippled=stippled))
     assert len(stream.draws()) == 2
 
 
 def test_transparent_surfaces_write_no_depth_and_are_tested_against_that_of_opaque_ones(null: rhi.Device) -> None:
-    stream, result = record(null, panes(WALL, (1.0, (1.0, 1.0, 1.0, 0.5))).build())
-    opaque, transparent = stream.draws()
+    with open_renderer(null, panes(WALL, (1.0, (1.0, 1.0, 1.0, 0.5))).build()) as renderer:
+        result = renderer.render(FRONT)
+    opaque, transparent = null.stream.draws()
     assert opaque.states[DepthWrite] is DepthWrite.ON
     assert transparent.states[DepthWrite] is DepthWrite.OFF
     assert transparent.states[rhi.DepthFunction] is rhi.DepthFunction.GREATER
@@ -364,7 +325,7 @@ def test_a_transparent_object_that_is_hidden_is_not_drawn(null: rhi.Device) -> N
 
 def test_a_material_that_becomes_transparent_changes_its_objects(null: rhi.Device) -> None:
     scene = panes(WALL, (1.0, (1.0, 1.0, 1.0, 0.5))).build()
-    with Renderer(null, scene, visibility=NoCulling(scene), size=SIZE) as renderer:
+    with open_renderer(null, scene) as renderer:
         passes = []
         for mode in (AlphaMode.OPAQUE, AlphaMode.BLEND, AlphaMode.OPAQUE):
             scene.materials["alpha_mode"][1] = mode
@@ -377,17 +338,14 @@ def test_a_material_that_becomes_transparent_changes_its_objects(null: rhi.Devic
 @pytest.mark.parametrize("depth", Depth)
 @pytest.mark.parametrize("lens", [Perspective, lambda depth: Orthographic(20.0, depth=depth)])
 def test_objects_are_sorted_by_the_distance_of_their_boxes_centres(lens: Callable[..., object], depth: Depth) -> None:
-    builder, random = SceneBuilder("boxes"), np.random.default_rng(7)
-    mesh, material = builder.add_mesh(BUILT_IN["box"]()), builder.add_material()
+    random = np.random.default_rng(7)
     # Far from the origin, where a step of float32 is half a metre.
     places = np.add(random.uniform(-30, 30, (200, 3)), (1e7, 0, -1e7))
-    for place in places:
-        builder.add_objects(builder.add_node(translation(place)), mesh, material)
     camera = Camera.look_at((1e7, 1, -1e7), (1e7 + 3, 2, -1e7 + 5), projection=lens(depth=depth))
     rows = random.permutation(200)[:150]
     away = places - camera.position
     far = away @ camera.forward if isinstance(camera.projection, Orthographic) else np.linalg.norm(away, axis=1)
-    order = sort_back_to_front(builder.build(), camera, rows)
+    order = sort_back_to_front(make_boxes(*places).build(), camera, rows)
     assert sorted(order.tolist()) == sorted(rows.tolist())
     assert (np.diff(far[order]) < 1e-6).all()
 
@@ -398,11 +356,10 @@ def test_nothing_of_the_last_frame_is_left_where_all_objects_are_transparent(gl:
     add_pane(builder, 1.0, (0.9, 0.9, 0.9, 0.8), size=1.0)
     scene = builder.build()
     aside = Camera.look_at((2, 0, 8), (2, 0, 0), projection=FRONT.projection)
-    wanted = render(gl, scene, camera=aside)
-    with Renderer(gl, scene, technique=TECHNIQUES[name](), visibility=NoCulling(scene), size=SIZE) as renderer:
+    wanted = draw(gl, scene, camera=aside)
+    with open_renderer(gl, scene, TECHNIQUES[name]()) as renderer:
         renderer.render(FRONT)
-        image = renderer.render(aside).image.read()[..., :3].astype(int)
-    assert np.abs(image - wanted).max() <= 2
+        assert find_difference(read_colors(renderer.render(aside)), wanted) <= 2
 
 
 def test_transparent_objects_cast_no_shadows() -> None:
@@ -415,7 +372,7 @@ def test_a_material_that_becomes_transparent_casts_no_shadow_from_then_on(null: 
     builder = panes(WALL, (1.0, (1.0, 1.0, 1.0)))
     builder.lights.add_directional((0.0, 0.0, -1.0), (1.0, 1.0, 1.0), 1.0, casts_shadow=True)
     scene = builder.build()
-    with Renderer(null, scene, visibility=NoCulling(scene), size=SIZE) as renderer:
+    with open_renderer(null, scene) as renderer:
         cast = []
         for mode in (AlphaMode.OPAQUE, AlphaMode.BLEND, AlphaMode.OPAQUE):
             scene.materials["alpha_mode"][1] = mode
@@ -437,10 +394,10 @@ def test_a_frame_says_why_it_has_a_pass_of_transparent_surfaces() -> None:
 @pytest.mark.parametrize("blending", Blending)
 def test_smooth_edges_go_with_transparent_surfaces(gl: rhi.Device, blending: Blending) -> None:
     builder = panes(WALL, (1.0, (0.2, 0.9, 0.3, 0.5)))
-    plain = render(gl, builder.build(), blending=blending)
+    plain = draw(gl, builder.build(), blending=blending)
     for technique in (Smoothed(Forward()), Forward(samples=4)):
         # Without edges they change nothing.
-        assert np.abs(render(gl, builder.build(), technique, blending) - plain).max() <= 1
+        assert np.abs(draw(gl, builder.build(), technique, blending=blending) - plain).max() <= 1
 
 
 @pytest.mark.parametrize("shader", [ForwardShader, TransparentShader, WeightedShader])

@@ -6,36 +6,33 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from frames import draw_each, find_eye, make_boxes, open_renderer
 
 import rhi
 from renderer.cli import main
-from renderer.content import BUILT_IN
 from renderer.frame import make_plan
-from renderer.renderer import Renderer
-from renderer.scene import Camera, Scene, SceneBuilder
+from renderer.scene import Camera, Scene
 from renderer.techniques import Deferred, Forward, Technique, Watched
 from renderer.techniques.watched import list_contents
-from renderer.visibility import NoCulling
 
 SIZE = (24, 16)
 
 
 def boxes() -> Scene:
     """Make a box between a point light and a spot light."""
-    builder = SceneBuilder("box")
-    builder.add_objects(builder.add_node(), builder.add_mesh(BUILT_IN["box"]()), builder.add_material())
+    builder = make_boxes((0, 0, 0))
     builder.lights.add_point((-1.2, 0, 1.2), 4.0, (1, 0, 0), 2.0)
     builder.lights.add_spot((1.2, 0, 1.2), (-1, 0, -1), 4.0, 0.4, 0.8, (0, 1, 0), 2.0)
-    builder.views["front"] = Camera.look_at((0, 0, 3), (0, 0, 0))
+    builder.views["eye"] = Camera.look_at((0, 0, 3), (0, 0, 0))
     return builder.build()
 
 
 def watch(device: rhi.Device, technique: Technique, contents: str) -> Watched:
     """Draw two frames, and return what was watched."""
     scene, watched = boxes(), Watched(technique, contents)
-    with Renderer(device, scene, technique=watched, visibility=NoCulling(scene), size=SIZE) as renderer:
+    with open_renderer(device, scene, watched, size=SIZE) as renderer:
         for _ in range(2):
-            renderer.render(scene.views["front"])
+            renderer.render(find_eye(scene))
     return watched
 
 
@@ -50,11 +47,7 @@ def test_contents_are_those_before_a_later_pass_draws_over_them(gl: rhi.Device) 
 
 
 def test_the_frame_is_the_same(gl: rhi.Device) -> None:
-    scene = boxes()
-    images = []
-    for technique in (Deferred(), Watched(Deferred(), "surface")):
-        with Renderer(gl, scene, technique=technique, visibility=NoCulling(scene), size=SIZE) as renderer:
-            images.append(renderer.render(scene.views["front"]).image.read())
+    images = draw_each(gl, boxes(), Deferred(), Watched(Deferred(), "surface"), size=SIZE)
     assert (images[0] == images[1]).all()
 
 
@@ -67,8 +60,8 @@ def test_other_names_are_refused_with_those_of_the_plan(null: rhi.Device, name: 
 
 def test_contents_of_several_samples_are_not_listed(null: rhi.Device) -> None:
     scene = boxes()
-    with Renderer(null, scene, visibility=NoCulling(scene), size=SIZE) as renderer:
-        needs, _ = renderer.plan(scene.views["front"])
+    with open_renderer(null, scene) as renderer:
+        needs, _ = renderer.plan(find_eye(scene))
     assert list_contents(Forward(4).declare(needs)) == ["depth", "image"]
     plan = make_plan(list(Watched(Forward(4), "depth").declare(needs)))
     assert [one.name for one in plan.passes] == ["depth", "forward", "resolve", "read back"]

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from bisection_reference import list_cameras, make_hills
+from frames import open_renderer as open_any
 
 import rhi
 from renderer.content import load_scene
@@ -17,11 +19,10 @@ from renderer.scene import Camera, HeightField, Scene, SceneBuilder, StereoRig, 
 from renderer.stereo import Stereo
 from renderer.techniques import TECHNIQUES
 from renderer.tessellation import TessellationSettings
-from renderer.visibility import make_visibility
 
 CAMERAS = list_cameras()
 FIRST, SECOND = CAMERAS["random 0"], CAMERAS["random 5"]
-SIZE = (64, 32)
+open_renderer = partial(open_any, size=(64, 32), visibility="frustum")
 
 
 def make_scene(field: HeightField, *, is_field: bool = True, lamp: bool = False, mirrored: bool = False) -> Scene:
@@ -44,13 +45,11 @@ def pictures(device: rhi.Device) -> dict[str, np.ndarray]:
     found = {}
     for name, is_field, mirrored in (("field", True, False), ("mesh", False, False), ("mirrored", True, True)):
         scene = make_scene(make_hills(), is_field=is_field, mirrored=mirrored)
-        visibility = make_visibility("frustum", scene, device)
-        with Renderer(device, scene, size=SIZE, visibility=visibility) as renderer:
+        with open_renderer(device, scene) as renderer:
             renderer.tessellator.settings = TessellationSettings(0.01)
             result = renderer.render(FIRST if not mirrored else _mirror(FIRST))
             found[name] = result.image.read().astype(int)
             found[f"{name} count"] = np.array(result.statistics.triangles)
-        visibility.destroy()
     return found
 
 
@@ -85,8 +84,7 @@ def record(null: rhi.Device, renderer: Renderer, camera: Camera) -> list[tuple[b
 def test_each_technique_chooses_triangles_once_before_all_else(null: rhi.Device, technique: str) -> None:
     field = make_hills(8)
     scene = make_scene(field)
-    visibility = make_visibility("frustum", scene, null)
-    with Renderer(null, scene, size=SIZE, visibility=visibility, technique=TECHNIQUES[technique]()) as renderer:
+    with open_renderer(null, scene, TECHNIQUES[technique]()) as renderer:
         for camera in (FIRST, SECOND):
             commands = record(null, renderer, camera)
             chosen = [place for place, one in enumerate(commands) if one == (True, rhi.Op.DISPATCH)]
@@ -100,9 +98,7 @@ def test_each_technique_chooses_triangles_once_before_all_else(null: rhi.Device,
 
 
 def test_two_eyes_share_triangles(null: rhi.Device) -> None:
-    scene = make_scene(make_hills(8))
-    visibility = make_visibility("frustum", scene, null)
-    with Renderer(null, scene, size=SIZE, visibility=visibility) as renderer:
+    with open_renderer(null, make_scene(make_hills(8))) as renderer:
         renderer.stereo = Stereo(StereoRig())
         commands = record(null, renderer, FIRST)
     assert commands.count((True, rhi.Op.DISPATCH)) == 6 + 2
@@ -111,8 +107,7 @@ def test_two_eyes_share_triangles(null: rhi.Device) -> None:
 @pytest.mark.parametrize("is_field", [True, False])
 def test_a_lamp_s_shadow_map_is_drawn_again_with_other_triangles(null: rhi.Device, is_field: bool) -> None:
     scene = make_scene(make_hills(8), is_field=is_field, lamp=True)
-    visibility = make_visibility("frustum", scene, null)
-    with Renderer(null, scene, size=SIZE, visibility=visibility) as renderer:
+    with open_renderer(null, scene) as renderer:
         drawn = []
         for camera in (FIRST, FIRST, replace(FIRST, position=FIRST.position + 0.01)):
             record(null, renderer, camera)

@@ -16,16 +16,15 @@ from bisection_reference import (
     make_hills,
     make_scene,
 )
+from frames import open_renderer
 from numpy.typing import NDArray
 
 import rhi
 from renderer.content import load_scene
 from renderer.frame import SceneResources
-from renderer.renderer import Renderer
 from renderer.scene import Camera, HeightField, Perspective, Scene, make_height_field, scaling, translation
 from renderer.tessellation import Tessellation, TessellationSettings, Tessellator
 from renderer.tessellation.tessellator import view_field
-from renderer.visibility import make_visibility
 from rhi import ValidationError
 
 CAMERAS = list_cameras()
@@ -177,15 +176,13 @@ def test_a_device_draws_a_map_of_one_height(device: rhi.Device) -> None:
 
 def count_commands(null: rhi.Device, scene: Scene, *cameras: Camera) -> list[tuple[int, int]]:
     """Return how many dispatches each frame issues, and how many indirect draws."""
-    visibility = make_visibility("frustum", scene, null)
     frames = []
-    with Renderer(null, scene, size=(2 * HEIGHT, HEIGHT), visibility=visibility) as renderer:
+    with open_renderer(null, scene, size=(2 * HEIGHT, HEIGHT), visibility="frustum") as renderer:
         for camera in cameras:
             null.stream.clear()
             renderer.render(camera)
             ops = [command.op for command in null.stream]
             frames.append((ops.count(rhi.Op.DISPATCH), ops.count(rhi.Op.DRAW_INDIRECT)))
-    visibility.destroy()
     return frames
 
 

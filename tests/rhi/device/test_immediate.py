@@ -110,20 +110,6 @@ def test_an_exception_in_the_block_draws_nothing(kit: Kit) -> None:
     assert not kit.ops(Op.DRAW)
 
 
-@pytest.mark.parametrize("fields", [{}, {"place": (0, 0)}, {"position": (0, 0), "color": (1, 1, 1)}])
-def test_a_vertex_with_wrong_fields_is_refused(kit: Kit, fields: dict[str, object]) -> None:
-    with kit.device.render_pass(kit.image), pytest.raises(rhi.ValidationError) as caught:
-        with kit.device.immediate(kit.program, Primitive.POINTS, **bindings(kit)) as points:
-            points.vertex(**fields)
-    assert caught.value.rule.id == "immediate-vertex"
-
-
-def test_a_missing_binding_is_refused_when_the_block_is_made(kit: Kit) -> None:
-    with pytest.raises(rhi.ValidationError) as caught:
-        kit.device.immediate(kit.program, Primitive.POINTS, camera=kit.camera)
-    assert caught.value.rule.id == "binding-missing"
-
-
 def test_blocks_share_one_vertex_array_until_the_ring_grows(kit: Kit) -> None:
     def draw(count: int) -> None:
         with kit.device.immediate(kit.program, Primitive.POINTS, **bindings(kit)) as points:
@@ -213,14 +199,6 @@ def test_draw_many_again_refuses_what_was_destroyed_since(kit: Kit, name: str) -
         with pytest.raises(rhi.ValidationError) as error:
             kit.device.draw_many(kit.program, kit.mesh, draws, **arguments)
     assert error.value.rule.id == "resource-destroyed"
-
-
-def test_draw_many_refuses_draws_beyond_the_mesh(kit: Kit) -> None:
-    draws = np.zeros(1, rhi.DRAW_UNINDEXED)
-    draws["count"] = 4
-    with kit.device.render_pass(kit.image), pytest.raises(rhi.ValidationError) as caught:
-        kit.device.draw_many(kit.program, kit.mesh, draws, **bindings(kit))
-    assert caught.value.rule.id == "mesh-range"
 
 
 def test_a_transient_mesh_serves_the_program_it_was_made_for(kit: Kit) -> None:

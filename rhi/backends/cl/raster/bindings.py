@@ -11,8 +11,8 @@ from collections.abc import Callable
 from rhi.backends.cl.memory.buffers import Buffers
 from rhi.backends.cl.memory.samplers import Samplers
 from rhi.backends.cl.memory.textures import Textures
+from rhi.backends.cl.programs import Slots
 from rhi.backends.cl.raster.rows import COLUMN_COUNT, SLOT_COLUMNS, SLOT_COUNTS
-from rhi.backends.cl.slots import Slots
 from rhi.contract.descriptors import BindingKind, Id
 
 
@@ -21,11 +21,12 @@ class Bindings:
 
     Attributes:
         columns: the list that draws' rows are picked from.
+        slots: the bound resources, for compute programs.
     """
 
-    def __init__(self, slots: Slots, buffers: Buffers, textures: Textures, samplers: Samplers) -> None:
+    def __init__(self, buffers: Buffers, textures: Textures, samplers: Samplers) -> None:
         self.columns = [0] * COLUMN_COUNT
-        self._slots = slots
+        self.slots: Slots = {}
         self._buffers = buffers
         self._textures = textures
         self._samplers = samplers
@@ -38,11 +39,11 @@ class Bindings:
             self.columns[column : column + 2] = self.find_buffer(buffer) + offset, size
         else:
             self.columns[column : column + 2] = self._find_texture(kind, what)
-        self._slots[kind, slot] = what
+        self.slots[kind, slot] = what
 
     def prepare_uniform(self, buffer: Id) -> Callable[[int, int, int], object]:
         """Return a function of slot, offset and size that binds a range of this buffer, faster than `bind`."""
-        columns, start, slots = self.columns, self.find_buffer(buffer), self._slots
+        columns, start, slots = self.columns, self.find_buffer(buffer), self.slots
         keys = [(BindingKind.UNIFORM, slot) for slot in range(SLOT_COUNTS[BindingKind.UNIFORM])]
         places = [SLOT_COLUMNS[key] for key in keys]
 

@@ -35,7 +35,6 @@ from rhi.backends.cl.raster.pipelines import Pipeline
 from rhi.backends.cl.raster.queries import SampleQueries
 from rhi.backends.cl.raster.rows import CONDITION, INVERTED, SAMPLES
 from rhi.backends.cl.raster.vertex_arrays import VertexArrays
-from rhi.backends.cl.slots import Slots
 from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor, VertexArrayDescriptor
 from rhi.contract.formats import Format
 
@@ -54,20 +53,18 @@ class Rasteriser:
     """
 
     def __init__(
-        self, context: ClContext, slots: Slots, buffers: Buffers, textures: Textures, samplers: Samplers,
-        in_flight: InFlight,
+        self, context: ClContext, buffers: Buffers, textures: Textures, samplers: Samplers, in_flight: InFlight
     ) -> None:
         self._context = context
         self.works = context.shares_memory and bool(context.device.type & cl.device_type.CPU)
         self._builds = Builds(context)
         self._programs: dict[Id, Pipeline] = {}
-        self._slots = slots
         self._buffers = buffers
         self._prepared = prepared = PreparedDraws()
         boxes = AttributeBoxes(prepared, Pool(in_flight))
         self._batch = Batch(prepared, boxes)
         self._launcher = Launcher(context, self._builds, in_flight, boxes)
-        self.bindings = Bindings(slots, buffers, textures, samplers)
+        self.bindings = Bindings(buffers, textures, samplers)
         self.state = DrawState(textures)
         assembler = Assembler(self._read_indices, partial(IndexList, in_flight))
         self.vertex_arrays = VertexArrays(assembler, prepared, boxes, buffers, self.bindings)
@@ -133,7 +130,7 @@ class Rasteriser:
         """Note that shaders wrote what is bound to these bindings."""
         for binding in bindings:
             if binding.kind is BindingKind.STORAGE:
-                self.vertex_arrays.change(self._slots[binding.kind, binding.slot][0])
+                self.vertex_arrays.change(self.bindings.slots[binding.kind, binding.slot][0])
 
     def _read_indices(self, buffer: Id, offset: int, size: int) -> bytes:
         self.flush()

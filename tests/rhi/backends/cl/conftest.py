@@ -8,6 +8,8 @@ from typing import Any
 import pytest
 from cl_kit import ClKit
 
+import rhi
+from rhi import Device
 from rhi.backends.cl import create_backend
 from rhi.backends.cl.context import KERNELS_ENVIRONMENT
 from rhi.backends.cl.raster.builds import Kernel
@@ -18,6 +20,12 @@ def cl_kit() -> Iterator[ClKit]:
     kit = ClKit(create_backend())
     yield kit
     kit.close()
+
+
+@pytest.fixture(scope="module")
+def device() -> Iterator[Device]:
+    with rhi.create_device("cl") as made:
+        yield made
 
 
 @pytest.fixture

@@ -3,24 +3,15 @@ leaves open what becomes of components that a shader doesn't give, and how alpha
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 
-import rhi
 from rhi import AlphaToCoverage, BlendColor, BlendFactor, BlendFunction, Device, Format
 from rhi.conformance.compare import assert_near
 from rhi.conformance.reference import blend_factor, channels_of, decode, encode
 from rhi.conformance.shaders import Colored, Shade
 from rhi.conformance.shapes import rectangle
 from rhi.shading import vec2, vec3
-
-
-@pytest.fixture(scope="module")
-def device() -> Iterator[Device]:
-    with rhi.create_device("cl") as device:
-        yield device
 
 
 @pytest.mark.parametrize("factor", list(BlendFactor), ids=lambda f: f.name)

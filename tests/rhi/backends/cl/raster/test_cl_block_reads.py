@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import rhi
 from rhi import CullMode, Device, Format, SamplerDescriptor, TextureKind, Wrap
 from rhi.shading import (
     Shader,
@@ -57,12 +54,6 @@ class Reading(Shader):
         if self.places.is_filtered == 0:
             return self.image.load(ivec3(vec3(place, layer)))
         return self.image.sample_lod(vec3(place / vec2(self.image.size().xy), layer), 0.0)
-
-
-@pytest.fixture(scope="module")
-def device() -> Iterator[Device]:
-    with rhi.create_device("cl") as made:
-        yield made
 
 
 def show(device: Device, image: object, *, is_filtered: int, **places: tuple[float, float]) -> Floats:

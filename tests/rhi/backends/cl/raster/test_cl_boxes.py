@@ -99,12 +99,6 @@ class Shifted(Shader):
         return vec4(v.color, 1.0)
 
 
-@pytest.fixture(scope="module")
-def device() -> Iterator[Device]:
-    with rhi.create_device("cl") as made:
-        yield made
-
-
 @pytest.fixture
 def bounding_device(optimised_kernels: None) -> Iterator[Device]:
     """A device whose kernels keep bounds of depth."""

@@ -5,7 +5,6 @@ A window position is float32, rounded to 1/256 pixel; from there on coverage is 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -23,12 +22,6 @@ Floats = NDArray[np.float64]
 SIZE = (256, 256)  # powers of two: window positions are rounded once
 NEAR = 0.1
 FACES = np.array([(0, 4, 6, 2), (1, 3, 7, 5), (0, 1, 5, 4), (2, 6, 7, 3), (0, 2, 3, 1), (4, 5, 7, 6)])
-
-
-@pytest.fixture(scope="module")
-def device() -> Iterator[Device]:
-    with rhi.create_device("cl") as made:
-        yield made
 
 
 def project(points: Floats) -> Floats:

@@ -5,14 +5,12 @@ The facing of stencil tests, cuts by the near plane, samples, and the memory for
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import rhi
 from rhi import (
     BlendFunction,
     Comparison,
@@ -33,12 +31,6 @@ from rhi.conformance.shapes import corners, window_to_clip
 
 SIZE = (96, 80)  # four tiles
 TRIANGLE = [(3.3125, 4.4375), (5.6875, 70.1875), (87.5625, 18.3125)]
-
-
-@pytest.fixture(scope="module")
-def device() -> Iterator[Device]:
-    with rhi.create_device("cl") as made:
-        yield made
 
 
 def drawn(

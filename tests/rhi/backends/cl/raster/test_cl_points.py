@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import rhi
 from rhi import BlendFunction, Device, Format, Primitive, Scissor
 from rhi.conformance.compare import assert_same
 from rhi.conformance.shaders import Sized
@@ -17,12 +15,6 @@ from rhi.conformance.shapes import point_rows, point_square
 
 SIZE = (150, 90)  # six tiles, which the target's right and lower edges cut
 COUNT = 37  # two whole groups and a part of one
-
-
-@pytest.fixture(scope="module")
-def device() -> Iterator[Device]:
-    with rhi.create_device("cl") as made:
-        yield made
 
 
 def random_points(count: int) -> tuple[NDArray[Any], NDArray[Any]]:

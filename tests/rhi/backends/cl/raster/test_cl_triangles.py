@@ -3,8 +3,6 @@ scissors, depth bias, and bounds of depth."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 
@@ -16,12 +14,6 @@ from rhi.conformance.shapes import corners, rectangle
 from rhi.conformance.triangles import CUT, WHOLE, Family, examine, make_triangles
 
 SIZE = (64, 64)
-
-
-@pytest.fixture(scope="module")
-def device() -> Iterator[Device]:
-    with rhi.create_device("cl") as made:
-        yield made
 
 
 @pytest.mark.nightly

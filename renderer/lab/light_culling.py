@@ -13,9 +13,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
-from statistics import median
 from time import perf_counter
 from typing import Final
 
@@ -24,7 +23,7 @@ from numpy.typing import NDArray
 
 from renderer import rules
 from renderer.frame import DEPTH_FORMAT, Frame, Needs, Pass, Target
-from renderer.lab.measure.alternate import alternate
+from renderer.lab.comparison import Record, Subject, compare, kernels, middle, time
 from renderer.lights.culling.cells import CellGrid, block_cell, slice_start
 from renderer.lights.culling.grid import CellLists, LightGrid
 from renderer.lights.culling.sphere_tests import overlaps_exactly, overlaps_planes
@@ -45,37 +44,14 @@ _LIGHTS_AT_A_TIME = 16
 
 
 @dataclass(frozen=True, slots=True)
-class LightCullingRow:
-    """The result of a test for a number of lights.
+class ListMaker:
+    """The tests that make lists: the arguments of a `LightGrid`.
 
     Attributes:
         cones: the test of spot lights' cones, made where their spheres are kept; "sphere" makes none.
         depth_mask: whether 32 slices of a tile's depths are told apart.
         pre_filter: whether blocks of 8 × 8 tiles are tested first.
-        pairs: number of pairs of a cell and a light that were kept.
-        over_exact: `pairs` divided by the number of those that overlap.
-        missed: number of pairs that overlap and weren't kept; with cones or a mask, of lit pairs that weren't.
-        tests_made: number of tests of lights against cells and blocks.
-        collect_ms: median time from the upload of the lights until the lists are finished.
-        draw_ms: median time of drawing the scene by the lists, where its depth was drawn before.
     """
-
-    test: str
-    cones: str
-    depth_mask: bool
-    pre_filter: bool
-    lights: int
-    pairs: int
-    over_exact: float
-    missed: int
-    tests_made: int
-    collect_ms: float
-    draw_ms: float
-
-
-@dataclass(frozen=True, slots=True)
-class ListMaker:
-    """The tests that make lists: the arguments of a `LightGrid`."""
 
     test: str
     cones: str
@@ -100,14 +76,14 @@ class ListedForward:
     """Forward shading by the lists of a grid. Its last pass is timed: the device is finished before and after it.
 
     Attributes:
-        seconds: the time of the last pass of each frame.
+        seconds: the time of the last pass of the latest frame.
     """
 
     name: Final = "listed"
+    seconds: float
 
     def __init__(self, kind: Callable[[Device], LightGrid]) -> None:
         """`kind` makes the grid for a device."""
-        self.seconds: list[float] = []
         self._kind = kind
 
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
@@ -130,7 +106,7 @@ class ListedForward:
         began = perf_counter()
         draw_lit(frame, by_cells(self._kind), after_depth=True)
         frame.device.finish()
-        self.seconds.append(perf_counter() - began)
+        self.seconds = perf_counter() - began
 
 
 def choose_lights(lights: Lights, count: int) -> Lights:
@@ -162,9 +138,15 @@ def compare_light_culling(
     depth_masks: Sequence[bool] = (False,),
     rounds: int = 5,
     progress: Callable[[range], Iterable[int]] = lambda rounds: rounds,
-) -> list[LightCullingRow]:
+) -> list[Record]:
     """Return a row for each number of lights and each combination of tests: of spheres, of cones, with and without the
     depth mask and the pre-filter. The renderer's scene has other lights meanwhile.
+
+    A row has the tests, as `ListMaker` names them, and the number of `lights`; `pairs` of a cell and a light that were
+    kept, `over_exact`: these divided by the number of those that overlap, and `missed`: those that overlap and weren't
+    kept, or with cones or a mask, lit ones; `tests_made` of lights against cells and blocks; `collect_ms`, the median
+    time from the upload of the lights until the lists are finished, and `draw_ms` that of drawing the scene by them,
+    where its depth was drawn before; and which `kernels` drew.
 
     Raises:
         ValidationError `measure-few-lights`: the scene has fewer lights. `measure-no-pictures`: the device draws
@@ -213,14 +195,14 @@ def _compare_tests(
     drawn: Mapping[ListMaker, ListedForward],
     depth: NDArray[np.float32],
     rounds: Iterable[int],
-) -> list[LightCullingRow]:
+) -> list[Record]:
     """Return the rows of all tests for the lights that the renderer's scene has."""
     device, size = renderer.device, renderer.size
     renderer.technique = next(iter(drawn.values()))
     texture = renderer.render(camera).depth
     overlap: NDArray[np.bool_] | None = None
     lit: NDArray[np.bool_] | None = None
-    found = {}
+    found: dict[ListMaker, Record] = {}
     for one, grid in grids.items():
         lists = _collect_all(grid, camera, size, lights, texture)
         pairs = _as_pairs(lists, lights)
@@ -230,7 +212,13 @@ def _compare_tests(
         if one.depth_mask or one.cones != "sphere":
             lit = find_lit(grid.layout, camera, lights, depth) if lit is None else lit
             wanted = lit
-        found[one] = lists.pairs, int(np.count_nonzero(wanted & ~pairs)), lists.tests
+        found[one] = asdict(one) | {
+            "lights": len(lights.point) + len(lights.spot),
+            "pairs": lists.pairs,
+            "over_exact": round(lists.pairs / max(int(np.count_nonzero(overlap)), 1), 4),
+            "missed": int(np.count_nonzero(wanted & ~pairs)),
+            "tests_made": lists.tests or 0,
+        }
 
     def collect(grid: LightGrid, _: int) -> None:
         grid.collect(device, camera, size, lights, texture)
@@ -239,32 +227,21 @@ def _compare_tests(
     def draw(_: int) -> None:
         renderer.render(camera)
 
-    def exchange(name: str) -> None:
-        renderer.technique = techniques[name]
+    def exchange(technique: ListedForward) -> None:
+        renderer.technique = technique
 
-    numbers = list(rounds)
-    times = alternate({str(one): partial(collect, grid) for one, grid in grids.items()}, numbers)
-    techniques = {str(one): technique for one, technique in drawn.items()}
-    for technique in techniques.values():
-        technique.seconds.clear()
-    alternate(dict.fromkeys(techniques, draw), numbers, 3, before=exchange)
-    overlapping = 1 if overlap is None else max(int(np.count_nonzero(overlap)), 1)
-    return [
-        LightCullingRow(
-            test=one.test,
-            cones=one.cones,
-            depth_mask=one.depth_mask,
-            pre_filter=one.pre_filter,
-            lights=len(lights.point) + len(lights.spot),
-            pairs=pairs,
-            over_exact=round(pairs / overlapping, 4),
-            missed=missed,
-            tests_made=tests_made or 0,
-            collect_ms=round(1e3 * times[str(one)].median, 3),
-            draw_ms=round(1e3 * median(drawn[one].seconds[3:]), 3),
-        )
-        for one, (pairs, missed, tests_made) in found.items()
+    def count(technique: ListedForward) -> Record:
+        return {"draw_ms": technique.seconds}
+
+    collecting = [Subject(found[one], partial(collect, grid)) for one, grid in grids.items()]
+    drawing = [
+        Subject({}, draw, partial(exchange, one), partial(count, one), device)
+        for one in drawn.values()
     ]
+    numbers = list(rounds)
+    collected = compare(collecting, {"collect_ms": time()}, numbers)
+    shown = compare(drawing, {"draw_ms": middle(1e3), "kernels": kernels}, numbers, warm_ups=3)
+    return [one | other for one, other in zip(collected, shown, strict=True)]
 
 
 def find_lit(grid: CellGrid, camera: Camera, lights: Lights, depth: NDArray[np.float32]) -> NDArray[np.bool_]:
