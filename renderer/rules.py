@@ -227,6 +227,7 @@ OUT_OF_REACH: Final = Rule(
 NO_KNOBS: Final = Rule("accuracy-no-knobs", "none of these knobs matters for this scene and device")
 UNKNOWN_CASE: Final = Rule("exam-unknown-case", "the exam has no case of this number")
 NO_PICTURES: Final = Rule("measure-no-pictures", "a backend that draws no pictures has no passes to time")
+NO_SHADERS: Final = Rule("measure-no-shaders", "a device that runs no shaders stores no values")
 
 
 def describe(error: RhiError) -> str:

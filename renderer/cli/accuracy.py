@@ -13,12 +13,11 @@ import rhi
 from renderer import rules
 from renderer.cli import options
 from renderer.cli.accuracy_report import plot_all, write_images, write_page
-from renderer.cli.arguments import load_settings
+from renderer.cli.arguments import load_settings, open_scene
 from renderer.cli.executors import KINDS, make_executor
 from renderer.cli.options import option
-from renderer.cli.output import OutputError, note, prepare_image, show_progress
+from renderer.cli.output import OutputError, note, prepare_chart, show_progress
 from renderer.cli.subcommand import Subcommand
-from renderer.content import load_scene
 from renderer.lab.accuracy import (
     KNOBS,
     CheckedChoice,
@@ -81,9 +80,9 @@ def _run(given: argparse.Namespace) -> None:
     for name in given.knob:
         if name not in KNOBS:
             rules.refuse_name(rules.UNKNOWN_KNOB, "accuracy --knob", name, KNOBS)
-    scene = load_scene(given.scene)  # raises now, not in another process
+    scene = open_scene(given.scene)  # raises now, not in another process
     if given.plot is not None:
-        prepare_image(given.plot)
+        prepare_chart(given.plot)
     with rhi.create_device(given.backend) as device:
         backend = device.backend_name
     situation = Situation(

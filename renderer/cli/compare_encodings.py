@@ -11,7 +11,7 @@ from typing import Final
 
 from renderer.cli import options
 from renderer.cli.options import option
-from renderer.cli.output import draw_chart, note, open_working, prepare_image, show_progress
+from renderer.cli.output import draw_chart, note, open_working, prepare_chart, show_progress
 from renderer.cli.subcommand import Subcommand
 from renderer.lab.measure import format_table
 from renderer.lab.measure.encodings import ENCODINGS, EncodingRow, compare_encodings
@@ -37,7 +37,7 @@ _OPTIONS: Final = (
 
 
 def _run(given: argparse.Namespace) -> None:
-    path = prepare_image(given.plot) if given.plot else None
+    path = prepare_chart(given.plot) if given.plot else None
     with ExitStack() as made:
         devices = open_working(made, ("gl", "cl") if given.backend is None else (given.backend,))
         rows = compare_encodings(

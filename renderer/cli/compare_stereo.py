@@ -8,6 +8,7 @@ from typing import Final
 
 import rhi
 from renderer.cli import options
+from renderer.cli.arguments import open_scene
 from renderer.cli.comparison import ComparisonProgram, Report, describe, repeat
 from renderer.cli.options import option
 from renderer.cli.output import show_progress
@@ -33,7 +34,9 @@ _DEFAULT: Final = ("dubois", "color", "side_by_side", "color_reprojected")
 
 
 def _measure(given: argparse.Namespace) -> Report:
-    scenes = {has_shadows: _load(given.scene, has_shadows) for has_shadows in given.shadows}
+    first, *others = given.shadows
+    scenes = {first: _cast(open_scene(given.scene), first)}
+    scenes |= {has_shadows: _cast(load_scene(given.scene), has_shadows) for has_shadows in others}
     scene = next(iter(scenes.values()))
     path = find_path(given.camera_path, scene)
     width, height = given.sizes[0]
@@ -64,8 +67,7 @@ def _measure(given: argparse.Namespace) -> Report:
         return Report(about, list(rows), scene=scene)
 
 
-def _load(text: str, has_shadows: bool) -> Scene:
-    scene = load_scene(text)
+def _cast(scene: Scene, has_shadows: bool) -> Scene:
     lights = scene.lights
     if has_shadows:
         lights.cast_shadows()

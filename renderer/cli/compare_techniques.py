@@ -8,11 +8,12 @@ from typing import Any, Final
 
 import rhi
 from renderer.cli import options
-from renderer.cli.arguments import load_settings
+from renderer.cli.arguments import load_settings, open_scene
 from renderer.cli.comparison import ComparisonProgram, Report, describe, repeat
 from renderer.cli.output import show_progress
 from renderer.lab.comparison import Record
 from renderer.lab.techniques import compare_techniques
+from renderer.scene import Scene
 from renderer.techniques import TECHNIQUES
 
 _NOTES: Final = """\
@@ -56,7 +57,11 @@ def _measure(given: argparse.Namespace) -> Report:
     def rounds(numbers: range) -> Iterable[int]:
         return show_progress(numbers, len(numbers), "compare")
 
-    settings = load_settings(given)
+    def load(text: str) -> Scene:
+        scenes.append(open_scene(text))
+        return scenes[-1]
+
+    scenes, settings = list[Scene](), load_settings(given)
     with rhi.create_device(given.backend) as device:
         rows = compare_techniques(
             device,
@@ -70,9 +75,10 @@ def _measure(given: argparse.Namespace) -> Report:
             rounds=given.rounds,
             settings=settings,
             progress=rounds,
+            load=load,
         )
         about = describe(device) | repeat(given, "scene", "camera", "frame", "size", "rounds")
-        return Report(about, list(rows), f"{given.scene}, {about['device']}")
+        return Report(about, list(rows), f"{given.scene}, {about['device']}", scenes[-1])
 
 
 def plot_techniques(figure: Any, rows: Sequence[Record]) -> None:

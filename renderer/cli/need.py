@@ -54,15 +54,13 @@ _OPTIONS: Final = (
            choices=_RUNGS, metavar="NAME"),
     option("--backend", "time frames on this backend, too; may be repeated", [], "only counts", action="append",
            metavar="NAME"),
-    option("--rounds", "frames of each rung that are timed", 40, type=int, metavar="N"),
+    options.rounds("frames of each rung that are timed", 40),
     options.file("--output", "where the page and its picture go", "DIR"),
     *options.form("tables"),
 )  # fmt: skip
 
 
 def _run(given: argparse.Namespace) -> None:
-    if given.rounds < 1:
-        raise OutputError(f"--rounds: {given.rounds} is less than 1")
     numbers = find_rungs(given.rung)
     rows = count_need(show_progress(numbers, len(numbers), "counting"))
     for name in given.backend:

@@ -66,25 +66,24 @@ def name_of(scene: Scene) -> str:
     return Path(name).stem or "scene"
 
 
-def prepare_image(path: Path) -> Path:
-    """Check that an image can be written to `path`, before any work is done for it, and return `path`."""
-    if path.suffix.lower() not in Image.registered_extensions():
-        raise OutputError(f"--output: {path.name!r} has no known image extension; end it with .png")
+def prepare_image(path: Path, option: str = "--output") -> Path:
+    """Check that the image which an option names can be written, before any work is done for it; return `path`."""
+    return _prepare(path, option, "has no known image extension; end it with .png")
+
+
+def prepare_chart(path: Path) -> Path:
+    """Check that the chart which `--plot` names, a drawing or an image, can be written; return `path`."""
+    wrong = "is not the name of a chart: it has no known image extension; end it with .svg"
+    return _prepare(path, "--plot", wrong, ".svg", ".pdf")
+
+
+def _prepare(path: Path, option: str, wrong: str, *drawings: str) -> Path:
+    if path.suffix.lower() not in (*drawings, *Image.registered_extensions()):
+        raise OutputError(f"{option}: {path.name!r} {wrong}")
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.is_dir():
-        raise OutputError(f"--output: {path} is a folder; name a file in it")
+        raise OutputError(f"{option}: {path} is a folder; name a file in it")
     return path
-
-
-def prepare_chart(path: Path) -> None:
-    """Check that a chart can be written to `path`, a drawing or an image, before any work is done for it."""
-    if path.suffix.lower() not in (".svg", ".pdf", *Image.registered_extensions()):
-        raise OutputError(
-            f"--plot: {path.name!r} is not the name of a chart: it has no known image extension; end it with .svg"
-        )
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if path.is_dir():
-        raise OutputError(f"--plot: {path} is a folder; name a file in it")
 
 
 def write_image(path: Path, pixels: NDArray[Any]) -> None:

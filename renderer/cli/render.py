@@ -84,6 +84,8 @@ _OPTIONS: Final = (
 def _run(given: argparse.Namespace) -> None:
     if given.output is not None:
         prepare_image(given.output)
+    if given.holes is not None:
+        prepare_image(given.holes, "--holes")
     given.reproject = given.reproject or given.holes is not None
     settings = merge_settings(given)
     given.reproject = given.reproject or (settings.reprojects and given.stereo is not None)
@@ -198,7 +200,7 @@ def _report_holes(result: FrameResult, path: Path | None) -> int:
     if path is not None:
         pixels = right.targets.image.read()
         pixels[holes] = _MAGENTA
-        write_image(prepare_image(path), pixels)
+        write_image(path, pixels)
         note(f"wrote {path}: holes are magenta")
     return int(holes.sum())
 

@@ -18,7 +18,7 @@ from renderer.lab.comparison import Column, Frames, Record, Subject, compare, ke
 from renderer.lab.measure.light_evaluations import count_light_evaluations
 from renderer.lab.measure.plans import describe_plan
 from renderer.renderer import Renderer
-from renderer.scene import Camera
+from renderer.scene import Camera, Scene
 from renderer.settings import RenderSettings
 from renderer.techniques import Technique
 from rhi import Device, refuse
@@ -56,6 +56,7 @@ def compare_techniques(
     objects: Sequence[int | None] = (None,), lights: Sequence[int | None] = (None,),
     camera: str | None = None, frame: int = 0, rounds: int = 5, settings: RenderSettings | None = None,
     progress: Callable[[range], Iterable[int]] = lambda rounds: rounds,
+    load: Callable[[str], Scene] = load_scene,
 ) -> Iterator[Record]:  # fmt: skip
     """Yield a row for each number of objects, number of lights, and technique.
 
@@ -64,13 +65,14 @@ def compare_techniques(
         techniques: by the names of their rows. size: (width, height) of the image in pixels.
         camera, frame: as `parse_camera` reads them; by default the scene's first view.
         settings: all but the technique and the visibility algorithm, which is frustum culling.
+        load: makes a scene of its text.
 
     Raises:
         ValidationError `measure-fixed-scene`: the scene has no option for numbers that are given.
     """
     chosen = (settings or RenderSettings()).change("algorithm", "frustum")
     for varied in [vary_scene(text, count, number) for count in objects for number in lights]:
-        scene = load_scene(varied)
+        scene = load(varied)
         view = chosen.aim(parse_camera(camera or next(iter(scene.views)), scene, frame))
         with chosen.open(device, scene, size) as renderer:
             subjects = [_make_subject(renderer, name, one, view) for name, one in techniques.items()]

@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from renderer import rules
 from renderer.lab.measure.alternate import alternate
 from renderer.lab.measure.published_encodings import (
     decode_derivatives,
@@ -40,7 +41,7 @@ from renderer.shaders.encodings import (
 )
 from renderer.shaders.pixels import PixelRays, distance_at, nearness_of, place_pixel
 from renderer.techniques.parts.full_screen import find_rays
-from rhi import Device, Program
+from rhi import Device, Program, refuse
 from rhi.shading import (
     Precision,
     Shader,
@@ -290,7 +291,14 @@ def compare_encodings(
     rounds: int = 5,
     progress: Callable[[range], Iterable[int]] = lambda rounds: rounds,
 ) -> list[EncodingRow]:
-    """Return a row for each encoding, of `count` random values of the kind that it stores."""
+    """Return a row for each encoding, of `count` random values of the kind that it stores.
+
+    Raises:
+        ValidationError `measure-no-shaders`: a device runs no shaders.
+    """
+    for device in devices:
+        if not device.capabilities.shading:
+            refuse(rules.NO_SHADERS, "compare_encodings", device.backend_name)
     errors: dict[str, list[Floats]] = {one.name: [] for one in encodings}
     times: dict[str, dict[str, float]] = {one.name: {} for one in encodings}
     for device in devices:

@@ -175,6 +175,7 @@ def write_lines(path: Path) -> dict[str, object]:
     ["render", "lines.gltf"],
     ["capture", "lines.gltf", "--frames", "1", "--output", "lines.csv"],
     ["compare", "visibility", "lines.gltf", "--camera-path", "sky", "--frames", "1", "--algorithms", "none"],
+    ["compare", "techniques", "lines.gltf", "--rounds", "1", "--techniques", "forward"],
 ])  # fmt: skip
 def test_what_a_file_has_and_the_scene_has_not_is_listed(
     capsys: pytest.CaptureFixture[str], here: Path, command: list[str]
@@ -183,6 +184,15 @@ def test_what_a_file_has_and_the_scene_has_not_is_listed(
     main([*command, "--backend", "null", "--size", "64x36", "--json"])
     output = capsys.readouterr()
     assert "left out: lines (meshes[0].primitives[1])" in output.err.splitlines()
+    assert json.loads(output.out)["left_out"] == [listed]
+
+
+def test_comparing_eyes_lists_it_once(capsys: pytest.CaptureFixture[str], here: Path) -> None:
+    listed = write_lines(here / "lines.gltf")
+    shown = ["--camera-path", "sky", "--frame", "0", "--frames", "1", "--sizes", "64x36", "--stereo", "color"]
+    main(["compare", "stereo", "lines.gltf", "--backend", "null", "--shadows", "off,on", *shown, "--json"])
+    output = capsys.readouterr()
+    assert output.err.splitlines().count("left out: lines (meshes[0].primitives[1])") == 1
     assert json.loads(output.out)["left_out"] == [listed]
 
 
@@ -401,6 +411,11 @@ def test_the_technique_in_use_is_named_with_its_reason(
         assert main([command, "grid:mesh=box,count=9", *size, *arguments]) == 0
         report = json.loads(capsys.readouterr().out)
         assert (report["technique"], report["because"]) == (technique, because)
+
+
+def test_a_picture_of_what_a_frame_is_made_of_is_no_choice_of_a_technique(capsys: pytest.CaptureFixture[str]) -> None:
+    report = run_json(capsys, CITY, "--backend", "null", "--show", "normals")
+    assert (report["technique"], report["because"]) == ("normals", "is shown")
 
 
 @pytest.mark.usefixtures("gl")

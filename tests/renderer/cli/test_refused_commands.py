@@ -53,7 +53,10 @@ REFUSED = {
     f"{COMPARE} --algorithms frustum,magic": "'magic' is not an algorithm",
     f"{COMPARE} --camera-path grund": "did you mean 'ground'",
     f"{COMPARE} --frame 1798": "camera-frame-range",
-    f"{COMPARE} --plot chart.nothing": "has no known image extension",
+    **{f"{command} --plot chart.nothing": "--plot: 'chart.nothing'" for command in (
+        COMPARE, "compare techniques grid", "compare encodings", "compare backends grid", "accuracy grid"
+    )},
+    f"render {CITY} --stereo grey --holes holes.nothing --backend null": "--holes: 'holes.nothing'",
     f"{TUNE} --b 0:5": "--b",
     f"{TUNE} --b 9:5": "--b",
     f"{TUNE} --n x": "--n",
@@ -78,7 +81,8 @@ REFUSED = {
     "compare techniques grid --techniques foward --backend null": "'foward'",
     "compare techniques grid:count=4 --objects 4 --backend null": "count twice",
     "compare techniques grid --objects 0 --backend null": "not a whole number",
-    "need --rounds 0": "--rounds: 0 is less than 1",
+    "compare encodings --backend null": "measure-no-shaders",
+    "need --rounds 0": "--rounds: '0' is not a whole number of 1 or more",
     "need --rung fire": "invalid choice: 'fire'",
     **{f"accuracy city --budget-ms {ms}": "is not a number above 0" for ms in ("0", "-1", "nan", "inf", "much")},
     "view nowhere": "scene",
