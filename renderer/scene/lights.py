@@ -70,7 +70,7 @@ class RelativeLights:
 
 @dataclass(eq=False, slots=True)
 class Lights:
-    """All lights of a scene: added one by one or as arrays, read as arrays.
+    """The lights of a scene: added one by one or as arrays, read as arrays.
 
     Attributes:
         directional, point, spot: (k,) of `DIRECTIONAL`, `POINT`, `SPOT`; may be written to.

@@ -74,15 +74,15 @@ TEXTURES: Final = {
 
 
 class ShadingModel(IntEnum):
-    """How a material reflects light."""
+    """The model by which a material reflects light."""
 
     SPECULAR = 0
     METALLIC_ROUGHNESS = 1
 
 
 class AlphaMode(IntEnum):
-    """What a material's alpha means: nothing, a mask that is cut at `alpha_cutoff`, or how much of the surface covers
-    what is behind it."""
+    """The meaning of a material's alpha: nothing, a mask that is cut at `alpha_cutoff`, or the share by which the
+    surface covers what is behind it."""
 
     OPAQUE = 0
     MASK = 1

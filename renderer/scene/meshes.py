@@ -65,7 +65,7 @@ def list_attributes(format: np.dtype[Any]) -> frozenset[str]:
 
 @dataclass(frozen=True, eq=False, slots=True, weakref_slot=True)
 class MeshGeometry:
-    """One mesh: `vertices` (v,) of a `vertex_format` and `indices` (3 * triangles,) uint32, counter-clockwise from
+    """A mesh: `vertices` (v,) of a `vertex_format` and `indices` (3 * triangles,) uint32, counter-clockwise from
     outside."""
 
     vertices: NDArray[Any]
@@ -191,7 +191,7 @@ def compute_normals(positions: ArrayLike, indices: ArrayLike) -> Floats:
 
 
 class Meshes:
-    """All meshes of a scene, in shared arrays.
+    """The meshes of a scene, in shared arrays.
 
     Attributes:
         vertices: (v,) of a `vertex_format`, with the attributes that any mesh has.

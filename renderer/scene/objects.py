@@ -36,7 +36,7 @@ class Boxes:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Objects:
-    """All objects, one row each.
+    """The objects of a scene, one row each.
 
     Attributes:
         node, mesh, material: (n,) int32, rows of nodes, meshes and materials.
