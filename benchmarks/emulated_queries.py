@@ -15,9 +15,12 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 from typing import Any
 
 import numpy as np
+
+os.environ.setdefault("RHI_KERNELS", "optimised")  # what is measured is the speed of a long run
 
 import rhi
 from renderer.lab.measure import alternate, format_table

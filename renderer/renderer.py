@@ -196,7 +196,7 @@ class Renderer:
 
     @property
     def view(self) -> View:
-        """What the image is drawn from, with what techniques keep for it; with two eyes the left one."""
+        """The view that the image is drawn from, with what techniques keep for it; with two eyes the left one."""
         return self._view
 
     @property
@@ -220,7 +220,7 @@ class Renderer:
 
     @property
     def stereo(self) -> Stereo | None:
-        """How two eyes are drawn and shown, None for one. It may be exchanged between any two frames."""
+        """The settings of two eyes, None for one. It may be exchanged between any two frames."""
         return None if self._pair is None else self._pair.stereo
 
     @stereo.setter
@@ -251,7 +251,7 @@ class Renderer:
 
     @property
     def tessellator(self) -> Tessellator:
-        """What chooses the triangles of height fields; its `settings` may be exchanged between any two frames."""
+        """The tessellator of height fields; its `settings` may be exchanged between any two frames."""
         return self._resources.workspace(Tessellator)
 
     @property

@@ -29,7 +29,7 @@ from rhi.shading import Precision
 
 @dataclass(frozen=True, slots=True)
 class RenderSettings:
-    """How a scene is drawn.
+    """The settings of all parts of the renderer.
 
     Attributes:
         technique: what lights surfaces. algorithm: the name of what finds visible objects. visibility: its parameters.

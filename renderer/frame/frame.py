@@ -16,15 +16,15 @@ from renderer.frame.tones import find_light
 from renderer.frame.view import View
 from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Rows
+from renderer.scene.camera import is_parallel
 from renderer.visibility import VisibilityAlgorithm, VisibilityStatistics
-from renderer.visibility.boxes.bounds import is_parallel
 from rhi import Device, Program, Texture
 from rhi.shading import Precision, Shader
 
 
 @dataclass(eq=False, slots=True)
 class ViewRecord:
-    """What a view saw in one frame: the objects drawn, and the cost of finding them."""
+    """The record of a view in one frame: the objects drawn, and the cost of finding them."""
 
     drawn: Drawn
     statistics: VisibilityStatistics
@@ -32,7 +32,7 @@ class ViewRecord:
 
 @dataclass(eq=False, slots=True)
 class Frame:
-    """One frame, to be drawn once.
+    """A frame, to be drawn once.
 
     Attributes:
         view: what the image is seen from. resources: the scene on the device, up to date for this view.
@@ -57,12 +57,12 @@ class Frame:
 
     @property
     def image(self) -> Texture:
-        """What the technique draws to: the contents `needs.image`."""
+        """The texture that the technique draws to: the contents `needs.image`."""
         return self.targets[self.needs.image.name]
 
     @property
     def background(self) -> tuple[float, float, float, float]:
-        """What `image` is cleared to, as a colour or as light."""
+        """The value that `image` is cleared to, as a colour or as light."""
         color = self.resources.scene.background
         return (*find_light(color), 1.0) if Effect.GLOW in self.needs.effects else (*color, 1.0)
 
@@ -157,5 +157,5 @@ def sort_back_to_front(scene: Scene, camera: Camera, rows: Rows) -> Rows:
     parallel lens, from the plane of the eye. Objects at the same distance keep their order."""
     objects = scene.objects
     away = 0.5 * (objects.lower[rows] + objects.upper[rows]) - camera.position
-    distances = away @ camera.forward if is_parallel(camera) else np.einsum("ij,ij->i", away, away)
+    distances = away @ camera.forward if is_parallel(camera.projection) else np.einsum("ij,ij->i", away, away)
     return np.asarray(rows[np.argsort(-distances, kind="stable")])

@@ -45,7 +45,7 @@ Size = tuple[int, int]
 
 @dataclass(frozen=True, slots=True)
 class TextureSettings:
-    """How well textures are read. Their own samplers may ask for less of the first two, and for more anisotropy.
+    """Settings of the filtering of textures. Their own samplers may ask for less of the first two, and more anisotropy.
 
     Attributes:
         filter: whether texels are mixed with their neighbours.

@@ -27,7 +27,7 @@ from rhi import Format, refuse
 
 
 class Effect(Enum):
-    """What a scene may call for."""
+    """An effect that a scene may call for."""
 
     DIRECTIONAL_LIGHTS = "directional lights"
     POINT_LIGHTS = "point lights"
@@ -63,7 +63,7 @@ SHADOW_EFFECTS: Final = (Effect.SUN_SHADOWS, Effect.POINT_SHADOWS, Effect.SPOT_S
 
 
 class LampKind(NamedTuple):
-    """One of the kinds of lights that have a range: their rows in a scene's lights, and their shadows."""
+    """A kind of lights that have a range: their rows in a scene's lights, and their shadows."""
 
     find_rows: Callable[[Lights], NDArray[Any]]
     shadows: Effect
@@ -77,7 +77,7 @@ LAMPS: Final = {
 
 
 class Blending(Enum):
-    """How transparent surfaces that cover each other are put together."""
+    """The way in which transparent surfaces that cover each other are put together."""
 
     SORTED = "sorted"
     """Objects are drawn back to front, each over what is behind it."""
@@ -87,7 +87,7 @@ class Blending(Enum):
 
 @dataclass(frozen=True, slots=True)
 class GlowSettings:
-    """How exactly glow is made.
+    """Settings of the accuracy of glow.
 
     Attributes:
         levels: how often the light is halved in size; each level spreads it twice as far.
@@ -141,7 +141,7 @@ _NOUNS: Final = {
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Needs:
-    """What one frame needs.
+    """The effects that one frame needs, with their reasons.
 
     Attributes:
         effects: those that are needed. counts: of each effect, how many of its causes the scene has.

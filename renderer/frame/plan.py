@@ -103,7 +103,7 @@ class DroppedPass:
 
 @dataclass(frozen=True, slots=True)
 class Plan(Generic[F]):
-    """What a frame executes.
+    """The passes that a frame executes, in order.
 
     Attributes:
         passes: those that run, in their order.

@@ -51,7 +51,7 @@ class HeightField:
 
     @property
     def levels(self) -> int:
-        """How often a triangle can be bisected."""
+        """The number of times that a triangle can be bisected."""
         return 2 * (len(self.heights) - 1).bit_length() - 2
 
     @property

@@ -77,7 +77,7 @@ class FarDepth(Shader):
 
 @dataclass(frozen=True, slots=True)
 class MapReport:
-    """What became of a map in a frame.
+    """The report of a map in a frame: whether it was drawn, and why.
 
     Attributes:
         name: the light and the part of it. size: the width of the map in texels. casters: the objects in it.
@@ -156,7 +156,7 @@ class ShadowMaps:
 
     @property
     def reports(self) -> list[MapReport]:
-        """What became of each map of the last frame."""
+        """A report of each map of the last frame."""
         return [_make_report(*reported) for reported in self._reported]
 
     @property

@@ -10,7 +10,7 @@ from rhi import refuse
 
 
 class ShadowFilter(Enum):
-    """How many texels of a shadow map a point is compared with, and how."""
+    """The filter of shadow maps: the texels that a point is compared with, and their weights."""
 
     HARD = "hard"
     """The texel that holds the point: edges are texels."""
@@ -24,7 +24,7 @@ class ShadowFilter(Enum):
 
 @dataclass(frozen=True, slots=True)
 class ShadowSettings:
-    """What shadow maps look like and cost.
+    """Settings of shadow maps: their sizes, their filter and their bias.
 
     Attributes:
         filter: how edges are smoothed.

@@ -24,7 +24,7 @@ from rhi import Device, Encoder, Region, Texture, refuse
 
 @dataclass(frozen=True, slots=True)
 class Stereo:
-    """How a renderer draws two eyes and shows them.
+    """Settings of two eyes: their rig, and the image that shows both.
 
     Attributes:
         rig: where the eyes are. output: one of `OUTPUTS`.

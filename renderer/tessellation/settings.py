@@ -10,7 +10,7 @@ from rhi import refuse
 
 @dataclass(frozen=True, slots=True)
 class TessellationSettings:
-    """How small the triangles of height fields are.
+    """Settings of the size of height fields' triangles.
 
     Attributes:
         edge_pixels: the length in pixels that edges are split down to, where the heights are fine enough. In the middle

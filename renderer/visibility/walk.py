@@ -21,7 +21,7 @@ from renderer.visibility.boxes.forest import OUTSIDE, Forest
 
 
 class WalkOutcome(IntEnum):
-    """What became of a node or an object in a frame."""
+    """The fate of a node or an object in a frame."""
 
     OUTSIDE = 0
     """It was reached and culled, because it is outside the frustum."""

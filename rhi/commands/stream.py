@@ -75,7 +75,7 @@ def find_site(code: CodeType | None, offset: int) -> CallSite | None:
 
 
 class Command:
-    """One recorded call with its arguments: `command.op`, `command["count"]`, `command.site`.
+    """A recorded call with its arguments: `command.op`, `command["count"]`, `command.site`.
 
     Labels, states, program, bindings, resources and render pass are derived from the commands before it. They are
     available until the stream is cleared; afterwards they raise `command-cleared`.
@@ -290,7 +290,7 @@ PRINTED: Final = 1000
 
 
 class CommandStream(Commands):
-    """All commands that a `Recorder` has recorded, oldest first.
+    """The commands that a `Recorder` has recorded, oldest first.
 
     The stream grows as more commands are recorded; `stream[:]` selects those that it contains now.
 

@@ -70,7 +70,7 @@ class Access(enum.Enum):
 
 
 class BufferUsage(enum.Enum):
-    """How a buffer's contents change.
+    """The way in which a buffer's contents change.
 
     STATIC: written rarely. STREAM: ring memory. The CPU writes it only where the ring's fences guarantee that the GPU
     has finished reading, so a backend may map it and write without synchronisation. READBACK: the target of copies,
@@ -145,7 +145,7 @@ class Wrap(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class SamplerDescriptor:
-    """How a shader samples a texture.
+    """Filters, addressing and comparison with which a shader samples a texture.
 
     With `mip` None only level 0 is sampled; loads of single texels may still name any level. With `compare` it is a
     depth comparison sampler, which returns 1 where `reference compare texel` is true. A `border` is clamped to the
@@ -367,8 +367,8 @@ class FragmentOutput:
 
 
 class Interpolation(Choice):
-    """How a varying is interpolated: SMOOTH with perspective correction, FLAT from the first vertex, or NO_PERSPECTIVE,
-    linearly in screen space."""
+    """The interpolation of a varying: SMOOTH with perspective correction, FLAT from the first vertex, or
+    NO_PERSPECTIVE, linearly in screen space."""
 
     SMOOTH = "smooth"
     FLAT = "flat"

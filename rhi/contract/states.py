@@ -120,7 +120,7 @@ class AlphaToCoverage(Choice):
 
 
 class PolygonMode(Choice):
-    """How triangles are drawn: filled, or as their three edges (wireframe). LINE needs `capabilities.wireframe`.
+    """The drawing of triangles: filled, or as their three edges (wireframe). LINE needs `capabilities.wireframe`.
 
     An edge is a line of the `LineWidth`; triangles that share it draw it twice. Culling, the depth offset and flat
     varyings are those of the triangle. Some drivers test the edges of back faces by `StencilFront`.
@@ -219,7 +219,7 @@ class BlendFactor(Choice):
 
 
 class BlendOperation(Choice):
-    """How blending combines source and destination. MINIMUM and MAXIMUM ignore the factors."""
+    """The operation by which blending combines source and destination. MINIMUM and MAXIMUM ignore the factors."""
 
     ADD = "add"
     SUBTRACT = "subtract"
@@ -310,7 +310,7 @@ class BlendColor(_Value):
 
 
 class StencilOperation(Choice):
-    """How the stored stencil value changes. INCREMENT and DECREMENT saturate at 255 and 0."""
+    """The change of the stored stencil value. INCREMENT and DECREMENT saturate at 255 and 0."""
 
     KEEP = "keep"
     ZERO = "zero"

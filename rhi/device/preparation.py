@@ -30,7 +30,7 @@ _CALL = "device.prepare"
 
 @dataclass(frozen=True, slots=True)
 class DrawPlan:
-    """What is going to be drawn: an element of the list that `device.prepare` takes.
+    """A draw that is going to come: an element of the list that `device.prepare` takes.
 
     Attributes:
         program: the program.
@@ -64,7 +64,7 @@ class Preparation(Future[None]):
 
     @property
     def progress(self) -> tuple[int, int]:
-        """How many parts are finished, and of how many."""
+        """The number of finished parts, and that of all parts."""
         return self._finished, self._total
 
     def _count(self, part: Future[None]) -> None:

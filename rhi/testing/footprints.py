@@ -54,7 +54,7 @@ Part: TypeAlias = tuple[str, str]
 
 @dataclass(frozen=True)
 class Footprint:
-    """What belongs to an effect, in the terms of the interface. Names may have `*` for any characters.
+    """The resources, commands and labels that belong to an effect. Names may have `*` for any characters.
 
     Attributes:
         effect: the effect's name, for messages.
@@ -93,7 +93,7 @@ class Footprint:
 
     @property
     def parts(self) -> tuple[Part, ...]:
-        """All that the footprint declares: of what kind it is, and its name."""
+        """The declared parts, each with its kind and its name."""
         return (
             *(("program", _name(one)) for one in self.programs),
             *(("word", word) for word in self.words),

@@ -78,7 +78,7 @@ class Difference:
 
 
 class Differences(Sequence[Difference]):
-    """All differences in order; an empty one is false. Its text lists them under their labels."""
+    """The differences of two streams in order; an empty one is false. Its text lists them under their labels."""
 
     def __init__(self, items: list[Difference]) -> None:
         self._items = items

@@ -23,7 +23,7 @@ from rhi.shading import Precision
 
 
 class Unit(Enum):
-    """What an error is."""
+    """The unit of an error."""
 
     LEVELS = "levels of 255"
     """How far a pixel is from that of the truth: its worst channel, in sRGB."""
@@ -45,7 +45,7 @@ class Unit(Enum):
 
 
 class Demand(Enum):
-    """What a scene must have for a knob to matter."""
+    """The part of a scene without which a knob doesn't matter."""
 
     SHADOWS = "a light that may cast shadows"
     TRANSPARENCY = "a transparent object"
@@ -59,7 +59,7 @@ class Demand(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What a value is judged by: a picture of other settings, or what is found in another way.
+    """The reference that a value is judged by: a picture of other settings, or what is found in another way.
 
     Attributes:
         name: what it is, in a few words. changes: settings that its picture has instead of the value's.

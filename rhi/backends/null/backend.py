@@ -134,7 +134,7 @@ class NullBackend(CommandMethods):
 
     @property
     def statistics(self) -> ExecutionStatistics:
-        """What the device has executed so far; all commands sent are executed first."""
+        """Counts of the work that the device has executed so far; all commands sent are executed first."""
         self._run()
         executed, dropped, undecided = (self._draws[outcome] for outcome in DrawOutcome)
         time = self._executed * COMMAND_NANOSECONDS

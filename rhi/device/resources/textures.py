@@ -72,7 +72,7 @@ class Sampler:
 
 @dataclass(frozen=True, slots=True)
 class TextureTarget:
-    """One mip level and layer of a texture as the target of a render pass."""
+    """A mip level and layer of a texture, as the target of a render pass."""
 
     texture: Texture
     level: int = 0

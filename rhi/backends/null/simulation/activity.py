@@ -27,7 +27,7 @@ class Lane(enum.Enum):
 
 
 class Activity(enum.Enum):
-    """What a processor does. A value is its character in text and its color in a plot."""
+    """An activity of a processor. A value is its character in text and its color in a plot."""
 
     BUSY = ("█", "#3b76af")
     STALLED = ("░", "#d1605e")
@@ -61,7 +61,7 @@ class Span:
 
 @dataclass(frozen=True, slots=True)
 class FrameActivity:
-    """One frame, from one `present` to the next. Times are in nanoseconds.
+    """The activities of a frame, from one `present` to the next. Times are in nanoseconds.
 
     Attributes:
         start, presented: when the CPU began the frame, and when it presented it.

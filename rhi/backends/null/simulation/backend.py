@@ -189,7 +189,7 @@ class SimulatedBackend(NullBackend):
 
     @property
     def statistics(self) -> ExecutionStatistics:
-        """What the device has executed so far, with the simulated GPU's time."""
+        """Counts of the work that the device has executed so far, with the simulated GPU's time."""
         return replace(super().statistics, nanoseconds=self._gpu)
 
     # -- the CPU's side ------------------------------------------------------------------------------------
