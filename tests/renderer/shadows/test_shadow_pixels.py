@@ -390,6 +390,19 @@ def test_each_of_many_lamps_has_its_own_shadows(gl: rhi.Device, number: int) -> 
     assert (shown[1] == shown[0]).mean() > 0.3
 
 
+def test_a_spot_light_beside_point_lights_has_its_own_shadows(gl: rhi.Device) -> None:
+    shown = []
+    for points, casts in ((0, False), (0, True), (3, True)):
+        builder = lamp_scene(block=(0.0, -1.0, 0.0))
+        for _ in range(points):
+            builder.lights.add_point((3.0, 3.0, 3.0), 12.0, intensity=0.0, casts_shadow=True)
+        add_lamp(builder, "spot", (-0.6, 1.5, -0.4), casts=casts)
+        shown.append(render_lamps(gl, builder.build(), Camera.look_at((0, 3, 3), (0, -3, 0)), LAMPS))
+    plain, alone, beside = shown
+    assert (alone < plain - 8).any(-1).mean() > 0.03
+    assert np.array_equal(beside, alone)
+
+
 @pytest.mark.parametrize(("back_faces", "blocks"), [(False, False), (True, True)])
 def test_a_light_inside_a_closed_caster_shines_through_unless_back_faces_are_drawn(
     gl: rhi.Device, back_faces: bool, blocks: bool

@@ -8,7 +8,7 @@ import rhi
 from renderer.content import BUILT_IN
 from renderer.lab.measure.light_evaluations import Counted, count_light_evaluations
 from renderer.renderer import Renderer
-from renderer.scene import Camera, Scene, SceneBuilder, scaling, translation
+from renderer.scene import AlphaMode, Camera, Scene, SceneBuilder, scaling, translation
 from renderer.techniques import (
     TECHNIQUES,
     Clustered,
@@ -91,6 +91,16 @@ def test_a_light_of_an_object_behind_is_looked_at_if_it_is_drawn_first(gl: rhi.D
     scene = builder.build()
     assert count(gl, scene, Forward()) == count(gl, scene, Clustered()) == 2 * PIXELS
     assert count(gl, scene, Deferred()) == count(gl, scene, ForwardMultipass()) == PIXELS
+
+
+@pytest.mark.parametrize("make", [Forward, Clustered, ForwardMultipass])
+@pytest.mark.parametrize(("alpha", "each"), [(0.0, 0), (1.0, 1)])
+def test_what_a_mask_leaves_out_looks_at_no_light(
+    gl: rhi.Device, make: type[Forward], alpha: float, each: int
+) -> None:
+    scene = walls(5.0, points=1)
+    scene.materials["alpha_mode"], scene.materials["base_color"][:, 3] = AlphaMode.MASK, alpha
+    assert count(gl, scene, make()) == each * PIXELS
 
 
 @pytest.mark.parametrize(("points", "each"), [(8, 8), (9, 10)])
