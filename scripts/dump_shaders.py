@@ -72,11 +72,14 @@ def import_modules() -> None:
 
 
 def draw_frames() -> None:
-    """Draw a frame with each technique, for which the renderer composes shaders."""
+    """Draw a frame with each technique, for which the renderer composes shaders, and compose those of standard
+    depth."""
     from renderer.content import load_scene
     from renderer.renderer import Renderer
+    from renderer.scene import Depth
     from renderer.techniques import TECHNIQUES
     from renderer.visibility import FrustumCulling
+    from renderer.visibility.gpu.farthest_depth import of_direction
 
     scene = load_scene(_SCENE)
     camera = next(iter(scene.paths.values())).camera(0)
@@ -85,6 +88,10 @@ def draw_frames() -> None:
             culling = FrustumCulling(scene)
             with Renderer(device, scene, technique=technique(), size=(64, 36), visibility=culling) as renderer:
                 renderer.render(camera)
+    for shader in list(find_shaders().values()):
+        is_whole = hasattr(shader, "compute") or hasattr(shader, "fragment")
+        if is_whole and hasattr(shader, "is_reversed") and shader.__module__.startswith("renderer.visibility"):
+            of_direction(shader, Depth.STANDARD)
 
 
 def find_shaders() -> dict[str, type[Shader]]:

@@ -10,6 +10,7 @@ import importlib
 import logging
 import re
 import tokenize
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -190,3 +191,13 @@ def test_the_example_of_a_port_imports_the_contract_and_the_language_only() -> N
                 assert name.split(".")[0] != "rhi" or name in ("rhi.contract", "rhi.shading"), (
                     f"{path.name}: {name}"
                 )
+
+
+def test_each_package_that_an_extra_installs_is_used() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    needed = [*project["dependencies"], *project["optional-dependencies"]["renderer"]]
+    imported = "\n".join(path.read_text() for folder in ("rhi", "renderer") for path in (ROOT / folder).rglob("*.py"))
+    for requirement in needed:
+        name = re.split(r"[^\w-]", requirement)[0].replace("-", "_")
+        module = {"pillow": "PIL"}.get(name, name)
+        assert re.search(rf"^\s*(import|from) {module}\b", imported, re.MULTILINE), name

@@ -96,7 +96,7 @@ def compose(
     draw = ImageDraw.Draw(image)
     for place, (outcome, count) in enumerate(counts.items()):
         left = 6 + place * width // len(counts)
-        color = tuple(round(255 * channel ** (1.0 / 2.2)) for channel in COLORS[outcome])
+        color = tuple((255.0 * rhi.to_srgb(np.array(COLORS[outcome]))).round().astype(int).tolist())
         draw.rectangle((left, height + 6, left + 10, height + 16), fill=color)
         draw.text((left + 16, height + 5), f"{MEANINGS[outcome]}: {count:,}", fill=(230, 230, 230))
     return image

@@ -13,7 +13,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.cloth import Cloths, Fabric, Gust, Sheet, Wind, make_sheet
 from renderer.content import shapes
 from renderer.content.fountains import BOUNDS, Fountains, make_drops
 from renderer.content.specs import FOG, GLOW, SEED, SHADOWS, Generator, Option, add_air, cast_shadows
@@ -21,6 +20,7 @@ from renderer.content.textures import paint_stripes
 from renderer.scene.arrays import Floats, Rows
 from renderer.scene.camera import Camera, Perspective
 from renderer.scene.catching_up import Recompute
+from renderer.scene.cloth import Cloths, Fabric, Gust, Sheet, Wind, make_sheet
 from renderer.scene.meshes import MeshGeometry, make_geometry
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder

@@ -26,6 +26,7 @@ from renderer.scene.omissions import Omission
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
 from renderer.scene.transforms import is_affine, translation
+from rhi import from_srgb
 from rhi.errors import refuse
 
 if TYPE_CHECKING:
@@ -275,8 +276,7 @@ def _add_material(builder: SceneBuilder, mesh: Any) -> int:
         getattr(material, "diffuse", None) if material is not None else getattr(visual, "main_color", None)
     )
     color = np.ones(4) if given is None or texture >= 0 else _unit_range(given)
-    linear = np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4)
-    return builder.add_material(base_color=(*linear[:3], color[3]), texture=texture, rim_strength=0.1)
+    return builder.add_material(base_color=(*from_srgb(color[:3]), color[3]), texture=texture, rim_strength=0.1)
 
 
 def _pixels(image: Any) -> ImagePixels:

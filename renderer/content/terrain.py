@@ -22,6 +22,7 @@ from renderer.scene.meshes import MeshGeometry, join
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
 from renderer.scene.transforms import multiply, rotation, scaling, translation
+from rhi import to_srgb
 
 _SIZE: Final = 4096.0
 _PEAK: Final = 760.0
@@ -172,8 +173,7 @@ def _paint(field: HeightField, normals: Floats, seed: int) -> ImagePixels:
     color = _mix(color, np.array([0.02, 0.08, 0.09]), 1.0 - _ramp(heights, -14.0, 0.0))
     light = 0.42 + 0.58 * _find_sunlit(heights, _SIZE / n)
     linear = np.clip(color * (grain * light)[..., None], 0.0, 1.0)
-    srgb = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1.0 / 2.4) - 0.055)
-    return make_opaque(srgb)
+    return make_opaque(to_srgb(linear))
 
 
 def _mix(first: Floats, second: Floats, part: Floats) -> Floats:

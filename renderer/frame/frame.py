@@ -16,8 +16,8 @@ from renderer.frame.tones import find_light
 from renderer.frame.view import View
 from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Rows
+from renderer.scene.camera import is_parallel
 from renderer.visibility import VisibilityAlgorithm, VisibilityStatistics
-from renderer.visibility.boxes.bounds import is_parallel
 from rhi import Device, Program, Texture
 from rhi.shading import Precision, Shader
 
@@ -157,5 +157,5 @@ def sort_back_to_front(scene: Scene, camera: Camera, rows: Rows) -> Rows:
     parallel lens, from the plane of the eye. Objects at the same distance keep their order."""
     objects = scene.objects
     away = 0.5 * (objects.lower[rows] + objects.upper[rows]) - camera.position
-    distances = away @ camera.forward if is_parallel(camera) else np.einsum("ij,ij->i", away, away)
+    distances = away @ camera.forward if is_parallel(camera.projection) else np.einsum("ij,ij->i", away, away)
     return np.asarray(rows[np.argsort(-distances, kind="stable")])

@@ -234,6 +234,18 @@ class Camera:
         return replace(self, projection=self.projection.with_aspect(aspect))
 
 
+def is_parallel(lens: Projection) -> bool:
+    """Return whether a projection is parallel (orthographic)."""
+    return bool(lens.matrix[3, 3] != 0.0)
+
+
+def find_distance(matrix: Floats, depth: float) -> float:
+    """Return the distance along the view at which the matrix (4, 4) of a projection gives a clip depth; it may be
+    infinite."""
+    below = float(matrix[2, 2] - matrix[3, 2] * depth)
+    return float(matrix[2, 3] - matrix[3, 3] * depth) / below if below else np.inf
+
+
 def _check(call: str, value: object, fine: bool, allowed: str) -> None:
     if not fine:
         refuse(rules.BAD_CAMERA, call, value, allowed)

@@ -54,6 +54,7 @@ RELATIVE_SPOT: Final = np.dtype(
 """64 bytes, std430; positions relative to the eye."""
 
 _ROUNDED: Final = 2.0**-23  # of a unit vector's components in float32
+_AMOUNTS: Final = ("range", "color", "intensity")  # 0 or more
 _LARGEST: Final = float(np.finfo(np.float32).max)
 
 
@@ -98,13 +99,8 @@ class Lights:
         casts_shadow: bool = False,
     ) -> int:
         """Add light that travels along `direction`; returns its index."""
-        call = "add_directional"
-        light = np.zeros(1, DIRECTIONAL)
-        light["direction"] = _units(call, direction, 1)
-        _fill(light, call, color=color, intensity=intensity)
-        light["casts_shadow"] = casts_shadow
-        self.directional = np.concatenate([self.directional, light])
-        return len(self.directional) - 1
+        given: dict[str, ArrayLike] = {"direction": direction, "color": color, "intensity": intensity}
+        return int(self._add("directional", "add_directional", 1, casts_shadow, **given)[0])
 
     def add_point(
         self,
@@ -115,8 +111,8 @@ class Lights:
         casts_shadow: bool = False,
     ) -> int:
         """Add a point light, `position` and `range` in metres; returns its index."""
-        where = _numbers("add_point", "position", position, (1, 3))
-        return int(self._add_points("add_point", where, range, color, intensity, casts_shadow)[0])
+        given = {"position": position, "range": range, "color": color, "intensity": intensity}
+        return int(self._add("point", "add_point", 1, casts_shadow, **given)[0])
 
     def add_points(
         self,
@@ -130,23 +126,8 @@ class Lights:
 
         `range` and `intensity` are (k,) or one for all, `color` is (k, 3) or one for all.
         """
-        where = np.asarray(position, np.float64)
-        return self._add_points("add_points", where, range, color, intensity, casts_shadow)
-
-    def _add_points(
-        self,
-        call: str,
-        position: Floats,
-        range: ArrayLike,
-        color: ArrayLike,
-        intensity: ArrayLike,
-        casts_shadow: bool,
-    ) -> Rows:
-        lights = np.zeros(_count(call, position), POINT)
-        _fill(lights, call, position=position, range=range, color=color, intensity=intensity)
-        lights["casts_shadow"] = casts_shadow
-        self.point = np.concatenate([self.point, lights])
-        return np.arange(len(self.point) - len(lights), len(self.point))
+        given = {"position": position, "range": range, "color": color, "intensity": intensity}
+        return self._add("point", "add_points", _count("add_points", position), casts_shadow, **given)
 
     def add_spot(
         self,
@@ -160,11 +141,9 @@ class Lights:
         casts_shadow: bool = False,
     ) -> int:
         """Add a spot light with half angles 0 <= inner <= outer <= pi radians; returns its index."""
-        where = _numbers("add_spot", "position", position, (1, 3))
-        added = self._add_spots(
-            "add_spot", where, direction, range, inner, outer, color, intensity, casts_shadow
-        )
-        return int(added[0])
+        given = {"position": position, "range": range, "color": color, "intensity": intensity}
+        given |= {"direction": direction, "inner": inner, "outer": outer}
+        return int(self._add("spot", "add_spot", 1, casts_shadow, **given)[0])
 
     def add_spots(
         self,
@@ -181,36 +160,27 @@ class Lights:
 
         `direction` and `color` are (k, 3) or one for all, all else is (k,) or one for all.
         """
-        where = np.asarray(position, np.float64)
-        return self._add_spots(
-            "add_spots", where, direction, range, inner, outer, color, intensity, casts_shadow
-        )
+        given = {"position": position, "range": range, "color": color, "intensity": intensity}
+        given |= {"direction": direction, "inner": inner, "outer": outer}
+        return self._add("spot", "add_spots", _count("add_spots", position), casts_shadow, **given)
 
-    def _add_spots(
-        self,
-        call: str,
-        position: Floats,
-        direction: ArrayLike,
-        range: ArrayLike,
-        inner: ArrayLike,
-        outer: ArrayLike,
-        color: ArrayLike,
-        intensity: ArrayLike,
-        casts_shadow: bool,
-    ) -> Rows:
-        lights = np.zeros(_count(call, position), SPOT)
-        _fill(lights, call, position=position, range=range, color=color, intensity=intensity)
+    def _add(self, kind: str, call: str, count: int, casts_shadow: bool, **given: ArrayLike) -> Rows:
+        """Add lights of a kind, `count` of them, whose fields are `given` for each or once for all; return their
+        indices (count,)."""
+        before: NDArray[Any] = getattr(self, kind)
+        lights = np.zeros(count, before.dtype)
+        values = {name: _numbers(call, name, one, lights[name].shape) for name, one in given.items()}
+        if "inner" in values:
+            low, high = values["inner"], values["outer"]
+            allowed = (low >= 0.0) & (low <= high) & (high <= np.pi)
+            if not allowed.all():
+                shown = _describe(allowed, lambda row: f"inner={low[row]}, outer={high[row]}")
+                refuse(rules.BAD_LIGHT, call, shown, "0 <= inner <= outer <= pi")
+        for name, numbers in values.items():
+            lights[name] = _units(call, numbers) if name == "direction" else numbers
         lights["casts_shadow"] = casts_shadow
-        lights["direction"] = _units(call, direction, len(lights))
-        low = _numbers(call, "inner", inner, (len(lights),))
-        high = _numbers(call, "outer", outer, (len(lights),))
-        allowed = (low >= 0.0) & (low <= high) & (high <= np.pi)
-        if not allowed.all():
-            given = _describe(allowed, lambda row: f"inner={low[row]}, outer={high[row]}")
-            refuse(rules.BAD_LIGHT, call, given, "0 <= inner <= outer <= pi")
-        lights["inner"], lights["outer"] = low, high
-        self.spot = np.concatenate([self.spot, lights])
-        return np.arange(len(self.spot) - len(lights), len(self.spot))
+        setattr(self, kind, np.concatenate([before, lights]))
+        return np.arange(len(before), len(before) + count)
 
     def relative_to(self, eye: ArrayLike) -> RelativeLights:
         """Return all lights in float32, with positions relative to `eye` (3,), subtracted in float64."""
@@ -225,24 +195,17 @@ class Lights:
         return RelativeLights(self.directional.copy(), point, spot)
 
 
-def _count(call: str, position: Floats) -> int:
+def _count(call: str, position: ArrayLike) -> int:
     """Return the number of positions (k, 3)."""
-    if position.ndim != 2 or position.shape[1] != 3:
-        refuse(rules.BAD_LIGHT, f"{call}(position=...)", f"shape {position.shape}", "(k, 3)")
-    return len(position)
+    given = np.asarray(position, np.float64)
+    if given.ndim != 2 or given.shape[1] != 3:
+        refuse(rules.BAD_LIGHT, f"{call}(position=...)", f"shape {given.shape}", "(k, 3)")
+    return len(given)
 
 
-def _fill(lights: NDArray[Any], call: str, **values: ArrayLike) -> None:
-    """Set fields of `lights` (k,) to one value for each or one for all."""
-    for name, given in values.items():
-        least = -np.inf if name == "position" else 0.0
-        lights[name] = _numbers(call, name, given, lights[name].shape, least)
-
-
-def _numbers(
-    call: str, name: str, given: ArrayLike, shape: tuple[int, ...], least: float = -np.inf
-) -> Floats:
+def _numbers(call: str, name: str, given: ArrayLike, shape: tuple[int, ...]) -> Floats:
     """Return finite numbers of `shape`, (k,) or (k, 3), which are given for each light or once for all."""
+    least = 0.0 if name in _AMOUNTS else -np.inf
     values = np.asarray(given, np.float64)
     kind = "a finite number" if len(shape) == 1 else "three finite numbers"
     wanted = kind if least < 0.0 else f"{kind}, {least:g} or more"
@@ -256,9 +219,8 @@ def _numbers(
     return rows
 
 
-def _units(call: str, direction: ArrayLike, count: int) -> Floats:
-    """Return unit vectors (count, 3) along directions, which are given for each light or once for all."""
-    given = _numbers(call, "direction", direction, (count, 3))
+def _units(call: str, given: Floats) -> Floats:
+    """Return unit vectors (k, 3) along directions."""
     allowed = np.asarray(given.any(1))
     if not allowed.all():
         shown = _describe(allowed, lambda row: f"{given[row]}")

@@ -146,6 +146,15 @@ RANGES: Final = {
 }
 """The least and the greatest value of each number of a material."""
 
+_SPECULAR: Final[dict[str, Any]] = {
+    "specular_color": (0.04, 0.04, 0.04),
+    "shininess": 32.0,
+    "rim_strength": 0.0,
+    "rim_power": 4.0,
+    "emission": 0.0,
+}
+"""The parameters that only the specular model has, and what they are by default."""
+
 
 def make_material(
     base_color: Sequence[float] = (0.8, 0.8, 0.8, 1.0),
@@ -180,50 +189,24 @@ def make_material(
         emission: emitted light, as a multiple of the base colour.
         emissive: emitted light of a colour of its own, of any strength; multiplied with its texture.
     """
-    blinn = {
-        "specular_color": specular_color,
-        "shininess": shininess,
-        "rim_strength": rim_strength,
-        "rim_power": rim_power,
-        "emission": emission,
-    }
+    given = dict(locals())
     is_metallic = metallic is not None or roughness is not None or metallic_roughness_texture != -1
-    mixed = [name for name, value in blinn.items() if value is not None]
+    mixed = [name for name in _SPECULAR if given[name] is not None]
     if is_metallic and mixed:
-        given = f"{mixed[0]} of the specular model beside the metallic-roughness model"
-        refuse(rules.BAD_MATERIAL, "make_material", given, "parameters of one model")
-    defaults = {
-        "specular_color": (0.04, 0.04, 0.04),
-        "shininess": 32.0,
-        "rim_strength": 0.0,
-        "rim_power": 4.0,
-        "emission": 0.0,
-    }
-    values: dict[str, object] = {
-        "base_color": (*base_color, 1.0) if len(base_color) == 3 else tuple(base_color),
-        **{name: defaults[name] if value is None else value for name, value in blinn.items()},
-        "emissive": tuple(emissive),
-        "metallic": (1.0 if metallic is None else metallic) if is_metallic else 0.0,
-        "roughness": 1.0 if roughness is None else roughness,
-        "normal_scale": normal_scale,
-        "occlusion_strength": occlusion_strength,
-        "alpha_cutoff": alpha_cutoff,
-    }
+        refused = f"{mixed[0]} of the specular model beside the metallic-roughness model"
+        refuse(rules.BAD_MATERIAL, "make_material", refused, "parameters of one model")
+    given["base_color"] = (*base_color, 1.0) if len(base_color) == 3 else tuple(base_color)
     material = np.zeros((), MATERIAL)
-    for name, value in values.items():
-        low, high = RANGES[name]
+    for name, (low, high) in RANGES.items():
+        value = given[name]
+        if value is None:
+            value = float(is_metallic) if name == "metallic" else _SPECULAR.get(name, 1.0)
         array = np.asarray(value, np.float64)
         if array.shape != MATERIAL[name].shape or not ((array >= low) & (array <= high)).all():
             refuse(rules.BAD_MATERIAL, f"make_material({name}=...)", value, f"{low:g} to {high:g}")
         material[name] = array
-    textures = {
-        "texture": texture,
-        "emissive_texture": emissive_texture,
-        "metallic_roughness_texture": metallic_roughness_texture,
-        "normal_texture": normal_texture,
-        "occlusion_texture": occlusion_texture,
-    }
-    for name, row in textures.items():
+    for name in TEXTURES:
+        row = given[name]
         if row < -1:
             refuse(rules.BAD_MATERIAL, f"make_material({name}=...)", row, "-1 or a texture's row")
         material[name] = row

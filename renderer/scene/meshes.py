@@ -99,13 +99,6 @@ class MeshGeometry:
         return position.min(0).astype(np.float64), position.max(0).astype(np.float64)
 
     @property
-    def radius(self) -> float:
-        """The radius of the sphere around the centre of the bounding box that holds all vertices."""
-        lower, upper = self.bounds
-        away = self.vertices["position"] - 0.5 * (lower + upper)
-        return float(np.sqrt(np.einsum("ij,ij->i", away, away).max()))
-
-    @property
     def attributes(self) -> frozenset[str]:
         """The names of the vertices' attributes besides those of `VERTEX`."""
         return list_attributes(self.vertices.dtype)
@@ -204,7 +197,7 @@ class Meshes:
         vertices: (v,) of a `vertex_format`, with the attributes that any mesh has.
         indices: (i,) uint32, relative to each mesh's base vertex.
         ranges: (m,) of `RANGE`.
-        lower, upper: (m, 3) float64, local bounds. radius: (m,) of the spheres around their centres.
+        lower, upper: (m, 3) float64, local bounds.
         names: the names of the meshes, m of them.
     """
 
@@ -233,12 +226,8 @@ class Meshes:
         corners = corners.reshape(count, 2, 3)
         self.lower: Floats = corners[:, 0]
         self.upper: Floats = corners[:, 1]
-        half = 0.5 * np.linalg.norm(self.upper - self.lower, axis=1)
-        self.radius: Floats = np.array(
-            [h if own else g.radius for h, own, g in zip(half, fixed, geometries, strict=True)]
-        )
         self.names: tuple[str, ...] = tuple(names)
-        for array in (self.vertices, self.indices, self.ranges, self.lower, self.upper, self.radius):
+        for array in (self.vertices, self.indices, self.ranges, self.lower, self.upper):
             array.flags.writeable = False
 
     def __len__(self) -> int:

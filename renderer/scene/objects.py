@@ -20,13 +20,11 @@ from renderer.scene.transforms import transform_bounds
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Boxes:
-    """Boxes, one for each object: `lower` and `upper` (n, 3) in the space of `node` (n,), -1 for the world, and the
-    `radius` (n,) of the sphere around the centre that holds the object."""
+    """Boxes, one for each object: `lower` and `upper` (n, 3) in the space of `node` (n,), -1 for the world."""
 
     node: Rows
     lower: Floats
     upper: Floats
-    radius: Floats
 
     def place(self, nodes: Nodes, rows: Rows) -> Floats:
         """Return the transforms (k, 4, 4) from the spaces of the boxes `rows` (k,) to the world."""
@@ -110,11 +108,9 @@ def make_objects(
         above = nodes.parents[at].astype(np.int64)
         rows, at = rows[above >= 0], above[above >= 0]
     declared = np.flatnonzero((nearest >= 0) & is_bounded)
-    boxes = Boxes(node.astype(np.int64), meshes.lower[mesh], meshes.upper[mesh], meshes.radius[mesh])
+    boxes = Boxes(node.astype(np.int64), meshes.lower[mesh], meshes.upper[mesh])
     boxes.node[declared] = anchor[declared]
     boxes.lower[declared], boxes.upper[declared] = lower[nearest[declared]], upper[nearest[declared]]
-    size = boxes.upper[declared] - boxes.lower[declared]
-    boxes.radius[declared] = 0.5 * np.linalg.norm(size, axis=1)
 
     dynamic, simulated = nodes.dynamic[node], np.zeros(len(node), bool)
     simulated[deformed] = simulated[declared] = True

@@ -23,7 +23,15 @@ from numpy.typing import ArrayLike
 
 from renderer import rules
 from renderer.scene.arrays import Floats
-from renderer.scene.camera import Camera, Depth, Orthographic, Perspective, Projection
+from renderer.scene.camera import (
+    Camera,
+    Depth,
+    Orthographic,
+    Perspective,
+    Projection,
+    find_distance,
+    is_parallel,
+)
 from rhi.errors import refuse
 
 NATURAL_DISTANCE: Final = 0.063
@@ -94,7 +102,7 @@ class StereoRig:
             given = f"{nearest} to {farthest}"
             refuse(rules.BAD_STEREO, "StereoRig.comfortable(nearest, farthest)", given, "above 0, ascending")
         scale = float(lens.matrix[0, 0])
-        if _is_parallel(lens):
+        if is_parallel(lens):
             convergence = 0.5 * (nearest + farthest)
             spread = scale * (farthest - nearest) / convergence
         else:
@@ -137,13 +145,13 @@ class StereoRig:
         camera = Camera(np.zeros(3), np.eye(3), lens)
         eyes = self.place_eyes(camera)
         nearest, farthest = (1.0, 0.0) if lens.depth is Depth.REVERSED else (0.0, 1.0)
-        end_of_view = _find_distance(lens.matrix, farthest)
+        end_of_view = find_distance(lens.matrix, farthest)
         has_far = bool(np.isfinite(end_of_view))
-        begin_of_view = _find_distance(lens.matrix, nearest)
+        begin_of_view = find_distance(lens.matrix, nearest)
         near = np.concatenate([_find_corners(camera, eye, begin_of_view) for eye in eyes])
         far = np.concatenate([_find_corners(camera, eye, end_of_view) for eye in eyes]) if has_far else near
         widened = 1.0 + _MARGIN
-        if _is_parallel(lens):
+        if is_parallel(lens):
             ends = np.concatenate([near, far])
             (half, high), back = np.abs(ends[:, :2]).max(axis=0) * widened, 0.0
             begin, end = ends[:, 2].min(), ends[:, 2].max()
@@ -173,7 +181,7 @@ class StereoRig:
         in the left one's, in units of half the image's width; for eyes that aren't toed in."""
         z = np.asarray(distance, np.float64)
         scale = float(lens.matrix[0, 0]) * self.eye_distance
-        if _is_parallel(lens):
+        if is_parallel(lens):
             return np.asarray(scale * (z / self.convergence - 1.0))
         return np.asarray(scale * (1.0 / self.convergence - 1.0 / z))
 
@@ -204,13 +212,3 @@ def _find_corners(camera: Camera, eye: Camera, distance: float) -> Floats:
     points[:, :2] = (clip + m[:2, 2] * distance - m[:2, 3]) / m[[0, 1], [0, 1]]
     seen = points @ eye.rotation + (eye.position - camera.position)
     return np.asarray(seen @ camera.rotation.T * _AHEAD)
-
-
-def _find_distance(matrix: Floats, depth: float) -> float:
-    """Return the distance along the view at which a lens gives a clip depth; it may be infinite."""
-    below = float(matrix[2, 2] - matrix[3, 2] * depth)
-    return float(matrix[2, 3] - matrix[3, 3] * depth) / below if below else np.inf
-
-
-def _is_parallel(lens: Projection) -> bool:
-    return bool(lens.matrix[3, 3] != 0.0)

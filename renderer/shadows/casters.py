@@ -17,7 +17,7 @@ from renderer.scene import AlphaMode, Camera, Scene
 from renderer.scene.arrays import Floats, Rows
 from renderer.shadows.cascades import Cascade
 from renderer.shadows.lamps import find_shadow_boxes, pair_by_light
-from renderer.visibility.boxes.volumes import AlignedBoxes, Containment, classify
+from renderer.visibility.boxes.volumes import Containment, classify
 
 _MARGIN = 1e-9  # by which boxes are too large, relative to their coordinates
 
@@ -140,6 +140,6 @@ def turn_boxes(scene: Scene, rows: Rows, axes: Floats) -> tuple[Floats, Floats]:
 def find_shading(scene: Scene, rows: Rows, light: Any, cameras: Sequence[Camera]) -> Rows:
     """Return those of the objects `rows` whose shadows, of a point or spot light, may be in one of the views."""
     objects, position, reach = scene.objects, light["position"], float(light["range"])
-    boxes = AlignedBoxes(*find_shadow_boxes(objects.lower[rows], objects.upper[rows], position, reach))
-    seen = [classify(camera.frustum.planes, boxes) != Containment.OUTSIDE for camera in cameras]
+    boxes = find_shadow_boxes(objects.lower[rows], objects.upper[rows], position, reach)
+    seen = [classify(camera.frustum.planes, *boxes) != Containment.OUTSIDE for camera in cameras]
     return rows.take(np.flatnonzero(np.any(seen, axis=0)))

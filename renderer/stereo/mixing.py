@@ -16,7 +16,7 @@ import numpy as np
 from renderer.stereo.outputs import ANAGLYPHS
 from renderer.stereo.words import Words
 from renderer.visibility.repeated import RepeatedCommands, copy
-from rhi import Device, Encoder, Texture
+from rhi import Device, Encoder, Texture, from_srgb, to_srgb
 from rhi.shading import (
     Shader,
     Storage,
@@ -110,9 +110,8 @@ class Mixer:
         with ExitStack() as made:
             nothing = Mixture(size=(0, 0), even=0, odd=0, left=zeros, right=zeros)
             self._mixture = made.enter_context(device.uniform(nothing))
-            encoded, light = np.arange(256) / 255.0, np.arange(_STEPS) / (_STEPS - 1.0)
-            decoded = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
-            levels = 255.0 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1.0 / 2.4) - 0.055)
+            decoded = from_srgb(np.arange(256) / 255.0)
+            levels = 255.0 * to_srgb(np.arange(_STEPS) / (_STEPS - 1.0))
             self._light = made.enter_context(device.storage(float, decoded.astype(np.float32), label="light"))
             self._levels = made.enter_context(
                 device.storage(uint, np.round(levels).astype(np.uint32), label="levels")

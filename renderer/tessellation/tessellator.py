@@ -14,6 +14,7 @@ import numpy as np
 from renderer.frame import Effect, Frame, Needs, Pass, SceneResources
 from renderer.scene import Camera, HeightField
 from renderer.scene.arrays import Floats
+from renderer.scene.camera import is_parallel
 from renderer.tessellation.kernels import (
     COUNTERS,
     GROUP,
@@ -29,7 +30,6 @@ from renderer.tessellation.kernels import (
     Level,
 )
 from renderer.tessellation.settings import TessellationSettings
-from renderer.visibility.boxes.bounds import is_parallel
 from renderer.visibility.repeated import RepeatedCommands
 from rhi import Device, Encoder, Readback
 from rhi.shading import uint
@@ -198,7 +198,7 @@ def view_field(world: Floats, camera: Camera, settings: TessellationSettings, he
     inside[:, 3] = -1.0
     inside[: len(planes), :3] = planes[:, :3] @ linear / most
     inside[: len(planes), 3] = -(planes[:, :3] @ offset + ends) / most
-    if is_parallel(camera):
+    if is_parallel(camera.projection):
         return FieldView(
             depth=(0.0, 0.0, 0.0, -1.0),
             eye=(0.0, 0.0, 0.0),

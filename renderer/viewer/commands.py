@@ -1,138 +1,240 @@
-"""Commands: what a viewer can be told, in one table, by keys, the console, script files and a socket alike.
-
-A command is a line of words: a name and arguments. Faults are refused in a sentence that names the nearest words.
-"""
+"""The commands of a stage: what draws it, where the camera is, and what is written to files."""
 
 from __future__ import annotations
 
-import shlex
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
-from difflib import get_close_matches
-from typing import Any, Final, NoReturn
+from collections.abc import Callable, Iterable, Sequence
+from math import inf
+from pathlib import Path
+from typing import Any, Final
+
+from PIL import Image
 
 from renderer import rules
-from rhi.errors import Rule, refuse
+from renderer.content import find_path, parse_camera
+from renderer.frame import Blending
+from renderer.stereo import OUTPUTS
+from renderer.techniques import TECHNIQUES, AutoTechnique
+from renderer.viewer.command_table import Parameter, ViewerCommand
+from renderer.viewer.controllers import Fly, Orbit
+from renderer.viewer.look import SHADOWS
+from renderer.viewer.stage import ViewerStage
+from renderer.visibility import list_algorithms
+from rhi.errors import refuse
 
-_FEW: Final = 4  # words that are named even if none is near
-
-Words = Callable[[], Iterable[str]]
-
-
-@dataclass(frozen=True, slots=True)
-class Parameter:
-    """An argument of a command.
-
-    Attributes:
-        name: the word for it in the help. parse: makes its value of a word, or raises ValueError.
-        words: the words that are known, for completion; if `is_closed`, no others are allowed.
-        is_optional: whether it may be left out; all after it may be left out, too.
-    """
-
-    name: str
-    parse: Callable[[str], Any] = str
-    words: Words | None = None
-    is_closed: bool = False
-    is_optional: bool = False
-
-    def read(self, call: str, word: str) -> Any:
-        """Return the value of a word."""
-        if self.words is not None and self.is_closed and word not in (known := list(self.words())):
-            refuse_word(rules.BAD_ARGUMENT, call, word, known)
-        try:
-            return self.parse(word)
-        except ValueError:
-            refuse(rules.BAD_ARGUMENT, call, word, self.name)
+NEXT: Final = "next"
+"""The word for the choice after the present one."""
+_SPEED: Final = 1.5  # how many times as fast a step is
 
 
-@dataclass(frozen=True, slots=True)
-class ViewerCommand:
-    """A thing that a viewer can be told.
-
-    Attributes:
-        name: the first word. summary: a sentence for the help.
-        run: does it, given the values of the parameters, and returns what it has to say.
-    """
-
-    name: str
-    summary: str
-    run: Callable[..., str]
-    parameters: tuple[Parameter, ...] = ()
-
-    @property
-    def usage(self) -> str:
-        """The command as it is written, such as `camera NAME`; what may be left out is in brackets."""
-        words = [f"[{one.name}]" if one.is_optional else one.name for one in self.parameters]
-        return " ".join([self.name, *words])
+def make_commands(stage: ViewerStage) -> Iterable[ViewerCommand]:
+    """Return the commands of a stage."""
+    return [*_looks(stage), *_cameras(stage), *_files(stage)]
 
 
-class CommandTable:
-    """All commands, by name."""
-
-    def __init__(self, commands: Iterable[ViewerCommand]) -> None:
-        self._commands: Final = {command.name: command for command in commands}
-
-    def __iter__(self) -> Iterator[ViewerCommand]:
-        """Iterate over the commands, in the order of the help."""
-        return iter(self._commands.values())
-
-    def __getitem__(self, name: str) -> ViewerCommand:
-        """Return the command of this name, or refuse it with the nearest one."""
-        if name not in self._commands:
-            refuse_word(rules.UNKNOWN_COMMAND, "command", name, self._commands)
-        return self._commands[name]
-
-    def run(self, line: str) -> str:
-        """Run a line and return what it says. An empty one, or a comment that begins with #, does nothing.
-
-        Raises:
-            ValidationError: `viewer-unknown-command` or `viewer-bad-argument`, or what the command refuses.
-        """
-        words = split_line(line)
-        if not words:
-            return ""
-        command, given = self[words[0]], words[1:]
-        most = len(command.parameters)
-        least = sum(not one.is_optional for one in command.parameters)
-        if not least <= len(given) <= most:
-            refuse(rules.BAD_ARGUMENT, command.name, f"{len(given)} arguments", command.usage)
-        values = [one.read(command.name, word) for one, word in zip(command.parameters, given, strict=False)]
-        return command.run(*values)
-
-    def complete(self, line: str) -> list[str]:
-        """Return the words that may end `line`: its last word is their beginning."""
-        before, _, begun = line.rpartition(" ")
-        words = before.split()
-        if not words:
-            return sorted(name for name in self._commands if name.startswith(begun))
-        command = self._commands.get(words[0])
-        number = len(words) - 1
-        if command is None or number >= len(command.parameters):
-            return []
-        known = command.parameters[number].words
-        return sorted({word for word in known() if word.startswith(begun)}) if known is not None else []
+def _looks(stage: ViewerStage) -> Iterable[ViewerCommand]:
+    """The commands that change what draws the frames."""
+    yield _choice(stage, "technique", "draw the scene like this", lambda: [AutoTechnique.name, *TECHNIQUES])
+    algorithms = lambda: list_algorithms(stage.renderer.device)  # noqa: E731
+    yield _choice(stage, "visibility", "let this decide which objects are drawn", algorithms)
+    yield _choice(stage, "show", "show the image, or what the frame is made of", stage.list_contents)
+    yield _choice(stage, "shadows", "let the scene decide which lights cast shadows, or all, or none", lambda: SHADOWS)
+    blendings = [one.value for one in Blending]
+    yield _choice(stage, "blending", "put transparent surfaces together like this", lambda: blendings)
+    outputs = {"off": None} | {name: name for name in OUTPUTS}
+    yield _choice(stage, "stereo", "draw two eyes and show them like this", lambda: outputs, outputs.__getitem__)
+    samples = {str(count): count for count in stage.renderer.device.capabilities.sample_counts}
+    yield _choice(stage, "samples", "draw samples in each pixel", lambda: samples, samples.__getitem__)
+    yield _entry(stage, "fxaa", "smooth edges")
+    yield _entry(stage, "overlay", "draw times, counters and the culling over the picture")
+    yield _entry(stage, "particles", "draw the drops of fountains as particles")
 
 
-def refuse_word(rule: Rule, call: str, word: str, known: Iterable[str]) -> NoReturn:
-    """Refuse a word, naming those that are near to it; Tab lists the others."""
-    known = list(known)
-    near = get_close_matches(word.lower(), known, n=3, cutoff=0.5) or (known if len(known) <= _FEW else [])
-    refuse(rule, call, word, "", f"did you mean {' or '.join(near)}?" if near else "")
+def _cameras(stage: ViewerStage) -> Iterable[ViewerCommand]:
+    """The commands that move the camera."""
+
+    def places() -> Sequence[str]:
+        return [*stage.scene.views, *stage.scene.paths]
+
+    def camera(name: str, frame: int = 0) -> str:
+        stage.camera = parse_camera(name, stage.scene, frame)
+        return ""
+
+    number = Parameter("FRAME", parse_number, is_optional=True)
+    yield ViewerCommand(
+        "camera",
+        "go to a view, a frame of a path, or x,y,z[,x,y,z]: a place and what to look at",
+        camera,
+        (Parameter("CAMERA", words=places), number),
+    )
+
+    def drive(name: str = NEXT) -> str:
+        names = (Fly.name, Orbit.name)
+        stage.drive(_after(names, stage.controller.name) if name == NEXT else name)
+        return stage.controller.name
+
+    drives = Parameter("HOW", words=lambda: (Fly.name, Orbit.name, NEXT), is_closed=True, is_optional=True)
+    yield ViewerCommand("drive", "fly freely, or orbit around what was picked or is in the middle", drive, (drives,))
+
+    def speed(text: str | None = None) -> str:
+        factor = {"faster": _SPEED, "slower": 1.0 / _SPEED}.get(text or "")
+        if factor is not None:
+            stage.controller.speed = min(max(stage.controller.speed * factor, 1e-6), 1e9)
+        elif text is not None:
+            stage.controller.speed = _read("speed", text, parse_positive)
+        return f"{stage.controller.speed:.3g} m/s"
+
+    speeds = Parameter("M/S", words=lambda: ("faster", "slower"), is_optional=True)
+    yield ViewerCommand("speed", "move this fast, or faster, or slower", speed, (speeds,))
+
+    def play(name: str | None = None) -> str:
+        stage.play(None if name is None else find_path(name, stage.scene), name or "latest recording")
+        return ""
+
+    paths = Parameter("PATH", words=lambda: stage.scene.paths, is_optional=True)
+    yield ViewerCommand("play", "show a path, a recording (.json), or the latest recording", play, (paths,))
+
+    def time(seconds: float | None = None) -> str:
+        if seconds is not None:
+            stage.seconds = seconds
+        return f"{stage.seconds:.2f} s"
+
+    yield ViewerCommand("time", "set the scene's time", time, (Parameter("SECONDS", parse_seconds, is_optional=True),))
+    yield _pause(stage)
 
 
-def split_line(line: str) -> list[str]:
-    """Return the words of a line, with quotes as in a shell; none of a comment."""
+def _files(stage: ViewerStage) -> Iterable[ViewerCommand]:
+    """The commands that read and write files."""
+
+    def screenshot(path: Path | None = None) -> str:
+        path = path or find_free(stage, ".png")
+        if path.suffix.lower() not in Image.registered_extensions():
+            refuse(rules.BAD_ARGUMENT, "screenshot", path.name, "a name that ends with .png")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(stage.picture()[:, :, :3]).save(path)
+        return f"wrote {path}"
+
+    file = Parameter("FILE", Path, is_optional=True)
+    yield ViewerCommand("screenshot", "write the picture to a file", screenshot, (file,))
+
+    def record(path: Path | None = None) -> str:
+        if stage.is_recording:
+            return stage.end_recording()
+        path = path or find_free(stage, ".json")
+        if path.suffix.lower() != ".json":
+            refuse(rules.BAD_ARGUMENT, "record", path.name, "a name that ends with .json")
+        stage.record(path)
+        return f"recording to {path}"
+
+    yield ViewerCommand("record", "begin to record the camera, or end it", record, (file,))
+    yield ViewerCommand("status", "say how fast frames are, and what draws them", lambda: describe_status(stage))
+
+
+def describe_status(stage: ViewerStage) -> str:
+    """Return a line with the counter, the look, the camera and the scene's time."""
+    eye, ahead = stage.camera.position, stage.camera.position + stage.camera.forward
+    place = ",".join(f"{value:.6g}" for value in (*eye, *ahead))
+    device, worked = stage.renderer.device.backend_name, f"{1e3 * stage.counter.processor:.1f} ms of processors"
+    rate = f"{stage.counter.describe()}, {worked} a frame"
+    return f"{rate}, {stage.look.describe()} on {device}, camera {place}, {stage.seconds:.2f} s"
+
+
+def find_free(stage: ViewerStage, ending: str) -> Path:
+    """Return a file's name that isn't taken: the scene's, with a number."""
+    name = Path(stage.scene.name.partition(":")[0]).stem or "scene"
+    number = 1
+    while (path := Path(f"{name}-{number:03}{ending}")).exists():
+        number += 1
+    return path
+
+
+def parse_number(text: str) -> int:
+    """Parse a whole number of 0 or more."""
+    value = int(text)
+    if value < 0:
+        raise ValueError(text)
+    return value
+
+
+def parse_place(text: str) -> tuple[int, int]:
+    """Parse `480,270` as a pixel."""
+    x, y = text.split(",")
+    return parse_number(x), parse_number(y)
+
+
+def parse_seconds(text: str) -> float:
+    """Parse a finite number of 0 or more."""
+    value = float(text)
+    if not 0.0 <= value < inf:
+        raise ValueError(text)
+    return value
+
+
+def parse_positive(text: str) -> float:
+    """Parse a finite number above 0."""
+    value = parse_seconds(text)
+    if not value:
+        raise ValueError(text)
+    return value
+
+
+def _read(call: str, text: str, parse: Callable[[str], Any]) -> Any:
     try:
-        return shlex.split(line, comments=True)
-    except ValueError as error:
-        refuse(rules.BAD_ARGUMENT, "command", line, f"quotes that are closed: {error}")
+        return parse(text)
+    except ValueError:
+        refuse(rules.BAD_ARGUMENT, call, text, "a number above 0")
 
 
-def common_start(words: Iterable[str]) -> str:
-    """Return the longest beginning that all words share."""
-    words = list(words)
-    least, most = min(words), max(words)
-    for number, (one, other) in enumerate(zip(least, most, strict=False)):
-        if one != other:
-            return least[:number]
-    return least
+def _after(choices: Iterable[str], present: str) -> str:
+    """Return the choice after the present one."""
+    known = list(choices)
+    return known[(known.index(present) + 1) % len(known)] if present in known else known[0]
+
+
+def _choice(
+    stage: ViewerStage,
+    name: str,
+    summary: str,
+    words: Callable[[], Iterable[str]],
+    parse: Callable[[str], Any] = str,
+) -> ViewerCommand:
+    """Return a command that sets an entry of the look to one of some words, or to the next one."""
+
+    def run(word: str | None = None) -> str:
+        present = str(getattr(stage.look, name) or "off")
+        if word is None:
+            return present
+        chosen = _after(words(), present) if word == NEXT else word
+        stage.change(**{name: parse(chosen)})
+        return f"{name} {chosen}"
+
+    known = Parameter(name.upper(), words=lambda: [*words(), NEXT], is_closed=True, is_optional=True)
+    return ViewerCommand(name, summary, run, (known,))
+
+
+_ON: Final = {"on": True, "off": False}
+
+
+def switch(
+    name: str, summary: str, read: Callable[[], bool], write: Callable[[bool], None], *, is_silent: bool = False
+) -> ViewerCommand:
+    """Return a command that turns what `read` returns on or off by `write`, or to the other one."""
+
+    def run(word: str | None = None) -> str:
+        on = not read() if word is None else _ON[word]
+        write(on)
+        return "" if is_silent else f"{name} {'on' if on else 'off'}"
+
+    states = Parameter("on|off", words=lambda: _ON, is_closed=True, is_optional=True)
+    return ViewerCommand(name, summary, run, (states,))
+
+
+def _entry(stage: ViewerStage, name: str, summary: str) -> ViewerCommand:
+    """Return the switch of an entry of the look."""
+    return switch(name, summary, lambda: getattr(stage.look, name), lambda on: stage.change(**{name: on}))
+
+
+def _pause(stage: ViewerStage) -> ViewerCommand:
+    def write(on: bool) -> None:
+        stage.is_paused = on
+
+    return switch("pause", "stop the scene's time, or let it go on", lambda: stage.is_paused, write)

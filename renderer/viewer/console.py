@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Final
 
-from renderer.viewer.commands import CommandTable, common_start
+from renderer.viewer.command_table import CommandTable, common_start
 
 _KEPT: Final = 200  # lines of text, and of history
 _LONGEST: Final = 1000  # characters of a line

@@ -135,7 +135,7 @@ class WatchedPicture:
         """Do nothing: there are no resources on the device."""
 
 
-class Untouched:
+class OriginalState:
     """What a device and a scene were before a look changed them."""
 
     def __init__(self, device: Device, scene: Scene) -> None:
@@ -143,25 +143,25 @@ class Untouched:
         self.shadows = [lights["casts_shadow"].copy() for lights in _list_lights(scene)]
 
 
-class Dresser:
+class Configurator:
     """Makes a renderer follow a look.
 
     Attributes:
         look: the one that the renderer follows.
     """
 
-    def __init__(self, renderer: Renderer, look: Look, untouched: Untouched, always: Iterable[Layer] = ()) -> None:
+    def __init__(self, renderer: Renderer, look: Look, original: OriginalState, always: Iterable[Layer] = ()) -> None:
         """Follow `look`. The layers `always` are drawn last, in every look."""
         self._renderer = renderer
-        self._untouched = untouched
+        self._original = original
         self._always = list(always)
         self._layers: dict[str, Layer] = {}
         self._visibility: VisibilityAlgorithm | None = None
         self._made_for: dict[str, object] = {}
         self.look = look
-        self.wear(look, next(iter(renderer.scene.views.values())))
+        self.apply(look, next(iter(renderer.scene.views.values())))
 
-    def wear(self, look: Look, camera: Camera) -> None:
+    def apply(self, look: Look, camera: Camera) -> None:
         """Make the renderer follow `look`, whose texture settings are the renderer's; two eyes are set for what
         `camera` sees. If anything refuses it, all stays.
 
@@ -202,11 +202,11 @@ class Dresser:
         if self._visibility not in (None, visibility):
             self._visibility.destroy()
         self._visibility = visibility
-        for lights, casts in zip(_list_lights(renderer.scene), self._untouched.shadows, strict=True):
+        for lights, casts in zip(_list_lights(renderer.scene), self._original.shadows, strict=True):
             lights["casts_shadow"] = {"scene": casts, "all": True, "off": False}[look.shadows]
         renderer.layers[:] = [*layers, *self._always]
         shows_times = look.overlay and renderer.device.capabilities.timestamps
-        renderer.device.timing = self._untouched.timing or shows_times
+        renderer.device.timing = self._original.timing or shows_times
         self.look, self._made_for = look, made_for
 
     def list_contents(self, camera: Camera) -> list[str]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from renderer.scene import Camera, Scene
 from renderer.visibility import AutoCulling, NoCulling, VisibilityAlgorithm, WalkOutcome, find_walk
-from renderer.visibility.boxes.volumes import Containment, classify, fit_aligned
+from renderer.visibility.boxes.volumes import Containment, classify
 
 _OF_NODES: Final = {
     WalkOutcome.OUTSIDE: "its node was outside the view",
@@ -26,7 +26,7 @@ def explain_drawn(algorithm: VisibilityAlgorithm, scene: Scene, camera: Camera, 
     if isinstance(algorithm, NoCulling):
         return "everything is drawn"
     rows = np.array([row])
-    side = classify(camera.frustum.planes, fit_aligned(scene, rows))[0]
+    side = classify(camera.frustum.planes, scene.objects.lower[rows], scene.objects.upper[rows])[0]
     where = "inside the view" if side == Containment.INSIDE else "across the edge of the view"
     walk = find_walk(algorithm, scene, camera, rows)
     if walk.of_nodes:

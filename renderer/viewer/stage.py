@@ -1,6 +1,6 @@
 """The stage: a scene that is drawn as a look says, from a camera that is moved, with what was picked and recorded.
 
-It knows no events and no words; `renderer.viewer.actions` has the commands for what it can do.
+It knows no events and no words; `renderer.viewer.commands` has the commands for what it can do.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from renderer.scene.arrays import Floats
 from renderer.stereo import fit_picture
 from renderer.viewer.controllers import Controller, Fly, Orbit, find_speed
 from renderer.viewer.counter import FrameCounter
-from renderer.viewer.look import Dresser, Look, Untouched
+from renderer.viewer.look import Configurator, Look, OriginalState
 from renderer.viewer.picking import Hit, Ray, find_hit
 from renderer.viewer.reasons import explain_drawn
 from renderer.viewer.recording import LONGEST, CameraRecorder, CameraReplay
@@ -57,8 +57,8 @@ class ViewerStage:
     ) -> None:
         """`say` is told what happens without being asked for, and whether that is an error."""
         self.layers = tuple(layers)
-        self._untouched = Untouched(device, scene)
-        self.renderer, self._dresser = self._open(device, scene, size, look, self._untouched)
+        self._original = OriginalState(device, scene)
+        self.renderer, self._configurator = self._open(device, scene, size, look, self._original)
         self._good = look
         self.controller: Controller = Fly(camera, find_speed(scene))
         self.counter = FrameCounter()
@@ -84,35 +84,35 @@ class ViewerStage:
         Raises:
             RhiError: what refuses to draw it.
         """
-        untouched = Untouched(self.renderer.device, scene)
-        untouched.timing = self._untouched.timing
-        made = self._open(self.renderer.device, scene, self.renderer.size, self.look, untouched)
+        original = OriginalState(self.renderer.device, scene)
+        original.timing = self._original.timing
+        made = self._open(self.renderer.device, scene, self.renderer.size, self.look, original)
         try:
             self._draw_aside(made[0])
         except BaseException:
             _destroy(*made)
             raise
         self._take(*made)
-        self._untouched = untouched
+        self._original = original
         self._result = None  # its rows are those of the old scene
         self.clear()
 
     def _open(
-        self, device: Device, scene: Scene, size: tuple[int, int], look: Look, untouched: Untouched
-    ) -> tuple[Renderer, Dresser]:
+        self, device: Device, scene: Scene, size: tuple[int, int], look: Look, original: OriginalState
+    ) -> tuple[Renderer, Configurator]:
         with ExitStack() as made:
             textures = look.settings.textures
             renderer = Renderer(device, scene, visibility=NoCulling(scene), size=size, textures=textures)
             made.callback(renderer.destroy)
-            dresser = Dresser(renderer, look, untouched, self.layers)
+            configurator = Configurator(renderer, look, original, self.layers)
             made.pop_all()
-        return renderer, dresser
+        return renderer, configurator
 
-    def _take(self, renderer: Renderer, dresser: Dresser) -> None:
+    def _take(self, renderer: Renderer, configurator: Configurator) -> None:
         """Draw with another renderer from now on."""
         renderer.show = self.renderer.show
-        old = self.renderer, self._dresser
-        self.renderer, self._dresser = renderer, dresser
+        old = self.renderer, self._configurator
+        self.renderer, self._configurator = renderer, configurator
         _destroy(*old)
 
     # -- the camera ------------------------------------------------------------------------------------------------
@@ -159,7 +159,7 @@ class ViewerStage:
     @property
     def look(self) -> Look:
         """What draws the frames."""
-        return self._dresser.look
+        return self._configurator.look
 
     def change(self, **changes: Any) -> None:
         """Change entries of the look (`Look.change`). If the device or a technique refuses, it stays as it was.
@@ -167,18 +167,18 @@ class ViewerStage:
         Raises:
             ValidationError: what refuses says why.
         """
-        self._wear(self.look.change(**changes), self.camera)
+        self._apply(self.look.change(**changes), self.camera)
 
-    def _wear(self, look: Look, camera: Camera) -> None:
+    def _apply(self, look: Look, camera: Camera) -> None:
         if look.settings.textures == self.look.settings.textures:
-            self._dresser.wear(look, camera)
+            self._configurator.apply(look, camera)
         else:  # which are read when a scene is uploaded
             renderer = self.renderer
-            self._take(*self._open(renderer.device, self.scene, renderer.size, look, self._untouched))
+            self._take(*self._open(renderer.device, self.scene, renderer.size, look, self._original))
 
     def list_contents(self) -> list[str]:
         """Return what can be shown of a frame."""
-        return self._dresser.list_contents(self.camera)
+        return self._configurator.list_contents(self.camera)
 
     # -- picking ---------------------------------------------------------------------------------------------------
 
@@ -319,7 +319,7 @@ class ViewerStage:
     def close(self) -> None:
         """Destroy all resources on the device. A recording that runs is written."""
         self.end_recording()
-        _destroy(self.renderer, self._dresser)
+        _destroy(self.renderer, self._configurator)
 
     def _draw_aside(self, renderer: Renderer) -> FrameResult:
         """Draw a frame of now that isn't shown."""
@@ -334,7 +334,7 @@ class ViewerStage:
         return camera.with_aspect(width / height)
 
     def _render(self, camera: Camera) -> FrameResult:
-        """Draw a frame. If something refuses the look, the last one that was drawn is worn, or the plain one."""
+        """Draw a frame. If something refuses the look, the last one that was drawn is applied, or the plain one."""
         fallbacks = [Look(), self._good]
         while True:
             try:
@@ -345,13 +345,13 @@ class ViewerStage:
                 if not fallbacks:
                     raise
                 self._say(rules.describe(error), True)
-                self._wear(fallbacks.pop(), camera)
+                self._apply(fallbacks.pop(), camera)
                 continue
             self._good = self.look
             self._seen_by = self._fit(aimed)
             return self._result
 
 
-def _destroy(renderer: Renderer, dresser: Dresser) -> None:
-    dresser.destroy()
+def _destroy(renderer: Renderer, configurator: Configurator) -> None:
+    configurator.destroy()
     renderer.destroy()

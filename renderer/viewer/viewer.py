@@ -17,15 +17,15 @@ from typing import Final
 from renderer import rules
 from renderer.layers.canvas import Font
 from renderer.scene import Camera, Scene
-from renderer.viewer import saved
-from renderer.viewer.actions import make_commands, parse_place, parse_seconds, switch
-from renderer.viewer.commands import CommandTable, Parameter, ViewerCommand
+from renderer.viewer import hot_reload
+from renderer.viewer.command_table import CommandTable, Parameter, ViewerCommand
+from renderer.viewer.commands import make_commands, parse_place, parse_seconds, switch
 from renderer.viewer.console import Console
 from renderer.viewer.gestures import Event, Gestures
+from renderer.viewer.hot_reload import SavedFiles
 from renderer.viewer.interface import InterfaceLayer, Shown
 from renderer.viewer.keys import find_line, list_keys
 from renderer.viewer.look import Look
-from renderer.viewer.saved import SavedFiles
 from renderer.viewer.server import CommandServer
 from renderer.viewer.stage import ViewerStage
 from rhi import Device, RhiError, Texture
@@ -64,7 +64,7 @@ class Viewer:
         self._interface = InterfaceLayer(device, font)
         self.stage = ViewerStage(device, scene, size, look or Look(), begin, [self._interface], self.say)
         self.saved = SavedFiles(self.stage, self.say)
-        of_files = saved.make_commands(self.saved, self.stage)
+        of_files = hot_reload.make_commands(self.saved, self.stage)
         self.commands = CommandTable([*make_commands(self.stage), *of_files, *self._list_own()])
         self.console = Console(self.commands, self.run)
         self.has_keys = False

@@ -459,14 +459,14 @@ MUTATIONS: tuple[Mutation, ...] = (
     Mutation(
         (67,),
         "the wind's phase is a float",
-        "renderer.cloth.cloths",
+        "renderer.scene.cloth.cloths",
         "phases: Rows = (first[:, None] + self._later[members]) % self.wind.periods",
         "phases: Rows = (np.float32(first)[:, None] + self._later[members]).astype(np.int64) % self.wind.periods",
     ),
     Mutation(
         (67,),
         "nothing ends at a cloth's room",
-        "renderer.cloth.kernels",
+        "renderer.scene.cloth.kernels",
         "            place = clamp(place, self.cloth.lower, self.cloth.upper)\n",
         "            place = clamp(place, self.cloth.lower - 9.0, self.cloth.upper + 9.0)\n",
     ),

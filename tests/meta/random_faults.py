@@ -46,7 +46,7 @@ from unseen_faults import explain
 ROOT: Final = Path(__file__).resolve().parents[2]
 PACKAGES: Final = (
     "rhi.backends.cl", "rhi.backends.gl", "rhi.backends.null", "rhi.commands", "rhi.contract", "rhi.device",
-    "rhi.errors", "rhi.shading", "rhi.testing", "rhi.trace", "renderer.cloth", "renderer.content.gltf",
+    "rhi.errors", "rhi.shading", "rhi.testing", "rhi.trace", "renderer.content.gltf",
     "renderer.frame", "renderer.layers", "renderer.lights", "renderer.scene", "renderer.shaders",
     "renderer.shadows", "renderer.stereo", "renderer.techniques", "renderer.tessellation", "renderer.visibility",
 )  # fmt: skip

@@ -9,6 +9,8 @@ from typing import Any
 import pytest
 
 import rhi
+from renderer.content import load_scene
+from renderer.scene import Scene
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:
@@ -59,3 +61,8 @@ def device(request: pytest.FixtureRequest) -> Iterator[rhi.Device]:
         if not (made.capabilities.renders and made.capabilities.compute):
             pytest.skip(f"the {request.param} device draws nothing")
         yield made
+
+
+@pytest.fixture(scope="module")
+def city() -> Scene:
+    return load_scene("city:blocks=6")

@@ -21,11 +21,6 @@ TIMELINE = {Op.SIGNAL, Op.WAIT}
 """What depends on how fast the GPU is."""
 
 
-@pytest.fixture(scope="module")
-def city() -> Scene:
-    return load_scene("city:blocks=6")
-
-
 def commands(device: rhi.Device, scene: Scene, cameras: list[Camera]) -> list[tuple[Op, tuple[Any, ...]]]:
     scene.update(0.0)
     with Renderer(device, scene, visibility=FrustumCulling(scene), size=(64, 36)) as renderer:

@@ -19,15 +19,17 @@ from renderer import rules
 from renderer.content.gltf.document import JsonObject
 from rhi.errors import refuse
 
-EXTENSIONS: Final = (
-    "EXT_texture_webp",
-    "KHR_lights_punctual",
-    "KHR_materials_emissive_strength",
-    "KHR_materials_unlit",
-    "KHR_mesh_quantization",
-    "KHR_texture_transform",
-)
-"""The extensions that are read."""
+EXTENSIONS: Final = {
+    "EXT_texture_webp": "texture",
+    "KHR_lights_punctual": "node",
+    "KHR_materials_emissive_strength": "material",
+    "KHR_materials_unlit": "material",
+    "KHR_mesh_quantization": "mesh",
+    "KHR_texture_transform": "texture",
+}
+"""The extensions that are read, and the kind of object of the file that uses each."""
+NOTED_IN_USE: Final = ("KHR_materials_", "KHR_texture_", "EXT_texture_")
+"""How the names of those begin that are left out by the materials and textures that use them, not by the file."""
 
 MAGIC: Final = b"glTF"
 JSON_CHUNK: Final = 0x4E4F534A

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.content.assets import decode_images
-from renderer.content.gltf.container import GltfFile
+from renderer.content.gltf.container import EXTENSIONS, GltfFile
 from renderer.content.gltf.document import JsonObject
 from renderer.content.gltf.extras import SPECULAR, private
 from renderer.scene.materials import RANGES, AlphaMode, TextureMap
@@ -33,7 +33,7 @@ MINIFY: Final = {
 }
 WRAPS: Final = {10497: Wrap.REPEAT, 33071: Wrap.CLAMP, 33648: Wrap.MIRROR}
 
-_READ: Final = {"KHR_materials_emissive_strength", "KHR_materials_unlit"}
+_READ: Final = {name for name, user in EXTENSIONS.items() if user == "material"}
 _STRONGEST: Final = 1e6  # of emitted light
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from renderer.content.assets import share_geometry
 from renderer.content.gltf.accessors import Accessors
 from renderer.content.gltf.animations import make_motion, read_tracks
-from renderer.content.gltf.container import EXTENSIONS, GltfFile
+from renderer.content.gltf.container import EXTENSIONS, NOTED_IN_USE, GltfFile
 from renderer.content.gltf.deformations import (
     Deformations,
     DeformedMesh,
@@ -42,12 +42,6 @@ from renderer.content.gltf.tracks import WEIGHTS, Track
 from renderer.scene.arrays import Floats
 from renderer.scene.meshes import MeshGeometry
 from renderer.scene.scene import SceneBuilder
-
-_ELSEWHERE = (
-    "KHR_materials_",
-    "KHR_texture_",
-    "EXT_texture_",
-)  # extensions that are listed where they are used
 
 
 def add_gltf(builder: SceneBuilder, path: str) -> Surroundings | None:
@@ -91,7 +85,7 @@ class _GltfReader:
 
     def add_all(self) -> None:
         for name in self._file.names("extensionsUsed"):
-            if name not in EXTENSIONS and not name.startswith(_ELSEWHERE):
+            if name not in EXTENSIONS and not name.startswith(NOTED_IN_USE):
                 self._omissions.add(name, "extensionsUsed")
         self._add_meshes()
         nodes = list_nodes(self._root, self._omissions)

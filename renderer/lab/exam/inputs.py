@@ -9,7 +9,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from renderer.cloth import Fabric, Gust, Wind, make_sheet
 from renderer.content.shapes import box
 from renderer.lab.exam.case import Case, Found
 from renderer.lights.culling.projections import make_grid
@@ -29,6 +28,7 @@ from renderer.scene import (
     make_material,
     translation,
 )
+from renderer.scene.cloth import Fabric, Gust, Wind, make_sheet
 from renderer.scene.materials import RANGES
 from renderer.shadows import ShadowSettings
 from renderer.tessellation.settings import TessellationSettings

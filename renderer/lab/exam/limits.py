@@ -11,7 +11,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.cloth import Cloths, Gust, Wind, make_sheet
 from renderer.content import load_scene
 from renderer.content.shapes import box
 from renderer.lab.exam.case import Case, Found, find_largest
@@ -20,6 +19,7 @@ from renderer.lab.exam.scenes import Uncut, along, make_city
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Perspective, SceneBuilder, Stepwise, scaling, translation
 from renderer.scene.arrays import Rows
+from renderer.scene.cloth import Cloths, Gust, Wind, make_sheet
 from renderer.scene.transforms import multiply
 from renderer.techniques import TECHNIQUES
 from renderer.visibility import FrustumCulling, NoCulling, find_visible, list_algorithms, make_visibility

@@ -22,7 +22,7 @@ from renderer.renderer import FrameResult, Renderer
 from renderer.scene import Camera, Depth, Orthographic, Scene
 from renderer.scene.arrays import Rows
 from renderer.visibility.boxes.bounds import find_near, pad_boxes
-from renderer.visibility.boxes.volumes import Containment, classify, fit_aligned
+from renderer.visibility.boxes.volumes import Containment, classify
 from rhi import CullMode, DepthTest, DepthWrite, Device, Format, Mesh, Primitive, Program
 from rhi.shading import Shader, Storage, Struct, Uniform, dot, instance_index, mat4, vec3, vec4
 
@@ -107,9 +107,9 @@ class MarkShader(Shader):
 def find_outcomes(scene: Scene, camera: Camera, drawn: Rows) -> NDArray[np.uint8]:
     """Return the outcomes (n,) of `CullingOutcome` of all objects, given the rows of those `drawn`."""
     everything = np.arange(len(scene.objects))
-    boxes = fit_aligned(scene, everything)
-    side = classify(camera.frustum.planes, boxes)
-    near = find_near(camera, *pad_boxes(camera, boxes.lower, boxes.upper))
+    lower, upper = scene.objects.lower, scene.objects.upper
+    side = classify(camera.frustum.planes, lower, upper)
+    near = find_near(camera, *pad_boxes(camera, lower, upper))
     is_drawn = np.isin(everything, drawn)
     outcome = np.where(side == Containment.INSIDE, CullingOutcome.INSIDE, CullingOutcome.CROSSING)
     outcome = np.where(near, CullingOutcome.NEAR, np.where(is_drawn, outcome, CullingOutcome.OCCLUDED))

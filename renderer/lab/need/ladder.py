@@ -13,7 +13,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from renderer.cloth import Cloths, Gust, Wind, make_sheet
 from renderer.content import BUILT_IN
 from renderer.content.fountains import BOUNDS, Fountains, make_drops
 from renderer.layers.overlay import Overlay
@@ -31,6 +30,7 @@ from renderer.scene import (
     make_material,
     translation,
 )
+from renderer.scene.cloth import Cloths, Gust, Wind, make_sheet
 from renderer.stereo import Stereo
 from renderer.techniques import Forward, Smoothed
 from rhi import BlendFunction, Op
@@ -350,7 +350,7 @@ LADDER: Final = (
         "a flag in the wind",
         Footprint("cloth", programs=("StepCloths",), resources=("cloth *",)),
         _place_flag,
-        modules=("renderer.cloth",),
+        modules=("renderer.scene.cloth",),
     ),
     Rung(
         "fxaa",

@@ -9,7 +9,7 @@ import numpy as np
 from renderer import rules
 from renderer.lights.culling.cells import CellGrid
 from renderer.scene import Depth, Projection
-from renderer.scene.arrays import Floats
+from renderer.scene.camera import find_distance
 from rhi.errors import refuse
 
 _FARTHEST: Final = 1e9
@@ -47,7 +47,7 @@ def make_grid(
     if turns or not (m[0, 0] > 0.0 and m[1, 1] > 0.0):
         refuse(rules.BAD_GRID, "make_grid(projection=...)", m.tolist(), "x to the right and y up in the image")
     nearest = 1.0 if projection.depth is Depth.REVERSED else 0.0
-    near, far = _find_distance(m, nearest), _find_distance(m, 1.0 - nearest)
+    near, far = find_distance(m, nearest), find_distance(m, 1.0 - nearest)
     slice_end, slice_rate = _place_slices(slices, first_slice, near, far, reach, bool(m[3, 2]))
     # With z ahead: scale · x - shift · z + constant = clip · (w + w_slope · z), where clip runs over the pixels.
     scale, shift, constant = m[[0, 1], [0, 1]], m[:2, 2], m[:2, 3]
@@ -80,9 +80,3 @@ def _place_slices(
             refuse(rules.BAD_GRID, "make_grid(first_slice=...)", first, f"between {near} and {end}")
         return end, float(np.log2(end / first)) / max(slices - 1, 1)
     return end, float(np.log2(end / near)) / slices if is_perspective else 0.0
-
-
-def _find_distance(matrix: Floats, depth: float) -> float:
-    """Return the distance along the view at which a projection gives `depth`; it may be infinite."""
-    below = matrix[2, 2] - matrix[3, 2] * depth
-    return float((matrix[2, 3] - matrix[3, 3] * depth) / below) if below else np.inf

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from renderer.scene import Camera, Depth, FrustumPlane
 from renderer.scene.arrays import Floats, Rows
+from renderer.scene.camera import is_parallel
 from renderer.visibility.boxes.volumes import RotatedBoxes
 
 _SHARE: Final = 2.0**-11  # of half the image: 1/256 pixel or more where half the image has 8 pixels or more
@@ -83,7 +84,7 @@ def pad_rotated(camera: Camera, rotated: RotatedBoxes) -> tuple[Floats, NDArray[
     reach = np.minimum(local + rotated.half, LARGEST_SQUARED)
     far = np.asarray(np.sqrt(np.einsum("ij,ij->i", reach, reach)))
     half = rotated.half + _find_margins(camera, far)[:, None]
-    if is_parallel(camera):
+    if is_parallel(camera.projection):
         plane = camera.frustum.planes[FrustumPlane.NEAR]
         before = rotated.centre @ plane[:3] + plane[3]
         near = before <= (half * np.abs(rotated.axes @ plane[:3])).sum(axis=1)
@@ -103,7 +104,7 @@ def margin_terms(camera: Camera) -> tuple[float, float, float]:
     matrix = camera.projection.matrix
     share = float(max(1.0 / matrix[0, 0], 1.0 / matrix[1, 1])) * _SHARE
     steps = _DEPTH_STEPS if camera.projection.depth is Depth.STANDARD else 0.0
-    if is_parallel(camera):
+    if is_parallel(camera.projection):
         return share + steps / abs(matrix[2, 2]), ROUNDING, 0.0
     return 0.0, share + ROUNDING, steps / abs(matrix[2, 3])  # metres to depth
 
@@ -114,7 +115,7 @@ def find_near(camera: Camera, lower: Floats, upper: Floats, far: Floats) -> NDAr
     In a perspective projection these are the boxes within near · √(1 + tan²(fx/2) + tan²(fy/2)) of the eye, the
     distance of the corners of the near plane's rectangle; in a parallel projection those that the near plane cuts.
     """
-    if is_parallel(camera):
+    if is_parallel(camera.projection):
         *normal, d = camera.frustum.planes[FrustumPlane.NEAR].tolist()
         depth = sum((lower if n > 0.0 else upper)[:, axis] * n for axis, n in enumerate(normal)) + d
         near = np.asarray(depth <= 0.0)
@@ -136,8 +137,3 @@ def squared_distances(eye: Floats, lower: Floats, upper: Floats) -> Floats:
     away = np.maximum(np.maximum(lower - eye, eye - upper), 0.0)
     np.minimum(away, LARGEST_SQUARED, out=away)
     return np.asarray(np.einsum("ij,ij->i", away, away))
-
-
-def is_parallel(camera: Camera) -> bool:
-    """Return whether the camera's projection is parallel (orthographic)."""
-    return bool(camera.projection.matrix[3, 3] != 0.0)

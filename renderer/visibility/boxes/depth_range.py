@@ -8,7 +8,7 @@ import numpy as np
 
 from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Floats
-from renderer.visibility.boxes.volumes import Containment, classify, fit_aligned
+from renderer.visibility.boxes.volumes import Containment, classify
 
 _CORNERS: Final = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)], bool)
 _FACES: Final = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
@@ -21,9 +21,8 @@ def find_depth_range(scene: Scene, camera: Camera) -> tuple[float, float] | None
     The nearest part of a box is that inside the frustum: a street begins where it enters the picture, not under the
     camera. Boxes that hold the camera are left out, since they don't tell how far their objects are.
     """
-    rows = np.arange(len(scene.objects))
     planes = camera.frustum.planes
-    side = classify(planes, fit_aligned(scene, rows))
+    side = classify(planes, scene.objects.lower, scene.objects.upper)
     lower, upper = scene.objects.lower - camera.position, scene.objects.upper - camera.position
     holds = ((lower <= 0.0) & (upper >= 0.0)).all(axis=1)
     rows = np.flatnonzero((side != Containment.OUTSIDE) & ~holds)

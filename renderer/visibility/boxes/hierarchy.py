@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -53,10 +52,6 @@ class Hierarchy:
     def __len__(self) -> int:
         return len(self.parent)
 
-    def objects(self, node: int) -> Rows:
-        """Return the rows of all boxes under a node."""
-        return self.order[self.first[node] : self.first[node] + self.count[node]]
-
     def fit(self, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
         """Return the bounds (m, 3) of the nodes for boxes (n, 3) that have moved; the tree stays the same."""
         return _node_bounds(
@@ -72,36 +67,6 @@ class Hierarchy:
         small[1:] &= ~small[self.parent[1:]]  # nodes below a small node are small
         nodes = np.flatnonzero(small)
         return nodes[np.argsort(self.first[nodes])]
-
-    def distances(self, eye: NDArray[np.float64]) -> Floats:
-        """Return the distances (m,) from `eye` (3,) to the nodes' boxes; 0 inside a box."""
-        outside = np.maximum(np.maximum(self.lower - eye, eye - self.upper), 0.0)
-        return np.asarray(np.sqrt((outside**2).sum(1)))
-
-    def leaves_front_to_back(self, eye: NDArray[np.float64]) -> Rows:
-        """Return all leaves in the order of a traversal that enters the nearer child first.
-
-        The nearer child is the one whose box is nearer; of two equally near boxes, the one with the nearer centre.
-        """
-        leaves = np.where(self.child < 0, 1, 0)
-        for start, end in self._levels()[:0:-1]:
-            np.add.at(leaves, self.parent[start:end], leaves[start:end])
-        near = self.distances(eye)
-        centre = (((0.5 * (self.lower + self.upper)) - eye) ** 2).sum(1)
-        place = np.zeros(len(self), np.int64)
-        for start, end in self._levels():
-            inner = np.flatnonzero(self.child[start:end] >= 0) + start
-            left = self.child[inner]
-            right = left + 1
-            swap = (near[right] < near[left]) | ((near[right] == near[left]) & (centre[right] < centre[left]))
-            place[left] = place[inner] + np.where(swap, leaves[right], 0)
-            place[right] = place[inner] + np.where(swap, 0, leaves[left])
-        nodes = np.flatnonzero(self.child < 0)
-        return nodes[np.argsort(place[nodes])]
-
-    def _levels(self) -> list[tuple[int, int]]:
-        starts = self.level_starts.tolist()
-        return list(pairwise(starts))
 
 
 def check_bounds(call: str, lower: Floats, upper: Floats) -> None:

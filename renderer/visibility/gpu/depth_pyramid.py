@@ -18,7 +18,7 @@ from typing import Final
 from renderer.scene import Camera, Depth, Scene
 from renderer.shaders import ViewConstants
 from renderer.visibility.gpu.device_culling import DeviceCulling
-from renderer.visibility.gpu.farthest_depth import SCALE, FarthestDepth
+from renderer.visibility.gpu.farthest_depth import SCALE, FarthestDepth, of_direction
 from renderer.visibility.gpu.occludees import DRAWN, GROUP, HIDDEN, VISIBLE, FindOccludees, Occludee
 from renderer.visibility.scene_pass import ScenePass
 from renderer.visibility.settings import DEFAULTS, VisibilitySettings
@@ -145,15 +145,6 @@ class CompareBoxes(BoxTest):
             self.marks[row] = uint(VISIBLE)
 
 
-class CompareBoxesStandard(CompareBoxes):
-    """The variant for standard depth."""
-
-    is_reversed = False
-
-
-_SHADERS: Final = {Depth.REVERSED: CompareBoxes, Depth.STANDARD: CompareBoxesStandard}
-
-
 class DepthPyramidCulling(DeviceCulling):
     """Draws what was visible in the last frame, then what isn't behind it."""
 
@@ -176,7 +167,7 @@ class DepthPyramidCulling(DeviceCulling):
         pyramid, occludees = self._fit(scene_pass.depth.size), self._occludees
         pyramid.build(encoder, scene_pass.depth, direction)
         encoder.dispatch(
-            self._device.program(_SHADERS[direction]),
+            self._device.program(of_direction(CompareBoxes, direction)),
             occludees.groups,
             view=scene_pass.arrays.view,
             pyramid=self._levels,

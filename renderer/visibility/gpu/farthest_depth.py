@@ -8,7 +8,8 @@ itself.
 
 from __future__ import annotations
 
-from typing import Final
+from functools import cache
+from typing import Any, Final
 
 from renderer.scene import Depth
 from rhi import Device, Encoder, StorageBuffer, Texture, UniformBuffer
@@ -66,12 +67,6 @@ class DownSample(Shader):
         return self.farthest[self.step.source_begin + at.y * self.step.source.x + at.x]
 
 
-class DownSampleStandard(DownSample):
-    """The variant for standard depth."""
-
-    is_reversed = False
-
-
 class DownSampleTexture(DownSample):
     """Computes the farthest of 4 × 4 pixels of the depth texture."""
 
@@ -81,16 +76,13 @@ class DownSampleTexture(DownSample):
         return self.depth.load(at).r
 
 
-class DownSampleTextureStandard(DownSampleTexture):
-    """The variant for standard depth."""
-
-    is_reversed = False
-
-
-_SHADERS: Final = {
-    Depth.REVERSED: (DownSampleTexture, DownSample),
-    Depth.STANDARD: (DownSampleTextureStandard, DownSampleStandard),
-}
+@cache
+def of_direction(shader: type[Any], direction: Depth) -> type[Any]:
+    """Return the variant of a shader with a constant `is_reversed` for a direction of depth."""
+    if direction is Depth.REVERSED:
+        return shader
+    names = {"__module__": shader.__module__, "is_reversed": False}
+    return type(f"{shader.__name__}Standard", (shader,), names)
 
 
 class FarthestDepth:
@@ -130,14 +122,11 @@ class FarthestDepth:
     def build(self, encoder: Encoder, depth: Texture, direction: Depth) -> None:
         """Compute all levels from the image's depth. Must be called outside of passes."""
         device = self._device
-        from_texture, from_level = _SHADERS[direction]
         for level, step in enumerate(self._steps, 1):
             groups = tuple(-(-length // _GROUP) for length in self.sizes[level])
-            if level == 1:
-                program = device.program(from_texture)
-                encoder.dispatch(program, groups, step=step, farthest=self.farthest, depth=depth)
-            else:
-                encoder.dispatch(device.program(from_level), groups, step=step, farthest=self.farthest)
+            reads: dict[str, Any] = {"depth": depth} if level == 1 else {}
+            shader = of_direction(DownSampleTexture if level == 1 else DownSample, direction)
+            encoder.dispatch(device.program(shader), groups, step=step, farthest=self.farthest, **reads)
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""

@@ -14,8 +14,9 @@ from __future__ import annotations
 from typing import Any, Final
 
 from renderer.scene import Camera, Depth, FrustumPlane
+from renderer.scene.camera import is_parallel
 from renderer.shaders import MeshPart, Object, ObjectPosition, ViewConstants, relative_position
-from renderer.visibility.boxes.bounds import ROUNDING, TOO_FAR, is_parallel, margin_terms, near_radius
+from renderer.visibility.boxes.bounds import ROUNDING, TOO_FAR, margin_terms, near_radius
 from renderer.visibility.boxes.cubes import BoxCamera, CubeCorner, make_cube
 from renderer.visibility.scene_pass import SceneArrays
 from rhi import (
@@ -311,7 +312,7 @@ class Occludees:
 
 
 def _lens(camera: Camera) -> Lens:
-    if is_parallel(camera):
+    if is_parallel(camera.projection):
         *normal, d = camera.frustum.planes[FrustumPlane.NEAR].tolist()
         radius, near = -1.0, -(float(camera.position @ normal) + d)
     else:

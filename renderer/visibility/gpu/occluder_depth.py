@@ -20,7 +20,7 @@ from renderer.scene import Camera, Depth, Scene
 from renderer.scene.arrays import Floats, Rows
 from renderer.shaders import Vertex, ViewConstants
 from renderer.visibility.gpu.depth_pyramid import BoxTest, Levels, make_levels
-from renderer.visibility.gpu.farthest_depth import FAR, FarthestDepth
+from renderer.visibility.gpu.farthest_depth import FAR, FarthestDepth, of_direction
 from renderer.visibility.gpu.occludees import GROUP, Occludee
 from renderer.visibility.settings import DEFAULTS
 from rhi import (
@@ -84,15 +84,6 @@ class FindShown(BoxTest):
         row = global_id().x
         if row < len(self.shown):
             self.shown[row] = uint(1 if self.is_visible(self.boxes[row]) else 0)
-
-
-class FindShownStandard(FindShown):
-    """The variant for standard depth."""
-
-    is_reversed = False
-
-
-_FIND: Final = {Depth.REVERSED: FindShown, Depth.STANDARD: FindShownStandard}
 
 
 class _SizedDepth:
@@ -188,7 +179,7 @@ class OccluderDepth:
             table[name][:, axis] = half[:, axis]
         self._boxes.write(table)
         self._device.dispatch(
-            self._device.program(_FIND[self._depth]),
+            self._device.program(of_direction(FindShown, self._depth)),
             -(-count // GROUP),
             view=self._view,
             pyramid=image.levels,

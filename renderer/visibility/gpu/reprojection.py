@@ -18,13 +18,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from renderer.scene import Camera, Depth
 from renderer.scene.arrays import Floats
-from renderer.visibility.gpu.farthest_depth import FAR, SCALE, FarthestDepth
+from renderer.visibility.gpu.farthest_depth import FAR, SCALE, FarthestDepth, of_direction
 from renderer.visibility.repeated import clear
 from rhi import (
     CullMode,
@@ -34,6 +34,7 @@ from rhi import (
     Device,
     Encoder,
     Format,
+    Program,
     StorageBuffer,
     Texture,
 )
@@ -110,18 +111,6 @@ class FillHoles(Scatter):
     fills_holes = True
 
 
-class ScatterStandard(Scatter):
-    """The variant for standard depth."""
-
-    is_reversed = False
-
-
-class FillHolesStandard(FillHoles):
-    """The variant for standard depth."""
-
-    is_reversed = False
-
-
 class OnlyDepth(Struct):
     """The output of a fragment shader that writes only depth."""
 
@@ -145,18 +134,6 @@ class WriteDepth(Shader):
         if key == uint(0):
             return OnlyDepth(depth=0.0 if self.is_reversed else 1.0)
         return OnlyDepth(depth=uint_bits_to_float(key if self.is_reversed else ~key))
-
-
-class WriteDepthStandard(WriteDepth):
-    """The variant for standard depth."""
-
-    is_reversed = False
-
-
-_SHADERS: Final = {
-    Depth.REVERSED: (Scatter, FillHoles, WriteDepth),
-    Depth.STANDARD: (ScatterStandard, FillHolesStandard, WriteDepthStandard),
-}
 
 
 class ReprojectedDepth:
@@ -203,11 +180,10 @@ class ReprojectedDepth:
             with encoder.render_pass(depth=sized.target, clear_depth=FAR[direction]):
                 yield
             return
-        scatter, fill_holes, write_depth = _SHADERS[direction]
         clear(encoder, sized.keys)
-        for shader in (scatter, fill_holes):
+        for shader in (Scatter, FillHoles):
             encoder.dispatch(
-                device.program(shader),
+                device.program(of_direction(shader, direction)),
                 sized.groups,
                 motion=self._motion,
                 farthest=sized.farthest.farthest,
@@ -215,7 +191,8 @@ class ReprojectedDepth:
             )
         with encoder.render_pass(depth=sized.target):
             with encoder.states(CullMode.NONE, DepthTest.ON, DepthWrite.ON, DepthFunction.ALWAYS):
-                encoder.draw(device.program(write_depth), self._triangle, motion=self._motion, keys=sized.keys)
+                write: Program[Any] = device.program(of_direction(WriteDepth, direction))
+                encoder.draw(write, self._triangle, motion=self._motion, keys=sized.keys)
             yield
 
     def _fit(self, size: tuple[int, int]) -> _Sized:

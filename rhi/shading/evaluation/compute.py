@@ -91,7 +91,7 @@ def _compiled_function(function: FunctionType) -> tuple[tree.Function, Code, Lan
                 callee.source.refuse(
                     rules.ANNOTATION, callee.source.node, f"{parameter.name}: {parameter.type}"
                 )
-        parser._compile(callee, types)  # type: ignore[arg-type]
+        parser.parse_function(callee, types)  # type: ignore[arg-type]
         parsed = parser.finished[-1]
         code = lower_function(parsed)
         known = _functions[function] = (parsed, code, load_module(write_numpy_function(code), code.name)["run"])

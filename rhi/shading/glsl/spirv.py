@@ -46,7 +46,7 @@ def compile_spirv(text: StageText, stage: Stage, name: str) -> StageText:
         )
         if done.returncode == 0 and path.exists():
             return StageText(text.text, text.origins, path.read_bytes())
-    rows, site = list(_messages(done.stdout, text)), None
+    rows = list(_messages(done.stdout, text))
     site = next((origin for _, origin in rows if origin is not None), None)
     given = "\n".join(row for row, _ in rows) or (done.stdout + done.stderr).strip()
     raise ShaderError(rules.SPIRV, call, given, site=site)

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final, TypeAlias
 
 from rhi.contract.descriptors import TextureKind
@@ -363,7 +363,6 @@ class Code:
     results: tuple[Value, ...] = ()
     work_group: tuple[int, int, int] = (1, 1, 1)
     checked: bool = False
-    operations: frozenset[tuple[str, tuple[ScalarKind, ...]]] = field(default_factory=frozenset)
 
 
 # -- creating values -----------------------------------------------------------------------------------------

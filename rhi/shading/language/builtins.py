@@ -2,6 +2,8 @@
 
 - A row holds a name, its signatures, and its spelling in each language. The type checks of the parser, the stubs, the
   code writers and the documentation all read this table. To support another language, add a spelling to the rows.
+  Methods of textures and images have one in GLSL only: the other languages write the accesses to which
+  `rhi.shading.lowering.textures` lowers them.
 - In a signature, letters stand for types of one common size: F is float or vec, I, U and B are int, uint and bool or
   their vectors, V, IV, UV and BV are vectors only, M is mat. `F(F,F,float)` is four overloads. `int&` is a memory
   location that the function modifies.

@@ -86,7 +86,6 @@ class StorageType:
         return f"{'StorageRW' if self.writable else 'Storage'}[{self.element}]"
 
 
-ValueType: TypeAlias = HostType | VoidType
 Type: TypeAlias = HostType | VoidType | TextureType | ImageType | StorageType
 
 

@@ -223,7 +223,7 @@ def store_private(memory: list[Any], address: Any, value: Any, mask: Any, invoca
         memory[index] = np.where(chosen, value, memory[index])
 
 
-def _active(address: Any, value: Any, mask: Any, invocations: Invocations) -> tuple[Array, Array]:
+def _active(address: Any, value: Any, mask: Any) -> tuple[Array, Array]:
     """Return the addresses and values of the active lanes, in order."""
     shapes = [np.shape(part) for part in (address, value, mask) if part is not None]
     shape = np.broadcast_shapes(*shapes)
@@ -241,14 +241,14 @@ def _words(values: Array) -> Array:
 
 def store(memory: Array, address: Any, value: Any, mask: Any, invocations: Invocations) -> None:
     """Write words of a buffer; writes outside it are dropped. The last of several values for a word stays."""
-    address, value = _active(address, value, mask, invocations)
+    address, value = _active(address, value, mask)
     inside = (address >= 0) & (address < memory.size)
     memory[address[inside]] = _words(value)[inside]
 
 
 def store_shared(memory: Array, address: Any, value: Any, mask: Any, invocations: WorkGroups) -> None:
     """Write words of each group's shared memory."""
-    address, value = _active(_flat(memory, address, invocations), _to_shared(value), mask, invocations)
+    address, value = _active(_flat(memory, address, invocations), _to_shared(value), mask)
     flat = memory.reshape(-1)
     inside = (address >= 0) & (address < flat.size)
     flat[address[inside]] = value[inside]

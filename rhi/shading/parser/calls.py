@@ -84,7 +84,7 @@ class CallParser(ExpressionParser):
                 )
             given[name] = keyword.value
         # Python evaluates arguments in the order in which they are written, which is the order of `given`.
-        values = {name: self._argument(callee, signature, name, at) for name, at in given.items()}
+        values = {name: self._argument(signature, name, at) for name, at in given.items()}
         if [name for name in names if name in given] != list(given) and any(
             map(tree.has_effect, values.values())
         ):
@@ -108,7 +108,7 @@ class CallParser(ExpressionParser):
             self.mark_effect()
         return tree.Call(function.result, span_of(node), function, arguments)
 
-    def _argument(self, callee: Callee, signature: Signature, name: str, at: ast.expr) -> Expression:
+    def _argument(self, signature: Signature, name: str, at: ast.expr) -> Expression:
         wanted = next(parameter.type for parameter in signature.parameters if parameter.name == name)
         if not isinstance(wanted, UnsizedArray):
             return self.converted(at, wanted, name)

@@ -47,7 +47,7 @@ class StageParser:
             if isinstance(parameter.type, UnsizedArray):
                 entry.source.refuse(rules.INTERFACE, entry.source.node, f"{parameter.name}: {parameter.type}")
             types.append(parameter.type)
-        function = self._compile(entry, tuple(types))
+        function = self.parse_function(entry, tuple(types))
         return _collect(self.stage, function, self.finished, self.shader)
 
     # -- StageContext
@@ -60,7 +60,7 @@ class StageParser:
     ) -> tree.Function:
         known = self.instances.get((callee.source.function, types))
         if known is None:
-            return self._compile(callee, types)
+            return self.parse_function(callee, types)
         if known not in self.finished:
             caller.refuse(rules.RECURSION, at, f"{caller.name} calls {callee.source.name}")
         return known
@@ -71,7 +71,8 @@ class StageParser:
             given = f"{builtin.name} in the {self.stage.value} stage of {self.shader.__name__}"
             caller.refuse(rules.STAGE, at, given, allowed)
 
-    def _compile(self, callee: Callee, types: tuple[Type, ...]) -> tree.Function:
+    def parse_function(self, callee: Callee, types: tuple[Type, ...]) -> tree.Function:
+        """Parse a function for arguments of these types, and the functions that it calls."""
         source, described = callee.source, callee.signature
         parameters = tuple(
             tree.Local(parameter.name, type, is_parameter=True)
@@ -81,7 +82,7 @@ class StageParser:
             source.node.name, source.file, span_of(source.node), parameters, described.result
         )
         self.instances[source.function, types] = function
-        FunctionParser(self, callee, types, function).parse()
+        FunctionParser(self, callee, function).parse()
         self.finished.append(function)
         return function
 

@@ -95,9 +95,7 @@ class TrackedLocal:
 class FunctionParser(CallParser):
     """Parses one function into a `tree.Function`."""
 
-    def __init__(
-        self, stage_context: StageContext, callee: Callee, types: tuple[Type, ...], function: tree.Function
-    ) -> None:
+    def __init__(self, stage_context: StageContext, callee: Callee, function: tree.Function) -> None:
         signature = callee.signature
         super().__init__(stage_context, callee.source, callee.owner, signature.self_name)
         self.function = function

@@ -10,7 +10,6 @@ import pytest
 from frames import open_renderer as open_any
 
 import rhi
-from renderer.content import load_scene
 from renderer.frame import (
     DEPTH_FORMAT,
     IMAGE_FORMAT,
@@ -72,11 +71,6 @@ class DepthFirst:
                 states=(DepthFunction.EQUAL, DepthWrite.OFF),
             )
         )  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def city() -> Scene:
-    return load_scene("city:blocks=6")
 
 
 @pytest.mark.parametrize(

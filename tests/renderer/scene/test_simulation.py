@@ -214,4 +214,3 @@ def test_declared_bounds_are_those_of_the_object() -> None:
     scene = make_scene()
     assert scene.objects.lower[1] == pytest.approx([-9.0] * 3)
     assert scene.objects.upper[0] == pytest.approx([0.5] * 3)
-    assert scene.meshes.radius[0] == pytest.approx(9.0 * np.sqrt(3.0))

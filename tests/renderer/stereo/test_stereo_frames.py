@@ -41,11 +41,6 @@ open_renderer = partial(open_any, size=SIZE, visibility="frustum")
 
 
 @pytest.fixture(scope="module")
-def city() -> Scene:
-    return load_scene("city:blocks=6")
-
-
-@pytest.fixture(scope="module")
 def hall() -> Scene:
     return load_scene("hall:columns=6,flags=4,fountains=1")
 

@@ -12,7 +12,6 @@ from frames import open_renderer
 from numpy.typing import NDArray
 
 import rhi
-from renderer.content import load_scene
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import Camera, Scene, StereoRig
 from renderer.stereo import OUTPUTS, Stereo, mix_anaglyph
@@ -36,11 +35,6 @@ class Eyes:
 
     def render(self) -> FrameResult:
         return self.renderer.render(self.camera, 10.0)
-
-
-@pytest.fixture(scope="module")
-def city() -> Scene:
-    return load_scene("city:blocks=6")
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from renderer.viewer.commands import CommandTable, Parameter, ViewerCommand
+from renderer.viewer.command_table import CommandTable, Parameter, ViewerCommand
 from renderer.viewer.console import Console
 
 

@@ -17,7 +17,7 @@ import rhi
 from renderer.content import load_scene
 from renderer.techniques.inspection import INSPECTIONS
 from renderer.viewer import Viewer
-from renderer.viewer.actions import NEXT
+from renderer.viewer.commands import NEXT
 from renderer.viewer.gestures import HELD
 from renderer.viewer.keys import KEYS
 from renderer.viewer.look import LIT, PLAIN
@@ -185,7 +185,7 @@ def count_kept(device: rhi.Device) -> Kept:
 @pytest.mark.parametrize("seed", [1])
 def test_random_input_ends_nothing(seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("renderer.viewer.actions.list_algorithms", lambda device: ["none", "frustum", "auto"])
+    monkeypatch.setattr("renderer.viewer.commands.list_algorithms", lambda device: ["none", "frustum", "auto"])
     with rhi.create_device("null", record=False) as device:
         viewer, *_ = play(device, "grid:count=9,lights=3", 500, seed, lambda: None)
         assert viewer.stage.counter.frames == 500 + 20 * 8

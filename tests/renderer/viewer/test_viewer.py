@@ -176,7 +176,7 @@ def test_every_technique_can_be_chosen(viewer: Viewer, draw: Callable[..., None]
 def test_next_goes_round_through_all_choices(
     viewer: Viewer, draw: Callable[..., None], key: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("renderer.viewer.actions.list_algorithms", lambda device: ["none", "frustum"])  # others build
+    monkeypatch.setattr("renderer.viewer.commands.list_algorithms", lambda device: ["none", "frustum"])  # others build
     viewer.run("technique forward")
     begin = getattr(viewer.stage.look, key)
     seen = []

@@ -12,8 +12,8 @@ from renderer.renderer import Renderer
 from renderer.scene import Depth
 from renderer.shaders import ViewConstants
 from renderer.visibility import DepthPyramidCulling
-from renderer.visibility.gpu.depth_pyramid import CompareBoxes, CompareBoxesStandard, make_levels
-from renderer.visibility.gpu.farthest_depth import FarthestDepth
+from renderer.visibility.gpu.depth_pyramid import CompareBoxes, make_levels
+from renderer.visibility.gpu.farthest_depth import FarthestDepth, of_direction
 from renderer.visibility.gpu.occludees import Occludee
 from rhi.shading import uint
 
@@ -81,7 +81,7 @@ def test_a_box_shows_if_it_shows_at_full_resolution(
     pyramid.build(device, texture, direction)
     hidden, seen = device.storage(uint, np.zeros(count, np.uint32)), device.storage(uint, count)
     device.dispatch(
-        device.program(CompareBoxes if direction is Depth.REVERSED else CompareBoxesStandard), -(-count // 64),
+        device.program(of_direction(CompareBoxes, direction)), -(-count // 64),
         view=device.uniform(view), pyramid=device.uniform(make_levels(pyramid)), depth=texture,
         farthest=pyramid.farthest, boxes=device.storage(Occludee, boxes), marks=hidden, seen=seen,
     )  # fmt: skip

@@ -33,12 +33,16 @@ def any_boxes(draw):
     return centre - 0.5 * extent, centre + 0.5 * extent
 
 
+def rows_of(tree, node):
+    return tree.order[tree.first[node] : tree.first[node] + tree.count[node]]
+
+
 def check_tree(tree, lower, upper, leaf_size):
     count = len(lower)
     assert sorted(tree.order.tolist()) == list(range(count))
     assert len(tree) == 0 if count == 0 else tree.parent[0] == -1
     for node in range(len(tree)):
-        rows = tree.objects(node)
+        rows = rows_of(tree, node)
         assert (tree.lower[node] == lower[rows].min(0)).all()
         assert (tree.upper[node] == upper[rows].max(0)).all()
         child = tree.child[node]
@@ -79,7 +83,7 @@ def test_the_area_heuristic_separates_two_clusters():
     lower[10:] += 1000.0
     upper[10:] += 1000.0
     tree = build_by_area(lower, upper)
-    assert sorted(tree.objects(tree.child[0]).tolist()) == list(range(10))
+    assert sorted(rows_of(tree, tree.child[0]).tolist()) == list(range(10))
 
 
 def test_the_area_heuristic_costs_less_than_the_middle():
@@ -100,11 +104,11 @@ def test_a_split_in_the_middle_separates_centres_at_half_of_the_longest_axis():
     tree = build_by_middle(lower, upper)
     centre = 0.5 * (lower + upper)
     for node in np.flatnonzero(tree.child >= 0)[:40]:
-        among = centre[tree.objects(node)]
+        among = centre[rows_of(tree, node)]
         axis = np.ptp(among, axis=0).argmax()
         middle = 0.5 * (among[:, axis].min() + among[:, axis].max())
-        assert (centre[tree.objects(tree.child[node]), axis] <= middle).all()
-        assert (centre[tree.objects(tree.child[node] + 1), axis] > middle).all()
+        assert (centre[rows_of(tree, tree.child[node]), axis] <= middle).all()
+        assert (centre[rows_of(tree, tree.child[node] + 1), axis] > middle).all()
 
 
 def test_splits_in_the_middle_have_limited_depth():
@@ -128,29 +132,6 @@ def test_a_cut_covers_the_order_in_runs_of_at_most_its_size(size):
     assert (tree.count[cut] <= max(size, 4)).all()
     parents = tree.parent[cut][tree.parent[cut] >= 0]
     assert (tree.count[parents] > size).all()
-
-
-def test_distances_are_zero_inside_and_euclidean_outside():
-    tree = build_by_area(np.array([[0.0, 0.0, 0.0]]), np.array([[1.0, 2.0, 3.0]]))
-    assert tree.distances(np.array([0.5, 0.5, 0.5])).tolist() == [0.0]
-    assert tree.distances(np.array([4.0, 6.0, 3.0])).tolist() == [5.0]
-
-
-def test_leaves_come_in_the_order_of_a_traversal_that_enters_the_nearer_child_first():
-    lower, upper = make_boxes(500, seed=5)
-    tree = build_by_area(lower, upper)
-    eye = np.array([150.0, -20.0, 35.0])
-    near = tree.distances(eye)
-    centre = 0.5 * (tree.lower + tree.upper)
-
-    def walk(node):
-        child = tree.child[node]
-        if child < 0:
-            return [node]
-        pair = sorted((child, child + 1), key=lambda n: (near[n], ((centre[n] - eye) ** 2).sum()))
-        return walk(pair[0]) + walk(pair[1])
-
-    assert tree.leaves_front_to_back(eye).tolist() == walk(0)
 
 
 @pytest.mark.parametrize("build", BUILDERS)

@@ -11,8 +11,9 @@ import rhi
 from renderer.frame import SceneResources, View
 from renderer.lab.exam.scenes import make_views
 from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene
+from renderer.scene.camera import is_parallel
 from renderer.visibility import NoCulling
-from renderer.visibility.boxes.bounds import is_parallel, margin_terms, near_radius
+from renderer.visibility.boxes.bounds import margin_terms, near_radius
 from renderer.visibility.gpu.occludees import HIDDEN, OUTSIDE, VISIBLE, Occludees
 
 CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
@@ -66,7 +67,7 @@ def check(device: rhi.Device, scene: Scene, camera: Camera) -> np.ndarray:
     behind = (np.einsum("pi,nki->npk", planes[:, :3], corners) + planes[None, :, 3:] < 0.0).all(2).any(1)
     assert behind[marks == OUTSIDE].all()
     away = np.maximum(np.maximum(corners.min(1), -corners.max(1)), 0.0)
-    if not is_parallel(camera):
+    if not is_parallel(camera.projection):
         assert (marks[np.linalg.norm(away, axis=1) < near_radius(camera)] == VISIBLE).all()
     return marks
 

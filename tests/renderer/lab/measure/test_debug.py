@@ -11,6 +11,7 @@ from PIL import Image
 
 import rhi
 from renderer.cli import main
+from renderer.cli.debug_visibility import compose
 from renderer.content import BUILT_IN
 from renderer.lab.measure.pictures import (
     COLORS,
@@ -198,3 +199,12 @@ def test_bad_input_of_debug_is_one_line(
     assert said in error
     assert error.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_the_legend_has_the_colors_of_the_picture() -> None:
+    empty = np.zeros((4, 600, 4), np.uint8)
+    legend = np.asarray(compose((empty, empty), dict.fromkeys(CullingOutcome, 1)))
+    for place, outcome in enumerate(CullingOutcome):
+        levels = legend[4 + 10, 6 + place * 1200 // len(CullingOutcome) + 5]
+        light = [x / 12.92 if x <= 0.04045 else ((x + 0.055) / 1.055) ** 2.4 for x in levels / 255.0]
+        assert light == pytest.approx(COLORS[outcome], abs=0.005)  # half of a step between levels

@@ -1,7 +1,20 @@
 """Stores as GLSL writes them."""
 
 from rhi.contract.descriptors import Stage
-from rhi.shading import Shader, Storage, StorageRW, atomic_add, compile_shader, global_id, mat4
+from rhi.contract.formats import Format
+from rhi.shading import (
+    Image2D,
+    Shader,
+    Storage,
+    StorageRW,
+    Texture2D,
+    atomic_add,
+    compile_shader,
+    global_id,
+    image,
+    ivec2,
+    mat4,
+)
 
 
 class StoreAnywhere(Shader):
@@ -28,6 +41,23 @@ class StoreInOrder(Shader):
         self.matrices[0][2][atomic_add(self.count[0], 1)] = float(atomic_add(self.count[0], 1))
 
 
+class CopyTexels(Shader):
+    source: Texture2D
+    target: Image2D = image(Format.RGBA32F)
+
+    def compute(self) -> None:
+        at = ivec2(global_id().xy)
+        self.target.store(at, self.source.load(at))
+
+
+class DoubleTexels(Shader):
+    target: Image2D = image(Format.RGBA32F)
+
+    def compute(self) -> None:
+        at = ivec2(global_id().xy)
+        self.target.store(at, self.target.load(at) * 2.0)
+
+
 def source(shader: type[Shader]) -> str:
     return compile_shader(shader).emit("glsl", Stage.COMPUTE).text
 
@@ -47,3 +77,13 @@ def test_a_known_column_is_stored_at_once() -> None:
 def test_the_value_of_such_a_store_is_computed_before_its_column() -> None:
     text = source(StoreInOrder)
     assert text.index("float(atomicAdd(") < text.index("switch (atomicAdd(")
+
+
+def test_an_image_that_is_only_stored_is_writeonly_though_a_texture_is_loaded() -> None:
+    assert "writeonly uniform image2D target;" in source(CopyTexels)
+
+
+def test_an_image_that_is_loaded_and_stored_is_not_writeonly() -> None:
+    text = source(DoubleTexels)
+    assert "uniform image2D target;" in text
+    assert "writeonly" not in text

@@ -14,7 +14,7 @@ and hold the pin, so no wind, no fabric and no number of steps takes a point out
 all times, and its speeds are bounded by them.
 """
 
-from renderer.cloth.cloths import Cloths
-from renderer.cloth.sheets import Fabric, Gust, Sheet, Wind, make_sheet
+from renderer.scene.cloth.cloths import Cloths
+from renderer.scene.cloth.sheets import Fabric, Gust, Sheet, Wind, make_sheet
 
 __all__ = ["Cloths", "Fabric", "Gust", "Sheet", "Wind", "make_sheet"]

@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.cloth.sheets import GRAVITY, INTERVAL, SUBSTEPS, Sheet, Wind, find_normals
 from renderer.scene.arrays import Rows
+from renderer.scene.cloth.sheets import GRAVITY, INTERVAL, SUBSTEPS, Sheet, Wind, find_normals
 
 _TURN: Final = np.float32(2.0 * np.pi)
 _LEAST: Final = np.float32(1e-20)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from renderer import rules
-from renderer.viewer.commands import CommandTable, Parameter, ViewerCommand, common_start, split_line
+from renderer.viewer.command_table import CommandTable, Parameter, ViewerCommand, common_start, split_line
 from rhi import RhiError, ValidationError
 
 

@@ -12,7 +12,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.cloth.kernels import (
+from renderer.scene.arrays import Rows
+from renderer.scene.cloth.kernels import (
     LANES,
     ClothConstants,
     ClothConstraint,
@@ -21,9 +22,8 @@ from renderer.cloth.kernels import (
     ClothPoint,
     StepCloths,
 )
-from renderer.cloth.reference import find_share
-from renderer.cloth.sheets import GRAVITY, INTERVAL, MOST_GUSTS, SUBSTEPS, Sheet, Wind
-from renderer.scene.arrays import Rows
+from renderer.scene.cloth.reference import find_share
+from renderer.scene.cloth.sheets import GRAVITY, INTERVAL, MOST_GUSTS, SUBSTEPS, Sheet, Wind
 from rhi import Device, StorageBuffer
 from rhi.shading import vec4
 

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import rhi
-from renderer.cloth import Cloths, Fabric, Gust, Wind
 from renderer.content.hall import DRAUGHT, make_banner
 from renderer.scene import Scene, Simulator
+from renderer.scene.cloth import Cloths, Fabric, Gust, Wind
 from rhi.backends.null import NullBackend
 
 speeds = st.tuples(*[st.sampled_from([0.0, 1e-40, 3.0, -40.0, 1000.0, -1000.0])] * 3)

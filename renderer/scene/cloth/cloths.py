@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer import rules
-from renderer.cloth.on_device import ClothBuffers
-from renderer.cloth.reference import ClothArrays
-from renderer.cloth.sheets import INTERVAL, Sheet, Wind
 from renderer.scene.arrays import Rows
 from renderer.scene.catching_up import Leap
+from renderer.scene.cloth.on_device import ClothBuffers
+from renderer.scene.cloth.reference import ClothArrays
+from renderer.scene.cloth.sheets import INTERVAL, Sheet, Wind
 from rhi import Device, StorageBuffer
 from rhi.errors import refuse
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from renderer.cloth.sheets import MOST_GUSTS
+from renderer.scene.cloth.sheets import MOST_GUSTS
 from rhi.shading import (
     Array,
     Shader,

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from renderer.cloth import Cloths, Fabric, Gust, Sheet, Wind, make_sheet
 from renderer.content import BUILT_IN
 from renderer.scene import Camera, Perspective, Scene, SceneBuilder, scaling, translation
+from renderer.scene.cloth import Cloths, Fabric, Gust, Sheet, Wind, make_sheet
 
 BREEZE = Wind(
     (0.2, 0.0, 0.6), (Gust((0.0, 0.2, 2.0), (0.3, 0.4, 0.0), 0.7), Gust((0.5, 0.0, 1.0), (1.1, 0.3, 0.0), 0.4))

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from cloth_scenes import make_square
 
-from renderer.cloth import Cloths, Fabric, Gust, Wind, make_sheet
 from renderer.content.hall import make_banner
+from renderer.scene.cloth import Cloths, Fabric, Gust, Wind, make_sheet
 from rhi.errors import ValidationError
 
 GRID = np.stack([*np.meshgrid(np.arange(3.0), -np.arange(3.0)), np.zeros((3, 3))], 2)

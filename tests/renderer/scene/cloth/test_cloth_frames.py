@@ -9,10 +9,10 @@ import pytest
 from cloth_scenes import AWAY, BREEZE, look, make_scene, make_square
 
 import rhi
-from renderer.cloth import Cloths
 from renderer.content import load_scene
 from renderer.renderer import Renderer
 from renderer.scene import Scene, SceneBuilder
+from renderer.scene.cloth import Cloths
 from renderer.visibility import FrustumCulling, NoCulling, make_visibility
 from rhi import Op
 from rhi.backends.null import PROFILES

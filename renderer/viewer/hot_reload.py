@@ -20,8 +20,8 @@ from typing import Final
 from renderer import rules
 from renderer.content import load_model
 from renderer.settings import RenderSettings
-from renderer.viewer.actions import switch
-from renderer.viewer.commands import Parameter, ViewerCommand
+from renderer.viewer.command_table import Parameter, ViewerCommand
+from renderer.viewer.commands import switch
 from renderer.viewer.stage import ViewerStage
 from rhi import Reloader, RhiError, ShaderError
 from rhi.errors import refuse
