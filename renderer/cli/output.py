@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -68,17 +68,20 @@ def name_of(scene: Scene) -> str:
 
 def prepare_image(path: Path, option: str = "--output") -> Path:
     """Check that the image which an option names can be written, before any work is done for it; return `path`."""
-    return _prepare(path, option, "has no known image extension; end it with .png")
+    return _prepare(path, option, Image.registered_extensions(), "has no known image extension; end it with .png")
 
 
 def prepare_chart(path: Path) -> Path:
     """Check that the chart which `--plot` names, a drawing or an image, can be written; return `path`."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    known = [f".{kind}" for kind in FigureCanvasAgg.get_supported_filetypes()]
     wrong = "is not the name of a chart: it has no known image extension; end it with .svg"
-    return _prepare(path, "--plot", wrong, ".svg", ".pdf")
+    return _prepare(path, "--plot", known, wrong)
 
 
-def _prepare(path: Path, option: str, wrong: str, *drawings: str) -> Path:
-    if path.suffix.lower() not in (*drawings, *Image.registered_extensions()):
+def _prepare(path: Path, option: str, known: Collection[str], wrong: str) -> Path:
+    if path.suffix.lower() not in known:
         raise OutputError(f"{option}: {path.name!r} {wrong}")
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.is_dir():

@@ -57,6 +57,7 @@ REFUSED = {
         COMPARE, "compare techniques grid", "compare encodings", "compare backends grid", "accuracy grid"
     )},
     f"render {CITY} --stereo grey --holes holes.nothing --backend null": "--holes: 'holes.nothing'",
+    f"{COMPARE} --plot chart.bmp": "--plot: 'chart.bmp' is not the name of a chart",
     f"{TUNE} --b 0:5": "--b",
     f"{TUNE} --b 9:5": "--b",
     f"{TUNE} --n x": "--n",
