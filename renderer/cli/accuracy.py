@@ -17,6 +17,7 @@ from renderer.cli.arguments import load_settings, open_scene
 from renderer.cli.executors import KINDS, make_executor
 from renderer.cli.options import option
 from renderer.cli.output import OutputError, note, prepare_chart, show_progress
+from renderer.cli.output import list_left_out as list_omissions
 from renderer.cli.subcommand import Subcommand
 from renderer.lab.accuracy import (
     KNOBS,
@@ -118,7 +119,7 @@ def _run(given: argparse.Namespace) -> None:
             choice = choose(situation, points, budget_ms=given.budget_ms, error_at_most=given.error_at_most)
         except RhiError as error:  # what was measured shows which bounds could be kept
             refusal = error
-    found = describe(situation, shown, points, choice)
+    found = describe(situation, shown, points, choice) | list_omissions(scene)
     title = f"{given.scene}, {shown[0].device}"
     if given.plot is not None:
         plot_all(given.plot, title, shown, points, choice)

@@ -11,6 +11,7 @@ from renderer.cli import options
 from renderer.cli.arguments import load_settings, open_scene
 from renderer.cli.comparison import ComparisonProgram, Report, describe, repeat
 from renderer.cli.output import show_progress
+from renderer.content import load_scene
 from renderer.lab.comparison import Record
 from renderer.lab.techniques import compare_techniques
 from renderer.scene import Scene
@@ -57,11 +58,16 @@ def _measure(given: argparse.Namespace) -> Report:
     def rounds(numbers: range) -> Iterable[int]:
         return show_progress(numbers, len(numbers), "compare")
 
-    def load(text: str) -> Scene:
-        scenes.append(open_scene(text))
-        return scenes[-1]
+    first: Scene | None = None
 
-    scenes, settings = list[Scene](), load_settings(given)
+    def load(text: str) -> Scene:
+        nonlocal first
+        if first is not None:  # a file's scene is one; a generator leaves nothing out
+            return load_scene(text)
+        first = open_scene(text)
+        return first
+
+    settings = load_settings(given)
     with rhi.create_device(given.backend) as device:
         rows = compare_techniques(
             device,
@@ -78,7 +84,7 @@ def _measure(given: argparse.Namespace) -> Report:
             load=load,
         )
         about = describe(device) | repeat(given, "scene", "camera", "frame", "size", "rounds")
-        return Report(about, list(rows), f"{given.scene}, {about['device']}", scenes[-1])
+        return Report(about, list(rows), f"{given.scene}, {about['device']}", first)
 
 
 def plot_techniques(figure: Any, rows: Sequence[Record]) -> None:

@@ -187,6 +187,17 @@ def test_what_a_file_has_and_the_scene_has_not_is_listed(
     assert json.loads(output.out)["left_out"] == [listed]
 
 
+@pytest.mark.usefixtures("gl")
+def test_accuracy_lists_it_and_charts_are_drawings(capsys: pytest.CaptureFixture[str], here: Path) -> None:
+    listed = write_lines(here / "lines.gltf")
+    asked = "--knob precision --views 1 --rounds 1 --size 32x18 --backend gl --plot errors.svg --json"
+    main(["accuracy", "lines.gltf", *asked.split()])
+    output = capsys.readouterr()
+    assert "left out: lines (meshes[0].primitives[1])" in output.err.splitlines()
+    assert json.loads(output.out)["left_out"] == [listed]
+    assert (here / "errors.svg").read_text().startswith("<?xml")
+
+
 def test_comparing_eyes_lists_it_once(capsys: pytest.CaptureFixture[str], here: Path) -> None:
     listed = write_lines(here / "lines.gltf")
     shown = ["--camera-path", "sky", "--frame", "0", "--frames", "1", "--sizes", "64x36", "--stereo", "color"]

@@ -15,7 +15,7 @@ from renderer.lab.measure.encodings import ENCODINGS
 def test_rows_have_the_errors_and_times_of_each_encoding(
     gl: rhi.Device, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    chart = tmp_path / "chart.png"
+    chart = tmp_path / "chart.svg"
     arguments = ["--backend", "gl", "--count", "256", "--rounds", "1", "--json", "--plot", str(chart)]
     assert main(["compare", "encodings", *arguments]) == 0
     report = json.loads(capsys.readouterr().out)
