@@ -30,6 +30,7 @@ if [ $# -gt 0 ]; then
 fi
 echo "[test] ruff"
 .venv/bin/ruff check .
+.venv/bin/ruff format --check .
 echo "[test] lines of code"
 .venv/bin/python scripts/count_lines.py --check
 echo "[test] mypy --strict"

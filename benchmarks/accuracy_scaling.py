@@ -191,9 +191,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true", help="print the figures as JSON")
     parser.add_argument("--backend", action="append", choices=("null", "cl", "gl"), help="repeatable (default: all)")
     parser.add_argument("--processes", default="1,2,4", help="numbers of processes (default: %(default)s)")
-    parser.add_argument(
-        "--knob", action="append", default=[], choices=tuple(KNOBS), help="repeatable (default: all)"
-    )
+    parser.add_argument("--knob", action="append", default=[], choices=tuple(KNOBS), help="repeatable (default: all)")
     options = parser.parse_args()
     counts = [int(text) for text in options.processes.split(",")]
     # By default optimised kernels are built meanwhile, in processes of their own.

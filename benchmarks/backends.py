@@ -150,9 +150,7 @@ def draw_lights(device: Device, count: int) -> Work:
 
 def draw_taps(format: Format, device: Device, _: int) -> Work:
     texels = encode(format, np.random.default_rng(0).random((512, 512, 4)))
-    return draw_screen(
-        device, Taps, image=device.texture(texels, format), scale=device.uniform(Scale(factor=2.0))
-    )
+    return draw_screen(device, Taps, image=device.texture(texels, format), scale=device.uniform(Scale(factor=2.0)))
 
 
 def draw_city(device: Device, pixels: int) -> Work:
@@ -199,9 +197,7 @@ def merge_city(device: Device, passes: BackendPasses) -> Mesh:
     for mesh, node in zip(scene.objects.mesh, scene.objects.node, strict=True):
         part = scene.meshes.ranges[mesh]
         first = int(part["first_index"])
-        rows = scene.meshes.indices[first : first + int(part["index_count"])].astype(int) + int(
-            part["base_vertex"]
-        )
+        rows = scene.meshes.indices[first : first + int(part["index_count"])].astype(int) + int(part["base_vertex"])
         low, high = int(rows.min()), int(rows.max()) + 1
         world = scene.nodes.world[node]
         relative = positions[low:high] @ world[:3, :3].T + (world[:3, 3] - camera.position)
@@ -232,9 +228,7 @@ def measure(name: str, rounds: int) -> list[dict[str, Any]]:
         work = {backend: make(device, size) for backend, device in devices.items()}
         times = alternate(work, range(rounds), warm_ups=2)
         ratio = times["gl"].compare_to(times["cl"]).median
-        rows.append(
-            {"n": size, "gl": 1e3 * times["gl"].median, "cl": 1e3 * times["cl"].median, "ratio": ratio}
-        )
+        rows.append({"n": size, "gl": 1e3 * times["gl"].median, "cl": 1e3 * times["cl"].median, "ratio": ratio})
         print(
             f"{name:10} {size:>9,}  gl {rows[-1]['gl']:9.2f} ms  cl {rows[-1]['cl']:9.2f} ms  ×{ratio:.1f}",
             file=sys.stderr,
@@ -269,9 +263,7 @@ def plot(result: dict[str, Any], path: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument("--plot", type=Path, metavar="F.png", help="write charts of the series to this image")
     parser.add_argument("--rounds", type=int, default=9, metavar="N", help="rounds for each size (default: 9)")

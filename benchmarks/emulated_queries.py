@@ -78,10 +78,7 @@ def measure(backend: str, queries: int, rounds: int) -> dict[str, float]:
         flat, image = device.program(Flat), device.texture((256, 256), Format.RGBA8)
         box = device.mesh({"position": np.array([[-1, -1], [1, -1], [0, 1]], np.float32) / 16})
         kinds = {"native": False, "emulated": True}
-        made = {
-            kind: [device.occlusion_query(emulated=value) for _ in range(queries)]
-            for kind, value in kinds.items()
-        }
+        made = {kind: [device.occlusion_query(emulated=value) for _ in range(queries)] for kind, value in kinds.items()}
 
         def ask(kind: str, waits: bool) -> list[int]:
             samples = []
@@ -95,9 +92,7 @@ def measure(backend: str, queries: int, rounds: int) -> dict[str, float]:
 
         assert ask("native", False) == ask("emulated", True)
         work = {
-            f"{kind}, {'waited for' if waits else 'together'}": lambda _, kind=kind, waits=waits: ask(
-                kind, waits
-            )
+            f"{kind}, {'waited for' if waits else 'together'}": lambda _, kind=kind, waits=waits: ask(kind, waits)
             for waits in (False, True)
             for kind in made
         }
@@ -121,11 +116,7 @@ def main() -> None:
     print(format_table(header, [[name, *found.values()] for name, found in race.items()], markdown=True))
     print()
     names = list(next(iter(costs.values()), {}))
-    print(
-        format_table(
-            ["µs a query", *names], [[b, *found.values()] for b, found in costs.items()], markdown=True
-        )
-    )
+    print(format_table(["µs a query", *names], [[b, *found.values()] for b, found in costs.items()], markdown=True))
 
 
 if __name__ == "__main__":

@@ -270,9 +270,7 @@ class GlRun:
                 self.slots.append((binding, context.buffer(value.to_bytes())))
             elif binding.kind is BindingKind.TEXTURE:
                 _, height, width, channels = value.levels[0].shape
-                self.slots.append(
-                    (binding, context.texture((width, height), channels, value.levels[0].tobytes()))
-                )
+                self.slots.append((binding, context.texture((width, height), channels, value.levels[0].tobytes())))
             else:
                 dtype = element_dtype(value_type_of(binding.type), Layout.STD430)
                 array = np.zeros(value, dtype) if isinstance(value, int) else value

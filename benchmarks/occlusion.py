@@ -159,9 +159,7 @@ def measure_doubling(backend: str | None, boxes: int) -> dict[str, Any]:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument(
-        "--scene", default="city", help="a scene with a ground path (default: %(default)s)"
-    )
+    parser.add_argument("--scene", default="city", help="a scene with a ground path (default: %(default)s)")
     parser.add_argument("--backend", help="backend for the doubled scene (default: the first that works)")
     parser.add_argument(
         "--boxes", type=int, default=10_000, help="hidden boxes of the smaller scene (default: %(default)s)"

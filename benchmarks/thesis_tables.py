@@ -190,9 +190,7 @@ def plot(path: str, reports: list[dict[str, Any]], file: Path) -> None:
                             label=name, color=color)  # fmt: skip
             axes.bar_label(bars, fmt=lambda value: f"{value:.2f}" if value == value else "", fontsize="small")
         axes.axhline(1.0, color="grey", linewidth=0.8)
-        axes.set_xticks(
-            [at + 0.27 for at in range(len(groups))], [name.replace(" (", "\n(") for name, _ in groups]
-        )
+        axes.set_xticks([at + 0.27 for at in range(len(groups))], [name.replace(" (", "\n(") for name, _ in groups])
         axes.margins(y=0.15)
         axes.legend(fontsize="small")
 
@@ -234,17 +232,11 @@ def main() -> None:
     parser = Parser(prog="thesis_tables.py", description=__doc__)
     parser.add_argument("path", choices=TIMES)
     parser.add_argument("--backends", default="gl,cl", help="our platforms (default: %(default)s)")
-    parser.add_argument(
-        "--frames", type=parse_count, default=60, help="counted frames (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--warm-up", type=parse_frame, default=4, help="frames before each (default: %(default)s)"
-    )
+    parser.add_argument("--frames", type=parse_count, default=60, help="counted frames (default: %(default)s)")
+    parser.add_argument("--warm-up", type=parse_frame, default=4, help="frames before each (default: %(default)s)")
     parser.add_argument("--size", **size().told)
     parser.add_argument("--figure", type=Path, metavar="F.png", help="write the figure")
-    parser.add_argument(
-        "--into", type=Path, metavar="PAGE.md", help="replace the tables and the figure of this page"
-    )
+    parser.add_argument("--into", type=Path, metavar="PAGE.md", help="replace the tables and the figure of this page")
     parser.add_argument("--save", type=Path, metavar="F.json", help="keep the results")
     parser.add_argument("--load", type=Path, nargs="+", metavar="F.json", help="print these results")
     given = parser.parse_args()

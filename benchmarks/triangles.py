@@ -17,9 +17,7 @@ from rhi.conformance.triangles import BATCH, CELL, CUT, WHOLE, Judgement, examin
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--backend", default="cl", help="default: %(default)s")
     parser.add_argument("--triangles", type=int, default=100_000, help="number of triangles (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="first seed (default: %(default)s)")
@@ -30,9 +28,7 @@ def main() -> None:
           f"{'depth':>8} {'beyond':>8} {'weight':>8} {'beyond':>8}")  # fmt: skip
     with rhi.create_device(given.backend) as device:
         for family, wide in cases:
-            results: list[Judgement] = [
-                examine(device, family, given.seed + number, wide) for number in range(batches)
-            ]
+            results: list[Judgement] = [examine(device, family, given.seed + number, wide) for number in range(batches)]
             worst = [
                 max(getattr(result, name) for result in results)
                 for name in ("depth_error", "depth_beyond", "weight_error", "weight_beyond")

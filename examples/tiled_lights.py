@@ -157,9 +157,7 @@ class FindLamps(Shader):
 
     def unproject(self, pixel: vec2, depth: float) -> vec3:
         size = vec2(self.view.size)
-        point = self.view.to_world @ vec4(
-            pixel.x / size.x * 2.0 - 1.0, 1.0 - pixel.y / size.y * 2.0, depth, 1.0
-        )
+        point = self.view.to_world @ vec4(pixel.x / size.x * 2.0 - 1.0, 1.0 - pixel.y / size.y * 2.0, depth, 1.0)
         return point.xyz / point.w
 
     def compute(self) -> None:
@@ -209,9 +207,7 @@ class Lit(Shader):
     def vertex(self, v: Vertex) -> Surface:
         box = self.boxes[instance_index()]
         world = v.position * box.half + box.center
-        return Surface(
-            clip=self.view.from_world @ vec4(world, 1.0), world=world, normal=v.normal, color=box.color
-        )
+        return Surface(clip=self.view.from_world @ vec4(world, 1.0), world=world, normal=v.normal, color=box.color)
 
     def sunlight(self, world: vec3) -> float:
         """Return the fraction of sunlight that arrives: the mean of four filtered comparisons."""
@@ -301,9 +297,7 @@ class Renderer:
             )
         )
         cells = np.flatnonzero(self.visible)
-        draws = self.cube.draws(
-            np.zeros(len(cells), int), instances=self.count[cells], base_instance=self.first[cells]
-        )
+        draws = self.cube.draws(np.zeros(len(cells), int), instances=self.count[cells], base_instance=self.first[cells])
         with device.event("depth"), device.render_pass(depth=self.depth, clear_depth=0.0):
             device.draw_many(self.depth_only, self.cube, draws, view=view, boxes=self.boxes)
         every = self.cube.draws(np.zeros(len(self.count), int), base_instance=np.arange(len(self.count)))
@@ -404,9 +398,7 @@ def orthographic(reach: float, far: float) -> NDArray[np.float64]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Render frames along a short path and write the last one to a file."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--backend", help="gl, cl, null (default: RHI_BACKEND, or the first that works)")
     parser.add_argument("--frames", type=int, default=8, help="number of frames (default: 8)")
     parser.add_argument(

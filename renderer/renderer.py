@@ -358,9 +358,7 @@ class Renderer:
         counters = {name: getattr(after, name) - getattr(before, name) for name in _COUNTERS}
         counters["simulation_steps"] = self.simulator.steps
         counters["skipped_simulations"] = len(self.simulator) - self.simulator.seen
-        result = FrameResult(
-            image, left.targets.depth, left.targets, left.statistics, tuple(frames), counters
-        )
+        result = FrameResult(image, left.targets.depth, left.targets, left.statistics, tuple(frames), counters)
         return result, needs
 
     def _aim(self, camera: Camera) -> Camera:

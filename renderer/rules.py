@@ -32,9 +32,7 @@ BAD_VERTICES: Final = Rule(
     "a mesh needs finite vertices",
     "remove vertices with NaN or infinity, then export again",
 )
-BAD_MESH: Final = Rule(
-    "scene-bad-mesh", "a mesh consists of triangles: three indices each, all of existing vertices"
-)
+BAD_MESH: Final = Rule("scene-bad-mesh", "a mesh consists of triangles: three indices each, all of existing vertices")
 BAD_HEIGHTS: Final = Rule(
     "scene-bad-heights", "a height field is a map of finite heights over a rectangle, with a limit of triangles"
 )
@@ -48,9 +46,7 @@ BAD_TRANSFORM: Final = Rule(
 )
 BAD_INDEX: Final = Rule("scene-bad-index", "an id must name something that was added before")
 BAD_MATERIAL: Final = Rule("scene-bad-material", "a material's value is out of its range")
-BAD_IMAGE: Final = Rule(
-    "scene-bad-image", "an image is an array of shape (height, width, 4), uint8, not empty"
-)
+BAD_IMAGE: Final = Rule("scene-bad-image", "an image is an array of shape (height, width, 4), uint8, not empty")
 BAD_LIGHT: Final = Rule("scene-bad-light", "a light's value is out of its range")
 BAD_AIR: Final = Rule("scene-bad-air", "a value of fog or glow is out of its range")
 BAD_GLOW: Final = Rule("glow-bad-settings", "a setting of glow is out of its range")
@@ -91,9 +87,7 @@ BAD_CLOTH: Final = Rule(
 UNKNOWN_NODE: Final = Rule("scene-unknown-node", "no node has this name")
 
 # Scene text
-UNKNOWN_SCENE: Final = Rule(
-    "scene-unknown-scene", "the text names neither a scene generator nor a model file"
-)
+UNKNOWN_SCENE: Final = Rule("scene-unknown-scene", "the text names neither a scene generator nor a model file")
 SPEC_SYNTAX: Final = Rule("scene-spec-syntax", "the options of a scene are written name:key=value,key=value")
 UNKNOWN_KEY: Final = Rule("scene-unknown-key", "the scene generator has no option of this name")
 BAD_VALUE: Final = Rule("scene-bad-value", "the value of a scene's option is not allowed")
@@ -117,9 +111,7 @@ NO_STEREO: Final = Rule(
 UNKNOWN_STEREO: Final = Rule("stereo-unknown-output", "there is no way of this name to show two pictures in one")
 
 # Visibility
-BAD_BOUNDS: Final = Rule(
-    "visibility-bad-bounds", "bounds are finite arrays of shape (n, 3), with lower at most upper"
-)
+BAD_BOUNDS: Final = Rule("visibility-bad-bounds", "bounds are finite arrays of shape (n, 3), with lower at most upper")
 UNKNOWN_ALGORITHM: Final = Rule("visibility-unknown-name", "no visibility algorithm has this name")
 CANNOT_RUN: Final = Rule(
     "visibility-cannot-run",
@@ -146,9 +138,7 @@ STALE_LIST: Final = Rule(
     "a list of draws made on the device can be read only until the next frame replaces it",
     "read `result.visible` and `result.statistics` before the next frame",
 )
-BAD_PARAMETER: Final = Rule(
-    "visibility-bad-parameter", "a visibility algorithm's parameter is out of its range"
-)
+BAD_PARAMETER: Final = Rule("visibility-bad-parameter", "a visibility algorithm's parameter is out of its range")
 BAD_SETTINGS: Final = Rule(
     "visibility-bad-settings",
     "the file holds no settings of visibility algorithms",
@@ -170,9 +160,7 @@ DRAWN_OVER_TWICE: Final = Rule(
     "contents of a frame are drawn over by one pass",
     "let the second pass draw over the first one's result",
 )
-UNWRITTEN: Final = Rule(
-    "plan-unwritten", "contents that a pass or the frame needs are written by one of its passes"
-)
+UNWRITTEN: Final = Rule("plan-unwritten", "contents that a pass or the frame needs are written by one of its passes")
 UNKNOWN_CONTENTS: Final = Rule("plan-unknown-contents", "no texture of the frame's plan has these contents")
 PLAN_CIRCLE: Final = Rule("plan-circle", "the passes of a frame don't wait for each other in a circle")
 
@@ -221,9 +209,7 @@ FIXED_SCENE: Final = Rule(
     "leave out --objects or --lights: the scene is compared as it is",
 )
 UNKNOWN_KNOB: Final = Rule("accuracy-unknown-knob", "no choice between accuracy and time has this name")
-OUT_OF_REACH: Final = Rule(
-    "accuracy-out-of-reach", "no settings that were tried are as fast and as accurate as that"
-)
+OUT_OF_REACH: Final = Rule("accuracy-out-of-reach", "no settings that were tried are as fast and as accurate as that")
 NO_KNOBS: Final = Rule("accuracy-no-knobs", "none of these knobs matters for this scene and device")
 UNKNOWN_CASE: Final = Rule("exam-unknown-case", "the exam has no case of this number")
 NO_PICTURES: Final = Rule("measure-no-pictures", "a backend that draws no pictures has no passes to time")

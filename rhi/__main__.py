@@ -98,9 +98,7 @@ def _as_json(reports: list[BackendReport]) -> dict[str, Any]:
                 "usable": r.usable,
                 "reason": r.reason,
                 "tip": r.tip,
-                "capabilities": None
-                if r.capabilities is None
-                else _plain(dataclasses.asdict(r.capabilities)),
+                "capabilities": None if r.capabilities is None else _plain(dataclasses.asdict(r.capabilities)),
             }
             for r in reports
         ],

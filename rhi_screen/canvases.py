@@ -50,9 +50,7 @@ CANVASES: Final = {
     "window": CanvasKind("rhi_screen.window", "Window"),
     "qt": CanvasKind("rendercanvas.pyside6", needs="PySide6", install=f"pip install pyside6; {INSTALL}"),
     "page": CanvasKind("rendercanvas.http", needs="uvicorn"),
-    "jupyter": CanvasKind(
-        "rendercanvas.jupyter", needs="jupyter_rfb", install=f"pip install jupyter_rfb; {INSTALL}"
-    ),
+    "jupyter": CanvasKind("rendercanvas.jupyter", needs="jupyter_rfb", install=f"pip install jupyter_rfb; {INSTALL}"),
     "offscreen": CanvasKind("rendercanvas.offscreen"),
 }
 """All kinds by name."""

@@ -129,9 +129,7 @@ def open_screen(
     Raises:
         DeviceError: `screen-missing`, `screen-display`, `screen-driver` or `device-driver`, with what to install.
     """
-    opened = open_canvas(
-        canvas, title=title, size=size, update_mode=update_mode, max_fps=max_fps, vsync=vsync
-    )
+    opened = open_canvas(canvas, title=title, size=size, update_mode=update_mode, max_fps=max_fps, vsync=vsync)
     try:
         return Screen(opened, device, **options)
     except BaseException:

@@ -32,9 +32,7 @@ _LAYOUT: Final = {
 def count_lines(path: Path) -> int:
     """Return how many lines of a Python file hold code."""
     with path.open("rb") as file:
-        tokens = [
-            each for each in tokenize.tokenize(file.readline) if each.type not in (tokenize.COMMENT, tokenize.NL)
-        ]
+        tokens = [each for each in tokenize.tokenize(file.readline) if each.type not in (tokenize.COMMENT, tokenize.NL)]
     lines: set[int] = set()
     for before, token, after in zip([None, *tokens], tokens, [*tokens[1:], None], strict=False):
         if token.type in _LAYOUT:

@@ -25,10 +25,7 @@ PAGES = [
     *sorted((ROOT / "examples").glob("*/README.md")),
 ]
 PROGRAMS = [
-    path
-    for folder in FOLDERS
-    for path in sorted((ROOT / folder).rglob("*.py*"))
-    if path.suffix in (".py", ".pyi")
+    path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*.py*")) if path.suffix in (".py", ".pyi")
 ]
 TICKED = re.compile(r"`([^`\n]+)`")
 DOTTED = re.compile(r"(?:rhi_screen|rhi|renderer)(?:\.\w+)+")
@@ -41,9 +38,7 @@ def read_prose(path: Path) -> Iterator[tuple[int, str]]:
     if path.suffix == ".md":
         yield (
             1,
-            re.sub(
-                r"```.*?```", lambda block: "\n" * block[0].count("\n"), path.read_text(), flags=re.DOTALL
-            ),
+            re.sub(r"```.*?```", lambda block: "\n" * block[0].count("\n"), path.read_text(), flags=re.DOTALL),
         )
         return
     with path.open("rb") as file:
@@ -92,9 +87,7 @@ def describe(path: Path, line: int, mention: str) -> str:
 @pytest.mark.parametrize("folder", ["pages", *FOLDERS])
 def test_every_dotted_path_in_back_ticks_resolves(folder: str) -> None:
     paths = PAGES if folder == "pages" else [path for path in PROGRAMS if path.is_relative_to(ROOT / folder)]
-    mentions = [
-        (path, *mention) for path in paths for mention in find_mentions(path, DOTTED) if not path.match(MOVED)
-    ]
+    mentions = [(path, *mention) for path in paths for mention in find_mentions(path, DOTTED) if not path.match(MOVED)]
     importlib.import_module("rhi.backends.cl.raster.builds")  # it makes the logger that the docs name
     known = {dotted: resolves(dotted) for dotted in {mention for _, _, mention in mentions}}
     assert [describe(*mention) for mention in mentions if not known[mention[2]]] == []
@@ -176,9 +169,7 @@ def test_a_homonym_is_found() -> None:
 
 
 def test_the_root_of_rhi_has_at_most_a_dozen_packages_and_modules() -> None:
-    rooms = [
-        path for path in (ROOT / "rhi").iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()
-    ]
+    rooms = [path for path in (ROOT / "rhi").iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()]
     assert len(rooms) <= 12
 
 
@@ -188,9 +179,7 @@ def test_the_example_of_a_port_imports_the_contract_and_the_language_only() -> N
             names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             names += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             for name in names:
-                assert name.split(".")[0] != "rhi" or name in ("rhi.contract", "rhi.shading"), (
-                    f"{path.name}: {name}"
-                )
+                assert name.split(".")[0] != "rhi" or name in ("rhi.contract", "rhi.shading"), f"{path.name}: {name}"
 
 
 def test_each_package_that_an_extra_installs_is_used() -> None:

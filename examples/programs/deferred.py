@@ -113,9 +113,9 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
     lights["range"], lights["color"] = 3.0, rng.uniform(0, 2.5, (LIGHTS, 3))
     positions, normals, _, indices = make_cube()
     cube = device.mesh({"position": positions, "normal": normals}, indices)
-    camera = device.uniform(Camera(
-        view_projection=perspective(50, size[0] / size[1]) @ look_at((11, 8, 13), (0, -1, 0))
-    ))
+    camera = device.uniform(
+        Camera(view_projection=perspective(50, size[0] / size[1]) @ look_at((11, 8, 13), (0, -1, 0)))
+    )
     places, stored, colors = (device.texture(size, f) for f in (Format.RGBA32F, Format.RGBA16F, Format.RGBA8))
     image, depth = device.texture(size, Format.RGBA8_SRGB), device.texture(size, Format.D32F)
     with device.render_pass([image, places, stored, colors], depth, clear=(0, 0, 0, 0), clear_depth=0.0):
@@ -123,8 +123,14 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
     behind = device.states(DepthWrite.OFF, BlendFunction.ADDITIVE, CullMode.FRONT, DepthFunction.LESS_EQUAL)
     with device.render_pass(image, depth), behind:  # depth is reversed: back faces that lie behind what is seen
         device.draw(
-            device.program(Lighting), cube, LIGHTS, camera=camera, lights=device.storage(Light, lights),
-            places=places, normals=stored, colors=colors,
+            device.program(Lighting),
+            cube,
+            LIGHTS,
+            camera=camera,
+            lights=device.storage(Light, lights),
+            places=places,
+            normals=stored,
+            colors=colors,
         )
     return image
 

@@ -85,9 +85,9 @@ def draw(device: rhi.Device, size: tuple[int, int]) -> tuple[rhi.Texture, rhi.Qu
     cube, _, _, cube_indices = make_cube()
     sphere, sphere_indices = make_sphere()
     boxes, spheres = device.mesh({"position": cube}, cube_indices), device.mesh({"position": sphere}, sphere_indices)
-    camera = device.uniform(Camera(
-        view_projection=perspective(50, size[0] / size[1]) @ look_at((0, 2.5, 11), (0, 1.5, 0))
-    ))
+    camera = device.uniform(
+        Camera(view_projection=perspective(50, size[0] / size[1]) @ look_at((0, 2.5, 11), (0, 1.5, 0)))
+    )
     places = device.storage(Place, make_places())
     program, queries = device.program(Placed), device.query_set(COUNT)
     image, depth = device.texture(size, Format.RGBA8_SRGB), device.texture(size, Format.D32F)

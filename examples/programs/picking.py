@@ -86,9 +86,7 @@ class Scene:
         """Draw all boxes to the picture and to the numbers."""
         clear = [(0.02, 0.03, 0.05, 1), (BOXES, 0, 0, 0)]
         with self.device.render_pass([self.image, self.numbers], self.depth, clear=clear, clear_depth=0.0):
-            self.device.draw(
-                self.program, self.cube, BOXES, camera=self.camera, choice=self.choice, boxes=self.boxes
-            )
+            self.device.draw(self.program, self.cube, BOXES, camera=self.camera, choice=self.choice, boxes=self.boxes)
 
     def pick(self, x: int, y: int) -> int | None:
         """Return the number of the box in a pixel, or None. Only that texel is read back."""

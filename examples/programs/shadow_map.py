@@ -101,14 +101,14 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
     boxes = device.storage(Box, rows)
     sun = np.array((0.5, 0.8, 0.3)) / np.linalg.norm((0.5, 0.8, 0.3))
     box = np.array([(1 / 14, 0, 0, 0), (0, 1 / 14, 0, 0), (0, 0, 1 / 60, 1.0), (0, 0, 0, 1)])  # parallel, reversed
-    frame = device.uniform(Frame(
-        view_projection=perspective(45, size[0] / size[1]) @ look_at((14, 12, 18), (0, 1, 0)),
-        sun_projection=box @ look_at(sun * 30, (0, 0, 0)),
-        sun=sun,
-    ))
-    compared = SamplerDescriptor(
-        wrap_u=Wrap.CLAMP, wrap_v=Wrap.CLAMP, mip=None, compare=Comparison.GREATER_EQUAL
+    frame = device.uniform(
+        Frame(
+            view_projection=perspective(45, size[0] / size[1]) @ look_at((14, 12, 18), (0, 1, 0)),
+            sun_projection=box @ look_at(sun * 30, (0, 0, 0)),
+            sun=sun,
+        )
     )
+    compared = SamplerDescriptor(wrap_u=Wrap.CLAMP, wrap_v=Wrap.CLAMP, mip=None, compare=Comparison.GREATER_EQUAL)
     shadows = device.texture(SHADOW, Format.D32F)
     image, depth = device.texture(size, Format.RGBA8_SRGB), device.texture(size, Format.D32F)
     with device.render_pass(depth=shadows, clear_depth=0.0), device.states(CullMode.NONE, PolygonOffset(slope=-2)):

@@ -91,10 +91,7 @@ def find_medians(frames: list[CapturedFrame]) -> dict[str, dict[str, float]]:
         ]
         for name in list_passes(frames)
     }
-    return {
-        name: {"median": median(times), "least": min(times), "most": max(times)}
-        for name, times in columns.items()
-    }
+    return {name: {"median": median(times), "least": min(times), "most": max(times)} for name, times in columns.items()}
 
 
 def plot_frames(frames: list[CapturedFrame], path: Path, title: str) -> None:

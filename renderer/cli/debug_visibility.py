@@ -62,9 +62,7 @@ def _run(given: argparse.Namespace) -> None:
     cameras = [parse_camera(given.camera, scene, frame) for frame in frames]
     with rhi.create_device(given.backend) as device:
         if not device.capabilities.renders:
-            raise OutputError(
-                f"--backend: the {device.backend_name} device draws nothing, so there is no picture"
-            )
+            raise OutputError(f"--backend: the {device.backend_name} device draws nothing, so there is no picture")
         algorithm = make_visibility(given.algorithm, scene, device, settings)
         with Renderer(device, scene, visibility=algorithm, size=given.size) as renderer:
             for frame, camera in zip(frames, cameras, strict=True):
@@ -85,9 +83,7 @@ def _run(given: argparse.Namespace) -> None:
         print("\n".join(f"{count:>8,} {MEANINGS[outcome]}" for outcome, count in counts.items()))
 
 
-def compose(
-    pictures: tuple[NDArray[np.uint8], NDArray[np.uint8]], counts: dict[CullingOutcome, int]
-) -> Image.Image:
+def compose(pictures: tuple[NDArray[np.uint8], NDArray[np.uint8]], counts: dict[CullingOutcome, int]) -> Image.Image:
     """Return both pictures side by side above a legend of the colours."""
     side_by_side = np.concatenate([picture[:, :, :3] for picture in pictures], axis=1)
     height, width = side_by_side.shape[:2]

@@ -139,6 +139,4 @@ def _render(numbers: Iterable[int]) -> list[NDArray[Any]]:
     raise OutputError("--output: no backend here draws pictures")
 
 
-COMMAND: Final = Subcommand(
-    "need", "what each effect adds to a frame, and takes away", _OPTIONS, _run, _NOTES
-)
+COMMAND: Final = Subcommand("need", "what each effect adds to a frame, and takes away", _OPTIONS, _run, _NOTES)

@@ -122,9 +122,7 @@ def switch(flag: str, help: str) -> CommandOption:
     return CommandOption(flag, {"help": help, "action": "store_true"})
 
 
-def count(
-    flag: str, help: str, default: int | None = None, shown: object = None, least: int = 1
-) -> CommandOption:
+def count(flag: str, help: str, default: int | None = None, shown: object = None, least: int = 1) -> CommandOption:
     """Return an option that is a whole number of 0 or of 1 or more."""
     return option(flag, help, default, shown, type=parse_count if least else parse_frame, metavar="N")
 
@@ -139,9 +137,7 @@ def file(flag: str, help: str, form: str = "F.png", default: str | None = None, 
     return option(flag, help, None if default is None else Path(default), type=Path, metavar=form, **told)
 
 
-def choice(
-    flag: str, help: str, known: Iterable[str], default: Any = None, shown: object = None
-) -> CommandOption:
+def choice(flag: str, help: str, known: Iterable[str], default: Any = None, shown: object = None) -> CommandOption:
     """Return an option that is one of some names."""
     return option(flag, help, default, shown, choices=known)
 
@@ -158,9 +154,7 @@ def several(
     flag: str, help: str, parse: Callable[[str], Any], default: list[Any], shown: object, form: str
 ) -> CommandOption:
     """Return an option that is a list of values between commas."""
-    return option(
-        flag, help, default, shown, type=lambda text: [parse(part) for part in text.split(",")], metavar=form
-    )
+    return option(flag, help, default, shown, type=lambda text: [parse(part) for part in text.split(",")], metavar=form)
 
 
 SCENE: Final = option("scene", "a scene generator (see `scenes`) or a model file", metavar="SCENE")
@@ -175,9 +169,7 @@ PATH: Final = option(
 )
 JSON: Final = switch("--json", "print the result as JSON")
 QUERIES_HELP: Final = "occlusion queries: the device's own, or emulated by two counters and a fence"
-SETTINGS_HELP: Final = (
-    "file with the parameters of the visibility algorithms, written by `tune` or `accuracy`"
-)
+SETTINGS_HELP: Final = "file with the parameters of the visibility algorithms, written by `tune` or `accuracy`"
 
 
 def size(default: tuple[int, int] = (960, 540), what: str = "size of the image in pixels") -> CommandOption:
@@ -194,9 +186,7 @@ def camera(default: str | None = None, shown: object = None) -> CommandOption:
     )  # fmt: skip
 
 
-def frame(
-    what: str = "first frame of the path", default: int | None = 0, shown: object = None
-) -> CommandOption:
+def frame(what: str = "first frame of the path", default: int | None = 0, shown: object = None) -> CommandOption:
     """Return the option `--frame N`; `what` says which frame it is."""
     return count("--frame", what, default, shown, least=0)
 

@@ -27,9 +27,7 @@ class OutputError(Exception):
 
 def show_progress(items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
     """Yield the items with a progress bar on stderr, shown on a terminal if the work takes more than a second."""
-    bar: Iterator[T] = tqdm(
-        items, desc=what, total=total, file=sys.stderr, disable=None, leave=False, delay=1.0
-    )
+    bar: Iterator[T] = tqdm(items, desc=what, total=total, file=sys.stderr, disable=None, leave=False, delay=1.0)
     return bar
 
 

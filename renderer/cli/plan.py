@@ -64,9 +64,7 @@ def _run(given: argparse.Namespace) -> None:
         print(f"technique: {chosen['technique']}, {chosen['because']}\n\n{show_plan(report)}")
 
 
-def choose_technique(
-    given: argparse.Namespace, scene: Scene, camera: Camera
-) -> tuple[Technique, dict[str, str]]:
+def choose_technique(given: argparse.Namespace, scene: Scene, camera: Camera) -> tuple[Technique, dict[str, str]]:
     """Return the technique that the arguments ask for, and why it is this one; `auto` measures a few."""
     with rhi.create_device(given.backend) as device:
         technique = make_technique(given, scene, device)
@@ -141,21 +139,13 @@ def plot_plan(report: PlanReport, path: Path, title: str) -> None:
                 reads = [i for i, one in enumerate(report.passes) if name in one.reads]
                 last = max([*reads, *writes])
                 axes.barh(row, last - writes[0] + 0.9, left=writes[0] - 0.45, height=0.3, color="#d0d7de")
-                axes.barh(
-                    [row] * len(reads), 0.9, left=[i - 0.45 for i in reads], height=0.7, color="#9ecae1"
-                )
-                axes.barh(
-                    [row] * len(writes), 0.9, left=[i - 0.45 for i in writes], height=0.7, color="#2b6ca3"
-                )
+                axes.barh([row] * len(reads), 0.9, left=[i - 0.45 for i in reads], height=0.7, color="#9ecae1")
+                axes.barh([row] * len(writes), 0.9, left=[i - 0.45 for i in writes], height=0.7, color="#2b6ca3")
                 axes.text(writes[0], row, name, ha="center", va="center", color="white", fontsize=8)
         axes.set_xticks(range(len(report.passes)), [one.name for one in report.passes])
-        axes.set_yticks(
-            range(len(report.textures)), [f"texture {i + 1}" for i in range(len(report.textures))]
-        )
+        axes.set_yticks(range(len(report.textures)), [f"texture {i + 1}" for i in range(len(report.textures))])
         axes.invert_yaxis()
         axes.set_xlim(-0.5, max(len(report.passes), 4) - 0.5)
 
 
-COMMAND: Final = Subcommand(
-    "plan", "show the passes of a frame, and why each of them is there", _OPTIONS, _run, _NOTES
-)
+COMMAND: Final = Subcommand("plan", "show the passes of a frame, and why each of them is there", _OPTIONS, _run, _NOTES)

@@ -139,9 +139,7 @@ def _run(given: argparse.Namespace) -> None:
     print(json.dumps(report) if given.json else show_report(report))
 
 
-def _make_shown(
-    given: argparse.Namespace, settings: RenderSettings, scene: Scene, device: rhi.Device
-) -> Technique:
+def _make_shown(given: argparse.Namespace, settings: RenderSettings, scene: Scene, device: rhi.Device) -> Technique:
     """Return the technique that draws what `--show` names. Buffers are those of a technique that doesn't change."""
     if given.show in INSPECTIONS:
         return Inspection(given.show)
@@ -216,11 +214,7 @@ def show_report(report: dict[str, Any]) -> str:
     shown.pop("left_out", None)  # stderr has it
     texts = {key: f"{value:,}" if isinstance(value, int) else value for key, value in shown.items()}
     names = {"uploads_bytes": "bytes uploaded", "image_bytes": "bytes of images"}
-    return "\n".join(
-        f"{names.get(key, key.replace('_', ' ')) + ':':<24}{text}" for key, text in texts.items()
-    )
+    return "\n".join(f"{names.get(key, key.replace('_', ' ')) + ':':<24}{text}" for key, text in texts.items())
 
 
-COMMAND: Final = Subcommand(
-    "render", "render a scene to an image and report what it cost", _OPTIONS, _run, _NOTES
-)
+COMMAND: Final = Subcommand("render", "render a scene to an image and report what it cost", _OPTIONS, _run, _NOTES)

@@ -55,9 +55,7 @@ def _run(given: argparse.Namespace) -> None:
     with rhi.create_device(given.backend) as device:
         backend, name = device.backend_name, device.capabilities.device
         if "chc_plus_plus" not in list_algorithms(device):
-            raise OutputError(
-                f"--backend: the {backend} device answers no queries, so there is nothing to tune"
-            )
+            raise OutputError(f"--backend: the {backend} device answers no queries, so there is nothing to tune")
     with make_executor(given.executor) as executor:
         given.output.mkdir(parents=True, exist_ok=True)
         trials = list(search(given.b, given.n, given.rounds, lambda pairs: _try_all(executor, walk, pairs)))
@@ -94,9 +92,7 @@ def _run(given: argparse.Namespace) -> None:
         return
     names = [field.name for field in fields(Trial)]
     shown = sorted(finals, key=lambda trial: trial.ratio)
-    print(
-        format_table([_title(name) for name in names], [[getattr(t, name) for name in names] for t in shown])
-    )
+    print(format_table([_title(name) for name in names], [[getattr(t, name) for name in names] for t in shown]))
     found = f"b={settings.batch}, n={settings.persistence}, leaf size {settings.leaf_size}"
     print(f"{found}: {report['ratio']:.2f} of the default's time")
 
@@ -105,9 +101,7 @@ def _try_all(executor: Executor, walk: Walk, pairs: Sequence[ParameterPair]) -> 
     """Return a trial of each pair, in this order; as many run at a time as the executor allows."""
     count = len(pairs)
     futures = [executor.submit(try_pairs, walk, [pair]) for pair in show_progress(pairs, count, "tune")]
-    for _ in show_progress(
-        as_completed(futures), count, "tune"
-    ):  # a serial executor has finished them by now
+    for _ in show_progress(as_completed(futures), count, "tune"):  # a serial executor has finished them by now
         pass
     return [trial for future in futures for trial in future.result()]
 
@@ -156,9 +150,7 @@ def _parse_range(text: str) -> ParameterPair:
     """Parse `1:100` as (1, 100), and a single number as the range of only that number."""
     low, _, high = text.partition(":")
     high = high or low
-    if not (low.isascii() and low.isdigit() and high.isascii() and high.isdigit()) or not (
-        1 <= int(low) <= int(high)
-    ):
+    if not (low.isascii() and low.isdigit() and high.isascii() and high.isdigit()) or not (1 <= int(low) <= int(high)):
         raise argparse.ArgumentTypeError(f"{text!r} is not a range; give LOW:HIGH, such as 1:100")
     return int(low), int(high)
 
@@ -178,6 +170,4 @@ _OPTIONS: Final = (
     options.file("--output", "folder for the results", "DIR", "tuned"),
     options.JSON,
 )  # fmt: skip
-COMMAND: Final = Subcommand(
-    "tune", "find the best b and n of CHC++ along a camera path", _OPTIONS, _run, _NOTES
-)
+COMMAND: Final = Subcommand("tune", "find the best b and n of CHC++ along a camera path", _OPTIONS, _run, _NOTES)

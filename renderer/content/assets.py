@@ -51,9 +51,7 @@ def share_image(pixels: ImagePixels) -> ImagePixels:
 def share_geometry(geometry: MeshGeometry) -> MeshGeometry:
     """Return the mesh with the same content that is in use already, or this one."""
     vertices = geometry.vertices
-    key = hash_content(
-        repr(vertices.dtype).encode(), vertices.view(np.uint8), geometry.indices.view(np.uint8)
-    )
+    key = hash_content(repr(vertices.dtype).encode(), vertices.view(np.uint8), geometry.indices.view(np.uint8))
     return _meshes.setdefault(key, geometry)
 
 

@@ -151,9 +151,7 @@ def _add_things(
     """Add `count` things, evenly to all rooms, along the walls and in stacks, out of the way of the doors."""
     if count <= 0:
         return
-    ids = np.array(
-        [builder.add_mesh(_make_thing(rng, detail), f"thing {number}") for number in range(meshes)]
-    )
+    ids = np.array([builder.add_mesh(_make_thing(rng, detail), f"thing {number}") for number in range(meshes)])
     room = np.arange(count) % (side * side)
     middle = (np.stack(np.divmod(room, side), axis=1) + 0.5 - 0.5 * side) * ROOM
     reach = 0.5 * ROOM - 0.7
@@ -164,9 +162,7 @@ def _add_things(
     turned = rotation((0.0, 1.0, 0.0), rng.uniform(0.0, 2.0 * np.pi, count))
     matrices = multiply(multiply(translation(places), turned), scaling(size[:, None] * np.ones(3)))
     number = np.arange(count)
-    chosen = np.where(
-        number < len(materials), number % len(materials), rng.integers(0, len(materials), count)
-    )
+    chosen = np.where(number < len(materials), number % len(materials), rng.integers(0, len(materials), count))
     which = np.where(number < meshes, number % meshes, rng.integers(0, meshes, count))
     builder.add_objects(builder.add_nodes(matrices), ids[which], materials[chosen])
 
@@ -216,9 +212,7 @@ def _add_cameras(builder: SceneBuilder, side: int) -> None:
     lens = Perspective(fov=np.radians(60.0), near=0.1)
     corner = np.array([-half - 7.5, 11.0, -half - 7.5])  # so far that all is in view, so high that a fifth is seen
     builder.views["corner"] = Camera.look_at(corner, (0.0, 1.5, 0.0), projection=lens)
-    builder.views["overview"] = Camera.look_at(
-        (-1.1 * half, 0.8 * half, -1.1 * half), (0, 0, 0), projection=lens
-    )
+    builder.views["overview"] = Camera.look_at((-1.1 * half, 0.8 * half, -1.1 * half), (0, 0, 0), projection=lens)
     row = ROOM * (side // 2 + 0.5) - half
     low = [(-half + 1.0, 1.7, row), (half - 1.0, 1.7, row)]
     builder.paths["ground"] = make_path(low, lens, rounding=2.0, ahead=5.0)

@@ -67,9 +67,7 @@ class CityPlan:
     route: Floats
 
 
-def make_city(
-    blocks: int, detail: int, seed: int, shadows: int, fog: float = 0.0, glow: float = 0.0
-) -> Scene:
+def make_city(blocks: int, detail: int, seed: int, shadows: int, fog: float = 0.0, glow: float = 0.0) -> Scene:
     """Make a city of `blocks` x `blocks`; `detail` sets how finely facades are divided, `seed` varies everything."""
     builder = SceneBuilder(f"city:blocks={blocks},detail={detail},seed={seed}")
     plan = add_city(builder, blocks, detail, seed)
@@ -161,9 +159,7 @@ def _add_ground(builder: SceneBuilder, blocks: int, seed: int, at_night: bool) -
     tiles = (blocks + 1) // 2 if at_night else min(blocks, 4)
     edges = np.linspace(0, blocks, tiles + 1).astype(np.int64)
     meshes = {
-        (w, d): builder.add_mesh(plane(1, (w, d)), f"ground {w}x{d}")
-        for w in _steps(edges)
-        for d in _steps(edges)
+        (w, d): builder.add_mesh(plane(1, (w, d)), f"ground {w}x{d}") for w in _steps(edges) for d in _steps(edges)
     }
     for x0, x1 in pairwise(edges.tolist()):
         for z0, z1 in pairwise(edges.tolist()):
@@ -222,9 +218,7 @@ def _add_buildings(
     places = multiply(place, multiply(turn, scaling(size)))
     nodes = builder.add_nodes(places)
 
-    glass = (np.isin(kind, [KINDS.index("setback"), KINDS.index("round")])) | (
-        near * rng.random(count) > 0.45
-    )
+    glass = (np.isin(kind, [KINDS.index("setback"), KINDS.index("round")])) | (near * rng.random(count) > 0.45)
     ribbon = ~glass & (rng.random(count) < 0.35)
     color = rng.random(count)
     material = np.empty(count, np.int64)
@@ -235,9 +229,7 @@ def _add_buildings(
     return shapes, mesh, places
 
 
-def _add_parks(
-    builder: SceneBuilder, rng: np.random.Generator, centre: Floats, detail: int, seed: int
-) -> None:
+def _add_parks(builder: SceneBuilder, rng: np.random.Generator, centre: Floats, detail: int, seed: int) -> None:
     side = PITCH - STREET - 2.0
     lawn = builder.add_mesh(plane(), "lawn")
     trees = [builder.add_mesh(make_trees(9, detail, seed + i), f"trees {i}") for i in range(3)]
@@ -274,9 +266,7 @@ def _add_lamps(builder: SceneBuilder, route: Floats, detail: int) -> None:
     """Add street lamps along the route, a spot and a point light in turn."""
     lights = builder.lights
     mesh = builder.add_mesh(make_lamp(detail), "lamp")
-    metal = builder.add_material(
-        base_color=(0.10, 0.11, 0.12), specular_color=(0.4, 0.4, 0.4), shininess=60.0
-    )
+    metal = builder.add_material(base_color=(0.10, 0.11, 0.12), specular_color=(0.4, 0.4, 0.4), shininess=60.0)
     to_kerb = 0.5 * STREET + 0.8
     lit = np.concatenate([route[1:-1], np.round(0.5 * (route[1:] + route[:-1]) / PITCH) * PITCH])
     for number, crossing in enumerate(lit):
@@ -302,9 +292,7 @@ def _add_cameras(builder: SceneBuilder, route: Floats, half: float, top: float) 
         (0.0, -0.35 * top, 0.0),
         projection=lens,
     )
-    builder.views["street"] = Camera.look_at(
-        route[0] + (2.0, 0.6, 0.0), route[1] + (0.0, 9.0, 0.0), projection=lens
-    )
+    builder.views["street"] = Camera.look_at(route[0] + (2.0, 0.6, 0.0), route[1] + (0.0, 9.0, 0.0), projection=lens)
     builder.views["roofs"] = Camera.look_at(
         (-0.5 * half, 0.5 * top + 12.0, 0.5 * half), (0.2 * half, 0.25 * top, -0.1 * half), projection=lens
     )

@@ -70,9 +70,7 @@ def make_glass(panes: int, lights: int, seed: int) -> Scene:
     builder.add_objects(builder.add_nodes(multiply(stands, cut)), box, np.array(materials))
     balls = panes // 2
     size = rng.uniform(0.4, 0.8, balls)
-    where = np.stack(
-        [rng.uniform(-1, 1, balls) * (half[0] - 2.0), 0.5 * size, z[:balls] + 0.5 * _GAP], axis=1
-    )
+    where = np.stack([rng.uniform(-1, 1, balls) * (half[0] - 2.0), 0.5 * size, z[:balls] + 0.5 * _GAP], axis=1)
     nodes = builder.add_nodes(multiply(translation(where), scaling(np.stack([size] * 3, axis=1))))
     builder.add_objects(nodes, ball, np.array(materials)[::-1][:balls])
 

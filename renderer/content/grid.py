@@ -41,9 +41,7 @@ def make_grid(mesh: str, count: int, spacing: float, lights: int, seed: int) -> 
     builder = SceneBuilder(f"grid:lights={lights},{options}" if lights else f"grid:{options}")
     materials = np.array(
         [
-            builder.add_material(
-                base_color=c, specular_color=(0.3, 0.3, 0.3), shininess=48.0, rim_strength=0.2
-            )
+            builder.add_material(base_color=c, specular_color=(0.3, 0.3, 0.3), shininess=48.0, rim_strength=0.2)
             for c in _COLORS
         ]
     )
@@ -51,9 +49,7 @@ def make_grid(mesh: str, count: int, spacing: float, lights: int, seed: int) -> 
     row, column = np.divmod(np.arange(count), side)
     places = np.stack([column - 0.5 * (side - 1), np.zeros(count), row - 0.5 * (side - 1)], axis=1) * spacing
     nodes = builder.add_nodes(multiply(translation(places), rotation((0, 1, 0), rng.uniform(0, 6.28, count))))
-    builder.add_objects(
-        nodes, builder.add_mesh(geometry, mesh), materials[rng.integers(0, len(_COLORS), count)]
-    )
+    builder.add_objects(nodes, builder.add_mesh(geometry, mesh), materials[rng.integers(0, len(_COLORS), count)])
 
     half = 0.5 * side * spacing
     lens = Perspective(near=0.05)
@@ -61,9 +57,7 @@ def make_grid(mesh: str, count: int, spacing: float, lights: int, seed: int) -> 
         builder.background = (0.006, 0.007, 0.012)
         _add_lights(builder, lights, max(_FIELD, side) * spacing, spacing, seed)
         far = 0.5 * max(_FIELD, side) * spacing + 1.0
-        builder.views["field"] = Camera.look_at(
-            (0.0, 1.15 * far, 1.5 * far), (0.0, 0.0, 0.1 * far), projection=lens
-        )
+        builder.views["field"] = Camera.look_at((0.0, 1.15 * far, 1.5 * far), (0.0, 0.0, 0.1 * far), projection=lens)
     else:
         builder.background = (0.30, 0.36, 0.44)
         builder.lights.add_directional((-0.5, -0.8, -0.35), (1.0, 0.95, 0.88), 1.8)

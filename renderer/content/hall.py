@@ -160,9 +160,7 @@ def _add_columns(builder: SceneBuilder, columns: int, rows: int, length: float, 
     profile = [(0.0, 0.0), (0.75, 0.0), (0.75, 0.25), (0.6, 0.4), (0.62, 0.55), (0.5, 0.7), (0.48, 3.0),
                (0.42, 7.4), (0.5, 7.6), (0.48, 7.75), (0.8, 8.5), (0.8, _HEIGHT)]  # fmt: skip
     mesh = builder.add_mesh(shapes.lathe(profile, 3 * detail), "column")
-    x, z = np.meshgrid(
-        (np.arange(columns) + 0.5) * BAY - 0.5 * length, (np.arange(rows) - 0.5 * (rows - 1)) * BAY
-    )
+    x, z = np.meshgrid((np.arange(columns) + 0.5) * BAY - 0.5 * length, (np.arange(rows) - 0.5 * (rows - 1)) * BAY)
     places = np.stack([x.ravel(), np.zeros(x.size), z.ravel()], axis=1)
     builder.add_objects(builder.add_nodes(translation(places)), mesh, marble)
     return places
@@ -197,15 +195,11 @@ def _add_flags(builder: SceneBuilder, rng: np.random.Generator, places: Floats, 
     pole = builder.add_mesh(shapes.lathe([(0.06, 0.0), (0.04, 4.6), (0.09, 4.7), (0.0, 4.8)], detail), "pole")
     cloth = [builder.add_mesh(_cloth(part, detail), f"cloth {part}") for part in range(SEGMENTS)]
 
-    poles = builder.add_nodes(
-        multiply(translation(places), rotation((0, 1, 0), rng.uniform(-0.6, 0.6, count)))
-    )
+    poles = builder.add_nodes(multiply(translation(places), rotation((0, 1, 0), rng.uniform(-0.6, 0.6, count))))
     builder.add_objects(poles, pole, iron)
     material = cloths[np.arange(count) % len(cloths)]
     phase = rng.uniform(0.0, 2.0 * np.pi, count)
-    hinges = np.array(
-        [translation((0.0, 4.55 - height, 0.0) if part == 0 else (width, 0.0, 0.0)) for part in _PARTS]
-    )
+    hinges = np.array([translation((0.0, 4.55 - height, 0.0) if part == 0 else (width, 0.0, 0.0)) for part in _PARTS])
     above, segments = poles, []
     for part in range(SEGMENTS):
         above = builder.add_nodes(np.repeat(hinges[part : part + 1], count, axis=0), above, dynamic=True)
@@ -273,9 +267,7 @@ def _add_fountains(builder: SceneBuilder, count: int, length: float, detail: int
     """Add basins on alternating sides of the middle aisle, with a fountain in each."""
     if not count:
         return
-    stone = builder.add_material(
-        base_color=(0.46, 0.45, 0.43), specular_color=(0.2, 0.2, 0.2), shininess=48.0
-    )
+    stone = builder.add_material(base_color=(0.46, 0.45, 0.43), specular_color=(0.2, 0.2, 0.2), shininess=48.0)
     water = builder.add_material(
         base_color=(0.45, 0.62, 0.75), specular_color=(0.6, 0.6, 0.6), shininess=90.0, emission=0.25
     )
@@ -372,9 +364,7 @@ def _add_banner_camera(builder: SceneBuilder, first: float) -> None:
     builder.views["banners"] = Camera.look_at(eye, aim, projection=lens)
 
 
-def _add_lamps(
-    builder: SceneBuilder, rng: np.random.Generator, columns: int, length: float, width: float
-) -> None:
+def _add_lamps(builder: SceneBuilder, rng: np.random.Generator, columns: int, length: float, width: float) -> None:
     lights = builder.lights
     lights.sky, lights.ground = (0.05, 0.055, 0.075), (0.035, 0.028, 0.02)
     glow = builder.add_material(base_color=(1.0, 0.78, 0.45), emission=3.0)

@@ -37,9 +37,7 @@ FORMATS: Final = (".gltf", ".glb", ".obj", ".ply", ".stl")
 
 _GLTF: Final = (".gltf", ".glb")
 
-_FAR: Final = (
-    64.0  # a mesh farther from its origin than this many times its size is stored relative to its centre
-)
+_FAR: Final = 64.0  # a mesh farther from its origin than this many times its size is stored relative to its centre
 
 
 @dataclass(frozen=True, slots=True)
@@ -272,9 +270,7 @@ def _add_material(builder: SceneBuilder, mesh: Any) -> int:
     material = getattr(visual, "material", None)
     image = getattr(material, "image", None)
     texture = -1 if image is None else builder.add_image(share_image(_pixels(image)))
-    given = (
-        getattr(material, "diffuse", None) if material is not None else getattr(visual, "main_color", None)
-    )
+    given = getattr(material, "diffuse", None) if material is not None else getattr(visual, "main_color", None)
     color = np.ones(4) if given is None or texture >= 0 else _unit_range(given)
     return builder.add_material(base_color=(*from_srgb(color[:3]), color[3]), texture=texture, rim_strength=0.1)
 

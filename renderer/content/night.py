@@ -65,9 +65,7 @@ def make_night(
     number = np.arange(lights)
     block, slot = nearest[number // per_block], number % per_block
     kind = kinds[slot]
-    turn = (kinds[:, None] == np.arange(3)).cumsum(0)[
-        slot, kind
-    ] - 1  # which one of its kind it is in its block
+    turn = (kinds[:, None] == np.arange(3)).cumsum(0)[slot, kind] - 1  # which one of its kind it is in its block
     chosen = [(block[kind == one], turn[kind == one]) for one in (_LAMP, _WINDOW, _CAR)]
     _add_lamps(builder, plan, *chosen[_LAMP], detail)
     _add_windows(builder, plan, *chosen[_WINDOW], rng, detail, np.sqrt(_PER_BLOCK / per_block))
@@ -122,15 +120,11 @@ def _add_lamps(builder: SceneBuilder, plan: CityPlan, block: Rows, turn: Rows, d
     """Add the street lamps `turn` (k,), 0 to 3, of the blocks `block` (k,): two in each street, one on either side."""
     along_x, second = turn % 2, turn // 2
     side = np.where(second ^ along_x, 1.0, -1.0)
-    feet = _along_street(
-        plan, block, along_x, np.where(second, 0.25, -0.25) * PITCH, side * (0.5 * STREET + 0.8)
-    )
+    feet = _along_street(plan, block, along_x, np.where(second, 0.25, -0.25) * PITCH, side * (0.5 * STREET + 0.8))
     # The arm points along +x, and is turned to the middle of the street: -x or +x, -z or +z.
     angle = np.where(along_x, side * 0.5 * np.pi, np.where(side > 0.0, np.pi, 0.0))
     places = multiply(translation(feet), rotation((0, 1, 0), angle))
-    metal = builder.add_material(
-        base_color=(0.10, 0.11, 0.12), specular_color=(0.4, 0.4, 0.4), shininess=60.0
-    )
+    metal = builder.add_material(base_color=(0.10, 0.11, 0.12), specular_color=(0.4, 0.4, 0.4), shininess=60.0)
     glow = builder.add_material(base_color=_SODIUM, emission=6.0)
     nodes = builder.add_nodes(places)
     builder.add_objects(nodes, builder.add_mesh(furniture.make_post(detail), "post"), metal)
@@ -167,19 +161,13 @@ def _add_windows(
     wall, across, up = np.empty_like(start), np.empty_like(start), np.empty_like(start)
     for shape in np.unique(plan.shape[building]).tolist():
         mine = plan.shape[building] == shape
-        wall[mine], across[mine], up[mine] = find_windows(
-            plan.shapes[shape], NIGHT_WINDOWS, start[mine], -out[mine]
-        )
-    wall = _place(
-        lots, np.where(is_shop[:, None], start + ((wall - start) * out).sum(1)[:, None] * out, wall)
-    )
+        wall[mine], across[mine], up[mine] = find_windows(plan.shapes[shape], NIGHT_WINDOWS, start[mine], -out[mine])
+    wall = _place(lots, np.where(is_shop[:, None], start + ((wall - start) * out).sum(1)[:, None] * out, wall))
     facing = (lots[:, :3, :3] @ out[..., None])[..., 0]
     facing = np.round(facing / np.linalg.norm(facing, axis=1, keepdims=True))
     color = np.floor(draws[:, 3] * np.where(is_shop, len(_SIGNS), _HOMES)).astype(np.int64)
     glows = np.array([builder.add_material(base_color=tuple(one), emission=1.6) for one in _SIGNS])
-    width, tall = (
-        np.linalg.norm((lots[:, :3, :3] @ side[..., None])[..., 0], axis=1) for side in (across, up)
-    )
+    width, tall = (np.linalg.norm((lots[:, :3, :3] @ side[..., None])[..., 0], axis=1) for side in (across, up))
     sign, pane = (
         np.array((3.4, 0.7, 0.24)),
         np.stack([0.48 * width, 0.54 * tall, np.full(len(tall), 0.1)], axis=1),
@@ -222,15 +210,11 @@ def _add_cars(
     nodes = builder.add_nodes(places[first])
     paints = np.array(
         [
-            builder.add_material(
-                base_color=c, specular_color=(0.25, 0.25, 0.25), shininess=70.0, rim_strength=0.3
-            )
+            builder.add_material(base_color=c, specular_color=(0.25, 0.25, 0.25), shininess=70.0, rim_strength=0.3)
             for c in _PAINTS
         ]
     )
-    trim = builder.add_material(
-        base_color=(0.02, 0.02, 0.025), specular_color=(0.3, 0.3, 0.3), shininess=90.0
-    )
+    trim = builder.add_material(base_color=(0.02, 0.02, 0.025), specular_color=(0.3, 0.3, 0.3), shininess=90.0)
     white = builder.add_material(base_color=(1.0, 0.95, 0.85), emission=6.0)
     red = builder.add_material(base_color=(1.0, 0.06, 0.03), emission=2.5)
     for mesh, name, material in (

@@ -35,9 +35,7 @@ def sheet(points: ArrayLike, uv: ArrayLike | None = None, normals: ArrayLike | N
         vertices["normal"] = np.asarray(normals).reshape(-1, 3)
         vertices["uv"] = coordinates.reshape(-1, 2)
         corner = np.arange(rows * columns).reshape(rows, columns)
-        quads = np.stack([corner[:-1, :-1], corner[:-1, 1:], corner[1:, 1:], corner[1:, :-1]], -1).reshape(
-            -1, 4
-        )
+        quads = np.stack([corner[:-1, :-1], corner[:-1, 1:], corner[1:, 1:], corner[1:, :-1]], -1).reshape(-1, 4)
         return MeshGeometry(vertices, _triangles(vertices["position"], quads))
     count = (rows - 1) * (columns - 1)
     vertices = np.zeros((count, 4), VERTEX)
@@ -100,9 +98,7 @@ def lathe(profile: ArrayLike, segments: int) -> MeshGeometry:
         slope = np.array([y1 - y0, r0 - r1]) / np.hypot(y1 - y0, r0 - r1)
         points = np.stack([_ring(around * r0, y0), _ring(around * r1, y1)])
         normal = _ring(around * slope[0], slope[1])
-        uv = np.stack(
-            [np.tile(angle / (2.0 * np.pi), (2, 1)), np.repeat([[-y0], [-y1]], segments + 1, 1)], axis=-1
-        )
+        uv = np.stack([np.tile(angle / (2.0 * np.pi), (2, 1)), np.repeat([[-y0], [-y1]], segments + 1, 1)], axis=-1)
         parts.append(sheet(points, uv, np.stack([normal, normal])))
     return join(parts)
 
@@ -179,9 +175,7 @@ def loft(
     return join(parts)
 
 
-def _smooth_surface(
-    point: Callable[[Floats, Floats], tuple[Floats, Floats]], columns: int, rows: int
-) -> MeshGeometry:
+def _smooth_surface(point: Callable[[Floats, Floats], tuple[Floats, Floats]], columns: int, rows: int) -> MeshGeometry:
     u, v = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, columns + 1), np.linspace(-0.5, 0.5, rows + 1) * np.pi)
     positions, normals = point(u, v)
     return sheet(positions, np.stack([u / (2.0 * np.pi), 0.5 - v / np.pi], axis=-1), normals)

@@ -95,9 +95,7 @@ FOG: Final = Option("fog", 0.0, "density of the fog per metre, at the ground", 0
 GLOW: Final = Option("glow", 0.0, "share of all light that is scattered in the eye", 0.0, 1.0)
 
 
-def add_air(
-    builder: SceneBuilder, fog: float, glow: float, color: tuple[float, float, float], falloff: float
-) -> None:
+def add_air(builder: SceneBuilder, fog: float, glow: float, color: tuple[float, float, float], falloff: float) -> None:
     """Add fog and glow to a scene unless they are 0; its name then says so. The fog is of this colour, and thins with
     the height."""
     if fog:

@@ -108,9 +108,7 @@ def _studs(size: int, noise: Floats) -> Floats:
 def _stone(size: int, noise: Floats) -> Floats:
     x, y = _grid(size)
     bent = 0.12 * (noise - 0.5)
-    return _joints(3.0 * x + 3.0 * bent + 0.5 * (np.floor(3.0 * y) % 2.0), 3.0 * y, 0.08) * (
-        0.6 + 0.4 * noise
-    )
+    return _joints(3.0 * x + 3.0 * bent + 0.5 * (np.floor(3.0 * y) % 2.0), 3.0 * y, 0.08) * (0.6 + 0.4 * noise)
 
 
 def _grooves(size: int, noise: Floats) -> Floats:

@@ -110,19 +110,12 @@ def paint_street(street: float, seed: int) -> ImagePixels:
         other = z if across is x else x
         line = (across < 0.006) & along & (other > half + 0.05)
         pixels[line] = 0.75
-        stripes = (
-            (other > half + 0.008)
-            & (other < half + 0.05)
-            & (across < half - 0.01)
-            & (across * 60 % 1.0 < 0.5)
-        )
+        stripes = (other > half + 0.008) & (other < half + 0.05) & (across < half - 0.01) & (across * 60 % 1.0 < 0.5)
         pixels[stripes] = 0.72
     return make_opaque(pixels)
 
 
-def paint_stripes(
-    first: tuple[float, float, float], second: tuple[float, float, float], count: int
-) -> ImagePixels:
+def paint_stripes(first: tuple[float, float, float], second: tuple[float, float, float], count: int) -> ImagePixels:
     """Paint a flag: `count` pairs of horizontal stripes in two sRGB colours."""
     bands = (np.arange(IMAGE_SIZE) * 2 * count // IMAGE_SIZE) % 2 == 0
     column = np.where(bands[:, None], first, second)

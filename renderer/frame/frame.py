@@ -87,9 +87,7 @@ class Frame:
         """Return the program of a technique's shader, in the precision of the frame."""
         return self.device.program(with_precision(shader, self.precision))
 
-    def draw_transparent(
-        self, scene_pass: TechniquePass, view: View | None = None, *, in_order: bool = True
-    ) -> None:
+    def draw_transparent(self, scene_pass: TechniquePass, view: View | None = None, *, in_order: bool = True) -> None:
         """Draw the transparent objects that a view sees, which `draw_visible` has found. If there are none, nothing is
         issued.
 

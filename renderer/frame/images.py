@@ -165,8 +165,7 @@ class SceneImages:
         sizes = [(min(image.shape[1], limit), min(image.shape[0], limit)) for image in scene.images]
         samplers = _limit_samplers(textures["sampler"].tolist(), textures["is_color"].tolist())
         uses = [
-            (int(row["image"]), bool(row["is_color"]), sampler)
-            for row, sampler in zip(textures, samplers, strict=True)
+            (int(row["image"]), bool(row["is_color"]), sampler) for row, sampler in zip(textures, samplers, strict=True)
         ]
         planned = sorted(plan_arrays(sizes, uses), key=lambda array: not array.is_color)
         self.bytes = sum(array.bytes for array in planned)

@@ -83,9 +83,7 @@ class MirroredArray(Generic[T]):
             self.buffer = None
 
 
-def join_runs(
-    begins: NDArray[np.int64], sizes: NDArray[np.int64] | int, gap: int = 0
-) -> list[tuple[int, int]]:
+def join_runs(begins: NDArray[np.int64], sizes: NDArray[np.int64] | int, gap: int = 0) -> list[tuple[int, int]]:
     """Join the ranges from `begins` (k,), ascending, of `sizes` (k,), where they are at most `gap` apart; return the
     begin and the end of each run."""
     if not len(begins):

@@ -282,9 +282,7 @@ class TechniquePass:
         batch.execute(view.commands.next(), key, resources.draws, parts, issue)
         self.was_opened = True
 
-    def draw_conditional(
-        self, rows: NDArray[np.int64], queries: QuerySet, answers: NDArray[np.int64]
-    ) -> None:
+    def draw_conditional(self, rows: NDArray[np.int64], queries: QuerySet, answers: NDArray[np.int64]) -> None:
         """Draw the objects `rows` (k,), each on condition that row `answers[i]` (k,) of a query set counted a sample.
         Objects with the same condition are drawn together, front to back."""
         resources = self._begin_batch(rows)
@@ -379,9 +377,7 @@ class TechniquePass:
         if not self._has_all_in_view:
             self._has_all_in_view = True
             simulated = self._resources.simulator.objects
-            self._resources.simulate(
-                self._resources.find_in_view(self._view.around, simulated), leave=self.close
-            )
+            self._resources.simulate(self._resources.find_in_view(self._view.around, simulated), leave=self.close)
 
     def __enter__(self) -> Self:
         return self

@@ -209,8 +209,7 @@ class _PassGraph(Generic[F]):
             needed.add(number)
             one = self._passes[number]
             waiting += [
-                self.find_writer(name, f"the pass {one.name!r}")
-                for name in (*one.reads, *one.changes, *one.reads_last)
+                self.find_writer(name, f"the pass {one.name!r}") for name in (*one.reads, *one.changes, *one.reads_last)
             ]
         return needed
 

@@ -266,9 +266,7 @@ class SceneResources:
             self._note_computing(deformed.simulation)
             stride = self.scene.meshes.vertices.itemsize // 4
             with self._device.event(SIMULATION_EVENT):
-                deformed.simulation.deform(
-                    self._device, deformed.members[changed], self._vertex_floats, begins, stride
-                )
+                deformed.simulation.deform(self._device, deformed.members[changed], self._vertex_floats, begins, stride)
             self._held[deformed.rows] = deformed.states
             return
         order = np.argsort(begins)

@@ -234,10 +234,7 @@ def _compare_tests(
         return {"draw_ms": technique.seconds}
 
     collecting = [Subject(found[one], partial(collect, grid)) for one, grid in grids.items()]
-    drawing = [
-        Subject({}, draw, partial(exchange, one), partial(count, one), device)
-        for one in drawn.values()
-    ]
+    drawing = [Subject({}, draw, partial(exchange, one), partial(count, one), device) for one in drawn.values()]
     numbers = list(rounds)
     collected = compare(collecting, {"collect_ms": time()}, numbers)
     shown = compare(drawing, {"draw_ms": middle(1e3), "kernels": kernels}, numbers, warm_ups=3)
@@ -289,9 +286,7 @@ def find_overlaps(grid: CellGrid, volumes: LightVolumes, depth: NDArray[np.float
     for first in range(0, len(spheres), _LIGHTS_AT_A_TIME):
         some = spheres[None, first : first + _LIGHTS_AT_A_TIME]
         row, light = np.nonzero(evaluate(overlaps_planes, cells, some[..., :3], some[..., 3], dtype=np.float64))
-        exact = evaluate(
-            overlaps_exactly, cells[row, 0], some[0, light, :3], some[0, light, 3], dtype=np.float64
-        )
+        exact = evaluate(overlaps_exactly, cells[row, 0], some[0, light, :3], some[0, light, 3], dtype=np.float64)
         found[rows[row[exact]], first + light[exact]] = True
     return found
 
@@ -314,9 +309,7 @@ def _find_distances(grid: CellGrid, depth: NDArray[np.float32]) -> Floats:
     return np.where(depth != grid.background, z, np.inf)
 
 
-def _collect_all(
-    grid: LightGrid, camera: Camera, size: tuple[int, int], lights: Lights, depth: Texture
-) -> CellLists:
+def _collect_all(grid: LightGrid, camera: Camera, size: tuple[int, int], lights: Lights, depth: Texture) -> CellLists:
     """Return the lists of a frame, whole."""
     while True:
         grid.collect(grid.device, camera, size, lights, depth)

@@ -86,9 +86,7 @@ class ParticleShader(Shader):
         aside = cross(along, particle.centre)
         aside = aside / max(length(aside), 1e-6)
         offset = along * (self.radius * x) + particle.way * (0.5 * x) + aside * (self.radius * y)
-        offset -= particle.centre * (
-            self.radius / max(length(particle.centre), 1e-6)
-        )  # in front of the drop itself
+        offset -= particle.centre * (self.radius / max(length(particle.centre), 1e-6))  # in front of the drop itself
         return ParticleVarying(
             clip=self.view.relative_view_projection @ vec4(particle.centre + offset, 1.0), place=vec2(x, y)
         )

@@ -34,9 +34,7 @@ def list_lights(lower: Floats, upper: Floats, positions: Floats, ranges: Floats)
     groups = _group(positions, ranges)
     places, reach = positions[groups].transpose(2, 0, 1), np.abs(ranges[groups])
     slack = _SLACK * (np.abs(places) + reach) + _LEAST
-    first = np.fmin.reduce(
-        places - reach - slack, -1
-    )  # what isn't a number reaches nothing, and hides no other light
+    first = np.fmin.reduce(places - reach - slack, -1)  # what isn't a number reaches nothing, and hides no other light
     last = np.fmax.reduce(places + reach + slack, -1)
     squares = ranges[groups] ** 2
     squares.reshape(-1)[count:] = -1.0  # the last group is filled up with lights that reach nothing

@@ -38,9 +38,7 @@ def bound_spheres(camera: Camera, centers: Floats, radii: Floats) -> Floats:
     return result.clip(-1.0, 1.0)
 
 
-def bound_cones(
-    positions: Floats, directions: Floats, ranges: Floats, outer: Floats
-) -> tuple[Floats, Floats]:
+def bound_cones(positions: Floats, directions: Floats, ranges: Floats, outer: Floats) -> tuple[Floats, Floats]:
     """Return the smallest spheres, centers (l, 3) and radii (l,), around the light of spots: sectors of balls.
 
     Args:

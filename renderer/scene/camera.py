@@ -82,13 +82,9 @@ class Perspective:
         m = np.zeros((4, 4))
         m[0, 0], m[1, 1], m[3, 2] = focal / self.aspect, focal, -1.0
         if self.depth is Depth.REVERSED:
-            m[2, 2], m[2, 3] = (
-                (0.0, near) if np.isinf(far) else (near / (far - near), near * far / (far - near))
-            )
+            m[2, 2], m[2, 3] = (0.0, near) if np.isinf(far) else (near / (far - near), near * far / (far - near))
         else:
-            m[2, 2], m[2, 3] = (
-                (-1.0, -near) if np.isinf(far) else (far / (near - far), near * far / (near - far))
-            )
+            m[2, 2], m[2, 3] = (-1.0, -near) if np.isinf(far) else (far / (near - far), near * far / (near - far))
         return m
 
     def with_aspect(self, aspect: float) -> Perspective:

@@ -44,9 +44,7 @@ class MaterialFeatures:
         version: a number that grows when materials have changed.
     """
 
-    def __init__(
-        self, materials: NDArray[Any], textures: NDArray[Any], samplers: Sequence[SamplerDescriptor]
-    ) -> None:
+    def __init__(self, materials: NDArray[Any], textures: NDArray[Any], samplers: Sequence[SamplerDescriptor]) -> None:
         self._textures = textures
         self._repeats = np.array([(one.wrap_u, one.wrap_v) == (Wrap.REPEAT, Wrap.REPEAT) for one in samplers], bool)
         plain = (textures["transform"] == np.eye(2, 3)).all(axis=(1, 2)) & self._repeats[textures["sampler"]]

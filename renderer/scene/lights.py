@@ -37,9 +37,7 @@ SPOT: Final = np.dtype(
     ]
 )
 
-RELATIVE_POINT: Final = np.dtype(
-    [("position", "<f4", 3), ("range", "<f4"), ("color", "<f4", 3), ("intensity", "<f4")]
-)
+RELATIVE_POINT: Final = np.dtype([("position", "<f4", 3), ("range", "<f4"), ("color", "<f4", 3), ("intensity", "<f4")])
 """32 bytes, std430 without padding; positions relative to the eye."""
 
 RELATIVE_SPOT: Final = np.dtype(

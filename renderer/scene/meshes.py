@@ -127,9 +127,7 @@ class MeshGeometry:
             vertices["tangent"][:, :3] = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-30)
             vertices["tangent"][:, 3] *= -1.0 if mirrored else 1.0
         corners = self.indices.reshape(-1, 3)
-        return MeshGeometry(
-            vertices, np.ascontiguousarray(corners[:, ::-1] if mirrored else corners).reshape(-1)
-        )
+        return MeshGeometry(vertices, np.ascontiguousarray(corners[:, ::-1] if mirrored else corners).reshape(-1))
 
 
 def join(parts: Sequence[MeshGeometry]) -> MeshGeometry:
@@ -183,9 +181,7 @@ def compute_normals(positions: ArrayLike, indices: ArrayLike) -> Floats:
     size = max(float(np.ptp(points)), 1e-300) if points.size else 1.0
     faces = np.cross((b - a) / size, (c - a) / size)
     target = corners.T.reshape(-1)
-    total = np.stack(
-        [np.bincount(target, np.tile(faces[:, axis], 3), len(points)) for axis in range(3)], axis=1
-    )
+    total = np.stack([np.bincount(target, np.tile(faces[:, axis], 3), len(points)) for axis in range(3)], axis=1)
     length = np.linalg.norm(total, axis=1, keepdims=True)
     return np.where(length > 0.0, total / np.where(length > 0.0, length, 1.0), (0.0, 1.0, 0.0))
 
@@ -212,12 +208,8 @@ class Meshes:
         attributes: frozenset[str] = frozenset().union(*(g.attributes for g in geometries))
         geometries = [g.with_attributes(attributes) for g in geometries]
         fixed = bounds or [None] * count
-        self.vertices: NDArray[Any] = np.concatenate(
-            [g.vertices for g in geometries] or [np.empty(0, VERTEX)]
-        )
-        self.indices: NDArray[np.uint32] = np.concatenate(
-            [g.indices for g in geometries] or [np.empty(0, np.uint32)]
-        )
+        self.vertices: NDArray[Any] = np.concatenate([g.vertices for g in geometries] or [np.empty(0, VERTEX)])
+        self.indices: NDArray[np.uint32] = np.concatenate([g.indices for g in geometries] or [np.empty(0, np.uint32)])
         self.ranges: NDArray[Any] = np.zeros(count, RANGE)
         self.ranges["index_count"] = [len(g.indices) for g in geometries]
         self.ranges["first_index"][1:] = np.cumsum(self.ranges["index_count"], dtype=np.uint32)[:-1]

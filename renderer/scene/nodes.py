@@ -44,9 +44,7 @@ class Nodes:
         if matrices.shape != (count, 4, 4) or not is_affine(matrices):
             refuse(rules.BAD_TRANSFORM, "Nodes(local=...)", f"shape {matrices.shape}", f"({count}, 4, 4)")
         if ((given < -1) | (given >= np.arange(count))).any():
-            refuse(
-                rules.BAD_INDEX, "Nodes(parents=...)", "a parent at or after its child", "-1 or an earlier id"
-            )
+            refuse(rules.BAD_INDEX, "Nodes(parents=...)", "a parent at or after its child", "-1 or an earlier id")
         moves = np.broadcast_to(np.asarray(dynamic, bool), count).copy()
 
         depth = _depths(given)

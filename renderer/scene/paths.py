@@ -79,9 +79,7 @@ class CameraPath:
         kind = next(name for name, made in _LENSES.items() if isinstance(lens, made))
         numbers = {entry.name: getattr(lens, entry.name) for entry in fields(_LENSES[kind])}
         numbers["depth"] = lens.depth.value
-        rows = np.concatenate(
-            [self.positions, self.targets, np.broadcast_to(self.ups, self.positions.shape)], axis=1
-        )
+        rows = np.concatenate([self.positions, self.targets, np.broadcast_to(self.ups, self.positions.shape)], axis=1)
         path.write_text(json.dumps({"lens": {"kind": kind, **numbers}, "frames": rows.tolist()}) + "\n")
 
     @classmethod

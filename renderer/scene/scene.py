@@ -220,9 +220,7 @@ class Scene:
             self._glowing = self.material_version, int(np.count_nonzero(glows[self.objects.material]))
         return self._glowing[1]
 
-    def relative_transforms(
-        self, eye: ArrayLike, objects: NDArray[np.int64] | None = None
-    ) -> NDArray[np.float32]:
+    def relative_transforms(self, eye: ArrayLike, objects: NDArray[np.int64] | None = None) -> NDArray[np.float32]:
         """Return the transforms (k, 4, 4) float32 of `objects`, or of all, from mesh space to the eye's axes.
 
         These are the world's axes with `eye` (3,) as origin, subtracted in float64. Multiply the transforms with the
@@ -338,18 +336,14 @@ class SceneBuilder:
         self._materials.append(material)
         return len(self._materials) - 1
 
-    def add_node(
-        self, local: ArrayLike | None = None, parent: int = -1, dynamic: bool = False, name: str = ""
-    ) -> int:
+    def add_node(self, local: ArrayLike | None = None, parent: int = -1, dynamic: bool = False, name: str = "") -> int:
         """Add one node with a local transform (4, 4), by default the identity, and return its id."""
         matrix = np.eye(4) if local is None else np.asarray(local, np.float64)
         first = self.add_nodes(matrix[None], parent, dynamic)[0]
         self._node_names[-1] = name
         return int(first)
 
-    def add_nodes(
-        self, locals: ArrayLike, parents: ArrayLike = -1, dynamic: ArrayLike = False
-    ) -> NDArray[np.int64]:
+    def add_nodes(self, locals: ArrayLike, parents: ArrayLike = -1, dynamic: ArrayLike = False) -> NDArray[np.int64]:
         """Add nodes with local transforms (k, 4, 4) under `parents` (k,) or one parent; return their ids (k,)."""
         matrices = np.asarray(locals, np.float64)
         if matrices.ndim != 3 or matrices.shape[1:] != (4, 4) or not is_affine(matrices):
@@ -372,9 +366,7 @@ class SceneBuilder:
         They cast shadows of the lights that do, unless `casts_shadow` is False: a ground, below which nothing is seen,
         costs shadow maps time.
         """
-        columns = np.broadcast_arrays(
-            *(np.atleast_1d(np.asarray(v, np.int64)) for v in (nodes, meshes, materials))
-        )
+        columns = np.broadcast_arrays(*(np.atleast_1d(np.asarray(v, np.int64)) for v in (nodes, meshes, materials)))
         limits = (len(self._node_names), len(self._geometries), len(self._materials))
         for name, column, limit in zip(("nodes", "meshes", "materials"), columns, limits, strict=True):
             if column.size and (column.min() < 0 or column.max() >= limit):
@@ -464,12 +456,9 @@ class SceneBuilder:
         if len(np.unique(animated)) < len(animated):
             refuse(rules.SHARED_NODE, "animate(nodes=...)", "a node twice")
         boxes = [
-            box or (np.full((len(ids), 3), np.nan), np.full((len(ids), 3), np.nan))
-            for ids, _, box in self._animated
+            box or (np.full((len(ids), 3), np.nan), np.full((len(ids), 3), np.nan)) for ids, _, box in self._animated
         ]
-        lower, upper = (
-            np.concatenate([np.zeros((0, 3)), *(box[corner] for box in boxes)]) for corner in (0, 1)
-        )
+        lower, upper = (np.concatenate([np.zeros((0, 3)), *(box[corner] for box in boxes)]) for corner in (0, 1))
         objects = make_objects(
             nodes,
             meshes,

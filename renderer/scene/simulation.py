@@ -70,9 +70,7 @@ class DeformingOnDevice(Deforming, Protocol):
     device, and for what the CPU wants to know.
     """
 
-    def deform(
-        self, device: Device, members: Rows, vertices: StorageBuffer[float], begins: Rows, stride: int
-    ) -> None:
+    def deform(self, device: Device, members: Rows, vertices: StorageBuffer[float], begins: Rows, stride: int) -> None:
         """Write the present positions and normals of `members` (j,), by dispatches only.
 
         Args:
@@ -185,9 +183,7 @@ class Simulator:
         validation: whether `advance` also checks the bounds of one of its objects, another one in each call.
     """
 
-    def __init__(
-        self, simulated: Sequence[Simulated], nodes: Nodes, objects: Objects, meshes: Meshes
-    ) -> None:
+    def __init__(self, simulated: Sequence[Simulated], nodes: Nodes, objects: Objects, meshes: Meshes) -> None:
         self._begin = tuple(simulated)
         self._nodes, self._objects, self._meshes = nodes, objects, meshes
         self._first: list[int] = np.cumsum([0, *map(len, self._begin)]).tolist()
@@ -237,9 +233,7 @@ class Simulator:
         slots = self._slot_of[rows]
         rows, slots = rows[slots >= 0], slots[slots >= 0]
         parts = [(number, self._which[slots] == number) for number in np.unique(self._which[slots]).tolist()]
-        return [
-            (self.simulations[number], rows[part], slots[part] - self._first[number]) for number, part in parts
-        ]
+        return [(self.simulations[number], rows[part], slots[part] - self._first[number]) for number, part in parts]
 
     def begin_frame(self, seconds: float) -> None:
         """Begin a frame at the time `seconds`, and run what has no bounds. If that is before the last frame's time, all
@@ -284,9 +278,7 @@ class Simulator:
             chosen = which == number
             mine = slots[chosen]
             simulation: Any = self.simulations[number]
-            deformed.append(
-                Deformed(simulation, rows[chosen], mine - self._first[number], self._states[mine])
-            )
+            deformed.append(Deformed(simulation, rows[chosen], mine - self._first[number], self._states[mine]))
         return Advanced(moved, tuple(deformed))
 
     def pose_all(self) -> None:
@@ -307,9 +299,7 @@ class Simulator:
         lower, upper = objects.lower[row], objects.upper[row]
         slack = _ROUNDING * max(np.abs(lower).max(), np.abs(upper).max())
         if not ((points >= lower - slack) & (points <= upper + slack)).all():
-            given = (
-                f"object {row} from {_show(points.min(0))} to {_show(points.max(0))} at {self.seconds:g} s"
-            )
+            given = f"object {row} from {_show(points.min(0))} to {_show(points.max(0))} at {self.seconds:g} s"
             refuse(rules.LEFT_BOUNDS, "Simulator.check_bounds", given, f"{_show(lower)} to {_show(upper)}")
 
     def find_vertices(self, row: int) -> NDArray[Any] | None:

@@ -121,9 +121,7 @@ class StereoRig:
     def _place(self, camera: Camera, offset: float) -> Camera:
         position = camera.position + offset * camera.right
         if not self.is_toed_in:
-            return Camera(
-                position, camera.rotation, Skewed(camera.projection, -offset / self.convergence)
-            )
+            return Camera(position, camera.rotation, Skewed(camera.projection, -offset / self.convergence))
         angle = np.arctan(offset / self.convergence)  # about the camera's up, to the left
         cosine, sine = float(np.cos(angle)), float(np.sin(angle))
         turn = np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]])
@@ -156,9 +154,7 @@ class StereoRig:
             (half, high), back = np.abs(ends[:, :2]).max(axis=0) * widened, 0.0
             begin, end = ends[:, 2].min(), ends[:, 2].max()
             slack = _MARGIN * float(np.abs(ends).max())
-            wide: Projection = Orthographic(
-                2.0 * high, half / high, begin - slack, end + slack, depth=lens.depth
-            )
+            wide: Projection = Orthographic(2.0 * high, half / high, begin - slack, end + slack, depth=lens.depth)
         else:
             offsets = np.repeat([eye.position - camera.position for eye in eyes], 4, axis=0) @ camera.rotation.T
             ahead = near - offsets * _AHEAD

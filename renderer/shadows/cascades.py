@@ -118,8 +118,7 @@ def fit_cascades(
     radius = (np.linalg.norm(centres - middle, axis=2) + radii).max(0)
     axes = Camera.look_at((0, 0, 0), direction).rotation
     return [
-        _place(centre, axes, float(one), settings.cascade_size, top)
-        for centre, one in zip(middle, radius, strict=True)
+        _place(centre, axes, float(one), settings.cascade_size, top) for centre, one in zip(middle, radius, strict=True)
     ]
 
 

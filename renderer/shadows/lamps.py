@@ -59,9 +59,7 @@ def turn_into_quaternion(axes: Floats) -> tuple[float, float, float, float]:
     squares = np.array([*(2.0 * np.diag(axes) - trace), trace]) + 1.0
     largest = int(squares.argmax())
     root = 2.0 * np.sqrt(squares[largest])
-    differences = np.array(
-        [axes[2, 1] - axes[1, 2], axes[0, 2] - axes[2, 0], axes[1, 0] - axes[0, 1]]
-    )  # 4 w (x, y, z)
+    differences = np.array([axes[2, 1] - axes[1, 2], axes[0, 2] - axes[2, 0], axes[1, 0] - axes[0, 1]])  # 4 w (x, y, z)
     found = np.empty(4)
     if largest == 3:
         found[:3] = differences / root

@@ -273,9 +273,7 @@ class ShadowMaps:
             return False
         self._casting = state
         gone = [
-            (kind, row, part)
-            for kind, row, part in self._maps
-            if row >= len(casting[kind]) or not casting[kind][row]
+            (kind, row, part) for kind, row, part in self._maps if row >= len(casting[kind]) or not casting[kind][row]
         ]
         for key in gone:
             self._forget(key)
@@ -413,9 +411,7 @@ class ShadowMaps:
                             part = drawn[resources.find_group(drawn, number)]
                             if part.size:
                                 with device.states(*states):
-                                    resources.draw_rows(
-                                        device, program, part, bindings | {"view": one.view.buffer}
-                                    )
+                                    resources.draw_rows(device, program, part, bindings | {"view": one.view.buffer})
 
     def _report(self, key: MapKey, state: str, because: str, wanted: WantedMap | None = None) -> None:
         self._reported.append((key, state, because, wanted))
@@ -532,9 +528,7 @@ def _make_lamp_table(maps: list[tuple[Camera, Tile, float]], bias: float, points
     for i, (camera, tile, scale) in enumerate(maps):
         turns[i] = turn_into_quaternion(camera.rotation)
         tiles[i] = (tile.x + 0.5 * tile.size, tile.y + 0.5 * tile.size, 0.5 * tile.size, scale)
-    return LampTable(
-        turns=turns, tiles=tiles, bias=(bias * _BIAS[0], bias * _BIAS[1], bias), points=points
-    )
+    return LampTable(turns=turns, tiles=tiles, bias=(bias * _BIAS[0], bias * _BIAS[1], bias), points=points)
 
 
 def _view_constants(camera: Camera) -> ViewConstants:

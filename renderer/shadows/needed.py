@@ -190,9 +190,7 @@ class NeededMaps:
         chosen = shrink(chosen, counts, room, settings.smallest)
         return [(lamps[i], width) for i, width in chosen.items()]
 
-    def _list_faces(
-        self, scene: Scene, lamp: WantedLamp, width: int, cameras: Sequence[Camera]
-    ) -> list[WantedMap]:
+    def _list_faces(self, scene: Scene, lamp: WantedLamp, width: int, cameras: Sequence[Camera]) -> list[WantedMap]:
         """Return the maps of a lamp that have a caster."""
         name, (still, moving) = (lamp.kind, lamp.row), (lamp.casters.still, lamp.casters.moving)
         key = (lamp.light.tobytes(), width, still.tobytes())

@@ -113,9 +113,7 @@ class Mixer:
             decoded = from_srgb(np.arange(256) / 255.0)
             levels = 255.0 * to_srgb(np.arange(_STEPS) / (_STEPS - 1.0))
             self._light = made.enter_context(device.storage(float, decoded.astype(np.float32), label="light"))
-            self._levels = made.enter_context(
-                device.storage(uint, np.round(levels).astype(np.uint32), label="levels")
-            )
+            self._levels = made.enter_context(device.storage(uint, np.round(levels).astype(np.uint32), label="levels"))
             self._left, self._right = Words(device, uint), Words(device, uint)
             made.callback(self._left.destroy)
             made.callback(self._right.destroy)

@@ -85,9 +85,7 @@ class EyePair:
         if output in MIXED:
             self._mixer.mix(output, first, second, image)
         else:
-            self._commands.execute(
-                (first, second, image), lambda encoder: _place(encoder, first, second, image)
-            )
+            self._commands.execute((first, second, image), lambda encoder: _place(encoder, first, second, image))
         return image
 
     def destroy(self) -> None:

@@ -132,9 +132,7 @@ class TakeDepth(FullScreen):
 
     def fragment(self) -> MovedDepth:
         place = ivec2(fragment_coordinate().xy)
-        return MovedDepth(
-            depth=uint_bits_to_float(self.picture[place.y * self.shift.size.x + place.x] - uint(1))
-        )
+        return MovedDepth(depth=uint_bits_to_float(self.picture[place.y * self.shift.size.x + place.x] - uint(1)))
 
 
 class Reprojector:
@@ -214,9 +212,7 @@ def _move_depth(frame: Frame) -> None:
     device, size = frame.device, frame.targets.size
     kept = frame.view.workspace(Reprojector)
     picture, moved = (words.fit(size) for words in kept.depths)
-    device.dispatch(
-        device.program(EncodeDepth), -(-size[0] * size[1] // 64), depth=kept.depth.buffer, picture=picture
-    )
+    device.dispatch(device.program(EncodeDepth), -(-size[0] * size[1] // 64), depth=kept.depth.buffer, picture=picture)
     kept.move(device, size, picture, moved)
     states = (CullMode.NONE, DepthTest.ON, DepthWrite.ON, DepthFunction.ALWAYS)
     program: Any = device.program(TakeDepth)

@@ -55,7 +55,6 @@ class PackedShading(PackedReader, CellReader, LampShader, ShadingShader):  # typ
         return self.finish(color, position)
 
 
-
 class PackedRectangles(RectangleShader, PackedShading):  # type: ignore[misc]  # as `PackedReader`
     """Shades the pixels of materials. The depth of the last material is also that of pixels without a surface."""
 

@@ -106,9 +106,7 @@ class ForwardMultipass:
 
 def _draw_base(frame: Frame) -> None:
     switches = {**NO_LAMPS, "has_haze": False, "has_fog": False}
-    base = scene_pass(
-        frame, Unmapped, switches=switches, color=frame.targets["light"], clear=(0.0, 0.0, 0.0, 0.0)
-    )
+    base = scene_pass(frame, Unmapped, switches=switches, color=frame.targets["light"], clear=(0.0, 0.0, 0.0, 0.0))
     frame.draw_visible(base)
 
 

@@ -137,9 +137,7 @@ class PackIndices(Shader):
 def next_light(packed: uvec4) -> int:
     """Return the number of the first light of a pixel's packed numbers, 0 if there is none (`light_indexed`)."""
     parts = packed & uvec4(LIGHT_MASK)
-    return int(
-        parts.x | (parts.y << LIGHT_BITS) | (parts.z << (2 * LIGHT_BITS)) | (parts.w << (3 * LIGHT_BITS))
-    )
+    return int(parts.x | (parts.y << LIGHT_BITS) | (parts.z << (2 * LIGHT_BITS)) | (parts.w << (3 * LIGHT_BITS)))
 
 
 class LitByIndices(ForwardShader):

@@ -100,5 +100,3 @@ class LightPrePass:
             lit_pass(needs, lighting, because, after_depth=True, name="materials"),
             *finish_image(needs, FORWARD),
         )
-
-

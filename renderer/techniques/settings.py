@@ -84,8 +84,6 @@ _MAKERS: Final[Mapping[str, Callable[[TechniqueSettings], Technique]]] = {
     Deferred.name: lambda given: Deferred(stencil=given.stencil),
     DeferredPlus.name: lambda given: DeferredPlus(multi_pass=given.multi_pass),
     Inferred.name: lambda given: Inferred(scale=given.scale, stippled=given.stippled),
-    LightPrePass.name: lambda given: LightPrePass(
-        specular_channels=given.specular_channels, stencil=given.stencil
-    ),
+    LightPrePass.name: lambda given: LightPrePass(specular_channels=given.specular_channels, stencil=given.stencil),
 }
 """What makes the techniques that have parameters."""

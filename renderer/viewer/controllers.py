@@ -255,4 +255,3 @@ def image_height(lens: Projection, distance: float) -> float:
         return lens.height
     assert isinstance(lens, Perspective)
     return 2.0 * distance * float(np.tan(0.5 * lens.fov))
-

@@ -189,9 +189,7 @@ class Configurator:
         with ExitStack() as undo:
             if "visibility" in changed:
                 check_algorithm(settings.algorithm, renderer.device, "visibility")
-                visibility = make_visibility(
-                    settings.algorithm, renderer.scene, renderer.device, settings.visibility
-                )
+                visibility = make_visibility(settings.algorithm, renderer.scene, renderer.device, settings.visibility)
                 undo.callback(visibility.destroy)
             if stereo is not renderer.stereo:
                 renderer.stereo = stereo

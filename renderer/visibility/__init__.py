@@ -80,9 +80,7 @@ is."""
 def _make_auto(scene: Scene, device: Device, settings: VisibilitySettings) -> AutoCulling:
     names = CANDIDATES if device.capabilities.renders else ("frustum",)
     able = [name for name in names if find_obstacle(name, device) is None]
-    return AutoCulling(
-        scene, device, {name: partial(make_visibility, name, scene, device, settings) for name in able}
-    )
+    return AutoCulling(scene, device, {name: partial(make_visibility, name, scene, device, settings) for name in able})
 
 
 ALGORITHMS: Final[dict[str, Callable[[Scene, Device, VisibilitySettings], VisibilityAlgorithm]]] = {

@@ -78,9 +78,7 @@ class AutoCulling:
         for candidate in self.candidates.values():
             candidate.destroy()
 
-    def _try(
-        self, candidate: VisibilityAlgorithm, camera: Camera, scene_pass: ScenePass
-    ) -> VisibilityStatistics:
+    def _try(self, candidate: VisibilityAlgorithm, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         device = self._device
         device.finish()
         began = perf_counter()

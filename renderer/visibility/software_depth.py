@@ -76,9 +76,7 @@ class SoftwareDepth:
         tested = np.flatnonzero(~visible_mask)
         lower, upper = lower[tested], upper[tested]
         begin = time.perf_counter()
-        visible_mask[tested] = self._depth.find_shown(
-            0.5 * (lower + upper) - camera.position, 0.5 * (upper - lower)
-        )
+        visible_mask[tested] = self._depth.find_shown(0.5 * (lower + upper) - camera.position, 0.5 * (upper - lower))
         stalled = time.perf_counter() - begin
         visible = rows[visible_mask]
         if len(visible):

@@ -59,9 +59,7 @@ class WalksNodes(Protocol):
         ...
 
 
-def find_walk(
-    algorithm: VisibilityAlgorithm, scene: Scene, camera: Camera, drawn: Rows | None
-) -> CullingWalk:
+def find_walk(algorithm: VisibilityAlgorithm, scene: Scene, camera: Camera, drawn: Rows | None) -> CullingWalk:
     """Return what `algorithm` did in the frame that `camera` has just seen.
 
     `drawn` are the rows of the objects drawn, None if only the device knows them.
@@ -79,9 +77,7 @@ def find_walk(
     return CullingWalk(False, lower, upper, np.where(inside, seen, np.uint8(WalkOutcome.OUTSIDE)))
 
 
-def walk_forest(
-    forest: Forest, visited: NDArray[np.bool_], visible: bytearray, asked: bytearray
-) -> CullingWalk:
+def walk_forest(forest: Forest, visited: NDArray[np.bool_], visible: bytearray, asked: bytearray) -> CullingWalk:
     """Return the walk through a forest's nodes (m).
 
     Args:

@@ -68,9 +68,7 @@ def scalar_kind(type: HostType) -> ScalarType:
 
 
 def _shape(type: HostType) -> tuple[int, ...]:
-    return (
-        (type.size,) * (1 + isinstance(type, MatrixType)) if isinstance(type, MatrixType | VectorType) else ()
-    )
+    return (type.size,) * (1 + isinstance(type, MatrixType)) if isinstance(type, MatrixType | VectorType) else ()
 
 
 def _size(type: HostType) -> int:
@@ -168,9 +166,7 @@ class Probe:
     def evaluate(self, given: Array, dtype: Any) -> Array:
         """Evaluate words (n, words) on NumPy; returns numbers (n, components)."""
         columns = self.columns(given).values()
-        values = [
-            part.reshape(-1, *_shape(type)) for part, type in zip(columns, self.parameters, strict=True)
-        ]
+        values = [part.reshape(-1, *_shape(type)) for part, type in zip(columns, self.parameters, strict=True)]
         return np.asarray(evaluate(self._namespace["probe"], *values, dtype=dtype)).reshape(len(given), -1)
 
     def numbers(self, words: Array) -> Array:
@@ -281,9 +277,9 @@ def _sample(kind: ScalarType, low: float, high: float, count: int, rng: np.rando
     if kind is BOOL:
         return rng.integers(0, 2, count).astype(np.uint32)
     if kind is not FLOAT:
-        return rng.integers(0, 1 << 32, count, np.uint64).astype(np.uint32) >> rng.integers(
-            0, 32, count
-        ).astype(np.uint32)
+        return rng.integers(0, 1 << 32, count, np.uint64).astype(np.uint32) >> rng.integers(0, 32, count).astype(
+            np.uint32
+        )
     even = rng.uniform(low, high, count)
     largest = max(abs(low), abs(high))
     magnitude = np.exp(rng.uniform(np.log(low if low > 0 else largest * 1e-6), np.log(largest), count))

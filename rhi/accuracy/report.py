@@ -71,9 +71,7 @@ class BuiltinAccuracy:
     nanoseconds: float
 
 
-def measure(
-    names: Sequence[str] = (), backends: Sequence[str] = ("gl", "cl", "numpy")
-) -> Iterator[BuiltinAccuracy]:
+def measure(names: Sequence[str] = (), backends: Sequence[str] = ("gl", "cl", "numpy")) -> Iterator[BuiltinAccuracy]:
     """Measure the named built-ins and operators, by default all that aren't exact everywhere.
 
     Backends that don't work on this machine are left out, with a message.
@@ -138,9 +136,7 @@ def _on_numpy(probe: Probe | SampleProbe) -> tuple[Array, Array, float]:
     return given, probe.evaluate(given, np.float32), seconds
 
 
-def _on_device(
-    device: Device, probe: Probe | SampleProbe, precision: Precision
-) -> tuple[Array, Array, float]:
+def _on_device(device: Device, probe: Probe | SampleProbe, precision: Precision) -> tuple[Array, Array, float]:
     if isinstance(probe, SampleProbe):
         return _sample_on_device(device, probe, precision)
     given = probe.sample(SAMPLES)
@@ -165,9 +161,7 @@ def _on_device(
     return given, probe.numbers(words), (often - idle) / PASSES
 
 
-def _sample_on_device(
-    device: Device, probe: SampleProbe, precision: Precision
-) -> tuple[Array, Array, float]:
+def _sample_on_device(device: Device, probe: SampleProbe, precision: Precision) -> tuple[Array, Array, float]:
     given, levels, four = probe.sample(SAMPLES), probe.texture.levels, rhi.shading.vec4
     height, width = levels[0].shape[1:3]
     with (

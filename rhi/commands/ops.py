@@ -114,13 +114,6 @@ States: TypeAlias = dict[type, object]
 """The value of each state type. For types that exist per target it is a tuple of 8, one per target."""
 
 Descriptor: TypeAlias = (
-    BufferDescriptor
-    | TextureDescriptor
-    | SamplerDescriptor
-    | ProgramDescriptor
-    | VertexArrayDescriptor
-    | QueryKind
+    BufferDescriptor | TextureDescriptor | SamplerDescriptor | ProgramDescriptor | VertexArrayDescriptor | QueryKind
 )
 """The descriptor of a resource."""
-
-

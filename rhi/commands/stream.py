@@ -388,9 +388,7 @@ class CommandStream(Commands):
         """A call was refused here."""
         index = len(self)
         labels = self.context(index).labels
-        self.add_refusal(
-            Refusal(index, error.rule.id, error.call, error.given, error.allowed, error.site, labels)
-        )
+        self.add_refusal(Refusal(index, error.rule.id, error.call, error.given, error.allowed, error.site, labels))
 
     def add_refusal(self, refusal: Refusal) -> None:
         """Keep a refused call; its index isn't below those before it."""

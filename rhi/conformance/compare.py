@@ -50,9 +50,7 @@ def assert_mask(actual: NDArray[Any], expected: NDArray[np.bool_]) -> None:
     drawn = np.asarray(actual.any(axis=-1) if actual.ndim == 3 else actual != 0)
     if np.array_equal(drawn, expected):
         return
-    lines = [
-        f"{int(drawn.sum())} texels drawn, {int(expected.sum())} expected ('#' both, '+' extra, '-' missing)"
-    ]
+    lines = [f"{int(drawn.sum())} texels drawn, {int(expected.sum())} expected ('#' both, '+' extra, '-' missing)"]
     for got, wanted in zip(drawn[:40], expected[:40], strict=True):
         lines.append("".join(MARKS[bool(g), bool(w)] for g, w in zip(got, wanted, strict=True)))
     raise AssertionError("\n".join(lines))

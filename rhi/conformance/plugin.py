@@ -32,9 +32,7 @@ SHOWN: Final = 5
 def pytest_configure(config: pytest.Config) -> None:
     """Declare the kit's markers."""
     config.addinivalue_line("markers", "needs(*capabilities): skipped where the device declares one missing")
-    config.addinivalue_line(
-        "markers", "recorded_too: runs without and with a recorder in front of the backend"
-    )
+    config.addinivalue_line("markers", "recorded_too: runs without and with a recorder in front of the backend")
 
 
 @pytest.hookimpl(trylast=True)
@@ -144,9 +142,7 @@ def _write_board(reporter: pytest.TerminalReporter, board: Board) -> None:
         reporter.write_line(line, bold=True)
 
 
-def _write_row(
-    reporter: pytest.TerminalReporter, name: str, counts: Counter[str], *, bold: bool = False
-) -> None:
+def _write_row(reporter: pytest.TerminalReporter, name: str, counts: Counter[str], *, bold: bool = False) -> None:
     failed = counts["failed"] + counts["error"] + counts["missing"]
     row = f"{name}  {counts['passed']:5} passed"
     row += f"  {failed:4} failed" if failed or bold else ""

@@ -37,9 +37,7 @@ def rectangle(
     return corners([a, b, c, a, c, d], color, depth)
 
 
-def texel_rectangle(
-    x: float, y: float, width: float, height: float, size: Sequence[int], **more: Any
-) -> VertexRows:
+def texel_rectangle(x: float, y: float, width: float, height: float, size: Sequence[int], **more: Any) -> VertexRows:
     """Return a rectangle given in texels from the top left of a (width, height) target."""
     w, h = size
     return rectangle(2 * x / w - 1, 1 - 2 * (y + height) / h, 2 * (x + width) / w - 1, 1 - 2 * y / h, **more)

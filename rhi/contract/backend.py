@@ -247,9 +247,7 @@ class PreparesKernels(Protocol):
 class PreparedQueries(Protocol):
     """A group of occlusion queries that are drawn and read together. A row is an index into the group."""
 
-    def draw(
-        self, vertex_array: Id, primitive: Primitive, draws: NDArray[np.void], rows: NDArray[np.int64]
-    ) -> None:
+    def draw(self, vertex_array: Id, primitive: Primitive, draws: NDArray[np.void], rows: NDArray[np.int64]) -> None:
         """Draw and count: for each run of equal `rows`, the equivalent of `Backend.begin_query`, one `Backend.draw`
         per element of `draws` (`rhi.DRAW` or, without indices, `rhi.DRAW_UNINDEXED`) and `Backend.end_query`. Each row
         occurs in one run only; there is at least one draw. COUNTER queries count these draws, too."""

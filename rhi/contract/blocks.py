@@ -88,9 +88,7 @@ def _decode(format: CompressedFormat, flat: NDArray[np.uint8]) -> NDArray[np.gen
     return texels
 
 
-def decode_level(
-    format: CompressedFormat, blocks: NDArray[np.uint8], width: int, height: int
-) -> NDArray[np.generic]:
+def decode_level(format: CompressedFormat, blocks: NDArray[np.uint8], width: int, height: int) -> NDArray[np.generic]:
     """Return the texels (layers, height, width, channels) of blocks (layers, rows, columns, bytes)."""
     layers, rows, columns, _ = blocks.shape
     texels = decode_blocks(format, blocks).swapaxes(2, 3).reshape(layers, rows * BLOCK, columns * BLOCK, -1)
@@ -215,9 +213,7 @@ def _partitions(subsets: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     return texels, anchors
 
 
-def _indices(
-    bits: NDArray[np.uint8], start: int, count: int, anchors: NDArray[np.bool_]
-) -> NDArray[np.int32]:
+def _indices(bits: NDArray[np.uint8], start: int, count: int, anchors: NDArray[np.bool_]) -> NDArray[np.int32]:
     """Return 16 indices of `count` bits, (n, 16); those of anchors are one bit shorter."""
     sizes = count - anchors.astype(np.int64)
     starts = start + np.cumsum(sizes, axis=1) - sizes
@@ -278,9 +274,7 @@ def _decode_bc7_mode(bits: NDArray[np.uint8], mode: _Bc7Mode, start: int) -> NDA
         start += count
         return _field(bits, start - count, count)
 
-    partition, rotation, selection = (
-        read(n) for n in (mode.partition_bits, mode.rotation_bits, mode.selection_bits)
-    )
+    partition, rotation, selection = (read(n) for n in (mode.partition_bits, mode.rotation_bits, mode.selection_bits))
     ends = np.full((len(bits), mode.subsets, 2, 4), 255, np.int32)
     sizes = [*[mode.color_bits] * 3, *([mode.alpha_bits] if mode.alpha_bits else [])]
     for channel, size in enumerate(sizes):
@@ -334,57 +328,76 @@ class _FloatMode(NamedTuple):
 
 
 _FLOAT_MODES: Final = {
-    0: _FloatMode(True, 10, (5, 5, 5), (
-        "gy4 by4 bz4 rw0:9 gw0:9 bw0:9 rx0:4 gz4 gy0:3 gx0:4 bz0 gz0:3 bx0:4 bz1 by0:3 ry0:4 bz2 rz0:4 "
-        "bz3"
-    )),
-    1: _FloatMode(True, 7, (6, 6, 6), (
-        "gy5 gz4 gz5 rw0:6 bz0 bz1 by4 gw0:6 by5 bz2 gy4 bw0:6 bz3 bz5 bz4 rx0:5 gy0:3 gx0:5 gz0:3 bx0:5 "
-        "by0:3 ry0:5 rz0:5"
-    )),
-    2: _FloatMode(True, 11, (5, 4, 4), (
-        "rw0:9 gw0:9 bw0:9 rx0:4 rw10 gy0:3 gx0:3 gw10 bz0 gz0:3 bx0:3 bw10 bz1 by0:3 ry0:4 bz2 rz0:4 bz3"
-    )),
-    3: _FloatMode(False, 10, (10, 10, 10), (
-        "rw0:9 gw0:9 bw0:9 rx0:9 gx0:9 bx0:9"
-    )),
-    6: _FloatMode(True, 11, (4, 5, 4), (
-        "rw0:9 gw0:9 bw0:9 rx0:3 rw10 gz4 gy0:3 gx0:4 gw10 gz0:3 bx0:3 bw10 bz1 by0:3 ry0:3 bz0 bz2 rz0:3 "
-        "gy4 bz3"
-    )),
-    7: _FloatMode(True, 11, (9, 9, 9), (
-        "rw0:9 gw0:9 bw0:9 rx0:8 rw10 gx0:8 gw10 bx0:8 bw10"
-    )),
-    10: _FloatMode(True, 11, (4, 4, 5), (
-        "rw0:9 gw0:9 bw0:9 rx0:3 rw10 by4 gy0:3 gx0:3 gw10 bz0 gz0:3 bx0:4 bw10 by0:3 ry0:3 bz1 bz2 rz0:3 "
-        "bz4 bz3"
-    )),
-    11: _FloatMode(True, 12, (8, 8, 8), (
-        "rw0:9 gw0:9 bw0:9 rx0:7 rw11:10 gx0:7 gw11:10 bx0:7 bw11:10"
-    )),
-    14: _FloatMode(True, 9, (5, 5, 5), (
-        "rw0:8 by4 gw0:8 gy4 bw0:8 bz4 rx0:4 gz4 gy0:3 gx0:4 bz0 gz0:3 bx0:4 bz1 by0:3 ry0:4 bz2 rz0:4 "
-        "bz3"
-    )),
-    15: _FloatMode(True, 16, (4, 4, 4), (
-        "rw0:9 gw0:9 bw0:9 rx0:3 rw15:10 gx0:3 gw15:10 bx0:3 bw15:10"
-    )),
-    18: _FloatMode(True, 8, (6, 5, 5), (
-        "rw0:7 gz4 by4 gw0:7 bz2 gy4 bw0:7 bz3 bz4 rx0:5 gy0:3 gx0:4 bz0 gz0:3 bx0:4 bz1 by0:3 ry0:5 "
-        "rz0:5"
-    )),
-    22: _FloatMode(True, 8, (5, 6, 5), (
-        "rw0:7 bz0 by4 gw0:7 gy5 gy4 bw0:7 gz5 bz4 rx0:4 gz4 gy0:3 gx0:5 gz0:3 bx0:4 bz1 by0:3 ry0:4 bz2 "
-        "rz0:4 bz3"
-    )),
-    26: _FloatMode(True, 8, (5, 5, 6), (
-        "rw0:7 bz1 by4 gw0:7 by5 gy4 bw0:7 bz5 bz4 rx0:4 gz4 gy0:3 gx0:4 bz0 gz0:3 bx0:5 by0:3 ry0:4 bz2 "
-        "rz0:4 bz3"
-    )),
-    30: _FloatMode(False, 6, (6, 6, 6), (
-        "rw0:5 gz4 bz0 bz1 by4 gw0:5 gy5 by5 bz2 gy4 bw0:5 gz5 bz3 bz5 bz4 rx0:5 gy0:3 gx0:5 gz0:3 bx0:5 "
-        "by0:3 ry0:5 rz0:5"
-    )),
+    0: _FloatMode(
+        True,
+        10,
+        (5, 5, 5),
+        ("gy4 by4 bz4 rw0:9 gw0:9 bw0:9 rx0:4 gz4 gy0:3 gx0:4 bz0 gz0:3 bx0:4 bz1 by0:3 ry0:4 bz2 rz0:4 bz3"),
+    ),
+    1: _FloatMode(
+        True,
+        7,
+        (6, 6, 6),
+        (
+            "gy5 gz4 gz5 rw0:6 bz0 bz1 by4 gw0:6 by5 bz2 gy4 bw0:6 bz3 bz5 bz4 rx0:5 gy0:3 gx0:5 gz0:3 bx0:5 "
+            "by0:3 ry0:5 rz0:5"
+        ),
+    ),
+    2: _FloatMode(
+        True,
+        11,
+        (5, 4, 4),
+        ("rw0:9 gw0:9 bw0:9 rx0:4 rw10 gy0:3 gx0:3 gw10 bz0 gz0:3 bx0:3 bw10 bz1 by0:3 ry0:4 bz2 rz0:4 bz3"),
+    ),
+    3: _FloatMode(False, 10, (10, 10, 10), ("rw0:9 gw0:9 bw0:9 rx0:9 gx0:9 bx0:9")),
+    6: _FloatMode(
+        True,
+        11,
+        (4, 5, 4),
+        ("rw0:9 gw0:9 bw0:9 rx0:3 rw10 gz4 gy0:3 gx0:4 gw10 gz0:3 bx0:3 bw10 bz1 by0:3 ry0:3 bz0 bz2 rz0:3 gy4 bz3"),
+    ),
+    7: _FloatMode(True, 11, (9, 9, 9), ("rw0:9 gw0:9 bw0:9 rx0:8 rw10 gx0:8 gw10 bx0:8 bw10")),
+    10: _FloatMode(
+        True,
+        11,
+        (4, 4, 5),
+        ("rw0:9 gw0:9 bw0:9 rx0:3 rw10 by4 gy0:3 gx0:3 gw10 bz0 gz0:3 bx0:4 bw10 by0:3 ry0:3 bz1 bz2 rz0:3 bz4 bz3"),
+    ),
+    11: _FloatMode(True, 12, (8, 8, 8), ("rw0:9 gw0:9 bw0:9 rx0:7 rw11:10 gx0:7 gw11:10 bx0:7 bw11:10")),
+    14: _FloatMode(
+        True,
+        9,
+        (5, 5, 5),
+        ("rw0:8 by4 gw0:8 gy4 bw0:8 bz4 rx0:4 gz4 gy0:3 gx0:4 bz0 gz0:3 bx0:4 bz1 by0:3 ry0:4 bz2 rz0:4 bz3"),
+    ),
+    15: _FloatMode(True, 16, (4, 4, 4), ("rw0:9 gw0:9 bw0:9 rx0:3 rw15:10 gx0:3 gw15:10 bx0:3 bw15:10")),
+    18: _FloatMode(
+        True,
+        8,
+        (6, 5, 5),
+        ("rw0:7 gz4 by4 gw0:7 bz2 gy4 bw0:7 bz3 bz4 rx0:5 gy0:3 gx0:4 bz0 gz0:3 bx0:4 bz1 by0:3 ry0:5 rz0:5"),
+    ),
+    22: _FloatMode(
+        True,
+        8,
+        (5, 6, 5),
+        ("rw0:7 bz0 by4 gw0:7 gy5 gy4 bw0:7 gz5 bz4 rx0:4 gz4 gy0:3 gx0:5 gz0:3 bx0:4 bz1 by0:3 ry0:4 bz2 rz0:4 bz3"),
+    ),
+    26: _FloatMode(
+        True,
+        8,
+        (5, 5, 6),
+        ("rw0:7 bz1 by4 gw0:7 by5 gy4 bw0:7 bz5 bz4 rx0:4 gz4 gy0:3 gx0:4 bz0 gz0:3 bx0:5 by0:3 ry0:4 bz2 rz0:4 bz3"),
+    ),
+    30: _FloatMode(
+        False,
+        6,
+        (6, 6, 6),
+        (
+            "rw0:5 gz4 bz0 bz1 by4 gw0:5 gy5 by5 bz2 gy4 bw0:5 gz5 bz3 bz5 bz4 rx0:5 gy0:3 gx0:5 gz0:3 bx0:5 "
+            "by0:3 ry0:5 rz0:5"
+        ),
+    ),
 }
 _PARTITION_START: Final = 77
 _FIELD: Final = r"([rgb])([wxyz])(\d+)(?::(\d+))?"
@@ -407,9 +420,7 @@ def _extend(values: Any, bits: int) -> Any:
     return (values & (1 << bits) - 1 ^ 1 << bits - 1) - (1 << bits - 1)
 
 
-def _decode_float_mode(
-    bits: NDArray[np.uint8], mode: _FloatMode, start: int, signed: bool
-) -> NDArray[np.uint16]:
+def _decode_float_mode(bits: NDArray[np.uint8], mode: _FloatMode, start: int, signed: bool) -> NDArray[np.uint16]:
     ends = np.zeros((len(bits), 4, 3), np.int32)
     for channel, end, first, last in re.findall(_FIELD, mode.fields):
         step = 1 if int(first) <= int(last or first) else -1

@@ -47,6 +47,4 @@ def make_driver_error(
             rows.append(f"  from {origin}")
             site = site or origin
     where = "linking its stages" if stage is None else f"its {stage.value} stage"
-    return ShaderError(
-        SHADER_DRIVER, f"device.program({descriptor.name}), {where}", "\n".join(rows), site=site
-    )
+    return ShaderError(SHADER_DRIVER, f"device.program({descriptor.name}), {where}", "\n".join(rows), site=site)

@@ -136,7 +136,6 @@ class Format(Choice):
         return self.kind in (ChannelKind.UINT, ChannelKind.INT)
 
 
-
 class IndexFormat(Choice):
     """The type of the elements of an index buffer. `size` is in bytes."""
 

@@ -313,6 +313,5 @@ def compare_layouts(wanted: np.dtype[Any], given: np.dtype[Any]) -> str:
     table.append(("(bytes)", str(wanted.itemsize), "", str(given.itemsize), "", size))
     widths = [max(len(row[column]) for row in table) for column in range(6)]
     return "\n".join(
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in table
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in table
     )

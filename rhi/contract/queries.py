@@ -23,9 +23,7 @@ class PlainQueries:
         self._backend = backend
         self._queries = queries
 
-    def draw(
-        self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], rows: NDArray[np.int64]
-    ) -> None:
+    def draw(self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], rows: NDArray[np.int64]) -> None:
         """Draw and count; see `rhi.contract.backend.PreparedQueries.draw`."""
         backend, queries = self._backend, self._queries
         draw, current = backend.draw, -1
@@ -51,9 +49,7 @@ class PlainQueries:
         for row, begin, end in list_runs(rows):
             backend.begin_conditional(queries[row], False)
             try:
-                backend.draw_indirect(
-                    vertex_array, primitive, buffer, offset + begin * size, end - begin, size, 0, 0
-                )
+                backend.draw_indirect(vertex_array, primitive, buffer, offset + begin * size, end - begin, size, 0, 0)
             finally:
                 backend.end_conditional()
 

@@ -117,9 +117,7 @@ class CommandBuffer(Encoder):
 
     def __enter__(self) -> Self:
         if self._state is not _EMPTY:
-            self._recorder.refuse(
-                RECORD_STATE, "device.record", f"a command buffer that is {self._state}", "a new one"
-            )
+            self._recorder.refuse(RECORD_STATE, "device.record", f"a command buffer that is {self._state}", "a new one")
         self._state = _RECORDING
         self._recorder.thread = get_ident()
         self._recorder.recording = True
@@ -192,9 +190,7 @@ class CommandBuffer(Encoder):
     def _check_query_set(self, queries: QuerySet, call: str) -> None:
         super()._check_query_set(queries, call)
         if queries.id in self._recorder.queries:
-            self._recorder.refuse(
-                QUERY_STATE, call, "the same query set twice in a command buffer", "each set once"
-            )
+            self._recorder.refuse(QUERY_STATE, call, "the same query set twice in a command buffer", "each set once")
 
     def _mark_rows_drawn(self, queries: QuerySet, rows: NDArray[np.int64]) -> None:
         self._recorder.queries[queries.id] = partial(queries.mark_rows_submitted, rows)
@@ -282,9 +278,7 @@ class CommandBuffer(Encoder):
         """Keep the line that destroyed a resource of this buffer; called by `Timeline`."""
         if resource in self._recorder.uses and resource not in self._destroyed_uses:
             frame = find_user_frame()
-            self._destroyed_uses[resource] = (
-                str(find_site(frame.f_code, frame.f_lasti)) if frame is not None else ""
-            )
+            self._destroyed_uses[resource] = str(find_site(frame.f_code, frame.f_lasti)) if frame is not None else ""
 
     def execute(self) -> None:
         """Execute the recorded commands; called by `Device.submit`, which has checked them."""

@@ -216,9 +216,7 @@ class Device(Encoder):
         """
         if isinstance(self._backend, Recorder):
             return self._backend.stream
-        self._core.refuse(
-            DEVICE_NOT_RECORDING, "device.stream", f"a {self.backend_name} device that doesn't record"
-        )
+        self._core.refuse(DEVICE_NOT_RECORDING, "device.stream", f"a {self.backend_name} device that doesn't record")
 
     def backend_as(self, kind: type[B]) -> B:
         """Return the backend itself, for features that only it has; a recorder or other wrapper is skipped.
@@ -295,9 +293,7 @@ class Device(Encoder):
         return UniformArray(self._core, struct, count, label)
 
     @_creates
-    def storage(
-        self, element: type[T], source: int | NDArray[Any] | Buffer, *, label: str = ""
-    ) -> StorageBuffer[T]:
+    def storage(self, element: type[T], source: int | NDArray[Any] | Buffer, *, label: str = "") -> StorageBuffer[T]:
         """Create an array for `Storage[T]` and `StorageRW[T]`: a number of zeroed elements, a copy of an array, or a
         view of a buffer.
 
@@ -468,9 +464,7 @@ class Device(Encoder):
             ShaderError: the shader does not type-check, or the driver refuses it.
         """
         self._core.check_open()
-        if not isinstance(shader, ProgramDescriptor) and not (
-            isinstance(shader, type) and issubclass(shader, Shader)
-        ):
+        if not isinstance(shader, ProgramDescriptor) and not (isinstance(shader, type) and issubclass(shader, Shader)):
             Arguments("device.program", self._core.refuse).fail(
                 "shader", shader, "a class derived from Shader, or a ProgramDescriptor"
             )

@@ -79,9 +79,7 @@ class RecordingCore(Core):
         if self.device.closed:
             self.refuse(DEVICE_CLOSED, "device", "a closed device")
         if not self.recording:
-            self.refuse(
-                RECORD_STATE, "commands", "a command buffer outside its `with` block", "commands inside it"
-            )
+            self.refuse(RECORD_STATE, "commands", "a command buffer outside its `with` block", "commands inside it")
 
     check_command = check_open
 
@@ -142,9 +140,7 @@ class RecordedProgram(Program[Any]):
         assert isinstance(core, RecordingCore)
         known = mesh.vertex_arrays.get(self.origin) or mesh.vertex_arrays.get(self)
         if not isinstance(mesh, Mesh):
-            return known or mesh.create_vertex_array(
-                self.origin, self.id, self.name, self.descriptor.attributes
-            )
+            return known or mesh.create_vertex_array(self.origin, self.id, self.name, self.descriptor.attributes)
         data = mesh.data
         if known is None:
             key = (self.origin, data)

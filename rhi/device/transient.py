@@ -117,9 +117,7 @@ class TransientMemory:
     @property
     def capacity(self) -> int:
         """Total size in bytes."""
-        memories = {
-            id(each): each for each in (self._constants, self._vertices, self._indices, self.arguments)
-        }
+        memories = {id(each): each for each in (self._constants, self._vertices, self._indices, self.arguments)}
         return sum(memory.capacity for memory in memories.values() if memory.buffer)
 
     @overload
@@ -352,9 +350,7 @@ class TransientMesh(Drawable):
             base_instance,
         )  # fmt: skip
 
-    def create_vertex_array(
-        self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]
-    ) -> NoReturn:
+    def create_vertex_array(self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]) -> NoReturn:
         """Refuse the draw: transient vertices are matched to one program, and this is another one."""
         self.core.refuse(
             MESH_ATTRIBUTE,

@@ -41,9 +41,7 @@ class Arguments:
 
     __slots__ = ("_refuse", "call", "rule")
 
-    def __init__(
-        self, call: str, refuse: Callable[..., NoReturn] = refuse, rule: Rule = DEVICE_ARGUMENT
-    ) -> None:
+    def __init__(self, call: str, refuse: Callable[..., NoReturn] = refuse, rule: Rule = DEVICE_ARGUMENT) -> None:
         """
         Args:
             refuse: raises the error: that of the device's `Core`, which keeps it beside the recorded commands, or by
@@ -60,18 +58,12 @@ class Arguments:
     def whole(self, name: str, value: Any, least: int | None = None, most: int | None = None) -> int:
         """Return a whole number from `least` to `most` as an int."""
         number = as_whole(value)
-        if (
-            number is None
-            or (least is not None and number < least)
-            or (most is not None and number > most)
-        ):
+        if number is None or (least is not None and number < least) or (most is not None and number > most):
             tip = "whole numbers come from `//`, int(…) or round(…)" if _is_real(value) else ""
             self.fail(name, value, "a whole number" + _bounds(least, most), tip)
         return number
 
-    def whole_or_none(
-        self, name: str, value: Any, least: int | None = None, most: int | None = None
-    ) -> int | None:
+    def whole_or_none(self, name: str, value: Any, least: int | None = None, most: int | None = None) -> int | None:
         """Return a whole number as an int, or None."""
         return None if value is None else self.whole(name, value, least, most)
 

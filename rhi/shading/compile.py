@@ -133,9 +133,7 @@ def _compile(shader: type[Shader]) -> tuple[ProgramDescriptor, ShaderCode]:
     fragment = stages.get(Stage.FRAGMENT)
     if shader.early_depth and interface.depth:
         source = entries[Stage.FRAGMENT].source
-        source.refuse(
-            rules.INTERFACE, source.node, "a FragmentDepth with early_depth = True", "one of the two"
-        )
+        source.refuse(rules.INTERFACE, source.node, "a FragmentDepth with early_depth = True", "one of the two")
     options = StageOptions(
         shader.__qualname__.replace("<locals>.", ""),
         interface,
@@ -263,9 +261,7 @@ def _binding(declaration: Declaration, kind: BindingKind, slot: int, stored: boo
 
 def _work_group(shader: type[Shader]) -> tuple[int, int, int]:
     given = shader.work_group
-    valid = (
-        isinstance(given, tuple) and 1 <= len(given) <= 3 and all(isinstance(n, int) and n > 0 for n in given)
-    )
+    valid = isinstance(given, tuple) and 1 <= len(given) <= 3 and all(isinstance(n, int) and n > 0 for n in given)
     if not valid or given[0] * (given[1:] or (1,))[0] * (given[2:] or (1,))[0] > 1024:
         raise ShaderError(
             rules.OUT_OF_RANGE,

@@ -67,9 +67,7 @@ class ShaderCode:
             found = _LANGUAGES.get(language)
             if found is None or stage not in found.stages:
                 known = ", ".join(name for name, row in _LANGUAGES.items() if stage in row.stages)
-                raise ShaderError(
-                    rules.NATIVE, f"{self.options.name}: emit({language!r}, {stage})", language, known
-                )
+                raise ShaderError(rules.NATIVE, f"{self.options.name}: emit({language!r}, {stage})", language, known)
             try:
                 text = self._texts[language, stage] = found.write(self, stage)
             except RecursionError:

@@ -166,9 +166,7 @@ class Footprint:
                     yield ("resource", one), f"uses {label!r}"
 
 
-def assert_free(
-    effect: Footprint, commands: Commands | Device, *, control: Commands | Device | None = None
-) -> None:
+def assert_free(effect: Footprint, commands: Commands | Device, *, control: Commands | Device | None = None) -> None:
     """Assert that a stream, or a part of it, has no command of an effect. A failure names what the effect costs, with
     the lines that issued it.
 

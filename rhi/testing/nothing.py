@@ -190,14 +190,10 @@ def _writes(draw: Command) -> Iterator[Cause]:
         if Stage.FRAGMENT not in program.stages and count:
             yield _certain("fragment stage", f"program {program.name!r} has no fragment stage, so no color is written")
             count = 0
-    open_targets = [
-        i for i in range(count) if masks[i].red or masks[i].green or masks[i].blue or masks[i].alpha
-    ]
+    open_targets = [i for i in range(count) if masks[i].red or masks[i].green or masks[i].blue or masks[i].alpha]
     keeping = [i for i in open_targets if _keeps_destination(blends[i])]
     writes_depth = (
-        target.depth is not None
-        and states[DepthWrite] is DepthWrite.ON
-        and states[DepthTest] is DepthTest.ON
+        target.depth is not None and states[DepthWrite] is DepthWrite.ON and states[DepthTest] is DepthTest.ON
     )
     if count and not open_targets:
         yield Cause("ColorWrite", "all channels of all color targets are masked out", not writes_depth)
@@ -306,9 +302,7 @@ def _is_outside(box: Any, size: tuple[int, int]) -> bool:
 
 
 def _overlap(a: Any, b: Any) -> bool:
-    return bool(
-        a.x < b.x + b.width and b.x < a.x + a.width and a.y < b.y + b.height and b.y < a.y + a.height
-    )
+    return bool(a.x < b.x + b.width and b.x < a.x + a.width and a.y < b.y + b.height and b.y < a.y + a.height)
 
 
 def _keeps_destination(blend: BlendFunction) -> bool:

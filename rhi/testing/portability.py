@@ -80,9 +80,7 @@ def check_portability(
     error = _run(frame, reported=everything, enforced=everything)
     if error is not None:
         raise error
-    return Portability(
-        {name: _find_obstacles(frame, find_profile(profile)) for name, profile in profiles.items()}
-    )
+    return Portability({name: _find_obstacles(frame, find_profile(profile)) for name, profile in profiles.items()})
 
 
 def _find_obstacles(frame: Callable[[Device], object], profile: Capabilities) -> tuple[Obstacle, ...]:
@@ -140,9 +138,7 @@ class _ProfiledDevice(Device):
         return self._reported
 
 
-def _run(
-    frame: Callable[[Device], object], reported: Capabilities, enforced: Capabilities
-) -> RhiError | None:
+def _run(frame: Callable[[Device], object], reported: Capabilities, enforced: Capabilities) -> RhiError | None:
     """Run the frame and return the error that it ends in."""
     device = _ProfiledDevice(reported, enforced)
     try:

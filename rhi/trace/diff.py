@@ -143,9 +143,7 @@ class _ProgramKeys:
         if key is None:
             fields = repr(encode(program))
             alike = self._alike.setdefault(fields, [])
-            number = next(
-                (i for i, other in enumerate(alike) if sources_of(other) == sources_of(program)), len(alike)
-            )
+            number = next((i for i, other in enumerate(alike) if sources_of(other) == sources_of(program)), len(alike))
             alike.append(program)
             key = self._keys[program] = fields, number
         return key
@@ -277,9 +275,7 @@ class _Side:
         return hashable
 
 
-def _compare(
-    left: _Side, right: _Side, a: _Node, b: _Node, labels: tuple[str, ...], found: list[Difference]
-) -> None:
+def _compare(left: _Side, right: _Side, a: _Node, b: _Node, labels: tuple[str, ...], found: list[Difference]) -> None:
     """Append the differences between the children of two labels."""
     x = y = 0
     for next_x, next_y in [*align(a.keys, b.keys), (len(a.keys), len(b.keys))]:

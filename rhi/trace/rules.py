@@ -17,9 +17,7 @@ TRACE_SIZE: Final = Rule(
 TRACE_COMMAND: Final = Rule("trace-command", "a command of the trace is not part of the contract")
 TRACE_ARRAY: Final = Rule("trace-array", "an array of the trace doesn't match its command")
 TRACE_COUNT: Final = Rule("trace-count", "the number of commands differs from the header of the trace")
-TRACE_REFERENCE: Final = Rule(
-    "trace-reference", "a command of the trace is invalid where it stands"
-)
+TRACE_REFERENCE: Final = Rule("trace-reference", "a command of the trace is invalid where it stands")
 TRACE_INCOMPLETE: Final = Rule(
     "trace-incomplete",
     "the stream doesn't contain all commands since the device was created",
@@ -28,9 +26,7 @@ TRACE_INCOMPLETE: Final = Rule(
 TRACE_CAPABILITY: Final = Rule(
     "trace-capability", "the device lacks a capability that the trace needs", "replay it on another backend"
 )
-TRACE_SOURCE: Final = Rule(
-    "trace-source", "the trace has no source of this program in the language of the backend"
-)
+TRACE_SOURCE: Final = Rule("trace-source", "the trace has no source of this program in the language of the backend")
 TRACE_PREDICATE: Final = Rule(
     "trace-predicate",
     "the predicate can't be used to reduce the trace",

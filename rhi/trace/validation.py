@@ -245,9 +245,7 @@ def _need(condition: bool, otherwise: str) -> None:
         raise InvalidCommandError(otherwise)
 
 
-_RULES: Final[tuple[Callable[..., None] | None, ...]] = tuple(
-    getattr(SequenceValidator, op.method, None) for op in Op
-)
+_RULES: Final[tuple[Callable[..., None] | None, ...]] = tuple(getattr(SequenceValidator, op.method, None) for op in Op)
 
 
 # -- commands whose rules depend on their arguments only, and the limits of a device ---------------------------
@@ -303,9 +301,7 @@ def _copy_buffer(
     return buffer_copy_faults(*sizes, source == target, limits)
 
 
-def _write_texture(
-    made: _Made, limits: Capabilities, texture: Id, level: int, region: Region, data: bytes
-) -> Faults:
+def _write_texture(made: _Made, limits: Capabilities, texture: Id, level: int, region: Region, data: bytes) -> Faults:
     descriptor: TextureDescriptor = made[texture]
     yield from written_faults(descriptor)
     yield from region_faults(descriptor, level, region)

@@ -20,7 +20,11 @@ from rhi.trace import load, replay, save
 PACKAGE = Path(__file__).parents[2] / "examples" / "numpy_backend"
 FUNCTION = "rhi_numpy:create_backend"
 PASSES = (
-    "operation · buffers", "operation · textures", "operation · time", "operation · compute", "operation · language",
+    "operation · buffers",
+    "operation · textures",
+    "operation · time",
+    "operation · compute",
+    "operation · language",
 )
 
 
@@ -80,8 +84,7 @@ def test_it_passes_every_group_that_it_declares() -> None:
     assert run.returncode == 0, run.stdout
     board = run.stdout.partition(f"rhi conformance: {FUNCTION}")[2]  # what runs on no backend stands before it
     rows = {
-        name: int(passed)
-        for name, passed in re.findall(r"^ \d (\w+ · [\w ]+?) +(\d+) passed", board, re.MULTILINE)
+        name: int(passed) for name, passed in re.findall(r"^ \d (\w+ · [\w ]+?) +(\d+) passed", board, re.MULTILINE)
     }
     assert all(rows[group] > 10 for group in PASSES), run.stdout
     assert rows["validation · refusals"] > 5, run.stdout
@@ -95,9 +98,7 @@ def test_a_trace_brings_no_python_to_run(tmp_path: Path) -> None:
     """A kernel for NumPy is code of this process: it comes from a shader class, never from a file."""
     with rhi.create_device("null") as device:
         numbers = device.storage(float, 8)
-        device.dispatch(
-            device.program(PrefixSum), 1, scale=device.uniform(Scale(factor=1.0)), numbers=numbers
-        )
+        device.dispatch(device.program(PrefixSum), 1, scale=device.uniform(Scale(factor=1.0)), numbers=numbers)
         save(device, tmp_path / "t.zip")
     (creation,) = load(tmp_path / "t.zip").stream.filter(rhi.Op.CREATE_PROGRAM)
     with zipfile.ZipFile(tmp_path / "t.zip", "a") as file:

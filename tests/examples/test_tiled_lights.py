@@ -90,9 +90,7 @@ def recorded(null_device: rhi.Device) -> Callable[[Any, list[int]], Any]:
     return render
 
 
-def test_cells_that_were_not_seen_are_not_drawn(
-    example: Any, recorded: Any, command_stream: rhi.CommandStream
-) -> None:
+def test_cells_that_were_not_seen_are_not_drawn(example: Any, recorded: Any, command_stream: rhi.CommandStream) -> None:
     recorded(example, [0] * 100 + [7] * 44)
     first, second = frames(command_stream)
     for frame, cells in ((first, 144), (second, 44)):

@@ -105,9 +105,7 @@ class GlKit:
         return answer
 
     def set(self, *states: State) -> None:
-        self.backend.set_states(
-            [StateChange(type(s), (s,) * 8 if type(s) in PER_TARGET else s) for s in states]
-        )
+        self.backend.set_states([StateChange(type(s), (s,) * 8 if type(s) in PER_TARGET else s) for s in states])
 
     def begin(self, target: Id, clear: Sequence[float] | None = (0, 0, 0, 0), **parts: object) -> None:
         color = Attachment(target, clear=tuple(clear) if clear is not None else None)  # type: ignore[arg-type]

@@ -82,9 +82,7 @@ class House:
         self.depth = device.texture((SIZE, SIZE), Format.D32F)
         self.full = device.mesh({"position": FULL})
         self.half = device.mesh({"position": HALF}, np.array([0, 1, 2]))
-        self.tints = [
-            device.uniform(Tint(color=color)) for color in ((1, 0, 0, 1), (0, 1, 0, 0.5), (0, 0, 1, 1))
-        ]
+        self.tints = [device.uniform(Tint(color=color)) for color in ((1, 0, 0, 1), (0, 1, 0, 0.5), (0, 0, 1, 1))]
         self.flat, self.second = device.program(Flat), device.program(Other)
         self.count = device.program(Count)
         self.numbers = device.storage(float, np.arange(16, dtype=np.float32))

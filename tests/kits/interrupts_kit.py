@@ -55,9 +55,7 @@ class Interrupt:
             self._destructors.add(id(frame))  # Python prints their exceptions and goes on
             return self._leave_destructor
         if caller is not None and self._last.get(id(caller)) == "CALL" and code.co_name not in _FROM_C:
-            self._last[id(caller)] = (
-                ""  # the interpreter calls Python functions without a step at their return
-            )
+            self._last[id(caller)] = ""  # the interpreter calls Python functions without a step at their return
         self._last[id(frame)] = ""
         frame.f_trace_opcodes = True
         frame.f_trace_lines = False

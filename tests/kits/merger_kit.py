@@ -92,9 +92,7 @@ def state_values(*states: State) -> dict[type, Any]:
 def describe(formats: Sequence[Format], components: int = 4, **more: Any) -> ProgramDescriptor:
     """Return a program with an output for each format."""
     kinds = {ChannelKind.UINT: "uint", ChannelKind.INT: "int"}
-    outputs = tuple(
-        FragmentOutput(f"o{i}", i, kinds.get(f.kind, "float"), components) for i, f in enumerate(formats)
-    )
+    outputs = tuple(FragmentOutput(f"o{i}", i, kinds.get(f.kind, "float"), components) for i, f in enumerate(formats))
     return ProgramDescriptor(
         "Merged", frozenset({Stage.VERTEX, Stage.FRAGMENT}), (), (), outputs, (1, 1, 1),
         lambda language, stage: StageText(""), **more,

@@ -66,8 +66,9 @@ def record_much(device: rhi.Device) -> rhi.Texture:
     query = device.occlusion_query()
     stencil = device.texture((64, 48), Format.D32FS8)
     sampler = device.sampler(SamplerDescriptor(minify=rhi.Filter.NEAREST, magnify=rhi.Filter.NEAREST))
-    with device.event("second"), device.render_pass(
-        house.image, stencil, clear=(0, 0, 1, 1), clear_depth=0, clear_stencil=3
+    with (
+        device.event("second"),
+        device.render_pass(house.image, stencil, clear=(0, 0, 1, 1), clear_depth=0, clear_stencil=3),
     ):
         with device.states(
             CullMode.NONE, StencilTest.ON, StencilFront(), Scissor(0, 0, 32, 48), Viewport(0, 0, 64, 48),
@@ -78,9 +79,7 @@ def record_much(device: rhi.Device) -> rhi.Texture:
             draws = house.walls.draws(np.zeros(2, int), np.full(2, 3))
             device.draw_many(device.program(Pictured), house.walls, draws, picture=picture.sampled(sampler))
             queries = device.query_set(2)
-            device.draw_counted(
-                device.program(Pictured), house.walls, draws, queries, picture=picture.sampled(sampler)
-            )
+            device.draw_counted(device.program(Pictured), house.walls, draws, queries, picture=picture.sampled(sampler))
         with device.immediate(house.lit, Primitive.TRIANGLES, light=house.light, tint=house.tint) as corners:
             for place in ((-1, -1), (1, -1), (0, 1)):
                 corners.vertex(position=place)

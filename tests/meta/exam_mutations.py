@@ -472,6 +472,7 @@ MUTATIONS: tuple[Mutation, ...] = (
     ),
 )
 
+
 class Mutant(MetaPathFinder):
     """Imports one module with a piece of its text replaced."""
 
@@ -490,9 +491,7 @@ class Mutant(MetaPathFinder):
         assert text.count(self.mutation.old) == 1, (fullname, self.mutation.old)
         broken = self.folder / Path(found.origin).name
         broken.write_text(text.replace(self.mutation.old, self.mutation.new))
-        return importlib.util.spec_from_file_location(
-            fullname, broken, loader=SourceFileLoader(fullname, str(broken))
-        )
+        return importlib.util.spec_from_file_location(fullname, broken, loader=SourceFileLoader(fullname, str(broken)))
 
 
 def examine_mutant(mutation: Mutation) -> dict[int, dict[str, Any]]:
@@ -504,9 +503,7 @@ def examine_mutant(mutation: Mutation) -> dict[int, dict[str, Any]]:
 
         with rhi.create_device(mutation.backend) as device:
             rows = list(examine(device, [CASES[number] for number in mutation.cases]))
-    return {
-        row.case: {"seen": row.passed is False, "error": str(row.error), "remark": row.remark} for row in rows
-    }
+    return {row.case: {"seen": row.passed is False, "error": str(row.error), "remark": row.remark} for row in rows}
 
 
 def try_mutations(mutations: Sequence[Mutation]) -> Iterator[dict[str, Any]]:

@@ -150,9 +150,7 @@ class _Finder(ast.NodeVisitor):
     def _place(self, line: int, column: int) -> int:
         """Return the index of a place; columns count bytes."""
         row = self._bytes[line - 1]
-        return self._lines[line - 1] + (
-            column if row.isascii() else len(row.encode()[:column].decode())
-        )
+        return self._lines[line - 1] + (column if row.isascii() else len(row.encode()[:column].decode()))
 
     def _begin(self, node: ast.expr | ast.stmt) -> int:
         return self._place(node.lineno, node.col_offset)

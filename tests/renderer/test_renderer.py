@@ -182,9 +182,7 @@ def test_a_renderer_that_cannot_be_made_leaves_nothing(city: Scene, failing: int
         device.finish()
         made = device.stream.filter(
             (Op.CREATE_TEXTURE, Op.CREATE_BUFFER),
-            where=lambda c: (
-                c.failure is None and getattr(c["descriptor"], "usage", None) is not rhi.BufferUsage.STREAM
-            ),
+            where=lambda c: c.failure is None and getattr(c["descriptor"], "usage", None) is not rhi.BufferUsage.STREAM,
         )
         gone = {command.values[0] for command in device.stream.filter(Op.DESTROY)}
         assert {command.values[0] for command in made} <= gone
@@ -212,5 +210,3 @@ def test_the_algorithm_that_a_renderer_made_is_given_back_and_one_that_it_got_is
     assert queries_left(gl) > 0
     given.destroy()
     assert queries_left(gl) == 0
-
-

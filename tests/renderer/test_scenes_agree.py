@@ -69,16 +69,13 @@ def read_levels(device: Device, scene: Scene) -> list[NDArray[Any]]:
     assert passes.resources.images is not None
     (images,) = passes.resources.images.textures
     levels = [
-        np.stack([images.read(level, layer) for layer in range(images.layers)])
-        for level in range(1, images.levels)
+        np.stack([images.read(level, layer) for layer in range(images.layers)]) for level in range(1, images.levels)
     ]
     passes.destroy()
     return levels
 
 
-def draw_depth(
-    device: Device, scene: Scene, path: str, frame: int, size: tuple[int, int], wider: int
-) -> NDArray[Any]:
+def draw_depth(device: Device, scene: Scene, path: str, frame: int, size: tuple[int, int], wider: int) -> NDArray[Any]:
     """Draw the depth pass in a viewport several times as wide as the target."""
     passes = BackendPasses(device, scene, find_path(path, scene).camera(frame), size)
     lens, eye = passes.camera.relative_view_projection, passes.camera.position
@@ -97,9 +94,7 @@ def draw_depth(
         passes.destroy()
 
 
-def check_depth(
-    devices: tuple[Device, Device], scene: Scene, path: str, frame: int, size: tuple[int, int]
-) -> None:
+def check_depth(devices: tuple[Device, Device], scene: Scene, path: str, frame: int, size: tuple[int, int]) -> None:
     """Check that both cover the same pixels at the same depth, except for a few of slivers thinner than the grid."""
     gl, cl = (draw_depth(device, scene, path, frame, size, WIDER) for device in devices)
     np.testing.assert_array_equal(gl > 0, cl > 0)
@@ -127,9 +122,7 @@ def test_gl_and_cl_cover_the_same_pixels_along_all_paths(
 
 @pytest.mark.parametrize("frame", FRAMES)
 @pytest.mark.parametrize("path", ["ground", "sky"])
-def test_gl_and_cl_draw_the_same_scene(
-    devices: tuple[Device, Device], scene: Scene, path: str, frame: int
-) -> None:
+def test_gl_and_cl_draw_the_same_scene(devices: tuple[Device, Device], scene: Scene, path: str, frame: int) -> None:
     (gl_color, gl_depth), (cl_color, cl_depth) = (draw(d, scene, path, frame, "lit") for d in devices)
     assert (gl_depth > 0).mean() > 0.5
     assert ((gl_depth > 0) != (cl_depth > 0)).sum() <= 1
@@ -171,9 +164,7 @@ def test_gl_and_cl_count_the_same_samples(devices: tuple[Device, Device], scene:
     pytest.param(scene, path, marks=pytest.mark.nightly if scene == "city" else ())
     for scene, path in itertools.product(("city", "hall"), ("ground", "sky"))
 ], indirect=["scene"])  # fmt: skip
-def test_cl_counts_the_samples_that_its_boxes_cover(
-    devices: tuple[Device, Device], scene: Scene, path: str
-) -> None:
+def test_cl_counts_the_samples_that_its_boxes_cover(devices: tuple[Device, Device], scene: Scene, path: str) -> None:
     """Of up to 1,000 boxes, all at once and one by one; judged by each box drawn alone, every sample that passes
     adding one to its pixel."""
     device = devices[1]

@@ -66,9 +66,7 @@ def test_a_canvas_without_a_loop_draws_one_frame(screen: Screen) -> None:
     assert frames == [(6, 4)]
 
 
-@pytest.mark.parametrize(
-    ("format", "options"), [(Format.RGBA16F, {}), (Format.R8, {}), (Format.RGBA8, {"samples": 4})]
-)
+@pytest.mark.parametrize(("format", "options"), [(Format.RGBA16F, {}), (Format.R8, {}), (Format.RGBA8, {"samples": 4})])
 def test_other_images_are_refused_by_name(screen: Screen, format: Format, options: dict[str, Any]) -> None:
     image = screen.device.texture((6, 4), format, **options)
     with pytest.raises(ValidationError) as error:

@@ -341,9 +341,7 @@ def test_events_arrive(windows: Check) -> None:
 
 @needs_xdotool
 @pytest.mark.parametrize(("density", "ratio"), [(192, 2.0), pytest.param(144, 1.5, marks=pytest.mark.nightly)])
-def test_a_dense_display_has_more_pixels_than_the_logical_size(
-    display: Display, density: int, ratio: float
-) -> None:
+def test_a_dense_display_has_more_pixels_than_the_logical_size(display: Display, density: int, ratio: float) -> None:
     with begin_process(display) as run:
         run(check_density, density, ratio)
 

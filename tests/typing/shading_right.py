@@ -55,9 +55,7 @@ class Device:
     def program(self, shader: Callable[P, Shader]) -> Program[P]:
         return Program()
 
-    def draw(
-        self, program: Program[P], mesh: object, instances: int = 1, *args: P.args, **bindings: P.kwargs
-    ) -> None:
+    def draw(self, program: Program[P], mesh: object, instances: int = 1, *args: P.args, **bindings: P.kwargs) -> None:
         pass
 
 

@@ -196,9 +196,7 @@ class NumpyBackend:
     # -- 5 to 8: methods whose capabilities are declared missing -----------------------------------------
 
     def _refuse(self, *arguments: object) -> NoReturn:
-        refuse(
-            rules.DEVICE_CAPABILITY, "the numpy backend", "a draw, or a call that draws need", "memory and compute"
-        )
+        refuse(rules.DEVICE_CAPABILITY, "the numpy backend", "a draw, or a call that draws need", "memory and compute")
 
     create_vertex_array = set_states = draw = draw_indirect = resolve_texture = _refuse
     bind_texture = bind_image = begin_query = end_query = begin_conditional = end_conditional = _refuse

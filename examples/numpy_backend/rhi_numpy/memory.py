@@ -84,9 +84,7 @@ class Memory:
         texels = np.ascontiguousarray(self.box(texture, level, region))
         return texels.view(np.uint8).reshape(region.layers * region.height, -1)
 
-    def buffer_rows(
-        self, buffer: Id, offset: int, row_bytes: int, like: NDArray[np.uint8]
-    ) -> NDArray[np.uint8]:
+    def buffer_rows(self, buffer: Id, offset: int, row_bytes: int, like: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return a view of rows of a buffer that begin `row_bytes` apart, in the shape of `like`."""
         count, size = like.shape
         memory = self.buffers[buffer][offset : offset + (count - 1) * row_bytes + size]

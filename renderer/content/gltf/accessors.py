@@ -24,9 +24,7 @@ _COMPONENTS: Final[dict[int, np.dtype[Any]]] = {
     5126: np.dtype("<f4"),
 }
 _SIZES: Final = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
-_MOST_ZEROS: Final = (
-    2**24
-)  # elements of an accessor without bytes: what a few characters of JSON may allocate
+_MOST_ZEROS: Final = 2**24  # elements of an accessor without bytes: what a few characters of JSON may allocate
 
 
 class Accessors:
@@ -156,6 +154,4 @@ def _component(fields: JsonObject) -> np.dtype[Any]:
 
 
 def _list_components(kinds: str) -> str:
-    return ", ".join(
-        f"{number} ({dtype.name})" for number, dtype in _COMPONENTS.items() if dtype.kind in kinds
-    )
+    return ", ".join(f"{number} ({dtype.name})" for number, dtype in _COMPONENTS.items() if dtype.kind in kinds)

@@ -42,9 +42,7 @@ def read_tracks(root: JsonObject, accessors: Accessors, omissions: Omissions) ->
         samplers = animation.children("samplers")
         channels = animation.children("channels")
         used = [channel.index("sampler", len(samplers), needed=True) for channel in channels]
-        times = {
-            n: accessors.times(samplers[n].index("input", len(accessors), needed=True)) for n in set(used)
-        }
+        times = {n: accessors.times(samplers[n].index("input", len(accessors), needed=True)) for n in set(used)}
         period = float(max((held[-1] for held in times.values()), default=0.0))
         for channel, number in zip(channels, used, strict=True):
             target = channel.child("target")
@@ -90,9 +88,7 @@ def make_motion(
     return np.array(rows), NodeMotion(listed, owners, (rest[0], rest[1], rest[2]))
 
 
-def _read_track(
-    sampler: JsonObject, accessors: Accessors, target: int, times: Floats, period: float
-) -> Track:
+def _read_track(sampler: JsonObject, accessors: Accessors, target: int, times: Floats, period: float) -> Track:
     kind = KINDS[sampler.choice("interpolation", KINDS, "LINEAR")]
     number = sampler.index("output", len(accessors), needed=True)
     types = {ROTATION: "VEC4", WEIGHTS: "SCALAR"}.get(target, "VEC3")
@@ -105,6 +101,4 @@ def _read_track(
     if len(values) != keys * parts * max(per_key, 1):
         accessors.fields[number].refuse("count", len(values), f"{keys * parts}, for {keys} keys")
     size = per_key if target == WEIGHTS else values.shape[1]
-    return Track(
-        target, kind, times, values.reshape((keys, 3, size) if kind == CUBIC else (keys, size)), period
-    )
+    return Track(target, kind, times, values.reshape((keys, 3, size) if kind == CUBIC else (keys, size)), period)

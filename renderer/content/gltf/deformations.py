@@ -278,9 +278,7 @@ def read_deformed(
         skeleton: that of the node's skin, or None.
     """
     targets = primitive.children("targets")
-    if len(weights) not in (0, len(targets)) or (
-        track is not None and track.values.shape[-1] != len(targets)
-    ):
+    if len(weights) not in (0, len(targets)) or (track is not None and track.values.shape[-1] != len(targets)):
         primitive.refuse("targets", f"{len(targets)} targets", "as many as weights")
     offsets = np.zeros((len(targets), len(mesh.rows), 3), np.float32)
     turns = np.zeros_like(offsets)

@@ -53,9 +53,7 @@ class JsonObject:
     def __contains__(self, name: str) -> bool:
         return name in self.values
 
-    def real(
-        self, name: str, default: float | None = None, low: float = -np.inf, high: float = np.inf
-    ) -> float:
+    def real(self, name: str, default: float | None = None, low: float = -np.inf, high: float = np.inf) -> float:
         """Return a finite number from `low` to `high`; without a default it must be there."""
         given = self.values.get(name, default)
         if not _is_number(given) or not low <= given <= high:

@@ -93,11 +93,7 @@ def _write_path(name: str, path: CameraPath) -> dict[str, Any]:
 def _read_path(fields: JsonObject) -> CameraPath:
     is_parallel = "orthographic" in fields
     near = fields.real("near", low=-np.inf if is_parallel else 1e-30)
-    far = (
-        fields.real("far", low=float(np.nextafter(near, np.inf)))
-        if is_parallel or "far" in fields
-        else np.inf
-    )
+    far = fields.real("far", low=float(np.nextafter(near, np.inf))) if is_parallel or "far" in fields else np.inf
     aspect, depth = (
         fields.real("aspect", low=1e-9),
         Depth(fields.choice("depth", [one.value for one in Depth])),

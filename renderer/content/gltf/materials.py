@@ -162,9 +162,7 @@ class Materials:
                 self._ids[number] = self.builder.add_image(pixels)
 
 
-def _restore(
-    held: JsonObject, values: dict[str, Any], maps: dict[str, tuple[int, dict[str, Any]]]
-) -> dict[str, Any]:
+def _restore(held: JsonObject, values: dict[str, Any], maps: dict[str, tuple[int, dict[str, Any]]]) -> dict[str, Any]:
     """Return a material's values with those that glTF can't say in place of their likeness."""
     restored = dict(values)
     if "emission" in held:
@@ -186,9 +184,7 @@ def _restore(
     return restored
 
 
-def _colors(
-    fields: JsonObject, name: str, size: int, default: float = 1.0, high: float = 1e4
-) -> NDArray[np.float64]:
+def _colors(fields: JsonObject, name: str, size: int, default: float = 1.0, high: float = 1e4) -> NDArray[np.float64]:
     found = fields.reals(name, size, (default,) * size)
     if not ((found >= 0.0) & (found <= high)).all():
         fields.refuse(name, found.tolist(), "0 to 1")

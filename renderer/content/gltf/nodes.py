@@ -58,9 +58,7 @@ def list_nodes(root: JsonObject, omissions: Omissions) -> list[GltfNode]:
     for number, below in enumerate(children):
         for position, child in enumerate(below):
             if above[child] >= 0:
-                nodes[number].refuse(
-                    f"children[{position}]", f"{child} is also a child of nodes[{above[child]}]"
-                )
+                nodes[number].refuse(f"children[{position}]", f"{child} is also a child of nodes[{above[child]}]")
             above[child] = number
     scenes = root.children("scenes")
     if scenes:
@@ -94,9 +92,7 @@ def find_worlds(nodes: list[GltfNode]) -> Floats:
     for row, node in enumerate(nodes):
         worlds[row] = node.local if node.parent < 0 else multiply(worlds[node.parent], node.local)
         if np.abs(worlds[row]).max() > _LARGEST_WORLD:
-            node.fields.refuse(
-                "", f"a world transform up to {np.abs(worlds[row]).max():g}", f"{_LARGEST_WORLD:g}"
-            )
+            node.fields.refuse("", f"a world transform up to {np.abs(worlds[row]).max():g}", f"{_LARGEST_WORLD:g}")
     return worlds
 
 

@@ -70,9 +70,7 @@ class Primitives:
         mode = primitive.whole("mode", TRIANGLES, 0, 6)
         if mode >= TRIANGLES and "POSITION" in primitive.child("attributes"):
             return True
-        self.omissions.add(
-            _MODES[mode] if mode < TRIANGLES else "primitives without positions", primitive.where
-        )
+        self.omissions.add(_MODES[mode] if mode < TRIANGLES else "primitives without positions", primitive.where)
         return False
 
     def key(self, primitive: JsonObject) -> object:
@@ -96,9 +94,7 @@ class Primitives:
             if name not in ("JOINTS_0", "WEIGHTS_0"):
                 self.omissions.add(f"vertex attribute {name}", attributes.where)
         columns = {
-            name: self._column(attributes, name, types)
-            for name, (_, types) in ATTRIBUTES.items()
-            if name in attributes
+            name: self._column(attributes, name, types) for name, (_, types) in ATTRIBUTES.items() if name in attributes
         }
         count = len(columns["POSITION"])
         for name, column in columns.items():
@@ -128,9 +124,7 @@ class Primitives:
         found = self.accessors.array(number, "SCALAR", "u")
         if int(found.max()) >= count:
             worst = int(np.argmax(found >= count))
-            self.accessors.fields[number].refuse(
-                "", f"element {worst} is index {found[worst]}", f"0 to {count - 1}"
-            )
+            self.accessors.fields[number].refuse("", f"element {worst} is index {found[worst]}", f"0 to {count - 1}")
         return found.astype(np.uint32)
 
     def _assemble(

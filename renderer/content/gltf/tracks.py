@@ -199,9 +199,7 @@ def slerp(a: Floats, b: Floats, share: Floats) -> Floats:
     return _unit(first[:, None] * a + second[:, None] * b)
 
 
-def _hermite(
-    a: Floats, leaving: Floats, b: Floats, arriving: Floats, share: Floats, length: Floats
-) -> Floats:
+def _hermite(a: Floats, leaving: Floats, b: Floats, arriving: Floats, share: Floats, length: Floats) -> Floats:
     """Return points of cubic curves from `a` to `b` with the tangents `leaving` and `arriving`, per second."""
     s, s2, s3 = share, share**2, share**3
     return (
@@ -221,9 +219,7 @@ def _controls(track: Track) -> Floats:
     """Return the four control points (k - 1, 4, size) of each segment of a cubic track, as a Bézier curve."""
     third = np.diff(track.times)[:, None] / 3.0
     before, keys, after = track.values[:, 0], track.values[:, 1], track.values[:, 2]
-    return np.stack(
-        [keys[:-1], keys[:-1] + third * after[:-1], keys[1:] - third * before[1:], keys[1:]], axis=1
-    )
+    return np.stack([keys[:-1], keys[:-1] + third * after[:-1], keys[1:] - third * before[1:], keys[1:]], axis=1)
 
 
 def extremes(track: Track) -> tuple[Floats, Floats]:

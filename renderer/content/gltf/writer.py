@@ -54,9 +54,7 @@ def write_gltf(scene: Scene, path: str | Path) -> tuple[Omission, ...]:
     """Write a scene to a file, and return what the file can't hold; see `renderer.content.save_scene`."""
     file = Path(path)
     if file.suffix.lower() not in FORMATS:
-        refuse(
-            rules.UNKNOWN_FORMAT, f"save_scene({str(path)!r})", file.suffix or file.name, ", ".join(FORMATS)
-        )
+        refuse(rules.UNKNOWN_FORMAT, f"save_scene({str(path)!r})", file.suffix or file.name, ", ".join(FORMATS))
     writer = _GltfWriter(scene)
     writer.write_all()
     writer.save(file)
@@ -121,9 +119,7 @@ class _GltfWriter:
         return len(held) - 1
 
     def _view(self, data: bytes, **more: Any) -> int:
-        number = self._add(
-            "bufferViews", {"buffer": 0, "byteOffset": self._size, "byteLength": len(data), **more}
-        )
+        number = self._add("bufferViews", {"buffer": 0, "byteOffset": self._size, "byteLength": len(data), **more})
         padded = data + bytes(-len(data) % 4)
         self._chunks.append(padded)
         self._size += len(padded)
@@ -165,9 +161,7 @@ class _GltfWriter:
             scale = [float(np.hypot(xx, yx)), float(np.hypot(xy, yy))] if turned else [xx, yy]
             if turned and xx * yy - xy * yx < 0.0:
                 scale[1] = -scale[1]
-            given["extensions"] = {
-                "KHR_texture_transform": {"offset": [u, v], "rotation": turned, "scale": scale}
-            }
+            given["extensions"] = {"KHR_texture_transform": {"offset": [u, v], "rotation": turned, "scale": scale}}
         return given
 
     def _material(self, row: NDArray[Any]) -> dict[str, Any]:
@@ -199,9 +193,7 @@ class _GltfWriter:
                 extras["has_emissive_texture"] = image >= 0
                 image = image if image >= 0 else int(row["texture"])
         if any(emissive):
-            strength = 2.0 ** np.ceil(
-                np.log2(max(*emissive, 1.0))
-            )  # a power of two, so that nothing is rounded
+            strength = 2.0 ** np.ceil(np.log2(max(*emissive, 1.0)))  # a power of two, so that nothing is rounded
             made["emissiveFactor"] = [value / strength for value in emissive]
             if strength > 1.0:
                 self._extensions.add("KHR_materials_emissive_strength")
@@ -297,18 +289,14 @@ class _GltfWriter:
             "objects": order if (np.diff(order) < 0).any() else order[:0],
             "shadowless": np.flatnonzero(~objects.casts_shadow),
         }
-        private = write_surroundings(scene) | {
-            name: rows.tolist() for name, rows in lists.items() if len(rows)
-        }
+        private = write_surroundings(scene) | {name: rows.tolist() for name, rows in lists.items() if len(rows)}
         roots = np.flatnonzero(nodes.parents < 0).tolist()
         self._lists["scenes"] = [{"name": scene.name, "nodes": roots, "extras": {KEY: private}}]
         return motions
 
     def _mesh(self, pairs: tuple[tuple[int, int], ...], primitives: list[dict[str, Any]]) -> dict[str, Any]:
         names = [self._scene.meshes.names[mesh] for mesh, _ in pairs]
-        parts = [
-            primitives[mesh] | ({"material": material} if material >= 0 else {}) for mesh, material in pairs
-        ]
+        parts = [primitives[mesh] | ({"material": material} if material >= 0 else {}) for mesh, material in pairs]
         if len(set(names)) == 1:
             return {**({"name": names[0]} if names[0] else {}), "primitives": parts}
         named = [part | {"extras": {"name": name}} for part, name in zip(parts, names, strict=True)]
@@ -326,9 +314,7 @@ class _GltfWriter:
             for member, row in enumerate(one.nodes.tolist()):
                 for name in ("matrix", *_PATHS):
                     nodes[row].pop(name, None)
-                nodes[row] |= {
-                    name: part[member].tolist() for name, part in zip(_PATHS, motion.rest, strict=True)
-                }
+                nodes[row] |= {name: part[member].tolist() for name, part in zip(_PATHS, motion.rest, strict=True)}
             motions.append((one.nodes, motion))
         return motions
 
@@ -384,9 +370,7 @@ class _GltfWriter:
                     held["range"] = float(row["range"])
                 if kind == "spot":
                     if row["outer"] > np.pi / 2.0 or row["inner"] == row["outer"]:
-                        self.omissions.add(
-                            "cones of spot lights that glTF doesn't allow", f"lights[{number}]"
-                        )
+                        self.omissions.add("cones of spot lights that glTF doesn't allow", f"lights[{number}]")
                     held["spot"] = {
                         "innerConeAngle": float(row["inner"]),
                         "outerConeAngle": float(row["outer"]),

@@ -343,9 +343,7 @@ def expect_error(errors: Sequence[float]) -> float:
     return max(*errors, float(np.mean(errors) + _MARGIN * np.std(errors, ddof=1)))
 
 
-def list_held_out(
-    scene: Scene, situation: Situation, count: int, known: Sequence[SweepFrame]
-) -> list[SweepFrame]:
+def list_held_out(scene: Scene, situation: Situation, count: int, known: Sequence[SweepFrame]) -> list[SweepFrame]:
     """Return frames that are none of `known`, spread over the same part of the path; if it has only one view, that
     one."""
     numbers = {frame.number for frame in known}

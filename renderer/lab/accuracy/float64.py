@@ -180,7 +180,6 @@ def shade_exactly(renderer: Renderer, camera: Camera, seconds: float = 0.0) -> E
     first = drawn["first"].astype(np.int64) + 3 * triangles[:, 1]
     corners = indices[first[:, None] + np.arange(3)] + drawn["base_vertex"].astype(np.int64)[:, None]
 
-
     run = run_vertex(
         traced.shader, vertices[corners], instance_index=triangles[:, :1], dtype=np.float64, **traced.bindings
     )

@@ -517,9 +517,7 @@ class KnobBench:
             self._renderers[name].render(settings[name].aim(view.camera), view.seconds)
             self._device.finish()
 
-        work: dict[str, Callable[[int], object]] = {
-            name: partial(draw, name) for name in names[start:] + names[:start]
-        }
+        work: dict[str, Callable[[int], object]] = {name: partial(draw, name) for name in names[start:] + names[:start]}
         if self._knob.remembers:
             return alternate(work, range(len(rounds)), 0), self._time_truth(names[-1], draw)
         for name, renderer in self._renderers.items():  # the view before that of the first round
@@ -635,9 +633,7 @@ def crop_worst(true: Floats, shown: Floats, x: int, y: int) -> str:
     return b64encode(file.getvalue()).decode()
 
 
-def _sweep_encodings(
-    situation: Situation, knob: Knob, device: Device, found: Callable[..., KnobSample]
-) -> KnobSample:
+def _sweep_encodings(situation: Situation, knob: Knob, device: Device, found: Callable[..., KnobSample]) -> KnobSample:
     """Measure encodings: what they lose of random vectors, and the time to store and read one."""
     known = {one.name: one for one in ENCODINGS}
     chosen = {value: known[name] for value, name in knob.values.items()}

@@ -57,9 +57,7 @@ def make_test_grid(lens: str, size: tuple[int, int] = (1366, 768), tile: int = 8
     return make_grid(projection, size, tile, slices=slices, reach=REACH)
 
 
-def choose_cells(
-    grid: CellGrid, count: int, rng: np.random.Generator
-) -> tuple[NDArray[np.int32], Floats, Floats]:
+def choose_cells(grid: CellGrid, count: int, rng: np.random.Generator) -> tuple[NDArray[np.int32], Floats, Floats]:
     """Choose tiles (n, 2) and depths from near to far: shallow ones, flat ones, and the whole depth of the view."""
     tiles = np.column_stack([rng.integers(0, (grid.count.x, grid.count.y)[axis], count) for axis in range(2)])
     near = grid.near + (grid.far - grid.near) * rng.random(count) ** 3 * 0.9
@@ -68,9 +66,7 @@ def choose_cells(
     return tiles.astype(np.int32), np.where(whole, grid.near, near), np.where(whole, grid.far, far)
 
 
-def find_corners(
-    projection: Projection, grid: CellGrid, tiles: NDArray[np.int32], near: Floats, far: Floats
-) -> Floats:
+def find_corners(projection: Projection, grid: CellGrid, tiles: NDArray[np.int32], near: Floats, far: Floats) -> Floats:
     """Compute the corners (n, 8, 3) in eye space with the inverse of the projection; right is bit 0, top 1, far 2."""
     inverse = np.linalg.inv(projection.matrix)
     count, size = len(tiles), np.array([grid.size.x, grid.size.y])

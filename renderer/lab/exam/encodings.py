@@ -157,9 +157,7 @@ def judge_normals(read: Floats) -> Found:
     given = list_values()[:_FRAMES, :3]
     bounds = {"2 × 16 bits": 0.0038, "2 × 8 bits": 0.951, "2 × 8 bits, best of 4": 0.640, "in a tangent frame": 0.08}
     stored = (read[:_FRAMES, 1, :3], read[:_FRAMES, 1, 4:7], read[:_FRAMES, 2, :3], read[:_FRAMES, 0, :3])
-    angles = {
-        title: float(find_degrees(given, one).max()) for title, one in zip(bounds, stored, strict=True)
-    }
+    angles = {title: float(find_degrees(given, one).max()) for title, one in zip(bounds, stored, strict=True)}
     numbers = {f"{title}, of {bounds[title]}°": f"{angle:.4f}°" for title, angle in angles.items()}
     return Found(find_largest(*(angles[title] / bounds[title] for title in bounds)), dict(numbers))
 

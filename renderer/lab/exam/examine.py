@@ -56,9 +56,7 @@ def examine(device: Device, cases: Iterable[Case]) -> Iterator[ExamRow]:
         yield _make_row(case, device, found.error, case.judge(found), _explain(found))
 
 
-def _make_row(
-    case: Case, device: Device, error: float | None, passed: bool | None, remark: str
-) -> ExamRow:
+def _make_row(case: Case, device: Device, error: float | None, passed: bool | None, remark: str) -> ExamRow:
     return ExamRow(
         case.number,
         device.backend_name,

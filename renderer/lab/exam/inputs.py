@@ -73,8 +73,9 @@ def list_values() -> Iterator[tuple[str, Callable[..., object]]]:
         count = 4 if field == "base_color" else 3 if field in ("specular_color", "emissive") else 1
         is_metal = field in ("metallic", "roughness")
         model = {"metallic": 1.0} if is_metal and field != "metallic" else {}
-        yield f"material.{field}", lambda x, field=field, n=count, model=model: make_material(
-            **{**model, field: x if n == 1 else (x,) * n}
+        yield (
+            f"material.{field}",
+            lambda x, field=field, n=count, model=model: make_material(**{**model, field: x if n == 1 else (x,) * n}),
         )
     yield "TextureMap.offset", lambda x: TextureMap(0, offset=(x, 1.0))
     yield "TextureMap.scale", lambda x: TextureMap(0, scale=(x, 1.0))

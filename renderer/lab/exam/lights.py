@@ -229,9 +229,7 @@ def ask_cells(device: Device, grid: CellGrid, questions: NDArray[Any]) -> NDArra
     count = len(questions)
     buffers = (device.uniform(grid), device.storage(CellQuestion, questions), device.storage(CellAnswer, count))
     uniform, asked, answers = buffers
-    device.dispatch(
-        device.program(AskCells), -(-count // GROUP), grid=uniform, questions=asked, answers=answers
-    )
+    device.dispatch(device.program(AskCells), -(-count // GROUP), grid=uniform, questions=asked, answers=answers)
     found: NDArray[Any] = answers.read()
     for buffer in buffers:
         buffer.destroy()
@@ -298,9 +296,7 @@ def hold_pixels(device: Device) -> Found:
         for tile in (1, 8, 41, 64):
             lens = Perspective(aspect=size[0] / size[1], far=50.0)
             grid, rng = make_grid(lens, size, tile), np.random.default_rng(4)
-            x, y = (
-                np.maximum(np.append(rng.integers(0, n, 500), [0, n - 1, n // tile * tile - 1]), 0) for n in size
-            )
+            x, y = (np.maximum(np.append(rng.integers(0, n, 500), [0, n - 1, n // tile * tile - 1]), 0) for n in size)
             answers = ask_cells(device, grid, ask(len(x), pixel=np.column_stack([x, y]), z=7.0))
             columns, rows = -(-size[0] // tile), -(-size[1] // tile)
             total += int((grid.count.x, grid.count.y) != (columns, rows))

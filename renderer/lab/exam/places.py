@@ -44,9 +44,7 @@ def make_pillars(place: float) -> Scene:
 def draw_pillars(device: Device, place: float, technique: str, stereo: Stereo | None = None) -> list[NDArray[Any]]:
     """Return the pictures of all eyes."""
     scene = make_pillars(place)
-    camera = Camera.look_at(
-        (place, 1.0, place + 2.0), (place, 0.5, place - 8.0), projection=Perspective()
-    )
+    camera = Camera.look_at((place, 1.0, place + 2.0), (place, 0.5, place - 8.0), projection=Perspective())
     culling = FrustumCulling(scene)
     with Renderer(device, scene, technique=TECHNIQUES[technique](), size=SIZE, visibility=culling) as renderer:
         renderer.stereo = stereo
@@ -114,9 +112,7 @@ def layer_depths(device: Device) -> Found:
     red = int((image[..., 0].astype(int) > image[..., 2].astype(int) + 40).sum())
     holds = {"standard depth can't tell them apart": bool(standard.any()), "sheets are seen": red > 1000}
     numbers = {"reversed depth": int(wrong.sum()), "standard depth": int(standard.sum())}
-    return Found(
-        int(wrong.sum()), dict(numbers), holds, lambda: {"reversed depth": image, "standard depth": other}
-    )
+    return Found(int(wrong.sum()), dict(numbers), holds, lambda: {"reversed depth": image, "standard depth": other})
 
 
 def draw_without_size(device: Device) -> Found:

@@ -54,12 +54,7 @@ def find_needed(passes: Sequence[Pass[object]]) -> set[str]:
     needed = {one.name for one in passes if one.has_side_effects}
     needed |= {writers[name].name for name in find_outputs(passes)}
     while True:
-        read = {
-            name
-            for one in passes
-            if one.name in needed
-            for name in (*one.reads, *one.changes, *one.reads_last)
-        }
+        read = {name for one in passes if one.name in needed for name in (*one.reads, *one.changes, *one.reads_last)}
         more = needed | {writers[name].name for name in read}
         if more == needed:
             return needed

@@ -74,9 +74,7 @@ def walk(scene: Scene, path: str, frames: Iterable[int]) -> Shots:
     return [(scene.paths[path].camera(frame), frame / 60) for frame in frames]
 
 
-def draw_with(
-    renderer: Renderer, algorithm: VisibilityAlgorithm, camera: Camera, seconds: float = 0.0
-) -> FrameResult:
+def draw_with(renderer: Renderer, algorithm: VisibilityAlgorithm, camera: Camera, seconds: float = 0.0) -> FrameResult:
     """Render one frame with this algorithm."""
     renderer.visibility = algorithm
     return renderer.render(camera, seconds)
@@ -152,9 +150,7 @@ def make_views() -> dict[str, tuple[Scene, Camera]]:
             look(ORIGIN, WALL),
         ),
         "boxes without thickness": (
-            make_boxes(
-                [WALL, (1.0, 0.0, -6.0), (0.0, 3.0, -5.5)], [(3.0, 3.0, 0.0), (3.0, 0.0, 3.0), (0.0, 3.0, 3.0)]
-            ),
+            make_boxes([WALL, (1.0, 0.0, -6.0), (0.0, 3.0, -5.5)], [(3.0, 3.0, 0.0), (3.0, 0.0, 3.0), (0.0, 3.0, 3.0)]),
             look(ORIGIN, WALL),
         ),
         "one object": (
@@ -227,11 +223,7 @@ def along(path: str, *frames: int) -> Callable[[Scene], Shots]:
 
 def teleport(scene: Scene) -> Shots:
     """Jump to and fro between two paths."""
-    return [
-        (scene.paths[path].camera(frame), 0.0)
-        for frame in (0, 900, 1799)
-        for path in ("ground", "sky", "ground")
-    ]
+    return [(scene.paths[path].camera(frame), 0.0) for frame in (0, 900, 1799) for path in ("ground", "sky", "ground")]
 
 
 def _stay(title: str) -> Callable[[Scene], Shots]:
@@ -247,9 +239,7 @@ def _stay(title: str) -> Callable[[Scene], Shots]:
 
 def _fly_past(_: Scene) -> Shots:
     """Move forward past what was in view, so that it is behind the eye in the next frame."""
-    return [
-        (look((0.0, 0.0, z), (0.0, 0.0, z - 1.0), near=0.1), 0.0) for z in (8.0, 6.0, 1.0, -1.5, -6.0, 8.0)
-    ]
+    return [(look((0.0, 0.0, z), (0.0, 0.0, z - 1.0), near=0.1), 0.0) for z in (8.0, 6.0, 1.0, -1.5, -6.0, 8.0)]
 
 
 def _slide(_: Scene) -> Shots:

@@ -66,9 +66,7 @@ def write_frames(path: Path, frames: Sequence[CapturedFrame]) -> None:
         table.writerow(["frame", "ms", *columns])
         for one in frames:
             times = [one.passes.get(name) for name in names]
-            cells = [
-                _show(value) for time in times for value in ((time.gpu, time.cpu) if time else (None, None))
-            ]
+            cells = [_show(value) for time in times for value in ((time.gpu, time.cpu) if time else (None, None))]
             table.writerow([one.frame, _show(one.milliseconds), *cells])
 
 

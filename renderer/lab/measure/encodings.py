@@ -402,9 +402,7 @@ def sample_places(rng: np.random.Generator, count: int) -> Floats:
 
 def find_turned(given: Floats, read: Floats) -> Floats:
     """Return the larger error of both derivatives in percent."""
-    return np.maximum(
-        find_vector_errors(given[:, :2], read[:, :2]), find_vector_errors(given[:, 2:4], read[:, 2:4])
-    )
+    return np.maximum(find_vector_errors(given[:, :2], read[:, :2]), find_vector_errors(given[:, 2:4], read[:, 2:4]))
 
 
 def find_offset(given: Floats, read: Floats) -> Floats:

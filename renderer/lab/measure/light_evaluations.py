@@ -223,9 +223,7 @@ def _count_tiles(frame: Frame) -> None:
 
 def _count_volumes(frame: Frame, *, stencil: bool, depth: str) -> None:
     for number, effect in enumerate(list_lamps(frame.needs)):
-        draw_volumes(
-            frame, effect, VolumeFragments, [EVALUATIONS], depth=depth, clears=not number, is_masked=stencil
-        )
+        draw_volumes(frame, effect, VolumeFragments, [EVALUATIONS], depth=depth, clears=not number, is_masked=stencil)
 
 
 def _count_pairs(frame: Frame) -> None:

@@ -96,9 +96,7 @@ class MarkShader(Shader):
         mark = self.marks[instance_index()]
         place = mark.centre + 2.0 * mark.half * v.position
         lit = 0.7 + 0.3 * dot(v.normal, vec3(0.36, 0.80, 0.48))
-        return MarkVarying(
-            clip=self.camera.relative_view_projection @ vec4(place, 1.0), color=mark.color * lit
-        )
+        return MarkVarying(clip=self.camera.relative_view_projection @ vec4(place, 1.0), color=mark.color * lit)
 
     def fragment(self, v: MarkVarying) -> vec4:
         return vec4(v.color, 1.0)
@@ -201,9 +199,7 @@ def find_edges(camera: Camera, above: Camera) -> NDArray[np.float64]:
     lens = above.projection
     assert isinstance(lens, Orthographic)
     far = near + away * 2.0 * lens.height * max(lens.aspect, 1.0)
-    lines = np.concatenate(
-        [np.stack([near, far], axis=1), np.stack([near, np.roll(near, 1, axis=0)], axis=1)]
-    )
+    lines = np.concatenate([np.stack([near, far], axis=1), np.stack([near, np.roll(near, 1, axis=0)], axis=1)])
     lines[:, :, 1] = above.position[1] - 0.5 * lens.far
     return lines
 
@@ -224,13 +220,9 @@ class _Marks:
 
     def _lines_of(self, points: NDArray[np.float32], indices: NDArray[np.uint16] | None = None) -> Mesh:
         up = np.tile(np.array([0.36, 0.80, 0.48], np.float32), (len(points), 1))  # fully lit
-        return self._device.mesh(
-            {"position": points, "normal": up}, indices, primitive=Primitive.LINES, label="edges"
-        )
+        return self._device.mesh({"position": points, "normal": up}, indices, primitive=Primitive.LINES, label="edges")
 
-    def draw_boxes(
-        self, scene: Scene, camera: Camera, rows: Rows, outcomes: NDArray[np.uint8], *, solid: bool
-    ) -> None:
+    def draw_boxes(self, scene: Scene, camera: Camera, rows: Rows, outcomes: NDArray[np.uint8], *, solid: bool) -> None:
         """Draw the boxes of the objects `rows`."""
         if not len(rows):
             return

@@ -89,8 +89,7 @@ def try_pairs(walk: Walk, pairs: Sequence[ParameterPair], leaf_size: int = 1) ->
         Renderer(device, scene, size=walk.size) as renderer,
     ):
         tried = [
-            replace(default, batch=batch, persistence=persistence, leaf_size=leaf_size)
-            for batch, persistence in pairs
+            replace(default, batch=batch, persistence=persistence, leaf_size=leaf_size) for batch, persistence in pairs
         ]
         algorithms = [make_visibility("chc_plus_plus", scene, device, one) for one in (default, *tried)]
         costs: list[list[FrameStatistics]] = [[] for _ in algorithms]
@@ -100,9 +99,7 @@ def try_pairs(walk: Walk, pairs: Sequence[ParameterPair], leaf_size: int = 1) ->
             seconds = (walk.first + frame) / FRAMES_PER_SECOND
             costs[which].append(measure_frame(renderer, walk.path.camera(frame), seconds)[1].statistics)
 
-        work = {
-            str(which): lambda frame, which=which: render(which, frame) for which in range(len(algorithms))
-        }
+        work = {str(which): lambda frame, which=which: render(which, frame) for which in range(len(algorithms))}
         times = list(alternate(work, range(1, len(walk.path))).values())
     base = times[0]
     trials = []

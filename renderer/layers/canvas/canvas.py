@@ -122,9 +122,7 @@ class Canvas:
         self._clips: list[Clip | None] = [None]
         self._runs: list[tuple[int, Clip | None]] = [(0, None)]  # where each begins, and its clip rectangle
         origins, extents = font.texel.astype(np.uint32), font.extent.astype(np.uint32)
-        self._glyph_texels = np.stack(
-            [pair[:, 0] | pair[:, 1] << np.uint32(16) for pair in (origins, extents)], axis=1
-        )
+        self._glyph_texels = np.stack([pair[:, 0] | pair[:, 1] << np.uint32(16) for pair in (origins, extents)], axis=1)
         self._glyph_sizes = font.extent.astype(np.float32)
 
     def __len__(self) -> int:

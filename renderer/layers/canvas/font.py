@@ -36,9 +36,7 @@ GLYPHS: Final = 259
 WHITE: Final = 1
 """The texel, in both directions, in the middle of the atlas's corner of full coverage."""
 
-_CORNER: Final = (
-    3  # width and height of that corner: interpolation that rounds to a neighbour finds it white, too
-)
+_CORNER: Final = 3  # width and height of that corner: interpolation that rounds to a neighbour finds it white, too
 _GAP: Final = 1  # texels between glyphs
 _WIDTH: Final = 256  # of the atlas
 _UNKNOWN: Final = 127  # kerning of a pair that wasn't asked for
@@ -71,9 +69,7 @@ class Font:
                 ImageFont.truetype(file, size, layout_engine=ImageFont.Layout.RAQM) if self.is_kerned else self._font
             )
         except (OSError, ImportError) as error:  # of a file that is no font, or a Pillow without FreeType
-            refuse(
-                rules.FONT_FILE, "Font.load", f"{file.name}: {error}", "a file that Pillow reads as a font"
-            )
+            refuse(rules.FONT_FILE, "Font.load", f"{file.name}: {error}", "a file that Pillow reads as a font")
         self._pair_options: dict[str, Any] = {"features": ["-liga", "-clig"]} if self.is_kerned else {}
         self.size = size
         ascent, descent = self._font.getmetrics()

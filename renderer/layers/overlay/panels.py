@@ -63,9 +63,7 @@ class Box(NamedTuple):
         return Box(self.x + by, self.y + by, self.width - 2 * by, self.height - 2 * by)
 
 
-def draw_graph(
-    canvas: Canvas, box: Box, frames: NDArray[np.float64], own: NDArray[np.float64], bar: int
-) -> None:
+def draw_graph(canvas: Canvas, box: Box, frames: NDArray[np.float64], own: NDArray[np.float64], bar: int) -> None:
     """Draw a bar for each frame, the latest at the right edge; its foot is the overlay's own time.
 
     The graph's height is 1/60 s, doubled until the longest time fits; lines stand for 1/60 s and 1/30 s.
@@ -88,9 +86,7 @@ def draw_graph(
     canvas.rects([(box.x, under - each, box.width, 1) for each in heights], RULE)
 
 
-def draw_rows(
-    canvas: Canvas, x: int, y: int, rows: Sequence[tuple[str, str]], second: int, scale: int
-) -> int:
+def draw_rows(canvas: Canvas, x: int, y: int, rows: Sequence[tuple[str, str]], second: int, scale: int) -> int:
     """Draw names and values in two columns, `second` pixels apart; return the height."""
     canvas.text(x, y, "\n".join(name for name, _ in rows), DIM, scale)
     return canvas.text(x + second, y, "\n".join(value for _, value in rows), TEXT, scale)[1]

@@ -34,9 +34,7 @@ class BufferSet:
         if buffer is None or len(buffer) != count:
             if buffer is not None:
                 buffer.destroy()
-            buffer = self._buffers[name] = self._device.storage(
-                element, count, label=f"{self._label}: {name}"
-            )
+            buffer = self._buffers[name] = self._device.storage(element, count, label=f"{self._label}: {name}")
         return buffer
 
     def destroy(self) -> None:
@@ -53,9 +51,7 @@ class LightUploads:
         layout: the grid. words: the number of words with a bit for each light.
     """
 
-    def __init__(
-        self, device: Device, *, tile: int, slices: int = 1, first_slice: float | None = None
-    ) -> None:
+    def __init__(self, device: Device, *, tile: int, slices: int = 1, first_slice: float | None = None) -> None:
         """Cells are tiles of `tile` × `tile` pixels, divided into `slices` by depth (see `make_grid`)."""
         self.tile, self.slices, self.first_slice = tile, slices, first_slice
         self.layout: CellGrid = make_grid(Perspective(), (1, 1), tile, slices=slices)

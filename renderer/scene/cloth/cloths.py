@@ -99,9 +99,7 @@ class Cloths:
         state = self._state
         return (state.points.copy(), state.speeds.copy()) if isinstance(state, ClothArrays) else state.read()
 
-    def deform(
-        self, device: Device, members: Rows, vertices: StorageBuffer[float], begins: Rows, stride: int
-    ) -> None:
+    def deform(self, device: Device, members: Rows, vertices: StorageBuffer[float], begins: Rows, stride: int) -> None:
         """Take the steps that are due of `members` (j,) on a device, and write their vertices. What a frame takes is
         one dispatch.
 

@@ -184,9 +184,7 @@ class StepCloths(Shader):
         row = point // columns
         column = point - row * columns
         line = first + row * columns
-        across = (
-            self.places[line + min(column + 1, columns - 1)].xyz - self.places[line + max(column - 1, 0)].xyz
-        )
+        across = self.places[line + min(column + 1, columns - 1)].xyz - self.places[line + max(column - 1, 0)].xyz
         above = max(row - 1, 0) * columns + column
         below = min(row + 1, self.cloth.rows - 1) * columns + column
         normal = cross(across, self.places[first + above].xyz - self.places[first + below].xyz)

@@ -53,9 +53,7 @@ class ClothArrays:
         points: (count, n, 3) float32, in m. speeds: (count, n, 3) float32, in m/s.
     """
 
-    def __init__(
-        self, sheet: Sheet, wind: Wind, points: NDArray[np.float32], speeds: NDArray[np.float32]
-    ) -> None:
+    def __init__(self, sheet: Sheet, wind: Wind, points: NDArray[np.float32], speeds: NDArray[np.float32]) -> None:
         self.points, self.speeds = points, speeds
         self._sheet = sheet
         self._velocity = np.array(wind.velocity, np.float32)
@@ -64,9 +62,7 @@ class ClothArrays:
             for gust in wind.gusts
         ]
         self._periods = wind.periods
-        self._batches = [
-            ConstraintBatch.make(sheet, begin, end) for begin, end in pairwise(sheet.batches.tolist())
-        ]
+        self._batches = [ConstraintBatch.make(sheet, begin, end) for begin, end in pairwise(sheet.batches.tolist())]
 
     def step(self, members: Rows, phases: Rows) -> None:
         """Take one step with `members` (j,); `phases` (j, MOST_GUSTS) are those of the gusts in steps."""

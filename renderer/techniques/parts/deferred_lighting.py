@@ -117,9 +117,7 @@ def cluster_passes(needs: Needs) -> tuple[Pass[Frame], ...]:
     )
 
 
-def light_geometry(
-    frame: Frame, *, effect: Effect, targets: Sequence[str], clears: bool, stencil: bool
-) -> None:
+def light_geometry(frame: Frame, *, effect: Effect, targets: Sequence[str], clears: bool, stencil: bool) -> None:
     """Add the light of the point or spot lights in view to the light buffer."""
     switches = find_contents(frame.needs)
     draw_volumes(frame, effect, LightingShader, targets, switches=switches, clears=clears, is_masked=stencil)
@@ -135,9 +133,7 @@ def resolve(frame: Frame, *, lights: Sequence[str]) -> None:
     resolve_geometry(frame, GeometryResolve, own, has_light=bool(lights))
 
 
-def resolve_geometry(
-    frame: Frame, shader: type[GeometryResolve], own: Mapping[str, Any], **switches: bool
-) -> None:
+def resolve_geometry(frame: Frame, shader: type[GeometryResolve], own: Mapping[str, Any], **switches: bool) -> None:
     """Make the image with a shader, bindings of its own, and its switches."""
     targets, switches = frame.targets, find_contents(frame.needs) | switches
     depth, clear = targets["depth"], frame.background

@@ -127,9 +127,7 @@ class PointVolumes(VolumeShader):
         light = self.point_lights[row]
         offset = v.position * light.range
         reach = light.range * FARTHEST_CORNER
-        return VolumeVarying(
-            clip=project_volume(light.position, offset, reach, self.view, self.rays), light=row
-        )
+        return VolumeVarying(clip=project_volume(light.position, offset, reach, self.view, self.rays), light=row)
 
     def is_reached(self, position: vec3, light: int) -> bool:
         return is_near(position, self.point_lights[light].position, self.point_lights[light].range)
@@ -157,9 +155,7 @@ class SpotVolumes(VolumeShader):
         offset = (aside * v.position.x + across * v.position.y) * width
         offset += light.direction * (v.position.z * light.range)
         reach = max(light.range, width) * FARTHEST_CORNER
-        return VolumeVarying(
-            clip=project_volume(light.position, offset, reach, self.view, self.rays), light=row
-        )
+        return VolumeVarying(clip=project_volume(light.position, offset, reach, self.view, self.rays), light=row)
 
     def is_reached(self, position: vec3, light: int) -> bool:
         return is_near(position, self.spot_lights[light].position, self.spot_lights[light].range)

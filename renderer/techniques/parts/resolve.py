@@ -35,9 +35,7 @@ class LightSum(FullScreen, FinishShader):
         return self.finish(self.light.load(ivec2(place)).rgb, position)
 
 
-def resolve_pass(
-    needs: Needs, run: Callable[[Frame], None], because: str, reads: tuple[str, ...]
-) -> Pass[Frame]:
+def resolve_pass(needs: Needs, run: Callable[[Frame], None], because: str, reads: tuple[str, ...]) -> Pass[Frame]:
     """Return the pass that writes `needs.image`."""
     return Pass("resolve", run, because, reads=reads, writes=(needs.image,))
 

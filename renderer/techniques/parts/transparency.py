@@ -106,9 +106,7 @@ class BlendShader(FullScreen):
         return vec4(colors.rgb * ((1.0 - colors.a) / max(weight, 1e-6)), 1.0 - colors.a)
 
 
-def declare_transparency(
-    needs: Needs, lighting: Lighting, *, image: str = "image"
-) -> tuple[Pass[Frame], ...]:
+def declare_transparency(needs: Needs, lighting: Lighting, *, image: str = "image") -> tuple[Pass[Frame], ...]:
     """Return the passes that draw transparent surfaces over the contents `image`, tested against `depth`: none if no
     transparent object is in view."""
     if Effect.TRANSPARENCY not in needs.effects:

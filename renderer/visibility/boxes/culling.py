@@ -55,9 +55,7 @@ class CullingCounts:
     planes: int = 0
 
     def __add__(self, other: CullingCounts) -> CullingCounts:
-        return CullingCounts(
-            self.nodes + other.nodes, self.objects + other.objects, self.planes + other.planes
-        )
+        return CullingCounts(self.nodes + other.nodes, self.objects + other.objects, self.planes + other.planes)
 
 
 def find_visible(planes: Floats, lower: Floats, upper: Floats) -> NDArray[np.bool_]:

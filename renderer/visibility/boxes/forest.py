@@ -61,9 +61,7 @@ class Forest:
         self._in_view = np.ones(len(objects), bool)
         kinds = ((objects.fixed_rows, build_by_area), (objects.following_rows, build_by_middle))
         self._trees = [
-            (rows, build(objects.lower[rows], objects.upper[rows], leaf_size=1))
-            for rows, build in kinds
-            if len(rows)
+            (rows, build(objects.lower[rows], objects.upper[rows], leaf_size=1)) for rows, build in kinds if len(rows)
         ]
         *roots, count = np.cumsum([0, *(len(tree) for _, tree in self._trees)]).tolist()
         self.roots: list[int] = roots

@@ -54,9 +54,7 @@ class Hierarchy:
 
     def fit(self, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
         """Return the bounds (m, 3) of the nodes for boxes (n, 3) that have moved; the tree stays the same."""
-        return _node_bounds(
-            lower[self.order], upper[self.order], self.first, self.count, self.child, self.level_starts
-        )
+        return _node_bounds(lower[self.order], upper[self.order], self.first, self.count, self.child, self.level_starts)
 
     def cut(self, size: int) -> Rows:
         """Return the nodes nearest to the root that have at most `size` boxes or are leaves, in tree order.
@@ -162,9 +160,7 @@ class _SplitState:
             return self.split_by_median()
         low, high = self._reduce(np.minimum, self.centre), self._reduce(np.maximum, self.centre)
         width = np.where(high > low, high - low, 1.0)
-        bins = (
-            ((self.centre - low[self.owner]) / width[self.owner] * _BINS).astype(np.int64).clip(0, _BINS - 1)
-        )
+        bins = ((self.centre - low[self.owner]) / width[self.owner] * _BINS).astype(np.int64).clip(0, _BINS - 1)
         groups = len(self.count)
         best_cost = np.full(groups, np.inf)
         best_axis, best_plane = np.zeros(groups, np.int64), np.zeros(groups, np.int64)
@@ -205,9 +201,7 @@ class _SplitState:
         upper[used] = np.maximum.reduceat(self.upper[order], starts)
         lower, upper = lower.reshape(groups, _BINS, 3), upper.reshape(groups, _BINS, 3)
         left = _areas(np.minimum.accumulate(lower, 1), np.maximum.accumulate(upper, 1))[:, :-1]
-        right = _areas(np.minimum.accumulate(lower[:, ::-1], 1), np.maximum.accumulate(upper[:, ::-1], 1))[
-            :, -2::-1
-        ]
+        right = _areas(np.minimum.accumulate(lower[:, ::-1], 1), np.maximum.accumulate(upper[:, ::-1], 1))[:, -2::-1]
         before = np.cumsum(filled.reshape(groups, _BINS), 1)[:, :-1]
         after = self.count[:, None] - before
         return np.where((before > 0) & (after > 0), left * before + right * after, np.inf)
@@ -256,9 +250,7 @@ def _build(lower: Floats, upper: Floats, leaf_size: int, split: Callable[[_Split
         work.descend(local[deeper], level_count[deeper], chosen)
     first, count = np.concatenate(firsts), np.concatenate(counts)
     starts = np.cumsum([0, *(len(level) for level in firsts)])
-    node_lower, node_upper = _node_bounds(
-        lower[order], upper[order], first, count, np.concatenate(children), starts
-    )
+    node_lower, node_upper = _node_bounds(lower[order], upper[order], first, count, np.concatenate(children), starts)
     return Hierarchy(
         node_lower, node_upper, np.concatenate(parents), np.concatenate(children), first, count, order, starts
     )

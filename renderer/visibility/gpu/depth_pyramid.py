@@ -105,9 +105,7 @@ class BoxTest(Shader):
             begin = begin // SCALE
             end = end // SCALE
             level += 1
-        if level < self.pyramid.count - 1 and not self.is_before(
-            nearest, level + 1, begin // SCALE, end // SCALE
-        ):
+        if level < self.pyramid.count - 1 and not self.is_before(nearest, level + 1, begin // SCALE, end // SCALE):
             return False  # behind whole tiles: the finer texels needn't be read
         return self.is_before(nearest, level, begin, end)
 

@@ -159,9 +159,7 @@ class FindOccludees(Shader):
 
         forward = self.lens.forward
         middle_depth = dot(box.centre, forward)
-        box.depth = (
-            middle_depth + abs(dot(forward, box.x)) + abs(dot(forward, box.y)) + abs(dot(forward, box.z))
-        )
+        box.depth = middle_depth + abs(dot(forward, box.x)) + abs(dot(forward, box.y)) + abs(dot(forward, box.z))
         away = max(abs(box.centre) - sides, vec3(0.0))
         begin = middle_depth - dot(abs(forward), sides)
         mark = self.first_mark(row)
@@ -301,9 +299,7 @@ class Occludees:
             )
 
     def _states(self, encoder: Encoder, depth: Depth) -> StateScope:
-        return encoder.states(
-            DepthTest.ON, DepthWrite.OFF, _NEARER[depth], CullMode.BACK, FrontFace.COUNTER_CLOCKWISE
-        )
+        return encoder.states(DepthTest.ON, DepthWrite.OFF, _NEARER[depth], CullMode.BACK, FrontFace.COUNTER_CLOCKWISE)
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""

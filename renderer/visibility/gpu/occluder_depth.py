@@ -158,9 +158,7 @@ class OccluderDepth:
                 part = draws[mirrored == turned]
                 if len(part):
                     with device.states(winding):
-                        device.draw_many(
-                            program, self._mesh, part, view=self._view, occluders=self._occluders
-                        )
+                        device.draw_many(program, self._mesh, part, view=self._view, occluders=self._occluders)
         image.pyramid.build(device, image.depth, direction)
 
     def find_shown(self, centre: Floats, half: Floats) -> NDArray[np.bool_]:

@@ -46,9 +46,7 @@ class TwoPassCulling(DeviceCulling):
 
     def _mark_missed(self, encoder: Encoder, direction: Depth, scene_pass: ScenePass) -> None:
         with encoder.event("test boxes"), encoder.render_pass(depth=scene_pass.depth):
-            self._occludees.mark_listed(
-                encoder, self._exact, direction, self.first.hidden, self.first.box_draw
-            )
+            self._occludees.mark_listed(encoder, self._exact, direction, self.first.hidden, self.first.box_draw)
 
     def _remember(self, encoder: Encoder, direction: Depth, scene_pass: ScenePass) -> None:
         self._reprojected.keep(encoder, scene_pass.depth, direction)

@@ -69,9 +69,7 @@ class BoxQueries:
         stalled: seconds for which the CPU waited for results since `begin_frame`.
     """
 
-    def __init__(
-        self, device: Device, sizes: Rows, members: Rows, threshold: int = 0, emulated: bool = False
-    ) -> None:
+    def __init__(self, device: Device, sizes: Rows, members: Rows, threshold: int = 0, emulated: bool = False) -> None:
         """`sizes` (n,) is the number of boxes of each node, 1 or more; `members` are their rows, node after node."""
         self.device = device
         self.threshold = threshold
@@ -85,9 +83,7 @@ class BoxQueries:
         self._camera = device.uniform(BoxCamera(relative_view_projection=np.eye(4)))
         self._make_buffers(max(len(members), 1))
         self.arrange(sizes, members)
-        self._made: list[
-            OcclusionQuery | QuerySet
-        ] = []  # also those in flight, and those of a frame that raised
+        self._made: list[OcclusionQuery | QuerySet] = []  # also those in flight, and those of a frame that raised
         self._free: list[OcclusionQuery] = []
         self._free_sets: dict[int, list[QuerySet]] = {}  # by size
 
@@ -101,9 +97,7 @@ class BoxQueries:
         self._draws = self._mesh.draws(instances=sizes, base_instance=np.cumsum(sizes) - sizes)
         # Rows of `QueryBox` as plain floats: gathering whole rows is ten times as fast as gathering each field.
         self._rows = np.zeros((len(members), 8), np.float32)
-        self._directions: tuple[NDArray[np.float32], ...] = (
-            np.zeros((0, 3), np.float32),
-        ) * 2  # those on the device
+        self._directions: tuple[NDArray[np.float32], ...] = (np.zeros((0, 3), np.float32),) * 2  # those on the device
 
     def _make_buffers(self, room: int) -> None:
         self._buffer = self.device.storage(QueryBox, room, label="boxes")

@@ -61,9 +61,7 @@ def choose_size(probabilities: Sequence[float]) -> int:
 class ChcPlusPlus(TreeCulling):
     """Draws what was visible, and queries what was hidden in batches."""
 
-    def __init__(
-        self, scene: Scene, device: Device, settings: VisibilitySettings = DEFAULTS, *, seed: int = 0
-    ) -> None:
+    def __init__(self, scene: Scene, device: Device, settings: VisibilitySettings = DEFAULTS, *, seed: int = 0) -> None:
         """`seed` is that of the random numbers."""
         super().__init__(scene, device, settings, is_tight=True)
         self._batch, self._persistence = settings.batch, settings.persistence

@@ -35,9 +35,7 @@ _MOST_ASKED: Final = 8
 class ConditionalCulling(ChcPlusPlus):
     """Draws what was visible, and the rest on conditions that the GPU evaluates."""
 
-    def __init__(
-        self, scene: Scene, device: Device, settings: VisibilitySettings = DEFAULTS, *, seed: int = 0
-    ) -> None:
+    def __init__(self, scene: Scene, device: Device, settings: VisibilitySettings = DEFAULTS, *, seed: int = 0) -> None:
         """`threshold` only affects what counts as visible in the next frame: for the GPU, one sample is enough to draw.
         The device needs `capabilities.conditional_rendering`, and occlusion queries of its own: `emulated` is refused.
         """

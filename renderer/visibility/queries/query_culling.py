@@ -22,9 +22,7 @@ class QueryCulling:
 
     opens_pass: Final = False
 
-    def __init__(
-        self, scene: Scene, device: Device, settings: VisibilitySettings, sizes: Rows, members: Rows
-    ) -> None:
+    def __init__(self, scene: Scene, device: Device, settings: VisibilitySettings, sizes: Rows, members: Rows) -> None:
         """`sizes` and `members` are those of `BoxQueries`."""
         self._objects = scene.objects
         self._queries = BoxQueries(device, sizes, members, settings.threshold, settings.emulated)

@@ -26,9 +26,7 @@ def create_backend(*, validation: bool = False) -> ClBackend:
     try:
         import pyopencl
     except ImportError as error:
-        raise DeviceError(
-            DEVICE_DRIVER, "rhi.create_device('cl')", str(error), tip="pip install pyopencl"
-        ) from error
+        raise DeviceError(DEVICE_DRIVER, "rhi.create_device('cl')", str(error), tip="pip install pyopencl") from error
     from rhi.backends.cl.pocl.cache import choose_folder
     from rhi.backends.cl.pocl.drivers import Loading
 

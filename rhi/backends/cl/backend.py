@@ -309,9 +309,7 @@ class ClBackend:
         base_instance: int,
     ) -> Callable[[int], object]:  # fmt: skip
         """See `rhi.contract.backend.PreparesDraws`."""
-        return self._draws.prepare_draw(
-            vertex_array, primitive, first, count, base_vertex, base_instance
-        )
+        return self._draws.prepare_draw(vertex_array, primitive, first, count, base_vertex, base_instance)
 
     def prepare_kernels(
         self, program: Id, vertex_array: Id, colors: Sequence[Format], depth: Format | None, samples: int,
@@ -341,9 +339,7 @@ class ClBackend:
         count_buffer: Id, count_offset: int,
     ) -> None:  # fmt: skip
         """Read the arguments back, which waits if the device wrote them, and draw them as direct draws."""
-        self._draws.draw_indirect(
-            vertex_array, primitive, buffer, offset, draws, stride, count_buffer, count_offset
-        )
+        self._draws.draw_indirect(vertex_array, primitive, buffer, offset, draws, stride, count_buffer, count_offset)
 
     @_reports_errors_as("device.dispatch")
     def dispatch(self, x: int, y: int, z: int) -> None:

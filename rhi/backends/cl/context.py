@@ -239,9 +239,7 @@ def probe(context: cl.Context, queue: cl.CommandQueue, cache: KernelCache) -> bo
     return shows and np.array_equal(seen[:_COUNT], 21 + ramp) and np.array_equal(words, seen)
 
 
-def build_cached(
-    context: cl.Context, cache: KernelCache, request: Request, stored: CachedProgram | None
-) -> cl.Program:
+def build_cached(context: cl.Context, cache: KernelCache, request: Request, stored: CachedProgram | None) -> cl.Program:
     """Build a program, or make it of the driver's LLVM code; `stored`: what the cache has of it. If that is nothing, it
     is kept there."""
     if stored is not None and not stored.code:

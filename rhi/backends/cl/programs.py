@@ -111,9 +111,7 @@ class ComputeProgram:
         except ValueError as error:
             call = f"device.program({descriptor.name})"
             raise ShaderError(SHADER_DRIVER, call, "no single kernel", "a source with one kernel") from error
-        required = kernel.get_work_group_info(
-            cl.kernel_work_group_info.COMPILE_WORK_GROUP_SIZE, context.device
-        )
+        required = kernel.get_work_group_info(cl.kernel_work_group_info.COMPILE_WORK_GROUP_SIZE, context.device)
         self._program = program
         self._name = name
         self._group = tuple(required) if any(required) else descriptor.work_group
@@ -185,9 +183,7 @@ class ComputePrograms:
             program.forget(resource)
 
 
-def make_shader_error(
-    descriptor: ProgramDescriptor, stage: Stage, source: StageText, log: str
-) -> ShaderError:
+def make_shader_error(descriptor: ProgramDescriptor, stage: Stage, source: StageText, log: str) -> ShaderError:
     """Return the error for source code of `stage` that the driver rejected."""
     messages = [_read_message(row.strip()) for row in log.splitlines() if "error:" in row]
     return make_driver_error(descriptor, stage, source, messages or [(log.strip(), 0)], "OpenCL C")

@@ -72,9 +72,7 @@ class Buffers:
             zeros = np.zeros(descriptor.size, np.uint8)  # pages that don't exist before the driver reads them
         except MemoryError as failure:
             raise DeviceError(DEVICE_MEMORY, call, str(failure)) from None
-        created, mapping = (
-            (self._create_static(zeros), None) if flags is None else self._create_mapped(zeros, flags)
-        )
+        created, mapping = (self._create_static(zeros), None) if flags is None else self._create_mapped(zeros, flags)
         error = find_error(self._gl, call)
         if error is not None:
             created.release()
@@ -113,9 +111,7 @@ class Buffers:
         gl.BufferData(target, data.nbytes, ctypes.c_void_p(data.ctypes.data), hint)
         gl.BindBuffer(target, 0)
 
-    def _create_mapped(
-        self, zeros: NDArray[np.uint8], flags: int
-    ) -> tuple[moderngl.Buffer, memoryview | None]:
+    def _create_mapped(self, zeros: NDArray[np.uint8], flags: int) -> tuple[moderngl.Buffer, memoryview | None]:
         gl, size = self._gl, len(zeros)
         name = gl.create(gl.CreateBuffers)
         gl.NamedBufferStorage(name, size, zeros.ctypes.data_as(ctypes.c_void_p), flags)

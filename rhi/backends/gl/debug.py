@@ -84,9 +84,7 @@ class DebugGlBackend(GlBackend):
         self, program: Id, vertex_array: Id, primitive: Primitive, first: int, count: int, base_vertex: int,
         base_instance: int,
     ) -> Callable[[int], object]:  # fmt: skip
-        return lambda instances: self.draw(
-            vertex_array, primitive, first, count, instances, base_vertex, base_instance
-        )
+        return lambda instances: self.draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
 
     def prepare_queries(self, queries: Sequence[Id]) -> PreparedQueries:
         return _CheckedQueries(super().prepare_queries(queries), self)
@@ -125,9 +123,7 @@ class _CheckedQueries:
         self._queries = queries
         self._backend = backend
 
-    def draw(
-        self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], rows: NDArray[np.int64]
-    ) -> None:
+    def draw(self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], rows: NDArray[np.int64]) -> None:
         self._backend.check(self._queries.draw, "draw_counted", vertex_array, primitive, draws, rows)
 
     def draw_conditional(

@@ -36,9 +36,7 @@ DrawCalls: TypeAlias = tuple[Callable[..., object], Iterable[tuple[Any, ...]]]
 class Draws:
     """Issues the draws of one context. Each method takes the bound program."""
 
-    def __init__(
-        self, context: moderngl.Context, gl: EntryPoints, arrays: VertexArrays, buffers: Buffers
-    ) -> None:
+    def __init__(self, context: moderngl.Context, gl: EntryPoints, arrays: VertexArrays, buffers: Buffers) -> None:
         self._gl = gl
         self._arrays = arrays
         self._buffers = buffers

@@ -34,9 +34,7 @@ Text: TypeAlias = Annotated[bytes, ctypes.c_char_p]
 
 _WAITS: Final = "may wait, so it releases the GIL"
 
-DEBUG_CALLBACK: Final = ctypes.CFUNCTYPE(
-    None, *[ctypes.c_uint] * 4, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p
-)
+DEBUG_CALLBACK: Final = ctypes.CFUNCTYPE(None, *[ctypes.c_uint] * 4, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)
 """(source, type, id, severity, length, message, user data); the message is an address of `length` bytes."""
 
 
@@ -112,9 +110,7 @@ class EntryPoints:
         Callable[[Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Address], None], _WAITS
     ]
     ClearTexImage: Callable[[Int, Int, Int, Int, Reference], None]
-    CopyImageSubData: Callable[
-        [Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int], None
-    ]
+    CopyImageSubData: Callable[[Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int], None]
     IsTexture: Callable[[Int], Int]
     GetTextureParameteriv: Callable[[Int, Int, Reference], None]
     GetTextureLevelParameteriv: Callable[[Int, Int, Int, Reference], None]

@@ -25,9 +25,7 @@ _NAMES: Final = {
 }  # fmt: skip
 """The formats that GL calls by another name."""
 
-_INTERNAL: Final[dict[Format, int]] = {
-    texel: getattr(enums, _NAMES.get(texel.name, texel.name)) for texel in Format
-}
+_INTERNAL: Final[dict[Format, int]] = {texel: getattr(enums, _NAMES.get(texel.name, texel.name)) for texel in Format}
 
 _TYPES: Final = {
     "u1": enums.UNSIGNED_BYTE,
@@ -62,9 +60,7 @@ PIXEL_FORMATS: Final = {texel: _describe(texel) for texel in Format}
 
 CLEAR_FORMATS: Final = PIXEL_FORMATS | {
     Format.D24S8: PixelFormat(enums.DEPTH24_STENCIL8, enums.DEPTH_STENCIL, enums.UNSIGNED_INT_24_8),
-    Format.D32FS8: PixelFormat(
-        enums.DEPTH32F_STENCIL8, enums.DEPTH_STENCIL, enums.FLOAT_32_UNSIGNED_INT_24_8_REV
-    ),
+    Format.D32FS8: PixelFormat(enums.DEPTH32F_STENCIL8, enums.DEPTH_STENCIL, enums.FLOAT_32_UNSIGNED_INT_24_8_REV),
 }
 """Formats for clears, which include the stencil part."""
 

@@ -112,9 +112,7 @@ class Egl(ContextApi):
         return bool(make(place.display, place.draw, place.read, place.context))
 
     def share(self, host: Place) -> Place | None:
-        choose = self._function(
-            "eglChooseConfig", _UNSIGNED, _POINTER, _POINTER, _POINTER, ctypes.c_int, _POINTER
-        )
+        choose = self._function("eglChooseConfig", _UNSIGNED, _POINTER, _POINTER, _POINTER, ctypes.c_int, _POINTER)
         create = self._function("eglCreateContext", _POINTER, *[_POINTER] * 4)
         config, count = _POINTER(), ctypes.c_int()
         wanted = (ctypes.c_int * 5)(0x3033, 0, 0x3040, 8, 0x3038)  # any SURFACE_TYPE, RENDERABLE_TYPE: OPENGL
@@ -153,15 +151,12 @@ class Glx(ContextApi):
             return None
         display = self._function("glXGetCurrentDisplay", _POINTER)()
         draw, read = (
-            self._function(name, ctypes.c_ulong)()
-            for name in ("glXGetCurrentDrawable", "glXGetCurrentReadDrawable")
+            self._function(name, ctypes.c_ulong)() for name in ("glXGetCurrentDrawable", "glXGetCurrentReadDrawable")
         )
         return Place(context, display, draw, read)
 
     def make_current(self, place: Place) -> bool:
-        make = self._function(
-            "glXMakeContextCurrent", ctypes.c_int, _POINTER, ctypes.c_ulong, ctypes.c_ulong, _POINTER
-        )
+        make = self._function("glXMakeContextCurrent", ctypes.c_int, _POINTER, ctypes.c_ulong, ctypes.c_ulong, _POINTER)
         return bool(make(place.display, place.draw, place.read, place.context))
 
     def share(self, host: Place) -> Place | None:
@@ -312,9 +307,7 @@ class HostFramebuffer:
         if not self._framebuffer:
             self._framebuffer = gl.create(gl.GenFramebuffers)
         gl.BindFramebuffer(enums.READ_FRAMEBUFFER, self._framebuffer)
-        gl.FramebufferTexture2D(
-            enums.READ_FRAMEBUFFER, enums.COLOR_ATTACHMENT0, enums.TEXTURE_2D, texture, 0
-        )
+        gl.FramebufferTexture2D(enums.READ_FRAMEBUFFER, enums.COLOR_ATTACHMENT0, enums.TEXTURE_2D, texture, 0)
         for each in switched:
             gl.Disable(each)
         scaled = (width, height) != size  # else no filter may round

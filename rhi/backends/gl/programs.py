@@ -76,9 +76,7 @@ class VertexArrays:
         indices = objects[descriptor.index_buffer] if descriptor.index_buffer else None
         array = self._context.vertex_array(program, [], indices, descriptor.index_format.size)
         for binding, stream in enumerate(descriptor.streams):
-            gl.VertexArrayVertexBuffer(
-                array.glo, binding, objects[stream.buffer].glo, stream.offset, stream.stride
-            )
+            gl.VertexArrayVertexBuffer(array.glo, binding, objects[stream.buffer].glo, stream.offset, stream.stride)
             gl.VertexArrayBindingDivisor(array.glo, binding, int(stream.per_instance))
             for attribute in stream.attributes:
                 texel, location = attribute.format, attribute.location
@@ -282,9 +280,7 @@ def add_alpha_test(descriptor: ProgramDescriptor, function: AlphaFunction) -> St
     source = descriptor.emit("glsl", Stage.FRAGMENT)
     declared = _OUTPUT.search(source.text)
     alpha = f"{declared[1] if declared else output.name}.a"
-    passes = (
-        "false" if function is AlphaFunction.NEVER else f"{alpha} {_OPERATORS[function]} rhi_alpha_reference"
-    )
+    passes = "false" if function is AlphaFunction.NEVER else f"{alpha} {_OPERATORS[function]} rhi_alpha_reference"
     return _extend_main(source, f"if (!({passes})) discard;", "uniform float rhi_alpha_reference;")
 
 

@@ -38,9 +38,7 @@ class _DrawingBackend(Backend, Protocol):
 class GlQuerySet:
     """The queries of a set; see `rhi.contract.backend.PreparedQueries`."""
 
-    def __init__(
-        self, backend: _DrawingBackend, gl: EntryPoints, queries: Queries, ids: Sequence[Id]
-    ) -> None:
+    def __init__(self, backend: _DrawingBackend, gl: EntryPoints, queries: Queries, ids: Sequence[Id]) -> None:
         self._backend = backend
         self._gl = gl
         self._queries = queries
@@ -52,9 +50,7 @@ class GlQuerySet:
         self._plain = PlainQueries(backend, ids)
         self._is_plain = False
 
-    def draw(
-        self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], rows: NDArray[np.int64]
-    ) -> None:
+    def draw(self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], rows: NDArray[np.int64]) -> None:
         self._is_plain = self._queries.is_counting or primitive is Primitive.QUADS
         if self._is_plain:
             self._plain.draw(vertex_array, primitive, draws, rows)

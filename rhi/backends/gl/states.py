@@ -127,8 +127,7 @@ class RenderStates:
         self._size = (0, 0)
         self._depth_range: tuple[float, float] | None = None
         self.values: dict[type, Any] = {
-            state: (value,) * MAX_TARGETS if state in PER_TARGET else value
-            for state, value in DEFAULTS.items()
+            state: (value,) * MAX_TARGETS if state in PER_TARGET else value for state, value in DEFAULTS.items()
         } | {PlatformState: ()}
         self._alpha_changed = alpha_changed
         self._apply: dict[type, Callable[[Any], None]] = {
@@ -156,9 +155,7 @@ class RenderStates:
             LineWidth: lambda value: gl.LineWidth(value.width),
             PolygonMode: self._polygon_mode,
             PlatformState: self._platform,
-            AlphaToCoverage: lambda value: self._switch(
-                enums.SAMPLE_ALPHA_TO_COVERAGE, value is AlphaToCoverage.ON
-            ),
+            AlphaToCoverage: lambda value: self._switch(enums.SAMPLE_ALPHA_TO_COVERAGE, value is AlphaToCoverage.ON),
         }
         self.apply_all()
 

@@ -166,9 +166,7 @@ class Textures:
         """Write texels from an address, or from an offset in the buffer that is bound for unpacking."""
         r, (_, texel, kind) = region, gl_texture.pixel
         if gl_texture.target == enums.TEXTURE_2D:
-            self._gl.TextureSubImage2D(
-                gl_texture.name, level, r.x, r.y, r.width, r.height, texel, kind, pixels
-            )
+            self._gl.TextureSubImage2D(gl_texture.name, level, r.x, r.y, r.width, r.height, texel, kind, pixels)
         else:
             self._gl.TextureSubImage3D(
                 gl_texture.name, level, r.x, r.y, r.layer, r.width, r.height, r.layers, texel, kind, pixels
@@ -188,9 +186,7 @@ class Textures:
         )  # fmt: skip
         return pixels
 
-    def copy_to_buffer(
-        self, source: Id, level: int, region: Region, buffer: int, offset: int, row_bytes: int
-    ) -> None:
+    def copy_to_buffer(self, source: Id, level: int, region: Region, buffer: int, offset: int, row_bytes: int) -> None:
         """Copy texels to GL's buffer `buffer`."""
         gl, gl_texture, r = self._gl, self._textures[source], region
         _, texel, kind = gl_texture.pixel

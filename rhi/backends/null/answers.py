@@ -39,9 +39,7 @@ class RecordedAnswers:
         return cls({(int(query), int(use)): int(samples) for query, use, samples in rows})
 
 
-Answers: TypeAlias = (
-    int | Sequence[int | None] | Mapping[Id, int] | Callable[[Id], int | None] | RecordedAnswers
-)
+Answers: TypeAlias = int | Sequence[int | None] | Mapping[Id, int] | Callable[[Id], int | None] | RecordedAnswers
 """Samples of queries: one number for all; a script, in the order in which OCCLUSION queries end; a mapping by query
 id; a function of the id; or the answers of another run. None, a missing key and the end of a script mean unknown."""
 

@@ -327,9 +327,7 @@ class NullBackend(CommandMethods):
         )
         if self._follows_draws:
             for count, instances, first, base_vertex, base_instance in resolved.tolist():
-                self._follow_draw(
-                    vertex_array, primitive, first, count, instances, base_vertex, base_instance
-                )
+                self._follow_draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
         else:
             draws_vertices = np.any((resolved["count"] > 0) & (resolved["instances"] > 0))
             self._count_unfollowed(len(resolved), bool(draws_vertices))

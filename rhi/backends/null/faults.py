@@ -82,9 +82,7 @@ class FaultInjector(ForwardingBackend):
         self._queries = 0
         self._lost = False
         self._presented = 0
-        self._signalled: dict[
-            int, int
-        ] = {}  # by fence value not yet seen, the number of frames presented before
+        self._signalled: dict[int, int] = {}  # by fence value not yet seen, the number of frames presented before
         self._seen = 0
         self._silent: Id = 0
 

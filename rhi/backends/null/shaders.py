@@ -35,9 +35,7 @@ class Shaders:
         stand_ins: the stand-ins, by program.
     """
 
-    def __init__(
-        self, buffers: Buffers, textures: Textures, state: ExecutionState
-    ) -> None:
+    def __init__(self, buffers: Buffers, textures: Textures, state: ExecutionState) -> None:
         self.stand_ins: Mapping[Id, StandIn] = {}
         self._runs = False
         self._buffers = buffers

@@ -229,9 +229,7 @@ def scene(encoder: Encoder, device: Device, image: Texture, program: Any, mesh: 
     """Record a pass of eight columns with changing states."""
     with encoder.render_pass(image, clear=(0.5, 0, 0, 1)), encoder.states(CullMode.NONE):
         for i in range(8):
-            with encoder.states(
-                ColorWrite(red=i != 2), BlendFunction.ADDITIVE if i % 2 else BlendFunction.OFF
-            ):
+            with encoder.states(ColorWrite(red=i != 2), BlendFunction.ADDITIVE if i % 2 else BlendFunction.OFF):
                 encoder.draw(program, mesh.view(6 * i, 6), tint=tints[i])
 
 
@@ -393,9 +391,7 @@ def test_ad_hoc_geometry_can_be_recorded(device: Device) -> None:
         with device.record() as commands, commands.render_pass(image, clear=(0, 0, 0, 0)):
             with commands.immediate(program, Primitive.TRIANGLES) as triangles:
                 triangles.vertices(left)
-            indexed = commands.transient.mesh(
-                program, right[[0, 1, 2, 5]], np.array([0, 1, 2, 0, 2, 3], "u2")
-            )
+            indexed = commands.transient.mesh(program, right[[0, 1, 2, 5]], np.array([0, 1, 2, 0, 2, 3], "u2"))
             commands.draw(program, indexed)
         for _ in range(3):
             device.submit(commands)
@@ -416,9 +412,7 @@ def test_transient_things_of_all_kinds_lie_side_by_side(device: Device) -> None:
                     mesh.draws(6 * i, 6),
                     tint=commands.transient.uniform(Tint(color=(i, 0, 0, 1))),
                 )
-                corner = rectangle(-1 + (i + 1) / 4, -1, -1 + (i + 2) / 4, 1, color=(i + 1, 0, 0, 1))[
-                    [0, 1, 2, 5]
-                ]
+                corner = rectangle(-1 + (i + 1) / 4, -1, -1 + (i + 2) / 4, 1, color=(i + 1, 0, 0, 1))[[0, 1, 2, 5]]
                 for indices in ([0, 1, 2], [0, 2, 3]):
                     half = commands.transient.mesh(colored, corner, np.array(indices, "u2"))
                     commands.draw(colored, half)
@@ -623,9 +617,7 @@ def test_dispatches_can_be_recorded(device: Device) -> None:
     numbers = np.arange(4, dtype=np.int32)
     with device.storage(int, numbers) as rows, device.buffer(np.array([4, 1, 1], "u4")) as groups:
         with device.record() as commands:
-            commands.dispatch(
-                device.program(Add), 4, shift=commands.transient.uniform(Shift(amount=3)), numbers=rows
-            )
+            commands.dispatch(device.program(Add), 4, shift=commands.transient.uniform(Shift(amount=3)), numbers=rows)
             commands.dispatch(device.program(Double), 4, numbers=rows)
             commands.dispatch_indirect(device.program(Double), groups, 0, numbers=rows)
         assert_same(rows.read(), numbers)
@@ -683,8 +675,7 @@ def test_a_buffer_gives_back_its_memory_with_the_last_reference(recording: Devic
         since = len(recording.stream)
         recording.submit(commands)
         made = {
-            command.values[0]
-            for command in recording.stream[since:].filter([Op.CREATE_BUFFER, Op.CREATE_VERTEX_ARRAY])
+            command.values[0] for command in recording.stream[since:].filter([Op.CREATE_BUFFER, Op.CREATE_VERTEX_ARRAY])
         }
         assert len(made) == 2
         del commands

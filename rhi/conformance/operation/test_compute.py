@@ -69,9 +69,7 @@ class Places(Shader):
         height = group_count().y * 2
         i = g.x + width * (g.y + height * g.z)
         self.places[i] = uvec4(uint(group_id().x), uint(group_id().y), uint(group_id().z), uint(i))
-        self.locals[i] = uvec4(
-            uint(local_id().x), uint(local_id().y), uint(local_id().z), uint(local_index())
-        )
+        self.locals[i] = uvec4(uint(local_id().x), uint(local_id().y), uint(local_id().z), uint(local_index()))
 
 
 @pytest.mark.parametrize("groups", [(1, 1, 1), (3, 1, 1), (1, 5, 1), (1, 1, 4), (3, 2, 2)], ids=str)
@@ -96,9 +94,7 @@ class Count(Shader):
         atomic_add(self.total[0], uint(1))
 
 
-@pytest.mark.parametrize(
-    ("groups", "expected"), [(5, 40), ((2, 3), 48), ((2, 2, 2), 64), (0, 0), ((4, 0), 0)]
-)
+@pytest.mark.parametrize(("groups", "expected"), [(5, 40), ((2, 3), 48), ((2, 2, 2), 64), (0, 0), ((4, 0), 0)])
 def test_a_number_of_groups_has_one_to_three_dimensions(device: Device, groups: Any, expected: int) -> None:
     with device.storage(uint, 1) as total:
         device.dispatch(device.program(Count), groups, total=total)

@@ -54,9 +54,7 @@ class Numbered(Shader):
 def columns(device: Device) -> Iterator[Mesh]:
     """Yield a mesh of the columns of the image at depth 0.25, then of the same at depth 0.75."""
     rectangles = [
-        texel_rectangle(column, 0, 1, SIZE[1], SIZE, depth=depth)
-        for depth in (0.25, 0.75)
-        for column in range(COLUMNS)
+        texel_rectangle(column, 0, 1, SIZE[1], SIZE, depth=depth) for depth in (0.25, 0.75) for column in range(COLUMNS)
     ]
     with device.mesh(np.concatenate(rectangles)) as mesh:
         yield mesh
@@ -174,9 +172,7 @@ def test_several_sets_decide_side_by_side(device: Device, columns: Mesh, targets
         for place, queries in enumerate(sets):
             wanted = range(2 * place, 2 * place + 2)
             device.draw_conditional(program, columns, parts(columns, wanted), queries, list(wanted))
-    assert lit(image) == [
-        2 * place + i for place in range(3) for i in (0, 1) if 2 * place + i not in hidden[place]
-    ]
+    assert lit(image) == [2 * place + i for place in range(3) for i in (0, 1) if 2 * place + i not in hidden[place]]
     for queries in sets:
         queries.destroy()
 
@@ -214,9 +210,7 @@ def test_conditions_end_with_the_call(
     query.destroy()
 
 
-def test_no_draws_decide_nothing(
-    device: Device, columns: Mesh, targets: tuple[Any, Any], queries: QuerySet
-) -> None:
+def test_no_draws_decide_nothing(device: Device, columns: Mesh, targets: tuple[Any, Any], queries: QuerySet) -> None:
     image, _ = targets
     program = device.program(Colored)
     with device.render_pass(image):
@@ -234,9 +228,7 @@ def test_indexed_draws_are_dropped_too(device: Device, targets: tuple[Any, Any],
     with device.mesh(np.concatenate(corners), np.arange(6)) as mesh:
         program = device.program(Colored)
         draws = mesh.draws(0, 6, base_vertex=6 * np.arange(COLUMNS))
-        none = mesh.draws(
-            0, np.where(np.isin(np.arange(COLUMNS), HIDDEN), 0, 6), base_vertex=6 * np.arange(COLUMNS)
-        )
+        none = mesh.draws(0, np.where(np.isin(np.arange(COLUMNS), HIDDEN), 0, 6), base_vertex=6 * np.arange(COLUMNS))
         with device.render_pass(image, depth):
             device.draw_counted(program, mesh, none, queries)
         with device.render_pass(image, clear=(0, 0, 0, 1)):
@@ -291,16 +283,12 @@ def test_a_recording_shows_a_condition_for_each_row(recording: Device) -> None:
 
 
 @pytest.mark.parametrize("wrong", ["never counted", "another row", "quads"])
-def test_only_rows_that_counted_decide(
-    device: Device, columns: Mesh, targets: tuple[Any, Any], wrong: str
-) -> None:
+def test_only_rows_that_counted_decide(device: Device, columns: Mesh, targets: tuple[Any, Any], wrong: str) -> None:
     image, _ = targets
     program, queries = device.program(Colored), device.query_set(4)
     draws = parts(columns, [0, 1])
     quads = device.mesh(np.concatenate([texel_rectangle(0, 0, 1, 1, SIZE)] * 4), primitive=Primitive.QUADS)
-    mesh, rows = (
-        (quads, [1, 2]) if wrong == "quads" else (columns, [1, 0] if wrong == "another row" else [1, 2])
-    )
+    mesh, rows = (quads, [1, 2]) if wrong == "quads" else (columns, [1, 0] if wrong == "another row" else [1, 2])
     rule = {
         "never counted": rules.QUERY_STATE,
         "another row": rules.QUERY_ROWS,
@@ -311,9 +299,7 @@ def test_only_rows_that_counted_decide(
             device.draw_counted(program, columns, parts(columns, [8, 9]), queries, [1, 2])
         before = device.statistics
         with pytest.raises(ValidationError) as error:
-            device.draw_conditional(
-                program, mesh, quads.draws([0, 4], 4) if mesh is quads else draws, queries, rows
-            )
+            device.draw_conditional(program, mesh, quads.draws([0, 4], 4) if mesh is quads else draws, queries, rows)
         assert error.value.rule is rule[wrong]
         assert device.statistics.draws == before.draws
         device.draw_counted(program, columns, parts(columns, [8, 9]), queries, [1, 2])

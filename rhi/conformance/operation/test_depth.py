@@ -68,9 +68,7 @@ def test_standard_depth_is_a_function_and_a_clear_away(device: Device) -> None:
 def test_clip_depth_is_stored_as_it_is(device: Device, format: Format, depth: float) -> None:
     """Clip depth runs from 0 to 1, not from −1 to 1."""
     require_format(device, format)
-    after = depth_after(
-        device, rectangle(depth=depth), clear=0.6, states=(DepthFunction.ALWAYS,), format=format
-    )
+    after = depth_after(device, rectangle(depth=depth), clear=0.6, states=(DepthFunction.ALWAYS,), format=format)
     assert_near(after, depth, 2.0 ** -BITS[format], "the format's bits")
 
 
@@ -112,9 +110,7 @@ def test_float_depth_is_not_squeezed_on_its_way(device: Device) -> None:
     """An intermediate mapping to −1…1 would lose the low bits of depths near 0."""
     depths = np.float32(2.0) ** -np.arange(8, 24, dtype=np.float32)
     for depth in depths[::5]:
-        assert_near(
-            depth_after(device, rectangle(depth=depth)), depth, depth * 2.0**-20, "interpolation in float32"
-        )
+        assert_near(depth_after(device, rectangle(depth=depth)), depth, depth * 2.0**-20, "interpolation in float32")
 
 
 @pytest.mark.parametrize("function", list(DepthFunction), ids=lambda f: f.name)
@@ -127,13 +123,10 @@ def test_a_depth_function_compares_fragment_with_stored(device: Device, function
 
 
 @pytest.mark.parametrize("function", list(DepthFunction), ids=lambda f: f.name)
-def test_a_fragment_that_fails_the_depth_test_writes_no_color(
-    device: Device, function: DepthFunction
-) -> None:
+def test_a_fragment_that_fails_the_depth_test_writes_no_color(device: Device, function: DepthFunction) -> None:
     with device.texture((3, 1), Format.R8) as image, device.texture((3, 1), Format.D32F) as depth:
         columns = [
-            rectangle(-1 + 2 * i / 3, -1, -1 + 2 * (i + 1) / 3, 1, depth=d)
-            for i, d in enumerate((0.25, 0.5, 0.75))
+            rectangle(-1 + 2 * i / 3, -1, -1 + 2 * (i + 1) / 3, 1, depth=d) for i, d in enumerate((0.25, 0.5, 0.75))
         ]
         with (
             device.mesh(np.concatenate(columns)) as mesh,
@@ -294,9 +287,7 @@ def test_a_polygon_offset_is_counted_in_the_polygon_s_slope(device: Device, slop
 
 
 def test_a_polygon_offset_does_not_move_what_faces_the_camera(device: Device) -> None:
-    assert_near(
-        depth_after(device, rectangle(depth=0.5), states=(PolygonOffset(4.0),)), 0.5, 2.0**-22, "float32"
-    )
+    assert_near(depth_after(device, rectangle(depth=0.5), states=(PolygonOffset(4.0),)), 0.5, 2.0**-22, "float32")
 
 
 @pytest.mark.needs("depth_bias_clamp")

@@ -163,9 +163,7 @@ def test_srgb_samples_are_averaged_in_linear_light(device: Device) -> None:
             with device.render_pass(image, clear=(0, 0, 0, 0), resolve=resolved):
                 device.draw(device.program(Colored), mesh)
         light = linear.read()[..., 0].astype(np.float64)
-        srgb = np.where(
-            light <= 0.0031308, light * 12.92, 1.055 * np.maximum(light, 0.0031308) ** (1 / 2.4) - 0.055
-        )
+        srgb = np.where(light <= 0.0031308, light * 12.92, 1.055 * np.maximum(light, 0.0031308) ** (1 / 2.4) - 0.055)
         assert_near(target.read()[..., 0], srgb * 255, 1.5, "sRGB curves may be approximated")
 
 
@@ -191,9 +189,7 @@ def test_a_condition_drops_draws_only(device: Device) -> None:
         with device.conditional(query):
             with device.render_pass(image, clear=(0.2, 0.2, 0.2, 0.2)):
                 device.draw(device.program(Colored), mesh)
-            with device.render_pass(
-                source, clear=(0.4, 0.4, 0.4, 0.4), resolve=resolved if samples > 1 else None
-            ):
+            with device.render_pass(source, clear=(0.4, 0.4, 0.4, 0.4), resolve=resolved if samples > 1 else None):
                 pass
             texture.write(data)
             texture.generate_mipmaps()
@@ -332,9 +328,7 @@ def test_draws_of_two_devices_may_alternate(device: Device, backend: str) -> Non
             rows = np.zeros(8, tints.dtype)
             rows["color"][:, 0] = np.arange(8) + 100 * number
             tints.write(rows)
-            parts.append(
-                (each, each.program(Tinted), each.texture(SIZE, Format.R32F), each.mesh(columns), tints)
-            )
+            parts.append((each, each.program(Tinted), each.texture(SIZE, Format.R32F), each.mesh(columns), tints))
         passes = [each.render_pass(image, clear=(-1, 0, 0, 0)) for each, _, image, _, _ in parts]
         with passes[0], passes[1], other.states(Scissor(0, 4, 8, 4)):
             for i in range(8):

@@ -260,9 +260,7 @@ class Geometry(Shader):
         self.target[5 * i + 1] = vec4(cross(a, b), 0.0)
         self.target[5 * i + 2] = vec4(reflect(a, n), 0.0)
         self.target[5 * i + 3] = vec4(refract(normalize(a), n, 0.8), 0.0)
-        self.target[5 * i + 4] = vec4(
-            mix(a, b, 0.25), float(any(less_than(a, b))) + 2.0 * float(all(less_than(a, b)))
-        )
+        self.target[5 * i + 4] = vec4(mix(a, b, 0.25), float(any(less_than(a, b))) + 2.0 * float(all(less_than(a, b))))
 
 
 def test_geometric_functions_of_vectors_are_numpy_s(device: Device) -> None:
@@ -407,9 +405,7 @@ class Bits(Shader):
         a = self.source[i]
         o = 4 * i
         self.target[o] = uvec4(a + uint(7), a * uint(3), a - uint(9), a >> uint(4))
-        self.target[o + 1] = uvec4(
-            uint(bit_count(a)), uint(find_lsb(a)), uint(find_msb(a)), bitfield_reverse(a)
-        )
+        self.target[o + 1] = uvec4(uint(bit_count(a)), uint(find_lsb(a)), uint(find_msb(a)), bitfield_reverse(a))
         self.target[o + 2] = uvec4(
             bitfield_extract(a, 4, 8), bitfield_insert(a, uint(5), 8, 4), a // uint(10), a % uint(10)
         )
@@ -446,9 +442,7 @@ class Packing(Shader):
         again = pack_unorm_4x8(unpack_unorm_4x8(unorm))
         back = unpack_half_2x16(half)
         self.target[2 * global_id().x] = uvec4(half, unorm, pack_snorm_4x8(v), again)
-        self.target[2 * global_id().x + 1] = uvec4(
-            float_bits_to_uint(back.x), float_bits_to_uint(back.y), 0, 0
-        )
+        self.target[2 * global_id().x + 1] = uvec4(float_bits_to_uint(back.x), float_bits_to_uint(back.y), 0, 0)
 
 
 def test_packed_numbers_are_rounded_to_the_nearest(device: Device) -> None:

@@ -143,9 +143,7 @@ def test_a_draw_sees_the_vertices_of_its_time(device: Device) -> None:
 
 
 def test_fields_that_the_program_does_not_read_are_skipped(device: Device) -> None:
-    dtype = np.dtype(
-        [("normal", "f4", 3), ("color", "f4", 4), ("id", "u1"), ("position", "f4", 4), ("uv", "f2", 2)]
-    )
+    dtype = np.dtype([("normal", "f4", 3), ("color", "f4", 4), ("id", "u1"), ("position", "f4", 4), ("uv", "f2", 2)])
     rows = np.zeros(8, dtype)
     plain = corners(CENTERS)
     rows["position"], rows["color"] = plain["position"], plain["color"]
@@ -273,9 +271,7 @@ class ShowIntegers(Shader):
     """Writes integer attributes to integer targets."""
 
     def vertex(self, v: IntegerProbe) -> Integers:
-        return Integers(
-            clip=vec4(v.position, 0.5, 1.0), unsigned=v.unsigned, signed=v.signed, single=v.single
-        )
+        return Integers(clip=vec4(v.position, 0.5, 1.0), unsigned=v.unsigned, signed=v.signed, single=v.single)
 
     def fragment(self, v: Integers) -> IntegerOutputs:
         return IntegerOutputs(unsigned=v.unsigned, signed=v.signed, single=v.single)

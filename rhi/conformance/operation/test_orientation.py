@@ -30,6 +30,7 @@ from rhi.shading import (
 
 pytestmark = [pytest.mark.needs("shading"), pytest.mark.recorded_too]
 
+
 @pytest.mark.needs("draws")
 def test_plus_y_is_up_and_row_0_is_the_top(device: Device) -> None:
     with device.texture((4, 4), Format.R8) as target, device.mesh(rectangle(-1, 0.5, 1, 1)) as mesh:

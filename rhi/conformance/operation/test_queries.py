@@ -101,9 +101,7 @@ def test_counts_are_those_of_an_exact_rasteriser(device: Device, query: Occlusio
 
 
 @pytest.mark.parametrize("function", [DepthFunction.NEVER, DepthFunction.ALWAYS, DepthFunction.EQUAL])
-def test_a_query_counts_by_the_depth_function(
-    device: Device, query: OcclusionQuery, function: DepthFunction
-) -> None:
+def test_a_query_counts_by_the_depth_function(device: Device, query: OcclusionQuery, function: DepthFunction) -> None:
     expected = {DepthFunction.NEVER: 0, DepthFunction.ALWAYS: 256, DepthFunction.EQUAL: 256}[function]
     assert count(device, query, rectangle(depth=0.5), function) == expected
 

@@ -179,9 +179,7 @@ def test_integers_are_read_as_they_are(device: Device, format: Format) -> None:
         assert_same(results.read(), expected)
 
 
-@pytest.mark.parametrize(
-    "format", [Format.D16, Format.D24, Format.D32F, Format.D24S8, Format.D32FS8], ids=identity
-)
+@pytest.mark.parametrize("format", [Format.D16, Format.D24, Format.D32F, Format.D24S8, Format.D32FS8], ids=identity)
 def test_depth_is_read_as_red(device: Device, format: Format) -> None:
     require_format(device, format)
     with device.texture((4, 4), format) as depth:
@@ -315,9 +313,7 @@ def test_a_wrap_says_what_lies_beyond_the_edges(device: Device, wrap: Wrap, axis
 
 @pytest.mark.needs("border_colors")
 def test_a_border_mixes_in_under_a_linear_filter(device: Device) -> None:
-    descriptor = SamplerDescriptor(
-        Filter.LINEAR, Filter.LINEAR, None, Wrap.BORDER, Wrap.CLAMP, border=(1, 1, 1, 1)
-    )
+    descriptor = SamplerDescriptor(Filter.LINEAR, Filter.LINEAR, None, Wrap.BORDER, Wrap.CLAMP, border=(1, 1, 1, 1))
     with device.texture(np.zeros((1, 4), np.uint8), Format.R8) as texture:
         back = sampled(device, Sample2D, texture.sampled(descriptor), [(0.0, 0.5), (0.125, 0.5), (-1.0, 0.5)])
     assert_near(back[:, 0], (0.5, 0, 1), 1 / 256, FILTERED)
@@ -528,18 +524,14 @@ def test_a_comparison_is_reference_against_texel(device: Device, function: Compa
 @pytest.mark.needs("draws")
 def test_a_linear_comparison_filters_the_answers(device: Device) -> None:
     """With half of the texels nearer the result is 0.5, whatever their depths are."""
-    sampler = SamplerDescriptor(
-        Filter.LINEAR, Filter.LINEAR, None, Wrap.CLAMP, Wrap.CLAMP, compare=Comparison.LESS
-    )
+    sampler = SamplerDescriptor(Filter.LINEAR, Filter.LINEAR, None, Wrap.CLAMP, Wrap.CLAMP, compare=Comparison.LESS)
     with (
         device.texture((2, 2), Format.D32F) as depth,
         device.mesh(rectangle(-1, -1, 0, 1, depth=0.9)) as left,
     ):
         with device.render_pass(depth=depth, clear_depth=0.1):
             device.draw(device.program(Colored), left)
-        back = sampled(
-            device, Compared, depth.sampled(sampler), [(0.5, 0.5, 0.5), (0.25, 0.5, 0.5), (0.75, 0.5, 0.5)]
-        )
+        back = sampled(device, Compared, depth.sampled(sampler), [(0.5, 0.5, 0.5), (0.25, 0.5, 0.5), (0.75, 0.5, 0.5)])
     assert_near(back[:, 0], (0.5, 1, 0), 1 / 128, FILTERED)
 
 
@@ -576,9 +568,7 @@ def test_several_textures_stay_apart(device: Device) -> None:
     a, b = textures
     with device.storage(vec4, 1) as results:
         for first, second in ((a, b), (b, a), (a, a)):
-            device.dispatch(
-                device.program(TwoTextures), 1, first=first, second=second, volume=volume, results=results
-            )
+            device.dispatch(device.program(TwoTextures), 1, first=first, second=second, volume=volume, results=results)
             values = {id(a): 3.0, id(b): 5.0}
             x, y = values[id(first)], values[id(second)]
             assert_same(results.read(), [(x, y, 4, x - y)])
@@ -763,7 +753,5 @@ def test_beyond_a_shadow_map_its_border_is_compared(device: Device) -> None:
     with device.texture((2, 2), Format.D32F) as depth:
         with device.render_pass(depth=depth, clear_depth=0.25):
             pass
-        back = sampled(
-            device, Compared, depth.sampled(sampler), [(0.5, 0.5, 0.5), (1.5, 0.5, 0.5), (0.5, -0.5, 0.5)]
-        )
+        back = sampled(device, Compared, depth.sampled(sampler), [(0.5, 0.5, 0.5), (1.5, 0.5, 0.5), (0.5, -0.5, 0.5)])
     assert_same(back[:, 0], (0, 1, 1))

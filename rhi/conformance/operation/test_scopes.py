@@ -126,11 +126,7 @@ def test_equal_values_of_different_states_stay_apart(recording: Device) -> None:
 
 
 def sent(device: Device, since: int) -> list[type]:
-    return [
-        change.type
-        for command in device.stream[since:].filter(Op.SET_STATES)
-        for change in command["changes"]
-    ]
+    return [change.type for command in device.stream[since:].filter(Op.SET_STATES) for change in command["changes"]]
 
 
 def test_only_differences_are_sent(recording: Device) -> None:

@@ -65,9 +65,7 @@ def test_a_stencil_function_compares_reference_with_stored(device: Device, funct
 
 @pytest.mark.parametrize("operation", list(StencilOperation), ids=lambda f: f.name)
 @pytest.mark.parametrize("stored", [0, 1, 100, 254, 255])
-def test_an_operation_changes_what_is_stored(
-    device: Device, operation: StencilOperation, stored: int
-) -> None:
+def test_an_operation_changes_what_is_stored(device: Device, operation: StencilOperation, stored: int) -> None:
     _, value = after(device, StencilFront(both_pass=operation), StencilReference(77, 77), stored=stored)
     assert_same(value, stencil(operation, stored, 77))
 
@@ -82,9 +80,7 @@ def test_an_operation_changes_what_is_stored(
     ],
     ids=["stencil fails", "both fail", "depth fails", "both pass"],
 )
-def test_each_outcome_has_its_own_operation(
-    device: Device, function: Comparison, depth: float, expected: int
-) -> None:
+def test_each_outcome_has_its_own_operation(device: Device, function: Comparison, depth: float, expected: int) -> None:
     front = StencilFront(function, StencilOperation.REPLACE, StencilOperation.ZERO, StencilOperation.INVERT)
     color, value = after(device, front, StencilReference(1, 1), stored=0 if expected == 255 else 5, depth=depth)
     assert_same(value, expected)

@@ -335,9 +335,7 @@ def test_alpha_becomes_coverage(device: Device, alpha: float) -> None:
         ):
             device.draw(device.program(Colored), mesh)
         covered = target.read()[..., 0].mean()
-    assert_near(
-        covered, alpha, 0.25 if alpha == 0.5 else 0.0, "which samples are covered is left to the device"
-    )
+    assert_near(covered, alpha, 0.25 if alpha == 0.5 else 0.0, "which samples are covered is left to the device")
 
 
 @pytest.mark.needs("alpha_to_coverage")
@@ -360,9 +358,7 @@ def test_an_alpha_function_compares_alpha_with_the_reference(
     device: Device, function: AlphaFunction, reference: float
 ) -> None:
     alphas = np.array([0.25, 0.5, 0.75])
-    rows = corners(
-        centers([(0, 0), (1, 0), (2, 0)], (3, 1)), np.stack([alphas * 0 + 1] * 3 + [alphas], axis=1)
-    )
+    rows = corners(centers([(0, 0), (1, 0), (2, 0)], (3, 1)), np.stack([alphas * 0 + 1] * 3 + [alphas], axis=1))
     with device.texture((3, 1), Format.R8) as image, device.mesh(rows, primitive=Primitive.POINTS) as mesh:
         with (
             device.render_pass(image, clear=(0, 0, 0, 0)),

@@ -83,9 +83,7 @@ def test_a_write_changes_its_region_only(device: Device, format: Format) -> None
 
 @pytest.mark.parametrize("format", [Format.R8, Format.RGBA8, Format.RG16F], ids=identity)
 @pytest.mark.parametrize("box", [(0, 0, 9, 6), (0, 0, 1, 1), (8, 5, 1, 1), (2, 1, 5, 3)], ids=str)
-def test_a_read_of_a_region_gives_that_region(
-    device: Device, format: Format, box: tuple[int, int, int, int]
-) -> None:
+def test_a_read_of_a_region_gives_that_region(device: Device, format: Format, box: tuple[int, int, int, int]) -> None:
     data = squeezed(format, random_texels(format, 6, 9))
     x, y, width, height = box
     with device.texture(data, format) as texture:
@@ -264,9 +262,7 @@ def test_a_copy_within_a_texture_moves_to_where_nothing_overlaps(device: Device)
 def test_a_copy_carries_depth_and_stencil(device: Device, format: Format) -> None:
     require_format(device, format)
     with device.texture((4, 4), format) as source, device.texture((4, 4), format) as target:
-        with device.render_pass(
-            depth=source, clear_depth=0.25, clear_stencil=77 if format.has_stencil else None
-        ):
+        with device.render_pass(depth=source, clear_depth=0.25, clear_stencil=77 if format.has_stencil else None):
             pass
         source.copy_to(target)
         assert_near(target.read(), 0.25, 2.0**-16, "16 bits of depth")
@@ -322,9 +318,7 @@ def test_a_copy_from_a_buffer_replaces_its_region_only(device: Device, format: F
 def test_depth_is_copied_to_a_buffer_as_float32(device: Device, format: Format) -> None:
     require_format(device, format)
     with device.texture((64, 3), format) as texture, device.buffer(64 * 3, np.float32) as buffer:
-        with device.render_pass(
-            depth=texture, clear_depth=0.3, clear_stencil=9 if format.has_stencil else None
-        ):
+        with device.render_pass(depth=texture, clear_depth=0.3, clear_stencil=9 if format.has_stencil else None):
             pass
         texture.copy_to_buffer(buffer)
         assert_same(buffer.read().reshape(3, 64), texture.read())
@@ -334,9 +328,7 @@ def test_depth_is_copied_to_a_buffer_as_float32(device: Device, format: Format) 
 @pytest.mark.parametrize(
     ("kind", "layers"), [(TextureKind.D2_ARRAY, 4), (TextureKind.D3, 8), (TextureKind.CUBE, 6)], ids=identity
 )
-def test_layers_of_a_level_follow_each_other_in_a_buffer(
-    device: Device, kind: TextureKind, layers: int
-) -> None:
+def test_layers_of_a_level_follow_each_other_in_a_buffer(device: Device, kind: TextureKind, layers: int) -> None:
     data = random_texels(Format.RGBA8, 3, 4, 4)
     row = _row_bytes(device, Format.RGBA8, 4)
     with (
@@ -561,9 +553,7 @@ def test_mipmaps_are_boxes_of_two_by_two(device: Device, format: Format) -> None
         if format.is_packed and format.kind is ChannelKind.FLOAT:
             slack = np.abs(above).max() * 2.0 ** -np.array([5, 5, 4])
         elif format.dtype.kind == "f":
-            slack = np.abs(above.astype(np.float64)).max() * (
-                2.0**-10 if format.dtype.itemsize == 2 else 2.0**-22
-            )
+            slack = np.abs(above.astype(np.float64)).max() * (2.0**-10 if format.dtype.itemsize == 2 else 2.0**-22)
         elif format.kind is ChannelKind.SRGB:
             slack = 1.5
         else:
@@ -583,9 +573,7 @@ def test_mipmaps_of_srgb_are_averaged_in_linear_light(device: Device) -> None:
 
 @pytest.mark.parametrize(("kind", "layers"), [(TextureKind.D2_ARRAY, 3), (TextureKind.CUBE, 6)], ids=identity)
 def test_mipmaps_of_layers_do_not_mix(device: Device, kind: TextureKind, layers: int) -> None:
-    data = np.broadcast_to(
-        np.arange(layers, dtype=np.uint8)[:, None, None, None] * 40, (layers, 4, 4, 4)
-    ).copy()
+    data = np.broadcast_to(np.arange(layers, dtype=np.uint8)[:, None, None, None] * 40, (layers, 4, 4, 4)).copy()
     with device.texture((4, 4), Format.RGBA8, kind=kind, layers=layers, levels=3) as texture:
         texture.write(data)
         texture.generate_mipmaps()

@@ -162,9 +162,7 @@ def test_indexed_vertices_draw_what_the_same_vertices_draw_in_a_row(
 
 
 @pytest.mark.parametrize(("dtype", "restart"), [("u2", 0xFFFF), ("u4", 0xFFFFFFFF)], ids=["uint16", "uint32"])
-@pytest.mark.parametrize(
-    "primitive", [Primitive.TRIANGLE_STRIP, Primitive.TRIANGLE_FAN], ids=lambda p: p.name
-)
+@pytest.mark.parametrize("primitive", [Primitive.TRIANGLE_STRIP, Primitive.TRIANGLE_FAN], ids=lambda p: p.name)
 def test_the_last_index_restarts(device: Device, primitive: Primitive, dtype: str, restart: int) -> None:
     points = [(1, 1), (1, 6), (6, 1), (9, 9), (9, 15), (15, 9)]
     indices = np.array([0, 1, 2, restart, 3, 4, 5], dtype)
@@ -221,9 +219,7 @@ def test_a_flat_value_is_that_of_the_first_vertex(
 
 # -- quads -------------------------------------------------------------------------------------------------
 
-BOXES = [
-    [(4 * i, y), (4 * i, y + 3), (4 * i + 3, y + 3), (4 * i + 3, y)] for y in (0, 4, 8, 12) for i in range(4)
-]
+BOXES = [[(4 * i, y), (4 * i, y + 3), (4 * i + 3, y + 3), (4 * i + 3, y)] for y in (0, 4, 8, 12) for i in range(4)]
 
 
 def boxes(chosen: Any) -> NDArray[np.bool_]:
@@ -233,9 +229,7 @@ def boxes(chosen: Any) -> NDArray[np.bool_]:
 
 @pytest.mark.parametrize("indexed", [None, "u2", "u4"])
 @pytest.mark.parametrize(("first", "count"), [(0, 16), (0, 1), (3, 5), (15, 1), (4, 0)])
-def test_a_view_of_quads_draws_its_quads_only(
-    device: Device, first: int, count: int, indexed: str | None
-) -> None:
+def test_a_view_of_quads_draws_its_quads_only(device: Device, first: int, count: int, indexed: str | None) -> None:
     rows = corners(window_to_clip(np.reshape(BOXES, (-1, 2)), SIZE))
     indices = None if indexed is None else np.arange(64, dtype=indexed)
     with (
@@ -253,9 +247,7 @@ def test_indexed_quads_take_their_corners_from_anywhere(device: Device) -> None:
     shuffled = np.random.default_rng(0).permutation(64)
     with (
         device.texture(SIZE, Format.R8) as image,
-        device.mesh(
-            rows[shuffled], np.argsort(shuffled)[order].astype("u2"), primitive=Primitive.QUADS
-        ) as mesh,
+        device.mesh(rows[shuffled], np.argsort(shuffled)[order].astype("u2"), primitive=Primitive.QUADS) as mesh,
     ):
         with device.render_pass(image), device.states(CullMode.NONE):
             device.draw(device.program(Colored), mesh)
@@ -291,9 +283,7 @@ CHANGES: dict[str, Callable[[Device, StorageBuffer[Any], NDArray[Any]], object]]
 }
 
 
-@pytest.mark.parametrize(
-    "change", [*list(CHANGES)[:-1], pytest.param("computed", marks=pytest.mark.needs("compute"))]
-)
+@pytest.mark.parametrize("change", [*list(CHANGES)[:-1], pytest.param("computed", marks=pytest.mark.needs("compute"))])
 @pytest.mark.parametrize("first", [0, 4])
 def test_indexed_quads_follow_their_indices(device: Device, change: str, first: int) -> None:
     """What a draw of quads has found of its indices isn't used again after they have changed."""

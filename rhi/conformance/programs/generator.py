@@ -136,9 +136,7 @@ def make_theme(seed: int, capabilities: Capabilities) -> Theme:
             if depth is not None and random.random() < 0.08:
                 formats = ()
         kinds.append(
-            PassKind(
-                formats, depth, count, tuple(_make_pipeline(random, formats, depth, count) for _ in range(2))
-            )
+            PassKind(formats, depth, count, tuple(_make_pipeline(random, formats, depth, count) for _ in range(2)))
         )
     return Theme(tuple(kinds))
 
@@ -213,9 +211,7 @@ class _Maker:
             shared = [
                 i
                 for i, image in enumerate(self._images)
-                if image.format is format
-                and image.samples == kind.samples
-                and not any(i in slot for slot in slots)
+                if image.format is format and image.samples == kind.samples and not any(i in slot for slot in slots)
             ]
             places = shared[:1] if shared and self._random.random() < 0.7 else []
             while len(places) < 2 - (number > 0):
@@ -296,9 +292,7 @@ class _Maker:
         random, (width, height) = self._random, self._size
         beyond = random.random() < 0.06
         low, high = (-0.5, 1.5) if beyond else (0.0, 1.0)
-        return tuple(
-            round(random.uniform(low, high) * extent * _GRID) / _GRID for extent in (width, height)
-        )  # type: ignore[return-value]
+        return tuple(round(random.uniform(low, high) * extent * _GRID) / _GRID for extent in (width, height))  # type: ignore[return-value]
 
     def _rectangle(self) -> list[tuple[float, float]]:
         random, (width, height) = self._random, self._size
@@ -376,9 +370,7 @@ class _Maker:
             assert place is not None
             colors.append(place)
         depth = self._place(depth_image, size) if depth_image is not None else None
-        clears = tuple(
-            self._clear_color(f) if clear or random.random() < 0.25 else None for f in kind.colors
-        )
+        clears = tuple(self._clear_color(f) if clear or random.random() < 0.25 else None for f in kind.colors)
         taken = {place.image for place in colors} | ({depth.image} if depth else set())
         draws = tuple(
             draw
@@ -597,8 +589,6 @@ class _Maker:
 
     def _make_dispatch(self) -> Step | None:
         flat = [
-            i
-            for i in self._sources
-            if self._images[i].kind is TextureKind.D2 and not self._images[i].format.is_depth
+            i for i in self._sources if self._images[i].kind is TextureKind.D2 and not self._images[i].format.is_depth
         ]
         return Dispatch(Place(self._random.choice(flat))) if flat else None

@@ -273,9 +273,7 @@ class _Machine:
         if step.depth is not None:
             stored = self._levels[step.depth.image, step.depth.level]
             if step.clear_depth is not None:
-                depth = quantise_depth(
-                    images[step.depth.image].format, Interval.of(step.clear_depth), self._rules
-                )
+                depth = quantise_depth(images[step.depth.image].format, Interval.of(step.clear_depth), self._rules)
                 stored.low[step.depth.layer], stored.high[step.depth.layer] = depth.low, depth.high
             if step.clear_stencil is not None:
                 stored.stencil_low[step.depth.layer] = stored.stencil_high[step.depth.layer] = step.clear_stencil
@@ -299,9 +297,7 @@ class _Machine:
             )
             for target in range(len(step.colors))
         )
-        context = _Context(
-            self._program, step, draw, merge_states(draw), size, samples, effects, color_faults
-        )
+        context = _Context(self._program, step, draw, merge_states(draw), size, samples, effects, color_faults)
         runs = np.ones(2, bool)  # must, may
         if draw.condition is not None:
             number, inverted = draw.condition
@@ -466,9 +462,7 @@ class _Machine:
         known = old.low == old.high
         exact = reference.compare(side.function, reference_ & reads, old.low.astype(np.int64) & reads)
         name = side.function.value
-        equal = Tested(
-            np.where(known, exact, name == "always"), np.where(known, exact, name != "never")
-        )
+        equal = Tested(np.where(known, exact, name == "always"), np.where(known, exact, name != "never"))
         outcomes = [
             (~covers.must, StencilOperation.KEEP),
             (covers.may & ~equal.must, side.stencil_fail),

@@ -61,9 +61,7 @@ class Interval:
     def unite(self, possible: Mask, other: Interval, other_possible: Mask) -> Interval:
         """Return what holds if either of two outcomes is possible; one of them is."""
         low = np.where(possible, np.where(other_possible, np.minimum(self.low, other.low), self.low), other.low)
-        high = np.where(
-            possible, np.where(other_possible, np.maximum(self.high, other.high), self.high), other.high
-        )
+        high = np.where(possible, np.where(other_possible, np.maximum(self.high, other.high), self.high), other.high)
         return Interval(low, high)
 
 
@@ -73,9 +71,7 @@ def _ordered(low: Float, high: Float) -> Interval:
 
 
 def join(*parts: Interval) -> Interval:
-    return Interval(
-        np.concatenate([p.low for p in parts], axis=-1), np.concatenate([p.high for p in parts], axis=-1)
-    )
+    return Interval(np.concatenate([p.low for p in parts], axis=-1), np.concatenate([p.high for p in parts], axis=-1))
 
 
 @dataclass(slots=True)

@@ -60,7 +60,7 @@ def propose(program: Program) -> Iterator[Program]:
             yield replace(program, steps=steps[:i] + simpler + steps[i + 1 :])
     for i, shape in enumerate(program.shapes):
         for smaller, renumber in _shrink(shape):
-            shapes = (*program.shapes[:i], smaller, *program.shapes[i + 1:])
+            shapes = (*program.shapes[:i], smaller, *program.shapes[i + 1 :])
             changed = tuple(_with_parts(step, i, renumber) for step in steps)
             yield replace(program, shapes=shapes, steps=changed)
 
@@ -85,10 +85,10 @@ def _simplify_step(step: Step) -> Iterator[tuple[Step, ...]]:
         yield (replace(step, clear_stencil=None),)
     for i, color in enumerate(step.clear):
         if color is not None:
-            yield (replace(step, clear=(*step.clear[:i], None, *step.clear[i + 1:])),)
+            yield (replace(step, clear=(*step.clear[:i], None, *step.clear[i + 1 :])),)
     for i, draw in enumerate(draws):
         for simpler in _simplify_draw(draw):
-            yield (replace(step, draws=(*draws[:i], simpler, *draws[i + 1:])),)
+            yield (replace(step, draws=(*draws[:i], simpler, *draws[i + 1 :])),)
 
 
 def _simplify_draw(draw: Draw) -> Iterator[Draw]:
@@ -104,7 +104,7 @@ def _simplify_draw(draw: Draw) -> Iterator[Draw]:
         if len(draw.parts) > 1:
             yield replace(draw, parts=draw.parts[:i] + draw.parts[i + 1 :])
         for simpler in _simplify_part(part):
-            yield replace(draw, parts=(*draw.parts[:i], simpler, *draw.parts[i + 1:]))
+            yield replace(draw, parts=(*draw.parts[:i], simpler, *draw.parts[i + 1 :]))
     if draw.step != (0.0, 0.0):
         yield replace(draw, step=(0.0, 0.0))
 
@@ -153,7 +153,6 @@ def _with_parts(step: Step, shape: int, renumber: Callable[[Part], Part]) -> Ste
     if not isinstance(step, Pass):
         return step
     draws = tuple(
-        replace(draw, parts=tuple(map(renumber, draw.parts))) if draw.shape == shape else draw
-        for draw in step.draws
+        replace(draw, parts=tuple(map(renumber, draw.parts))) if draw.shape == shape else draw for draw in step.draws
     )
     return replace(step, draws=draws)

@@ -212,9 +212,7 @@ class Dispatch:
     source: Place
 
 
-Step: TypeAlias = (
-    Pass | Recorded | Copy | Write | Mipmaps | Resolve | Read | Reshape | ClearCells | Dispatch
-)
+Step: TypeAlias = Pass | Recorded | Copy | Write | Mipmaps | Resolve | Read | Reshape | ClearCells | Dispatch
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,9 +30,7 @@ class refuses:  # noqa: N801 (reads as a verb, like pytest.raises)
 
     error: RhiError
 
-    def __init__(
-        self, rule: Rule, device: Device | None = None, kind: type[RhiError] = ValidationError
-    ) -> None:
+    def __init__(self, rule: Rule, device: Device | None = None, kind: type[RhiError] = ValidationError) -> None:
         self._rule = rule
         self._kind = kind
         self._stream = None if device is None else device.stream

@@ -178,6 +178,7 @@ def test_without_validation_a_first_draw_is_refused(backend: str, elsewhere: Els
 
 # -- ends of blocks ---------------------------------------------------------------------------------------------
 
+
 def answered(device: Device) -> rhi.OcclusionQuery:
     """Return a query that was ended."""
     query = device.occlusion_query()
@@ -198,9 +199,7 @@ BLOCKS: dict[str, Callable[[Resources], Any]] = {
 
 @pytest.mark.needs("draws", "compute", "occlusion_queries", "conditional_rendering")
 @pytest.mark.parametrize("kind", BLOCKS)
-def test_a_block_ends_on_the_thread_of_its_begin(
-    fresh_device: Device, elsewhere: Elsewhere[Any], kind: str
-) -> None:
+def test_a_block_ends_on_the_thread_of_its_begin(fresh_device: Device, elsewhere: Elsewhere[Any], kind: str) -> None:
     """A refused end has no effect: the block is left here afterwards."""
     block = BLOCKS[kind](Resources(fresh_device))
     with block:

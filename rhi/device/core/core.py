@@ -232,9 +232,7 @@ class Core:
         self._samplers: dict[SamplerDescriptor, Id] = {}
         self.sampler_descriptors: dict[Id, SamplerDescriptor] = {}
 
-    def refuse(
-        self, rule: Rule, call: str, given: object = "", allowed: object = "", tip: str = ""
-    ) -> NoReturn:
+    def refuse(self, rule: Rule, call: str, given: object = "", allowed: object = "", tip: str = "") -> NoReturn:
         """Raise a `ValidationError` for `rule` at the user's line; a recording device keeps it."""
         self.refusals.refuse(rule, call, given, allowed, tip)
 
@@ -360,9 +358,7 @@ class Core:
     def check_usable(self, owner: Owner, call: str) -> None:
         """Refuse a resource that is destroyed, locked, or of another device."""
         if owner.core is not self:
-            self.refuse(
-                RECORD_TRANSIENT if owner.core.records else RESOURCE_FOREIGN, call, describe_object(owner)
-            )
+            self.refuse(RECORD_TRANSIENT if owner.core.records else RESOURCE_FOREIGN, call, describe_object(owner))
         if owner.destroyed:
             self.refuse(RESOURCE_DESTROYED, call, describe_object(owner))
         if self.locked and self.is_locked(owner):
@@ -470,9 +466,7 @@ class Core:
                 program, vertex_array, primitive, first, count, base_vertex, base_instance
             )
         draw = self.backend.draw
-        return lambda instances: draw(
-            vertex_array, primitive, first, count, instances, base_vertex, base_instance
-        )
+        return lambda instances: draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
 
     def prepare_uniform(self, buffer: Id) -> Callable[[int, int, int], object]:
         """Return a function of slot, offset and size that binds a range of a buffer."""

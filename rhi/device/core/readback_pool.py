@@ -48,9 +48,7 @@ class ReadbackPool:
 
     __slots__ = ("_backend", "_dropped", "_free", "_leases", "_new_id", "_timeline", "allocated", "limit")
 
-    def __init__(
-        self, backend: Backend, timeline: Timeline, new_id: Callable[[], Id], limit: int = LIMIT
-    ) -> None:
+    def __init__(self, backend: Backend, timeline: Timeline, new_id: Callable[[], Id], limit: int = LIMIT) -> None:
         self._backend = backend
         self._timeline = timeline
         self._new_id = new_id

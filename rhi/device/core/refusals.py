@@ -27,9 +27,7 @@ class RefusalLog:
     def __init__(self, backend: Backend | None = None) -> None:
         self._recorder = backend if isinstance(backend, Recorder) else None
 
-    def refuse(
-        self, rule: Rule, call: str, given: object = "", allowed: object = "", tip: str = ""
-    ) -> NoReturn:
+    def refuse(self, rule: Rule, call: str, given: object = "", allowed: object = "", tip: str = "") -> NoReturn:
         """Raise a `ValidationError` for `rule` at the user's line."""
         with self:
             refuse(rule, call, given, allowed, tip)

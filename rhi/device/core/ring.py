@@ -120,9 +120,7 @@ class Ring:
 
     def _refuse(self, size: int) -> NoReturn:
         given = f"{size} bytes more, {self.in_use} in use"
-        self._timeline.refusals.refuse(
-            TRANSIENT_SIZE, f"{self.label} memory", given, f"at most {self.limit} a frame"
-        )
+        self._timeline.refusals.refuse(TRANSIENT_SIZE, f"{self.label} memory", given, f"at most {self.limit} a frame")
 
     def _release(self, completed: int) -> None:
         marks = self._marks

@@ -151,9 +151,7 @@ class OpenScopes(FixedStack[Scope]):
             given = f"{inner.describe()}, entered inside it, is still open"
             if self.keeps_lines:
                 given += f"\nentered at {self._lines.get(place + 1)}, the one around it at {self._lines.get(place)}"
-            self.refusals.refuse(
-                SCOPE_ORDER, f"the end of {scope.describe()}", given, "the innermost open scope"
-            )
+            self.refusals.refuse(SCOPE_ORDER, f"the end of {scope.describe()}", given, "the innermost open scope")
 
     def _end_innermost(self, *, failed: bool = True, cut_off: bool = False) -> None:
         """End the innermost scope, and those around it that were left before."""

@@ -206,9 +206,7 @@ class StateCache:
             state_type = type(state)
             if not isinstance(state, PlatformState) and state_type not in _INDEX:
                 allowed = ", ".join(t.__name__ for t in STATE_TYPES)
-                self.refusals.refuse(
-                    STATE_TYPE, call, f"{state!r}, a {state_type.__name__}", f"a value of {allowed}"
-                )
+                self.refusals.refuse(STATE_TYPE, call, f"{state!r}, a {state_type.__name__}", f"a value of {allowed}")
             key = (state_type, getattr(state, "target", None))
             if key in seen:
                 self.refusals.refuse(STATE_DUPLICATE, call, f"{state_type.__name__} twice", "each state once")

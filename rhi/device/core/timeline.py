@@ -92,9 +92,7 @@ class Timeline:
         if reached:
             self._completed = max(self._completed, value)
         elif seconds is None:
-            self.refusals.fail(
-                DeviceError(DEVICE_LOST, f"device.wait({value})", f"no answer in {FOREVER:.0f} s")
-            )
+            self.refusals.fail(DeviceError(DEVICE_LOST, f"device.wait({value})", f"no answer in {FOREVER:.0f} s"))
         return reached
 
     def retire(self, resource: Id, size: int = 0) -> None:

@@ -115,9 +115,7 @@ class PendingQuery(Generic[T]):
             deadline = time.monotonic() + ANSWER_SECONDS
             while not self.is_finished:  # a driver may publish the result a moment after the fence
                 if time.monotonic() > deadline:
-                    given = (
-                        f"query {self._ids[-1]}: no answer {ANSWER_SECONDS:g} s after the GPU passed its end"
-                    )
+                    given = f"query {self._ids[-1]}: no answer {ANSWER_SECONDS:g} s after the GPU passed its end"
                     self._core.refusals.fail(DeviceError(DEVICE_ANSWER, call, given))
                 time.sleep(0)
         assert self._answer is not None
@@ -126,9 +124,7 @@ class PendingQuery(Generic[T]):
     def destroy(self) -> None:
         """Destroy the query; an open query can't be destroyed."""
         if self._state is _OPEN:
-            self._core.refuse(
-                QUERY_STATE, f"{type(self).__name__}.destroy", "an open query", "a query that was ended"
-            )
+            self._core.refuse(QUERY_STATE, f"{type(self).__name__}.destroy", "an open query", "a query that was ended")
         if not self.destroyed:
             self._core.check_thread("destroy")
             with HeldInterrupts():
@@ -207,7 +203,7 @@ class OcclusionQuery(PendingQuery[int], QueryScope):
     A query may be used any number of times; `begin` discards the earlier answer. `with query:` begins and ends it.
     """
 
-    __slots__ = ("_checks")
+    __slots__ = "_checks"
 
     def __init__(self, core: Core, emulated: bool) -> None:
         super().__init__(core, 1, emulated, "device.occlusion_query")
@@ -351,9 +347,7 @@ class Conditional(Scope):
             check.instance("query", query, OcclusionQuery, "an OcclusionQuery from device.occlusion_query()")
             inverted = check.flag("inverted", inverted)
         if query.emulated:
-            core.refuse(
-                DEVICE_CAPABILITY, call, "an emulated query", "a native one: device.occlusion_query()"
-            )
+            core.refuse(DEVICE_CAPABILITY, call, "an emulated query", "a native one: device.occlusion_query()")
         self._core = core
         self._query = query
         self._inverted = inverted

@@ -39,9 +39,7 @@ class EmulatedQueries:
         self._backend = backend
         self._counters = counters
 
-    def draw(
-        self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], rows: NDArray[np.int64]
-    ) -> None:
+    def draw(self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], rows: NDArray[np.int64]) -> None:
         """See `PreparedQueries.draw`. Counters are used in their order, whichever rows the draws use."""
         draw, write_counter = self._backend.draw, self._backend.write_query
         counters, current = iter(self._counters), -1
@@ -102,9 +100,7 @@ class QuerySet(PendingQuery[NDArray[np.int64]]):
             self._core.refuse(QUERY_ROWS, call, repeat, "consecutive draws for each row")
         return each
 
-    def check_conditions(
-        self, rows: object, draws: int, counted: NDArray[np.int64], call: str
-    ) -> NDArray[np.int64]:
+    def check_conditions(self, rows: object, draws: int, counted: NDArray[np.int64], call: str) -> NDArray[np.int64]:
         """Return the row that each draw depends on, (draws,) int64; `query-rows` if `rows` don't fit, or name one that
         isn't among `counted`."""
         each = self._read_rows(rows, draws, call)

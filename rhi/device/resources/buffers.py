@@ -203,9 +203,7 @@ class Buffer(Resource):
         count = self.count - first if count is None else check.whole("count", count)
         self._check(call)
         if first < 0 or count < 0 or first + count > self.count:
-            self.core.refuse(
-                BUFFER_RANGE, call, f"{count} elements from {first}", f"0 to {self.count} elements"
-            )
+            self.core.refuse(BUFFER_RANGE, call, f"{count} elements from {first}", f"0 to {self.count} elements")
         return first, count
 
     def _upload(self, array: NDArray[Any], first: int) -> None:

@@ -77,9 +77,7 @@ def make_draw_code(code: CodeType, program: Any, bindings: tuple[Binding, ...]) 
     exec(code, scope)
     core = program.core
     types = tuple(binding.type for binding in bindings)
-    return DrawCode(
-        *scope["make"](core, core.backend, core.states, program, types, MISSING, object(), ValidationError)
-    )
+    return DrawCode(*scope["make"](core, core.backend, core.states, program, types, MISSING, object(), ValidationError))
 
 
 def _write_source(bindings: tuple[Binding, ...], recorded: bool, validates: bool) -> Iterator[str]:

@@ -74,9 +74,7 @@ class MeshData:
         self.index_format = IndexFormat.UINT32
         self.index_count: int | None = None
         if self.index_buffer is not None:
-            self.index_format = (
-                IndexFormat.UINT16 if self.index_buffer.dtype.itemsize == 2 else IndexFormat.UINT32
-            )
+            self.index_format = IndexFormat.UINT16 if self.index_buffer.dtype.itemsize == 2 else IndexFormat.UINT32
             self.index_count = self.index_buffer.count
         self.vertex_arrays: dict[object, Id] = {}
         self.views: WeakSet[Mesh] = WeakSet()
@@ -93,9 +91,7 @@ class MeshData:
         buffer.write(source)
         return buffer
 
-    def create_vertex_array(
-        self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]
-    ) -> Id:
+    def create_vertex_array(self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]) -> Id:
         """Create the vertex array of this mesh for a program's inputs; called at the first draw of the pair.
 
         It is kept under `key`, the `Program`, since ids of two devices may be equal.
@@ -117,9 +113,7 @@ class MeshData:
         self.vertex_arrays[key if key not in self.vertex_arrays else (key, vertex_array)] = vertex_array
         self.core.timeline.watch(self, program)
 
-    def describe_vertex_array(
-        self, program: Id, name: str, attributes: tuple[Attribute, ...]
-    ) -> VertexArrayDescriptor:
+    def describe_vertex_array(self, program: Id, name: str, attributes: tuple[Attribute, ...]) -> VertexArrayDescriptor:
         """Return how a program's inputs are read from this mesh; `mesh-attribute` if they can't be."""
         call = f"draw of program {name!r}"
         sources = [
@@ -273,9 +267,7 @@ class Drawable:
         self.vertex_arrays = vertex_arrays
         self.prepared_draws: dict[object, Callable[[int], object]] = {}
 
-    def create_vertex_array(
-        self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]
-    ) -> Id:
+    def create_vertex_array(self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]) -> Id:
         """Create the vertex array for a program's inputs and keep it in `vertex_arrays`; see `MeshData`."""
         raise NotImplementedError
 
@@ -361,9 +353,7 @@ class Drawable:
         """Return draws of `draws`, which count from this mesh's own first elements, as backends need them."""
         return draws
 
-    def _part(
-        self, first: int, count: int, base_vertex: int, base_instance: int, primitive: Primitive
-    ) -> Self:
+    def _part(self, first: int, count: int, base_vertex: int, base_instance: int, primitive: Primitive) -> Self:
         """Return the part that `view` has checked."""
         raise NotImplementedError
 
@@ -382,15 +372,11 @@ class Mesh(Drawable, Resource):
         base_vertex: int = 0,
         base_instance: int = 0,
     ) -> None:
-        super().__init__(
-            primitive, first, count, base_vertex, base_instance, data.buffers, data.vertex_arrays
-        )
+        super().__init__(primitive, first, count, base_vertex, base_instance, data.buffers, data.vertex_arrays)
         self.data = data
         data.views.add(self)
 
-    def create_vertex_array(
-        self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]
-    ) -> Id:
+    def create_vertex_array(self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]) -> Id:
         """Create the vertex array of this mesh for a program's inputs; all views of the mesh share it."""
         return self.data.create_vertex_array(key, program, name, attributes)
 
@@ -437,9 +423,7 @@ class Mesh(Drawable, Resource):
     def __repr__(self) -> str:
         return f"Mesh({self.data.label!r}, {self.primitive.name}, {self.first}+{self.count})"
 
-    def _part(
-        self, first: int, count: int, base_vertex: int, base_instance: int, primitive: Primitive
-    ) -> Mesh:
+    def _part(self, first: int, count: int, base_vertex: int, base_instance: int, primitive: Primitive) -> Mesh:
         return Mesh(self.data, primitive, first, count, base_vertex, base_instance)
 
     def destroy(self) -> None:
@@ -487,9 +471,7 @@ def check_draws(core: Core, mesh: Drawable, draws: NDArray[Any], call: str) -> N
     if len(array):
         last = int((array["first"].astype(np.int64) + array["count"]).max())
         if last > mesh.element_count:
-            core.refuse(
-                MESH_RANGE, call, f"a draw up to element {last}", f"within {mesh.element_count} elements"
-            )
+            core.refuse(MESH_RANGE, call, f"a draw up to element {last}", f"within {mesh.element_count} elements")
     return np.ascontiguousarray(mesh.place_draws(array))
 
 
@@ -525,13 +507,9 @@ def as_structured(core: Core, source: VertexSource, rule: Rule, call: str, least
             infinity.
     """
     check = Arguments(call, core.refuse, rule)
-    array = (
-        _interleave(core, source, rule, call) if isinstance(source, Mapping) else check.array("vertices", source)
-    )
+    array = _interleave(core, source, rule, call) if isinstance(source, Mapping) else check.array("vertices", source)
     if not array.dtype.names:
-        tip = (
-            'name the attributes: {"position": positions, …} or an array made with the vertex struct\'s dtype'
-        )
+        tip = 'name the attributes: {"position": positions, …} or an array made with the vertex struct\'s dtype'
         core.refuse(rule, call, f"an array of {array.dtype}", "a structured array or a dict of arrays", tip)
     if array.ndim != 1 or len(array) < least:
         core.refuse(rule, call, f"shape {array.shape}", f"(n,) with n of {least} or more")

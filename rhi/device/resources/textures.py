@@ -95,9 +95,7 @@ class Texture(TextureBinding, Resource):
 
     __slots__ = ("core", "descriptor", "destroyed", "id", "requested")
 
-    def __init__(
-        self, core: Core, descriptor: TextureDescriptor, compressed: CompressedFormat | None = None
-    ) -> None:
+    def __init__(self, core: Core, descriptor: TextureDescriptor, compressed: CompressedFormat | None = None) -> None:
         core.check_ready()
         self.requested = descriptor
         if compressed is not None:
@@ -277,9 +275,7 @@ class Texture(TextureBinding, Resource):
         region = Region(check.whole("x", x), check.whole("y", y), width, height, layer, layers)
         self._check_region(call, level, region)
         self.core.upload_bytes += array.nbytes
-        self.core.backend.write_texture(
-            self.id, level, region, np.ascontiguousarray(array).view(np.uint8).data
-        )
+        self.core.backend.write_texture(self.id, level, region, np.ascontiguousarray(array).view(np.uint8).data)
 
     def _write_blocks(
         self, call: str, compressed: CompressedFormat, blocks: NDArray[Any], level: int, layer: int, x: int, y: int
@@ -292,9 +288,7 @@ class Texture(TextureBinding, Resource):
             self.core.refuse(TEXTURE_DATA, call, f"shape {blocks.shape} of {blocks.dtype}", allowed)
         layers, rows, columns = blocks.shape[:3]
         right, bottom = (size - at for size, at in zip(self.descriptor.level_size(level), (x, y), strict=True))
-        region = Region(
-            x, y, min(columns * BLOCK, max(right, 0)), min(rows * BLOCK, max(bottom, 0)), layer, layers
-        )
+        region = Region(x, y, min(columns * BLOCK, max(right, 0)), min(rows * BLOCK, max(bottom, 0)), layer, layers)
         whole = columns * BLOCK - region.width < BLOCK and rows * BLOCK - region.height < BLOCK
         if x % BLOCK or y % BLOCK or not whole:
             allowed = f"blocks inside {self.descriptor.level_size(level)}, from multiples of {BLOCK} on"
@@ -374,7 +368,12 @@ class Texture(TextureBinding, Resource):
         self._copy_to_buffer(self.core, target, level, region, offset, row_bytes)
 
     def _copy_to_buffer(
-        self, core: Core, target: Buffer | StorageBuffer[Any], level: int, region: Region | None, offset: int,
+        self,
+        core: Core,
+        target: Buffer | StorageBuffer[Any],
+        level: int,
+        region: Region | None,
+        offset: int,
         row_bytes: int | None,
     ) -> None:
         """Send a `copy_to_buffer` to `core`."""
@@ -399,7 +398,12 @@ class Texture(TextureBinding, Resource):
         self._copy_from_buffer(self.core, source, level, region, offset, row_bytes)
 
     def _copy_from_buffer(
-        self, core: Core, source: Buffer | StorageBuffer[Any], level: int, region: Region | None, offset: int,
+        self,
+        core: Core,
+        source: Buffer | StorageBuffer[Any],
+        level: int,
+        region: Region | None,
+        offset: int,
         row_bytes: int | None,
     ) -> None:
         """Send a `copy_from_buffer` to `core`."""
@@ -410,8 +414,14 @@ class Texture(TextureBinding, Resource):
         core.backend.copy_buffer_to_texture(buffer.id, offset, row_bytes, self.id, level, region)
 
     def _check_rows(
-        self, call: str, buffer: Buffer | StorageBuffer[Any], level: int, region: Region, offset: int,
-        row_bytes: int | None, core: Core,
+        self,
+        call: str,
+        buffer: Buffer | StorageBuffer[Any],
+        level: int,
+        region: Region,
+        offset: int,
+        row_bytes: int | None,
+        core: Core,
     ) -> tuple[Buffer, int, int]:
         """Check the place of a region's rows in a buffer; return the buffer, the offset and the distance of rows."""
         check = Arguments(call, self.core.refuse)
@@ -463,9 +473,7 @@ class Texture(TextureBinding, Resource):
 
     # -- checks ------------------------------------------------------------------------------------------
 
-    def _check(
-        self, call: str, level: int = 0, layer: int = 0, core: Core | None = None
-    ) -> tuple[int, int]:
+    def _check(self, call: str, level: int = 0, layer: int = 0, core: Core | None = None) -> tuple[int, int]:
         """Refuse a texture that can't be used now, and return a level and layer that it has."""
         check = Arguments(call, self.core.refuse)
         level, layer = check.whole("level", level), check.whole("layer", layer)
@@ -479,9 +487,7 @@ class Texture(TextureBinding, Resource):
         self._check(call)
         self.core.require(call, region_faults(self.descriptor, level, region))
 
-    def _whole(
-        self, call: str, level: int, core: Core, region: Region | None = None
-    ) -> tuple[int, Region]:
+    def _whole(self, call: str, level: int, core: Core, region: Region | None = None) -> tuple[int, Region]:
         """Return a level, and the region of it that was given, or else all of its texels and layers."""
         level, _ = self._check(call, level, core=core)
         if region is not None:

@@ -88,9 +88,7 @@ def _compiled_function(function: FunctionType) -> tuple[tree.Function, Code, Lan
         types = tuple(parameter.type for parameter in callee.signature.parameters)
         for parameter in callee.signature.parameters:
             if not isinstance(parameter.type, HostType):
-                callee.source.refuse(
-                    rules.ANNOTATION, callee.source.node, f"{parameter.name}: {parameter.type}"
-                )
+                callee.source.refuse(rules.ANNOTATION, callee.source.node, f"{parameter.name}: {parameter.type}")
         parser.parse_function(callee, types)  # type: ignore[arg-type]
         parsed = parser.finished[-1]
         code = lower_function(parsed)
@@ -214,9 +212,7 @@ def run_compute(
     return results
 
 
-def bound_words(
-    shader: type[Shader], bindings: dict[str, Any], call: str
-) -> tuple[dict[str, Any], dict[str, Array]]:
+def bound_words(shader: type[Shader], bindings: dict[str, Any], call: str) -> tuple[dict[str, Any], dict[str, Array]]:
     """Return the words of all bindings by name, and the arrays among them that the shader writes.
 
     Raises:

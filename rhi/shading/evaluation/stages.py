@@ -159,11 +159,7 @@ def run_fragment(
     values = _inputs(compiled.stage, varyings, read, dtype, call)
     front, primitive = np.asarray(front_facing, np.bool_), np.asarray(primitive_index, np.int32)
     shapes = [np.shape(value) for value in (*values, front, primitive, covered)]
-    at = (
-        []
-        if fragment_coordinate is None
-        else scalars_of(VEC4, fragment_coordinate, dtype, f"{call}: coordinate")
-    )
+    at = [] if fragment_coordinate is None else scalars_of(VEC4, fragment_coordinate, dtype, f"{call}: coordinate")
     inside = scalars_of(VECTORS[FLOAT, 2], point_coordinate, dtype, f"{call}: point coordinate")
     shape = _broadcast([*shapes, *map(np.shape, at), *map(np.shape, inside), (1, 1)], call)
     if takes_differences(compiled.stage) and (shape[-2] % 2 or shape[-1] % 2):
@@ -179,9 +175,7 @@ def run_fragment(
     mask = np.array(np.broadcast_to(covered, shape), np.bool_)
     memory, written = bound_words(shader, bindings, call)
     with np.errstate(all="ignore"):
-        results = list(
-            compiled.run(dtype, memory, Invocations(shape), [*values, *at, front, primitive, *inside, mask])
-        )
+        results = list(compiled.run(dtype, memory, Invocations(shape), [*values, *at, front, primitive, *inside, mask]))
     kept = np.array(np.broadcast_to(results.pop(), shape), np.bool_)
     depth = results.pop() if compiled.code.has_depth else None
     outputs = {}
@@ -189,9 +183,7 @@ def run_fragment(
         words = range(4 * output.location, 4 * output.location + output.components)
         parts = [results[compiled.code.words.index(word)] for word in words]
         outputs[output.name] = assemble(_output_type(compiled.stage, output.name), parts, shape, dtype)
-    return FragmentRun(
-        outputs, None if depth is None else assemble(FLOAT, [depth], shape, dtype), kept, written
-    )
+    return FragmentRun(outputs, None if depth is None else assemble(FLOAT, [depth], shape, dtype), kept, written)
 
 
 def _output_type(stage: tree.StageTree, name: str) -> HostType:
@@ -201,9 +193,7 @@ def _output_type(stage: tree.StageTree, name: str) -> HostType:
     return result  # type: ignore[return-value]
 
 
-def _fields(
-    type: Any, position: str, results: list[Any], shape: tuple[int, ...], dtype: Any
-) -> dict[str, Array]:
+def _fields(type: Any, position: str, results: list[Any], shape: tuple[int, ...], dtype: Any) -> dict[str, Array]:
     """Return the fields of a vertex stage's result by name; a plain position has the name ""."""
     fields = [(field.name, field.type) for field in type.fields] if position else [("", type)]
     outputs, start = {}, 0
@@ -232,9 +222,7 @@ def _inputs(
     given, names = given or {}, {field.name for field in fields}
     is_unknown = stage.stage is Stage.VERTEX and set(given) - names
     if names & read - set(given) or is_unknown:
-        refuse(
-            rules.WRONG_ARGUMENTS, call, ", ".join(given) or "nothing", ", ".join(sorted(names)) or "nothing"
-        )
+        refuse(rules.WRONG_ARGUMENTS, call, ", ".join(given) or "nothing", ", ".join(sorted(names)) or "nothing")
     values: list[Any] = []
     for field in fields:
         if field.name in read:
@@ -246,9 +234,7 @@ def _broadcast(shapes: list[tuple[int, ...]], call: str) -> tuple[int, ...]:
     try:
         return np.broadcast_shapes(*shapes)
     except ValueError:
-        refuse(
-            rules.WRONG_ARGUMENTS, call, ", ".join(map(str, dict.fromkeys(shapes))), "shapes that broadcast"
-        )
+        refuse(rules.WRONG_ARGUMENTS, call, ", ".join(map(str, dict.fromkeys(shapes))), "shapes that broadcast")
 
 
 def _compiled_stage(shader: type[Shader], stage: Stage, call: str) -> _CompiledStage:

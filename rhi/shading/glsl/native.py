@@ -17,9 +17,7 @@ from rhi.shading.language.source import SourceSpan, refuse_at, suggest
 
 # Patterns are compiled on first use, which most programs never make.
 _MAIN: Final = r"(?m)^\s*void\s+main\s*\("
-_QUALIFIERS: Final = (
-    r"(?:(?:flat|smooth|noperspective|centroid|highp|mediump|lowp|readonly|writeonly|coherent)\s+)*"
-)
+_QUALIFIERS: Final = r"(?:(?:flat|smooth|noperspective|centroid|highp|mediump|lowp|readonly|writeonly|coherent)\s+)*"
 _DECLARATION: Final = (
     rf"^\s*(?:layout\s*\([^)]*\)\s*)?{_QUALIFIERS}(in|out|uniform)\s+{_QUALIFIERS}(\w+)\s+(\w+)\s*(\[\s*\w*\s*\])?\s*;"
 )
@@ -69,11 +67,7 @@ def lines_of(
             wanted = declared.get((direction, name))
             if wanted != type:
                 known = [f"{way} {kind} {key}" for (way, key), kind in declared.items() if way == direction]
-                tip = (
-                    suggest(name, [key for way, key in declared if way == direction])
-                    if wanted is None
-                    else ""
-                )
+                tip = suggest(name, [key for way, key in declared if way == direction]) if wanted is None else ""
                 refuse(number, f"{direction} {type} {name}", ", ".join(known) or f"no {direction}", tip)
             text = line[: found.start()] + line[found.end() :]
         elif (block := re.match(_BLOCK, line)) and (block[1] != "struct" or block[2] in structs):

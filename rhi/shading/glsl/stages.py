@@ -113,9 +113,7 @@ class StageWriter:
             native = function.native.get("glsl")
             texts = [native.declarations] if native is not None else []
             if native is not None and self.whole and function is self.stage.entry:
-                extensions |= dict.fromkeys(
-                    re.findall(r"^\s*(#extension .*?)\s*$", native.body, re.MULTILINE)
-                )
+                extensions |= dict.fromkeys(re.findall(r"^\s*(#extension .*?)\s*$", native.body, re.MULTILINE))
             for line in "\n".join(texts).splitlines():
                 if line.lstrip().startswith("#extension"):
                     extensions[line.strip()] = None
@@ -280,11 +278,7 @@ class StageWriter:
                 return
             result = self.names.get("result", "result")
             self.lines.add(f"{self.writer.type(entry.result)} {result} = {call};")
-            field = (
-                (lambda name: f".{self.writer.field(name)}")
-                if isinstance(entry.result, StructType)
-                else _no_field
-            )
+            field = (lambda name: f".{self.writer.field(name)}") if isinstance(entry.result, StructType) else _no_field
             if self.stage.stage is Stage.VERTEX:
                 self.lines.add(f"gl_Position = {result}{field(interface.position)};")
                 if interface.point_size:

@@ -112,9 +112,7 @@ class Writer(TextWriter):
             wrong = "r != 0 && (r < 0) != (b < 0)"
             result = f"{wrong} ? q - 1 : q" if divide else f"{wrong} ? r + b : r"
         else:
-            wrong = (
-                f"{type}(notEqual(r, {zero})) * {type}(notEqual(lessThan(r, {zero}), lessThan(b, {zero})))"
-            )
+            wrong = f"{type}(notEqual(r, {zero})) * {type}(notEqual(lessThan(r, {zero}), lessThan(b, {zero})))"
             result = f"q - {wrong}" if divide else f"r + b * {wrong}"
         body = f"{type} q = a / b; {type} r = a - q * b; return {result};"
         return self.helper(name, type, "a b", body)
@@ -142,11 +140,7 @@ class Writer(TextWriter):
     def declare(self, local: tree.Local, value: Expression | None, place: SourceSpan) -> None:
         """Write the declaration of a local variable."""
         name, type = self.names.get(local, local.name), self.type(local.type)
-        if (
-            isinstance(value, tree.Zeros)
-            and isinstance(local.type, ArrayType)
-            and local.type.length > _LONGEST_LIST
-        ):
+        if isinstance(value, tree.Zeros) and isinstance(local.type, ArrayType) and local.type.length > _LONGEST_LIST:
             self.line(f"{type} {name};", place)
             index = self.names.get((local, "zero"), f"{name}_index")
             zero = self.zero(local.type.element)

@@ -162,9 +162,7 @@ def describe_texture(
     words = np.zeros(Word.LEVELS + LEVEL_WORDS * len(levels), np.int32)
     stored = find_stored(format)
     texel = format.transfer_bytes
-    linear = [
-        filter is Filter.LINEAR and not format.is_integer for filter in (sampler.minify, sampler.magnify)
-    ]
+    linear = [filter is Filter.LINEAR and not format.is_integer for filter in (sampler.minify, sampler.magnify)]
     mip = Mip.NO_MIP if len(levels) == 1 else _MIPS[sampler.mip]
     if format.is_integer and mip is Mip.LINEAR_MIP:
         mip = Mip.NEAREST_MIP
@@ -190,9 +188,7 @@ def describe_texture(
     words[Word.ANISOTROPY] = np.float32(anisotropy_of(format, sampler)).view(np.int32)
     border = border_color(format, sampler)
     words[Word.BORDER_COLOR : Word.BORDER_COLOR + 4] = (
-        border.astype(np.int64).astype(np.int32)
-        if format.is_integer
-        else border.astype(np.float32).view(np.int32)
+        border.astype(np.int64).astype(np.int32) if format.is_integer else border.astype(np.float32).view(np.int32)
     )
     for number, level in enumerate(levels):
         at = Word.LEVELS + LEVEL_WORDS * number

@@ -44,9 +44,7 @@ class StorageRange(Generic[T]):
 
     __slots__ = ("buffer", "count", "offset", "owner", "size", "type")
 
-    def __init__(
-        self, buffer: int, offset: int, size: int, type: object, count: int, owner: object = None
-    ) -> None:
+    def __init__(self, buffer: int, offset: int, size: int, type: object, count: int, owner: object = None) -> None:
         self.buffer = buffer
         self.offset = offset
         self.size = size

@@ -137,8 +137,7 @@ class Builtin:
     def signatures(self) -> str:
         """Return all overloads as text, one per line."""
         return "\n".join(
-            f"{self.name}({', '.join(str(p.type) for p in o.parameters)}) -> {o.result}"
-            for o in self.overloads
+            f"{self.name}({', '.join(str(p.type) for p in o.parameters)}) -> {o.result}" for o in self.overloads
         )
 
     def __call__(self, *arguments: object, **named: object) -> NoReturn:
@@ -185,9 +184,7 @@ def expand(signatures: str, glsl: str, names: dict[str, Type] | None = None) -> 
         for size in (1, 2, 3, 4) if used else (0,):
             if all(size in letter for letter in used):
                 scope = {**known, **_SIZED[size]} if used else known
-                concrete = tuple(
-                    BuiltinParameter(scope[type], name, memory) for name, type, memory in parameters
-                )
+                concrete = tuple(BuiltinParameter(scope[type], name, memory) for name, type, memory in parameters)
                 yield Overload(concrete, scope[result], glsl)
 
 
@@ -225,9 +222,7 @@ _ROWS: Final = (
         error=ErrorBound(1, 1, 1, 1),
         lanes="a * 0.017453292519943295",
     ),
-    _row(
-        "degrees", _F, doc="radians to degrees", error=ErrorBound(1, 1, 1, 1), lanes="a * 57.29577951308232"
-    ),
+    _row("degrees", _F, doc="radians to degrees", error=ErrorBound(1, 1, 1, 1), lanes="a * 57.29577951308232"),
     _row(
         "sin",
         _F,
@@ -343,9 +338,7 @@ _ROWS: Final = (
         opencl="rhi_pow({0}, {1})",
         numpy="np.power({0}, {1})",
         fast="rhi_fast_pow({0}, {1})",
-        error=ErrorBound(
-            128, 16, 128, 4, 0, ((1e-3, 1e3), (-10, 10)), defined="(a > 0) | (a == 0) & (b > 0)"
-        ),
+        error=ErrorBound(128, 16, 128, 4, 0, ((1e-3, 1e3), (-10, 10)), defined="(a > 0) | (a == 0) & (b > 0)"),
     ),
     _row(
         "exp",
@@ -519,9 +512,7 @@ _ROWS: Final = (
     # matrices
     _row("transpose", "M(M)", doc="rows and columns exchanged"),
     _row("determinant", "float(M)", doc="determinant", error=_composed(4, 1e3)),
-    _row(
-        "inverse", "M(M)", doc="inverse; undefined for a singular matrix", error=_composed(100, 1e3, _REGULAR)
-    ),
+    _row("inverse", "M(M)", doc="inverse; undefined for a singular matrix", error=_composed(100, 1e3, _REGULAR)),
     # component-wise comparisons
     _row("less_than", "BV(V,V);BV(IV,IV);BV(UV,UV)", "lessThan", "a < b, component-wise", lanes="a < b"),
     _row(
@@ -531,9 +522,7 @@ _ROWS: Final = (
         "a <= b, component-wise",
         lanes="a <= b",
     ),
-    _row(
-        "greater_than", "BV(V,V);BV(IV,IV);BV(UV,UV)", "greaterThan", "a > b, component-wise", lanes="a > b"
-    ),
+    _row("greater_than", "BV(V,V);BV(IV,IV);BV(UV,UV)", "greaterThan", "a > b, component-wise", lanes="a > b"),
     _row(
         "greater_than_equal",
         "BV(V,V);BV(IV,IV);BV(UV,UV)",
@@ -724,12 +713,8 @@ _ROWS: Final = (
         "(x, y) inside the square of a point, 0 to 1 from its top left; undefined for other primitives",
         stages=_FRAGMENT,
     ),
-    _row(
-        "front_facing", "bool()", "gl_FrontFacing", "whether the primitive faces the camera", stages=_FRAGMENT
-    ),
-    _row(
-        "primitive_index", "int()", "gl_PrimitiveID", "index of the primitive in the draw", stages=_FRAGMENT
-    ),
+    _row("front_facing", "bool()", "gl_FrontFacing", "whether the primitive faces the camera", stages=_FRAGMENT),
+    _row("primitive_index", "int()", "gl_PrimitiveID", "index of the primitive in the draw", stages=_FRAGMENT),
     _row(
         "global_id",
         "ivec3()",
@@ -760,8 +745,7 @@ BUILTINS: Final[dict[str, Builtin]] = {row.name: row for row in _ROWS}
 
 # Ints: no division by 0, and none of the smallest int by -1. Floats: the quotient must not underflow or overflow.
 _DIVISIBLE: Final = (
-    "(b != 0) & ((a != -2147483648) | (b != -1))"
-    " & ((a == 0) | ((abs(a) > abs(b) * 1e-30) & (abs(a) < abs(b) * 1e30)))"
+    "(b != 0) & ((a != -2147483648) | (b != -1)) & ((a == 0) | ((abs(a) > abs(b) * 1e-30) & (abs(a) < abs(b) * 1e30)))"
 )
 # x - y floor(x / y) has no correct digits left when the quotient has as many digits as a float.
 _NEAR: Final = "((abs(a) < abs(b) * 1e6) | ((a == np.floor(a)) & (b == np.floor(b))))"
@@ -775,8 +759,6 @@ OPERATORS: Final[dict[str, ErrorBound]] = {
     "**": BUILTINS["pow"].error,
     "@": BUILTINS["dot"].error,
     **dict.fromkeys(("<<", ">>"), _SHIFT),
-    **dict.fromkeys(
-        ("&", "|", "^", "~", "neg", "==", "!=", "<", "<=", ">", ">=", "and", "or", "not"), _EXACT
-    ),
+    **dict.fromkeys(("&", "|", "^", "~", "neg", "==", "!=", "<", "<=", ">", ">=", "and", "or", "not"), _EXACT),
 }
 """The error bounds of the operators by sign. `neg` is unary minus."""

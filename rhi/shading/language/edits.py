@@ -132,13 +132,9 @@ class Edit:
             closure = tuple(
                 CellType(owner) if name == "__class__" else cell for name, cell in zip(free, closure, strict=True)
             )
-        adopted = FunctionType(
-            function.__code__, vars(self.module), function.__name__, function.__defaults__, closure
-        )
+        adopted = FunctionType(function.__code__, vars(self.module), function.__name__, function.__defaults__, closure)
         adopted.__kwdefaults__ = function.__kwdefaults__
-        adopted.__annotations__ = {
-            name: self._translate(each) for name, each in function.__annotations__.items()
-        }
+        adopted.__annotations__ = {name: self._translate(each) for name, each in function.__annotations__.items()}
         adopted.__qualname__, adopted.__doc__ = function.__qualname__, function.__doc__
         adopted.__module__ = function.__module__
         vars(adopted).update(vars(function))
@@ -308,8 +304,7 @@ def _collect_again(cls: type[Shader], names: dict[str, Any]) -> None:
         own = {
             name: declared
             for name, declared in derived._declared.items()
-            if name in inspect.get_annotations(derived)
-            or isinstance(derived.__dict__.get(name), SharedMemory)
+            if name in inspect.get_annotations(derived) or isinstance(derived.__dict__.get(name), SharedMemory)
         }
         inherited: dict[str, Any] = {}
         for base in reversed(derived.__mro__[1:]):

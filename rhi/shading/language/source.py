@@ -31,7 +31,6 @@ MISSING: Final = object()
 _SOURCE: Final = "_rhi_source"
 
 
-
 class SourceFile(str):
     """The name of a Python file, together with its lines as they were when a class or function of it was made."""
 

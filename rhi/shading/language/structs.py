@@ -155,9 +155,7 @@ class Struct:
         missing = [name for name in names if name not in values and name not in cls._defaults]
         if missing:
             given = f"no {', '.join(missing)}"
-            refuse(
-                rules.STRUCT_VALUE, f"{cls.__name__}(…)", given, "a value for each field without a default"
-            )
+            refuse(rules.STRUCT_VALUE, f"{cls.__name__}(…)", given, "a value for each field without a default")
         self._values = dict(cls._defaults)
         for name, value in values.items():
             setattr(self, name, value)

@@ -26,9 +26,7 @@ from rhi.contract.layout import (
 LANGUAGE_NAMES: Final[set[str]] = set()
 """The names that shaders import from `rhi.shading`. Each module that defines some adds them when it is imported."""
 
-VECTORS: Final = {
-    (scalar, size): VectorType(scalar, size) for scalar in (FLOAT, INT, UINT, BOOL) for size in (2, 3, 4)
-}
+VECTORS: Final = {(scalar, size): VectorType(scalar, size) for scalar in (FLOAT, INT, UINT, BOOL) for size in (2, 3, 4)}
 MATRICES: Final = {size: MatrixType(size) for size in (2, 3, 4)}
 VEC4: Final = VECTORS[FLOAT, 4]
 
@@ -130,8 +128,4 @@ def converts(source: Type, target: Type, literal: bool = False) -> bool:
 
     `literal`: the value is a non-negative int literal.
     """
-    return (
-        source == target
-        or (source is INT and target is FLOAT)
-        or (literal and source is INT and target is UINT)
-    )
+    return source == target or (source is INT and target is FLOAT) or (literal and source is INT and target is UINT)

@@ -136,9 +136,7 @@ class BuiltinLowering(ExpressionLowering):
             return number(0)
         if self.work_group[0] % max(self.width, 1) == 0 and self.width:
             # The lanes of a work-item are in one row.
-            first = lanes.Input(ScalarKind.INT, Uniformity.LANES, lanes.DispatchIndex.ITEM) * number(
-                self.width
-            )
+            first = lanes.Input(ScalarKind.INT, Uniformity.LANES, lanes.DispatchIndex.ITEM) * number(self.width)
             row = self.floored(False, self.floored(True, first, number(before)), number(size))
             return self.lanes_from(row) if axis == 0 else row
         index = self.local_index()

@@ -42,6 +42,7 @@ def _if(condition: Value, then: Value, otherwise: Value) -> Value:
 
 # -- expressions -------------------------------------------------------------------------------------------
 
+
 @cache
 def _parse(text: str) -> ast.expr:
     return ast.parse(text, mode="eval").body

@@ -107,9 +107,7 @@ class ExpressionLowering(ScopeLowering):
                 return self.index_value(self.named(base), words_of(node.type), self.one(index))  # type: ignore[arg-type]
             case tree.Length(base=base):
                 assert isinstance(base, tree.BindingRead)
-                return [
-                    lanes.ElementCount(ScalarKind.INT, Uniformity.DISPATCH, self.memory(base.declaration))
-                ]
+                return [lanes.ElementCount(ScalarKind.INT, Uniformity.DISPATCH, self.memory(base.declaration))]
             case tree.Unary(operator=operator, operand=operand):
                 return self.shallow([apply(operator.primitive, value) for value in self.lower(operand)])
             case tree.Binary():
@@ -243,9 +241,7 @@ class ExpressionLowering(ScopeLowering):
                 ]
             case LvalueChoice(index=index, choices=choices):
                 values_of_choices = [self.read(one) for one in choices]
-                return [
-                    select_by_index(index, list(values)) for values in zip(*values_of_choices, strict=True)
-                ]
+                return [select_by_index(index, list(values)) for values in zip(*values_of_choices, strict=True)]
 
     def read_home(self, home: Slot | MemoryRegion, index: Value | None) -> Value:
         if isinstance(home, MemoryRegion):
@@ -320,9 +316,7 @@ class ExpressionLowering(ScopeLowering):
             right = self.lower(node.right)
         size = max(len(left), len(right))
         if size > min(len(left), len(right)):
-            left, right = (
-                [self.let(value) for value in side] if len(side) == 1 else side for side in (left, right)
-            )
+            left, right = ([self.let(value) for value in side] if len(side) == 1 else side for side in (left, right))
         left, right = ([*side] * (size // len(side)) for side in (left, right))
         pairs = list(zip(left, right, strict=True))
         if op in (Operator.FLOOR_DIVIDE, Operator.MODULO):
@@ -370,9 +364,7 @@ class ExpressionLowering(ScopeLowering):
         kinds, key = all_kinds(then.type), (self.frame.path, id(then))  # type: ignore[arg-type]
         slots = []
         for i, kind in enumerate(kinds):
-            slots.append(
-                self.variable("chosen", kind, max(condition.uniformity, self.known_uniformity((key, i))))
-            )
+            slots.append(self.variable("chosen", kind, max(condition.uniformity, self.known_uniformity((key, i)))))
             self.emit(lanes.Let(self.line, slots[-1], None))
         for chosen, node in ((condition, then), (opposite, otherwise)):
             with self.branch(chosen):
@@ -419,9 +411,7 @@ class ExpressionLowering(ScopeLowering):
             if isinstance(source, MatrixType):
                 m = source.size
                 return [
-                    values[i * m + j] if max(i, j) < m else one if i == j else zero
-                    for i in range(n)
-                    for j in range(n)
+                    values[i * m + j] if max(i, j) < m else one if i == j else zero for i in range(n) for j in range(n)
                 ]
             diagonal = self.let(values[0])
             return [diagonal if i == j else zero for i in range(n) for j in range(n)]

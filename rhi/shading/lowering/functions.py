@@ -87,9 +87,7 @@ class Lowering(TextureLowering):
         self.frame = InlinedFrame(function, ())
         invocations = math.prod(self.work_group)
         if self.width > 1 and invocations % self.width:
-            first = lanes.Input(ScalarKind.INT, Uniformity.LANES, lanes.DispatchIndex.ITEM) * number(
-                self.width
-            )
+            first = lanes.Input(ScalarKind.INT, Uniformity.LANES, lanes.DispatchIndex.ITEM) * number(self.width)
             present = apply("less", self.lanes_from(first), number(invocations))
             self.scope.mask, self.scope.owns_mask = self.new_mask(present, "present"), True
         return self.inline(function, list(arguments), ())
@@ -135,9 +133,7 @@ class Lowering(TextureLowering):
         uniformity = self.known_uniformity((path, "function"))
         if early and function.result != VOID:
             for i, kind in enumerate(all_kinds(function.result)):  # type: ignore[arg-type]
-                frame.results.append(
-                    self.new_slot(f"{function.name}_result", kind, (path, "result", i), None)
-                )
+                frame.results.append(self.new_slot(f"{function.name}_result", kind, (path, "result", i), None))
         self.frame, self.jump_pending = frame, False
         masked = early and not (self.branches(uniformity) and self.width)
         if not masked:
@@ -294,9 +290,7 @@ class Lowering(TextureLowering):
         for inner in self.scopes_up_to(scope):
             uniformity, blend = max(uniformity, inner.uniformity), blend or inner.owns_mask
         self.join(key, uniformity)
-        memory.uniformity = (
-            private_uniformity(self.known_uniformity(key)) if self.width else self.known_uniformity(key)
-        )
+        memory.uniformity = private_uniformity(self.known_uniformity(key)) if self.width else self.known_uniformity(key)
         # The index of an inactive lane is undefined.
         mask = self.scope.mask if blend or index.uniformity is Uniformity.VARYING else None
         self.emit(lanes.Store(self.line, memory, index, 1, 0, (value,), mask))
@@ -468,17 +462,13 @@ class Lowering(TextureLowering):
             return above if step.value > 0 else below
         return apply("select", apply("greater", step, number(0)), above, below)
 
-    def loop(
-        self, node: tree.Statement, test: Callable[[], Value], body: tree.Block, advance: lanes.Block
-    ) -> None:
+    def loop(self, node: tree.Statement, test: Callable[[], Value], body: tree.Block, advance: lanes.Block) -> None:
         """Lower a loop, with a mask if its condition or one of its breaks varies."""
         key, outer, returns = (self.frame.path, id(node)), self.scope, self.returns
         uniformity = self.known_uniformity((key, "loop"))
         iteration_uniformity = self.known_uniformity((key, "iteration"))
         mask, masked = outer.mask, not self.branches(uniformity)
-        self.frame.return_uniformity = max(
-            self.frame.return_uniformity, self.known_uniformity((key, "returns"))
-        )
+        self.frame.return_uniformity = max(self.frame.return_uniformity, self.known_uniformity((key, "returns")))
         if masked:
             mask = self.new_mask(self.mask_value(), "looping")
         scope = self.scope = MaskScope("loop", outer, uniformity, mask, masked, key)
@@ -510,9 +500,7 @@ class Lowering(TextureLowering):
     def jump(self, kind: str, jump: lanes.Statement) -> None:
         """Lower a break, continue or return: a jump if all lanes take it, otherwise the masks lose lanes."""
         target = next(scope for scope in self.scopes_up_to(None) if scope.kind == kind)
-        uniformity = max(
-            [scope.uniformity for scope in self.scopes_up_to(target)], default=Uniformity.DISPATCH
-        )
+        uniformity = max([scope.uniformity for scope in self.scopes_up_to(target)], default=Uniformity.DISPATCH)
         uniformity, _ = self.join((target.key, kind), uniformity)
         if kind == "function":
             self.frame.return_uniformity = max(self.frame.return_uniformity, uniformity)

@@ -200,9 +200,7 @@ class ScopeLowering:
             yield scope
 
     def new_mask(self, value: Value, name: str) -> Variable:
-        mask = self.variable(
-            name, ScalarKind.BOOL, value.uniformity if not self.width else Uniformity.VARYING
-        )
+        mask = self.variable(name, ScalarKind.BOOL, value.uniformity if not self.width else Uniformity.VARYING)
         self.emit(lanes.Let(self.line, mask, value))
         return mask
 

@@ -46,9 +46,7 @@ _DIFFERENCES: Final = frozenset({"ddx", "ddy", "fwidth", "sample", "sample_bias"
 _DEPTH: Final = -1
 
 
-def _argument(
-    name: str, kind: ScalarKind = ScalarKind.INT, uniformity: Uniformity = Uniformity.LANES
-) -> Argument:
+def _argument(name: str, kind: ScalarKind = ScalarKind.INT, uniformity: Uniformity = Uniformity.LANES) -> Argument:
     return Argument(kind, uniformity, name)
 
 
@@ -60,14 +58,10 @@ _INPUTS: Final[dict[Stage, dict[str, tuple[Value, ...]]]] = {
         "draw_index": (_argument("draw"),),
     },
     Stage.FRAGMENT: {
-        "fragment_coordinate": tuple(
-            _argument(axis, ScalarKind.FLOAT, Uniformity.VARYING) for axis in "xyzw"
-        ),
+        "fragment_coordinate": tuple(_argument(axis, ScalarKind.FLOAT, Uniformity.VARYING) for axis in "xyzw"),
         "front_facing": (_argument("front", ScalarKind.BOOL),),
         "primitive_index": (_argument("primitive"),),
-        "point_coordinate": tuple(
-            _argument(axis, ScalarKind.FLOAT, Uniformity.VARYING) for axis in ("across", "down")
-        ),
+        "point_coordinate": tuple(_argument(axis, ScalarKind.FLOAT, Uniformity.VARYING) for axis in ("across", "down")),
     },
 }
 
@@ -115,9 +109,7 @@ def lower_stage(
 
 def _parameter_fields(stage: tree.StageTree) -> list[tuple[str, HostType]]:
     types = [parameter.type for parameter in stage.entry.parameters]
-    return [
-        (field.name, field.type) for type in types if isinstance(type, StructType) for field in type.fields
-    ]
+    return [(field.name, field.type) for type in types if isinstance(type, StructType) for field in type.fields]
 
 
 def _vertex_arguments(stage: tree.StageTree, interface: Interface) -> list[Value]:
@@ -152,9 +144,7 @@ def _fragment_arguments(stage: tree.StageTree, varyings: tuple[StageVarying, ...
     return values
 
 
-def _vertex_words(
-    stage: tree.StageTree, interface: Interface, varyings: tuple[StageVarying, ...]
-) -> list[int | None]:
+def _vertex_words(stage: tree.StageTree, interface: Interface, varyings: tuple[StageVarying, ...]) -> list[int | None]:
     """Return the word of each result component: position from 0, varyings from 4 on, None for those never read."""
     if not isinstance(stage.entry.result, StructType):
         return [0, 1, 2, 3]

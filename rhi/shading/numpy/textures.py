@@ -40,9 +40,7 @@ _COMPARISONS: Final[dict[Comparison, Callable[[Array, Array], Array]]] = {
 # For each face, the components that s, t and the major axis come from, and their signs; t points down. OpenGL 4.3,
 # table 8.19.
 _AXES: Final = np.array([(2, 1, 0), (2, 1, 0), (0, 2, 1), (0, 2, 1), (0, 1, 2), (0, 1, 2)])
-_SIGNS: Final = np.array(
-    [(-1, -1, 1), (1, -1, -1), (1, 1, 1), (1, -1, -1), (1, -1, 1), (-1, -1, -1)], np.float32
-)
+_SIGNS: Final = np.array([(-1, -1, 1), (1, -1, -1), (1, 1, 1), (1, -1, -1), (1, -1, 1), (-1, -1, -1)], np.float32)
 
 
 class HostTexture:
@@ -72,11 +70,7 @@ class HostTexture:
             ValidationError `shading-arguments`: `levels` has another dtype or shape.
         """
         nearest = format.is_integer or format.is_depth
-        default = (
-            SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, Filter.NEAREST)
-            if nearest
-            else SamplerDescriptor()
-        )
+        default = SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, Filter.NEAREST) if nearest else SamplerDescriptor()
         given = [levels] if isinstance(levels, np.ndarray) else list(levels)
         self.levels = [_layered(level, format) for level in given]
         self.format = format
@@ -103,9 +97,7 @@ class HostTexture:
         result = self._average(dtype, (u, v, z), steps, partial(self._sample_levels, dtype))
         return tuple(result[..., c] for c in range(4))  # type: ignore[return-value]
 
-    def sample_compare_across(
-        self, dtype: Any, u: Any, v: Any, z: Any, reference: Any, *steps: Any
-    ) -> tuple[Array]:
+    def sample_compare_across(self, dtype: Any, u: Any, v: Any, z: Any, reference: Any, *steps: Any) -> tuple[Array]:
         """Compare each texel with a reference, and return what a pixel covers of the results."""
 
         def sample(u: Any, v: Any, z: Any, lod: Any) -> Array:
@@ -131,21 +123,17 @@ class HostTexture:
         result = np.zeros((*x.shape, 4), self._value_dtype(dtype))
         for number in range(len(self.levels)):
             depth, height, width, _ = self.levels[number].shape
-            inside = (
-                (level == number) & (x >= 0) & (x < width) & (y >= 0) & (y < height) & (z >= 0) & (z < depth)
-            )
+            inside = (level == number) & (x >= 0) & (x < width) & (y >= 0) & (y < height) & (z >= 0) & (z < depth)
             result[inside] = self._values(dtype, number, z[inside], y[inside], x[inside])
         return tuple(result[..., c] for c in range(4))  # type: ignore[return-value]
 
-    def store(
-        self, x: Any, y: Any, z: Any, values: tuple[Any, ...], mask: Any, shape: tuple[int, ...]
-    ) -> None:
+    def store(self, x: Any, y: Any, z: Any, values: tuple[Any, ...], mask: Any, shape: tuple[int, ...]) -> None:
         """Write texels of level 0; writes outside are dropped, and the last of several values for a texel stays."""
         texels = self.levels[0]
         depth, height, width, _ = texels.shape
-        x, y, z, mask, *parts = np.broadcast_arrays(
-            x, y, z, True if mask is None else mask, *values, np.empty(shape)
-        )[:-1]
+        x, y, z, mask, *parts = np.broadcast_arrays(x, y, z, True if mask is None else mask, *values, np.empty(shape))[
+            :-1
+        ]
         inside = mask & (x >= 0) & (x < width) & (y >= 0) & (y < height) & (z >= 0) & (z < depth)
         whole = np.stack([part[inside] for part in parts], -1)[:, : self.format.channels]
         integer = self.format.is_integer and not self.format.is_packed
@@ -282,9 +270,7 @@ class HostTexture:
             means.append(_mix(a, b, near_y))
         return _mix(means[0], means[1], slices[2]) if solid else means[0]
 
-    def _average(
-        self, dtype: Any, at: Sequence[Any], steps: Sequence[Any], sample: Callable[..., Array]
-    ) -> Array:
+    def _average(self, dtype: Any, at: Sequence[Any], steps: Sequence[Any], sample: Callable[..., Array]) -> Array:
         """Return the mean of the samples that a pixel's steps call for, or the one at the level of the longer step
         (OpenGL 4.3, equations 8.5 and 8.8).
 
@@ -415,9 +401,7 @@ def _face_of(at: Array) -> Array:
 
 def _project(face: Array, at: Array) -> tuple[Array, Array, Array]:
     """Return (s, t, m) of directions on a face; m is the length along the face's axis."""
-    projected = np.take_along_axis(at, np.broadcast_to(_AXES[face], at.shape), -1) * _SIGNS[face].astype(
-        at.dtype
-    )
+    projected = np.take_along_axis(at, np.broadcast_to(_AXES[face], at.shape), -1) * _SIGNS[face].astype(at.dtype)
     return projected[..., 0], projected[..., 1], projected[..., 2]
 
 

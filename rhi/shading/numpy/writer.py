@@ -54,9 +54,7 @@ class _NumpyWriter:
             head.append(f"    {names}= arguments")
         for memory in self.code.memories:
             if memory.space is AddressSpace.CONSTANT:
-                numbers = (
-                    ", ".join(map(repr, memory.values)).replace("inf", "np.inf").replace("nan", "np.nan")
-                )
+                numbers = ", ".join(map(repr, memory.values)).replace("inf", "np.inf").replace("nan", "np.nan")
                 head.append(f"    {self.name(memory)} = R.constants([{numbers}], {_DTYPES[memory.kind]})")
             else:
                 head.append(f"    {self.name(memory)} = M[{memory.name!r}]")

@@ -463,9 +463,7 @@ def scatter_text(name: str, space: str, width: int, count: int) -> str:
 def last_text(width: int) -> str:
     """Write the selection of the last active lane's value."""
     lines = [f"    if (mask.s{HEX[lane]}) return v.s{HEX[lane]};" for lane in reversed(range(width))]
-    return (
-        f"{_HEAD}uint rhi_last(uint{width} v, int{width} mask) {{\n" + "\n".join(lines) + "\n    return 0;\n}"
-    )
+    return f"{_HEAD}uint rhi_last(uint{width} v, int{width} mask) {{\n" + "\n".join(lines) + "\n    return 0;\n}"
 
 
 def atomic_text(name: str, space: str, width: int, operation: str, kind: str) -> str:

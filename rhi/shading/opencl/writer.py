@@ -111,9 +111,7 @@ class OpenCLWriter:
         texts = [f"// {self.code.name}, {self.width} lanes", prelude.SCALAR_SELECT]
         if self.width > 1:
             texts += [prelude.any_text(self.width), prelude.lanes_text(self.width)]
-            texts += [
-                prelude.gather_text(space, self.width) for space in ("global", "local", "constant", "private")
-            ]
+            texts += [prelude.gather_text(space, self.width) for space in ("global", "local", "constant", "private")]
             texts.append(prelude.last_text(self.width))
             texts += [prelude.QUADS] if any(name in body for name in prelude.QUAD_NAMES) else []
         textures = textures_text(self.width, self.textures, self.precision) if self.textures else ""
@@ -197,13 +195,7 @@ class OpenCLWriter:
         if node.kind is ScalarKind.UINT:
             return f"{int(value) & 0xFFFFFFFF}u"
         if node.kind is ScalarKind.INT:
-            return (
-                "((int)0x80000000)"
-                if value == -(2**31)
-                else f"({int(value)})"
-                if value < 0
-                else str(int(value))
-            )
+            return "((int)0x80000000)" if value == -(2**31) else f"({int(value)})" if value < 0 else str(int(value))
         number = float(value)
         if math.isnan(number):
             return "NAN"
@@ -219,9 +211,7 @@ class OpenCLWriter:
             if isinstance(exponent, Literal) and exponent.value in range(1, _LARGEST_POWER + 1):
                 return self.whole_power(base, int(exponent.value))
         row, vector = spelling(node.operation, self.precision), self.is_vector(node)
-        texts = [
-            self.wide(one, vector and (not row.infix or one.kind is ScalarKind.BOOL)) for one in node.arguments
-        ]
+        texts = [self.wide(one, vector and (not row.infix or one.kind is ScalarKind.BOOL)) for one in node.arguments]
         template = row.vector if vector and row.vector else row.opencl
         return template.format(*texts, type=self.type(node.kind, vector))
 
@@ -448,9 +438,7 @@ class OpenCLWriter:
         memory, space, kind = node.memory, _SPACES[node.memory.space], _NAMES[node.kind]
         operation = _ATOMICS.get(node.operation, node.operation)
         address = self.address(node.index, node.scale, node.offset)
-        result = (
-            f"{self.type(node.kind, self.width > 1)} {node.result.name} = " if node.result is not None else ""
-        )
+        result = f"{self.type(node.kind, self.width > 1)} {node.result.name} = " if node.result is not None else ""
         if self.width == 1:
             values = ", ".join(self.value(value) for value in node.values)
             pointer = f"(volatile {space} {kind} *){self.name(memory)} + {self.value(address)}"
@@ -501,8 +489,6 @@ class OpenCLWriter:
         else:
             kind, whole = self.type(ScalarKind.UINT, each), f"{results[0].name}_words"
             self.add(node, f"{kind} {whole}[4]; {function}({name}_, {arguments}, {whole});")
-            words = [
-                self.cast(result.kind, varies, f"{whole}[{i}]{first}") for i, result in enumerate(results)
-            ]
+            words = [self.cast(result.kind, varies, f"{whole}[{i}]{first}") for i, result in enumerate(results)]
         for result, word in zip(results, words, strict=True):
             self.add(node, f"{self.type(result.kind, varies)} {result.name} = {word};")

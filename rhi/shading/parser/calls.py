@@ -57,9 +57,7 @@ class CallParser(ExpressionParser):
             shader = self.stage_context.shader
             if name in shader._declared:
                 self.refuse(rules.WRONG_ARGUMENTS, node, f"{name} is a binding, not a method")
-            self.refuse(
-                rules.UNKNOWN_MEMBER, node.func, f"{shader.__name__}.{name}", tip=suggest(name, dir(shader))
-            )
+            self.refuse(rules.UNKNOWN_MEMBER, node.func, f"{shader.__name__}.{name}", tip=suggest(name, dir(shader)))
         return self._call_python(node, found)
 
     def _call_python(self, node: ast.Call, callee: Callee) -> tree.Call:
@@ -67,9 +65,7 @@ class CallParser(ExpressionParser):
         names = [parameter.name for parameter in signature.parameters]
         given: dict[str, ast.expr] = {}
         if len(node.args) > len(names):
-            self.refuse(
-                rules.WRONG_ARGUMENTS, node, f"{len(node.args)} arguments", ", ".join(names) or "none"
-            )
+            self.refuse(rules.WRONG_ARGUMENTS, node, f"{len(node.args)} arguments", ", ".join(names) or "none")
         given.update(zip(names, node.args, strict=False))
         for keyword in node.keywords:
             name = keyword.arg or ""
@@ -85,9 +81,7 @@ class CallParser(ExpressionParser):
             given[name] = keyword.value
         # Python evaluates arguments in the order in which they are written, which is the order of `given`.
         values = {name: self._argument(signature, name, at) for name, at in given.items()}
-        if [name for name in names if name in given] != list(given) and any(
-            map(tree.has_effect, values.values())
-        ):
+        if [name for name in names if name in given] != list(given) and any(map(tree.has_effect, values.values())):
             self.refuse(rules.EVALUATED_TWICE, node, "side effects in arguments out of order")
         for parameter in signature.parameters:
             if parameter.name not in values:
@@ -185,9 +179,7 @@ class CallParser(ExpressionParser):
         if row.name == "gather" and len(converted) == 3:
             component = converted[2]
             if not isinstance(component, Constant) or not 0 <= component.value < 4:
-                self.refuse(
-                    rules.OUT_OF_RANGE, node.args[-1] if node.args else node, "component", "0 to 3, constant"
-                )
+                self.refuse(rules.OUT_OF_RANGE, node.args[-1] if node.args else node, "component", "0 to 3, constant")
         if row.effect is SideEffect.BARRIER or row.effect is SideEffect.WRITE:
             self.mark_effect()
         return tree.BuiltinCall(overload.result, span_of(node), row, overload, tuple(converted))
@@ -218,9 +210,7 @@ class CallParser(ExpressionParser):
         if element is None:
             self.refuse(rules.WRONG_ARGUMENTS, node.args[0], ast.unparse(node.args[0]), "a value type")
         if not isinstance(length, Constant) or length.type is not INT or length.value < 1:
-            self.refuse(
-                rules.OUT_OF_RANGE, node.args[1], ast.unparse(node.args[1]), "a constant of 1 or more"
-            )
+            self.refuse(rules.OUT_OF_RANGE, node.args[1], ast.unparse(node.args[1]), "a constant of 1 or more")
         type = ArrayType(element, int(length.value))
         self.check_size(type, node, ast.unparse(node))
         return tree.Zeros(type, span_of(node))
@@ -240,9 +230,7 @@ class CallParser(ExpressionParser):
             field = type.field(name or "")
             assert field is not None
             parts[name] = self.converted(keyword.value, field.type, f"{type}.{name}")
-        if list(given) != [name for name in names if name in given] and any(
-            map(tree.has_effect, parts.values())
-        ):
+        if list(given) != [name for name in names if name in given] and any(map(tree.has_effect, parts.values())):
             # Python evaluates arguments in the order written, a constructor in the order of the fields.
             self.refuse(rules.EVALUATED_TWICE, node, "side effects in fields out of order")
         for field in type.fields:
@@ -303,7 +291,5 @@ def _constructor_tip(type: Type) -> str:
     if isinstance(type, VectorType):
         return f"{type.size} components in total, one scalar for all, or another vector of {type.size}"
     if isinstance(type, MatrixType):
-        return (
-            f"{type.size} rows, {type.size**2} numbers row by row, one number for the diagonal, or a matrix"
-        )
+        return f"{type.size} rows, {type.size**2} numbers row by row, one number for the diagonal, or a matrix"
     return "one scalar"

@@ -81,9 +81,7 @@ def _constant_array(value: tuple[Any, ...], span: SourceSpan, name: str, source:
     return tree.ConstantArray(ArrayType(element_type, len(parts)), span, name, parts)
 
 
-def _numpy_constant(
-    value: np.ndarray[Any, Any], span: SourceSpan, name: str, source: Source
-) -> Expression | None:
+def _numpy_constant(value: np.ndarray[Any, Any], span: SourceSpan, name: str, source: Source) -> Expression | None:
     if value.dtype.kind not in _KINDS or _alternatives(value):
         return None
     if value.ndim == 0:
@@ -105,9 +103,7 @@ def _numpy_constant(
 def _check_size(scalars: int, span: SourceSpan, name: str, source: Source) -> None:
     if scalars > MAX_CONSTANTS:
         given, allowed = f"{name}, {scalars} numbers", f"up to {MAX_CONSTANTS} numbers"
-        source.refuse(
-            rules.TOO_LARGE, span, given, allowed, "pass it in a buffer: Storage[…], or in a texture"
-        )
+        source.refuse(rules.TOO_LARGE, span, given, allowed, "pass it in a buffer: Storage[…], or in a texture")
 
 
 def _typed(type: HostType, value: Any, span: SourceSpan) -> Expression:
@@ -131,10 +127,7 @@ def tip_for(value: Any, name: str) -> str:
     if isinstance(value, np.ndarray):
         if value.dtype.kind not in _KINDS or not value.size or value.ndim > 2:
             return "pass it in a buffer: Storage[…], or in a texture"
-        return (
-            " or ".join(_alternatives(value)).format(name)
-            or "pass it in a buffer: Storage[…], or in a texture"
-        )
+        return " or ".join(_alternatives(value)).format(name) or "pass it in a buffer: Storage[…], or in a texture"
     if isinstance(value, list):
         return f"a constant array is a tuple: tuple({name})"
     if isinstance(value, complex | np.complexfloating):

@@ -70,9 +70,7 @@ class StageContext(Protocol):
     def method(self, name: str, after: type | None) -> Callee | None:
         """Return the shader's method of that name; with `after`, that of the bases behind this class."""
 
-    def instance(
-        self, callee: Callee, types: tuple[Type, ...], at: ast.Call, caller: Source
-    ) -> tree.Function:
+    def instance(self, callee: Callee, types: tuple[Type, ...], at: ast.Call, caller: Source) -> tree.Function:
         """Return the function compiled for arguments of these types."""
 
     def check_stage(self, builtin: Builtin, at: ast.Call, caller: Source) -> None:
@@ -82,9 +80,7 @@ class StageContext(Protocol):
 class ExpressionParser:
     """Parses the expressions of one function."""
 
-    def __init__(
-        self, stage_context: StageContext, source: Source, owner: type | None, self_name: str | None
-    ) -> None:
+    def __init__(self, stage_context: StageContext, source: Source, owner: type | None, self_name: str | None) -> None:
         self.stage_context = stage_context
         self.source = source
         self.owner = owner
@@ -184,9 +180,7 @@ class ExpressionParser:
         found = constant(value, span_of(at), name, self.source)
         if found is None:
             allowed = "numbers, vectors, and tuples of them"
-            self.refuse(
-                rules.NOT_SHADING, at, f"{name}, a {type(value).__name__}", allowed, tip_for(value, name)
-            )
+            self.refuse(rules.NOT_SHADING, at, f"{name}, a {type(value).__name__}", allowed, tip_for(value, name))
         return found
 
     # -- operators
@@ -350,9 +344,7 @@ class ExpressionParser:
         if found is not MISSING:
             return self.python_value(found, node, node.attr)
         names = [*shader._declared, *(name for name in dir(shader) if not name.startswith("_"))]
-        self.refuse(
-            rules.UNKNOWN_MEMBER, node, f"{shader.__name__}.{node.attr}", tip=suggest(node.attr, names)
-        )
+        self.refuse(rules.UNKNOWN_MEMBER, node, f"{shader.__name__}.{node.attr}", tip=suggest(node.attr, names))
 
     def _subscript(self, node: ast.Subscript) -> Expression:
         base = self.expression(node.value)
@@ -368,9 +360,7 @@ class ExpressionParser:
         if isinstance(node.slice, ast.Slice):
             self.refuse(rules.SYNTAX, node, "a slice", "one index")
         if isinstance(node.slice, ast.Tuple):
-            self.refuse(
-                rules.SYNTAX, node, f"[{ast.unparse(node.slice)}]", "one index", "write m[row][column]"
-            )
+            self.refuse(rules.SYNTAX, node, f"[{ast.unparse(node.slice)}]", "one index", "write m[row][column]")
         index = self.expression(node.slice)
         if index.type not in (INT, UINT):
             self.refuse(rules.WRONG_TYPE, node.slice, str(index.type), "int or uint")

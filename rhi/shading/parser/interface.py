@@ -37,9 +37,7 @@ def vertex_inputs(vertex: Callee) -> tuple[Attribute, ...]:
     source = vertex.source
     for parameter in vertex.signature.parameters:
         if not isinstance(parameter.type, StructType):
-            source.refuse(
-                rules.INTERFACE, source.node, f"{parameter.name}: {parameter.type}", "structs of attributes"
-            )
+            source.refuse(rules.INTERFACE, source.node, f"{parameter.name}: {parameter.type}", "structs of attributes")
         for field in parameter.type.fields:
             if not isinstance(field.type, ScalarType | VectorType) or scalar_of(field.type) is BOOL:
                 source.refuse(
@@ -99,9 +97,7 @@ def check_fragment_input(fragment: Callee, varyings: tuple[Varying, ...]) -> Non
     """Refuse a fragment stage with an input that the vertex stage doesn't write."""
     described, source = fragment.signature, fragment.source
     if len(described.parameters) > 1:
-        source.refuse(
-            rules.INTERFACE, source.node, f"{len(described.parameters)} parameters", "at most one struct"
-        )
+        source.refuse(rules.INTERFACE, source.node, f"{len(described.parameters)} parameters", "at most one struct")
     for parameter in described.parameters:
         if not isinstance(parameter.type, StructType):
             source.refuse(rules.INTERFACE, source.node, f"{parameter.name}: {parameter.type}", "a struct")

@@ -66,11 +66,7 @@ def binary(op: Operator, left: Expression, right: Expression, span: SourceSpan) 
     if op in _DIVISIONS and 0 in _constants_of(node.right):
         integers = scalar_of(node.type) in (INT, UINT)
         raise ZeroDivisionError(f"{'integer ' * integers}division by zero")
-    if (
-        op is Operator.POWER
-        and 0 in _constants_of(node.left)
-        and any(n < 0 for n in _constants_of(node.right))
-    ):
+    if op is Operator.POWER and 0 in _constants_of(node.left) and any(n < 0 for n in _constants_of(node.right)):
         raise ZeroDivisionError("0.0 to a negative power")
     for count in _constants_of(node.right) if op in SHIFTS else ():
         if not 0 <= count < 32:
@@ -145,11 +141,7 @@ def typed(op: Operator, left: Expression, right: Expression, span: SourceSpan) -
 
 
 def _is_integer_power(exponent: Expression) -> bool:
-    return (
-        isinstance(exponent, Constant)
-        and exponent.type in (INT, UINT)
-        and abs(int(exponent.value)) <= MAX_POWER
-    )
+    return isinstance(exponent, Constant) and exponent.type in (INT, UINT) and abs(int(exponent.value)) <= MAX_POWER
 
 
 def _to_float(value: Expression) -> Expression:

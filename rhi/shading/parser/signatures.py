@@ -126,11 +126,7 @@ def _refuse(source: Source, at: ast.AST, host: Any) -> NoReturn:
 
 def fits(parameter: Type | UnsizedArray, given: Type) -> bool:
     """Return whether an array parameter accepts an argument of this type."""
-    return (
-        isinstance(parameter, UnsizedArray)
-        and isinstance(given, ArrayType)
-        and given.element == parameter.element
-    )
+    return isinstance(parameter, UnsizedArray) and isinstance(given, ArrayType) and given.element == parameter.element
 
 
 def struct_class(host: Any) -> type[Struct] | None:

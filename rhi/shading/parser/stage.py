@@ -55,9 +55,7 @@ class StageParser:
     def method(self, name: str, after: type | None) -> Callee | None:
         return find_method(self.shader, name, after)
 
-    def instance(
-        self, callee: Callee, types: tuple[Type, ...], at: ast.Call, caller: Source
-    ) -> tree.Function:
+    def instance(self, callee: Callee, types: tuple[Type, ...], at: ast.Call, caller: Source) -> tree.Function:
         known = self.instances.get((callee.source.function, types))
         if known is None:
             return self.parse_function(callee, types)
@@ -78,9 +76,7 @@ class StageParser:
             tree.Local(parameter.name, type, is_parameter=True)
             for parameter, type in zip(described.parameters, types, strict=True)
         )
-        function = tree.Function(
-            source.node.name, source.file, span_of(source.node), parameters, described.result
-        )
+        function = tree.Function(source.node.name, source.file, span_of(source.node), parameters, described.result)
         self.instances[source.function, types] = function
         FunctionParser(self, callee, function).parse()
         self.finished.append(function)
@@ -90,9 +86,7 @@ class StageParser:
 # -- the resources of a stage ---------------------------------------------------------------------------------------
 
 
-def _collect(
-    stage: Stage, entry: tree.Function, finished: list[tree.Function], shader: type[Shader]
-) -> tree.StageTree:
+def _collect(stage: Stage, entry: tree.Function, finished: list[tree.Function], shader: type[Shader]) -> tree.StageTree:
     used: set[tree.Function] = set()
     structs: dict[StructType, None] = {}
     declared: set[str] = set()
@@ -165,9 +159,7 @@ def _collect(
     )
 
 
-def _check_locals(
-    stage: Stage, entry: tree.Function, finished: list[tree.Function], shader: type[Shader]
-) -> None:
+def _check_locals(stage: Stage, entry: tree.Function, finished: list[tree.Function], shader: type[Shader]) -> None:
     """Refuse a stage whose local arrays, those of every call included, don't fit the stack of a CPU's work-group."""
     words: dict[tree.Function, int] = {}
     for function in finished:  # those that are called come first
@@ -178,9 +170,7 @@ def _check_locals(
                 types.append(node.local.type)
             elif isinstance(node, tree.Call):
                 total += words[node.function]
-        total += sum(
-            count_scalars(t) for t in types if isinstance(t, ArrayType | StructType) and has_array(t)
-        )
+        total += sum(count_scalars(t) for t in types if isinstance(t, ArrayType | StructType) and has_array(t))
         words[function] = total
     invocations = math.prod(shader.work_group) if stage is Stage.COMPUTE else PIXELS
     if words[entry] * invocations > MAX_STACK:

@@ -232,9 +232,7 @@ class FunctionParser(CallParser):
         pass
 
     def _expr(self, node: ast.Expr) -> None:
-        if isinstance(node.value, ast.Constant) and (
-            node.value.value is ... or isinstance(node.value.value, str)
-        ):
+        if isinstance(node.value, ast.Constant) and (node.value.value is ... or isinstance(node.value.value, str)):
             return
         if not isinstance(node.value, ast.Call):
             self.refuse(rules.SYNTAX, node, "an unused value", "a call, an assignment")
@@ -253,9 +251,7 @@ class FunctionParser(CallParser):
             self.refuse(rules.SYNTAX, node, "several targets", "one target", "write one assignment for each")
         target = node.targets[0]
         if isinstance(target, ast.Tuple | ast.List):
-            self.refuse(
-                rules.SYNTAX, target, "a tuple of targets", "one target", "write one assignment for each"
-            )
+            self.refuse(rules.SYNTAX, target, "a tuple of targets", "one target", "write one assignment for each")
         if isinstance(target, ast.Name):
             known = self.variables.get(target.id)
             value = self.expression(node.value, known.local.type if known is not None else None)
@@ -316,9 +312,7 @@ class FunctionParser(CallParser):
         target = self.expression(node)
         self._check_target(target, node)
         if isinstance(target, tree.Index) and isinstance(target.base.type, MatrixType):
-            self.refuse(
-                rules.NOT_WRITABLE, node, "a matrix's row", tip="write m[row][column], or make a new matrix"
-            )
+            self.refuse(rules.NOT_WRITABLE, node, "a matrix's row", tip="write m[row][column], or make a new matrix")
         if isinstance(target, tree.Swizzle) and len(set(target.components)) < len(target.components):
             self.refuse(rules.NOT_WRITABLE, node, "the same component twice")
         return target
@@ -452,9 +446,7 @@ class FunctionParser(CallParser):
             tip = "for i in range(len(values)): value = values[i]"
             self.refuse(rules.SYNTAX, call, "a loop over values", "for name in range(…)", tip)
         if call.keywords or not 1 <= len(call.args) <= 3:
-            self.refuse(
-                rules.WRONG_ARGUMENTS, call, ast.unparse(call), "range(stop), range(start, stop[, step])"
-            )
+            self.refuse(rules.WRONG_ARGUMENTS, call, ast.unparse(call), "range(stop), range(start, stop[, step])")
         bounds = [self._bound(argument) for argument in call.args]
         span = span_of(node)
         if len(bounds) == 1:

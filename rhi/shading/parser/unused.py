@@ -23,11 +23,7 @@ def check_bindings_are_used(shader: type[Shader], used: frozenset[str]) -> None:
     Raises:
         ShaderError: `shading-unused-binding`, with the line of the declaration.
     """
-    own = [
-        name
-        for name in shader._declared
-        if name in vars(shader).get("__annotations__", {}) or name in vars(shader)
-    ]
+    own = [name for name in shader._declared if name in vars(shader).get("__annotations__", {}) or name in vars(shader)]
     unused = [name for name in own if name not in used]
     if not unused:
         return
@@ -64,9 +60,7 @@ def _declaration(shader: type[Shader], method: FunctionType, name: str) -> tuple
         if isinstance(node, ast.ClassDef) and node.name == shader.__name__:
             for statement in node.body:
                 targets = (
-                    statement.targets
-                    if isinstance(statement, ast.Assign)
-                    else [getattr(statement, "target", None)]
+                    statement.targets if isinstance(statement, ast.Assign) else [getattr(statement, "target", None)]
                 )
                 if any(isinstance(target, ast.Name) and target.id == name for target in targets):
                     return file, span_of(statement)

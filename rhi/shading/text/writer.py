@@ -322,17 +322,13 @@ class TextWriter:
         self.block(body)
         self.leaving = leaving
 
-    def guard(
-        self, node: tree.For, start: str, stop: str, by: str, change: int, advance: str
-    ) -> tuple[str, str, str]:
+    def guard(self, node: tree.For, start: str, stop: str, by: str, change: int, advance: str) -> tuple[str, str, str]:
         """Return the three parts of the header of a loop whose counter may wrap when it advances for the last time.
 
         Whether there is a next value is known before the counter advances. `change` is the step, 0 for a variable one.
         """
         name = self.names.get(node.local, node.local.name)
-        first, last, more = (
-            self.names.get((node, what), f"{name}_{what}") for what in ("first", "last", "more")
-        )
+        first, last, more = (self.names.get((node, what), f"{name}_{what}") for what in ("first", "last", "more"))
         least = int_text(max(change, 0) - 2**31) if change else f"{int_text(-(2**31))} + {by}"
         most = int_text(min(change, 0) + 2**31 - 1) if change else f"{int_text(2**31 - 1)} + {by}"
         above, below = f"max({stop}, {least}) - {by}", f"min({stop}, {most}) - {by}"
@@ -430,9 +426,7 @@ def tails_of(body: tree.Block) -> set[tree.Return]:
 def constant_key(node: tree.ConstantArray) -> tuple[object, ...]:
     """Return a key that is equal for constant arrays of the same name, type and values."""
     values = tuple(
-        part.value
-        if isinstance(part, tree.Constant)
-        else tuple(getattr(p, "value", 0) for p in tree.parts_of(part))
+        part.value if isinstance(part, tree.Constant) else tuple(getattr(p, "value", 0) for p in tree.parts_of(part))
         for part in node.elements
     )
     return (node.name, node.type, values)

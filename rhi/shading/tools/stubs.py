@@ -287,9 +287,7 @@ def _textures() -> Iterator[str]:
     for name in sorted(textures.__all__):
         cls = getattr(textures, name)
         if isinstance(cls, type) and issubclass(cls, textures.SampledTexture):
-            yield from _texture(
-                name, "SampledTexture", "TextureBinding", textures.methods_of(cls.shading_type)
-            )
+            yield from _texture(name, "SampledTexture", "TextureBinding", textures.methods_of(cls.shading_type))
         elif isinstance(cls, type):
             yield from _texture(name, "StorageImage", "ImageBinding", textures.methods_of(_image_type(cls)))
 

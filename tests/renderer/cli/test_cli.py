@@ -36,9 +36,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def run_json(
-    capsys: pytest.CaptureFixture[str], *arguments: str, command: str = "render"
-) -> dict[str, Any]:
+def run_json(capsys: pytest.CaptureFixture[str], *arguments: str, command: str = "render") -> dict[str, Any]:
     assert main([command, *arguments, "--json"]) == 0
     report: dict[str, Any] = json.loads(capsys.readouterr().out)
     return report
@@ -84,9 +82,7 @@ def test_render_writes_an_image_and_reports_it(capsys: pytest.CaptureFixture[str
 
 
 @pytest.mark.usefixtures("gl")
-def test_without_an_output_the_image_has_the_scenes_name(
-    capsys: pytest.CaptureFixture[str], here: Path
-) -> None:
+def test_without_an_output_the_image_has_the_scenes_name(capsys: pytest.CaptureFixture[str], here: Path) -> None:
     report = run_json(capsys, CITY, "--size", "16x16")
     assert report["image"] == "city.png"
     assert (here / "city.png").exists()
@@ -104,9 +100,7 @@ def test_the_null_device_makes_no_image_and_says_so(capsys: pytest.CaptureFixtur
 
 
 def test_frames_of_a_path_are_summed_up(capsys: pytest.CaptureFixture[str]) -> None:
-    report = run_json(
-        capsys, CITY, "--backend", "null", "--camera", "ground", "--frame", "10", "--frames", "4"
-    )
+    report = run_json(capsys, CITY, "--backend", "null", "--camera", "ground", "--frame", "10", "--frames", "4")
     assert report["frames"] == 4
     times = report["milliseconds"]
     assert times["min"] <= times["median"] <= times["max"]
@@ -132,9 +126,7 @@ def test_without_json_the_same_is_said_in_lines(capsys: pytest.CaptureFixture[st
     assert names == [said.get(key, key) for key in KEYS]
 
 
-def test_the_environment_names_the_backend(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_environment_names_the_backend(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("RHI_BACKEND", "null")
     assert run_json(capsys, CITY)["backend"] == "null"
 
@@ -207,9 +199,7 @@ def test_comparing_eyes_lists_it_once(capsys: pytest.CaptureFixture[str], here: 
     assert json.loads(output.out)["left_out"] == [listed]
 
 
-def test_a_plan_lists_it_beside_the_effects_that_a_frame_lacks(
-    capsys: pytest.CaptureFixture[str], here: Path
-) -> None:
+def test_a_plan_lists_it_beside_the_effects_that_a_frame_lacks(capsys: pytest.CaptureFixture[str], here: Path) -> None:
     write_lines(here / "lines.gltf")
     main(["plan", "lines.gltf", "--json"])
     because = {one["name"]: one["because"] for one in json.loads(capsys.readouterr().out)["left_out"]}
@@ -323,13 +313,9 @@ def test_python_m_renderer_is_the_command_line(here: Path) -> None:
     assert done.stderr.count("\n") == 1
 
 
-def test_a_missing_driver_is_one_line(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_driver_is_one_line(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(name: str | None = None, **options: object) -> None:
-        raise rhi.DeviceError(
-            rhi.RULES["device-driver"], "rhi.create_device()", "no EGL", "", "install libegl1"
-        )
+        raise rhi.DeviceError(rhi.RULES["device-driver"], "rhi.create_device()", "no EGL", "", "install libegl1")
 
     monkeypatch.setattr(rhi, "create_device", fail)
     with pytest.raises(SystemExit) as exit:
@@ -366,8 +352,10 @@ def test_the_overlay_also_runs_where_nothing_is_drawn(capsys: pytest.CaptureFixt
 
 @pytest.mark.parametrize("module", ["PIL", "tqdm"])
 def test_a_missing_package_is_one_line_that_says_what_to_install_by_name_and_from_a_checkout(module: str) -> None:
-    program = f"import sys; sys.modules['{module}'] = None; sys.argv = ['renderer', 'render', 'city', '--overlay']; " \
+    program = (
+        f"import sys; sys.modules['{module}'] = None; sys.argv = ['renderer', 'render', 'city', '--overlay']; "
         "import runpy; runpy.run_module('renderer', run_name='__main__')"
+    )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert done.returncode == 2
     by_name, in_a_checkout = "pip install 'rhi[renderer]'", "pip install --editable '.[renderer]'"

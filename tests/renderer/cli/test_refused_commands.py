@@ -53,9 +53,16 @@ REFUSED = {
     f"{COMPARE} --algorithms frustum,magic": "'magic' is not an algorithm",
     f"{COMPARE} --camera-path grund": "did you mean 'ground'",
     f"{COMPARE} --frame 1798": "camera-frame-range",
-    **{f"{command} --plot chart.nothing": "--plot: 'chart.nothing'" for command in (
-        COMPARE, "compare techniques grid", "compare encodings", "compare backends grid", "accuracy grid"
-    )},
+    **{
+        f"{command} --plot chart.nothing": "--plot: 'chart.nothing'"
+        for command in (
+            COMPARE,
+            "compare techniques grid",
+            "compare encodings",
+            "compare backends grid",
+            "accuracy grid",
+        )
+    },
     f"render {CITY} --stereo grey --holes holes.nothing --backend null": "--holes: 'holes.nothing'",
     f"{COMPARE} --plot chart.bmp": "--plot: 'chart.bmp' is not the name of a chart",
     f"{TUNE} --b 0:5": "--b",

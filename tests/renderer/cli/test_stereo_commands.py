@@ -49,9 +49,7 @@ def test_eyes_are_comfortable_where_nothing_else_is_said(capsys: pytest.CaptureF
 
 
 @pytest.mark.usefixtures("gl")
-def test_the_image_shows_both_eyes_and_another_one_the_holes(
-    capsys: pytest.CaptureFixture[str], here: Path
-) -> None:
+def test_the_image_shows_both_eyes_and_another_one_the_holes(capsys: pytest.CaptureFixture[str], here: Path) -> None:
     report = run(
         capsys, "render", CITY, "--camera", "ground", "--frame", "600", "--backend", "gl", "--json", "--size",
         "96x54", "--stereo", "side_by_side", "--holes", "holes.png", "--output", "both.png", "--eye-distance", "0.5",

@@ -134,10 +134,7 @@ def make_morphing(track=True, weights=(0.25, 0.0), normals=False):
     """A triangle with two targets: along x, and along y."""
     document = GltfDocument(nodes=[{"mesh": 0, "translation": [0, 0, 5]}])
     document.mesh(NORMAL=UP[:3])
-    shifts = [
-        {"POSITION": document.accessor(np.tile(np.float32([shift]), (3, 1)))}
-        for shift in ((4, 0, 0), (0, 8, 0))
-    ]
+    shifts = [{"POSITION": document.accessor(np.tile(np.float32([shift]), (3, 1)))} for shift in ((4, 0, 0), (0, 8, 0))]
     if normals:
         shifts[0]["NORMAL"] = document.accessor(np.tile(np.float32([[1, 0, -1]]), (3, 1)))
     mesh = document.values["meshes"][0]

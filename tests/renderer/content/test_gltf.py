@@ -124,9 +124,7 @@ def test_interleaved_vertices_are_read(tmp_path):
     view = document.view(rows.tobytes(), byteStride=32)
     kinds = (("POSITION", "VEC3", 0), ("NORMAL", "VEC3", 12), ("TEXCOORD_0", "VEC2", 24))
     attributes = {
-        name: document.add(
-            "accessors", bufferView=view, byteOffset=offset, componentType=5126, count=3, type=kind
-        )
+        name: document.add("accessors", bufferView=view, byteOffset=offset, componentType=5126, count=3, type=kind)
         for name, kind, offset in kinds
     }
     document.add("meshes", primitives=[{"attributes": attributes}])
@@ -182,9 +180,7 @@ def test_normals_that_are_no_directions_are_computed_and_listed(tmp_path):
 
 
 def test_second_uvs_tangents_and_colours_are_read(tmp_path):
-    document = with_image(
-        normalTexture={"index": 0}, occlusionTexture={"index": 0, "texCoord": 1, "strength": 0.5}
-    )
+    document = with_image(normalTexture={"index": 0}, occlusionTexture={"index": 0, "texCoord": 1, "strength": 0.5})
     attributes = document.values["meshes"][0]["primitives"][0]["attributes"]
     tangent = np.array([[0, 1, 0, -1]] * 3, np.float32)
     attributes["NORMAL"] = document.accessor(UP[:3])
@@ -200,9 +196,7 @@ def test_second_uvs_tangents_and_colours_are_read(tmp_path):
 
 def test_primitives_that_share_a_large_array_get_the_part_that_they_use(tmp_path):
     many = np.arange(300, dtype=np.float32).reshape(100, 3)
-    document = one_mesh(
-        positions=many, indices=np.array([90, 95, 99], np.uint8), NORMAL=np.tile(UP[:1], (100, 1))
-    )
+    document = one_mesh(positions=many, indices=np.array([90, 95, 99], np.uint8), NORMAL=np.tile(UP[:1], (100, 1)))
     meshes = load(document, tmp_path).meshes
     assert meshes.vertices["position"].tolist() == many[[90, 95, 99]].tolist()
     assert meshes.indices.tolist() == [0, 1, 2]
@@ -323,9 +317,7 @@ def test_a_texture_keeps_its_sampler_and_its_transform(tmp_path):
     assert texture["transform"] == pytest.approx(np.array(wanted), abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    "broken", [{"uri": "not-there.png"}, {"uri": "https://example.org/a.png"}, "rubbish"]
-)
+@pytest.mark.parametrize("broken", [{"uri": "not-there.png"}, {"uri": "https://example.org/a.png"}, "rubbish"])
 def test_an_image_that_cannot_be_read_is_listed_and_the_material_goes_without(tmp_path, broken):
     document = with_image(pbrMetallicRoughness={"baseColorTexture": {"index": 0}})
     if broken == "rubbish":

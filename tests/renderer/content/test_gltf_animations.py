@@ -72,9 +72,7 @@ def test_a_rotation_takes_the_shorter_way_at_constant_speed(tmp_path):
 
 
 def test_a_scale_and_a_rotation_keep_the_translation_of_the_node(tmp_path):
-    document = animated(
-        "scale", [0, 1], [[1, 1, 1], [3, 1, 1]], nodes=[{"mesh": 0, "translation": [7, 0, 0]}]
-    )
+    document = animated("scale", [0, 1], [[1, 1, 1], [3, 1, 1]], nodes=[{"mesh": 0, "translation": [7, 0, 0]}])
     document.animate(0, "rotation", [0, 1], [turn(0), turn(90)])
     world = place(load_model(document.write(tmp_path / "a.glb")), 0.5)
     assert world[:3, 3].tolist() == [7, 0, 0]
@@ -167,9 +165,7 @@ def test_no_point_of_a_box_ever_leaves_the_reach_of_its_motion(seed, targets, ki
     motion = NodeMotion(tracks, np.zeros(len(tracks), np.int64), REST)
     ends = np.sort(rng.normal(size=(2, 3)), axis=0)
     lower, upper = motion.reach(0, *ends)
-    corners = np.array(
-        [[ends[i, 0], ends[j, 1], ends[k, 2], 1] for i in (0, 1) for j in (0, 1) for k in (0, 1)]
-    )
+    corners = np.array([[ends[i, 0], ends[j, 1], ends[k, 2], 1] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
     for seconds in np.concatenate([rng.uniform(0, 8, 40), *(track.times for track in tracks)]):
         motion.set_time(np.zeros(1, np.int64), float(seconds))
         points = corners @ motion.transforms(np.zeros(1, np.int64))[0].T

@@ -65,9 +65,7 @@ def make_document():
         samplers=[{"wrapS": 10497}],
         images=[{"uri": "data:image/png;base64,AAAA"}],
     )
-    document.mesh(
-        indices=np.array([0, 1, 2], np.uint16), NORMAL=np.tile(np.float32([[0, 0, 1]]), (3, 1)), material=0
-    )
+    document.mesh(indices=np.array([0, 1, 2], np.uint16), NORMAL=np.tile(np.float32([[0, 0, 1]]), (3, 1)), material=0)
     rows, values = document.view(np.array([1], np.uint8).tobytes()), document.view(TRIANGLE[1:2].tobytes())
     sparse = {
         "count": 1,
@@ -169,9 +167,7 @@ def test_nodes_that_contain_each_other_are_refused(tmp_path):
     assert refusal(document, tmp_path)[1] == "scenes[0].nodes[0]: 0 is a child of nodes[1]"
 
 
-@pytest.mark.parametrize(
-    "uri", ["not-there.bin", "https://example.org/a.bin", "data:,abc", "data:x;base64,!!"]
-)
+@pytest.mark.parametrize("uri", ["not-there.bin", "https://example.org/a.bin", "data:,abc", "data:x;base64,!!"])
 def test_a_buffer_that_cannot_be_read_is_refused(tmp_path, uri):
     document = make_document()
     values = {**document.values, "buffers": [{"uri": uri, "byteLength": len(document.data)}]}
@@ -190,9 +186,7 @@ def test_a_glb_that_was_cut_off_anywhere_is_refused(tmp_path):
             load_model(str(tmp_path / "cut.glb"))
 
 
-@pytest.mark.parametrize(
-    "text", [b"[]", b"{", b"\xff\xfe", b"[" * 100_000, b'{"asset": {"version": 1' + b"0" * 5000]
-)
+@pytest.mark.parametrize("text", [b"[]", b"{", b"\xff\xfe", b"[" * 100_000, b'{"asset": {"version": 1' + b"0" * 5000])
 def test_json_that_is_no_document_is_refused(tmp_path, text):
     (tmp_path / "bad.gltf").write_bytes(text)
     with pytest.raises(ValidationError, match=r"^\[scene-unreadable-model\]"):
@@ -224,10 +218,7 @@ def list_places(value, above=()):
 QUICK = settings(deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 DOCUMENTS = [make_document(), make_skinned(), make_morphing()]
 PLACES = [
-    (number, place)
-    for number, document in enumerate(DOCUMENTS)
-    for place in list_places(document.values)
-    if place
+    (number, place) for number, document in enumerate(DOCUMENTS) for place in list_places(document.values) if place
 ]
 DAMAGES = st.sampled_from(range(len(DOCUMENTS))).flatmap(
     lambda number: st.tuples(
@@ -304,8 +295,6 @@ def test_thousands_of_damaged_documents_are_read_or_refused(tmp_path, case):
 @given(data=st.data(), document=st.sampled_from(DOCUMENTS))
 def test_a_file_with_damaged_bytes_is_read_or_refused(tmp_path, data, document):
     content = bytearray(pack(document.values, document))
-    for at, byte in data.draw(
-        st.lists(st.tuples(st.integers(0, len(content) - 1), st.integers(0, 255)), max_size=8)
-    ):
+    for at, byte in data.draw(st.lists(st.tuples(st.integers(0, len(content) - 1), st.integers(0, 255)), max_size=8)):
         content[at] = byte
     load_damaged(tmp_path, bytes(content))

@@ -37,9 +37,7 @@ def list_differences(one: Scene, other: Scene):
         for name in names
     }
     pairs |= {name: (getattr(one, name), getattr(other, name)) for name in ("materials", "textures")}
-    different = [
-        name for name, (a, b) in pairs.items() if a.dtype != b.dtype or a.shape != b.shape or (a != b).any()
-    ]
+    different = [name for name, (a, b) in pairs.items() if a.dtype != b.dtype or a.shape != b.shape or (a != b).any()]
     same_images = len(one.images) == len(other.images) and all(
         np.array_equal(a, b) for a, b in zip(one.images, other.images, strict=True)
     )
@@ -53,8 +51,7 @@ def list_differences(one: Scene, other: Scene):
         "ambient": (one.lights.sky, one.lights.ground) == (other.lights.sky, other.lights.ground),
         "views": list(one.views) == list(other.views)
         and all(map(same_camera, one.views.values(), other.views.values())),
-        "paths": list(one.paths) == list(other.paths)
-        and all(map(same_path, one.paths.values(), other.paths.values())),
+        "paths": list(one.paths) == list(other.paths) and all(map(same_path, one.paths.values(), other.paths.values())),
     }
     return different + [name for name, same in values.items() if not same]
 
@@ -69,8 +66,7 @@ def same_camera(one, other):
 
 def same_path(one, other):
     return one.projection == other.projection and all(
-        getattr(one, name).tolist() == getattr(other, name).tolist()
-        for name in ("positions", "targets", "ups")
+        getattr(one, name).tolist() == getattr(other, name).tolist() for name in ("positions", "targets", "ups")
     )
 
 
@@ -79,9 +75,7 @@ def save_and_load(scene, folder, name="saved.glb"):
     return load_model(str(folder / name)), left_out
 
 
-@pytest.mark.parametrize(
-    "text", ["city:blocks=2,shadows=1", "night:blocks=2,lights=64", "grid:count=9,lights=4"]
-)
+@pytest.mark.parametrize("text", ["city:blocks=2,shadows=1", "night:blocks=2,lights=64", "grid:count=9,lights=4"])
 @pytest.mark.parametrize("name", ["saved.glb", "saved.gltf"])
 def test_a_generated_scene_is_read_back_the_same(tmp_path, text, name):
     scene = load_scene(text)
@@ -127,9 +121,7 @@ def make_rich_scene():
     ]  # fmt: skip
     uv = rng.normal(size=(3, 2))
     meshes = [
-        builder.add_mesh(
-            make_geometry(points, [0, 1, 2], None, uv, uv2=uv * 2, color=rng.random((3, 4))), name
-        )
+        builder.add_mesh(make_geometry(points, [0, 1, 2], None, uv, uv2=uv * 2, color=rng.random((3, 4))), name)
         for name, points in (("small", TRIANGLE), ("large", TRIANGLE * 2))
     ]
     root = builder.add_node(rotation((0.6, 0.8, 0.0), 0.3), name="root")
@@ -139,9 +131,7 @@ def make_rich_scene():
     builder.add_objects(below, meshes[0], materials[3:])
     builder.lights.add_directional((0.3, -0.7, 0.1), (0.1, 0.7, 0.3), 1.7, casts_shadow=True)
     builder.lights.add_points(rng.normal(size=(20, 3)) * 1e5, 7.3, rng.random((20, 3)), rng.random(20) * 90)
-    builder.lights.add_spots(
-        rng.normal(size=(20, 3)), rng.normal(size=(20, 3)), 3.1, 0.2, 0.7, (1, 0.9, 0.3), 5.5
-    )
+    builder.lights.add_spots(rng.normal(size=(20, 3)), rng.normal(size=(20, 3)), 3.1, 0.2, 0.7, (1, 0.9, 0.3), 5.5)
     builder.views["first"] = Camera.look_at(rng.normal(size=3), rng.normal(size=3))
     builder.views["flat"] = Camera.look_at((1, 2, 3), (0, 0, 0), projection=Orthographic(4.0, 1.5, 0.5, 9.0))
     builder.background, builder.haze = (0.1, 0.2, 0.3), 0.01

@@ -270,9 +270,7 @@ def test_the_first_light_of_the_grid_reaches_its_middle() -> None:
         ("grid:mesh=sphere,count=256,lights=64", 15.0, 90.0),
     ],
 )
-def test_pictures_are_neither_black_nor_burnt_out(
-    gl: rhi.Device, spec: str, least: float, most: float
-) -> None:
+def test_pictures_are_neither_black_nor_burnt_out(gl: rhi.Device, spec: str, least: float, most: float) -> None:
     lit, dark = load_scene(spec), load_scene(spec)
     for name in ("point", "spot"):
         getattr(dark.lights, name)["intensity"] = 0.0

@@ -162,9 +162,7 @@ def test_a_grid_of_a_model_file(tmp_path):
 
 def test_a_model_far_from_its_origin_keeps_its_shape(tmp_path):
     far = "\n".join(f"{4e6 + x} {y} 0" for x, y in ((0, 0), (0.125, 0), (0, 0.125)))
-    (tmp_path / "far.ply").write_text(
-        PLY.replace("float", "double").format(faces=1, vertices=far + "\n3 0 1 2")
-    )
+    (tmp_path / "far.ply").write_text(PLY.replace("float", "double").format(faces=1, vertices=far + "\n3 0 1 2"))
     scene = load_model(str(tmp_path / "far.ply"))
     assert np.allclose(scene.objects.upper - scene.objects.lower, (0.125, 0.125, 0.0), atol=1e-6)
     assert scene.objects.lower[0, 0] == pytest.approx(4e6)

@@ -221,9 +221,7 @@ def declarations(draw: st.DrawFn) -> list[Pass[object]]:
             )
         )
         intact = [name for name in intact if name not in over] + [new]
-    passes.append(
-        step("last", " ".join(draw(st.lists(st.sampled_from(intact), unique=True))), [IMAGE, DEPTH])
-    )
+    passes.append(step("last", " ".join(draw(st.lists(st.sampled_from(intact), unique=True))), [IMAGE, DEPTH]))
     return draw(st.permutations(passes))
 
 

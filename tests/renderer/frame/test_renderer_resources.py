@@ -130,9 +130,7 @@ def test_objects_that_move_do_not_list_the_lights_of_others_again(
     resources = SceneResources(null, scene)
     resources.update(camera)
     assert counts == [6, 6]
-    scene.nodes.set_local(
-        scene.objects.node[scene.objects.following_rows[:1]], translation((0.0, 5.0, 0.0))[None]
-    )
+    scene.nodes.set_local(scene.objects.node[scene.objects.following_rows[:1]], translation((0.0, 5.0, 0.0))[None])
     scene.refresh()
     resources.update(camera)
     assert counts == [6, 6, 6]

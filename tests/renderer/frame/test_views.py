@@ -40,9 +40,7 @@ def draw_depth(frame: Frame, view: View, depth: rhi.Texture) -> None:
     arrays = frame.resources.list_arrays(view.buffer)
     bindings: dict[str, Any] = {"view": arrays.view, "objects": arrays.objects, "places": arrays.places}
     program: Any = frame.device.program(DepthOnly)
-    scene_pass = TechniquePass(
-        frame.device, frame.resources, view, program, bindings, color=None, depth=depth
-    )
+    scene_pass = TechniquePass(frame.device, frame.resources, view, program, bindings, color=None, depth=depth)
     frame.draw_visible(scene_pass, view)
 
 
@@ -73,12 +71,8 @@ class DepthFirst:
         )  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "name", ["none", "frustum", "chc_plus_plus", "conditional", "depth_pyramid", "two_pass"]
-)
-def test_two_passes_of_a_view_draw_the_same_picture_as_one(
-    drawing_device: rhi.Device, city: Scene, name: str
-) -> None:
+@pytest.mark.parametrize("name", ["none", "frustum", "chc_plus_plus", "conditional", "depth_pyramid", "two_pass"])
+def test_two_passes_of_a_view_draw_the_same_picture_as_one(drawing_device: rhi.Device, city: Scene, name: str) -> None:
     if name not in list_algorithms(drawing_device):
         pytest.skip(f"this device can't run {name}")
     images = []

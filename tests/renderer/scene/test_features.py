@@ -84,9 +84,7 @@ def test_materials_may_be_replaced_by_more_but_not_by_fewer_than_objects_have(te
     scene = builder.build()
     camera, before = scene.views["overview"], scene.materials
     with rhi.create_device("null") as null:
-        renderer = Renderer(
-            null, scene, technique=TECHNIQUES[technique](), visibility=NoCulling(scene), size=(16, 16)
-        )
+        renderer = Renderer(null, scene, technique=TECHNIQUES[technique](), visibility=NoCulling(scene), size=(16, 16))
         with renderer:
             renderer.render(camera)
             scene.materials = np.concatenate([before, [make_material(emission=1.0)]])

@@ -67,9 +67,7 @@ def test_moving_a_node_moves_the_bounds_of_what_hangs_on_it_only():
     scene = builder.build()
     assert scene.objects.dynamic.tolist() == [True, False]
     still = scene.objects.lower[1].copy()
-    scene.nodes.set_local(
-        scene.nodes.find("arm"), multiply(translation((9, 0, 0)), rotation((0, 0, 1), np.pi / 2))
-    )
+    scene.nodes.set_local(scene.nodes.find("arm"), multiply(translation((9, 0, 0)), rotation((0, 0, 1), np.pi / 2)))
     assert scene.update().tolist() == [0]
     assert np.allclose(scene.objects.lower[0], (6.5, -0.5, -0.5))
     assert (scene.objects.lower[1] == still).all()
@@ -102,9 +100,7 @@ def test_meshes_share_arrays_that_draws_can_index():
         draw = meshes.ranges[mesh]
         geometry = BUILT_IN[name]()
         indices = meshes.indices[draw["first_index"] : draw["first_index"] + draw["index_count"]]
-        assert np.array_equal(
-            meshes.vertices[indices + draw["base_vertex"]], geometry.vertices[geometry.indices]
-        )
+        assert np.array_equal(meshes.vertices[indices + draw["base_vertex"]], geometry.vertices[geometry.indices])
 
 
 def test_transforms_relative_to_a_far_eye_are_exact():
@@ -291,9 +287,7 @@ def test_ids_of_nothing_are_refused(call):
     builder.add_objects(2, 1, 0)
 
 
-@pytest.mark.parametrize(
-    "image", [np.zeros((2, 2, 3), np.uint8), np.zeros((2, 2, 4)), np.zeros((0, 2, 4), np.uint8)]
-)
+@pytest.mark.parametrize("image", [np.zeros((2, 2, 3), np.uint8), np.zeros((2, 2, 4)), np.zeros((0, 2, 4), np.uint8)])
 def test_bad_images_are_refused(image):
     assert rule_of(lambda: SceneBuilder("x").add_image(image)) == "scene-bad-image"
 

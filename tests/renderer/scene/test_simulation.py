@@ -137,9 +137,7 @@ def test_simulators_of_one_scene_go_their_own_ways() -> None:
 
 @settings(max_examples=25)
 @given(st.lists(st.tuples(st.integers(0, 400), st.sets(st.integers(0, 2))), max_size=12), st.integers(0, 400))
-def test_a_fountain_that_was_not_looked_at_is_as_if_it_had_been(
-    glances: list[tuple[int, set[int]]], last: int
-) -> None:
+def test_a_fountain_that_was_not_looked_at_is_as_if_it_had_been(glances: list[tuple[int, set[int]]], last: int) -> None:
     always, now_and_then = Fountains(3, 7), Fountains(3, 7)
     everyone = np.arange(3)
     frames = sorted(frame for frame, _ in glances)

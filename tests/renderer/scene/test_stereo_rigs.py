@@ -99,9 +99,7 @@ def test_eyes_that_are_toed_in_see_corners_at_different_heights() -> None:
 @pytest.mark.parametrize("is_toed_in", [False, True])
 @pytest.mark.parametrize("convergence", [0.4, 3.0, np.inf])
 @pytest.mark.parametrize("name", LENSES)
-def test_the_camera_around_both_eyes_sees_what_either_sees(
-    name: str, convergence: float, is_toed_in: bool
-) -> None:
+def test_the_camera_around_both_eyes_sees_what_either_sees(name: str, convergence: float, is_toed_in: bool) -> None:
     lens = LENSES[name]
     camera, rig = look(lens), StereoRig(0.1, convergence, is_toed_in)
     rng = np.random.default_rng(3)

@@ -88,9 +88,7 @@ def test_triangles_of_no_size_give_no_nan() -> None:
 def test_tangents_are_weighted_by_the_angle_at_their_vertex() -> None:
     # At the vertex 0, a corner of 90° whose u grows along x, where v stays the same, and one of 45° along (1, 1).
     positions = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [-1, 1, 0]]
-    geometry = make_geometry(
-        positions, [0, 1, 2, 0, 2, 3], np.tile(UP, (4, 1)), [[0, 0], [1, 0], [0, -1], [-1, -2]]
-    )
+    geometry = make_geometry(positions, [0, 1, 2, 0, 2, 3], np.tile(UP, (4, 1)), [[0, 0], [1, 0], [0, -1], [-1, -2]])
     tangents = add_tangents(geometry).vertices["tangent"]
     assert tangents[1].tolist() == [1.0, 0.0, 0.0, 1.0]
     assert tangents[3].tolist() == pytest.approx([np.sqrt(0.5), np.sqrt(0.5), 0.0, 1.0])

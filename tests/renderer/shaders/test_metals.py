@@ -105,9 +105,7 @@ def test_smooth_metals_have_a_finite_highlight_everywhere() -> None:
         )
         assert np.isfinite(ours).all()
         assert (ours >= 0.0).all()
-    peak = evaluate(
-        reflected_by_metal, surfaces(n[:1], n[:1], np.ones((1, 3)), np.ones(1), np.zeros(1)), lights(n[:1])
-    )
+    peak = evaluate(reflected_by_metal, surfaces(n[:1], n[:1], np.ones((1, 3)), np.ones(1), np.zeros(1)), lights(n[:1]))
     np.testing.assert_allclose(peak, 0.25 / SMOOTHEST**4, rtol=1e-4)
 
 

@@ -152,9 +152,7 @@ def test_a_lit_plane_has_no_acne_at_any_slope_with_the_other_filters(gl: rhi.Dev
     assert CASES[48].judge(found), found
 
 
-def block_scene(
-    degrees: float, normal_map: NDArray[np.uint8] | None = None
-) -> tuple[Scene, NDArray[np.float64]]:
+def block_scene(degrees: float, normal_map: NDArray[np.uint8] | None = None) -> tuple[Scene, NDArray[np.float64]]:
     """Make a block on a floor and a sun; return the scene and the sun's direction."""
     scene_builder = make_boxes((0, 0.5, 0), name="block", specular_color=(0, 0, 0))
     floor = scene_builder.add_node(translation((0, -0.5, 0)) @ scaling((30, 1, 30)))

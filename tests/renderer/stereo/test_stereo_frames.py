@@ -90,9 +90,7 @@ def test_each_picture_of_each_technique_is_that_of_its_eye(
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("scene_name", ["city", "hall"])
-@pytest.mark.parametrize(
-    "name", ["none", "stop_and_wait", "conditional", "depth_pyramid", "two_pass", "auto"]
-)
+@pytest.mark.parametrize("name", ["none", "stop_and_wait", "conditional", "depth_pyramid", "two_pass", "auto"])
 def test_each_picture_with_each_algorithm_is_that_of_its_eye(
     drawing_device: rhi.Device, request: pytest.FixtureRequest, scene_name: str, name: str
 ) -> None:
@@ -105,9 +103,7 @@ def test_each_picture_with_each_algorithm_is_that_of_its_eye(
 
 
 @pytest.mark.parametrize("name", ["depth_pyramid", "two_pass"])
-def test_what_both_eyes_see_is_known_where_the_device_lists_it(
-    gl: rhi.Device, hall: Scene, name: str
-) -> None:
+def test_what_both_eyes_see_is_known_where_the_device_lists_it(gl: rhi.Device, hall: Scene, name: str) -> None:
     """The right eye's lists replace the left one's, which were read before."""
     if name not in list_algorithms(gl):
         pytest.skip(f"this device can't run {name}")
@@ -169,14 +165,10 @@ class Counted(FrustumCulling):
         return super().render(camera, scene_pass)
 
 
-def count(
-    null: rhi.Device, scene: Scene, stereo: Stereo | None, technique: str = "forward"
-) -> dict[str, Any]:
+def count(null: rhi.Device, scene: Scene, stereo: Stereo | None, technique: str = "forward") -> dict[str, Any]:
     """Return what the frames of a walk cost, after the first ones."""
     algorithm = Counted(scene)
-    with Renderer(
-        null, scene, technique=TECHNIQUES[technique](), size=SIZE, visibility=algorithm
-    ) as renderer:
+    with Renderer(null, scene, technique=TECHNIQUES[technique](), size=SIZE, visibility=algorithm) as renderer:
         renderer.stereo = stereo
         path = scene.paths["ground"]
         renderer.render(path.camera(599), 10.0)

@@ -164,9 +164,7 @@ def test_another_size_or_many_more_lights_are_another_trial(
     (Camera.look_at((0, 0, 10.1), (0, 0, 0)), False), (Camera.look_at((0, 0, 12), (0, 0, 0)), True),
     (Camera.look_at((0, 0, 10), (5, 0, 0)), False), (Camera.look_at((0, 0, 10), (11, 0, 0)), True),
 ])  # fmt: skip
-def test_another_view_is_another_trial(
-    null: rhi.Device, log: list[str], renderer, camera: Camera, tries: bool
-) -> None:
+def test_another_view_is_another_trial(null: rhi.Device, log: list[str], renderer, camera: Camera, tries: bool) -> None:
     auto = make_auto(null, box(), log, 0.01, 0.02)
     drawn = renderer(auto)
     for _ in range(12):

@@ -69,9 +69,7 @@ def test_lists_take_a_few_dispatches_however_many_lights_there_are(name: str, di
 
 @pytest.mark.parametrize("name", PASSES)
 @pytest.mark.parametrize(("points", "spots"), [(1, 0), (0, 1)])
-def test_a_kind_of_light_that_a_scene_lacks_is_not_bound(
-    null: rhi.Device, name: str, points: int, spots: int
-) -> None:
+def test_a_kind_of_light_that_a_scene_lacks_is_not_bound(null: rhi.Device, name: str, points: int, spots: int) -> None:
     make, _, _ = PASSES[name]
     scene = make_lit_boxes(points, spots)
     with open_renderer(null, scene, make(), size=SIZE) as renderer:

@@ -49,9 +49,7 @@ def test_a_lamp_adds_its_pass_and_one_draw(null: rhi.Device) -> None:
 
 
 @pytest.mark.parametrize("technique", [Deferred(), LightPrePass()])
-def test_lamps_of_a_kind_are_one_draw_and_narrow_and_wide_spots_are_two(
-    null: rhi.Device, technique: Technique
-) -> None:
+def test_lamps_of_a_kind_are_one_draw_and_narrow_and_wide_spots_are_two(null: rhi.Device, technique: Technique) -> None:
     assert count_draws(null, boxes(200), technique) == (3, 3)
     assert count_draws(null, boxes(0, spots=5), technique) == count_draws(null, boxes(0, wide=5), technique) == (3, 3)
     assert count_draws(null, boxes(0, spots=5, wide=3), technique) == (3, 4)
@@ -76,9 +74,7 @@ def test_a_masked_lamp_is_drawn_twice(null: rhi.Device, technique: Technique) ->
 
 
 @pytest.mark.parametrize(("scale", "size"), [(1.0, (32, 16)), (0.6, (20, 10)), (0.4, (13, 7))])
-def test_inferred_light_is_collected_in_smaller_buffers(
-    null: rhi.Device, scale: float, size: tuple[int, int]
-) -> None:
+def test_inferred_light_is_collected_in_smaller_buffers(null: rhi.Device, scale: float, size: tuple[int, int]) -> None:
     stream = record(null, boxes(1), Inferred(scale=scale), size=SIZE)
     sizes = [begin["descriptor"].size for begin in stream.filter(Op.BEGIN_PASS)]
     assert sizes == [SIZE, size, size, SIZE]
@@ -135,9 +131,7 @@ def test_a_pixel_takes_so_many_bytes(
 
 
 @pytest.mark.parametrize("technique", [Deferred(), LightPrePass()])
-def test_a_second_frame_uploads_the_rows_of_its_lamps(
-    null: rhi.Device, technique: Technique
-) -> None:
+def test_a_second_frame_uploads_the_rows_of_its_lamps(null: rhi.Device, technique: Technique) -> None:
     scene = boxes(50)
     with open_renderer(null, scene, technique) as renderer:
         renderer.render(scene.views["eye"])

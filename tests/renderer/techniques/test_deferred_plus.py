@@ -49,9 +49,7 @@ def scatter(materials: int, *, images: bool = True, objects: int = 60, unused: i
         for number in range(materials)
     ]
     meshes = [builder.add_mesh(BUILT_IN[name]()) for name in ("box", "sphere")]
-    builder.add_objects(
-        builder.add_node(translation((0, -1, 0)) @ scaling((30, 1, 30))), meshes[0], rows[0]
-    )
+    builder.add_objects(builder.add_node(translation((0, -1, 0)) @ scaling((30, 1, 30))), meshes[0], rows[0])
     for number in range(objects):
         node = builder.add_node(translation(places.uniform((-8, -0.5, -8), (8, 2, 8))))
         builder.add_objects(node, meshes[number % 2], rows[number % materials])
@@ -130,9 +128,7 @@ def tiles(uv: float) -> Scene:
 
 
 @pytest.mark.parametrize("uv", [0.999999, -0.25, 1000.3])
-def test_textures_are_filtered_as_in_forward_shading_wherever_they_begin(
-    drawing_device: rhi.Device, uv: float
-) -> None:
+def test_textures_are_filtered_as_in_forward_shading_wherever_they_begin(drawing_device: rhi.Device, uv: float) -> None:
     scene, camera = tiles(uv), Camera.look_at((3.5, 1, 3), (0, 0, 0))
     lit, shaded = draw_each(drawing_device, scene, Forward(), DeferredPlus(), camera=camera, size=SIZE)
     assert np.ptp(lit[..., :3]) > 100

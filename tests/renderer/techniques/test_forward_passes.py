@@ -225,9 +225,7 @@ def edge() -> Scene:
 
 
 @pytest.mark.parametrize("smooth", [lambda: Forward(samples=4), lambda: Smoothed(Forward())])
-def test_edges_are_nearer_to_those_of_many_samples(
-    drawing_device: rhi.Device, smooth: Callable[[], Technique]
-) -> None:
+def test_edges_are_nearer_to_those_of_many_samples(drawing_device: rhi.Device, smooth: Callable[[], Technique]) -> None:
     scene, n = edge(), 8
     large = draw(drawing_device, scene, Forward(), size=(n * SIZE[0], n * SIZE[1]))
     wanted = large.reshape(SIZE[1], n, SIZE[0], n, 3).mean((1, 3))

@@ -49,9 +49,7 @@ def test_depth_gets_darker_with_distance(drawing_device: rhi.Device) -> None:
     assert np.abs(picture[SIZE[1] // 2, SIZE[0] // 2] - wanted).max() <= 2.0
 
 
-@pytest.mark.parametrize(
-    ("points", "spots", "color"), [(0, 0, (0, 0, 0)), (1, 0, BLUE), (0, 7, BLUE), (5, 3, CYAN)]
-)
+@pytest.mark.parametrize(("points", "spots", "color"), [(0, 0, (0, 0, 0)), (1, 0, BLUE), (0, 7, BLUE), (5, 3, CYAN)])
 def test_lights_are_counted_where_they_reach(
     drawing_device: rhi.Device, points: int, spots: int, color: tuple[int, int, int]
 ) -> None:

@@ -66,15 +66,11 @@ def stage(middle: tuple[float, float, float] = (0, 0, 0), *, textured: bool = Fa
     if textured:
         image = builder.add_image(random.integers(0, 256, (16, 16, 4), np.uint8))
     materials = [
-        builder.add_material(
-            base_color=(0.7, 0.6, 0.5), specular_color=(0.3, 0.2, 0.1), shininess=20.0, texture=image
-        ),
+        builder.add_material(base_color=(0.7, 0.6, 0.5), specular_color=(0.3, 0.2, 0.1), shininess=20.0, texture=image),
         builder.add_material(
             base_color=(0.2, 0.4, 0.9), specular_color=(0.9, 0.9, 0.9), shininess=80.0, rim_strength=0.4
         ),
-        builder.add_material(
-            base_color=(0.9, 0.3, 0.0), specular_color=(0, 0, 0), emission=0.05, texture=image
-        ),
+        builder.add_material(base_color=(0.9, 0.3, 0.0), specular_color=(0, 0, 0), emission=0.05, texture=image),
     ]
     meshes = [builder.add_mesh(BUILT_IN[name]()) for name in ("box", "sphere")]
     at = translation(middle)
@@ -140,9 +136,7 @@ def test_random_lights_give_the_picture_of_forward_shading(
 CAMERAS = {
     "standard depth": EYE.with_projection(Perspective(depth=Depth.STANDARD)),
     "a far plane through lights": EYE.with_projection(Perspective(far=11.0)),
-    "a far plane through lights, standard depth": EYE.with_projection(
-        Perspective(far=11.0, depth=Depth.STANDARD)
-    ),
+    "a far plane through lights, standard depth": EYE.with_projection(Perspective(far=11.0, depth=Depth.STANDARD)),
     "a near plane through lights": EYE.with_projection(Perspective(near=8.0)),
     "parallel": EYE.with_projection(Orthographic(9.0, near=0.0, far=40.0)),
     "parallel, from behind the eye, standard depth": EYE.with_projection(
@@ -156,9 +150,7 @@ CAMERAS = {
 
 
 @pytest.mark.parametrize("lens", CAMERAS)
-def test_any_lens_gives_the_picture_of_forward_shading(
-    drawing_device: rhi.Device, lens: str
-) -> None:
+def test_any_lens_gives_the_picture_of_forward_shading(drawing_device: rhi.Device, lens: str) -> None:
     builder = stage()
     add_random_lights(builder, 30, seed=7)
     image = check_all(drawing_device, builder.build(), CAMERAS[lens])
@@ -190,13 +182,9 @@ LIGHTS: dict[str, Callable[[SceneBuilder], object]] = {
     "far away and larger": lambda b: b.lights.add_point((3e5, 6e5, 2e5), 1e6, intensity=4e11),
     "that touches a surface": lambda b: b.lights.add_point((0, 0.01, 3), 2.0, intensity=0.5),
     "smaller than a pixel": lambda b: add_sparks(b),
-    "a spot at the eye": lambda b: b.lights.add_spot(
-        EYE_TO_STAGE, (0, -0.3, -1), 20.0, 0.2, 0.4, intensity=50.0
-    ),
+    "a spot at the eye": lambda b: b.lights.add_spot(EYE_TO_STAGE, (0, -0.3, -1), 20.0, 0.2, 0.4, intensity=50.0),
     "a spot behind the eye": lambda b: b.lights.add_spot((0, 4, 14), (0, -0.4, -1), 30, 0.3, 0.8, intensity=90.0),
-    "a spot of 0.1 degrees": lambda b: b.lights.add_spot(
-        (0, 400, 3), (0, -1, 0), 600, 0.0017, 0.00175, intensity=1e8
-    ),
+    "a spot of 0.1 degrees": lambda b: b.lights.add_spot((0, 400, 3), (0, -1, 0), 600, 0.0017, 0.00175, intensity=1e8),
     "a spot of 90 degrees": lambda b: b.lights.add_spot((0, 2, 1), (0, -1, 0), 6, 1.2, np.pi / 2, intensity=9),
     "a spot of 120 degrees": lambda b: b.lights.add_spot((0, 2, 1), (0, 1, 0), 6, 1.2, 2.1, intensity=9),
     "a spot of 1,000 km": lambda b: b.lights.add_spot((0, 5, 2), (0, -1, 0), 1e6, 0.4, 0.9, intensity=20),
@@ -205,9 +193,7 @@ LIGHTS: dict[str, Callable[[SceneBuilder], object]] = {
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("where", LIGHTS)
-def test_a_light_reaches_what_it_reaches_in_forward_shading(
-    drawing_device: rhi.Device, where: str
-) -> None:
+def test_a_light_reaches_what_it_reaches_in_forward_shading(drawing_device: rhi.Device, where: str) -> None:
     light = stage()
     LIGHTS[where](light)
     image = check_all(drawing_device, light.build())
@@ -243,9 +229,7 @@ def test_a_place_far_from_the_origin_is_as_exact(drawing_device: rhi.Device) -> 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("text", ["city:blocks=6", "hall:columns=6,flags=4", "grid:count=9"])
-def test_the_scenes_of_the_library_look_as_with_forward_shading(
-    drawing_device: rhi.Device, text: str
-) -> None:
+def test_the_scenes_of_the_library_look_as_with_forward_shading(drawing_device: rhi.Device, text: str) -> None:
     scene = load_scene(text)
     check_all(drawing_device, scene, scene.paths["ground"].camera(300), (160, 90))
 

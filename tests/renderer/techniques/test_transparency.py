@@ -48,9 +48,7 @@ def add_pane(
 ) -> None:
     """Add a pane before `FRONT`, opaque if the colour has no alpha. It fills the image unless it is small."""
     mode = AlphaMode.BLEND if len(color) == 4 else AlphaMode.OPAQUE
-    material = builder.add_material(
-        base_color=color, alpha_mode=mode, specular_color=(0.3, 0.3, 0.3), shininess=30.0
-    )
+    material = builder.add_material(base_color=color, alpha_mode=mode, specular_color=(0.3, 0.3, 0.3), shininess=30.0)
     turned = scaling((-size if mirrored else size, size, 1.0))
     builder.add_objects(builder.add_node(translation((0, 0, z)) @ turned), builder.add_mesh(PANE), material)
 
@@ -107,9 +105,7 @@ def composite(scene: Scene, layers: list[tuple[float, Sequence[float]]], blendin
 
 
 @pytest.mark.parametrize("blending", Blending)
-def test_panes_are_within_two_levels_of_compositing_in_float64(
-    drawing_device: rhi.Device, blending: Blending
-) -> None:
+def test_panes_are_within_two_levels_of_compositing_in_float64(drawing_device: rhi.Device, blending: Blending) -> None:
     layers = LAYERS[:-1]
     scene = panes(*layers).build()
     wanted = composite(scene, layers, blending)
@@ -403,8 +399,10 @@ def test_smooth_edges_go_with_transparent_surfaces(gl: rhi.Device, blending: Ble
 @pytest.mark.parametrize("shader", [ForwardShader, TransparentShader, WeightedShader])
 def test_a_fragment_reads_its_texture_and_tests_its_mask_once(shader: type[Shader]) -> None:
     switches = {"has_images": True, "has_masks": True}
-    text = compile_shader(type("Variant", (shader,), {"__module__": __name__, **switches})).emit(
-        "glsl", Stage.FRAGMENT
-    ).text
+    text = (
+        compile_shader(type("Variant", (shader,), {"__module__": __name__, **switches}))
+        .emit("glsl", Stage.FRAGMENT)
+        .text
+    )
     assert text.count("find_texel(") == 2, "where it is defined, and one call"
     assert text.count("discard") == 1

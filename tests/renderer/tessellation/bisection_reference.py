@@ -98,9 +98,7 @@ def is_wanted(field: HeightField, view: FieldView) -> NDArray[np.bool_]:
     f32 = np.float32
     width = len(field.heights)
     row, column = np.divmod(np.arange(width * width), width)
-    length, reach = (
-        np.nextafter(bound.reshape(-1).astype(f32), f32(np.inf)) for bound in field.bounds
-    )
+    length, reach = (np.nextafter(bound.reshape(-1).astype(f32), f32(np.inf)) for bound in field.bounds)
     x, z = (
         f32(-0.5 * side) + f32(step) * at.astype(f32)
         for side, step, at in zip(field.size, field.steps, (column, row), strict=True)

@@ -172,7 +172,9 @@ def test_the_widget_is_dragged_clicked_and_told_by_keys(browser: Any, notebook: 
     browser.get(notebook)
     wait_for(lambda: "Idle" in browser.page_source, "the kernel")
     wait_for(click_cell, "the notebook")
-    webdriver.ActionChains(browser).key_down(webdriver.Keys.SHIFT).send_keys(webdriver.Keys.ENTER).key_up(webdriver.Keys.SHIFT).perform()
+    webdriver.ActionChains(browser).key_down(webdriver.Keys.SHIFT).send_keys(webdriver.Keys.ENTER).key_up(
+        webdriver.Keys.SHIFT
+    ).perform()
     picture = wait_for(find_picture, "the picture")
     before = look(picture)
 

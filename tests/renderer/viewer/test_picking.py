@@ -182,9 +182,7 @@ def test_a_simulated_object_is_met_where_it_is_drawn() -> None:
     assert (hit.triangle, hit.distance) == (20, pytest.approx(1e-3, rel=1e-3))
 
 
-@pytest.mark.parametrize(
-    ("name", "says"), [("none", "everything is drawn"), ("frustum", "its box is inside the view")]
-)
+@pytest.mark.parametrize(("name", "says"), [("none", "everything is drawn"), ("frustum", "its box is inside the view")])
 def test_the_algorithm_says_why_an_object_is_drawn(null: rhi.Device, city: Scene, name: str, says: str) -> None:
     camera = parse_camera("above", city).with_aspect(1.0)
     algorithm = make_visibility(name, city, null)

@@ -150,9 +150,7 @@ def settle(viewer: Viewer) -> None:
         viewer.run("console")
     viewer.handle({"event_type": "pointer_leave"})
     viewer.stage.end_recording()
-    viewer.stage.change(
-        settings=PLAIN, show="image", stereo=None, overlay=False, particles=False, shadows="scene"
-    )
+    viewer.stage.change(settings=PLAIN, show="image", stereo=None, overlay=False, particles=False, shadows="scene")
     for line in ("reload off", "clear", "camera overview", "drive fly", *["time 0"] * 200):
         viewer.run(line)
     for key in HELD:
@@ -205,9 +203,7 @@ def test_ten_thousand_frames_of_random_input_keep_no_frame(
     except rhi.DeviceError as error:
         pytest.skip(f"no {backend} device here: {error.given}")
     with device:
-        viewer, user, coverage = play(
-            device, SCENE, 10_000, 2, lambda: seen.append(count_kept(device))
-        )
+        viewer, user, coverage = play(device, SCENE, 10_000, 2, lambda: seen.append(count_kept(device)))
         viewer.close()
     assert set(user.names) - user.obeyed == ({"screenshot"} if backend == "null" else set())
     assert not coverage.missed

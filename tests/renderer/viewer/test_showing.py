@@ -211,5 +211,3 @@ def test_a_window_shows_the_frames_of_a_script(tmp_path: Path) -> None:
     assert RenderSettings.load(saved) == RenderSettings.load(given).change("algorithm", "frustum")
     assert picture.stat().st_size > 1000
     assert main(["render", SCENE, "--backend", "null", "--camera", str(walk), "--json"]) == 0
-
-

@@ -69,9 +69,7 @@ def auto(null: rhi.Device, city: Scene, log: list[str]) -> AutoCulling:
 
 
 def make_auto(device: rhi.Device, scene: Scene, log: list[str], rest: int = 0) -> AutoCulling:
-    auto = AutoCulling(
-        scene, device, {name: partial(Sleeper, scene, name, log) for name in COSTS}, frames=4, rest=rest
-    )
+    auto = AutoCulling(scene, device, {name: partial(Sleeper, scene, name, log) for name in COSTS}, frames=4, rest=rest)
     auto.candidates.update({name: Sleeper(scene, name, log) for name in COSTS})  # for tests to change
     return auto
 
@@ -177,9 +175,7 @@ def test_another_view_is_another_trial(auto: AutoCulling, camera: Camera, tries:
 
 
 @pytest.mark.parametrize(("drawn", "tries"), [(149, False), (151, True), (67, False), (66, True), (0, True)])
-def test_a_number_of_objects_that_changes_by_half_is_another_trial(
-    auto: AutoCulling, drawn: int, tries: bool
-) -> None:
+def test_a_number_of_objects_that_changes_by_half_is_another_trial(auto: AutoCulling, drawn: int, tries: bool) -> None:
     render(auto, look(), 13)
     auto.candidates["fast"].visible = drawn
     render(auto, look(), 1)

@@ -153,9 +153,7 @@ def make_reference(monkeypatch: pytest.MonkeyPatch) -> Scene:
     """Make the hall as if no animation had bounds: everything moves in every frame."""
     animate = SceneBuilder.animate
     with monkeypatch.context() as always:
-        always.setattr(
-            SceneBuilder, "animate", lambda self, nodes, motion, bounds: animate(self, nodes, motion)
-        )
+        always.setattr(SceneBuilder, "animate", lambda self, nodes, motion, bounds: animate(self, nodes, motion))
         return load_scene(HALL)
 
 
@@ -241,9 +239,7 @@ def test_what_carries_a_culled_object_takes_its_bounds_along(gl: rhi.Device) -> 
     cart = builder.add_node(dynamic=True, name="cart")
     wheel = builder.add_node(parent=cart, dynamic=True)
     builder.add_objects(wheel, builder.add_mesh(BUILT_IN["box"]()), builder.add_material(emission=1.0))
-    builder.animate(
-        wheel, lambda seconds: rotation((0, 0, 1), np.array([seconds])), ((-1, -1, -1), (1, 1, 1))
-    )
+    builder.animate(wheel, lambda seconds: rotation((0, 0, 1), np.array([seconds])), ((-1, -1, -1), (1, 1, 1)))
     scene = builder.build()
     away = Camera.look_at((0.0, 0.0, 5.0), (0.0, 0.0, 10.0))
     there = Camera.look_at((50.0, 0.0, 5.0), (50.0, 0.0, 0.0))
@@ -348,9 +344,7 @@ def test_bounds_that_do_not_hold_are_refused_by_name() -> None:
 
 
 @pytest.mark.parametrize("validation", [True, False])
-def test_a_renderer_with_validation_checks_the_bounds_of_what_it_draws(
-    null: rhi.Device, validation: bool
-) -> None:
+def test_a_renderer_with_validation_checks_the_bounds_of_what_it_draws(null: rhi.Device, validation: bool) -> None:
     scene = make_bobbing(6)
     widen(scene, 0.6)
     with Renderer(null, scene, visibility=NoCulling(scene), size=(64, 64), validation=validation) as renderer:

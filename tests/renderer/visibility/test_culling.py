@@ -139,8 +139,7 @@ def test_what_a_far_plane_culled_is_found_by_a_camera_without_one():
     upper = lower + 0.5
     culler = Culler(build_by_area(lower, upper), lower, upper)
     planes = [
-        Camera.look_at((0, 0, 1), (0, 0, -1), projection=Perspective(far=far)).frustum.planes
-        for far in (50.5, np.inf)
+        Camera.look_at((0, 0, 1), (0, 0, -1), projection=Perspective(far=far)).frustum.planes for far in (50.5, np.inf)
     ]
     for _ in range(2):
         assert len(cull(culler, planes[0])) == 51

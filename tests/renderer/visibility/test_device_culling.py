@@ -66,9 +66,7 @@ def whole_city() -> Scene:
 @pytest.mark.parametrize("frames", [3, pytest.param(10, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("path", ["ground", "sky"])
 @pytest.mark.parametrize("name", DEVICE)
-def test_a_walk_through_the_whole_city_loses_no_depth(
-    gl: rhi.Device, name: str, path: str, frames: int
-) -> None:
+def test_a_walk_through_the_whole_city_loses_no_depth(gl: rhi.Device, name: str, path: str, frames: int) -> None:
     # Its pixels of exactly equal depth show the surface drawn first, so it is the depth that is compared.
     whole = whole_city()
     algorithm, none = make(name, whole, gl), NoCulling(whole)

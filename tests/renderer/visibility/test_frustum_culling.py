@@ -77,9 +77,7 @@ def test_nothing_in_view_draws_nothing(hall):
 
 def test_the_hierarchy_needs_fewer_tests_than_every_plane_of_every_box():
     city = load_scene("city:blocks=24,detail=2")
-    statistics = FrustumCulling(city).render(
-        city.paths["ground"].camera(900), CallbackPass(lambda rows: None)
-    )
+    statistics = FrustumCulling(city).render(city.paths["ground"].camera(900), CallbackPass(lambda rows: None))
     assert 0 < statistics.plane_tests < 5 * len(city.objects) / 3
     assert statistics.objects_tested < len(city.objects) / 3
 

@@ -66,9 +66,7 @@ def test_random_scenes_from_random_places_look_as_without_culling(
 ) -> None:
     shots = [(camera, 0.0) for camera in (*eyes, eyes[-1], eyes[0])]
     algorithms = {
-        name: make_visibility(name, scene, drawing_device)
-        for name in list_algorithms(drawing_device)
-        if name in NAMES
+        name: make_visibility(name, scene, drawing_device) for name in list_algorithms(drawing_device) if name in NAMES
     }
     algorithms["small"] = ChcPlusPlus(scene, drawing_device, VisibilitySettings(batch=batch, persistence=persistence))
     for name, algorithm in algorithms.items():
@@ -138,9 +136,7 @@ def test_what_shows_is_drawn_whenever_the_answer_comes(name: str, title: str, la
 
 
 @pytest.mark.parametrize(("name", "ulps", "latency"), in_turns([*OCCLUSION, *DEVICE], [-1, 0, 1]))
-def test_what_may_be_cut_by_the_near_plane_is_drawn_whatever_the_answer(
-    name: str, ulps: int, latency: int
-) -> None:
+def test_what_may_be_cut_by_the_near_plane_is_drawn_whatever_the_answer(name: str, ulps: int, latency: int) -> None:
     radius = near_radius(look(ORIGIN, WALL, fov=LENS.fov, near=0.1).with_aspect(64 / 36))
     inside = radius * (1.0 + ulps * 2.0**-52) - 1e-3  # padding pulls the near one of two over the radius
     scene = make_boxes([(0.0, 0.0, -inside - 0.5), (0.0, 0.0, -9.0)], [(1.0, 1.0, 1.0)] * 2)

@@ -92,9 +92,7 @@ def test_of_a_leaf_across_the_edge_of_the_view_only_what_is_in_view_is_drawn(
 
 @pytest.mark.parametrize("leaf_size", [3, 64])
 @pytest.mark.parametrize("name", OCCLUSION[1:])
-def test_leaves_of_several_objects_change_no_pixel(
-    drawing_device: rhi.Device, name: str, leaf_size: int
-) -> None:
+def test_leaves_of_several_objects_change_no_pixel(drawing_device: rhi.Device, name: str, leaf_size: int) -> None:
     if name not in list_algorithms(drawing_device):
         pytest.skip(f"{name} doesn't run on {drawing_device.backend_name}")
     city = load_scene("city:blocks=8,detail=2")
@@ -105,18 +103,14 @@ def test_leaves_of_several_objects_change_no_pixel(
 
 
 @pytest.mark.parametrize("name", ["chc", "chc_plus_plus"])
-def test_larger_leaves_ask_less_and_draw_more(
-    gl: rhi.Device, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
+def test_larger_leaves_ask_less_and_draw_more(gl: rhi.Device, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     delay_answers(monkeypatch, 0)
     city = load_scene("city:blocks=8,detail=2")
     costs = []
     for leaf_size in (1, 4):
         algorithm = make_visibility(name, city, gl, VisibilitySettings(leaf_size=leaf_size))
         with Renderer(gl, city, size=SIZE) as renderer:
-            found = [
-                draw_with(renderer, algorithm, camera) for camera, _ in walk(city, "sky", range(600, 624, 2))
-            ]
+            found = [draw_with(renderer, algorithm, camera) for camera, _ in walk(city, "sky", range(600, 624, 2))]
         costs.append(np.sum([(one.statistics.queries, one.visibility.visible) for one in found[2:]], axis=0))
         algorithm.destroy()
     assert costs[1][0] < 0.6 * costs[0][0]

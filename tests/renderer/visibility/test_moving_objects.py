@@ -117,9 +117,7 @@ def walk_all(forest: Forest) -> list[int]:
 
 @settings(max_examples=30)
 @given(st.integers(1, 40), st.integers(0, 2**32 - 1), st.floats(0.0, 1.0), cameras())
-def test_all_trees_are_walked_front_to_back_together(
-    objects: int, seed: int, share: float, camera: Camera
-) -> None:
+def test_all_trees_are_walked_front_to_back_together(objects: int, seed: int, share: float, camera: Camera) -> None:
     # From inside boxes too; with no moving objects, with nothing else, and with boxes at equal distances.
     rng = np.random.default_rng(seed)
     places = rng.integers(-4, 5, (objects, 3)) if seed % 2 else rng.uniform(-8.0, 8.0, (objects, 3))

@@ -99,9 +99,7 @@ def test_a_box_behind_the_eye_or_beside_the_view_is_outside(device: rhi.Device) 
 
 
 @pytest.mark.parametrize(("gap", "mark"), [(0.9, VISIBLE), (1.1, HIDDEN)])
-def test_a_box_is_near_within_the_corners_of_the_near_plane(
-    device: rhi.Device, gap: float, mark: int
-) -> None:
+def test_a_box_is_near_within_the_corners_of_the_near_plane(device: rhi.Device, gap: float, mark: int) -> None:
     # At 60° and 16:9 they are 1.54 near away; the margin is far smaller than the tenth that is tried.
     eye = look((0.0, 0.0, 0.0), (0.0, 0.0, -1.0), near=0.5)
     radius = near_radius(eye)

@@ -119,9 +119,7 @@ def test_only_boxes_that_are_smaller_turned_are_turned() -> None:
 def test_a_sheared_object_keeps_its_aligned_box() -> None:
     shear = TURN.copy()
     shear[0, 1] = 0.3
-    assert not len(
-        find_rotated(make_boxes([(0, 0, 0)], [(1.0, 1.0, 9.0)], turns=shear[None]), np.arange(1)).rows
-    )
+    assert not len(find_rotated(make_boxes([(0, 0, 0)], [(1.0, 1.0, 9.0)], turns=shear[None]), np.arange(1)).rows)
 
 
 def test_a_mirrored_object_s_box_is_right_handed() -> None:

@@ -136,9 +136,7 @@ def test_chc_plus_plus_draws_in_fewer_batches_and_asks_with_fewer_queries(render
         for _ in range(12):
             result = draw_with(renderer, algorithm, EYE)
         assert visible(result) >= oracle.seen
-        costs.append(
-            (result.visibility.batches, result.statistics.queries, result.statistics.hardware_state_changes)
-        )
+        costs.append((result.visibility.batches, result.statistics.queries, result.statistics.hardware_state_changes))
     assert all(new < 0.5 * old for old, new in zip(*costs, strict=True)), costs
 
 
@@ -160,9 +158,7 @@ def test_persistence_of_one_asks_in_every_frame(renderer: Renderer) -> None:
 
 
 @pytest.mark.parametrize(("batch", "least", "most"), [(1, 12, 60), (1000, 1, 3)])
-def test_hidden_nodes_gather_until_there_is_a_batch(
-    renderer: Renderer, batch: int, least: int, most: int
-) -> None:
+def test_hidden_nodes_gather_until_there_is_a_batch(renderer: Renderer, batch: int, least: int, most: int) -> None:
     oracle = Oracle(renderer.device, renderer.scene, seen=set(range(0, 60, 3)))
     algorithm = ChcPlusPlus(renderer.scene, renderer.device, VisibilitySettings(batch=batch, persistence=50))
     for _ in range(3):
@@ -306,9 +302,7 @@ def test_the_queues_allocate_nothing_in_a_hundred_frames(renderer: Renderer, kin
         last = tracemalloc.take_snapshot().filter_traces([own])
     finally:
         tracemalloc.stop()
-    grown = sum(line.size for line in last.statistics("lineno")) - sum(
-        line.size for line in first.statistics("lineno")
-    )
+    grown = sum(line.size for line in last.statistics("lineno")) - sum(line.size for line in first.statistics("lineno"))
     assert memory() == before
     assert grown <= 32 * len(QUEUES), "a position of each queue, which is a number"
 

@@ -19,9 +19,7 @@ def city() -> Scene:
 
 
 @pytest.mark.parametrize("name", WAITING)
-def test_a_beam_whose_aligned_box_shows_and_whose_own_is_hidden_is_not_drawn(
-    gl: rhi.Device, name: str
-) -> None:
+def test_a_beam_whose_aligned_box_shows_and_whose_own_is_hidden_is_not_drawn(gl: rhi.Device, name: str) -> None:
     # Behind a wall that leans as the beam does, and covers it but for the corners of its aligned box.
     places, sizes = [(0.0, 0.0, -20.0), (0.5, 0.0, -20.5)], [(0.2, 6.0, 12.0), (0.2, 2.0, 8.0)]
     scene = make_boxes(places, sizes, turns=rotation((0, 1, 0), np.full(2, np.pi / 4)))
@@ -44,5 +42,3 @@ def test_where_two_surfaces_tie_the_depth_is_the_same(gl: rhi.Device, frames: ra
             camera = whole.paths["sky"].camera(frame)
             expected = draw_with(renderer, none, camera).depth.read()
             assert (draw_with(renderer, algorithm, camera).depth.read() == expected).all()
-
-

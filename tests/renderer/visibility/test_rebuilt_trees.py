@@ -136,9 +136,7 @@ def test_after_a_shuffle_there_are_no_more_queries_than_with_a_new_tree(
     fresh = count_queries(gl, make_moving(lambda places, seconds: shuffle(places, 1.0)), name, [0.0] * 50)
     after = count_queries(gl, make_moving(shuffle), name, [0.0] * 25 + [1.0] * 25)
     assert np.mean(after[-20:]) <= 1.1 * np.mean(fresh[-20:])
-    monkeypatch.setattr(
-        "renderer.visibility.boxes.forest.WORN", np.inf
-    )  # the control: the old tree asks more
+    monkeypatch.setattr("renderer.visibility.boxes.forest.WORN", np.inf)  # the control: the old tree asks more
     worn = count_queries(gl, make_moving(shuffle), name, [0.0] * 25 + [1.0] * 25)
     assert np.mean(worn[-20:]) > 1.2 * np.mean(fresh[-20:])
 
@@ -173,9 +171,7 @@ def test_objects_in_rebuilt_trees_look_as_without_culling(
         pytest.skip(f"{name} doesn't run on {drawing_device.backend_name}")
     monkeypatch.setattr("renderer.visibility.boxes.forest.WORN", 1.0)
     scene = make_moving(
-        lambda places, seconds: (
-            places + 6.0 * np.sin(seconds * (1.0 + np.arange(3 * BOXES).reshape(-1, 3) % 7))
-        )
+        lambda places, seconds: places + 6.0 * np.sin(seconds * (1.0 + np.arange(3 * BOXES).reshape(-1, 3) % 7))
     )
     rebuilds = []
     rebuild = Forest.rebuild

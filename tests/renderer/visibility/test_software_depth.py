@@ -109,18 +109,14 @@ def test_nothing_but_the_scenes_draw_reaches_the_renderers_device(null: rhi.Devi
 
 @settings(max_examples=5)
 @given(scenes(), st.lists(cameras(), min_size=1, max_size=3), st.integers(1, 8))
-def test_whatever_occludes_no_pixel_is_lost(
-    cl: rhi.Device, scene: Scene, eyes: list[Camera], occluders: int
-) -> None:
+def test_whatever_occludes_no_pixel_is_lost(cl: rhi.Device, scene: Scene, eyes: list[Camera], occluders: int) -> None:
     algorithm = SoftwareDepth(scene, None, VisibilitySettings(occluders=occluders))
     assert not any(count_wrong_pixels(cl, scene, algorithm, [(eye, 0.0) for eye in eyes]))
     algorithm.destroy()
 
 
 @pytest.mark.parametrize(("pixels", "shows"), [(0.9, True), (2.1, False)])
-def test_a_box_shows_unless_what_hides_it_reaches_a_pixel_further(
-    cl: rhi.Device, pixels: float, shows: bool
-) -> None:
+def test_a_box_shows_unless_what_hides_it_reaches_a_pixel_further(cl: rhi.Device, pixels: float, shows: bool) -> None:
     # The wall ends at x = 0, between pixels; the box ends so many pixels before that, as the camera sees it.
     scene = make_boxes([(-10.0, 0.0, -5.0)], [(20.0, 40.0, 0.1)])
     camera = look(ORIGIN, WALL).with_aspect(2.0)
@@ -222,9 +218,7 @@ def test_on_a_walk_most_of_what_is_hidden_is_not_drawn(cl: rhi.Device, city: Sce
     counts = []
     with Renderer(cl, city, size=(320, 180)) as renderer:
         for camera, _ in walk(city, "ground", range(300, 320, 5)):
-            counts.append(
-                [len(draw_with(renderer, one, camera).visible) for one in (algorithm, frustum, none)]
-            )
+            counts.append([len(draw_with(renderer, one, camera).visible) for one in (algorithm, frustum, none)])
     total = np.sum(counts, axis=0)
     assert total[0] < 0.6 * total[1] < 0.6 * total[2]
     algorithm.destroy()

@@ -82,9 +82,7 @@ def test_boxes_are_drawn_in_one_call_each_at_a_quarter_and_at_full_resolution(nu
         draw_with(renderer, algorithm, camera)
         passes = [command["descriptor"] for command in null.stream.filter(Op.BEGIN_PASS)]
         boxes = [
-            command
-            for command in null.stream.draws()
-            if command.resource(command.program).name.startswith("Mark")
+            command for command in null.stream.draws() if command.resource(command.program).name.startswith("Mark")
         ]
     # Reprojected depth, the scene, the boxes that were left, the scene again.
     assert [(one.size, len(one.colors)) for one in passes] == [

@@ -66,9 +66,7 @@ def test_every_rotated_box_holds_its_object(scene: Scene) -> None:
     for row, centre, half, axes in zip(boxes.rows, boxes.centre, boxes.half, boxes.axes, strict=True):
         draw = scene.meshes.ranges[scene.objects.mesh[row]]
         first, count = draw["first_index"], draw["index_count"]
-        local = scene.meshes.vertices["position"][
-            scene.meshes.indices[first : first + count] + draw["base_vertex"]
-        ]
+        local = scene.meshes.vertices["position"][scene.meshes.indices[first : first + count] + draw["base_vertex"]]
         world = scene.nodes.world[scene.objects.node[row]]
         points = local @ world[:3, :3].T + world[:3, 3]
         assert (np.abs((points - centre) @ axes.T) <= half + 1e-12 * (1.0 + np.abs(points))).all()

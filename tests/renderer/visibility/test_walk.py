@@ -52,9 +52,7 @@ def count_inside(walk: CullingWalk, outcomes: tuple[WalkOutcome, ...], row: int,
 
 
 @pytest.mark.parametrize("name", ["chc", "chc_plus_plus"])
-def test_each_object_is_in_a_node_that_tells_what_became_of_it(
-    null: rhi.Device, scene: Scene, name: str
-) -> None:
+def test_each_object_is_in_a_node_that_tells_what_became_of_it(null: rhi.Device, scene: Scene, name: str) -> None:
     oracle = Oracle(null, scene, name)
     camera = field_camera()
     in_view = FrustumCulling(scene)

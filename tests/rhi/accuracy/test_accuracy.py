@@ -66,16 +66,9 @@ def test_a_sample_that_is_off_by_more_than_is_stated_is_marked(monkeypatch, caps
 
 def test_the_command_prints_json_and_draws(tmp_path, capsys):
     picture = tmp_path / "accuracy.png"
-    assert (
-        accuracy.main(
-            ["accuracy", "--json", "--backend", "numpy", "--builtin", "sqrt", "--plot", str(picture)]
-        )
-        == 0
-    )
+    assert accuracy.main(["accuracy", "--json", "--backend", "numpy", "--builtin", "sqrt", "--plot", str(picture)]) == 0
     (row,) = json.loads(capsys.readouterr().out)["rows"]
-    assert {"builtin", "backend", "precision", "median_ulp", "max_ulp", "worst_input", "nanoseconds"} <= set(
-        row
-    )
+    assert {"builtin", "backend", "precision", "median_ulp", "max_ulp", "worst_input", "nanoseconds"} <= set(row)
     assert picture.read_bytes()[:4] == b"\x89PNG"
 
 

@@ -222,7 +222,13 @@ def test_programs_have_all_steps_states_and_kinds_of_textures() -> None:
     assert {type(state) for draw in draws for state in draw.states} == set(State.__args__) - left_out
     assert {draw.way for draw in draws} == set(step_types.Way)
     assert {image.kind for program in programs for image in program.images} == set(TextureKind)
-    assert {level for p in programs for s in p.steps if isinstance(s, Pass) for level in (s.colors[0].level if s.colors else 0,)} == {0, 2}  # noqa: E501
+    assert {
+        level
+        for p in programs
+        for s in p.steps
+        if isinstance(s, Pass)
+        for level in (s.colors[0].level if s.colors else 0,)
+    } == {0, 2}
 
 
 def test_equal_seeds_make_equal_programs() -> None:

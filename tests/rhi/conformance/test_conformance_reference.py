@@ -27,9 +27,7 @@ POINT = st.tuples(st.integers(-64, 320), st.integers(-64, 320))
 
 
 @given(a=POINT, b=POINT, c=POINT, d=POINT)
-def test_two_triangles_that_share_an_edge_cover_no_texel_twice(
-    a: tuple, b: tuple, c: tuple, d: tuple
-) -> None:
+def test_two_triangles_that_share_an_edge_cover_no_texel_twice(a: tuple, b: tuple, c: tuple, d: tuple) -> None:
     def side(p: tuple) -> int:
         return int(np.sign((b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0])))
 
@@ -70,9 +68,7 @@ def test_srgb_goes_there_and_back(value: float) -> None:
 
 
 def test_known_points_of_the_srgb_curve() -> None:
-    assert_near(
-        linear_to_srgb([0, 0.0031308, 0.5, 1]), [0, 0.04045, 0.735357, 1], 1e-5, "published to 5 digits"
-    )
+    assert_near(linear_to_srgb([0, 0.0031308, 0.5, 1]), [0, 0.04045, 0.735357, 1], 1e-5, "published to 5 digits")
 
 
 def test_blending_over_is_what_it_is_on_paper() -> None:

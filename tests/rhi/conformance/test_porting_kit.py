@@ -104,9 +104,7 @@ def test_a_new_backend_registers_itself_when_it_is_installed(tmp_path: Path) -> 
 
 
 @pytest.mark.slow
-def test_a_new_backend_passes_mypy_strict(
-    mypy_strict: Callable[..., tuple[str, int]], tmp_path: Path
-) -> None:
+def test_a_new_backend_passes_mypy_strict(mypy_strict: Callable[..., tuple[str, int]], tmp_path: Path) -> None:
     right, wrong = (write_package(name, tmp_path) / f"rhi_{name}" for name in ("right", "wrong"))
     out, _ = mypy_strict(right)
     assert [line for line in out.splitlines() if "rhi_right" in line] == []
@@ -116,9 +114,7 @@ def test_a_new_backend_passes_mypy_strict(
     assert "Incompatible return value type" in out
 
 
-def test_the_command_writes_the_package_and_says_where(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_writes_the_package_and_says_where(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["new-backend", "metal", "--folder", str(tmp_path)]) == 0
     out, err = capsys.readouterr()
     assert out.strip() == str(tmp_path / "rhi-metal")
@@ -127,9 +123,7 @@ def test_the_command_writes_the_package_and_says_where(
 
 
 @pytest.mark.parametrize("name", ["Metal", "9lives", "a-b", "class", "", "gl"])
-def test_a_name_must_be_free_and_a_module_s(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_name_must_be_free_and_a_module_s(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["new-backend", name, "--folder", str(tmp_path)]) == 2
     assert capsys.readouterr().err.startswith("error: ")
     assert not list(tmp_path.iterdir())
@@ -215,9 +209,7 @@ def test_a_test_counts_once_also_if_its_teardown_fails_too() -> None:
 
 def test_the_kit_runs_in_the_order_of_the_steps(tmp_path: Path) -> None:
     root = write_package("sorted", tmp_path)
-    output = take_the_kit(
-        root, "rhi_sorted:create_backend", "rhi.conformance.operation", "--collect-only"
-    )
+    output = take_the_kit(root, "rhi_sorted:create_backend", "rhi.conformance.operation", "--collect-only")
     found = re.findall(r"^(?:operation/)?test_(\w+)\.py::", output, re.MULTILINE)
     numbers = [step_of(f"operation · {name.replace('_', ' ')}") for name in dict.fromkeys(found)]
     assert len(numbers) > 20

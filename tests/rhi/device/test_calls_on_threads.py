@@ -47,9 +47,7 @@ MORE = [
     f"{kind}.{name}"
     for kind, names in {
         "Device": "finish signal completed timers statistics reset_statistics make_current release_current",
-        **dict.fromkeys(
-            ("Buffer", "UniformBuffer", "UniformArray", "StorageBuffer", "Mesh", "Program"), "destroy"
-        ),
+        **dict.fromkeys(("Buffer", "UniformBuffer", "UniformArray", "StorageBuffer", "Mesh", "Program"), "destroy"),
         "Texture": "generate_mipmaps destroy",
         "OcclusionQuery": f"begin end {QUERY}",
         "QuerySet": QUERY,
@@ -87,9 +85,7 @@ def test_every_public_member_has_a_call() -> None:
             assert members <= called | {*SAFE[name].split(), *INTERNAL.get(name, ())}, members
 
 
-THREADED = [
-    name for name in SAMPLES if "." in name and name not in FREE and not name.startswith("CommandBuffer.")
-]
+THREADED = [name for name in SAMPLES if "." in name and name not in FREE and not name.startswith("CommandBuffer.")]
 
 
 @pytest.mark.parametrize("name", [*THREADED, *MORE])

@@ -162,9 +162,7 @@ class Flaky(CommandMethods):
     ("create_buffer", 0), ("create_vertex_array", 0), ("create_vertex_array", 1), ("write_buffer", 0),
     ("bind_uniform", 0), ("draw", 0), ("draw", 1), ("end_pass", 0), ("set_states", 0),
 ])  # fmt: skip
-def test_after_a_call_that_failed_the_device_and_the_buffer_go_on(
-    method: str, after: int, recorded: bool
-) -> None:
+def test_after_a_call_that_failed_the_device_and_the_buffer_go_on(method: str, after: int, recorded: bool) -> None:
     flaky = Flaky()
     with Device(rhi.Recorder(flaky) if recorded else flaky) as device:
         house = House(device)

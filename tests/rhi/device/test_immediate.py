@@ -140,9 +140,7 @@ def test_vertex_arrays_of_instances_live_for_a_frame(kit: Kit) -> None:
     assert set(made) - set(gone) == {made[0]}
 
 
-def test_vertex_arrays_of_programs_that_are_gone_do_not_stay(
-    kit: Kit, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_vertex_arrays_of_programs_that_are_gone_do_not_stay(kit: Kit, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rhi.device.transient.MAX_LAYOUTS", 10)
     rows = np.zeros(3, [("position", "<f4", (2,))])
     for number in range(50):

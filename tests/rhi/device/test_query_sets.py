@@ -19,9 +19,7 @@ def ask(kit: Kit, queries: rhi.QuerySet, encoder: rhi.Encoder | None = None) -> 
     draws = kit.mesh.draws(np.zeros(4, int), 3)
     encoder = kit.device if encoder is None else encoder  # an empty command buffer is false
     with encoder.render_pass(kit.image):
-        encoder.draw_counted(
-            kit.program, kit.mesh, draws, queries, ROWS, camera=kit.camera, object=kit.objects[0]
-        )
+        encoder.draw_counted(kit.program, kit.mesh, draws, queries, ROWS, camera=kit.camera, object=kit.objects[0])
 
 
 def test_rows_are_begun_and_ended_one_after_the_other(kit: Kit) -> None:
@@ -50,12 +48,8 @@ def test_an_empty_array_of_draws_sends_no_commands(kit: Kit) -> None:
         with kit.device.render_pass(kit.image):
             draws = kit.mesh.draws([], [])
             before = len(kit.device.stream)
-            kit.device.draw_counted(
-                kit.program, kit.mesh, draws, queries, camera=kit.camera, object=kit.objects[0]
-            )
-            done = kit.device.stream[before:].filter(
-                frozenset({Op.DRAW, Op.BEGIN_QUERY, Op.WRITE_QUERY, Op.SIGNAL})
-            )
+            kit.device.draw_counted(kit.program, kit.mesh, draws, queries, camera=kit.camera, object=kit.objects[0])
+            done = kit.device.stream[before:].filter(frozenset({Op.DRAW, Op.BEGIN_QUERY, Op.WRITE_QUERY, Op.SIGNAL}))
             assert not len(done)
         assert queries.wait().tolist() == [-1, -1]
 

@@ -23,7 +23,7 @@ import rhi
 from rhi import Format, Op, Reloader, RhiError, ShaderError, ValidationError
 from rhi.shading import evaluate
 
-TEXT = '''
+TEXT = """
 from __future__ import annotations
 from rhi.shading import Shader, Storage, StorageRW, Struct, Uniform, function, global_id, vec2, vec3, vec4
 
@@ -58,7 +58,7 @@ class Other(Shader):
 
     def compute(self) -> None:
         self.values[global_id().x] = 1.0
-'''
+"""
 _numbers = itertools.count()
 
 
@@ -169,7 +169,7 @@ def test_classes_derived_elsewhere_change_too(device: rhi.Device, shaders: Any) 
 def test_modules_that_use_a_module_change_with_it(
     device: rhi.Device, shaders: Any, import_text: Callable[[str], ModuleType]
 ) -> None:
-    user: Any = import_text(f'''
+    user: Any = import_text(f"""
 from {shaders.__name__} import Corner, Varying, weaken
 import {shaders.__name__} as shaders
 from rhi.shading import Shader, vec4
@@ -181,7 +181,7 @@ class Weak(Shader):
 class Named(Shader):
     def vertex(self, v: Corner) -> vec4:
         return vec4(v.position, shaders.SHARE, 1.0)
-''')
+""")
     programs: list[Any] = [device.program(user.Weak), device.program(user.Named)]
     text = TEXT.replace("color * 1.0", "color * 0.375").replace("SHARE = 1.0", "SHARE = 0.625")
     assert Reloader(device).reload(shaders, text) == 2

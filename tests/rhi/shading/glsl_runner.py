@@ -25,9 +25,7 @@ def context() -> Iterator[moderngl.Context]:
     context.release()
 
 
-def run_glsl(
-    context: moderngl.Context, shader: type[Shader], groups: Any = 1, **values: Any
-) -> dict[str, Any]:
+def run_glsl(context: moderngl.Context, shader: type[Shader], groups: Any = 1, **values: Any) -> dict[str, Any]:
     """Run a compute shader on OpenGL and return the contents of each storage buffer afterwards."""
     program = compile_shader(shader)
     compute = context.compute_shader(program.emit("glsl", Stage.COMPUTE).text)

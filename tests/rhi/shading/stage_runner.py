@@ -225,9 +225,7 @@ def run_fragment_lanes(
         else:
             words[..., span] = as_words(value, height * width).reshape(height, width, -1)
     rows, columns = np.mgrid[:height, :width]
-    place = np.stack(
-        [columns + 0.5, rows + 0.5, np.broadcast_to(depth, shape), np.broadcast_to(w, shape)], axis=-1
-    )
+    place = np.stack([columns + 0.5, rows + 0.5, np.broadcast_to(depth, shape), np.broadcast_to(w, shape)], axis=-1)
     masks = -np.broadcast_to(mask, shape).astype(np.int32)
     out = kernel.launch(
         count,
@@ -352,9 +350,7 @@ def run_vertex_glsl(
     for attribute in descriptor.attributes:
         name = f"in_{attribute.name}"
         words = as_words(attributes[attribute.name], count)
-        kind = {"float": "f4", "int": "i4", "uint": "u4"}[
-            getattr(attribute.type, "scalar", attribute.type).name
-        ]
+        kind = {"float": "f4", "int": "i4", "uint": "u4"}[getattr(attribute.type, "scalar", attribute.type).name]
         used.append(context.buffer(words.tobytes()))
         if name in program:
             content.append((used[-1], f"{words.shape[1]}{kind}", name))

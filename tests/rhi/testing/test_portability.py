@@ -24,9 +24,7 @@ def deferred_frame(device):
     with device.render_pass(image, clear=(0, 0, 0, 1)), device.states(BlendFunction.ADDITIVE.at(0)):
         device.draw(program, mesh, camera=camera, object=objects[1])
     if device.capabilities.compute:
-        compute = dataclasses.replace(
-            hand_made_program(), stages=frozenset({Stage.COMPUTE}), attributes=(), outputs=()
-        )
+        compute = dataclasses.replace(hand_made_program(), stages=frozenset({Stage.COMPUTE}), attributes=(), outputs=())
         device.program(compute)
 
 

@@ -101,9 +101,7 @@ def test_parts_of_arrays_and_structs_are_named_by_paths(null_device: Device) -> 
     lamps = np.zeros(3, Lamp.dtype)
     lamps["power"] = [1, 2, 3]
     turn = np.arange(9.0).reshape(3, 3)
-    value = Everything(
-        number=-7, turn=turn, lamps=(Lamp(color=(1, 2, 3), power=4), Lamp(color=(5, 6, 7), power=8))
-    )
+    value = Everything(number=-7, turn=turn, lamps=(Lamp(color=(1, 2, 3), power=4), Lamp(color=(5, 6, 7), power=8)))
     draw_all(null_device, value, lamps)
     draws = expect(null_device).draws()
     draws.with_contents("all", {"number": -7, "turn": turn, "lamps.1.color": (5, 6, 7)}).exactly(1)
@@ -184,11 +182,7 @@ def test_a_loaded_trace_says_that_it_has_no_layouts(house: House, tmp_path: obje
 
 
 @settings(max_examples=40)
-@given(
-    st.lists(
-        st.tuples(st.sampled_from(["write", "copy", "clear", "draw"]), st.integers(0, 2), st.integers(0, 9))
-    )
-)
+@given(st.lists(st.tuples(st.sampled_from(["write", "copy", "clear", "draw"]), st.integers(0, 2), st.integers(0, 9))))
 def test_what_is_followed_is_what_the_device_has(steps: list[tuple[str, int, int]]) -> None:
     with rhi.create_device("null") as device:
         house = House(device)
@@ -199,9 +193,7 @@ def test_what_is_followed_is_what_the_device_has(steps: list[tuple[str, int, int
                 if kind == "write":
                     lights[which].write(Light(offset=(number, 1, 2, 3)))
                 elif kind == "copy":
-                    lights[which].owner.copy_to(
-                        lights[(which + 1) % 3].owner, size=8, offset=4, target_offset=0
-                    )
+                    lights[which].owner.copy_to(lights[(which + 1) % 3].owner, size=8, offset=4, target_offset=0)
                 elif kind == "clear":
                     lights[which].owner.clear(number)
                 else:

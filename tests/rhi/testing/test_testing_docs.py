@@ -42,9 +42,7 @@ def test_the_page_passes_on_a_gpu(pytester: pytest.Pytester, tests: int) -> None
         ('Camera(offset=(0, 0, 0, 0)), label="sun"', 'Camera(offset=(0, 0, 0, 5)), label="sun"'),
     ],
 )
-def test_the_page_notices_a_broken_renderer(
-    pytester: pytest.Pytester, tests: int, old: str, new: str
-) -> None:
+def test_the_page_notices_a_broken_renderer(pytester: pytest.Pytester, tests: int, old: str, new: str) -> None:
     file = pytester.path / "test_shadow.py"
     source = file.read_text()
     assert source.count(old) >= 1

@@ -16,14 +16,14 @@ from rhi.__main__ import main
 from rhi.trace import load
 from rhi.trace.cli import encode_png
 
-FAULT = '''
+FAULT = """
 import rhi
 from rhi import Op
 
 
 def presents(trace):
     return len(trace.stream.filter(Op.PRESENT)) > 0
-'''
+"""
 
 
 def test_show_prints_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
@@ -49,9 +49,7 @@ def test_replay_writes_the_last_presented_image(tmp_path: Path) -> None:
     assert np.array_equal(np.asarray(Image.open(output)), wanted)
 
 
-def test_diff_says_by_its_exit_code_whether_they_differ(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_diff_says_by_its_exit_code_whether_they_differ(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["trace", "diff", str(VERSION_1), str(VERSION_1)]) == 0
     assert capsys.readouterr().out == "no differences\n"
     copy = tmp_path / "t.zip"

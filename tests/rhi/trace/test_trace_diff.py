@@ -132,7 +132,12 @@ def test_the_same_sources_under_another_name_are_a_difference() -> None:
     with rhi.create_device("null") as a, rhi.create_device("null") as b:
         for device, tail in ((a, ""), (b, "// more")):
             descriptor = rhi.ProgramDescriptor(
-                "p", frozenset({rhi.Stage.VERTEX}), (), (), (), (1, 1, 1),
+                "p",
+                frozenset({rhi.Stage.VERTEX}),
+                (),
+                (),
+                (),
+                (1, 1, 1),
                 lambda *_, tail=tail: rhi.StageText(f"void f(){{}}{tail}"),
             )
             device.program(descriptor)

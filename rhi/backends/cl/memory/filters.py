@@ -163,8 +163,7 @@ class Filters:
         """Compute the mip level `below` from the next larger one, in the same buffer."""
         planes = (above, below)
         places = [
-            np.array([plane.start, plane.pitch, plane.layer_bytes, 0], np.uint64)
-            // np.uint64(format.dtype.itemsize)
+            np.array([plane.start, plane.pitch, plane.layer_bytes, 0], np.uint64) // np.uint64(format.dtype.itemsize)
             for plane in planes
         ]
         sizes = [np.array([plane.width, plane.height, plane.layers, 0], np.int32) for plane in planes]

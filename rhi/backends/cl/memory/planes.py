@@ -36,9 +36,7 @@ class TexelPlane:
 
     __slots__ = ("address", "height", "layer_bytes", "layers", "memory", "pitch", "start", "texel", "width")
 
-    def __init__(
-        self, memory: cl.Buffer, start: int, texel: int, width: int, height: int, layers: int
-    ) -> None:
+    def __init__(self, memory: cl.Buffer, start: int, texel: int, width: int, height: int, layers: int) -> None:
         self.memory = memory
         self.address = find_address(memory)
         self.start = start
@@ -52,9 +50,7 @@ class TexelPlane:
     def _pitches(self) -> tuple[int, int]:
         return self.pitch, self.layer_bytes
 
-    def write(
-        self, queue: cl.CommandQueue, region: Region, texels: NDArray[np.uint8], block: bool
-    ) -> cl.Event:
+    def write(self, queue: cl.CommandQueue, region: Region, texels: NDArray[np.uint8], block: bool) -> cl.Event:
         event: cl.Event = _copy_box(queue, self.memory, texels, **self._host_box(region), is_blocking=block)
         return event
 

@@ -327,9 +327,7 @@ class KernelCache:
                 place, _, _, size = _read_record(folder, record)
                 if place is not None:
                     found.append((used, size, record, place))
-                elif used < time.time() - _OLD and not (
-                    record.suffix == _CODE and record.with_suffix("").exists()
-                ):
+                elif used < time.time() - _OLD and not (record.suffix == _CODE and record.with_suffix("").exists()):
                     record.unlink()
         total = sum(size for _, size, _, _ in found)
         for _, size, record, place in sorted(found):

@@ -130,9 +130,7 @@ _CONVERSION: Final = re.compile(rf"convert_({'|'.join(_NUMBERS)})(|2|3|4|8|16)(?
 _CAST: Final = re.compile(rf"as_((?:{'|'.join(_NUMBERS)})(?:|2|3|4|8|16))")
 _LOAD: Final = re.compile(r"vload(?:(2|3|4|8|16)|_half)")
 _STORE: Final = re.compile(r"vstore(?:(2|3|4|8|16)|_half(?:_rte)?)")
-_PLACES: Final = {
-    name: (elements, forms) for names, (elements, forms) in _FORMS.items() for name in names.split()
-}
+_PLACES: Final = {name: (elements, forms) for names, (elements, forms) in _FORMS.items() for name in names.split()}
 _COUNTS: Final = {name: count for names, count in _ATOMICS.items() for name in names.split()}
 
 

@@ -96,9 +96,7 @@ class _Contents(Generic[T]):
 class Assembler(Generic[T]):
     """Assembles the draws of one device. `T` is the type of an index list in device memory."""
 
-    def __init__(
-        self, read: Callable[[Id, int, int], bytes], upload: Callable[[NDArray[np.uint32]], T]
-    ) -> None:
+    def __init__(self, read: Callable[[Id, int, int], bytes], upload: Callable[[NDArray[np.uint32]], T]) -> None:
         """`read` returns bytes of a buffer, given an offset and a size; `upload` copies an index list to the device."""
         self._read = read
         self._upload = upload

@@ -84,9 +84,7 @@ class BatchState:
         return surface, bool(self.table["near_is_less"]), texture, texture and texture.changes
 
 
-def describe_batch(
-    pipeline: Pipeline, size: tuple[int, int], key: MergerKey, wireframe: bool
-) -> dict[str, float]:
+def describe_batch(pipeline: Pipeline, size: tuple[int, int], key: MergerKey, wireframe: bool) -> dict[str, float]:
     """Return the batch table's fields that follow from the pipeline, the size (width, height) of the target, and
     `wireframe`: whether triangles are drawn as lines."""
     tiles_x, tiles_y = (-(-length // TILE) for length in size)
@@ -181,9 +179,7 @@ class Batch:
         if alone is None:
             return GatheredDraws(state, self._tabulate(state, words), views, 0)
         draws, row, counters = alone
-        if draws.boxed != self._prepared.version and not self._choose_boxes(
-            state, draws.places, draws.instances
-        ):
+        if draws.boxed != self._prepared.version and not self._choose_boxes(state, draws.places, draws.instances):
             draws.boxed = self._prepared.version
         bound = bind_words(state.bound, row[FIXED_COLUMNS:], draws.list_streams(state.bound.streams))
         return GatheredDraws(state, [(table, bound) for table in draws.tables], views, counters)
@@ -199,8 +195,6 @@ class Batch:
         self._choose_boxes(state, numbers, instances[:, 0])
         return tabulate(self._prepared, state.bound, rows, numbers, instances)
 
-    def _choose_boxes(
-        self, state: BatchState, numbers: NDArray[np.int64], instances: NDArray[np.int64]
-    ) -> bool:
+    def _choose_boxes(self, state: BatchState, numbers: NDArray[np.int64], instances: NDArray[np.int64]) -> bool:
         """Have boxes measured for draws that were drawn before; return whether some draws still lack theirs."""
         return state.vertex.measure is not None and self._boxes.choose(numbers, instances)

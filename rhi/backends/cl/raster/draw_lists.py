@@ -25,9 +25,7 @@ _MAX_KNOWN: Final = 1 << 17
 _NAMES: Final = DRAW.names or ()
 _WORDS: Final = [word for word, name in enumerate(_NAMES) if name != "instances"]
 """The words of a draw that its prepared draw depends on: all but the number of instances."""
-_FACTORS: Final = np.array(
-    [0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0xD6E8FEB86659FD93], np.uint64
-)
+_FACTORS: Final = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0xD6E8FEB86659FD93], np.uint64)
 """Factors of the hash of a draw's words: odd numbers with evenly distributed bits."""
 
 
@@ -164,9 +162,7 @@ class _KnownDraws:
         at = np.minimum(np.searchsorted(self._hashes, hashes), len(self._hashes) - 1)
         return np.where((self._words[at] == words).all(axis=1), self._numbers[at], -1)
 
-    def add(
-        self, words: NDArray[np.uint32], hashes: NDArray[np.uint64], numbers: NDArray[np.int64]
-    ) -> None:
+    def add(self, words: NDArray[np.uint32], hashes: NDArray[np.uint64], numbers: NDArray[np.int64]) -> None:
         """Add draws that weren't found."""
         order = np.argsort(hashes, kind="stable")
         at = np.searchsorted(self._hashes, hashes[order])

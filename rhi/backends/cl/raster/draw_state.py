@@ -69,8 +69,7 @@ class DrawState:
         self.pipeline: Pipeline | None = None
         self.target: PassSurfaces | None = None
         self.values: dict[type, Any] = {
-            state: (value,) * MAX_TARGETS if state in PER_TARGET else value
-            for state, value in DEFAULTS.items()
+            state: (value,) * MAX_TARGETS if state in PER_TARGET else value for state, value in DEFAULTS.items()
         }
         self.has_clears = False  # whether some of the target may still have to be cleared
         self._formats: tuple[tuple[Format, ...], Format | None] = ((), None)
@@ -134,9 +133,7 @@ class DrawState:
             for key in [key for key in memo if key[0] is pipeline]:
                 del memo[key]
 
-    def look_up(
-        self, pipeline: Pipeline, target: PassSurfaces
-    ) -> tuple[MergerKey, Kernel, bytes, dict[str, float]]:
+    def look_up(self, pipeline: Pipeline, target: PassSurfaces) -> tuple[MergerKey, Kernel, bytes, dict[str, float]]:
         """Return the merger's key, the raster kernel, the `VIEW_STRUCT` and the batch table for the current state."""
         colors, depth = self._formats
         key = pipeline, target.size, target.samples, colors, depth, *self.values.values()

@@ -96,9 +96,7 @@ class Scratch:
 class Launcher:
     """Launches the batches of one device."""
 
-    def __init__(
-        self, context: ClContext, builds: Builds, in_flight: InFlight, boxes: AttributeBoxes
-    ) -> None:
+    def __init__(self, context: ClContext, builds: Builds, in_flight: InFlight, boxes: AttributeBoxes) -> None:
         self._queue = context.queue
         self._builds = builds
         self._boxes = boxes
@@ -127,9 +125,7 @@ class Launcher:
         table, bounds = state.table, state.identify_bounds()
         table["counters"] = draws.counters
         table["bounded"] = state.bounds_depth and bounds == self._bounds
-        table["cleared"] = sum(
-            1 << index for index, surface in enumerate(state.surfaces) if surface.clear is not None
-        )
+        table["cleared"] = sum(1 << index for index, surface in enumerate(state.surfaces) if surface.clear is not None)
         self._bounds = None
         event = None
         try:

@@ -274,10 +274,7 @@ def make_state(values: Mapping[type, Any], colors: Sequence[Format]) -> NDArray[
     constant = values[BlendColor]
     numbers[_BLEND_STATE : _BLEND_STATE + 4] = constant.red, constant.green, constant.blue, constant.alpha
     for place, side in enumerate((values[StencilFront], values[StencilBack])):
-        codes = [
-            _STENCIL_OPERATIONS[operation]
-            for operation in (side.stencil_fail, side.depth_fail, side.both_pass)
-        ]
+        codes = [_STENCIL_OPERATIONS[operation] for operation in (side.stencil_fail, side.depth_fail, side.both_pass)]
         state[_STENCIL_STATE + 2 * place] = (
             _PASSES[side.function.value] | codes[0] << 4 | codes[1] << 8 | codes[2] << 12
         )
@@ -288,9 +285,7 @@ def make_state(values: Mapping[type, Any], colors: Sequence[Format]) -> NDArray[
         place = _COLOR_STATE + _COLOR_WORDS * location
         state[place] = _pack_function(values[BlendFunction][location])
         mask, start = 0, 0
-        for bits, written in zip(
-            format.channel_bits, _written_channels(values[ColorWrite][location]), strict=False
-        ):
+        for bits, written in zip(format.channel_bits, _written_channels(values[ColorWrite][location]), strict=False):
             mask |= ((1 << bits) - 1) << start if written else 0
             start += bits
         state[place + 1 : place + 5] = np.frombuffer(mask.to_bytes(16, "little"), np.uint32)

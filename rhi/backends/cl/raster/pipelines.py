@@ -158,9 +158,7 @@ class Pipeline:
         before = "\n".join((*map(read_kernels, _POLYGONS), defines, read_kernels("targets")))
         return self._assemble(before, text, macros, _RASTER, (_RASTER,)), text
 
-    def _assemble(
-        self, before: str, text: StageText, macros: str, file: str, names: Sequence[str]
-    ) -> Request:
+    def _assemble(self, before: str, text: StageText, macros: str, file: str, names: Sequence[str]) -> Request:
         """Return the kernels of a file, behind a stage's text and what that needs."""
         source = "\n".join((tables.common_structs(), before, text.text, macros, read_kernels(file)))
         return self._builds.request(source, names, self.descriptor.flushes_denormals)

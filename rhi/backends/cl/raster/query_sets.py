@@ -21,9 +21,7 @@ class ClQuerySet:
         self._size = size
         self._segment: Segment | None = None
 
-    def draw(
-        self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], rows: NDArray[np.int64]
-    ) -> None:
+    def draw(self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], rows: NDArray[np.int64]) -> None:
         queries = self._rasteriser.queries
         self._segment = segment = queries.begin_set(self._size)
         try:

@@ -72,9 +72,7 @@ BATCH_STRUCT: Final = np.dtype(
 EMPTY_BATCH: Final[dict[str, float]] = dict.fromkeys((BATCH_STRUCT.names or ())[1:], 0)
 """The fields of a batch table without its surfaces, in the order of `pack_batch`, all 0."""
 _CODES: Final = {"u8": "Q", "i4": "i", "f4": "f"}
-_BATCH_WORDS: Final = Struct(
-    f"={MAX_PLANES}Q" + "".join(_CODES[BATCH_STRUCT[name].str[1:]] for name in EMPTY_BATCH)
-)
+_BATCH_WORDS: Final = Struct(f"={MAX_PLANES}Q" + "".join(_CODES[BATCH_STRUCT[name].str[1:]] for name in EMPTY_BATCH))
 DRAW_STRUCT: Final = np.dtype(
     [
         ("indices", "u8"),  # address of the first corner's index; 0: vertices in order
@@ -165,9 +163,7 @@ def vertex_macros(descriptor: ProgramDescriptor, streams: Sequence[VertexStream]
         line
         for place, stream in enumerate(streams)
         for attribute in stream.attributes
-        for line in _fetch(
-            stream, attribute, first + place, starts[attribute.location], sizes[attribute.location]
-        )
+        for line in _fetch(stream, attribute, first + place, starts[attribute.location], sizes[attribute.location])
     ]
     vertex_words = sum(
         ((1 << sizes[attribute.location]) - 1) << starts[attribute.location]

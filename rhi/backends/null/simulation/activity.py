@@ -188,9 +188,7 @@ class ActivityTimeline:
         ]
         for span in self.spans:
             name = span.activity.name.lower()
-            events.append(
-                _slice(span, threads[span.lane.value], f"{name}: {span.name}" if span.name else name)
-            )
+            events.append(_slice(span, threads[span.lane.value], f"{name}: {span.name}" if span.name else name))
         events += [_slice(span, threads["GPU labels"], span.name) for span in self.labels]
         events += [
             {

@@ -406,9 +406,7 @@ class SimulatedBackend(NullBackend):
             self._execute_submissions(until, fence)
         if self._interrupts:
             idle = not submissions or submissions[0].ready > until
-            self._handle_interrupts(
-                until if idle else min(until, self._gpu), self._gpu, self._queries.counter
-            )
+            self._handle_interrupts(until if idle else min(until, self._gpu), self._gpu, self._queries.counter)
 
     def _execute_submissions(self, until: float, fence: int | None) -> None:
         """Execute submitted commands, as in `_advance`. A command that raises is removed."""

@@ -94,9 +94,7 @@ class _DeferredDraw:
 
     __slots__ = ("arguments", "array", "buffers", "suspects", "use")
 
-    def __init__(
-        self, use: CommandUse, array: VertexArrayDescriptor, arguments: tuple[Any, ...] = ()
-    ) -> None:
+    def __init__(self, use: CommandUse, array: VertexArrayDescriptor, arguments: tuple[Any, ...] = ()) -> None:
         self.use = use
         self.array = array
         self.buffers = {array.index_buffer, *(stream.buffer for stream in array.streams)}
@@ -106,9 +104,7 @@ class _DeferredDraw:
 
 _DRAW_BYTES = DRAW.itemsize
 _UNIFORM, _STORAGE, _IMAGE = BindingKind.UNIFORM, BindingKind.STORAGE, BindingKind.IMAGE  # found faster than members
-_BINDING = frozenset(
-    {Op.SET_STATES, Op.BIND_PROGRAM, Op.BIND_UNIFORM, Op.BIND_STORAGE, Op.BIND_TEXTURE, Op.BIND_IMAGE}
-)
+_BINDING = frozenset({Op.SET_STATES, Op.BIND_PROGRAM, Op.BIND_UNIFORM, Op.BIND_STORAGE, Op.BIND_TEXTURE, Op.BIND_IMAGE})
 """Commands that only bind. What is bound is used when something is drawn or dispatched."""
 
 
@@ -153,9 +149,7 @@ class HazardTracker:
         self._unfinished: dict[Id, CommandUse | None] = {}  # queries that began, or were only created (None)
         self._counters_race = counters_race
         self._counters: set[Id] = set()
-        self._unread: list[
-            tuple[CommandUse, Id]
-        ] = []  # events whose counter isn't known to be read, no draw after
+        self._unread: list[tuple[CommandUse, Id]] = []  # events whose counter isn't known to be read, no draw after
         self._raced: dict[int, int] = {}  # by an event's command: the place of its hazard
 
     def followers(self) -> tuple[tuple[Callable[..., None] | None, bool], ...]:
@@ -224,9 +218,7 @@ class HazardTracker:
         hazard."""
         memory = self._streams.get(buffer)
         if memory is None:
-            self._report(
-                HazardKind.USED_DESTROYED, buffer, self._destroyed[buffer], make_use(), happened=True
-            )
+            self._report(HazardKind.USED_DESTROYED, buffer, self._destroyed[buffer], make_use(), happened=True)
             return
         if end <= begin:
             return

@@ -37,9 +37,7 @@ class WorkMeter:
         indirect_draws, indirect_dispatches: the executed indirect commands with their arguments, the latest last.
     """
 
-    def __init__(
-        self, cost: CostModel, textures: Textures, state: ExecutionState
-    ) -> None:
+    def __init__(self, cost: CostModel, textures: Textures, state: ExecutionState) -> None:
         self._cost = cost
         self._textures = textures
         self._state = state

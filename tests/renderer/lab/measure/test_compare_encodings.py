@@ -29,4 +29,3 @@ def test_rows_have_the_errors_and_times_of_each_encoding(
     assert rows["position by the world's matrix, in the image"]["max_error"] > 10.0
     assert all(row["nanoseconds"]["gl"] > 0.0 for row in rows.values())
     assert chart.stat().st_size > 0
-

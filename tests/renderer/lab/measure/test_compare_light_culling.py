@@ -122,9 +122,7 @@ def test_a_light_that_is_left_out_is_missed(gl: rhi.Device, monkeypatch: pytest.
     camera = next(iter(scene.views.values()))
     with Renderer(gl, scene, size=(200, 120), visibility=NoCulling(scene)) as renderer:
         (right,) = compare_light_culling(renderer, camera, [3], ["exact"], tile=16, rounds=1)
-        monkeypatch.setattr(
-            "renderer.lights.culling.uploads.find_volumes", lambda *given: shrink(find_volumes(*given))
-        )
+        monkeypatch.setattr("renderer.lights.culling.uploads.find_volumes", lambda *given: shrink(find_volumes(*given)))
         (wrong,) = compare_light_culling(renderer, camera, [3], ["exact"], tile=16, rounds=1)
     assert right["missed"] == 0
     assert wrong["missed"] == right["pairs"] - wrong["pairs"] > 0

@@ -68,9 +68,7 @@ def test_forward_looks_at_lights_of_objects_and_clusters_at_those_that_are_near(
 
 
 def test_a_scene_is_compared_as_it_is_without_numbers(capsys: pytest.CaptureFixture[str]) -> None:
-    rows = compare(
-        capsys, "hall:columns=6,rows=2,flags=0,detail=3", "--techniques", "deferred", "--backend", "null"
-    )
+    rows = compare(capsys, "hall:columns=6,rows=2,flags=0,detail=3", "--techniques", "deferred", "--backend", "null")
     assert [(row["technique"], row["lights"]) for row in rows] == [("deferred", 10)]
 
 
@@ -113,9 +111,7 @@ def test_what_cannot_be_compared_is_said_in_a_line(
 def test_rows_are_a_table_and_a_chart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     chart = tmp_path / "techniques.png"
     numbers = ["--objects", "1,4", "--lights", "1,2", "--techniques", "forward,deferred"]
-    assert (
-        main(["compare", "techniques", GRID, *SMALL, *numbers, "--backend", "null", "--plot", str(chart)]) == 0
-    )
+    assert main(["compare", "techniques", GRID, *SMALL, *numbers, "--backend", "null", "--plot", str(chart)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].split()[:4] == ["technique", "objects", "lights", "ms"]
     assert [line.split()[0] for line in lines[2:]] == ["forward", "deferred"] * 4

@@ -39,9 +39,7 @@ def walls(*distances: float, points: int = 0, spots: int = 0, reach: float = 100
     builder = SceneBuilder("walls")
     mesh, material = builder.add_mesh(BUILT_IN["box"]()), builder.add_material()
     for distance in distances:
-        builder.add_objects(
-            builder.add_node(translation((0, 0, -distance)) @ scaling((40, 40, 0.1))), mesh, material
-        )
+        builder.add_objects(builder.add_node(translation((0, 0, -distance)) @ scaling((40, 40, 0.1))), mesh, material)
     for number in range(points):
         builder.lights.add_point((0.01 * number, 0, 1 - min(distances)), reach)
     for number in range(spots):
@@ -50,9 +48,7 @@ def walls(*distances: float, points: int = 0, spots: int = 0, reach: float = 100
     return builder.build()
 
 
-def count(
-    device: rhi.Device, scene: Scene, technique: Technique, size: tuple[int, int] = SIZE
-) -> int | None:
+def count(device: rhi.Device, scene: Scene, technique: Technique, size: tuple[int, int] = SIZE) -> int | None:
     with Renderer(device, scene, technique=technique, visibility=NoCulling(scene), size=size) as renderer:
         return count_light_evaluations(renderer, scene.views["eye"])
 
@@ -83,9 +79,7 @@ def test_a_light_of_an_object_behind_is_looked_at_if_it_is_drawn_first(gl: rhi.D
     builder = SceneBuilder("thick")
     mesh, material = builder.add_mesh(BUILT_IN["box"]()), builder.add_material()
     for middle, depth in ((-10.0, 10.0), (-8.0, 0.1)):
-        builder.add_objects(
-            builder.add_node(translation((0, 0, middle)) @ scaling((40, 40, depth))), mesh, material
-        )
+        builder.add_objects(builder.add_node(translation((0, 0, middle)) @ scaling((40, 40, depth))), mesh, material)
     builder.lights.add_point((0, 0, -1), 100.0)
     builder.views["eye"] = Camera.look_at((0, 0, 0), (0, 0, -1))
     scene = builder.build()
@@ -95,18 +89,14 @@ def test_a_light_of_an_object_behind_is_looked_at_if_it_is_drawn_first(gl: rhi.D
 
 @pytest.mark.parametrize("make", [Forward, Clustered, ForwardMultipass])
 @pytest.mark.parametrize(("alpha", "each"), [(0.0, 0), (1.0, 1)])
-def test_what_a_mask_leaves_out_looks_at_no_light(
-    gl: rhi.Device, make: type[Forward], alpha: float, each: int
-) -> None:
+def test_what_a_mask_leaves_out_looks_at_no_light(gl: rhi.Device, make: type[Forward], alpha: float, each: int) -> None:
     scene = walls(5.0, points=1)
     scene.materials["alpha_mode"], scene.materials["base_color"][:, 3] = AlphaMode.MASK, alpha
     assert count(gl, scene, make()) == each * PIXELS
 
 
 @pytest.mark.parametrize(("points", "each"), [(8, 8), (9, 10)])
-def test_a_pixel_with_more_indices_than_fit_looks_at_its_objects_list(
-    gl: rhi.Device, points: int, each: int
-) -> None:
+def test_a_pixel_with_more_indices_than_fit_looks_at_its_objects_list(gl: rhi.Device, points: int, each: int) -> None:
     """One more light reaches the wall at a single place, so it is on the list of the object."""
     scene = walls(5.0, points=points)
     scene.lights.add_point((15.0, 0.0, -4.9), 1.0)

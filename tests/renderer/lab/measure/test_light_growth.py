@@ -65,9 +65,7 @@ def test_more_lights_of_the_same_density_cost_what_is_visible_of_them(
 
 
 @pytest.mark.parametrize("name", ["deferred", "tiled_deferred", "clustered_deferred"])
-def test_what_lights_a_geometry_buffer_costs_the_same_for_each_number_of_objects(
-    gl: rhi.Device, name: str
-) -> None:
+def test_what_lights_a_geometry_buffer_costs_the_same_for_each_number_of_objects(gl: rhi.Device, name: str) -> None:
     counts = {count(gl, wall(side, 8, 1.0), TECHNIQUES[name](), EYE) for side in (1, 4, 16)}
     assert len(counts) == 1
     assert counts.pop() > 0

@@ -24,9 +24,7 @@ def test_the_report_names_passes_textures_and_what_is_left_out() -> None:
         "directional lights": "the scene has 1 directional light",
         "point lights": "1 of 1 point light reaches what is in view",
     }
-    assert {left.name: left.because for left in report.left_out}[
-        "spot lights"
-    ] == "the scene has no spot light"
+    assert {left.name: left.because for left in report.left_out}["spot lights"] == "the scene has no spot light"
 
 
 def test_the_report_lists_the_memory_of_images_and_of_the_rest() -> None:

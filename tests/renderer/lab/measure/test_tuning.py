@@ -255,14 +255,10 @@ def test_a_trial_that_is_refused_says_why(
 
 
 @pytest.mark.usefixtures("gl")
-def test_the_best_pair_is_tried_with_leaves_of_several_objects(
-    here: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_best_pair_is_tried_with_leaves_of_several_objects(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tried = []
 
-    def try_none(
-        walk: Walk, pairs: list[ParameterPair], threshold: int = 0, leaf_size: int = 1
-    ) -> list[Trial]:
+    def try_none(walk: Walk, pairs: list[ParameterPair], threshold: int = 0, leaf_size: int = 1) -> list[Trial]:
         tried.append(leaf_size)
         ratio = 0.5 if leaf_size == 4 else 0.9
         return [Trial(*pair, 1.0, 1.0, ratio, 0, 0, 0, 0, leaf_size) for pair in pairs]

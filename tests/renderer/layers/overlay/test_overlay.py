@@ -61,8 +61,6 @@ def shown(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return texts
 
 
-
-
 def find_value(texts: list[str], name: str) -> str:
     """Return the value beside the name in the last two-column text that has it."""
     number = max(index for index, text in enumerate(texts) if name in text.split("\n"))

@@ -111,6 +111,7 @@ def test_a_padded_radius_is_larger_by_the_rounding_of_the_greatest_coordinates(l
 
 # -- slices --------------------------------------------------------------------------------------------------------
 
+
 def test_slices_are_filaments() -> None:
     """z_i = zf · 2^((i - N) · L), L = log2(zf / zn) / (N - 1), and the first begins at the near plane."""
     grid, far, first, count = SLICED["filament"], 100.0, 5.0, 16

@@ -251,9 +251,7 @@ def test_no_surface_is_lit_by_fewer_lights_than_reach_it(
     z = np.where(x > 250, 12.0, z)  # flat tiles
     z[(y < 40) & (x < 90)] = np.inf
     texture = put_depths(device, project_depths(camera.projection, z))
-    grid = make(
-        tile=16, slices=slices, sphere_test="exact", cone_test="tight", depth_mask=masked, capacity=200_000
-    )
+    grid = make(tile=16, slices=slices, sphere_test="exact", cone_test="tight", depth_mask=masked, capacity=200_000)
     found = as_pairs(collect(grid, device, camera, lights, depth=texture), lights)
 
     pixels = np.column_stack([rng.integers(0, SIZE[0], 3000), rng.integers(0, SIZE[1], 3000)])

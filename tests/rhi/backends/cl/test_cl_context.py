@@ -139,9 +139,7 @@ def test_a_device_is_chosen_by_its_number_or_a_part_of_its_name() -> None:
 
 
 @pytest.mark.parametrize("wanted", ["no such name", "99"])
-def test_an_unknown_device_is_refused_with_those_there_are(
-    monkeypatch: pytest.MonkeyPatch, wanted: str
-) -> None:
+def test_an_unknown_device_is_refused_with_those_there_are(monkeypatch: pytest.MonkeyPatch, wanted: str) -> None:
     monkeypatch.setenv("RHI_CL_DEVICE", wanted)
     with pytest.raises(DeviceError) as caught:
         open_context()

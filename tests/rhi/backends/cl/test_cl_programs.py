@@ -115,9 +115,7 @@ def test_atomics_of_all_work_groups_are_counted(cl_kit: ClKit) -> None:
     assert cl_kit.words(words, 1) == [32 * 1001]
 
 
-@pytest.mark.parametrize(
-    ("groups", "count"), [((3, 2, 2), 12), ((0, 1, 1), 0), ((1, 0, 1), 0), ((1, 1, 1), 1)]
-)
+@pytest.mark.parametrize(("groups", "count"), [((3, 2, 2), 12), ((0, 1, 1), 0), ((1, 0, 1), 0), ((1, 1, 1), 1)])
 def test_an_indirect_dispatch_takes_its_groups_from_what_was_written_before_it(
     cl_kit: ClKit, groups: tuple[int, int, int], count: int
 ) -> None:

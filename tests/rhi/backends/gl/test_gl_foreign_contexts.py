@@ -239,9 +239,7 @@ def test_they_are_refused_at_the_next_call_that_creates_something(
     assert count_filled(image) == PIXELS
 
 
-def test_a_device_made_current_inside_a_pass_goes_on_drawing(
-    device: Device, take_over: Callable[[], None]
-) -> None:
+def test_a_device_made_current_inside_a_pass_goes_on_drawing(device: Device, take_over: Callable[[], None]) -> None:
     image, mesh, program = device.texture(SIZE, Format.RGBA8), device.mesh(rectangle()), device.program(Tinted)
     tint = device.uniform(Tint(color=(1, 1, 1, 1)))
     with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE):

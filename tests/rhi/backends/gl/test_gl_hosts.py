@@ -42,9 +42,7 @@ class Host:
     def __init__(self) -> None:
         self.context = moderngl.create_context(330, standalone=True, **EGL)
         self.gl = EntryPoints(self.context.mglo._context.load)
-        self.find_current = ctypes.PYFUNCTYPE(ctypes.c_void_p)(
-            self.context.mglo._context.load("eglGetCurrentContext")
-        )
+        self.find_current = ctypes.PYFUNCTYPE(ctypes.c_void_p)(self.context.mglo._context.load("eglGetCurrentContext"))
         self.address = self.find_current()
         self.framebuffer = self.context.simple_framebuffer(SIZE)
         self.framebuffer.use()

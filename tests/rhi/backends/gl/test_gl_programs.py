@@ -75,9 +75,7 @@ def test_the_alpha_test_moves_no_line() -> None:
     source = add_alpha_test(describe_program(), AlphaFunction.GREATER)
     assert source is not None
     lines = source.text.split("\n")
-    assert (
-        lines[: len(FRAGMENT.split("\n")) - 1] == FRAGMENT.replace("main", "rhi_inner_main").split("\n")[:-1]
-    )
+    assert lines[: len(FRAGMENT.split("\n")) - 1] == FRAGMENT.replace("main", "rhi_inner_main").split("\n")[:-1]
     assert "color.a > rhi_alpha_reference" in source.text
 
 

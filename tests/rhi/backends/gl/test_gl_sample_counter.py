@@ -65,9 +65,7 @@ def test_a_count_is_the_sum_of_all_drawn_before_it(draws: list[list[int]], ready
 def test_a_result_that_comes_early_waits_for_those_before_it() -> None:
     fake = FakeQueries()
     late: set[int] = {1}
-    counter = SampleCounter(
-        fake.begin, fake.end, lambda n: None if n in late else fake.samples[n], fake.freed.append
-    )
+    counter = SampleCounter(fake.begin, fake.end, lambda n: None if n in late else fake.samples[n], fake.freed.append)
     counter.start()
     fake.draw(3)
     first = counter.take()

@@ -26,9 +26,7 @@ from rhi.contract.states import (
 def test_clears_ignore_masks_and_scissor_and_leave_them_in_force(gl_kit: GlKit) -> None:
     program = gl_kit.program(describe_program())
     shape, color, depth = gl_kit.shape(program, FULL), gl_kit.texture(), gl_kit.texture(Format.D24S8)
-    gl_kit.set(
-        CullMode.NONE, ColorWrite(red=False), DepthWrite.OFF, StencilWriteMask(0, 0), Scissor(0, 0, 4, 4)
-    )
+    gl_kit.set(CullMode.NONE, ColorWrite(red=False), DepthWrite.OFF, StencilWriteMask(0, 0), Scissor(0, 0, 4, 4))
     target = DepthAttachment(depth, clear=0.25, clear_stencil=9)
     gl_kit.begin(color, (0.2, 1, 0, 1), depth=target)
     assert (gl_kit.read(color) == (51, 255, 0, 255)).all()

@@ -276,9 +276,7 @@ def indices(*values):
     return np.array(values, np.uint16).tobytes()
 
 
-@pytest.mark.parametrize(
-    ("primitive", "last"), [(Primitive.TRIANGLES, 256), (Primitive.TRIANGLE_STRIP, 88)]
-)
+@pytest.mark.parametrize(("primitive", "last"), [(Primitive.TRIANGLES, 256), (Primitive.TRIANGLE_STRIP, 88)])
 def test_an_indexed_draw_reads_the_vertices_its_indices_name(primitive, last):
     """The largest index restarts only strips."""
     backend = vertex_backend(index_buffer=STATIC)
@@ -403,9 +401,7 @@ def test_using_what_was_destroyed_is_found():
     backend.destroy(7)
     assert not backend.hazards
     draw(backend)
-    assert [(h.kind, h.resource, h.calls) for h in backend.hazards] == [
-        (KINDS.USED_DESTROYED, 7, ("destroy", "draw"))
-    ]
+    assert [(h.kind, h.resource, h.calls) for h in backend.hazards] == [(KINDS.USED_DESTROYED, 7, ("destroy", "draw"))]
 
 
 def test_indices_that_were_destroyed_are_one_hazard_and_no_crash():

@@ -82,9 +82,7 @@ def test_the_refusal_of_a_dtype_shows_both_layouts(recording: Device) -> None:
     ("offset", "target", "size"),
     [(0, 0, 17), (8, 0, 9), (0, 8, 9), (-1, 0, 4), (0, -4, 4), (0, 0, 0), (16, 0, None)],
 )
-def test_a_copy_must_lie_in_both_buffers(
-    recording: Device, offset: int, target: int, size: int | None
-) -> None:
+def test_a_copy_must_lie_in_both_buffers(recording: Device, offset: int, target: int, size: int | None) -> None:
     with recording.buffer(16) as one, recording.buffer(16) as two:
         with refuses(rules.BUFFER_RANGE, recording):
             one.copy_to(two, size=size, offset=offset, target_offset=target)

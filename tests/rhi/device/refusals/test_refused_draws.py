@@ -304,9 +304,7 @@ def test_quads_are_not_drawn_many_at_once(recording: Device) -> None:
         (1, 0, 22),
     ],
 )
-def test_indirect_arguments_lie_in_their_buffer(
-    recording: Device, draws: int, offset: int, stride: int
-) -> None:
+def test_indirect_arguments_lie_in_their_buffer(recording: Device, draws: int, offset: int, stride: int) -> None:
     program = recording.program(Colored)
     with (
         recording.texture(SIZE, Format.R8) as image,
@@ -331,9 +329,7 @@ def test_an_indirect_count_lies_in_its_buffer(recording: Device, offset: int) ->
     ):
         with recording.render_pass(image):
             with refuses(rules.INDIRECT_RANGE, recording):
-                recording.draw_indirect(
-                    program, mesh, IndirectDraws(buffer, 2, count=count, count_offset=offset)
-                )
+                recording.draw_indirect(program, mesh, IndirectDraws(buffer, 2, count=count, count_offset=offset))
             recording.draw_indirect(program, mesh, IndirectDraws(buffer, 2, count=count, count_offset=4))
 
 

@@ -50,9 +50,7 @@ def test_one_bad_plan_of_many_refuses_all(recording: Device) -> None:
     ],
     ids=str,
 )  # fmt: skip
-def test_targets_are_formats_or_textures_as_many_as_a_pass_takes(
-    recording: Device, targets: Any, fits: bool
-) -> None:
+def test_targets_are_formats_or_textures_as_many_as_a_pass_takes(recording: Device, targets: Any, fits: bool) -> None:
     program = recording.program(Colored)
     if fits:
         assert recording.prepare(program, targets=targets).done()

@@ -73,9 +73,7 @@ def test_a_set_has_a_row_for_each_draw(recording: Device, queries: QuerySet, mes
         recording.draw_counted(program, mesh, mesh.draws(np.zeros(4, int), 3), queries)
 
 
-def test_draws_are_an_array_within_the_mesh(
-    recording: Device, queries: QuerySet, mesh: Mesh, image: Any
-) -> None:
+def test_draws_are_an_array_within_the_mesh(recording: Device, queries: QuerySet, mesh: Mesh, image: Any) -> None:
     program, draws = recording.program(Colored), mesh.draws([0, 3], 3)
     with recording.render_pass(image):
         with refuses(rules.DRAW_ARRAY, recording):
@@ -87,9 +85,7 @@ def test_draws_are_an_array_within_the_mesh(
         recording.draw_counted(program, mesh, draws, queries)
 
 
-def test_draws_are_counted_inside_a_pass(
-    recording: Device, queries: QuerySet, mesh: Mesh, image: Any
-) -> None:
+def test_draws_are_counted_inside_a_pass(recording: Device, queries: QuerySet, mesh: Mesh, image: Any) -> None:
     program, draws = recording.program(Colored), mesh.draws()
     with refuses(rules.DRAW_OUTSIDE_PASS, recording):
         recording.draw_counted(program, mesh, draws, queries)
@@ -150,9 +146,7 @@ def test_a_closed_device_counts_nothing(backend: str) -> None:
         device.draw_counted(program, mesh, mesh.draws(), queries)
 
 
-def test_a_set_has_answers_once_it_was_asked(
-    recording: Device, queries: QuerySet, mesh: Mesh, image: Any
-) -> None:
+def test_a_set_has_answers_once_it_was_asked(recording: Device, queries: QuerySet, mesh: Mesh, image: Any) -> None:
     with refuses(rules.QUERY_STATE, recording):
         queries.wait()
     with refuses(rules.QUERY_STATE, recording):
@@ -173,9 +167,7 @@ def test_a_set_has_a_number_of_rows(recording: Device, size: Any) -> None:
 # -- in command buffers ------------------------------------------------------------------------------------
 
 
-def test_a_command_buffer_asks_a_set_once(
-    recording: Device, queries: QuerySet, mesh: Mesh, image: Any
-) -> None:
+def test_a_command_buffer_asks_a_set_once(recording: Device, queries: QuerySet, mesh: Mesh, image: Any) -> None:
     program, draws, other = recording.program(Colored), mesh.draws(), recording.query_set(1)
     with recording.record() as commands, commands.render_pass(image):
         commands.draw_counted(program, mesh, draws, queries)
@@ -198,9 +190,7 @@ def test_a_set_lives_until_the_last_submission(recording: Device, mesh: Mesh, im
         recording.submit(commands)
 
 
-def test_a_command_buffer_counts_by_its_device_s_sets(
-    recording: Device, backend: str, mesh: Mesh, image: Any
-) -> None:
+def test_a_command_buffer_counts_by_its_device_s_sets(recording: Device, backend: str, mesh: Mesh, image: Any) -> None:
     program, draws = recording.program(Colored), mesh.draws()
     with rhi.create_device(backend) as other, recording.record() as commands, commands.render_pass(image):
         with refuses(rules.RESOURCE_FOREIGN, recording):
@@ -210,9 +200,7 @@ def test_a_command_buffer_counts_by_its_device_s_sets(
 # -- conditions --------------------------------------------------------------------------------------------
 
 
-def draw_on_condition(
-    encoder: rhi.Encoder, program: Any, mesh: Mesh, queries: QuerySet, rows: Any = None
-) -> None:
+def draw_on_condition(encoder: rhi.Encoder, program: Any, mesh: Mesh, queries: QuerySet, rows: Any = None) -> None:
     encoder.draw_conditional(program, mesh, mesh.draws([0, 3], 3), queries, rows)
 
 

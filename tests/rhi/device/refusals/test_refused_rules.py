@@ -30,9 +30,7 @@ ELSEWHERE = {
 }
 """Rules that are not tested here, and why."""
 
-NAMES = sorted(
-    name for name, value in vars(rules).items() if isinstance(value, Rule) and value not in ELSEWHERE
-)
+NAMES = sorted(name for name, value in vars(rules).items() if isinstance(value, Rule) and value not in ELSEWHERE)
 FOLDERS = (Path(__file__).parent, Path(rhi.conformance.__file__).parent / "validation")
 SOURCES = [path for folder in FOLDERS for path in sorted(folder.glob("test_*.py"))]
 
@@ -61,9 +59,7 @@ def test_a_rule_whose_name_begins_another_s_or_stands_in_prose_has_no_case() -> 
     assert find_refused(text) == {"TEXTURE_SIZE_LIMIT"}
 
 
-@pytest.mark.parametrize(
-    "name", sorted(name for name, value in vars(rules).items() if isinstance(value, Rule))
-)
+@pytest.mark.parametrize("name", sorted(name for name, value in vars(rules).items() if isinstance(value, Rule)))
 def test_a_rule_is_a_sentence_with_a_name(name: str) -> None:
     rule: Rule = getattr(rules, name)
     assert rule.id == rule.id.lower()

@@ -40,9 +40,7 @@ def test_a_size_is_two_whole_numbers(recording: Device, size: Any) -> None:
     ],
     ids=str,
 )  # fmt: skip
-def test_each_kind_has_its_number_of_layers(
-    recording: Device, kind: TextureKind, layers: int, fits: bool
-) -> None:
+def test_each_kind_has_its_number_of_layers(recording: Device, kind: TextureKind, layers: int, fits: bool) -> None:
     if fits:
         recording.texture((4, 4), Format.R8, kind=kind, layers=layers).destroy()
     else:
@@ -476,9 +474,7 @@ def test_blocks_are_bytes_of_their_format(recording: Device, shape: tuple[int, .
     [(0, 0, 3, 2, True), (4, 4, 2, 1, True), (8, 4, 1, 1, True), (2, 0, 1, 1, False), (0, 2, 1, 1, False),
      (0, 0, 4, 2, False), (0, 0, 3, 3, False), (12, 0, 1, 1, False), (-4, 0, 1, 1, False)],
 )  # fmt: skip
-def test_blocks_lie_inside_the_level(
-    recording: Device, x: int, y: int, columns: int, rows: int, fits: bool
-) -> None:
+def test_blocks_lie_inside_the_level(recording: Device, x: int, y: int, columns: int, rows: int, fits: bool) -> None:
     """A level of 10×7 texels has 3×2 blocks."""
     blocks = np.zeros((rows, columns, 8), "u1")
     with recording.texture((10, 7), CompressedFormat.BC1) as texture:

@@ -236,8 +236,7 @@ def test_every_builtin_has_its_value(run_everywhere, load):
         "class Test(Shader):\n"
         "    a: Storage[float]\n    ints: Storage[int]\n    uints: Storage[uint]\n    out: StorageRW[float]\n"
         "    def compute(self) -> None:\n"
-        "        x = self.a[0]\n        y = self.a[1]\n        n = self.ints[0]\n        u = self.uints[0]\n"
-        + lines
+        "        x = self.a[0]\n        y = self.a[1]\n        n = self.ints[0]\n        u = self.uints[0]\n" + lines
     )
     given = {
         "a": np.array([0.5, -1.75], "f4"),

@@ -86,9 +86,7 @@ def test_what_is_uniform_is_read_once_for_all_lanes(run_everywhere):
     tiles = np.repeat([3, 7], 16).astype("i4")
     lists = np.arange(20, dtype="f4")
     out = run_everywhere(OfTiles, tiles=tiles, lists=lists, out=32)["out"]
-    expected = np.array(
-        [lists[t : 2 * t].sum() if i % 3 != 1 else 2 * t + (t > 4) for i, t in enumerate(tiles)]
-    )
+    expected = np.array([lists[t : 2 * t].sum() if i % 3 != 1 else 2 * t + (t > 4) for i, t in enumerate(tiles)])
     np.testing.assert_array_equal(out, expected)
     assert "rhi_gather(lists_" not in opencl_kernel(OfTiles, 16).text
 

@@ -37,9 +37,7 @@ def run_checked(shader, width, groups=1, **bindings):
     arguments, results = [], {}
     flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
     for binding in compile_shader(shader).bindings:
-        whole, words = storage_words(
-            shader._declared[binding.name].type.element, bindings[binding.name], binding.name
-        )
+        whole, words = storage_words(shader._declared[binding.name].type.element, bindings[binding.name], binding.name)
         padded = np.zeros(max(64, words.size), np.uint32)
         padded[: words.size] = words
         arguments += [cl.Buffer(queue().context, flags, hostbuf=padded), np.int32(len(whole))]
@@ -198,9 +196,7 @@ def test_the_environment_turns_it_on():
     code = "from rhi.shading import Shader; print(Shader.checked)"
     for value, expected in (("1", "True"), ("0", "False"), ("", "False")):
         environment = {**os.environ, "RHI_SHADING_CHECKED": value}
-        run = subprocess.run(
-            [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
-        )
+        run = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
         assert run.stdout.strip() == expected
 
 

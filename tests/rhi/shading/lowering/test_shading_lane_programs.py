@@ -103,9 +103,7 @@ def blocks(draw, depth=3, in_loop=False, result="", names=NAMES, discards=False)
         elif kind == 7:
             lines += [f"if {draw(conditions(1, names, not is_helper))}:"]
             lines += ["    self.out[i] = " + draw(st.sampled_from(names))] if not is_helper else []
-            lines += (
-                ["    discard()"] if discards and draw(st.booleans()) else [f"    return {result}".rstrip()]
-            )
+            lines += ["    discard()"] if discards and draw(st.booleans()) else [f"    return {result}".rstrip()]
         elif kind in (8, 9):
             inner = draw(blocks(depth - 1, in_loop, result, names, discards))
             lines += [f"if {draw(conditions(1, names, not is_helper))}:", *indent(inner)]

@@ -112,9 +112,7 @@ class Exact(Shader):
         self.out[at + 8] = x + y
         self.out[at + 9] = x * y
         self.out[at + 10] = 0.0 if isnan(x) else sign(x) + step(1.0, x) + saturate(x)
-        self.out[at + 11] = (
-            0.0 if isnan(x) or abs(x) < 1e-7 else unpack_half_2x16(pack_half_2x16(vec2(x, 0.0))).x
-        )
+        self.out[at + 11] = 0.0 if isnan(x) or abs(x) < 1e-7 else unpack_half_2x16(pack_half_2x16(vec2(x, 0.0))).x
 
 
 def test_hard_numbers_are_the_same_on_every_lane(run_everywhere, request):
@@ -139,9 +137,7 @@ class Smooth(Shader):
         i = global_id().x
         x = self.a[i]
         self.out[i * 2] = vec4(exp(x), log2(abs(x) + 0.01), sin(x), pow(abs(x), 1.7))
-        self.out[i * 2 + 1] = vec4(
-            sqrt(abs(x)), exp2(x), length(vec3(x, 1.0, 2.0)), normalize(vec2(x, 1.0)).x
-        )
+        self.out[i * 2 + 1] = vec4(sqrt(abs(x)), exp2(x), length(vec3(x, 1.0, 2.0)), normalize(vec2(x, 1.0)).x)
 
 
 class SmoothFast(Smooth):

@@ -249,9 +249,7 @@ class Lit(Shader):
         if row < 6:
             self.hits[1 + column] = 1
         atomic_max(self.hits[20 + row], column * 2)
-        return Targets(
-            color=color, id=counts[1] + s.id, ids=uvec3(uint(row), uint(column), uint(n)), depth=at.x / 64.0
-        )
+        return Targets(color=color, id=counts[1] + s.id, ids=uvec3(uint(row), uint(column), uint(n)), depth=at.x / 64.0)
 
 
 def lit(front, mask):
@@ -302,9 +300,7 @@ def table_of_lit():
 @pytest.mark.parametrize("front", [True, False])
 @pytest.mark.parametrize("covered", ["all", "part"])
 def test_fragment_stages_agree(fragment_stage, front, covered):
-    mask = (
-        np.ones(SHAPE, bool) if covered == "all" else (ROWS > 2) & (ROWS < 9) & (COLUMNS > 4) & (COLUMNS < 11)
-    )
+    mask = np.ones(SHAPE, bool) if covered == "all" else (ROWS > 2) & (ROWS < 9) & (COLUMNS > 4) & (COLUMNS < 11)
     varyings = {
         "uv": np.stack([COLUMNS / 16 + 0.01, ROWS / 12], axis=-1).astype("f4"),
         "screen": np.stack([COLUMNS / 16, ROWS / 12], axis=-1).astype("f4"),

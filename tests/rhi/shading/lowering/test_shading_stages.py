@@ -241,9 +241,7 @@ def holes(x):
 def test_discarded_lanes_stop_and_are_reported():
     value = np.stack([COLUMNS % 11, ROWS], axis=-1).astype("f4")
     mask = (ROWS + COLUMNS) % 3 != 0
-    out = run_fragment_lanes(
-        Holes, {"value": value}, SHAPE, mask=mask, limits=np.array([0, 4], "f4"), hits=20
-    )
+    out = run_fragment_lanes(Holes, {"value": value}, SHAPE, mask=mask, limits=np.array([0, 4], "f4"), hits=20)
     found, discarded = holes(value[..., 0])
     np.testing.assert_array_equal(out["kept"], mask & ~discarded)
     expected = np.where(ROWS > 4, 1.0, found)
@@ -487,9 +485,7 @@ class ColorPass(DepthPass):
     def vertex(self, v: Corner) -> Surface2:  # type: ignore[override]
         position = vec3(v.position, float(v.id)) * 1.7
         turn = self.camera.turn
-        near = turn[0] * position.x + vec4(
-            position - self.camera.eye, turn[0].x * (position.x - self.camera.eye.x)
-        )
+        near = turn[0] * position.x + vec4(position - self.camera.eye, turn[0].x * (position.x - self.camera.eye.x))
         return Surface2(clip=self.place(v), near=near)
 
     def fragment(self, s: Surface2) -> vec4:

@@ -27,9 +27,7 @@ def call(run, probe, given, precision=Precision.EXACT):
     kinds."""
     rows = np.concatenate([given, np.repeat(given[:1], -len(given) % WORK_GROUP, axis=0)])
     size = probe.evaluate(given[:1], np.float32).shape[1]
-    results = run(
-        shader_of(probe, precision), len(rows) // WORK_GROUP, given=rows.ravel(), results=len(rows) * size
-    )
+    results = run(shader_of(probe, precision), len(rows) // WORK_GROUP, given=rows.ravel(), results=len(rows) * size)
     return probe.numbers(results["results"].reshape(len(rows), size))[: len(given)]
 
 
@@ -65,9 +63,7 @@ def excess(way, probe):
 
 
 def is_other_code(probe):
-    texts = {
-        opencl_kernel(probe.shader("Once", precision), 16).text.partition("\n")[2] for precision in Precision
-    }
+    texts = {opencl_kernel(probe.shader("Once", precision), 16).text.partition("\n")[2] for precision in Precision}
     return len(texts) == 2
 
 

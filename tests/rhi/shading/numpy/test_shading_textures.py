@@ -129,9 +129,7 @@ SHAPES: dict[TextureKind, tuple[type[Shader], int]] = {
 def places(seed: int = 0, count: int = COUNT) -> NDArray[Any]:
     """Generate coordinates in and around the texture, and levels in and around its range."""
     rng = np.random.default_rng(seed)
-    return np.c_[rng.uniform(-2, 3, (count, 2)), rng.uniform(-1, 6, count), rng.uniform(-2, 6, count)].astype(
-        "f4"
-    )
+    return np.c_[rng.uniform(-2, 3, (count, 2)), rng.uniform(-1, 6, count), rng.uniform(-2, 6, count)].astype("f4")
 
 
 def places_by_block(seed: int = 0) -> NDArray[Any]:
@@ -161,9 +159,7 @@ def test_every_format_is_decoded_and_filtered(device: Device, format: Format, fi
 
 
 @pytest.mark.parametrize("mip", [None, NEAREST, LINEAR], ids=name)
-@pytest.mark.parametrize(
-    ("minify", "magnify"), [(NEAREST, LINEAR), (LINEAR, NEAREST), (LINEAR, LINEAR)], ids=name
-)
+@pytest.mark.parametrize(("minify", "magnify"), [(NEAREST, LINEAR), (LINEAR, NEAREST), (LINEAR, LINEAR)], ids=name)
 @pytest.mark.parametrize("kind", list(SHAPES), ids=name)
 def test_levels_and_filters_are_chosen_by_the_level_of_detail(
     device: Device, kind: TextureKind, minify: Filter, magnify: Filter, mip: Filter | None
@@ -245,15 +241,11 @@ def test_other_widths_give_the_same(width: int) -> None:
 def textures(draw: st.DrawFn) -> HostTexture:
     """Any format, shape, size and sampler that can be read as floats."""
     kind = draw(st.sampled_from(list(SHAPES)))
-    format = draw(
-        st.sampled_from([f for f in Format if not f.is_integer and not (f.is_depth and kind is D3)])
-    )
+    format = draw(st.sampled_from([f for f in Format if not f.is_integer and not (f.is_depth and kind is D3)]))
     width, height, layers = (draw(st.integers(1, 9)) for _ in range(3))
     if kind is CUBE:
         height, layers = width, 6
-    texels = random_levels(
-        format, width, height, 1 if kind is D2 else layers, kind, seed=draw(st.integers(0, 99))
-    )
+    texels = random_levels(format, width, height, 1 if kind is D2 else layers, kind, seed=draw(st.integers(0, 99)))
     filters = st.sampled_from(Filter)
     wraps = (draw(st.sampled_from(Wrap)) for _ in range(3))
     border = tuple(draw(st.sampled_from([-0.5, 0.0, 0.25, 1.0])) for _ in range(4))
@@ -305,9 +297,7 @@ class Graded3D(At):
 
     def compute(self) -> None:
         step = self.places[global_id().x]
-        self.results[global_id().x] = self.source.sample_grad(
-            vec3(0.3, 0.3, 0.3), vec3(step.xy, 0.0), step.zwx
-        )
+        self.results[global_id().x] = self.source.sample_grad(vec3(0.3, 0.3, 0.3), vec3(step.xy, 0.0), step.zwx)
 
 
 class GradedCube(At):
@@ -322,9 +312,7 @@ class GradedCube(At):
 @pytest.mark.parametrize(
     ("shader", "kind", "layers"), [(Graded2D, D2, 1), (Graded3D, D3, 16), (GradedCube, CUBE, 6)], ids=name
 )
-def test_derivatives_choose_the_level(
-    device: Device, shader: type[Shader], kind: TextureKind, layers: int
-) -> None:
+def test_derivatives_choose_the_level(device: Device, shader: type[Shader], kind: TextureKind, layers: int) -> None:
     """Every level contains its own number, so that the result is the level. The logarithm of lanes is within 1.2e-4;
     llvmpipe's is linear between powers of 2, up to 0.043 less."""
     rng = np.random.default_rng(5)
@@ -404,9 +392,7 @@ def test_an_anisotropic_average_is_nearer_to_the_mean_of_what_a_pixel_covers(
     inside = at + part * right + np.moveaxis(part, 0, 1) * down
     flat = HostTexture(checkers(1).levels[:1], Format.RGBA32F)
     exact = grade(flat, inside, right, down).mean((0, 1))[:, :2]
-    errors = [
-        np.sqrt(((grade(checkers(most), at, right, down)[:, :2] - exact) ** 2).mean()) for most in (1, 4, 16)
-    ]
+    errors = [np.sqrt(((grade(checkers(most), at, right, down)[:, :2] - exact) ** 2).mean()) for most in (1, 4, 16)]
     assert errors[2] <= part_of_error * errors[0]
     assert errors[2] <= errors[1] <= errors[0]
 
@@ -467,9 +453,7 @@ def test_srgb_is_decoded_as_exactly_as_is_asked_for(width: int, filter: Filter) 
     given["places"] = np.zeros((256, 4), "f4")
     given["places"][:, 0] = (np.arange(256) + 0.5) / 256
     truth = run_compute(Sample2D, 4, dtype=np.float64, results=256, **given)["results"]
-    exact, fast = (
-        run_opencl(shader, width, 4, results=256, **given)["results"] for shader in (Sample2D, FastSample2D)
-    )
+    exact, fast = (run_opencl(shader, width, 4, results=256, **given)["results"] for shader in (Sample2D, FastSample2D))
     step = np.diff(truth[:, :3], axis=0, append=truth[-1:, :3] + 1.0)
     np.testing.assert_allclose(exact, truth, rtol=0, atol=2e-6)
     np.testing.assert_allclose(fast, truth, rtol=0, atol=1.3e-3)
@@ -491,8 +475,7 @@ def test_fast_levels_are_up_to_a_23rd_less(width: int) -> None:
     given: dict[str, Any] = {"source": HostTexture(texels, Format.R32F), "places": steps}
     truth = run_compute(Graded2D, 4, dtype=np.float64, results=256, **given)["results"][:, 0]
     exact, fast = (
-        run_opencl(shader, width, 4, results=256, **given)["results"][:, 0]
-        for shader in (Graded2D, FastGraded2D)
+        run_opencl(shader, width, 4, results=256, **given)["results"][:, 0] for shader in (Graded2D, FastGraded2D)
     )
     np.testing.assert_allclose(exact, truth, rtol=0, atol=1.2e-4)
     less = truth - fast
@@ -604,9 +587,7 @@ class GatherCube(At):
 
 
 @pytest.mark.parametrize(("shader", "kind"), [(Gather2D, D2), (GatherCube, CUBE)], ids=name)
-def test_gather_gives_a_component_of_four_texels(
-    device: Device, shader: type[Shader], kind: TextureKind
-) -> None:
+def test_gather_gives_a_component_of_four_texels(device: Device, shader: type[Shader], kind: TextureKind) -> None:
     texels = random_levels(Format.RGBA32F, 5, 5, SHAPES[kind][1], kind, levels=1)
     texture = HostTexture(texels, Format.RGBA32F, kind, SamplerDescriptor(LINEAR, LINEAR, None))
     results = read_everywhere(device, shader, {"source": texture}, 8, places=places(6), results=COUNT)
@@ -759,9 +740,7 @@ def abs_half(x: float) -> float:
 
 @pytest.mark.parametrize("comparison", list(Comparison), ids=name)
 @pytest.mark.parametrize("filter", [NEAREST, LINEAR], ids=name)
-def test_depths_are_compared_before_they_are_filtered(
-    device: Device, comparison: Comparison, filter: Filter
-) -> None:
+def test_depths_are_compared_before_they_are_filtered(device: Device, comparison: Comparison, filter: Filter) -> None:
     """Some references equal depths. llvmpipe's weights have more than 8 bits here."""
     depths = np.random.default_rng(9).integers(0, 5, (1, 6, 5, 1)).astype("f4") / 4
     sampler = SamplerDescriptor(
@@ -775,12 +754,8 @@ def test_depths_are_compared_before_they_are_filtered(
 
 
 @pytest.mark.parametrize("format", [Format.D16, Format.D24, Format.D32F], ids=name)
-@pytest.mark.parametrize(
-    "comparison", [Comparison.LESS_EQUAL, Comparison.EQUAL, Comparison.GREATER], ids=name
-)
-def test_references_of_fixed_point_depths_are_clamped(
-    device: Device, format: Format, comparison: Comparison
-) -> None:
+@pytest.mark.parametrize("comparison", [Comparison.LESS_EQUAL, Comparison.EQUAL, Comparison.GREATER], ids=name)
+def test_references_of_fixed_point_depths_are_clamped(device: Device, format: Format, comparison: Comparison) -> None:
     at = np.zeros((64, 4), "f4")
     at[:, :3] = np.c_[
         np.resize([0.25, 0.75], 64), np.full(64, 0.5), np.repeat([-1, 0, 0.5, 1, 1.5, np.inf, -np.inf, 2], 8)

@@ -80,9 +80,7 @@ def random_levels(
             result.append(rng.uniform(0, 1, shape).astype(format.dtype))
         else:
             limits = np.iinfo(format.dtype)
-            result.append(
-                rng.integers(builtins.max(limits.min, -limits.max), limits.max, shape, format.dtype, True)
-            )
+            result.append(rng.integers(builtins.max(limits.min, -limits.max), limits.max, shape, format.dtype, True))
     return result
 
 
@@ -133,9 +131,7 @@ def read_opengl(
 def upload(device: Device, texture: HostTexture) -> Any:
     """Create a device texture with the same texels; depths are drawn."""
     layers, height, width, _ = texture.levels[0].shape
-    made = device.texture(
-        (width, height), texture.format, kind=texture.kind, layers=layers, levels=len(texture.levels)
-    )
+    made = device.texture((width, height), texture.format, kind=texture.kind, layers=layers, levels=len(texture.levels))
     for level, texels in enumerate(texture.levels):
         if not texture.format.is_depth:
             made.write(texels, level=level)

@@ -249,9 +249,7 @@ def test_a_type_of_another_language_gets_a_tip_in_annotations():
     ):
         with pytest.raises(ShaderError, match="use vec3"):
             compile_shader(
-                from_source(
-                    HEAD + text + "    def compute(self) -> None:\n        self.out[0] = self.add(1)\n"
-                )
+                from_source(HEAD + text + "    def compute(self) -> None:\n        self.out[0] = self.add(1)\n")
             )
     with pytest.raises(ShaderError, match="use vec3"):
         from_source("from rhi.shading import *\nclass Light(Struct):\n    color: float3\n")

@@ -253,9 +253,7 @@ BODIES = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("rule", "bad", "good", "says"), BODIES, ids=[f"{b[0]}: {'; '.join(b[1])}" for b in BODIES]
-)
+@pytest.mark.parametrize(("rule", "bad", "good", "says"), BODIES, ids=[f"{b[0]}: {'; '.join(b[1])}" for b in BODIES])
 def test_a_body_that_breaks_a_rule_is_refused_and_its_neighbour_is_not(define, rule, bad, good, says):
     with pytest.raises(ShaderError) as error:
         compile_shader(define(body(*bad)))
@@ -375,9 +373,7 @@ CLASSES = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("rule", "shader", "old", "new", "says"), CLASSES, ids=[f"{c[0]}: {c[3]}" for c in CLASSES]
-)
+@pytest.mark.parametrize(("rule", "shader", "old", "new", "says"), CLASSES, ids=[f"{c[0]}: {c[3]}" for c in CLASSES])
 def test_a_class_that_breaks_a_rule_is_refused_and_the_original_is_not(define, rule, shader, old, new, says):
     assert old in shader
     with pytest.raises(ShaderError) as error:

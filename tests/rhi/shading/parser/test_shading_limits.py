@@ -154,9 +154,7 @@ def test_functions_that_call_each_other_work_up_to_the_limit():
 
 def test_conditions_at_the_limit_have_pythons_value(run_everywhere):
     lines, most = NESTED["conditions"]
-    assert run_everywhere(shader(*lines(most)), 2, out=128)["out"].tolist() == [
-        i if i < most else 2 for i in I
-    ]
+    assert run_everywhere(shader(*lines(most)), 2, out=128)["out"].tolist() == [i if i < most else 2 for i in I]
 
 
 def test_a_shader_within_the_limit_is_refused_where_the_stack_is_deep_already():
@@ -232,9 +230,7 @@ def test_a_local_struct_with_an_array_is_refused_beyond_its_limit():
 def test_the_arrays_of_a_work_group_are_refused_beyond_their_limit():
     def arrays(count, group):
         names = [f"a{k}" for k in range(count)]
-        lines = [f"{name} = array(float, 1024)" for name in names] + [
-            f"{name}[i % 1024] = x" for name in names
-        ]
+        lines = [f"{name} = array(float, 1024)" for name in names] + [f"{name}[i % 1024] = x" for name in names]
         return shader(*lines, *store(" + ".join(f"{name}[0]" for name in names)), group=group)
 
     compile_shader(arrays(1, 1024))

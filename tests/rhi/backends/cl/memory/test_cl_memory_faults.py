@@ -95,9 +95,7 @@ def work(device: Device, keep: Keep) -> Results:
     strip = keep(device.mesh(rectangle()[[0, 1, 2, 5]], primitive=Primitive.TRIANGLE_STRIP))
     rng = np.random.default_rng(0)
     places = np.zeros((3000, 4))
-    places[:, :2] = np.repeat(rng.uniform(-1, 1, (1000, 2)), 3, axis=0) + rng.uniform(
-        -0.1, 0.1, (3000, 2)
-    )
+    places[:, :2] = np.repeat(rng.uniform(-1, 1, (1000, 2)), 3, axis=0) + rng.uniform(-0.1, 0.1, (3000, 2))
     places[:, 2:] = 0.75, 1.0
     many = keep(device.mesh(corners(places, (1, 0.5, 0, 1)), np.arange(3000, dtype=np.uint16)))
     values = keep(device.storage(float, 1000))
@@ -312,9 +310,7 @@ def test_each_command_may_fail_and_the_device_goes_on(monkeypatch: pytest.Monkey
     [
         lambda device: device.storage(float, 1 << 37),
         lambda device: device.texture((8192, 8192), Format.RGBA32F, kind=TextureKind.D2_ARRAY, layers=256),
-        lambda device: device.texture(
-            (8192, 8192), Format.D32FS8, kind=TextureKind.D2_ARRAY, layers=1024, levels=None
-        ),
+        lambda device: device.texture((8192, 8192), Format.D32FS8, kind=TextureKind.D2_ARRAY, layers=1024, levels=None),
     ],
 )
 def test_what_is_too_large_is_refused_and_the_device_goes_on(

@@ -39,18 +39,14 @@ SOURCES = {
 
 @pytest.mark.parametrize("usage", BufferUsage)
 @pytest.mark.parametrize("source", SOURCES.values(), ids=SOURCES)
-def test_a_cl_buffer_takes_whatever_is_bytes_in_a_row(
-    cl_kit: ClKit, source: object, usage: BufferUsage
-) -> None:
+def test_a_cl_buffer_takes_whatever_is_bytes_in_a_row(cl_kit: ClKit, source: object, usage: BufferUsage) -> None:
     buffer = cl_kit.buffer(bytes(64), usage)
     cl_kit.backend.write_buffer(buffer, 16, source)  # type: ignore[arg-type]
     assert cl_kit.backend.read_buffer(buffer, 0, 64) == bytes(16) + VALUES.tobytes() + bytes(16)
 
 
 @pytest.mark.parametrize("shares_memory", [True, False])
-def test_what_is_streamed_is_seen_by_kernels_on_both_kinds_of_device(
-    cl_kit: ClKit, shares_memory: bool
-) -> None:
+def test_what_is_streamed_is_seen_by_kernels_on_both_kinds_of_device(cl_kit: ClKit, shares_memory: bool) -> None:
     backend = ClBackend(replace(cl_kit.backend.context, shares_memory=shares_memory))
     kit = ClKit(backend)
     source = "__kernel void add(__global uint *words, int count) { words[1] += words[0]; }"
@@ -165,9 +161,7 @@ def test_a_texture_too_large_is_refused_and_its_id_stays_free(cl_kit: ClKit) -> 
     assert not cl_kit.read(1, 4, 4).any()
 
 
-def test_an_allocation_that_fails_half_way_leaves_nothing(
-    cl_kit: ClKit, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_allocation_that_fails_half_way_leaves_nothing(cl_kit: ClKit, monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[weakref.ref[object]] = []
     allocate = textures.allocate
 
@@ -233,9 +227,7 @@ def test_a_resolve_averages_samples_in_linear_light(cl_kit: ClKit, format: Forma
     values = encode(format, rng.random((samples, 3, 5, format.channels)))
     source = cl_kit.texture(TextureDescriptor((5, 3), format, samples=samples))
     target = cl_kit.texture(TextureDescriptor((5, 3), format))
-    cl_kit.backend.write_texture(
-        source, 0, Region(0, 0, 5, 3, 0, samples), values.tobytes()
-    )  # the samples' planes
+    cl_kit.backend.write_texture(source, 0, Region(0, 0, 5, 3, 0, samples), values.tobytes())  # the samples' planes
     cl_kit.backend.resolve_texture(source, target)
     got, exact = cl_kit.read(target, 5, 3), encode(format, decode(format, values).mean(axis=0))
     slack = 1 if format.dtype.kind != "f" else 2.0 ** (-10 if format.dtype.itemsize == 2 else -22)

@@ -77,9 +77,7 @@ def test_words_are_made_once_for_a_texture_and_a_sampler(cl_kit: ClKit) -> None:
 
 @pytest.mark.parametrize("size", [(1, 1), (3, 5), (4, 4), (5, 3)])
 @pytest.mark.parametrize("format", [Format.R8, Format.RGBA16F])
-def test_padding_is_neither_read_nor_kept_from_copies(
-    cl_kit: ClKit, size: tuple[int, int], format: Format
-) -> None:
+def test_padding_is_neither_read_nor_kept_from_copies(cl_kit: ClKit, size: tuple[int, int], format: Format) -> None:
     """Layers of odd sizes, written, copied and read whole."""
     width, height = size
     descriptor = TextureDescriptor(size, format, TextureKind.D2_ARRAY, layers=3)

@@ -132,9 +132,7 @@ def empty(content: bytes) -> bytes:
     pytest.param(name, damage, marks=() if damage in by_day else pytest.mark.nightly)
     for name, by_day in (("program.bc", (bytes.upper,)), ("*.so", (cut,))) for damage in (bytes.upper, cut, empty)
 ])  # fmt: skip
-def test_a_damaged_file_is_built_again(
-    filled: tuple[Path, str], name: str, damage: Callable[[bytes], bytes]
-) -> None:
+def test_a_damaged_file_is_built_again(filled: tuple[Path, str], name: str, damage: Callable[[bytes], bytes]) -> None:
     folder, picture = filled
     (kernel,) = folder.rglob("transform.so")  # the vertices', the smallest of the three programs
     damaged = list(kernel.parents[2].rglob(name))
@@ -149,9 +147,7 @@ def test_a_damaged_file_is_built_again(
     bytes.upper, lambda content: cache._seal(b"other"),
     *(pytest.param(each, marks=pytest.mark.nightly) for each in (cut, empty)),
 ])  # fmt: skip
-def test_damaged_or_foreign_code_is_made_again(
-    filled: tuple[Path, str], damage: Callable[[bytes], bytes]
-) -> None:
+def test_damaged_or_foreign_code_is_made_again(filled: tuple[Path, str], damage: Callable[[bytes], bytes]) -> None:
     """Its checksum may be right and the record's another, as that of a file from elsewhere."""
     folder, picture = filled
     _, vertices, *_ = codes(folder)
@@ -267,9 +263,7 @@ def test_what_nobody_needs_any_more_is_removed_after_a_day(tmp_path: Path) -> No
     assert kernels.find("key") == (b"code", frozenset())
 
 
-def test_code_counts_to_the_size_of_a_program_and_goes_with_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_code_counts_to_the_size_of_a_program_and_goes_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "rhi").mkdir()
     (tmp_path / "rhi" / "key.code").write_bytes(cache._seal(bytes([1]) * 1000))
     make(tmp_path, "key", 1000, 0.0)

@@ -44,9 +44,7 @@ class Host:
         self.data[buffer][offset : offset + len(data)] = data
         self.assembler.write(buffer, offset, data)
 
-    def vertices(
-        self, made: Assembly[Lists], buffer: int = 0, format: IndexFormat = IndexFormat.UINT32
-    ) -> list[int]:
+    def vertices(self, made: Assembly[Lists], buffer: int = 0, format: IndexFormat = IndexFormat.UINT32) -> list[int]:
         """Return the vertices that a kernel would read."""
         places = made.start + np.arange(made.count)
         if made.indexed:
@@ -76,8 +74,7 @@ def listed(primitive: Primitive, indices: list[int], restart: int) -> list[tuple
             result += [(run[i], run[i + 1], run[i + 2]) for i in range(0, n - 2, 3)]
         elif primitive is Primitive.TRIANGLE_STRIP:
             result += [
-                (run[i], run[i + 2], run[i + 1]) if i % 2 else (run[i], run[i + 1], run[i + 2])
-                for i in range(n - 2)
+                (run[i], run[i + 2], run[i + 1]) if i % 2 else (run[i], run[i + 1], run[i + 2]) for i in range(n - 2)
             ]
         elif primitive is Primitive.TRIANGLE_FAN:
             result += [(run[i], run[i + 1], run[0]) for i in range(1, n - 1)]
@@ -93,17 +90,13 @@ PRIMITIVES = st.sampled_from(Primitive)
 
 @settings(max_examples=300)
 @given(PRIMITIVES, st.lists(st.integers(0, 9), max_size=40))
-def test_every_topology_becomes_the_list_that_its_definition_gives(
-    primitive: Primitive, indices: list[int]
-) -> None:
+def test_every_topology_becomes_the_list_that_its_definition_gives(primitive: Primitive, indices: list[int]) -> None:
     expected = [corner for corners in listed(primitive, indices, 9) for corner in corners]
     assert list_primitives(primitive, np.array(indices, np.uint16), 9).tolist() == expected
 
 
 @settings(max_examples=200)
-@given(
-    PRIMITIVES, st.sampled_from(IndexFormat), st.lists(st.integers(0, 40), min_size=1, max_size=60), st.data()
-)
+@given(PRIMITIVES, st.sampled_from(IndexFormat), st.lists(st.integers(0, 40), min_size=1, max_size=60), st.data())
 def test_indexed_draws_read_the_vertices_of_their_topology(
     primitive: Primitive, format: IndexFormat, numbers: list[int], data: st.DataObject
 ) -> None:

@@ -26,9 +26,7 @@ FACES = np.array([(0, 4, 6, 2), (1, 3, 7, 5), (0, 1, 5, 4), (2, 6, 7, 3), (0, 2,
 
 def project(points: Floats) -> Floats:
     """Return clip positions in float32 of points (…, 3) seen from the origin along -z; depth is near 1, far 0."""
-    clip = np.stack(
-        [1.5 * points[..., 0], 1.5 * points[..., 1], np.full(points.shape[:-1], NEAR), -points[..., 2]], -1
-    )
+    clip = np.stack([1.5 * points[..., 0], 1.5 * points[..., 1], np.full(points.shape[:-1], NEAR), -points[..., 2]], -1)
     return clip.astype(np.float32).astype(np.float64)
 
 
@@ -37,9 +35,7 @@ def random_boxes(count: int, seed: int, nearest: float) -> Floats:
     turned as the camera is."""
     rng = np.random.default_rng(seed)
     size = 2.0 ** rng.uniform(-3, 1.5, (count, 1, 3))
-    low = np.stack(
-        [*rng.uniform(-3, 3, (2, count)), -nearest - size[:, 0, 2] - 2.0 ** rng.uniform(-3, 3, count)], -1
-    )
+    low = np.stack([*rng.uniform(-3, 3, (2, count)), -nearest - size[:, 0, 2] - 2.0 ** rng.uniform(-3, 3, count)], -1)
     if nearest < 0:  # through the near plane, or behind it
         low[:, 2] = -rng.uniform(0, 1, count) * size[:, 0, 2]
         low[:, :2] = -rng.uniform(-0.2, 1.2, (count, 2)) * size[:, 0, :2]

@@ -81,9 +81,7 @@ def test_a_draw_that_stands_twice_in_an_array_has_one_place(draws: NDArray[Any])
     assert len(np.unique(places)) == 300
 
 
-def test_draws_of_equal_hashes_have_places_of_their_own(
-    draws: NDArray[Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_draws_of_equal_hashes_have_places_of_their_own(draws: NDArray[Any], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(draw_lists, "_FACTORS", np.array([1, 0, 0, 0], np.uint64))
     lists = Lists()
     places = lists.find(draws)

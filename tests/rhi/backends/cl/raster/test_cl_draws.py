@@ -261,9 +261,7 @@ def test_many_instances_take_no_more_memory_than_many_draws(device: Device, befo
 
 
 @pytest.mark.parametrize("instances", [1 << 20, (1 << 31) - 1])
-def test_draws_split_into_pieces_are_each_instance_once(
-    monkeypatch: pytest.MonkeyPatch, instances: int
-) -> None:
+def test_draws_split_into_pieces_are_each_instance_once(monkeypatch: pytest.MonkeyPatch, instances: int) -> None:
     monkeypatch.setattr(draw_tables, "_FIRST_PIECE_GROUPS", 1 << 19)
     groups, counts = np.array([1, 3, 1 << 20, 0, 7], np.int32), np.array([instances, 0, 3, 5, 1])
     which, parts, done = draw_tables.split_instances(groups, counts)
@@ -296,9 +294,7 @@ def test_a_device_that_does_not_read_host_memory_in_place_has_no_draws(
 # -- errors --------------------------------------------------------------------------------------------------
 
 
-def test_out_of_memory_names_the_draw_and_the_device_goes_on(
-    device: Device, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_out_of_memory_names_the_draw_and_the_device_goes_on(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     rows = random_corners(50)
     usual = picture(device, rows)
 
@@ -487,9 +483,7 @@ def test_what_lies_behind_a_tile_s_bounds_is_what_the_test_drops(
     rows = random_corners(6000)
     rng = np.random.default_rng(5)
     # Most depths are near their triangle's, some slopes are steep, some triangles face the eye and meet others.
-    depths = rng.uniform(0, 1, (6000, 1)) + rng.choice([0, 0.01, 0.5], (6000, 1)) * rng.uniform(
-        -1, 1, (6000, 3)
-    )
+    depths = rng.uniform(0, 1, (6000, 1)) + rng.choice([0, 0.01, 0.5], (6000, 1)) * rng.uniform(-1, 1, (6000, 3))
     depths[::7] = np.round(depths[::7, :1] * 8) / 8
     rows["position"][:, 2] = np.clip(depths, 0, 1).ravel()
     pictures = []
@@ -569,9 +563,7 @@ def test_draws_that_are_hidden_or_beside_the_view_are_not_set_up(
     left = []
     for place in (0.5, 5.0):  # what is drawn last lies in the view, or not
         for last in (0.25, 0.75):  # before the wall, or behind it
-            rows = np.concatenate(
-                [rectangle(depth=0.5), rectangle(place - 0.1, 0.4, place + 0.1, 0.6, depth=last)]
-            )
+            rows = np.concatenate([rectangle(depth=0.5), rectangle(place - 0.1, 0.4, place + 0.1, 0.6, depth=last)])
             with device.texture(SIZE, Format.D32F) as depth, device.mesh(rows) as mesh:
                 with device.render_pass(depth=depth, clear_depth=1.0), device.states(DepthFunction.LESS):
                     for first in (0, 6):

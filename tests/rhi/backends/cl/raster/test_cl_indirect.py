@@ -95,9 +95,7 @@ def test_arguments_that_the_device_writes_are_read_back_each_time(device: Device
     assert reads == [arguments.id] * 3
 
 
-def test_large_buffers_are_read_in_part(
-    device: Device, reads: list[Id], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_large_buffers_are_read_in_part(device: Device, reads: list[Id], monkeypatch: pytest.MonkeyPatch) -> None:
     """Their contents aren't kept."""
     monkeypatch.setattr(buffers, "_MAX_KNOWN", 39)
     picture = Picture(device)

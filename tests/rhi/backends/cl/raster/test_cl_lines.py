@@ -105,9 +105,7 @@ def test_edges_have_the_stencil_test_of_their_face(device: Device, order: int) -
 
 
 @pytest.mark.parametrize("cull", list(CullMode), ids=lambda cull: cull.name)
-def test_a_triangle_with_a_corner_behind_the_eye_has_the_facing_of_what_is_seen(
-    device: Device, cull: CullMode
-) -> None:
+def test_a_triangle_with_a_corner_behind_the_eye_has_the_facing_of_what_is_seen(device: Device, cull: CullMode) -> None:
     """Its edges are cut one by one; no line is drawn along the cut."""
     positions = np.array([(-0.5, -0.5, 0.5, 1), (0.5, -0.5, 0.5, 1), (0.25, -2.0, -1.5, -1)])
     filled = drawn(device, corners(positions), cull)

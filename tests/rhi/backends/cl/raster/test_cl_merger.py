@@ -125,9 +125,7 @@ def test_every_half_float_is_read_and_stored_as_numpy_does() -> None:
     words = np.zeros((1, 256, 64, 4), np.uint32)
     states = [BlendFunction(BlendFactor.ONE, BlendFactor.ONE)]
     everywhere = np.ones((1, 256, 64), bool)
-    got = run(
-        [Format.RGBA16F], None, states, Planes([image]), words, np.zeros((1, 256, 64), "f4"), everywhere
-    )
+    got = run([Format.RGBA16F], None, states, Planes([image]), words, np.zeros((1, 256, 64), "f4"), everywhere)
     np.testing.assert_array_equal(got.colors[0], image)
 
 
@@ -156,9 +154,7 @@ def test_srgb_rounds_within_a_thousandth_of_a_step() -> None:
     got = run([Format.RGBA8_SRGB], None, [], Planes([np.zeros((1, 256, 64, 4), "u1")]), linear.view(np.uint32),
               np.zeros((1, 256, 64), "f4"), np.ones((1, 256, 64), bool))  # fmt: skip
     wide = linear.astype(np.float64)
-    curve = np.where(
-        wide <= 0.0031308, wide * 12.92, 1.055 * np.maximum(wide, 0.0031308) ** (1 / 2.4) - 0.055
-    )
+    curve = np.where(wide <= 0.0031308, wide * 12.92, 1.055 * np.maximum(wide, 0.0031308) ** (1 / 2.4) - 0.055)
     assert np.abs(got.colors[0] - 255 * curve)[..., :3].max() <= 0.501
 
 

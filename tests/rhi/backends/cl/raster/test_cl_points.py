@@ -30,9 +30,7 @@ def counted(points: NDArray[Any], indices: Any = slice(None)) -> NDArray[np.int6
     return np.sum([point_square(x, y, side, SIZE) for x, y, side in points[indices]], 0)
 
 
-def drawn(
-    device: Device, rows: NDArray[Any], indices: Any = None, *states: Any, samples: int = 1
-) -> NDArray[Any]:
+def drawn(device: Device, rows: NDArray[Any], indices: Any = None, *states: Any, samples: int = 1) -> NDArray[Any]:
     """Return how often each texel is drawn."""
     with (
         device.texture(SIZE, Format.RGBA32F, samples=samples) as target,

@@ -33,9 +33,7 @@ def test_a_fence_behind_running_work_is_neither_passed_nor_waited_for(cl_kit: Cl
     assert backend.completed() == 2
 
 
-def test_a_wait_without_a_limit_ends_at_its_own_value(
-    cl_kit: ClKit, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_wait_without_a_limit_ends_at_its_own_value(cl_kit: ClKit, monkeypatch: pytest.MonkeyPatch) -> None:
     backend = cl_kit.backend
     backend.signal(1)
     held = cl_kit.hold()
