@@ -105,9 +105,9 @@ def test_the_checks_before_a_commit_are_those_of_the_test_command() -> None:
 
 def test_editors_wrap_lines_where_ruff_does() -> None:
     text = (ROOT / ".editorconfig").read_text()
-    ruff = PROJECT["tool"]["ruff"]
-    assert f"[*.{{py,pyi,cl}}]\nmax_line_length = {ruff['line-length']}\n" in text
-    assert f"[*.md]\nmax_line_length = {ruff['lint']['pycodestyle']['max-line-length']}\n" in text
+    length = PROJECT["tool"]["ruff"]["line-length"]
+    for files in ("*.{py,pyi,cl}", "*.md"):
+        assert f"[{files}]\nmax_line_length = {length}\n" in text
 
 
 # -- versions and metadata -----------------------------------------------------------------------------------------
