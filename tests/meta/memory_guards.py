@@ -1,6 +1,6 @@
 """Checked memory: every buffer of the OpenCL backend lies between guards, and writes there are found.
 
-- `install` makes buffers host memory that kernels use in place, with `GUARD` bytes of a pattern before and behind.
+- `install` gives the memory of buffers, which kernels use in place, `GUARD` bytes of a pattern before and behind.
 - The backend's own padding behind a buffer, for loads that run past the end, holds the pattern too. Scratch memory is
   exactly as large as requested.
 - `find_writes` returns where the pattern has changed.
@@ -21,15 +21,15 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
-from rhi.backends.cl.context import ClContext, allocate_pages
-from rhi.backends.cl.memory import buffers, planes, textures
-from rhi.backends.cl.memory import pools as memory
+from rhi.backends.cl.context import allocate_pages
+from rhi.backends.cl.memory import buffers, planes, pools, textures
 from rhi.backends.cl.raster import queries
 
 GUARD: Final = 1 << 14
 PATTERN: Final = 0xB7
 _flags: Final = cl.mem_flags
 _Buffer: Final[Any] = cl.Buffer
+_NOTHING: Final = np.zeros(0, np.uint8)
 
 
 class _Guarded:
@@ -64,55 +64,45 @@ _known: list[_Guarded] = []
 
 
 class _GuardedBuffer(_Buffer):  # type: ignore[misc]
-    def __init__(self, context: cl.Context, flags: int, size: int = 0, hostbuf: Any = None) -> None:
-        if flags & _flags.USE_HOST_PTR:  # from `_allocate_pages`
-            super().__init__(context, flags, size, hostbuf)
-            return
-        made = _Guarded(size or memoryview(hostbuf).nbytes)
-        if flags & _flags.COPY_HOST_PTR:
-            made.used[:] = np.frombuffer(memoryview(hostbuf).cast("B"), np.uint8)
-            flags &= ~_flags.COPY_HOST_PTR
-        super().__init__(context, flags | _flags.USE_HOST_PTR, hostbuf=made.used)
-        self.guarded = made
-        made.owner = weakref.ref(self)
-        _known.append(made)
+    """A buffer to which a weak reference can be made."""
 
 
-def _allocate_pages(size: int) -> NDArray[np.uint8]:
+def _guard(size: int, contents: NDArray[Any]) -> _Guarded:
     made = _Guarded(size)
+    made.used[: contents.nbytes] = contents.view(np.uint8)
     _known.append(made)
-    return made.used
-
-
-def _allocate(context: ClContext, size: int) -> Any:
-    made = _unguarded_allocate(context, size)
-    context.queue.finish()  # it is being cleared
-    made.guarded.keep_free(size)
     return made
 
 
-def _reserve(self: memory.Pool, size: int) -> int:
+def _allocate_pages(size: int, contents: NDArray[Any] = _NOTHING) -> NDArray[np.uint8]:
+    return _guard(size, contents).used
+
+
+def _allocate(context: cl.Context, size: int, contents: NDArray[Any] = _NOTHING) -> cl.Buffer:
+    made = _guard(planes.round_to_grain(size) + planes.GRAIN, contents)
+    made.keep_free(size)
+    buffer = _GuardedBuffer(context, _flags.READ_WRITE | _flags.USE_HOST_PTR, hostbuf=made.used)
+    made.owner = weakref.ref(buffer)
+    return buffer
+
+
+def _reserve(self: pools.Pool, size: int) -> int:
     """Reserve exactly `size` bytes, in new memory."""
-    made: Any = memory.allocate_raw(self._context, size)
-    self._context.queue.finish()
-    made.guarded.keep_free(size)
-    if self._memory is not None:
-        self._retired.add(self._memory)
-    self._memory, self.size, self._address = made, size, self._addresses.find(made)
+    made = _guard(size, _NOTHING)
+    lent = made.used[:]  # held by the pool, then until the device has finished
+    made.owner = weakref.ref(lent)
+    self._in_flight.add(self._memory)
+    self._memory, self.size, self._address = lent, size, lent.ctypes.data
     return self._address
 
 
-_unguarded_allocate: Final = planes.allocate
-
-
 def install(replace: Callable[[Any, str, Any], None] = setattr) -> None:
-    """Guard all buffers created from here on; `replace` sets an attribute, for instance `monkeypatch.setattr`."""
+    """Guard all memory allocated from here on; `replace` sets an attribute, for instance `monkeypatch.setattr`."""
     _known.clear()
-    replace(cl, "Buffer", _GuardedBuffer)
-    for module in (buffers, textures):
-        replace(module, "allocate", _allocate)
-    replace(memory.Pool, "reserve", _reserve)
-    for module in (buffers, memory, queries):
+    for user in (buffers, textures):
+        replace(user, "allocate", _allocate)
+    replace(pools.Pool, "reserve", _reserve)
+    for module in (pools, queries):
         replace(module, "allocate_pages", _allocate_pages)
 
 

@@ -32,8 +32,12 @@ def test_devices_go_on_between_foreign_lines() -> None:
 
 
 def test_a_device_that_does_not_look_fails() -> None:
-    """The control: the runs above would see a context that isn't found again."""
-    assert len(run("--blind", OPERATION / "test_buffers.py", "--maxfail=5")["failed"]) == 5
+    """The control: the runs above would see a context that isn't found again.
+
+    A test that creates, fails and destroys leaves its device in the other context, where all that follow pass.
+    """
+    chosen = ("-k", "not holds_zeros", "--maxfail=5")
+    assert len(run("--blind", OPERATION / "test_buffers.py", *chosen)["failed"]) == 5
 
 
 @pytest.mark.nightly
