@@ -164,7 +164,7 @@ def measure(
         if not shows:
             return result
         needs, _ = renderer.plan(camera)
-        print(f"{text}: {len(needs.point_rows)} point and {len(needs.spot_rows)} spot lights in view")
+        print(f"{text}: {needs.lamps_in_view} point and spot lights in view")
         pixels = max(int(np.count_nonzero(renderer.render(camera).depth.read())), 1)
         for name, technique in techniques.items():
             renderer.technique = technique

@@ -85,8 +85,8 @@ def find_draw_order() -> Rows:
     )  # fmt: skip
     names = ("programs", "bindings", "meshes", "draws")
     return {
-        order: [*(f"{row[name]:,}" for name in names), f"{row['microseconds']:.1f}"]
-        for order, row in json.loads(done.stdout).items()
+        row["order"]: [*(f"{row[name]:,}" for name in names), f"{row['microseconds']:.1f}"]
+        for row in json.loads(done.stdout)["rows"]
     }
 
 
