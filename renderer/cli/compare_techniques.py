@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable, Sequence
+from itertools import chain
 from typing import Any, Final
 
 import rhi
@@ -13,8 +14,7 @@ from renderer.cli.comparison import ComparisonProgram, Report, describe, repeat
 from renderer.cli.output import show_progress
 from renderer.content import load_scene
 from renderer.lab.comparison import Record
-from renderer.lab.techniques import compare_techniques
-from renderer.scene import Scene
+from renderer.lab.techniques import compare_techniques, vary_scene
 from renderer.techniques import TECHNIQUES
 
 _NOTES: Final = """\
@@ -58,33 +58,23 @@ def _measure(given: argparse.Namespace) -> Report:
     def rounds(numbers: range) -> Iterable[int]:
         return show_progress(numbers, len(numbers), "compare")
 
-    first: Scene | None = None
-
-    def load(text: str) -> Scene:
-        nonlocal first
-        if first is not None:  # a file's scene is one; a generator leaves nothing out
-            return load_scene(text)
-        first = open_scene(text)
-        return first
-
     settings = load_settings(given)
+    first, *others = [vary_scene(given.scene, objects, lights) for objects in given.objects for lights in given.lights]
+    scene = open_scene(first)  # a file's is the only one; generators leave nothing out
     with rhi.create_device(given.backend) as device:
         rows = compare_techniques(
             device,
-            given.scene,
+            chain([scene], map(load_scene, others)),
             {name: settings.technique.make_one(name) for name in given.techniques},
             given.size,
-            objects=given.objects,
-            lights=given.lights,
             camera=given.camera,
             frame=given.frame,
             rounds=given.rounds,
             settings=settings,
             progress=rounds,
-            load=load,
         )
         about = describe(device) | repeat(given, "scene", "camera", "frame", "size", "rounds")
-        return Report(about, list(rows), f"{given.scene}, {about['device']}", first)
+        return Report(about, list(rows), f"{given.scene}, {about['device']}", scene)
 
 
 def plot_techniques(figure: Any, rows: Sequence[Record]) -> None:

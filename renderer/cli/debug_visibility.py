@@ -43,7 +43,9 @@ _LEGEND = 22
 _OPTIONS: Final = (
     options.SCENE,
     options.visibility("chc_plus_plus", flag="--algorithm"),
-    options.settings(),
+    options.settings(
+        "file with the parameters of the visibility algorithms, written by `tune` or `accuracy`", "b=50, n=20"
+    ),
     options.camera("ground"),
     options.frame("frame of the path"),
     options.count("--warm-up", "number of frames to draw before it", 30, least=0),

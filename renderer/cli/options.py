@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -123,8 +124,8 @@ def switch(flag: str, help: str) -> CommandOption:
 
 
 def count(flag: str, help: str, default: int | None = None, shown: object = None, least: int = 1) -> CommandOption:
-    """Return an option that is a whole number of 0 or of 1 or more."""
-    return option(flag, help, default, shown, type=parse_count if least else parse_frame, metavar="N")
+    """Return an option that is a whole number of `least` or more."""
+    return option(flag, help, default, shown, type=partial(parse_count, least=least), metavar="N")
 
 
 def length(flag: str, help: str, shown: object = None) -> CommandOption:
@@ -169,7 +170,6 @@ PATH: Final = option(
 )
 JSON: Final = switch("--json", "print the result as JSON")
 QUERIES_HELP: Final = "occlusion queries: the device's own, or emulated by two counters and a fence"
-SETTINGS_HELP: Final = "file with the parameters of the visibility algorithms, written by `tune` or `accuracy`"
 
 
 def size(default: tuple[int, int] = (960, 540), what: str = "size of the image in pixels") -> CommandOption:
@@ -218,9 +218,8 @@ def chart(what: str = "the times") -> CommandOption:
     return file("--plot", f"write a chart of {what}")
 
 
-def settings(what: str = SETTINGS_HELP, shown: object = "") -> CommandOption:
-    """Return the option `--settings F.json`; `what` says what the file has."""
-    shown = shown or ("b=50, n=20" if what is SETTINGS_HELP else "")
+def settings(what: str, shown: object = None) -> CommandOption:
+    """Return the option `--settings F.json`; `what` says what the file has, `shown` what holds without it."""
     return option("--settings", what, None, shown, type=Path, metavar="F.json")
 
 

@@ -9,11 +9,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Final
 
 from renderer import rules
-from renderer.content import GENERATORS, load_scene, parse_camera
+from renderer.content import GENERATORS, parse_camera
 from renderer.lab.comparison import Column, Frames, Record, Subject, compare, kernels, time
 from renderer.lab.measure.light_evaluations import count_light_evaluations
 from renderer.lab.measure.plans import describe_plan
@@ -52,27 +52,19 @@ def vary_scene(text: str, objects: int | None, lights: int | None) -> str:
 
 
 def compare_techniques(
-    device: Device, text: str, techniques: Mapping[str, Technique], size: tuple[int, int], *,
-    objects: Sequence[int | None] = (None,), lights: Sequence[int | None] = (None,),
+    device: Device, scenes: Iterable[Scene], techniques: Mapping[str, Technique], size: tuple[int, int], *,
     camera: str | None = None, frame: int = 0, rounds: int = 5, settings: RenderSettings | None = None,
     progress: Callable[[range], Iterable[int]] = lambda rounds: rounds,
-    load: Callable[[str], Scene] = load_scene,
 ) -> Iterator[Record]:  # fmt: skip
-    """Yield a row for each number of objects, number of lights, and technique.
+    """Yield a row for each scene and technique.
 
     Args:
-        text: the scene. objects, lights: numbers that replace the scene's own; None keeps them.
         techniques: by the names of their rows. size: (width, height) of the image in pixels.
         camera, frame: as `parse_camera` reads them; by default the scene's first view.
         settings: all but the technique and the visibility algorithm, which is frustum culling.
-        load: makes a scene of its text.
-
-    Raises:
-        ValidationError `measure-fixed-scene`: the scene has no option for numbers that are given.
     """
     chosen = (settings or RenderSettings()).change("algorithm", "frustum")
-    for varied in [vary_scene(text, count, number) for count in objects for number in lights]:
-        scene = load(varied)
+    for scene in scenes:
         view = chosen.aim(parse_camera(camera or next(iter(scene.views)), scene, frame))
         with chosen.open(device, scene, size) as renderer:
             subjects = [_make_subject(renderer, name, one, view) for name, one in techniques.items()]

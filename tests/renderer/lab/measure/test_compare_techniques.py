@@ -10,7 +10,9 @@ import pytest
 
 import rhi
 from renderer.cli import main
+from renderer.content import load_scene
 from renderer.lab.techniques import compare_techniques, vary_scene
+from renderer.scene import Scene
 from renderer.techniques import TECHNIQUES, Clustered, Deferred, Forward, ForwardMultipass
 from rhi import ValidationError
 
@@ -20,6 +22,10 @@ ROW = [
 ]  # fmt: skip
 GRID = "grid:mesh=box"
 SMALL = ("--size", "64x36", "--rounds", "1")
+
+
+def list_scenes(objects: list[int], lights: list[int]) -> list[Scene]:
+    return [load_scene(vary_scene(GRID, count, number)) for count in objects for number in lights]
 
 
 def compare(capsys: pytest.CaptureFixture[str], scene: str, *arguments: str) -> list[dict[str, Any]]:
@@ -50,7 +56,7 @@ def test_there_is_a_row_for_each_number_of_objects_and_lights_and_each_technique
 def test_draws_are_those_of_the_stream(null: rhi.Device) -> None:
     """A masked light is two draws, besides those of geometry and of the image."""
     techniques = {"masked": Deferred(stencil=True), "at once": Deferred()}
-    rows = compare_techniques(null, GRID, techniques, (32, 16), objects=[4], lights=[1, 7], rounds=1)
+    rows = compare_techniques(null, list_scenes([4], [1, 7]), techniques, (32, 16), rounds=1)
     assert [(row["technique"], row["lights"], row["draws"]) for row in rows] == [
         ("masked", 1, 4), ("at once", 1, 3), ("masked", 7, 16), ("at once", 7, 3),
     ]  # fmt: skip
@@ -58,7 +64,7 @@ def test_draws_are_those_of_the_stream(null: rhi.Device) -> None:
 
 def test_forward_looks_at_lights_of_objects_and_clusters_at_those_that_are_near(gl: rhi.Device) -> None:
     techniques = {"objects": Forward(), "pairs": ForwardMultipass(), "clusters": Clustered()}
-    rows = list(compare_techniques(gl, GRID, techniques, (64, 36), objects=[64], lights=[8, 64], rounds=1))
+    rows = list(compare_techniques(gl, list_scenes([64], [8, 64]), techniques, (64, 36), rounds=1))
     few, more = (
         {row["technique"]: row["light_evaluations"] or 0 for row in rows if row["lights"] == n} for n in (8, 64)
     )
