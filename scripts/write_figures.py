@@ -46,8 +46,10 @@ class Figure:
 
 
 def _read_report(*arguments: str) -> Any:
-    command = [sys.executable, "-m", "renderer", *arguments, "--json"]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        [sys.executable, *arguments, "--json"], cwd=ROOT, env=environment, capture_output=True, text=True, check=True
+    )
     return json.loads(done.stdout)
 
 
@@ -60,13 +62,13 @@ def _significant(value: float, digits: int) -> str:
 def find_orders() -> Rows:
     """Count what changes between the draws of `bazaar`, in several orders of its objects."""
     names = ("programs", "materials", "meshes", "draws")
-    found = _read_report("plan", "bazaar", "--technique", "forward")["orders"]
+    found = _read_report("-m", "renderer", "plan", "bazaar", "--technique", "forward")["orders"]
     return {row["order"]: [f"{row[name]:,}" for name in names] for row in found}
 
 
 def find_encodings() -> Rows:
     """Find the errors of encodings against float64, the larger ones of gl and cl."""
-    found = _read_report("compare", "encodings")["rows"]
+    found = _read_report("-m", "renderer", "compare", "encodings")["rows"]
     return {
         row["name"]: [
             _significant(row["mean_error"], 2),
@@ -79,14 +81,10 @@ def find_encodings() -> Rows:
 
 def find_draw_order() -> Rows:
     """Count what changes between draws one by one, in several orders, and time them."""
-    done = subprocess.run(
-        [sys.executable, "benchmarks/draw_order.py", "--json"],
-        cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=True,
-    )  # fmt: skip
     names = ("programs", "bindings", "meshes", "draws")
     return {
         row["order"]: [*(f"{row[name]:,}" for name in names), f"{row['microseconds']:.1f}"]
-        for row in json.loads(done.stdout)["rows"]
+        for row in _read_report("benchmarks/draw_order.py")["rows"]
     }
 
 

@@ -21,7 +21,7 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
-from rhi.backends.cl.context import allocate_pages
+from rhi.backends.cl.context import NOTHING, allocate_pages
 from rhi.backends.cl.memory import buffers, planes, pools, textures
 from rhi.backends.cl.raster import queries
 
@@ -29,7 +29,6 @@ GUARD: Final = 1 << 14
 PATTERN: Final = 0xB7
 _flags: Final = cl.mem_flags
 _Buffer: Final[Any] = cl.Buffer
-_NOTHING: Final = np.zeros(0, np.uint8)
 
 
 class _Guarded:
@@ -74,11 +73,11 @@ def _guard(size: int, contents: NDArray[Any]) -> _Guarded:
     return made
 
 
-def _allocate_pages(size: int, contents: NDArray[Any] = _NOTHING) -> NDArray[np.uint8]:
+def _allocate_pages(size: int, contents: NDArray[Any] = NOTHING) -> NDArray[np.uint8]:
     return _guard(size, contents).used
 
 
-def _allocate(context: cl.Context, size: int, contents: NDArray[Any] = _NOTHING) -> cl.Buffer:
+def _allocate(context: cl.Context, size: int, contents: NDArray[Any] = NOTHING) -> cl.Buffer:
     made = _guard(planes.round_to_grain(size) + planes.GRAIN, contents)
     made.keep_free(size)
     buffer = _GuardedBuffer(context, _flags.READ_WRITE | _flags.USE_HOST_PTR, hostbuf=made.used)
@@ -88,7 +87,7 @@ def _allocate(context: cl.Context, size: int, contents: NDArray[Any] = _NOTHING)
 
 def _reserve(self: pools.Pool, size: int) -> int:
     """Reserve exactly `size` bytes, in new memory."""
-    made = _guard(size, _NOTHING)
+    made = _guard(size, NOTHING)
     lent = made.used[:]  # held by the pool, then until the device has finished
     made.owner = weakref.ref(lent)
     self._in_flight.add(self._memory)

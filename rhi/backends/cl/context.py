@@ -50,7 +50,8 @@ PAGE: Final = 4096
 """Alignment in bytes of host memory that drivers use in place."""
 _INCLUDED: Final = str(Path(cl.__file__).parent)
 """The place of pyopencl's headers, which it gives the driver with each program. The driver's own keys depend on it."""
-_NOTHING: Final = np.zeros(0, np.uint8)
+NOTHING: Final = np.zeros(0, np.uint8)
+"""Contents of memory that is to hold zeros."""
 _COUNT: Final = 64
 _PROBE: Final = """
 __kernel void probe(__global uint *words) {
@@ -288,7 +289,7 @@ def build_again(context: cl.Context, text: str | bytes, options: Sequence[str]) 
     return built
 
 
-def allocate_pages(size: int, contents: NDArray[Any] = _NOTHING) -> NDArray[np.uint8]:
+def allocate_pages(size: int, contents: NDArray[Any] = NOTHING) -> NDArray[np.uint8]:
     """Return page-aligned host memory, shape (size,): the bytes of `contents`, shape (n,), then zeros."""
     memory = np.zeros(size + PAGE, np.uint8)
     start = -memory.ctypes.data % PAGE

@@ -8,7 +8,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from rhi.backends.cl.context import allocate_pages
+from rhi.backends.cl.context import NOTHING, allocate_pages
 from rhi.backends.cl.errors import translate_errors
 from rhi.contract.descriptors import Region
 
@@ -20,7 +20,6 @@ BLOCK: Final = 4
 _copy_box: Final[Any] = cl.enqueue_copy  # its stubs misname the arguments of a copy between boxes
 
 _MAX_PATTERN: Final = 128
-_NOTHING: Final = np.zeros(0, np.uint8)
 
 
 class TexelPlane:
@@ -129,7 +128,7 @@ def alignment(device: cl.Device) -> int:
     return max(16, int(device.mem_base_addr_align) // 8)
 
 
-def allocate(context: cl.Context, size: int, contents: NDArray[Any] = _NOTHING) -> cl.Buffer:
+def allocate(context: cl.Context, size: int, contents: NDArray[Any] = NOTHING) -> cl.Buffer:
     """Return a new buffer in host memory that lives as long as the buffer's Python object: `contents`, then zeros, with
     padding behind them.
 
