@@ -310,11 +310,11 @@ def _find_distances(grid: CellGrid, depth: NDArray[np.float32]) -> Floats:
 
 
 def _collect_all(grid: LightGrid, camera: Camera, size: tuple[int, int], lights: Lights, depth: Texture) -> CellLists:
-    """Return the lists of a frame, whole."""
+    """Return the lists of a frame, and leave room for all of them."""
     while True:
         grid.collect(grid.device, camera, size, lights, depth)
         lists = grid.read()
-        if not lists.dropped:
+        if not lists.full.any():
             return lists
         grid.capacity = lists.pairs
 

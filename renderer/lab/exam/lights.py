@@ -433,8 +433,8 @@ _OVERFULL: Final = (333, 187)
 
 
 def overfill_lists(device: Device) -> Found:
-    """Make lists with room for all pairs, for one less, and for one; and look that what is dropped is counted, and that
-    lists grow."""
+    """Make lists with room for all pairs, for one less, and for one; and look that the masks have what there is no room
+    for, and that lists grow."""
     rng, lights = np.random.default_rng(1), Lights()
     camera = Camera.look_at(
         (0.0, 2.0, 0.0), (3.0, 1.0, -8.0), projection=Perspective(aspect=_OVERFULL[0] / _OVERFULL[1], far=60.0)
@@ -451,17 +451,16 @@ def overfill_lists(device: Device) -> Found:
     every = whole.read()
     numbers: dict[str, object] = {"pairs": every.pairs}
     total = 0
-    for capacity, dropped in ((every.pairs, 0), (every.pairs - 1, 1), (1, every.pairs - 1)):
+    for capacity in (every.pairs, every.pairs - 1, 1):
         grid = collect(capacity)
         lists = grid.read()
-        off = abs(lists.dropped - dropped) + abs(lists.pairs - every.pairs)
-        off += int((lists.lights != every.lights[:capacity]).sum())
+        off = int((lists.full != (every.ends > capacity)).sum()) + int(not np.array_equal(lists.lights, every.lights))
         for _ in range(4):  # a frame asks for the need of the one before, and the next learns it
             grid.collect(device, camera, _OVERFULL, lights)
             device.finish()
         grown = grid.read()
-        off += grown.dropped + int(not np.array_equal(grown.lights, every.lights))
-        numbers[f"dropped with room for {capacity}"] = lists.dropped
+        off += int(grown.full.sum()) + int(not np.array_equal(grown.lights, every.lights))
+        numbers[f"full cells with room for {capacity}"] = int(lists.full.sum())
         total += off
         grid.destroy()
     whole.destroy()
@@ -610,7 +609,7 @@ CASES: Final = (
         "the same lists with room for all",
         0.0,
         "pairs",
-        "what is dropped is counted, and the next lists have room",
+        "what has no room is in the masks, and the next lists have room",
         overfill_lists,
         _NEEDS,
     ),

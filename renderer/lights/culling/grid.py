@@ -25,6 +25,7 @@ from renderer.lights.culling.kernels import (
 )
 from renderer.lights.culling.table import CONE_TESTS, find_cone_test, find_sphere_test
 from renderer.lights.culling.uploads import BufferSet, LightUploads, round_up
+from renderer.lights.culling.volumes import WORD
 from renderer.scene import Camera, Lights
 from renderer.shaders.prefix_sum import PrefixSum
 from rhi import Device, Encoder, Readback, StorageBuffer, Texture, UniformBuffer
@@ -42,7 +43,7 @@ class CellLists:
         begins, points_ends, ends: (c,) of each cell: its point lights are `lights[begins[i]:points_ends[i]]`, its spot
             lights `lights[points_ends[i]:ends[i]]`.
         lights: rows of the point or spot lights, ascending in each list.
-        dropped: number of lights of all lists for which there was no room. Where it isn't 0, lists are incomplete.
+        full: (c,) whether there was no room for a cell's list, and its lights are those of the masks.
         tests: number of tests of lights against cells and blocks; None if they weren't counted.
     """
 
@@ -50,13 +51,13 @@ class CellLists:
     points_ends: NDArray[np.int64]
     ends: NDArray[np.int64]
     lights: NDArray[np.int64]
-    dropped: int
+    full: NDArray[np.bool_]
     tests: int | None
 
     @property
     def pairs(self) -> int:
-        """The number of pairs of a cell and a light, those included that were dropped."""
-        return len(self.lights) + self.dropped
+        """The number of pairs of a cell and a light."""
+        return len(self.lights)
 
 
 class LightGrid:
@@ -66,14 +67,13 @@ class LightGrid:
     `cell_index` gives: for cell c, `lists[2 c]`, `lists[2 c + 1]` and `lists[2 c + 2]` are the places in `lists` where
     its point lights begin, where they end and its spot lights begin, and where those end.
 
-    The lists have room for as many lights as earlier frames needed. If a frame needs more, those for which there is no
-    room are missing in that frame, and in those that begin before the device has finished it. A later `collect` learns
-    their number without waiting, enlarges the lists, and notes it in `overflows` and `dropped`.
+    The lists have room for 64 lights a cell, or for as many as earlier frames needed. If a frame needs more, shaders
+    find the lights of the cells that are left over by their bits in `masks`: they miss none, but look at a bit for each
+    light of the scene. A later `collect` learns the need without waiting, and enlarges the lists.
 
     Attributes:
         capacity: number of lights that fit in all lists together.
-        overflows: number of frames in which lights were missing, as far as the CPU knows by now.
-        dropped: number of entries that were missing in them.
+        overflows: number of frames whose lists were full, as far as the CPU knows by now.
     """
 
     def __init__(
@@ -99,7 +99,8 @@ class LightGrid:
             block_test: the name of the test of blocks of cells; with "none" all cells are tested against all lights.
             depth_mask: whether, with a depth texture, 32 slices of a tile's depths are told apart.
             counted: whether to count tests, for `read`.
-            capacity: number of lights for which lists have room at first; by default 64 for each cell.
+            capacity: number of lights for which lists have room at first; by default 64 for each cell, also of later
+                frames with more cells.
 
         Raises:
             ValidationError `lights-unknown-test`: a test has another name.
@@ -107,7 +108,8 @@ class LightGrid:
         call = "LightGrid"
         self._uploads = LightUploads(device, tile=tile, slices=slices, first_slice=first_slice)
         self.capacity = capacity or 0
-        self.dropped = self.overflows = 0
+        self._start = 0 if capacity else _START
+        self.overflows = 0
         self.device = device
         self._tests = (
             find_sphere_test(sphere_test, f"{call}(sphere_test=...)"),
@@ -130,6 +132,17 @@ class LightGrid:
     def parameters(self) -> UniformBuffer[CellGrid]:
         """The grid of the last frame for shaders."""
         return self._uploads.parameters
+
+    @property
+    def bindings(self) -> dict[str, Any]:
+        """The lists of the last frame for shaders: `grid`, `light_rows`, `light_masks` and `light_counts`. Another
+        `collect` may replace them."""
+        return {
+            "grid": self.parameters,
+            "light_rows": self.lists,
+            "light_masks": self._buffers["masks"],
+            "light_counts": self._uploads.counts,
+        }
 
     @property
     def cells(self) -> int:
@@ -200,15 +213,27 @@ class LightGrid:
         """Return the lists of the last frame. Waits for the device."""
         cells, lists = self.cells, self.lists.read().astype(np.int64)
         header = 2 * cells + 1
-        total = int(self._buffers["counts"].read(cells, 1)[0])
+        begins, points_ends, ends = (lists[first:header:2] - header for first in range(3))
+        begins, lights = begins[:-1], lists[header:]
+        total = int(ends[-1])
+        full = ends > len(lights)
+        if full.any():
+            lights = np.concatenate([lights[: begins[full][0]], self._read_masked(full)])
         return CellLists(
-            begins=lists[: header - 1 : 2] - header,
-            points_ends=lists[1:header:2] - header,
-            ends=lists[2:header:2] - header,
-            lights=lists[header:][:total],
-            dropped=max(total - (len(lists) - header), 0),
+            begins=begins,
+            points_ends=points_ends,
+            ends=ends,
+            lights=lights[:total],
+            full=full,
             tests=int(self._buffers["tests"].read()[0]) if self._counted else None,
         )
+
+    def _read_masked(self, cells: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Return the rows of the lights of these cells, one cell after the other, from the masks."""
+        words, points = self._uploads.words, WORD * self._uploads.point_words
+        masks: NDArray[np.uint32] = self._buffers["masks"].read(0, self.cells * words).reshape(-1, words)[cells]
+        bits = np.unpackbits(masks.astype("<u4").view(np.uint8), axis=1, bitorder="little").nonzero()[1]
+        return np.where(bits < points, bits, bits - points)
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
@@ -223,7 +248,6 @@ class LightGrid:
             self._pending = None
             if needed > self._room:
                 self.overflows += 1
-                self.dropped += needed - self._room
                 self.capacity = max(self.capacity, round_up(needed))
         if self._pending is None and self._unasked is not None:
             self._room, self._unasked = self._unasked, None
@@ -232,7 +256,7 @@ class LightGrid:
     def _make_room(self) -> None:
         """Make room for the results."""
         cells, count = self.cells, self.layout.count
-        self.capacity = self.capacity or _START * cells
+        self.capacity = max(self.capacity, self._start * cells)
         self._buffers.fit("masks", uint, round_up(cells * self._uploads.words))
         self._buffers.fit("counts", uint, cells + 1)
         self._buffers.fit("depths", TileDepths, count.x * count.y)

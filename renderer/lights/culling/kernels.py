@@ -282,7 +282,7 @@ class CollectCounted(CollectLights):
 
 class WriteLists(Shader):
     """Writes the lists of lights: for each cell its begin and the end of its point lights, then the end of all, then
-    the lists. What would lie behind the buffer's end isn't written."""
+    the lists. A light behind the buffer's end isn't written; the places of a list that ends there say so."""
 
     work_group = (GROUP,)
     lights: Uniform[LightCounts]
@@ -298,7 +298,7 @@ class WriteLists(Shader):
         header = 2 * cells + 1
         end = len(self.lists)
         place = header + int(self.sums[cell])
-        self.lists[2 * cell] = min(place, end)
+        self.lists[2 * cell] = place
         if cell == cells:
             return
         points_end = place
@@ -312,7 +312,7 @@ class WriteLists(Shader):
                 place += 1
             if word < self.lights.point_words:
                 points_end = place
-        self.lists[2 * cell + 1] = min(points_end, end)
+        self.lists[2 * cell + 1] = points_end
 
 
 @cache

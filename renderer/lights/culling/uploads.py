@@ -48,22 +48,23 @@ class LightUploads:
     """The grid of cells and the volumes of the lights of one frame at a time, on the device.
 
     Attributes:
-        layout: the grid. words: the number of words with a bit for each light.
+        layout: the grid. words, point_words: the number of words with a bit for each light, and of those before the
+            spot lights'.
     """
 
     def __init__(self, device: Device, *, tile: int, slices: int = 1, first_slice: float | None = None) -> None:
         """Cells are tiles of `tile` × `tile` pixels, divided into `slices` by depth (see `make_grid`)."""
         self.tile, self.slices, self.first_slice = tile, slices, first_slice
         self.layout: CellGrid = make_grid(Perspective(), (1, 1), tile, slices=slices)
-        self.words = 0
+        self.words = self.point_words = 0
         self.parameters: UniformBuffer[CellGrid] = device.uniform(self.layout)
-        self._counts: UniformBuffer[LightCounts] = device.uniform(LightCounts(words=0, point_words=0))
+        self.counts: UniformBuffer[LightCounts] = device.uniform(LightCounts(words=0, point_words=0))
         self._buffers: Final = BufferSet(device, "light volumes")
 
     def write(self, camera: Camera, size: tuple[int, int], lights: Lights) -> None:
         """Upload an image's grid, of `size` pixels, and the volumes of all point and spot lights."""
         volumes = find_volumes(lights, camera)
-        self.words = volumes.words
+        self.words, self.point_words = volumes.words, volumes.point_words
         self.layout = make_grid(
             camera.projection,
             size,
@@ -73,7 +74,7 @@ class LightUploads:
             reach=volumes.reach,
         )
         self.parameters.write(self.layout)
-        self._counts.write(LightCounts(words=volumes.words, point_words=volumes.point_words))
+        self.counts.write(LightCounts(words=volumes.words, point_words=volumes.point_words))
         spheres = self._buffers.fit("spheres", vec4, round_up(len(volumes.spheres)))
         if len(volumes.spheres):
             spheres.write(volumes.spheres.astype(np.float32))
@@ -83,7 +84,7 @@ class LightUploads:
     @property
     def bindings(self) -> dict[str, Any]:
         """The bindings of shaders that test lights: `grid`, `lights` and `spheres`."""
-        return {"grid": self.parameters, "lights": self._counts, "spheres": self._buffers["spheres"]}
+        return {"grid": self.parameters, "lights": self.counts, "spheres": self._buffers["spheres"]}
 
     @property
     def cones(self) -> dict[str, Any]:
@@ -93,7 +94,7 @@ class LightUploads:
     def destroy(self) -> None:
         """Destroy the resources on the device."""
         self.parameters.destroy()
-        self._counts.destroy()
+        self.counts.destroy()
         self._buffers.destroy()
 
 

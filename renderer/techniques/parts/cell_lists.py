@@ -16,13 +16,15 @@ from renderer import rules
 from renderer.frame import Frame, Needs, Pass
 from renderer.lights.culling.cells import CellGrid, cell_index
 from renderer.lights.culling.grid import LightGrid
+from renderer.lights.culling.kernels import LightCounts
 from renderer.lights.culling.table import find_sphere_test
+from renderer.lights.culling.volumes import WORD
 from renderer.shaders.pixels import PixelRays
 from renderer.shaders.structs import SurfaceVarying
 from renderer.techniques.parts.scene_shader import ForwardShader
 from renderer.techniques.parts.variants import Lighting, explain_lamps
 from rhi import Device, refuse
-from rhi.shading import Shader, Storage, Uniform, dot, fragment_coordinate, ivec2, ivec3
+from rhi.shading import Shader, Storage, Uniform, dot, fragment_coordinate, ivec2, ivec3, uint
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,15 +66,38 @@ class CellReader(Shader):
     """The base of shaders that are lit by the lights of a cell."""
 
     lean = True
+    has_gaps = True
 
     grid: Uniform[CellGrid]
     light_rows: Storage[int]
+    light_masks: Storage[uint]
+    light_counts: Uniform[LightCounts]
 
     def find_cell_lights(self, distance: float) -> ivec3:
         """Return where the point lights of the pixel's cell at this distance along the view begin in the light rows,
-        where they end and the spot lights begin, and where those end."""
+        where they end and the spot lights begin, and where those end.
+
+        A list for which there is no room is the cell's bits in the masks. Their places are negative, counted from the
+        masks' end.
+        """
         cell = cell_index(self.grid, ivec2(fragment_coordinate().xy), distance)
-        return ivec3(self.light_rows[2 * cell], self.light_rows[2 * cell + 1], self.light_rows[2 * cell + 2])
+        places = ivec3(self.light_rows[2 * cell], self.light_rows[2 * cell + 1], self.light_rows[2 * cell + 2])
+        if places.z > len(self.light_rows):
+            counts = self.light_counts
+            begin = WORD * (cell * counts.words - len(self.light_masks))
+            return ivec3(begin, begin + WORD * counts.point_words, begin + WORD * counts.words)
+        return places
+
+    def find_row(self, place: int) -> int:
+        """Return the row of the light at a place, or -1 if its bit says that it doesn't reach the cell."""
+        if place >= 0:
+            return self.light_rows[place]
+        bit = place + WORD * len(self.light_masks)
+        if ((self.light_masks[bit // WORD] >> uint(bit % WORD)) & uint(1)) == uint(0):
+            return -1
+        light = bit % (WORD * self.light_counts.words)
+        points = WORD * self.light_counts.point_words
+        return light if light < points else light - points
 
 
 def list_pass(needs: Needs, cells: LightLists, *, depth: str | None = None) -> Pass[Frame]:
@@ -93,8 +118,7 @@ def list_pass(needs: Needs, cells: LightLists, *, depth: str | None = None) -> P
 
 def bind_lists(frame: Frame, cells: LightLists) -> dict[str, Any]:
     """Return the bindings of a `CellReader`, after the lists were made."""
-    grid = frame.view.workspace(cells)
-    return {"grid": grid.parameters, "light_rows": grid.lists}
+    return frame.view.workspace(cells).bindings
 
 
 class LitByCells(CellReader, ForwardShader):

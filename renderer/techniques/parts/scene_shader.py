@@ -465,6 +465,7 @@ class LampShader(ReflectingShader, ShadowReceiver):
 
     has_point_lights = False
     has_spot_lights = False
+    has_gaps = False
 
     point_lights: Storage[PointLight]
     spot_lights: Storage[SpotLight]
@@ -475,12 +476,20 @@ class LampShader(ReflectingShader, ShadowReceiver):
         they end and the spot lights begin, and where those end."""
         color = vec3(0.0)
         if self.has_point_lights:
-            for i in range(lights.x, lights.y):
-                color += self.pointlight(surface, self.light_rows[i])
+            for place in range(lights.x, lights.y):
+                row = self.find_row(place)
+                if not self.has_gaps or row >= 0:
+                    color += self.pointlight(surface, row)
         if self.has_spot_lights:
-            for i in range(lights.y, lights.z):
-                color += self.spotlight(surface, self.light_rows[i])
+            for place in range(lights.y, lights.z):
+                row = self.find_row(place)
+                if not self.has_gaps or row >= 0:
+                    color += self.spotlight(surface, row)
         return color
+
+    def find_row(self, place: int) -> int:
+        """Return the row of the light at a place; where there may be gaps, -1 if there is none."""
+        return self.light_rows[place]
 
     def pointlight(self, surface: SurfacePoint, row: int) -> vec3:
         """Return the light of the point light of a row."""

@@ -177,22 +177,33 @@ def test_any_number_of_lights_is_listed(
 # -- overflow ------------------------------------------------------------------------------------------------------
 
 
-def test_lists_that_are_full_say_so_and_grow(device: rhi.Device, make: Callable[..., LightGrid]) -> None:
+def test_full_lists_are_in_the_masks_and_grow(device: rhi.Device, make: Callable[..., LightGrid]) -> None:
     lights, camera = make_lights(), look(LENSES["perspective"])
     whole = collect(make(capacity=100_000), device, camera, lights)
-    for capacity, dropped in ((whole.pairs, 0), (whole.pairs - 1, 1), (1, whole.pairs - 1)):
-        grid = make(capacity=capacity)
+    for less in (0, 1, whole.pairs - 1):
+        grid = make(capacity=whole.pairs - less)
         lists = collect(grid, device, camera, lights)
-        assert lists.dropped == dropped
-        assert lists.pairs == whole.pairs
-        assert (lists.lights == whole.lights[:capacity]).all()
+        assert (lists.full == (whole.ends > whole.pairs - less)).all()
+        assert lists.full.any() == (less > 0)
+        for name in ("begins", "points_ends", "ends", "lights"):
+            assert (getattr(lists, name) == getattr(whole, name)).all()
         for _ in range(4):  # a frame asks for the need of the one before, and the next learns it
             grid.collect(device, camera, SIZE, lights)
             device.finish()
-        assert grid.read().dropped == 0
+        assert not grid.read().full.any()
         assert (grid.read().lights == whole.lights).all()
-        assert grid.overflows == (2 if dropped else 0)
-        assert grid.dropped == 2 * dropped
+        assert grid.overflows == (2 if less else 0)
+
+
+def test_room_follows_the_number_of_cells_unless_it_was_said(
+    device: rhi.Device, make: Callable[..., LightGrid]
+) -> None:
+    lights, camera = make_lights(), look(LENSES["perspective"])
+    for options, rooms in (({}, [64 * 4, 64 * 16]), ({"capacity": 300}, [300, 300])):
+        grid = make(tile=16, **options)
+        for size, room in zip(((32, 32), (64, 64)), rooms, strict=True):
+            grid.collect(device, camera, size, lights)
+            assert grid.capacity == room
 
 
 # -- resolutions, depths -------------------------------------------------------------------------------------------
