@@ -27,7 +27,11 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:
-    """Attach the test's place on the scoreboard: its backend, and a group such as "operation · depth"."""
+    """Attach the test's place on the scoreboard: its backend, and a group such as "operation · depth".
+
+    The kit's devices validate, and warn of what tests drop.
+    """
+    item.add_marker(pytest.mark.filterwarnings("ignore:.* was collected instead of destroyed:ResourceWarning"))
     parameters = getattr(item, "callspec", None)
     backend = parameters.params.get("backend", "any") if parameters is not None else "any"
     group = f"{item.path.parent.name} · {item.path.stem.removeprefix('test_').replace('_', ' ')}"

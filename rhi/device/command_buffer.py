@@ -19,7 +19,6 @@
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from functools import partial
@@ -39,7 +38,6 @@ from rhi.contract.states import AlphaTest, default_values
 from rhi.device.core.core import Core
 from rhi.device.core.interrupts import HeldInterrupts
 from rhi.device.core.state_cache import StateVector
-from rhi.device.core.timeline import Timeline
 from rhi.device.encoder import Encoder, check_drawable
 from rhi.device.queries.occlusion import Conditional, OcclusionQuery, QueryScope
 from rhi.device.queries.sets import QuerySet
@@ -94,8 +92,11 @@ class CommandBuffer(Encoder):
         self._destroyed_uses: dict[Id, str] = {}
         self._draws = self._dispatches = self._queries = self._later_changes = 0
         self._owned: list[Id] = []
-        weakref.finalize(self, _retire, device.timeline, self._owned).atexit = False
         device.timeline.watch(self)
+
+    def __del__(self) -> None:
+        for resource in getattr(self, "_owned", ()):
+            self._recorder.timeline.drop(resource)
 
     @property
     def stream(self) -> CommandStream:
@@ -505,8 +506,3 @@ def check_submissions(buffers: Iterable[CommandBuffer], device: Core) -> None:
             if query.id not in ended:
                 query.check_ended(device, call)
         ended.update(core.queries)
-
-
-def _retire(timeline: Timeline, resources: list[Id]) -> None:
-    for resource in resources:
-        timeline.retire(resource)

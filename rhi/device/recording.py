@@ -45,6 +45,7 @@ class RecordingCore(Core):
         uses: the resources in use, by id.
         stream: the recorded commands.
         vertex_arrays: vertex arrays that meshes lack for a program, to be created before the first submission.
+        meshes: those that the buffer draws, whose vertex arrays live as long as they do.
         own_arrays: vertex arrays whose vertices lie in the arena.
         conditions: queries that must have ended before the buffer is submitted.
         queries: for each query and query set that the buffer uses, by id, the function that receives the fence of a
@@ -53,7 +54,16 @@ class RecordingCore(Core):
     """
 
     __slots__ = (
-        "conditions", "counted_rows", "device", "own_arrays", "queries", "recording", "stream", "uses", "vertex_arrays",
+        "conditions",
+        "counted_rows",
+        "device",
+        "meshes",
+        "own_arrays",
+        "queries",
+        "recording",
+        "stream",
+        "uses",
+        "vertex_arrays",
     )  # fmt: skip
     records = True
 
@@ -67,6 +77,7 @@ class RecordingCore(Core):
         self.stream = writer.stream
         self.uses: dict[Id, ResourceUse] = {}
         self.vertex_arrays: dict[tuple[Program[Any], MeshData], tuple[Id, VertexArrayDescriptor]] = {}
+        self.meshes: set[MeshData] = set()
         self.own_arrays = writer.vertex_arrays
         self.conditions: list[OcclusionQuery] = []
         self.queries: dict[Id, Callable[[int], None]] = {}
@@ -149,5 +160,6 @@ class RecordedProgram(Program[Any]):
                 core.vertex_arrays[key] = core.new_id(), descriptor
             known = core.vertex_arrays[key][0]
         # The vertex array is destroyed with the mesh, even if the mesh's buffers stay.
+        core.meshes.add(data)
         core.note_use(known, data.buffers[0] if data.buffers else self.origin, f"Mesh({data.label!r})")
         return known

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import sys
 import threading
 import weakref
 from collections.abc import Callable, Iterable
@@ -30,7 +31,7 @@ from rhi.device.core.refusals import RefusalLog
 from rhi.device.core.scopes import Scope
 from rhi.device.core.state_cache import StateCache, StateVector
 from rhi.device.core.timeline import Timeline
-from rhi.errors import DeviceError, Rule
+from rhi.errors import DeviceError, Rule, find_call_site
 from rhi.errors.rules import (
     DEVICE_CAPABILITY,
     DEVICE_CLOSED,
@@ -157,6 +158,7 @@ class Core:
         "_clips",
         "_context",
         "_ids",
+        "_notes_sites",
         "_prepares",
         "_samplers",
         "backend",
@@ -228,6 +230,7 @@ class Core:
         if hasattr(backend, "prepare_draw"):
             self._prepares = cast("PreparesDraws", backend)
             self._prepares.on_interruption(self.forget_program)
+        self._notes_sites = self.validates or sys.flags.dev_mode  # lines of creation
         self._ids = itertools.count(1)  # its next() is atomic, also with several threads
         self._samplers: dict[SamplerDescriptor, Id] = {}
         self.sampler_descriptors: dict[Id, SamplerDescriptor] = {}
@@ -250,14 +253,17 @@ class Core:
         self.check_ready()
         self.timeline.make_room()
         self.counters.creations += 1
-        return self.new_id()
+        number = self.new_id()
+        if self._notes_sites and (site := find_call_site()) is not None:
+            self.timeline.sites[number] = site
+        return number
 
     def creation(self) -> Creation:
         """Return a block that creates all of its resources or none; see `Creation`."""
         return Creation(self)
 
-    def create(self, make: Callable[[Id, D], object], resource: Id, descriptor: D) -> None:
-        """Create a resource on the backend, inside a `creation` block or `HeldInterrupts`.
+    def create(self, make: Callable[[Id, D], object], resource: Id, descriptor: D, size: int = 0) -> None:
+        """Create a resource of `size` bytes on the backend, inside a `creation` block or `HeldInterrupts`.
 
         If memory is exhausted while destroyed resources wait for their fence, they are destroyed first, and creation
         is tried once more.
@@ -268,13 +274,14 @@ class Core:
             if error.rule is not DEVICE_MEMORY or not self.timeline.reclaim():
                 raise
             make(resource, descriptor)
+        self.timeline.living[resource] = size
         if self.created is not None:
             self.created.append(resource)
 
     def take_back(self, resources: list[Id]) -> None:
         """Destroy resources that the user never received, the latest first."""
         for resource in reversed(resources):
-            if not self.timeline.is_retired(resource):
+            if resource in self.timeline.living:
                 self.draw_counters.pop(resource, None)
                 self.timeline.retire(resource)
 

@@ -6,6 +6,8 @@
 - Resources are destroyed when the GPU no longer uses them: `retire` records the fence value after which a resource is
   unused, and `collect` destroys those whose value has passed.
 - A program that never signals would keep all of them. So a creation first signals if many wait for it (`make_room`).
+- What nobody holds any more is `drop`ped, by finalizers: on any thread, between any two steps. It waits in a queue
+  until the device's thread retires it, before the next signal or creation.
 - Objects that keep something for a resource (a mesh the vertex array of a program, a command buffer its ids) register
   with `watch`, and drop it when the resource is retired. So no table outlives what it is about.
 """
@@ -21,7 +23,7 @@ from rhi.contract.backend import FOREVER, Backend
 from rhi.contract.descriptors import Id
 from rhi.device.core.interrupts import HeldInterrupts
 from rhi.device.core.refusals import NO_LOG, RefusalLog
-from rhi.errors import DeviceError
+from rhi.errors import CallSite, DeviceError
 from rhi.errors.rules import DEVICE_LOST, FENCE_VALUE
 
 MAX_WAITING: Final = 256
@@ -44,16 +46,21 @@ class Timeline:
     Attributes:
         signalled: the last signalled value; 0 before the first.
         refusals: raises and keeps the errors of refused calls.
+        living: by id, the sizes in bytes of the resources that exist and aren't retired, but for the device's own.
+        sites: by id, the lines that created them, if these are noted.
     """
 
-    __slots__ = ("_backend", "_completed", "_lock", "_lot", "_retired", "_waiting", "_waiting_bytes", "_watchers",
-                 "refusals", "signalled")  # fmt: skip
+    __slots__ = ("_backend", "_completed", "_dropped", "_lock", "_lot", "_retired", "_waiting", "_waiting_bytes",
+                 "_watchers", "living", "refusals", "signalled", "sites")  # fmt: skip
 
     def __init__(self, backend: Backend, refusals: RefusalLog = NO_LOG) -> None:
         self._backend = backend
         self.refusals = refusals
         self.signalled = 0
         self._completed = 0
+        self.living: dict[Id, int] = {}
+        self.sites: dict[Id, CallSite] = {}
+        self._dropped: deque[Id] = deque()
         self._retired: deque[tuple[int, Id]] = deque()
         self._waiting = self._waiting_bytes = 0  # retired since the last signal
         self._lot = 0  # the value that `make_room` signalled last
@@ -62,6 +69,8 @@ class Timeline:
 
     def signal(self) -> int:
         """Put the next value into the command stream and return it."""
+        if self._dropped:
+            self._retire_dropped()
         value = self.signalled + 1
         self._backend.signal(value)
         self.signalled = value
@@ -95,8 +104,8 @@ class Timeline:
             self.refusals.fail(DeviceError(DEVICE_LOST, f"device.wait({value})", f"no answer in {FOREVER:.0f} s"))
         return reached
 
-    def retire(self, resource: Id, size: int = 0) -> None:
-        """Destroy `resource`, of `size` bytes, once the GPU has executed everything submitted so far."""
+    def retire(self, resource: Id) -> None:
+        """Destroy `resource` once the GPU has executed everything submitted so far."""
         if resource in self._watchers or self._watchers[_ALL]:
             with HeldInterrupts():  # all of them have to know
                 with self._lock:
@@ -107,7 +116,20 @@ class Timeline:
         else:
             self._retired.append((self.signalled + 1, resource))
         self._waiting += 1
-        self._waiting_bytes += size
+        self._waiting_bytes += self.living.pop(resource, 0)
+        self.sites.pop(resource, None)
+
+    def drop(self, resource: Id) -> None:
+        """Queue a resource that nobody holds any more for `retire`. May be called by finalizers."""
+        self._dropped.append(resource)
+
+    def _retire_dropped(self) -> None:
+        """Retire what was dropped since the last call, unless it was destroyed before."""
+        with HeldInterrupts():
+            while self._dropped:
+                resource = self._dropped.popleft()
+                if resource in self.living:
+                    self.retire(resource)
 
     def watch(self, watcher: Watcher, resource: Id = _ALL) -> None:
         """Notify `watcher` when `resource` is retired, or each resource, for as long as it lives. May be called from
@@ -126,21 +148,19 @@ class Timeline:
 
     def reclaim(self) -> bool:
         """Wait for the GPU, to destroy every retired resource; return whether there was any."""
-        if not self._retired:
+        if not self._retired and not self._dropped:
             return False
         self.wait(self.signal())
         self.collect()
         return True
-
-    def is_retired(self, resource: Id) -> bool:
-        """Return whether a resource is retired and not yet destroyed."""
-        return any(retired == resource for _, retired in self._retired)
 
     def make_room(self) -> None:
         """Destroy retired resources if many were retired since the last signal; called before a creation.
 
         It waits for those that it signalled for last time, so that at most two lots exist.
         """
+        if self._dropped:
+            self._retire_dropped()
         if self._waiting >= MAX_WAITING or self._waiting_bytes >= MAX_WAITING_BYTES:
             value = self.signal()
             self.wait(self._lot)

@@ -19,6 +19,7 @@ from rhi.contract.limits import condition_faults
 from rhi.device.core.core import Core, describe_object
 from rhi.device.core.interrupts import HeldInterrupts
 from rhi.device.core.scopes import Scope
+from rhi.device.resources.lifetime import drop
 from rhi.errors import DeviceError
 from rhi.errors.arguments import Arguments
 from rhi.errors.rules import (
@@ -62,6 +63,10 @@ class PendingQuery(Generic[T]):
         self._answer: T | None = None
         self._fence = 0
         self.destroyed = False
+
+    def __del__(self) -> None:
+        if not getattr(self, "destroyed", True):  # it isn't there if creation failed
+            drop(self, *self._ids)
 
     @property
     def ids(self) -> tuple[Id, ...]:

@@ -26,7 +26,7 @@ from rhi.contract.layout import (
 )
 from rhi.contract.limits import buffer_copy_faults
 from rhi.device.core.core import Core
-from rhi.device.resources.lifetime import Resource, retire
+from rhi.device.resources.lifetime import Resource, drop, retire
 from rhi.device.resources.locks import Lock
 from rhi.device.resources.readbacks import Readback
 from rhi.errors.arguments import Arguments, as_whole
@@ -82,10 +82,14 @@ class Buffer(Resource):
         self.count = count
         self.size = size
         self.label = label
-        self.destroyed = False
         self.id = core.create_id()
-        core.create(core.backend.create_buffer, self.id, BufferDescriptor(size, usage, label))
+        core.create(core.backend.create_buffer, self.id, BufferDescriptor(size, usage, label), size)
+        self.destroyed = False
         self.bind_uniform = core.prepare_uniform(self.id)
+
+    def __del__(self) -> None:
+        if not getattr(self, "destroyed", True):  # it isn't there if creation failed
+            drop(self, self.id)
 
     def __len__(self) -> int:
         return self.count
@@ -98,7 +102,7 @@ class Buffer(Resource):
         if not self.destroyed:
             self.core.check_thread("destroy")
             self.core.program = None
-            retire(self, self.size)
+            retire(self)
 
     def read(self, first: int = 0, count: int | None = None) -> NDArray[Any]:
         """Return a copy of `count` elements from `first` on; waits for work that may write them."""

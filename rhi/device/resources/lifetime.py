@@ -1,11 +1,17 @@
-"""The lifetime of resources: until they are destroyed, explicitly or at the end of their `with` block."""
+"""The lifetime of resources: until they are destroyed, explicitly or at the end of their `with` block, or until nobody
+holds them any more.
+
+Python finalizes an object on any thread and between any two steps, also of a driver's call. So a finalizer (`drop`)
+only queues the resource's id; the timeline retires what is queued at its next signal or creation.
+"""
 
 from __future__ import annotations
 
+import warnings
 from typing import Protocol, Self
 
 from rhi.contract.descriptors import Id
-from rhi.device.core.core import Core
+from rhi.device.core.core import Core, Owner, describe_object
 
 
 class Resource:
@@ -34,12 +40,26 @@ class Retirable(Protocol):
     def id(self) -> Id: ...
 
 
-def retire(resource: Retirable, size: int = 0) -> None:
-    """Mark a resource as destroyed and retire it; `size` in bytes. After an interrupt both or none is done."""
+def retire(resource: Retirable) -> None:
+    """Mark a resource as destroyed and retire it. After an interrupt both or none is done."""
     timeline = resource.core.timeline
     resource.destroyed = True
     try:
-        timeline.retire(resource.id, size)
+        timeline.retire(resource.id)
     except BaseException:
-        resource.destroyed = timeline.is_retired(resource.id)
+        resource.destroyed = resource.id not in timeline.living
         raise
+
+
+def drop(owner: Owner, *ids: Id) -> None:
+    """Queue the ids of a resource that nobody holds for retirement.
+
+    With validation or `python -X dev`, a ResourceWarning at the line that created it says so.
+    """
+    core = owner.core
+    sites = [site for one in ids if (site := core.timeline.sites.get(one)) is not None]
+    for one in ids:
+        core.timeline.drop(one)
+    if sites and not core.closed:
+        message = f"{describe_object(owner)} was collected instead of destroyed"
+        warnings.warn_explicit(message, ResourceWarning, sites[0].file, sites[0].line)

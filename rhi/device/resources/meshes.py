@@ -83,6 +83,10 @@ class MeshData:
         for buffer in self.buffers:
             core.timeline.watch(self, buffer.id)
 
+    def __del__(self) -> None:
+        for vertex_array in getattr(self, "vertex_arrays", {}).values():
+            self.core.timeline.drop(vertex_array)
+
     def _buffer(self, source: NDArray[Any] | Buffer, label: str) -> Buffer:
         if isinstance(source, Buffer):
             return source

@@ -42,7 +42,7 @@ from rhi.contract.limits import (
 )
 from rhi.device.core.core import Core
 from rhi.device.resources.buffers import Buffer, StorageBuffer, check_buffer
-from rhi.device.resources.lifetime import Resource, retire
+from rhi.device.resources.lifetime import Resource, drop, retire
 from rhi.device.resources.locks import Lock
 from rhi.device.resources.readbacks import Readback
 from rhi.errors.arguments import Arguments, Fields
@@ -106,12 +106,16 @@ class Texture(TextureBinding, Resource):
         core.require("device.texture", compressed_faults(self.requested))
         self.core = core
         self.descriptor = descriptor
-        self.destroyed = False
         integer_or_depth = descriptor.format.is_integer or descriptor.format.is_depth
         sampler = core.sampler(_NEAREST if integer_or_depth else _LINEAR)
         self.id = core.create_id()
-        core.create(core.backend.create_texture, self.id, descriptor)
-        super().__init__(self.id, sampler, self)
+        core.create(core.backend.create_texture, self.id, descriptor, _count_bytes(descriptor))
+        self.destroyed = False
+        super().__init__(self.id, sampler)
+
+    def __del__(self) -> None:
+        if not getattr(self, "destroyed", True):  # it isn't there if creation failed
+            drop(self, self.id)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -162,7 +166,7 @@ class Texture(TextureBinding, Resource):
         if not self.destroyed:
             self.core.check_thread("destroy")
             self.core.program = None
-            retire(self, _count_bytes(self.descriptor))
+            retire(self)
 
     # -- parts -------------------------------------------------------------------------------------------
 

@@ -56,12 +56,18 @@ class StorageRange(Generic[T]):
 class TextureBinding:
     """The ids of a texture and of the sampler that reads it."""
 
-    __slots__ = ("owner", "sampler", "texture")
+    __slots__ = ("_owner", "sampler", "texture")
 
     def __init__(self, texture: int, sampler: int, owner: object = None) -> None:
         self.texture = texture
         self.sampler = sampler
-        self.owner = owner
+        self._owner = owner
+
+    @property
+    def owner(self) -> object:
+        """An object that keeps the texture alive. A texture, which is a binding as well, is its own: it doesn't hold
+        itself, so that it is freed with the last reference from outside."""
+        return self if self._owner is None else self._owner
 
 
 class ImageBinding:

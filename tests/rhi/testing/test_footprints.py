@@ -146,7 +146,7 @@ def test_an_assertion_that_could_not_fail_does(house: House, effect: Footprint) 
 
 def test_frames_of_two_devices_are_the_same_whatever_their_ids(house: House) -> None:
     with rhi.create_device("null") as other:
-        other.buffer(4, label="more")
+        more = other.buffer(4, label="more")
         second = House(other)
         other.stream.clear()
         for one in (house, second):
@@ -154,6 +154,7 @@ def test_frames_of_two_devices_are_the_same_whatever_their_ids(house: House) -> 
         assert house.lit.id != second.lit.id
         assert_same(house.device, other)
         assert_same(frames(house.device)[0], frames(other)[0])
+        del more
 
 
 def bind_another(house: House) -> None:

@@ -51,13 +51,14 @@ def test_other_ids_are_no_difference() -> None:
     differences = compare(lambda house: None, lambda house: None)
     assert not differences
     with rhi.create_device("null") as device:
-        device.buffer(4, label="more")
+        more = device.buffer(4, label="more")
         House(device).render()
         with streams(lambda house: None) as (plain,):
             (only,) = diff(plain, device)
     assert only.a is None
     assert only.b is not None
     assert only.b.op is Op.CREATE_BUFFER
+    del more
 
 
 def test_which_of_several_resources_is_used_is_a_difference() -> None:
