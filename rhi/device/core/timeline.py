@@ -106,18 +106,16 @@ class Timeline:
 
     def retire(self, resource: Id) -> None:
         """Destroy `resource` once the GPU has executed everything submitted so far."""
-        if resource in self._watchers or self._watchers[_ALL]:
-            with HeldInterrupts():  # all of them have to know
+        with HeldInterrupts():  # all of it or none
+            if resource in self._watchers or self._watchers[_ALL]:
                 with self._lock:
                     watchers = [*self._watchers[_ALL], *self._watchers.pop(resource, ())]
                 for watcher in watchers:  # first, so that what was made of a resource is destroyed before it
                     watcher.note_retired(resource)
-                self._retired.append((self.signalled + 1, resource))
-        else:
             self._retired.append((self.signalled + 1, resource))
-        self._waiting += 1
-        self._waiting_bytes += self.living.pop(resource, 0)
-        self.sites.pop(resource, None)
+            self._waiting += 1
+            self._waiting_bytes += self.living.pop(resource, 0)
+            self.sites.pop(resource, None)
 
     def drop(self, resource: Id) -> None:
         """Queue a resource that nobody holds any more for `retire`. May be called by finalizers."""

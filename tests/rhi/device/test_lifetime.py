@@ -45,6 +45,7 @@ def test_a_resource_that_cannot_be_filled_is_destroyed(
     made = count(Op.CREATE_BUFFER) + count(Op.CREATE_TEXTURE) - made
     assert made == 1
     assert count(Op.DESTROY) - destroyed == made
-    make(device)
+    held = make(device)
     device.finish()
     assert count(Op.DESTROY) - destroyed == made
+    del held
