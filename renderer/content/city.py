@@ -49,7 +49,7 @@ _GLASS: Final = np.array([(0.42, 0.55, 0.62), (0.36, 0.46, 0.50), (0.52, 0.56, 0
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CityPlan:
-    """What stands where in a city.
+    """The plan of a city: what stands where.
 
     Attributes:
         centres: (n,) the middles of the blocks (x, z). half: half the width of the city.

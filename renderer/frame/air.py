@@ -1,4 +1,4 @@
-"""What the air does to light, in every technique: haze and fog, for surfaces and for the background.
+"""Haze and fog, in every technique: the effect of the air on the light of surfaces and of the background.
 
 All shaders that make pixels end in `FinishShader.finish`, those of transparent surfaces before they are multiplied by
 their opacity. Light goes through the fog there, so opaque surfaces need no pass, and a transparent one has the fog in

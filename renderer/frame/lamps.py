@@ -97,7 +97,7 @@ class _Kind:
 
 
 class Lamps:
-    """All lights of a scene that have a position, on a device."""
+    """The lights of a scene that have a position, on a device."""
 
     def __init__(self, device: Device) -> None:
         self._device = device

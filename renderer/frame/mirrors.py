@@ -17,7 +17,7 @@ class _Destroyable(Protocol):
 
 
 class Releasable(_Destroyable, Protocol):
-    """What can destroy resources that it makes again when they are needed."""
+    """An owner of resources that it can destroy, and makes again when they are needed."""
 
     def release(self) -> None:
         """Destroy them."""

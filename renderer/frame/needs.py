@@ -1,4 +1,4 @@
-"""What a frame needs: the effects that its scene has and its view shows.
+"""The needs of a frame: the effects that its scene has and its view shows.
 
 A technique declares only the passes and shaders of these effects, so what a scene lacks costs nothing. Each effect
 comes with the reason why it is needed or not.

@@ -69,7 +69,7 @@ SIMULATION_EVENT: Final = "simulation"
 
 
 class SceneResources:
-    """One scene on one device, shared by techniques.
+    """A scene on a device, shared by techniques.
 
     Attributes:
         mesh: all meshes in one. draws: (n,) of `rhi.DRAW`, one for each object.

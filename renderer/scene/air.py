@@ -1,4 +1,4 @@
-"""What is between the scene and the eye: fog in the air, and glow in the eye or the lens."""
+"""The medium between the scene and the eye: fog in the air, and glow in the eye or the lens."""
 
 from __future__ import annotations
 

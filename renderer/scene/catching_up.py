@@ -1,4 +1,5 @@
-"""How a simulation makes up for the time in which it wasn't drawn: three policies, each with a bound on its cost.
+"""Ways in which a simulation makes up for the time in which it wasn't drawn: three policies, each with a bound on its
+cost.
 
 - `Recompute`: the state is a function of the time. Nothing is missed.
 - `Stepwise`: the state depends on its history, and missed steps are taken one by one. Steps beyond the bound wait for

@@ -35,7 +35,7 @@ _FEATURES: Final = (
 
 
 class MaterialFeatures:
-    """What the materials of a scene have, as of the last `refresh`.
+    """The features that the materials of a scene have, as of the last `refresh`.
 
     Attributes:
         counts: how many materials have each feature that a scene may lack; `images`, how many images base colours have;

@@ -161,8 +161,8 @@ class Deformed:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Advanced:
-    """What `Simulator.advance` has brought to the frame's time: objects whose transforms may have changed, and those
-    whose vertices may have."""
+    """The objects that `Simulator.advance` has brought to the frame's time: objects whose transforms may have changed,
+    and those whose vertices may have."""
 
     moved: Rows = field(default_factory=lambda: _NONE)
     deformed: tuple[Deformed, ...] = ()

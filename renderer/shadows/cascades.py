@@ -28,7 +28,7 @@ _STEPS = 64.0
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Cascade:
-    """One map of a directional light.
+    """A map of a directional light.
 
     Attributes:
         camera: what the map is drawn with: parallel rays, from above all casters to below the slice.

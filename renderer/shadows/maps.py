@@ -111,7 +111,7 @@ class ShadowMap:
 
 @dataclass(eq=False, slots=True)
 class MapWork:
-    """What is to be drawn in a frame: maps from scratch, copies, and casters over those."""
+    """The shadow maps to be drawn in a frame: maps from scratch, copies, and casters over those."""
 
     fresh: list[tuple[ShadowMap, Rows]] = field(default_factory=list)
     saved: list[ShadowMap] = field(default_factory=list)

@@ -1,4 +1,4 @@
-"""Which shadow maps a frame needs: those of lights that reach something visible and have a caster.
+"""The shadow maps that a frame needs: those of lights that reach something visible and have a caster.
 
 A cascade of a directional light needs something visible in it and a caster in front of that; a map of a lamp something
 visible in the lamp's range and a caster in the map. What doesn't have both is **skipped**. Maps of lamps are as wide as

@@ -1,4 +1,4 @@
-"""What shadow maps take from the light of a surface, in shaders.
+"""Receivers of shadows, in shaders: the share of a light that shadow maps leave to a surface.
 
 A shader that lights surfaces hands the light of each lamp to `unblocked_sun`, `unblocked_point` or `unblocked_spot`,
 which return what arrives. `ShadowReceiver` returns all of it; the classes below each add the shadows of one kind of

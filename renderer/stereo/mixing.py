@@ -43,8 +43,8 @@ MIXED: Final = frozenset({*ANAGLYPHS, *_CHOICES})
 
 
 class Mixture(Struct):
-    """How two pictures of `size` are mixed: the bits of each pixel that are the left one's, in even and in odd rows; or
-    the matrices of both."""
+    """The way in which two pictures of `size` are mixed: the bits of each pixel that are the left one's, in even and in
+    odd rows; or the matrices of both."""
 
     size: ivec2
     even: uint
@@ -103,7 +103,7 @@ class MixColors(Mixing):
 
 
 class Mixer:
-    """What is kept to make an image of two pictures, pixel by pixel."""
+    """Makes an image of two pictures, pixel by pixel."""
 
     def __init__(self, device: Device) -> None:
         zeros = np.zeros((3, 3))

@@ -50,8 +50,8 @@ _AHEAD: Final = np.array([(0.0, 0.0, -1.0, 1.0), (0.0, 0.0, -2.0, 1.0)])  # two 
 
 
 class Shift(Struct):
-    """How far pixels move to the right: `least` + `rate` times their nearness, in pixels. `size` is that of the
-    picture, `farthest` the depth of the background."""
+    """The distance by which pixels move to the right: `least` + `rate` times their nearness, in pixels. `size` is that
+    of the picture, `farthest` the depth of the background."""
 
     size: ivec2
     least: float
@@ -136,7 +136,7 @@ class TakeDepth(FullScreen):
 
 
 class Reprojector:
-    """What is kept to move the pixels of a view.
+    """Moves the pixels of a view.
 
     Attributes:
         depth, picture, moved: the left eye's depth, what is moved and then filled, and what has holes between.

@@ -89,7 +89,7 @@ class Shrunk(Struct):
 
 
 class ShrunkTexels(Struct):
-    """What `ShrinkShader` writes."""
+    """The texels that `ShrinkShader` writes."""
 
     surface: uvec4
     shininess: float

@@ -25,7 +25,7 @@ from rhi import Device, refuse
 
 @dataclass(frozen=True, slots=True)
 class TechniqueSettings:
-    """Which technique draws, and the parameters of the techniques; each uses those that it has.
+    """The technique that draws, and the parameters of the techniques; each uses those that it has.
 
     Attributes:
         name: of `TECHNIQUES`, or `auto`.

@@ -1,4 +1,4 @@
-"""All techniques by name."""
+"""The techniques by name."""
 
 from __future__ import annotations
 

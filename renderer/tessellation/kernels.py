@@ -58,7 +58,7 @@ class GridVertex(Struct):
 
 
 class FieldShape(Struct):
-    """What never changes of a field: the position of vertex 0, the steps of the grid, its side in vertices, the number
+    """The constants of a field: the position of vertex 0, the steps of the grid, its side in vertices, the number
     of levels, the limit of triangles, the place of its first index, and the rows of its mesh and of its draw."""
 
     corner: vec2
@@ -90,7 +90,7 @@ class FieldView(Struct):
 
 
 class Level(Struct):
-    """Which level is split."""
+    """The level that is split."""
 
     number: int
 

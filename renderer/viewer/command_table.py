@@ -67,7 +67,7 @@ class ViewerCommand:
 
 
 class CommandTable:
-    """All commands, by name."""
+    """The viewer's commands, by name."""
 
     def __init__(self, commands: Iterable[ViewerCommand]) -> None:
         self._commands: Final = {command.name: command for command in commands}

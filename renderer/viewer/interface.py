@@ -34,7 +34,7 @@ _EDGES: Final = [(a, b) for a in range(8) for b in range(8) if a < b and (a ^ b)
 
 @dataclass(slots=True)
 class Shown:
-    """What the interface shows in the next frame.
+    """The contents of the interface in the next frame.
 
     Attributes:
         corner: a line at the top in the middle. notes: lines at the bottom left, each with whether it is an error.

@@ -47,7 +47,7 @@ _SETTINGS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What draws the frames.
+    """The drawing of frames: technique, samples, filters, eyes.
 
     Attributes:
         settings: how the scene is drawn.
@@ -85,7 +85,7 @@ class Look:
 
     @property
     def blending(self) -> str:
-        """How transparent surfaces are put together: the value of a `Blending`."""
+        """The way in which transparent surfaces are put together: the value of a `Blending`."""
         return self.settings.blending.value
 
     def change(self, **entries: Any) -> Look:
@@ -136,7 +136,7 @@ class WatchedPicture:
 
 
 class OriginalState:
-    """What a device and a scene were before a look changed them."""
+    """The state of a device and a scene before a look changed them."""
 
     def __init__(self, device: Device, scene: Scene) -> None:
         self.timing = device.timing

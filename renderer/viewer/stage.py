@@ -75,7 +75,7 @@ class ViewerStage:
 
     @property
     def scene(self) -> Scene:
-        """What is shown."""
+        """The scene that is shown."""
         return self.renderer.scene
 
     def exchange(self, scene: Scene) -> None:

@@ -1,4 +1,4 @@
-"""What an algorithm did in its last frame, node by node, for debug pictures.
+"""The walk of an algorithm in its last frame, node by node, for debug pictures.
 
 An algorithm that walks a hierarchy of the CPU tells what became of each node that it reached (`WalksNodes`). All is
 read from what it remembers anyway, and only when asked for. For the other algorithms `find_walk` shows objects: those

@@ -194,7 +194,7 @@ def _to_cells(image: NDArray[np.float32]) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What triangles must give.
+    """The samples, depths and varyings that triangles must give.
 
     Attributes:
         seen: (n,), the numbers of the triangles that may draw something; the other arrays are about these.
@@ -272,7 +272,7 @@ def _evaluate(lines: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """How far results are from the truth, at worst.
+    """The largest distances of results from the truth.
 
     Attributes:
         drawn: the number of texels drawn.

@@ -42,7 +42,7 @@ class Comparison(Choice):
 
 
 class CullMode(Choice):
-    """Which faces are culled."""
+    """The faces that are culled."""
 
     NONE = "none"
     FRONT = "front"

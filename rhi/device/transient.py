@@ -290,7 +290,7 @@ class TransientMemory:
 
 
 class TransientWhole(NamedTuple):
-    """What the views of a transient mesh share: where the whole lies in its rings, and how large it is."""
+    """The part of a transient mesh that its views share: where the whole lies in its rings, and how large it is."""
 
     core: Core
     first: int

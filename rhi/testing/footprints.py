@@ -1,4 +1,4 @@
-"""What an effect leaves in a stream, and assertions that a stream has none of it.
+"""Footprints of effects: the commands that one leaves in a stream, and assertions that a stream has none of it.
 
 - A `Footprint` declares an effect by what only the effect has: programs, words of their text, bindings, resources,
   events, states, kinds of commands. A command belongs to the effect if it has any of these, or uses what has. So a draw

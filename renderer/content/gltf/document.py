@@ -22,7 +22,7 @@ _SHOWN: Final = 60  # characters of a value that a refusal shows
 
 @dataclass(frozen=True, slots=True)
 class JsonObject:
-    """One object of a document.
+    """An object of a document.
 
     Attributes:
         file: the path as the user gave it.

@@ -1,4 +1,4 @@
-"""What a scene has and glTF can't say, kept in `extras` of the file under the key `rhi`.
+"""Properties of a scene that glTF has no words for, kept in `extras` of the file under the key `rhi`.
 
 Other programs ignore it, or carry it along. `save_scene` writes it and the reader reads it; both use the names here. It
 never says twice what glTF says, so that a file that another program has changed is read as it was changed.
@@ -33,7 +33,8 @@ _Color = tuple[float, float, float]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Surroundings:
-    """What a scene has besides its parts: `background`, `haze`, the ambient light `sky` and `ground`, and `paths`."""
+    """The properties of a scene besides its parts: `background`, `haze`, the ambient light `sky` and `ground`, and
+    `paths`."""
 
     background: _Color
     haze: float

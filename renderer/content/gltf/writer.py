@@ -62,7 +62,7 @@ def write_gltf(scene: Scene, path: str | Path) -> tuple[Omission, ...]:
 
 
 class _GltfWriter:
-    """One file under construction."""
+    """A file under construction."""
 
     def __init__(self, scene: Scene) -> None:
         self.omissions = Omissions()

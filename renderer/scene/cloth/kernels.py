@@ -58,7 +58,7 @@ class ClothConstraint(Struct):
 
 
 class ClothJob(Struct):
-    """What a group does: advance a cloth by `steps`, and write its vertices.
+    """The work of a group: advance a cloth by `steps`, and write its vertices.
 
     `first` is the float with which its vertices begin, negative if none are to be written, and `stride` the floats from
     vertex to vertex. `phases` are those of the gusts in the first step, in steps.
@@ -79,7 +79,7 @@ class ClothGust(Struct):
 
 
 class ClothConstants(Struct):
-    """What is the same for all cloths and steps."""
+    """The constants of all cloths and steps."""
 
     rows: int
     columns: int

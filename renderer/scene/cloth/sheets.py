@@ -37,7 +37,7 @@ CONSTRAINT: Final = np.dtype([("a", "<i4"), ("b", "<i4"), ("length", "<f4"), ("s
 
 @dataclass(frozen=True, slots=True)
 class Fabric:
-    """What a cloth is made of.
+    """The material of a cloth.
 
     Attributes:
         density: in kg/m².

@@ -1,4 +1,4 @@
-"""What every technique ends with, once its opaque surfaces are drawn: sky, transparent surfaces, glow and tones."""
+"""The end of every technique, once its opaque surfaces are drawn: sky, transparent surfaces, glow and tones."""
 
 from __future__ import annotations
 

@@ -97,14 +97,14 @@ def decode_details(bits: uint) -> vec3:
 
 
 class GeometryTexels(Struct):
-    """What `GeometryShader` writes; what a format has no room for is left out."""
+    """The texels that `GeometryShader` writes; what a format has no room for is left out."""
 
     surface: uvec4
     material: uvec4
 
 
 class DetailedTexels(Struct):
-    """What `DetailedGeometry` writes."""
+    """The texels that `DetailedGeometry` writes."""
 
     surface: uvec4
     material: uvec4

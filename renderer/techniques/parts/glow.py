@@ -73,7 +73,7 @@ def keep_light(color: vec3) -> vec3:
 
 
 class Share(Struct):
-    """How much of all light is scattered."""
+    """The share of all light that is scattered."""
 
     share: float
 

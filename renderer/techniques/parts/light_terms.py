@@ -33,7 +33,7 @@ _SHININESS_SCALE: Final = 0.5
 
 
 class NormalTexels(Struct):
-    """What `NormalShader` writes."""
+    """The texels that `NormalShader` writes."""
 
     surface: uvec4
     shininess: float

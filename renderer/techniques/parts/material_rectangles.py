@@ -75,7 +75,7 @@ _LAST: Final = MOST_MATERIALS - 1
 
 
 class MaterialId(Struct):
-    """What `MaterialIds` writes."""
+    """The texels that `MaterialIds` writes."""
 
     depth: FragmentDepth
 
@@ -111,8 +111,8 @@ class RectangleDraw(Struct):
 
 
 class MaterialRectangle(Struct):
-    """Where a tile shows a material: the first pixel, x in the lower half, the width and the height, likewise, and the
-    material."""
+    """The part of a tile that shows a material: the first pixel, x in the lower half, the width and the height,
+    likewise, and the material."""
 
     first: uint
     size: uint

@@ -68,13 +68,13 @@ _UNPACKED: Final = (Effect.VERTEX_COLORS, Effect.SECOND_UVS, Effect.MIXED_COORDI
 
 
 class PlainWords(Struct):
-    """What `PackedPlain` writes."""
+    """The texels that `PackedPlain` writes."""
 
     packed: uvec2
 
 
 class TexturedWords(Struct):
-    """What `PackedTextures` writes."""
+    """The texels that `PackedTextures` writes."""
 
     packed: uvec4
 

@@ -307,8 +307,8 @@ class SceneShader(Shader):
 
 
 class ReflectingShader(Shader):
-    """How surfaces reflect light: by the specular model, the metallic-roughness model, or either of them, where the
-    latter has a negative `shininess`."""
+    """The reflection of light by surfaces: by the specular model, the metallic-roughness model, or either of them,
+    where the latter has a negative `shininess`."""
 
     lean = True
     has_metals = False

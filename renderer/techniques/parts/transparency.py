@@ -75,7 +75,7 @@ class TransparentShader(ForwardShader):
 
 
 class WeightedTexels(Struct):
-    """What `WeightedShader` adds: a weighted colour, with the opacity in its alpha, and the weight."""
+    """The texels that `WeightedShader` adds: a weighted colour, with the opacity in its alpha, and the weight."""
 
     colors: vec4
     weights: float

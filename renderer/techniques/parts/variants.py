@@ -32,8 +32,8 @@ from rhi import BlendFunction, CullMode, DepthFunction, DepthTest, DepthWrite, P
 
 @dataclass(frozen=True, slots=True)
 class Lighting:
-    """How a technique lights the surfaces that it draws: the bases of a `ForwardShader`'s variant, its switches, what
-    it binds besides what a frame has by name, and the contents that it reads."""
+    """The way in which a technique lights the surfaces that it draws: the bases of a `ForwardShader`'s variant, its
+    switches, what it binds besides what a frame has by name, and the contents that it reads."""
 
     bases: tuple[type[Any], ...] = (ForwardShader,)
     switches: Mapping[str, Any] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""What CHC and CHC++ remember of each node from frame to frame, also when the moving objects' tree is rebuilt.
+"""The memory of CHC and CHC++ of each node from frame to frame, also when the moving objects' tree is rebuilt.
 
 A rebuilt tree has other nodes. What was known of its objects is known of the nodes that hold them now (thesis 5.2.1):
 visible is a node with a visible object below it.

@@ -70,7 +70,7 @@ def _reports_errors_as(
 
 
 class ClBackend:
-    """One device and its queue; `rhi.contract.backend.Backend` documents the methods.
+    """A device and its queue; `rhi.contract.backend.Backend` documents the methods.
 
     Attributes:
         context: OpenCL's device, context and queue, for uses outside of rhi's contract.

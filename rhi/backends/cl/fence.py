@@ -90,7 +90,7 @@ class Fence:
 
 
 class Timestamps:
-    """All timestamp queries of a device, by id."""
+    """The timestamp queries of a device, by id."""
 
     def __init__(self, queue: cl.CommandQueue) -> None:
         self._queue = queue

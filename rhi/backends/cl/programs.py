@@ -160,7 +160,7 @@ class ComputeProgram:
 
 
 class ComputePrograms:
-    """All compute programs of a device, by id."""
+    """The compute programs of a device, by id."""
 
     def __init__(self, context: ClContext, buffers: Buffers, textures: Textures, samplers: Samplers) -> None:
         self._context = context

@@ -43,7 +43,7 @@ _MODERNGL_MAX_SIZE: Final = (1 << 31) - 1  # of an external buffer; binding its 
 
 
 class Buffers:
-    """All buffers of one context.
+    """The buffers of one context.
 
     Attributes:
         bind_uniform, bind_storage: by id, the functions that bind a range of a buffer to a slot.

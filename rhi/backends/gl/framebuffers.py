@@ -19,7 +19,7 @@ _LAYERED: Final = (TextureKind.D2_ARRAY, TextureKind.D3, TextureKind.CUBE)
 
 
 class Framebuffers:
-    """All framebuffers of one context."""
+    """The framebuffers of one context."""
 
     def __init__(self, gl: EntryPoints, textures: Textures) -> None:
         self._gl = gl

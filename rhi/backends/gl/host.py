@@ -40,7 +40,7 @@ class Place(NamedTuple):
 
 
 class ContextApi(ABC):
-    """What makes contexts current: EGL or GLX.
+    """The platform's calls that make contexts current, of EGL or GLX.
 
     Attributes:
         current_context: the name of its function that returns the current context.

@@ -53,7 +53,7 @@ _TITLES: Final = {
 
 
 class VertexArrays:
-    """All vertex arrays of one context. Their GL objects are created once for each linked program that uses them.
+    """The vertex arrays of one context. Their GL objects are created once for each linked program that uses them.
 
     Attributes:
         check_context: called before draws create something on first use; raises if another context is current.
@@ -196,7 +196,7 @@ class _ProgramVariants:
 
 
 class Programs:
-    """All programs of one context."""
+    """The programs of one context."""
 
     def __init__(
         self, context: moderngl.Context, gl: EntryPoints, arrays: VertexArrays,

@@ -126,7 +126,7 @@ class GlQuery:
 
 
 class Queries:
-    """All queries of one context."""
+    """The queries of one context."""
 
     def __init__(self, gl: EntryPoints) -> None:
         self._gl = gl

@@ -28,7 +28,7 @@ _MINIFIERS: Final = {
 
 
 class Samplers:
-    """All samplers of one context.
+    """The samplers of one context.
 
     Attributes:
         names: GL's names, by id; id 0 is no sampler.

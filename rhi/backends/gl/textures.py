@@ -47,7 +47,7 @@ class GlTexture:
 
 
 class Textures:
-    """All textures of one context.
+    """The textures of one context.
 
     Attributes:
         names: GL's names, by id.

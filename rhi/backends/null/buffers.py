@@ -15,7 +15,7 @@ from rhi.errors.rules import DEVICE_MEMORY
 
 
 class Buffers:
-    """All buffers of a device.
+    """The buffers of a device.
 
     Attributes:
         memory: the bytes of each buffer, by id.

@@ -34,7 +34,7 @@ class _QueryState:
 
 
 class Queries:
-    """All queries of a device, by id.
+    """The queries of a device, by id.
 
     Attributes:
         passed: the number of samples that are known to have passed.

@@ -57,7 +57,7 @@ def _box(region: Region) -> tuple[slice, slice, slice]:
 
 
 class Textures:
-    """All textures and samplers of a device, by id."""
+    """The textures and samplers of a device, by id."""
 
     def __init__(self) -> None:
         self.textures: dict[Id, TextureMemory] = {}

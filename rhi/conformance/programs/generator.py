@@ -84,7 +84,7 @@ _FLOAT_INKS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Pipeline:
-    """What a draw may be compiled for, beside the formats of its pass."""
+    """The states that a draw may be compiled for, beside the formats of its pass."""
 
     ink: Ink
     blends: tuple[bool, ...]

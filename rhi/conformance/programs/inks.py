@@ -36,7 +36,7 @@ from rhi.shading import (
 
 
 class Move(Struct):
-    """How far each instance is moved in clip space; the level and layer to load from."""
+    """The distance by which each instance is moved in clip space; the level and layer to load from."""
 
     step: vec2
     level: int

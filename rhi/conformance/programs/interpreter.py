@@ -1,4 +1,4 @@
-"""What a program may leave on a device: an interpreter of its steps in float64 and exact integers.
+"""An interpreter of programs in float64 and exact integers: it tells what a program may leave on a device.
 
 - A value is an **interval**: the smallest and the largest number that a device may store there. Intervals have a width
   where the interface leaves a choice (which way a conversion rounds, the last bits of an interpolated depth) and
@@ -76,7 +76,7 @@ _EARLY: Final = (Ink.HOLES_EARLY, Ink.COUNT_EARLY)
 
 @dataclass(slots=True)
 class _Level:
-    """One level of an image: stored numbers (layers, rows, columns, samples, channels); stencil has no channels."""
+    """A level of an image: stored numbers (layers, rows, columns, samples, channels); stencil has no channels."""
 
     low: Float
     high: Float
@@ -86,7 +86,7 @@ class _Level:
 
 @dataclass(slots=True)
 class Result:
-    """What one read, count or buffer may be."""
+    """The values that a read, a count or a buffer may have."""
 
     name: str
     low: Float

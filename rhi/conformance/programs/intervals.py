@@ -76,7 +76,7 @@ def join(*parts: Interval) -> Interval:
 
 @dataclass(slots=True)
 class Tested:
-    """Which samples certainly and which possibly pass."""
+    """The samples that certainly pass, and those that possibly do."""
 
     must: Mask
     may: Mask

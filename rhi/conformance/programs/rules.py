@@ -1,4 +1,4 @@
-"""Where a device may choose, and the known faults of a driver."""
+"""The choices that a device has, and the known faults of a driver."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from rhi.conformance.programs.steps import Draw, Pass, Program
 
 
 class Effect(enum.Flag):
-    """What a fault of a driver makes unknown about a draw: the colors of one target, the answer of its query, what it
-    covers, the depths it writes, whether it reaches a texel further to the left and upwards than it may (SPILL), or how
-    often the fragments of points, and of triangles that the view cuts, run (RERUN)."""
+    """The part of a draw's results that a driver's fault makes unknown: the colors of one target, the answer of its
+    query, what it covers, the depths it writes, whether it reaches a texel further to the left and upwards than it may
+    (SPILL), or how often the fragments of points, and of triangles that the view cuts, run (RERUN)."""
 
     COLOR = enum.auto()
     COUNT = enum.auto()
@@ -38,7 +38,7 @@ class Fault:
 
 @dataclass(frozen=True, slots=True)
 class Rules:
-    """Where a device may choose.
+    """The choices that a device has.
 
     Attributes:
         blends_in_format: whether the operands and products of blending may be rounded to the target's precision, and

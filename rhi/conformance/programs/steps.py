@@ -43,7 +43,7 @@ class Image:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """One level and layer of an image."""
+    """A level and layer of an image."""
 
     image: int
     level: int = 0
@@ -65,7 +65,7 @@ class Shape:
 
 
 class Ink(enum.Enum):
-    """What a draw's fragments do; `rhi.conformance.programs.inks` has their shaders."""
+    """The work of a draw's fragments; `rhi.conformance.programs.inks` has their shaders."""
 
     FLAT = "the color of the first corner"
     SMOOTH = "the interpolated color"
@@ -82,7 +82,7 @@ class Ink(enum.Enum):
 
 
 class Way(enum.Enum):
-    """How a draw is submitted."""
+    """The way in which a draw is submitted."""
 
     DIRECT = "one call"
     MANY = "an array of draws"

@@ -38,7 +38,7 @@ POOL_ENTRIES: Final = 16_384
 
 
 class StateVector:
-    """One combination of all states; equal combinations are the same object (within one pool generation).
+    """A combination of all states; equal combinations are the same object (within one pool generation).
 
     `values` is in the order of `STATE_TYPES`. A port to an API with pipeline objects uses it as the key of its
     pipelines.

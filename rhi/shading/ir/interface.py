@@ -21,7 +21,7 @@ class Varying:
 
 @dataclass(frozen=True, slots=True)
 class Interface:
-    """All inputs, outputs and varyings of a shader's graphics stages.
+    """The inputs, outputs and varyings of a shader's graphics stages.
 
     `position` is the name of the vertex stage's position field, "" if it returns a plain vec4. `depth` is the name of
     the fragment stage's depth field, `point_size` that of the vertex stage's point size; "" if there is none.

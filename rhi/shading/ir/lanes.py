@@ -90,7 +90,7 @@ class MemoryRegion:
 
 @dataclass(slots=True, eq=False)
 class Value:
-    """One component. Arithmetic on values creates `Apply` values."""
+    """A component of a value. Arithmetic on values creates `Apply` values."""
 
     kind: ScalarKind
     uniformity: Uniformity

@@ -80,7 +80,7 @@ class ErrorBound:
 
 @dataclass(frozen=True, slots=True)
 class BuiltinParameter:
-    """One parameter of an overload. `memory`: a location in storage or shared memory, modified in place."""
+    """A parameter of an overload. `memory`: a location in storage or shared memory, modified in place."""
 
     type: Type
     name: str = ""
@@ -89,7 +89,7 @@ class BuiltinParameter:
 
 @dataclass(frozen=True, slots=True)
 class Overload:
-    """One signature with concrete types, and its GLSL spelling."""
+    """A signature with concrete types, and its GLSL spelling."""
 
     parameters: tuple[BuiltinParameter, ...]
     result: Type

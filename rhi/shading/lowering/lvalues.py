@@ -27,7 +27,7 @@ from rhi.shading.lowering.components import leaf_kinds, words_of
 
 @dataclass(slots=True, eq=False)
 class Slot:
-    """One component of a local. If `stride` isn't 0, the variable is the base of an affine value."""
+    """A component of a local. If `stride` isn't 0, the variable is the base of an affine value."""
 
     variable: Variable
     stride: int = 0
@@ -61,7 +61,7 @@ class MemoryLvalue:
 
 @dataclass(slots=True)
 class LvalueChoice:
-    """One of several lvalues, selected by `index`."""
+    """A choice among several lvalues, selected by `index`."""
 
     type: HostType
     index: Value

@@ -1,1 +1,1 @@
-"""What the writers of GLSL and its like share."""
+"""The parts that the writers of GLSL and its like share."""

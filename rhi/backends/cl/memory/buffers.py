@@ -55,7 +55,7 @@ class BufferMemory:
 
 
 class Buffers:
-    """All buffers of a device, by id."""
+    """The buffers of a device, by id."""
 
     def __init__(self, context: ClContext, in_flight: InFlight) -> None:
         self._context = context

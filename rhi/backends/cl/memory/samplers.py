@@ -18,7 +18,7 @@ from rhi.shading.ir.texture_words import LevelLayout, describe_texture
 
 
 class Samplers:
-    """All samplers of a device, by id."""
+    """The samplers of a device, by id."""
 
     def __init__(self, context: cl.Context) -> None:
         self._context = context

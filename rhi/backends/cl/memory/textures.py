@@ -73,7 +73,7 @@ class ClTexture:
 
 
 class Textures:
-    """All textures of a device, by id."""
+    """The textures of a device, by id."""
 
     def __init__(self, context: ClContext, in_flight: InFlight) -> None:
         self._context = context

@@ -1,1 +1,1 @@
-"""What is known of PoCL: its cache of kernels, its header, its threads, and the memory that its programs take."""
+"""Knowledge of PoCL: its cache of kernels, its header, its threads, and the memory that its programs take."""

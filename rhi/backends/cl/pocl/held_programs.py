@@ -92,7 +92,7 @@ class HeldProgram:
 
 
 class HeldPrograms:
-    """All such programs of a device.
+    """The programs of a device whose builds are held.
 
     Attributes:
         now: the latest value of the fence.

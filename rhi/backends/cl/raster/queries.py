@@ -91,7 +91,7 @@ class _SampleQuery:
 
 
 class SampleQueries:
-    """All queries of a device that count samples.
+    """The queries of a device that count samples.
 
     Attributes:
         gathering: the number of the batch that draws are gathered in now.

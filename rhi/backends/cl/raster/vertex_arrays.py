@@ -40,7 +40,7 @@ class VertexArray:
 
 
 class VertexArrays:
-    """All vertex arrays of a device.
+    """The vertex arrays of a device.
 
     Attributes:
         by_id: the vertex arrays.
