@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import argparse
-import json
+from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import asdict
-from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from renderer.cli import options
+from renderer.cli.comparison import ComparisonProgram, Report, repeat
 from renderer.cli.options import option
-from renderer.cli.output import draw_chart, note, open_working, prepare_chart, show_progress
-from renderer.cli.subcommand import Subcommand
-from renderer.lab.measure import format_table
-from renderer.lab.measure.encodings import ENCODINGS, EncodingRow, compare_encodings
+from renderer.cli.output import open_working, show_progress
+from renderer.lab.comparison import Record
+from renderer.lab.encodings import compare_encodings
+from renderer.lab.measure.encodings import ENCODINGS
 
 _NOTES: Final = """\
   python -m renderer compare encodings
@@ -36,8 +35,7 @@ _OPTIONS: Final = (
 )
 
 
-def _run(given: argparse.Namespace) -> None:
-    path = prepare_chart(given.plot) if given.plot else None
+def _measure(given: argparse.Namespace) -> Report:
     with ExitStack() as made:
         devices = open_working(made, ("gl", "cl") if given.backend is None else (given.backend,))
         rows = compare_encodings(
@@ -48,54 +46,44 @@ def _run(given: argparse.Namespace) -> None:
             progress=lambda rounds: show_progress(rounds, len(rounds), "store"),
         )
         names = {device.backend_name: device.capabilities.device for device in devices}
-    if path is not None:
-        plot_rows(rows, path)
-        note(f"wrote {path}")
-    report = {"devices": names, "count": given.count, "rows": [asdict(row) for row in rows]}
-    print(json.dumps(report) if given.json else show_rows(rows, markdown=given.markdown))
+    return Report({"devices": names} | repeat(given, "count"), rows, "Encodings of a geometry buffer")
 
 
-def show_rows(rows: list[EncodingRow], *, markdown: bool = False) -> str:
-    """Format the rows as a table: aligned text, or Markdown."""
-    backends = list(rows[0].nanoseconds)
-    header = ["encoding", "stores", "bits", "mean error", "max error", "", *(f"ns, {name}" for name in backends)]
-    cells = [
-        [
-            row.name,
-            row.stores,
-            row.bits,
-            f"{row.mean_error:.2g}",
-            f"{row.max_error:.3g}",
-            row.unit,
-            *row.nanoseconds.values(),
-        ]
+def show_rows(rows: Sequence[Record]) -> Sequence[Record]:
+    """Round errors, and give each device a column."""
+    errors = {"mean_error": ".2g", "max_error": ".3g"}
+    return [
+        {name: row[name] for name in ("name", "stores", "bits")}
+        | {name: f"{row[name]:{form}}" for name, form in errors.items()}
+        | {"unit": row["unit"]}
+        | {f"ns, {name}": time for name, time in row["nanoseconds"].items()}
         for row in rows
     ]
-    return format_table(header, cells, markdown=markdown)
 
 
-def plot_rows(rows: list[EncodingRow], path: Path) -> None:
+def plot_rows(figure: Any, rows: Sequence[Record]) -> None:
     """Draw the errors of normals over their bits, and the times of all encodings."""
-    with draw_chart(path, "Encodings of a geometry buffer") as figure:
-        errors, times = figure.subplots(1, 2, gridspec_kw={"width_ratios": [2, 3]})
-        lines: dict[str, list[EncodingRow]] = {}
-        for row in rows:
-            if row.stores == "normal":
-                lines.setdefault(row.name.partition(", ")[2], []).append(row)
-        for name, some in lines.items():
-            bits = [row.bits // 2 for row in some]
-            (line,) = errors.plot(bits, [row.max_error for row in some], marker="o", label=name)
-            errors.plot(bits, [row.mean_error for row in some], linestyle="dotted", color=line.get_color())
-        errors.set(yscale="log", xlabel="bits of each number", ylabel="degrees: largest, and dotted the mean")
-        errors.legend()
-        backends = list(rows[0].nanoseconds)
-        for number, name in enumerate(backends):
-            places = [place + 0.4 * number for place in range(len(rows))]
-            times.barh(places, [row.nanoseconds[name] for row in rows], height=0.4, label=name)
-        times.set_yticks([place + 0.2 for place in range(len(rows))], [row.name for row in rows], fontsize=6)
-        times.invert_yaxis()
-        times.set(xlabel="ns to encode and decode a value")
-        times.legend()
+    errors, times = figure.subplots(1, 2, gridspec_kw={"width_ratios": [2, 3]})
+    lines: dict[str, list[Record]] = {}
+    for row in rows:
+        if row["stores"] == "normal":
+            lines.setdefault(row["name"].partition(", ")[2], []).append(row)
+    for name, some in lines.items():
+        bits = [row["bits"] // 2 for row in some]
+        (line,) = errors.plot(bits, [row["max_error"] for row in some], marker="o", label=name)
+        errors.plot(bits, [row["mean_error"] for row in some], linestyle="dotted", color=line.get_color())
+    errors.set(yscale="log", xlabel="bits of each number", ylabel="degrees: largest, and dotted the mean")
+    errors.legend()
+    for number, name in enumerate(rows[0]["nanoseconds"]):
+        places = [place + 0.4 * number for place in range(len(rows))]
+        times.barh(places, [row["nanoseconds"][name] for row in rows], height=0.4, label=name)
+    times.set_yticks([place + 0.2 for place in range(len(rows))], [row["name"] for row in rows], fontsize=6)
+    times.invert_yaxis()
+    times.set(xlabel="ns to encode and decode a value")
+    times.legend()
 
 
-COMMAND: Final = Subcommand("encodings", "compare the encodings of a geometry buffer", _OPTIONS, _run, _NOTES)
+COMMAND: Final = ComparisonProgram(
+    "encodings", "compare the encodings of a geometry buffer", _NOTES, _OPTIONS, _measure,
+    titles={"name": "encoding", "unit": ""}, show=show_rows, plot=plot_rows,
+).command  # fmt: skip

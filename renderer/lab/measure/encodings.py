@@ -1,4 +1,4 @@
-"""Comparison of encodings: what each loses, and what it costs to encode and decode a value on a device.
+"""Encodings to compare: what each loses, and what it costs to encode and decode a value on a device.
 
 Values are stored and read back by a compute shader, once for the errors, which are found against the values in float64,
 and many times in a loop for the time. The loop can't be shortened: each turn begins with what the last one has read.
@@ -6,15 +6,13 @@ and many times in a loop for the time. The loop can't be shortened: each turn be
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer import rules
-from renderer.lab.measure.alternate import alternate
 from renderer.lab.measure.published_encodings import (
     decode_derivatives,
     decode_octahedral_truncated,
@@ -41,7 +39,7 @@ from renderer.shaders.encodings import (
 )
 from renderer.shaders.pixels import PixelRays, distance_at, nearness_of, place_pixel
 from renderer.techniques.parts.full_screen import find_rays
-from rhi import Device, Program, refuse
+from rhi import Device, Program
 from rhi.shading import (
     Precision,
     Shader,
@@ -263,64 +261,6 @@ class Encoding:
     measure: Callable[[Floats, Floats], Floats]
     unit: str
     uniforms: Mapping[str, Struct] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True)
-class EncodingRow:
-    """What an encoding loses and costs.
-
-    Attributes:
-        mean_error, max_error: in `unit`, the larger ones of the devices'.
-        nanoseconds: by backend, the median time to encode and decode a value, all lanes and cores taken together.
-    """
-
-    name: str
-    stores: str
-    bits: int
-    unit: str
-    mean_error: float
-    max_error: float
-    nanoseconds: dict[str, float]
-
-
-def compare_encodings(
-    devices: Sequence[Device],
-    encodings: Sequence[Encoding],
-    *,
-    count: int = 1 << 14,
-    rounds: int = 5,
-    progress: Callable[[range], Iterable[int]] = lambda rounds: rounds,
-) -> list[EncodingRow]:
-    """Return a row for each encoding, of `count` random values of the kind that it stores.
-
-    Raises:
-        ValidationError `measure-no-shaders`: a device runs no shaders.
-    """
-    for device in devices:
-        if not device.capabilities.shading:
-            refuse(rules.NO_SHADERS, "compare_encodings", device.backend_name)
-    errors: dict[str, list[Floats]] = {one.name: [] for one in encodings}
-    times: dict[str, dict[str, float]] = {one.name: {} for one in encodings}
-    for device in devices:
-        works = {}
-        for one in encodings:
-            values = one.sample(np.random.default_rng(0), count)
-            errors[one.name].append(one.measure(values, run_round_trip(device, one.shader, values, **one.uniforms)))
-            works[one.name] = time_round_trip(device, one.shader, values, **one.uniforms)
-        for name, found in alternate(works, progress(range(rounds))).items():
-            times[name][device.backend_name] = round(1e9 * found.median / count / TURNS, 2)
-    return [
-        EncodingRow(
-            one.name,
-            one.stores,
-            one.bits,
-            one.unit,
-            max(float(some.mean()) for some in errors[one.name]),
-            max(float(some.max()) for some in errors[one.name]),
-            times[one.name],
-        )
-        for one in encodings
-    ]
 
 
 def pack_values(values: Floats) -> NDArray[Any]:
