@@ -347,8 +347,8 @@ class StorageBuffer(StorageRange[T], Resource):
         return self._typed().read_async(first, count)
 
     def write(self, rows: NDArray[Any], first: int = 0) -> None:
-        """Replace elements from `first` on; `layout-mismatch` if the dtype is not `dtype`. Vectors of three components may
-        be (n, 3): they are padded."""
+        """Replace elements from `first` on; `layout-mismatch` if the dtype is not `dtype`. Vectors of three components
+        may be (n, 3): they are padded."""
         call = "StorageBuffer.write"
         self._typed().write(match_layout(self.owner.core, rows, self.dtype, call, self.type), first)
 
