@@ -224,17 +224,6 @@ def show_ratio(ratio: float, low: float, high: float) -> str:
     return f"{ratio:.2f} ({low:.2f} to {high:.2f})" if (low, high) != (ratio, ratio) else f"{ratio:.2f}"
 
 
-def parse_bound(text: str) -> float:
-    """Parse a bound: a number above 0."""
-    try:
-        bound = float(text)
-    except ValueError:
-        bound = -1.0
-    if not 0.0 < bound < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0")
-    return bound
-
-
 COMMAND: Final = Subcommand(
     "accuracy", "show what accuracy costs in time: error and time of each choice", _OPTIONS, _run, _NOTES
 )

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 import rhi
 from renderer.cli import options
-from renderer.cli.need_page import PAGE
 from renderer.cli.options import option
 from renderer.cli.output import OutputError, draw_chart, note, show_progress
 from renderer.cli.subcommand import Subcommand
@@ -41,6 +40,8 @@ with 95 % intervals: what an effect adds, and the time of a frame from which it 
 one that never had it.
 With --output DIR, the page need.md and the picture images/need.png are written to DIR."""
 
+_PAGE: Final = Path(__file__).with_name("need_page.md")
+"""The text of `docs/need.md`, around the tables that are measured."""
 _COLUMNS: Final = 4
 _SIZE: Final = (640, 360)
 """The size of the pictures; counts and times are those of smaller frames."""
@@ -83,7 +84,7 @@ def _write_page(folder: Path, rows: Sequence[RungRow], backends: Sequence[str], 
         asked += f" --rounds {rounds}"
     picture = folder / "images" / "need.png"
     draw_ladder(picture, rows)
-    page = PAGE.format(
+    page = _PAGE.read_text(encoding="utf-8").format(
         size="{} × {}".format(*SIZE),
         asking=_describe_asking(backends or ("null",), rounds),
         command=f"python -m renderer need{asked} --output docs",

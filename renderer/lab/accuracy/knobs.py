@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import partial
 from typing import Any, Final
 
 from renderer import rules
@@ -80,11 +81,11 @@ class Knob:
     Attributes:
         about: what it decides. path: the setting, as `RenderSettings.get` finds it; empty for an encoding, which
             shaders have for good. values: by how tables call them, the least accurate first.
+        because: why we chose the default.
         unit: of the error. truth: what values are judged by.
         within: settings under which it matters. demand: what it needs in the scene.
         remembers: the number of earlier frames that a frame depends on, which are drawn before the first that counts; 0
             if frames needn't follow each other.
-        because: why we chose the default.
         exception: why errors needn't fall from each value to the next; empty where they must.
     """
 
@@ -92,9 +93,9 @@ class Knob:
     about: str
     path: str
     values: Mapping[str, Any]
+    because: str
     unit: Unit
     truth: Truth
-    because: str
     within: Mapping[str, Any] = field(default_factory=dict)
     demand: Demand | None = None
     remembers: int = 0
@@ -165,41 +166,46 @@ _ASKED: Final = 24
 """Frames after which CHC++ has asked about all that was visible in the first, when everything in view is drawn."""
 _SOFTWARE: Final = {**_FORWARD, "algorithm": "software_depth"}
 
+_INFERRED: Final = {**_FORWARD, "technique.name": "inferred"}
+_CLUSTERED: Final = {**_FORWARD, "technique.name": "clustered"}
+
+# Knobs by what they are judged by and where they matter.
+_picture: Final = partial(Knob, unit=Unit.LEVELS, within=_FORWARD)
+_shadows: Final = partial(Knob, unit=Unit.LEVELS, truth=FINE_MAPS, within=_ROOM, demand=Demand.SHADOWS)
+_inferred: Final = partial(Knob, unit=Unit.LEVELS, truth=FORWARD, within=_INFERRED)
+_lists: Final = partial(Knob, unit=Unit.LIGHTS, truth=IN_RANGE, within=_CLUSTERED, demand=Demand.LAMPS)
+_queries: Final = partial(Knob, unit=Unit.OVERDRAW, truth=SEEN, within=_CHC)
+_encoding: Final = partial(Knob, unit=Unit.DEGREES, truth=VECTORS)
+
 KNOBS: Final[dict[str, Knob]] = {
     knob.name: knob
     for knob in (
-        Knob(
+        _picture(
             "precision",
             "how exact functions such as pow are in shaders (OpenCL; GL has one way)",
             "precision",
             _same(Precision.FAST, Precision.EXACT),
-            Unit.LEVELS,
-            FLOAT64,
             "a picture of 8 bits shows nothing of what EXACT adds",
-            _FORWARD,
+            truth=FLOAT64,
         ),
-        Knob(
+        _picture(
             "samples",
             "samples a pixel",
             "technique.samples",
             _same(1, 2, 4, 8),
-            Unit.LEVELS,
-            SUPER_SAMPLED,
             "only forward shading has more than one",
-            _FORWARD,
+            truth=SUPER_SAMPLED,
         ),
-        Knob(
+        _picture(
             "fxaa",
             "whether edges are smoothed in the image",
             "technique.fxaa",
             {"off": False, "on": True},
-            Unit.LEVELS,
-            SUPER_SAMPLED,
             "it also blurs what isn't an edge",
-            _FORWARD,
+            truth=SUPER_SAMPLED,
             exception="edges come nearer to the truth, and texels as bright as an edge go away from it",
         ),
-        Knob(
+        _picture(
             "texture_filter",
             "how many texels a pixel is made of",
             "textures",
@@ -211,183 +217,138 @@ KNOBS: Final[dict[str, Knob]] = {
                 "anisotropic, 4": TextureSettings(anisotropy=4.0),
                 "anisotropic, 16": TextureSettings(anisotropy=16.0),
             },
-            Unit.LEVELS,
-            SUPER_SAMPLED,
             "a sample a pixel; anisotropy shows more at an angle, for up to 16",
-            _FORWARD,
-            Demand.IMAGES,
+            truth=SUPER_SAMPLED,
+            demand=Demand.IMAGES,
             exception="mip levels blur what lies at an angle more than the largest one flickers, "
             "which single pictures don't show",
         ),
-        Knob(
+        _picture(
             "edge_pixels",
             "length of the edges of a ground's triangles in pixels",
             "tessellation.edge_pixels",
             _same(32.0, 16.0, 8.0, 4.0, 2.0),
-            Unit.LEVELS,
-            FINEST,
             "outlines are off by less than a pixel nearly everywhere",
-            _FORWARD,
-            Demand.HEIGHT_FIELDS,
+            truth=FINEST,
+            demand=Demand.HEIGHT_FIELDS,
         ),
-        Knob(
+        _shadows(
             "shadow_size",
             "width of the sun's maps in texels",
             "shadows.cascade_size",
             _same(128, 256, 512, 1024, 2048),
-            Unit.LEVELS,
-            FINE_MAPS,
             "finer maps are drawn in more time whenever the eye moves",
-            _ROOM,
-            Demand.SHADOWS,
         ),
-        Knob(
+        _shadows(
             "shadow_cascades",
             "number of the sun's maps along the view",
             "shadows.cascades",
             _same(1, 2, 3, 4, 6),
-            Unit.LEVELS,
-            FINE_MAPS,
             "from four on the nearest map is as fine as the picture",
-            _ROOM,
-            Demand.SHADOWS,
         ),
-        Knob(
+        _shadows(
             "shadow_distance",
             "how far from the eye there are shadows, in metres",
             "shadows.distance",
             _same(50.0, 125.0, 250.0, 500.0),
-            Unit.LEVELS,
-            FAR_SHADOWS,
             "beyond it a shadow is a few pixels, and near ones would be coarser",
-            _ROOM,
-            Demand.SHADOWS,
+            truth=FAR_SHADOWS,
             exception="the same texels are spread over more, so near shadows are coarser; far ones are few pixels",
         ),
-        Knob(
+        _shadows(
             "shadow_filter",
             "texels of a map that a pixel is compared with: 1, 4, 12, 16",
             "shadows.filter",
             _same(ShadowFilter.HARD, ShadowFilter.HARDWARE, ShadowFilter.POISSON, ShadowFilter.SMOOTH),
-            Unit.LEVELS,
-            FINE_MAPS,
             "no steps, and no noise that moves with the eye",
-            _ROOM,
-            Demand.SHADOWS,
             exception="the truth has sharp edges, and a filter trades steps for blur: of these the eye sees steps",
         ),
-        Knob(
+        _shadows(
             "shadow_bias",
             "what keeps surfaces from shading themselves, in what texels and angles call for",
             "shadows.bias",
             _same(0.0, 0.5, 1.0),
-            Unit.LEVELS,
-            FINE_MAPS,
             "without it surfaces shade themselves, and it costs nothing",
-            _ROOM,
-            Demand.SHADOWS,
         ),
-        Knob(
+        _shadows(
             "lamp_shadow_size",
             "largest width of a lamp's map in texels",
             "shadows.largest",
             _same(32, 64, 128, 256, 512, 1024),
-            Unit.LEVELS,
-            FINE_MAPS,
             "a map is drawn once, and as wide as what it lights on the screen",
-            _ROOM,
-            Demand.SHADOWS,
         ),
-        Knob(
+        _shadows(
             "shadow_budget",
             "maps of far lamps that are drawn again in a frame",
             "shadows.budget",
             _same(1, 2, 8, 32),
-            Unit.LEVELS,
-            FINE_MAPS,
             "what moves far away may be late by some frames",
-            _ROOM,
-            Demand.SHADOWS,
             remembers=6,
         ),
-        Knob(
+        _inferred(
             "inferred_scale",
             "size of the light buffers of inferred lighting, in that of the image",
             "technique.scale",
             _same(0.3, 0.4, 0.6, 0.8, 1.0),
-            Unit.LEVELS,
-            FORWARD,
             "a third of the pixels, and edges that are seldom seen to be wrong",
-            {"technique.name": "inferred", "algorithm": "frustum"},
-            Demand.LAMPS,
+            demand=Demand.LAMPS,
             exception="0.8 may lose to 0.6, since its texels lie differently between the picture's",
         ),
-        Knob(
+        _inferred(
             "inferred_transparency",
             "whether transparent surfaces are lit in stippled light buffers, or by their objects' lights",
             "technique.stippled",
             {"stippled": True, "by lists": False},
-            Unit.LEVELS,
-            FORWARD,
             "it is what the technique is for",
-            {"technique.name": "inferred", "algorithm": "frustum"},
-            Demand.TRANSPARENCY,
+            demand=Demand.TRANSPARENCY,
         ),
-        Knob(
+        _picture(
             "specular_channels",
             "channels of highlights in a light pre-pass",
             "technique.specular_channels",
             _same(1, 3),
-            Unit.LEVELS,
-            FORWARD,
             "coloured lamps have coloured highlights",
-            {"technique.name": "light_pre_pass", "algorithm": "frustum"},
-            Demand.LAMPS,
+            truth=FORWARD,
+            within={**_FORWARD, "technique.name": "light_pre_pass"},
+            demand=Demand.LAMPS,
         ),
-        Knob(
+        _picture(
             "blending",
             "how transparent surfaces are put together",
             "blending",
             _same(Blending.WEIGHTED, Blending.SORTED),
-            Unit.LEVELS,
-            SORTED,
             "there are seldom enough of them for sorting to matter",
-            _FORWARD,
-            Demand.TRANSPARENCY,
+            truth=SORTED,
+            demand=Demand.TRANSPARENCY,
         ),
-        Knob(
+        _picture(
             "glow_levels",
             "how often the image is halved to spread glow",
             "glow.levels",
             _same(1, 2, 4, 6, 8),
-            Unit.LEVELS,
-            FAR_GLOW,
             "six reach 64 pixels around what shines, and further ones are the cheapest",
-            _FORWARD,
-            Demand.GLOW,
+            truth=FAR_GLOW,
+            demand=Demand.GLOW,
         ),
-        Knob(
+        _picture(
             "glow_sparks",
             "whether single bright pixels glow as much as they shine",
             "glow.tames_sparks",
             {"tamed": True, "as they are": False},
-            Unit.LEVELS,
-            Truth("all scattered light", {"glow.tames_sparks": False}),
             "far lamps are single pixels, which would glow a quarter as much",
-            _FORWARD,
-            Demand.GLOW,
+            truth=Truth("all scattered light", {"glow.tames_sparks": False}),
+            demand=Demand.GLOW,
         ),
-        Knob(
+        _picture(
             "depth",
             "direction of depth in 32-bit floats",
             "depth",
             _same(Depth.STANDARD, Depth.REVERSED),
-            Unit.DEPTH,
-            FLOAT64,
             "it costs nothing",
-            _FORWARD,
+            unit=Unit.DEPTH,
+            truth=FLOAT64,
         ),
-        Knob(
+        _encoding(
             "depth_format",
             "what holds depth, from 0.1 m to 10 km",
             "",
@@ -397,175 +358,137 @@ KNOBS: Final[dict[str, Knob]] = {
                 "32-bit float": "position by a ray, D32F",
                 "32-bit float, reversed": "position by a ray, D32F reversed",
             },
-            Unit.DEPTH,
-            DISTANCES,
             "it takes as much memory as 24 bits",
+            unit=Unit.DEPTH,
+            truth=DISTANCES,
         ),
-        Knob(
+        _picture(
             "animation_step",
             "seconds after which what moves by itself moves on",
             "animation_step",
             {"each 8th frame": 8 / 60, "each 4th": 4 / 60, "each 2nd": 2 / 60, "each frame": 0.0},
-            Unit.LEVELS,
-            EACH_FRAME,
             "half as many steps are seen to be uneven",
-            _FORWARD,
-            Demand.MOTION,
+            truth=EACH_FRAME,
+            demand=Demand.MOTION,
             remembers=8,
         ),
-        Knob(
+        _picture(
             "second_eye",
             "whether the second eye's picture is drawn, or made of the first one's",
             "reprojects",
             {"reprojected": True, "drawn": False},
-            Unit.LEVELS,
-            SECOND_EYE,
             "holes show beside everything that is near",
-            _FORWARD,
-            Demand.STEREO,
+            truth=SECOND_EYE,
+            demand=Demand.STEREO,
         ),
-        Knob(
+        _lists(
             "tile",
             "width of the tiles of forward+ in pixels",
             "technique.tiles.tile",
             _same(64, 32, 16, 8),
-            Unit.LIGHTS,
-            IN_RANGE,
             "smaller tiles take longer to list than they save",
-            {"technique.name": "forward_plus", "algorithm": "frustum"},
-            Demand.LAMPS,
+            within={**_FORWARD, "technique.name": "forward_plus"},
         ),
-        Knob(
+        _lists(
             "cluster_tile",
             "width of clusters in pixels",
             "technique.clusters.tile",
             _same(256, 128, 64, 32),
-            Unit.LIGHTS,
-            IN_RANGE,
             "smaller clusters take longer to list than they save",
-            {"technique.name": "clustered", "algorithm": "frustum"},
-            Demand.LAMPS,
         ),
-        Knob(
+        _lists(
             "depth_slices",
             "parts into which clusters divide depth",
             "technique.clusters.slices",
             _same(1, 4, 12, 24, 48),
-            Unit.LIGHTS,
-            IN_RANGE,
             "more parts take longer to list than they save",
-            {"technique.name": "clustered", "algorithm": "frustum"},
-            Demand.LAMPS,
         ),
-        Knob(
+        _lists(
             "light_test",
             "the test of lights against clusters",
             "technique.clusters.sphere_test",
             _same("planes", "vertices", "hybrid", "exact"),
-            Unit.LIGHTS,
-            IN_RANGE,
             "a fifth more time for the shortest lists",
-            {"technique.name": "clustered", "algorithm": "frustum"},
-            Demand.LAMPS,
         ),
-        Knob(
+        _queries(
             "query_batch",
             "b of CHC++: hidden nodes that one query asks about together",
             "visibility.batch",
             _same(200, 50, 20, 5, 1),
-            Unit.OVERDRAW,
-            SEEN,
             "queries cost more than what is drawn for nothing",
-            _CHC,
             remembers=_ASKED,
             exception=_LOTS,
         ),
-        Knob(
+        _queries(
             "query_persistence",
             "n of CHC++: frames for which a visible object isn't asked about",
             "visibility.persistence",
             _same(60, 20, 5, 1),
-            Unit.OVERDRAW,
-            SEEN,
             "what was visible nearly always still is",
-            _CHC,
             remembers=64,
             exception=_LOTS,
         ),
-        Knob(
+        _queries(
             "leaf_size",
             "objects that are queried and drawn together",
             "visibility.leaf_size",
             _same(32, 16, 4, 1),
-            Unit.OVERDRAW,
-            SEEN,
             "objects of our scenes are large enough for a query each",
-            _CHC,
             remembers=_ASKED,
             exception="CHC++ draws lots for when nodes are asked about again, and larger nodes are fewer lots",
         ),
-        Knob(
+        _picture(
             "query_threshold",
             "samples that a box may pass and count as hidden",
             "visibility.threshold",
             _same(1000, 100, 10, 1, 0),
-            Unit.LEVELS,
-            EVERYTHING,
             "nothing that is seen may be missing",
-            _CHC,
+            truth=EVERYTHING,
+            within=_CHC,
             remembers=_ASKED,
         ),
-        Knob(
+        _queries(
             "occluders",
             "objects that software occlusion draws",
             "visibility.occluders",
             _same(4, 16, 64, 256),
-            Unit.OVERDRAW,
-            SEEN,
             "what is smaller hides next to nothing",
-            _SOFTWARE,
+            within=_SOFTWARE,
         ),
-        Knob(
+        _picture(
             "occluder_pixels",
             "pixels of the image in each direction that are one of software occlusion",
             "visibility.occluder_pixels",
             _same(16, 8, 4, 2, 1),
-            Unit.LEVELS,
-            EVERYTHING,
             "nothing that is seen may be missing",
-            _SOFTWARE,
+            truth=EVERYTHING,
+            within=_SOFTWARE,
             exception="a gap stays open if a sample falls into it, which is chance",
         ),
-        Knob(
+        _queries(
             "pyramid_texels",
             "texels of a depth pyramid in each direction that a box is compared with",
             "visibility.pyramid_texels",
             _same(1, 2, 4, 8, 16),
-            Unit.OVERDRAW,
-            SEEN,
             "twice as many hide hardly more",
-            {**_FORWARD, "algorithm": "depth_pyramid"},
+            within={**_FORWARD, "algorithm": "depth_pyramid"},
             remembers=6,
         ),
-        Knob(
+        _encoding(
             "normal_bits",
             "bits of each of the two numbers of an octahedral normal",
             "",
             {str(bits): f"octahedral 2 × {bits}, rounded" for bits in (8, 10, 11, 12, 16)},
-            Unit.DEGREES,
-            VECTORS,
             "a highlight of 8 bits shows rings",
         ),
-        Knob(
+        _encoding(
             "normal_rounding",
             "rounding of an octahedral normal of 2 × 12 bits",
             "",
             {name: f"octahedral 2 × 12, {name}" for name in ("truncated", "rounded", "best of 4")},
-            Unit.DEGREES,
-            VECTORS,
             "the best of 4 takes longer for less than a bit, and there are bits",
         ),
-        Knob(
+        _encoding(
             "tangent_packing",
             "the angle of a tangent in 8 bits",
             "",
@@ -573,11 +496,9 @@ KNOBS: Final[dict[str, Knob]] = {
                 "by its cosine": "tangent by the cosine of its angle (Listing 1.6)",
                 "around a square": "tangent by its way around a square",
             },
-            Unit.DEGREES,
-            VECTORS,
             "equal steps all around",
         ),
-        Knob(
+        _encoding(
             "derivative_packing",
             "the derivatives of texture coordinates in 48 bits",
             "",
@@ -585,9 +506,8 @@ KNOBS: Final[dict[str, Knob]] = {
                 "by cosines": "derivatives by cosines, halves (Listing 1.5)",
                 "around a square": "derivatives by their ways around a square",
             },
-            Unit.PERCENT,
-            VECTORS,
             "equal steps all around",
+            unit=Unit.PERCENT,
         ),
     )
 }
