@@ -141,11 +141,16 @@ def find_function(name: str) -> Callable[..., Backend]:
         close = get_close_matches(name, names, 1)
         tip = f"did you mean {close[0]!r}?" if close else ""
         raise DeviceError(DEVICE_UNKNOWN, f"rhi.create_device({name!r})", repr(name), ", ".join(names), tip)
+    call, tip = f"rhi.create_device({name!r})", "is its module on Python's path?"
     try:
         create: Callable[..., Backend] = point.load()
     except (ImportError, AttributeError) as error:
-        call, tip = f"rhi.create_device({name!r})", "is its module on Python's path?"
         raise DeviceError(DEVICE_UNKNOWN, call, f"{name!r}: {error}", "", tip) from error
+    try:
+        inspect.signature(create).bind(validation=False)
+    except (TypeError, ValueError) as error:  # it isn't called: it may be any function of any module
+        given, tip = f"{name!r}: {error}", "see docs/porting.md"
+        raise DeviceError(DEVICE_UNKNOWN, call, given, "a function create(*, validation)", tip) from error
     return create
 
 
