@@ -130,7 +130,6 @@ def test_a_lost_object_is_seen(gl: rhi.Device) -> None:
             some = CallbackPass(lambda rows: scene_pass.draw(rows[1:]))
             return FrustumCulling(city).render(camera, some)
 
-    frames = Uncut(gl, city, [(city.views["overview"], 0.0)], (160, 90))
-    assert frames.count_wrong_pixels(FrustumCulling(city)) == [0]
-    assert frames.count_wrong_pixels(LeaveOut()) > [0]
-    frames.destroy()
+    with Uncut(gl, city, [(city.views["overview"], 0.0)], (160, 90)) as uncut:
+        assert uncut.count_wrong_pixels(FrustumCulling(city)) == [0]
+        assert uncut.count_wrong_pixels(LeaveOut()) > [0]
