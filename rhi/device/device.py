@@ -37,7 +37,7 @@ from rhi.contract.formats import Format
 from rhi.contract.limits import full_levels
 from rhi.contract.states import State
 from rhi.device.command_buffer import CommandBuffer, check_submissions
-from rhi.device.core.core import NO_THREAD, Core, Statistics, ValidatingCore
+from rhi.device.core.core import FORKED, NO_THREAD, Core, Statistics, ValidatingCore
 from rhi.device.core.refusals import RefusalLog
 from rhi.device.core.state_cache import StateCache
 from rhi.device.encoder import Encoder
@@ -132,7 +132,7 @@ class Device(Encoder):
         """
         core = self._core
         quiet = Arguments("device.close", core.refuse).flag("quiet", quiet)
-        if core.closed:
+        if core.closed or core.thread == FORKED:  # then it is the parent's
             return
         if core.thread == NO_THREAD:
             core.make_current()

@@ -89,7 +89,7 @@ class Edit:
             exec(compile(text, file, "exec", dont_inherit=True), vars(beside))
         except RhiError:
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise describe_failure(f"reload of {module.__name__}", file, error, beside) from error
         finally:
             sys.modules[module.__name__] = module

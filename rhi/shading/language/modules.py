@@ -57,7 +57,7 @@ def from_source(text: str, *names: str, file: str = "<shader>", scope: Mapping[s
         exec(compile(text, file, "exec", dont_inherit=True), vars(module))
     except RhiError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise describe_failure("from_source", source, error, module) from error
     finally:
         del sys.modules[module.__name__]
@@ -93,7 +93,7 @@ def _is_own(value: object, module: ModuleType) -> bool:
     return getattr(value, "__module__", "") == module.__name__
 
 
-def describe_failure(call: str, source: SourceFile, error: Exception, module: ModuleType) -> ShaderError:
+def describe_failure(call: str, source: SourceFile, error: BaseException, module: ModuleType) -> ShaderError:
     """Return the error for an exception that executing a text has raised, at the text's innermost line."""
     line, given = 0, f"{type(error).__name__}: {error}"
     if isinstance(error, SyntaxError) and error.filename == source:
