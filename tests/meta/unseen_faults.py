@@ -49,6 +49,24 @@ UNSEEN: Final[tuple[Unseen, ...]] = (
         f"{COST}: what is drawn is simulated then, one after the other",
     ),
     Unseen(
+        "renderer/frame/resources.py", "return False", "False", "True",
+        f"{COST}: all rows of places are compared, and the same ones written",
+    ),
+    Unseen(
+        "renderer/scene/meshes.py",
+        "self.vertices: NDArray[Any] = np.concatenate([g.vertices for g in geometries] or [np.empty(0, VERTEX)])",
+        "0", "1", f"{SAME}: a scene has an object, and so a mesh",
+    ),
+    Unseen(
+        "renderer/frame/lamps.py", "_GROUP: Final = 64", "64", "65",
+        f"{SAME}: groups of another size place the same lamps",
+    ),
+    Unseen(
+        "renderer/visibility/software_depth.py",
+        "distance = np.maximum(squared_distances(camera.position, middle, middle), 1e-30)", "1e-30", "2e-30",
+        f"{SAME}: no two points are nearer and not in one place",
+    ),
+    Unseen(
         "rhi/backends/gl/backend.py", "self._tests_alpha = False", "False", "True",
         f"{SAME}: the first program that is bound finds out",
     ),

@@ -73,3 +73,14 @@ def test_a_sphere_without_a_radius_has_a_rectangle_without_an_overflow() -> None
     with np.errstate(all="raise"):
         (rectangle,) = bound_spheres(camera, np.array([[0.0, 0.0, -10.0]]), np.zeros(1))
     assert np.abs(rectangle).max() < 1e-5
+
+
+def test_lights_are_white_and_of_intensity_1_unless_told_otherwise() -> None:
+    lights = Lights()
+    add_lights(lights)
+    lights.add_points([(0, 0, 0)], 1.0)
+    lights.add_spots([(0, 0, 0)], (0, 0, -1), 1.0, 0.1, 0.2)
+    for some, count in ((lights.directional, 1), (lights.point, 2), (lights.spot, 2)):
+        assert some["intensity"].tolist() == [1.0] * count
+        assert some["color"].tolist() == [[1.0, 1.0, 1.0]] * count
+        assert not some["casts_shadow"].any()
