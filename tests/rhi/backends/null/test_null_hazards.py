@@ -143,21 +143,13 @@ def test_a_program_that_is_only_lucky_has_a_hazard_that_did_not_happen():
         assert [hazard.happened for hazard in backend.hazards] == [happened]
 
 
-def test_a_read_that_waits_frees_everything_before_it():
+@pytest.mark.parametrize("read", [(STATIC, 0, 4), (STREAM, 0, 16)])
+def test_a_read_that_waits_frees_everything_before_it(read):
+    """One of the memory itself is a use, too, and is over when the call returns."""
     backend = uniform_backend()
     backend.bind_uniform(0, STREAM, 0, 16)
     draw(backend)
-    backend.read_buffer(STATIC, 0, 4)
-    backend.write_buffer(STREAM, 0, bytes(4))
-    assert not backend.hazards
-
-
-def test_a_read_of_the_memory_itself_frees_it():
-    """The read is a use, too, and is over when the call returns."""
-    backend = uniform_backend()
-    backend.bind_uniform(0, STREAM, 0, 16)
-    draw(backend)
-    backend.read_buffer(STREAM, 0, 16)
+    backend.read_buffer(*read)
     backend.write_buffer(STREAM, 0, bytes(4))
     assert not backend.hazards
 
