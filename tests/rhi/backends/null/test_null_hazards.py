@@ -321,13 +321,18 @@ def test_indices_and_vertices_in_the_ring_are_known_at_once():
     assert found_bytes(backend) == [*range(38, 58), *range(200, 204)]
 
 
-def test_an_indirect_draw_reads_what_its_arguments_name():
-    backend = vertex_backend()
-    backend.write_buffer(STATIC, 0, words(2, 1, 4, 0, 0))
+@pytest.mark.parametrize(
+    ("index_buffer", "first", "expected"),
+    [(0, 4, [*range(48, 68)]), (STREAM, 100, [*range(38, 58), *range(200, 204)])],
+)
+def test_an_indirect_draw_reads_what_its_arguments_name(index_buffer, first, expected):
+    backend = vertex_backend(index_buffer=index_buffer)
+    backend.write_buffer(STREAM, 200, indices(3, 4))
+    backend.write_buffer(STATIC, 0, words(2, 1, first, 0, 0))
     backend.draw_indirect(VERTICES, Primitive.LINES, STATIC, 0, 1, 20, 0, 0)
     backend.signal(1)
     backend.spend(1_000_000)
-    assert found_bytes(backend) == list(range(48, 68))
+    assert found_bytes(backend) == expected
 
 
 # -- queries and resources -----------------------------------------------------------------------------------
