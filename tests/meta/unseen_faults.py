@@ -78,6 +78,14 @@ UNSEEN: Final[tuple[Unseen, ...]] = (
         "rhi/shading/opencl/prelude.py", 'body = body.replace("SELECT(", "rhi_select(" if lanes == 1 else "select(")',
         "==", "!=", f"{COST}: both choose, with one instruction or with a branch",
     ),
+    Unseen(
+        "rhi/contract/layout.py", "return place(ArrayType(type, 1), layout).stride", "1", "2",
+        f"{SAME}: the stride of an array doesn't depend on its length",
+    ),
+    Unseen(
+        "rhi/contract/states.py", "@dataclass(frozen=True, slots=True, eq=False)", "False", "True",
+        f"{SAME}: values are interned, so two whose fields are equal are one object",
+    ),
 )  # fmt: skip
 
 
