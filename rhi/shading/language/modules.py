@@ -69,7 +69,7 @@ def execute(call: str, source: SourceFile, text: str, module: ModuleType, kept: 
     """
     sys.modules[module.__name__] = module
     try:
-        exec(compile(text, source, "exec", dont_inherit=True), vars(module))
+        exec(compile(text, str(source), "exec", dont_inherit=True), vars(module))
     except RhiError:
         raise
     except (Exception, SystemExit) as error:
