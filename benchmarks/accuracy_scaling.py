@@ -21,8 +21,7 @@ drivers' threads (PoCL, llvmpipe), and several would start as many threads as th
   machine has no CPUs for, as well. It knows of idle processes, but not of processes that slow each other.
 
 A first run that isn't timed builds kernels into the caches on disk. On null, which draws nothing, a job records frames
-with all values of a knob: this is the part of Python. What is done is said on stderr, job by job, and rows are printed
-as soon as they are known.
+with all values of a knob: this is the part of Python. What is done is said on stderr, job by job.
 
     python benchmarks/accuracy_scaling.py [--json] [--backend null|cl|gl] [--processes 1,2,4] [--knob K]
 """
@@ -31,21 +30,23 @@ from __future__ import annotations
 
 import argparse
 import heapq
-import json
 import os
 import sys
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import as_completed
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import rhi
-from renderer.cli.executors import list_cpus, open_processes, share_cpus
+from renderer.cli import options
+from renderer.cli.comparison import run_benchmark
+from renderer.cli.executors import open_processes, share_cpus
 from renderer.content import load_scene
 from renderer.lab.accuracy import KNOBS, Situation, SweepJob, list_jobs
 from renderer.lab.accuracy.jobs import order_jobs
 from renderer.lab.accuracy.sweep import DRAWS_NOTHING, find_lack, list_views, prepare_scene
+from renderer.lab.comparison import Record
 
 SITUATION: Final = Situation("city", size=(240, 135), views=3, rounds=6)
 NULL_FRAMES: Final = 24
@@ -62,32 +63,6 @@ class JobTime:
     began: float
     ended: float
     processor: float
-
-
-@dataclass(frozen=True)
-class ScalingRow:
-    """The figures of a number of processes, as the module describes them."""
-
-    backend: str
-    processes: int
-    cpus_each: int
-    seconds: float
-    start: float
-    longest: float
-    idle: float
-    work: float
-    processor: float
-    efficiency: float
-
-
-@dataclass(frozen=True)
-class PredictedRow:
-    """What a number of processes would take, as far as the first run tells."""
-
-    backend: str
-    processes: int
-    seconds: float
-    efficiency: float
 
 
 def run_job(job: SweepJob) -> JobTime:
@@ -145,14 +120,14 @@ def find_makespan(durations: Sequence[float], processes: int) -> float:
     return max(free)
 
 
-def measure(backend: str, counts: Sequence[int], knobs: Sequence[str]) -> Iterator[ScalingRow | PredictedRow]:
-    """Yield the figures of each number of processes, and after those of the first, which the others are compared with,
-    what is predicted from them."""
+def measure_backend(backend: str, counts: Sequence[int], knobs: Sequence[str]) -> Iterator[Record]:
+    """Yield the figures of each number of processes, and then what those of the first predict."""
     jobs, shares = choose_jobs(backend, knobs), share_cpus(max(counts))
     if backend != "null":
         warm_ups = [replace(job, situation=replace(job.situation, rounds=job.share.count)) for job in jobs]
         run_jobs(warm_ups, shares, f"{backend}, untimed")
     base: tuple[float, float, float] | None = None
+    predicted: list[Record] = []
     for count in counts:
         began, times = run_jobs(jobs, shares[:count], f"{backend}, {count} processes")
         ended = max(one.ended for one in times)
@@ -161,51 +136,39 @@ def measure(backend: str, counts: Sequence[int], knobs: Sequence[str]) -> Iterat
         processor = sum(one.processor for one in last.values())
         spent = count * (ended - began)
         idle = sum(ended - one.ended for one in last.values()) + (count - len(last)) * (ended - began)
-        is_first = base is None
-        base = base or (sum(durations), processor, spent)
         start = min(one.began for one in times) - began
-        figures = (
-            start, max(durations), idle / spent, base[0] / sum(durations), base[1] / processor, base[2] / spent,
-        )  # fmt: skip
-        shown = (round(figure, 3) for figure in figures)
-        yield ScalingRow(backend, count, len(shares[0]), round(ended - began, 2), *shown)
-        for more in sorted({*PREDICTED, *counts} if is_first else ()):
-            seconds = start + find_makespan(durations, more)
-            yield PredictedRow(backend, more, round(seconds, 2), round(spent / (more * seconds), 3))
+        if base is None:
+            base = sum(durations), processor, spent
+            makespans = {more: start + find_makespan(durations, more) for more in sorted({*PREDICTED, *counts})}
+            predicted = [
+                {"backend": backend, "predicted for": more, "seconds": round(seconds, 2),
+                 "efficiency": round(spent / (more * seconds), 3)}
+                for more, seconds in makespans.items()
+            ]  # fmt: skip
+        figures = {
+            "start": start, "longest": max(durations), "idle": idle / spent, "work": base[0] / sum(durations),
+            "processor": base[1] / processor, "efficiency": base[2] / spent,
+        }  # fmt: skip
+        about = {"backend": backend, "processes": count, "cpus_each": len(shares[0])}
+        shown = {name: round(figure, 3) for name, figure in figures.items()}
+        yield {**about, "seconds": round(ended - began, 2), **shown}
+    yield from predicted
 
 
-def show(row: ScalingRow | PredictedRow) -> str:
-    """Format a row."""
-    begin = f"{row.backend:<5} {row.processes} processes"
-    if isinstance(row, PredictedRow):
-        return f"{begin}, predicted: {row.seconds:7.1f} s, efficiency {row.efficiency:4.0%}"
-    return (
-        f"{begin}, {row.cpus_each} CPUs each: {row.seconds:7.1f} s, start {row.start:.1f} s, "
-        f"longest {row.longest:.1f} s, idle {row.idle:4.0%}, work {row.work:4.0%}, "
-        f"processor {row.processor:4.0%}, efficiency {row.efficiency:4.0%}"
-    )
+def measure(given: argparse.Namespace) -> Iterator[Record]:
+    """Yield the rows of all backends."""
+    for backend in given.backend or ("null", "cl", "gl"):
+        yield from measure_backend(backend, given.processes, given.knob)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
-    parser.add_argument("--backend", action="append", choices=("null", "cl", "gl"), help="repeatable (default: all)")
-    parser.add_argument("--processes", default="1,2,4", help="numbers of processes (default: %(default)s)")
-    parser.add_argument("--knob", action="append", default=[], choices=tuple(KNOBS), help="repeatable (default: all)")
-    options = parser.parse_args()
-    counts = [int(text) for text in options.processes.split(",")]
-    # By default optimised kernels are built meanwhile, in processes of their own.
-    os.environ.setdefault("RHI_KERNELS", "quick")
-    backends = options.backend or ("null", "cl", "gl")
-    rows: dict[type[ScalingRow | PredictedRow], list[ScalingRow | PredictedRow]] = {ScalingRow: [], PredictedRow: []}
-    for backend in backends:
-        for row in measure(backend, counts, options.knob):
-            rows[type(row)].append(row)
-            print(show(row), file=sys.stderr if options.json else sys.stdout, flush=True)
-    if options.json:
-        measured, predicted = ([asdict(row) for row in some] for some in rows.values())
-        print(json.dumps({"cpus": len(list_cpus()), "rows": measured, "predicted": predicted}, indent=2))
+OPTIONS: Final = (
+    options.option("--backend", "repeatable", None, "all", action="append", choices=("null", "cl", "gl")),
+    options.several("--processes", "numbers of processes", options.parse_count, [1, 2, 4], "1,2,4", "N,N,…"),
+    options.option("--knob", "repeatable", [], "all", action="append", choices=tuple(KNOBS)),
+)
 
 
 if __name__ == "__main__":
-    main()
+    # By default optimised kernels are built meanwhile, in processes of their own.
+    os.environ.setdefault("RHI_KERNELS", "quick")
+    run_benchmark(__doc__, OPTIONS, measure)

@@ -14,17 +14,17 @@
 from __future__ import annotations
 
 import argparse
-import os
+from collections.abc import Iterator
 from functools import partial
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-os.environ.setdefault("RHI_KERNELS", "optimised")  # what is measured is the speed of a long run
-
 import rhi
-from renderer.lab.comparison import Subject, compare
+from renderer.cli import options
+from renderer.cli.comparison import run_benchmark
+from renderer.lab.comparison import Record, Subject, compare
 from renderer.lab.comparison import ratio as ratio_column
 from rhi import CullMode, Format, SamplerDescriptor
 from rhi.shading import HostTexture, Shader, Struct, Texture2D, vec2, vec4
@@ -103,26 +103,27 @@ def sample_by_extension(levels: list[NDArray[np.float32]], at: Array, steps: Arr
     return total / counts[:, None]
 
 
-def measure_errors() -> None:
+def measure_errors() -> Iterator[Record]:
+    """Yield the errors on checkers and on random texels for each ratio of a pixel's axes."""
     levels = make_levels()
-    print("| a pixel's axes | texels | " + " | ".join(f"up to {most}" for most in MOST) + " | the extension's, 16 |")
-    print("|---|---|" + "---|" * (len(MOST) + 1))
     for ratio in RATIOS:
         at, steps = make_footprints(ratio)
         exact = find_mean(levels, at, steps)
-        found = []
+        found = {}
         for most in MOST:
             texture = HostTexture(levels, Format.RGBA32F, sampler=SamplerDescriptor(max_anisotropy=most))
             right, down = ((*steps[:, :, i].T, 0.0) for i in range(2))
             colors = texture.sample_across(np.float64, at[:, 0], at[:, 1], 0.0, *right, *down, 0.0)
-            found.append(np.stack(colors[:2], -1))
-        found.append(sample_by_extension(levels, at, steps))
-        errors = [np.sqrt(((each - exact) ** 2).mean(0)) for each in found]
-        for channel, name in enumerate(("checkers", "random")):
-            print(f"| {ratio} : 1 | {name} | " + " | ".join(f"{error[channel]:.3f}" for error in errors) + " |")
+            found[f"up to {most}"] = np.stack(colors[:2], -1)
+        found["the extension's, 16"] = sample_by_extension(levels, at, steps)
+        errors = {name: np.sqrt(((each - exact) ** 2).mean(0)) for name, each in found.items()}
+        for channel, texels in enumerate(("checkers", "random")):
+            shown = {name: round(float(error[channel]), 3) for name, error in errors.items()}
+            yield {"a pixel's axes": f"{ratio} : 1", "texels": texels, **shown}
 
 
-def measure_costs(rounds: int, size: tuple[int, int]) -> None:
+def measure_costs(rounds: int, size: tuple[int, int]) -> Iterator[Record]:
+    """Yield the ratios of processor times for each way to see a plane."""
     corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, -1), (1, 1), (-1, 1)], np.float32)
     with rhi.create_device("cl") as device:
         source = device.texture((1024, 1024), Format.RGBA8, levels=None)
@@ -131,7 +132,6 @@ def measure_costs(rounds: int, size: tuple[int, int]) -> None:
             side = 1024 >> level
             source.write(rng.integers(0, 256, (side, side, 4), np.uint8), level=level)
         image, program = device.texture(size, Format.RGBA8), device.program(Sampled)
-        print("\n| a plane seen | " + " | ".join(f"up to {most}" for most in MOST) + " |\n|---|" + "---|" * len(MOST))
         for name, far in (("from the front", 1.0), ("at a grazing angle", 16.0)):
             w = np.where(corners[:, 1] > 0, far, 1.0)[:, None]
             position = np.concatenate([corners * w, 0.5 * w, w], axis=1).astype(np.float32)
@@ -143,20 +143,20 @@ def measure_costs(rounds: int, size: tuple[int, int]) -> None:
                     device.draw(program, mesh, source=sampled)
                 device.finish()
 
-            subjects = [Subject({"most": most}, partial(draw, most)) for most in MOST]
-            rows = compare(subjects, {"ratio": ratio_column(processor=True)}, range(rounds))
-            print(f"| {name} | " + " | ".join(f"{row['ratio']:.1f}" for row in rows) + " |")
+            subjects = [Subject({}, partial(draw, most)) for most in MOST]
+            rows = compare(subjects, {"ratio": ratio_column(1, processor=True)}, range(rounds))
+            costs = {f"up to {most}": row["ratio"] for most, row in zip(MOST, rows, strict=True)}
+            yield {"a plane seen": name, **costs}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description="What anisotropic filtering gains, and what it costs on OpenCL.")
-    parser.add_argument("--rounds", type=int, default=9)
-    parser.add_argument("--size", default="1280x720")
-    given = parser.parse_args()
-    width, height = map(int, given.size.split("x"))
-    measure_errors()
-    measure_costs(given.rounds, (width, height))
+def measure(given: argparse.Namespace) -> Iterator[Record]:
+    """Yield the errors, and then the costs."""
+    yield from measure_errors()
+    yield from measure_costs(given.rounds, given.size)
+
+
+OPTIONS: Final = (options.rounds("rounds of each cost", 9), options.size((1280, 720)))
 
 
 if __name__ == "__main__":
-    main()
+    run_benchmark(__doc__, OPTIONS, measure)

@@ -17,23 +17,19 @@ takes twice as long. The one or two smallest sizes of a series aren't fitted, si
 from __future__ import annotations
 
 import argparse
-import json
-import os
-import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
 from functools import partial
-from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
-os.environ.setdefault("RHI_KERNELS", "optimised")  # what is measured is the speed of a long run
-
 import rhi
+from renderer.cli import options
+from renderer.cli.comparison import run_benchmark
+from renderer.cli.output import show_progress
 from renderer.content import find_path, load_scene
-from renderer.lab.measure import alternate
+from renderer.lab.comparison import Record, Subject, compare, kernels, ratio, time
 from renderer.lab.measure.backends import BackendPasses, DepthShader
 from rhi import CullMode, Device, Format, Mesh
 from rhi.contract.texels import encode
@@ -41,6 +37,7 @@ from rhi.shading import Shader, Storage, Struct, Texture2D, Uniform, dot, max, v
 
 BACKENDS = ("gl", "cl")
 SIZE = (1280, 720)
+COLUMNS: Final = {"ms": time(), "ratio": ratio(inverse=True), "kernels": kernels}
 Work = Callable[[int], object]
 
 
@@ -220,72 +217,61 @@ SERIES: dict[str, tuple[Callable[[Device, int], Work], list[int]]] = {
 }
 
 
-def measure(name: str, rounds: int) -> list[dict[str, Any]]:
+def measure_series(name: str, rounds: int) -> Iterator[Record]:
+    """Yield what each size of a series takes on both backends."""
     make, sizes = SERIES[name]
-    rows = []
     for size in sizes:
-        devices = {backend: rhi.create_device(backend) for backend in BACKENDS}
-        work = {backend: make(device, size) for backend, device in devices.items()}
-        times = alternate(work, range(rounds), warm_ups=2)
-        ratio = times["gl"].compare_to(times["cl"]).median
-        rows.append({"n": size, "gl": 1e3 * times["gl"].median, "cl": 1e3 * times["cl"].median, "ratio": ratio})
-        print(
-            f"{name:10} {size:>9,}  gl {rows[-1]['gl']:9.2f} ms  cl {rows[-1]['cl']:9.2f} ms  ×{ratio:.1f}",
-            file=sys.stderr,
-        )
-        for device in devices.values():
-            device.close(quiet=True)
-    return rows
+        with ExitStack() as opened:
+            devices = {backend: opened.enter_context(rhi.create_device(backend)) for backend in BACKENDS}
+            subjects = [Subject({}, make(device, size), device=device) for device in devices.values()]
+            gl, cl = compare(subjects, COLUMNS, show_progress(range(rounds), rounds, name), warm_ups=2)
+        yield {
+            "series": name,
+            "n": size,
+            "gl": gl["ms"],
+            "cl": cl["ms"],
+            "ratio": cl["ratio"],
+            "kernels": cl["kernels"],
+        }
 
 
-def fit_slope(rows: list[dict[str, Any]], backend: str) -> float:
+def fit_slope(rows: Sequence[Record], backend: str) -> float:
+    """Return the exponent by which times grow, of the upper half of the sizes."""
     upper = rows[len(rows) // 2 - 1 :]
-    n, time = (np.log([row[key] for row in upper]) for key in ("n", backend))
-    return round(float(np.polyfit(n, time, 1)[0]), 2)
+    n, times = (np.log([row[key] for row in upper]) for key in ("n", backend))
+    return round(float(np.polyfit(n, times, 1)[0]), 2)
 
 
-def plot(result: dict[str, Any], path: Path) -> None:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+def measure(given: argparse.Namespace) -> Iterator[Record]:
+    """Yield the times of all series, and then the slopes of those that grow."""
+    slopes: list[Record] = []
+    for name in given.only:
+        rows = list(measure_series(name, given.rounds))
+        yield from rows
+        if len(rows) > 2:
+            slopes.append({"slopes of": name, **{backend: fit_slope(rows, backend) for backend in BACKENDS}})
+    yield from slopes
 
-    figure = Figure(figsize=(12, 3.6), layout="constrained")
-    FigureCanvasAgg(figure)
-    names = [name for name in ("triangles", "pixels", "lights") if name in result]
-    for axes, name in zip(np.atleast_1d(figure.subplots(1, len(names))), names, strict=True):
-        rows = result[name]["rows"]
+
+def plot(figure: Any, rows: Sequence[Record]) -> None:
+    """Draw the times of the series that grow, with their slopes."""
+    slopes = {row["slopes of"]: row for row in rows if "slopes of" in row}
+    for axes, (name, slope) in zip(figure.subplots(1, len(slopes), squeeze=False)[0], slopes.items(), strict=True):
+        mine = [row for row in rows if row.get("series") == name]
         for backend in BACKENDS:
-            label = f"{backend}: n^{result[name]['slopes'][backend]:.2f}"
-            axes.loglog([row["n"] for row in rows], [row[backend] for row in rows], "o-", label=label)
+            times = [row[backend] for row in mine]
+            axes.loglog([row["n"] for row in mine], times, "o-", label=f"{backend}: n^{slope[backend]:.2f}")
         axes.set(xlabel=name, ylabel="milliseconds")
         axes.grid(alpha=0.3)
         axes.legend()
-    figure.savefig(path, dpi=100)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", action="store_true", help="print the result as JSON")
-    parser.add_argument("--plot", type=Path, metavar="F.png", help="write charts of the series to this image")
-    parser.add_argument("--rounds", type=int, default=9, metavar="N", help="rounds for each size (default: 9)")
-    parser.add_argument(
-        "--only",
-        default=",".join(SERIES),
-        metavar="A,B,…",
-        help=f"series to measure: {', '.join(SERIES)} (default: all)",
-    )
-    given = parser.parse_args()
-    result: dict[str, Any] = {}
-    for name in given.only.split(","):
-        rows = measure(name, given.rounds)
-        result[name] = {"rows": rows}
-        if len(rows) > 2:
-            result[name]["slopes"] = {backend: fit_slope(rows, backend) for backend in BACKENDS}
-            print(f"{name:10} slopes {result[name]['slopes']}", file=sys.stderr)
-    if given.plot is not None:
-        plot(result, given.plot)
-    if given.json:
-        print(json.dumps(result))
+OPTIONS: Final = (
+    options.rounds("rounds for each size", 9),
+    options.some("--only", SERIES, "is not a series", list(SERIES), "all", "series to measure: "),
+    options.chart(),
+)
 
 
 if __name__ == "__main__":
-    main()
+    run_benchmark(__doc__, OPTIONS, measure, plot)

@@ -14,21 +14,22 @@ one after the other, each waited for.
 from __future__ import annotations
 
 import argparse
-import json
-import os
-from typing import Any
+from collections.abc import Iterator
+from functools import partial
+from typing import Any, Final
 
 import numpy as np
 
-os.environ.setdefault("RHI_KERNELS", "optimised")  # what is measured is the speed of a long run
-
 import rhi
-from renderer.lab.measure import alternate, format_table
+from renderer.cli import options
+from renderer.cli.comparison import run_benchmark
+from renderer.lab.comparison import Record, Subject, compare, kernels, ratio, time
 from rhi import Format
 from rhi.backends.null import Activity, CostModel, Lane, SimulatedBackend, Simulation
 from rhi.shading import Shader, Struct, vec2, vec4
 
 INTERRUPT = 30_000
+KINDS: Final = ("native", "emulated")
 
 
 class Corner(Struct):
@@ -50,7 +51,7 @@ WAYS = {
 }
 
 
-def count(**times: Any) -> dict[str, Any]:
+def count(**times: Any) -> Record:
     """Count a draw of 1,000 samples on a simulated GPU, and return what the query and the device report."""
     with rhi.create_device("null", simulation=Simulation(CostModel(pixel=1), **times)) as device:
         gpu = device.backend_as(SimulatedBackend)
@@ -72,15 +73,14 @@ def count(**times: Any) -> dict[str, Any]:
         }
 
 
-def measure(backend: str, queries: int, rounds: int) -> dict[str, float]:
-    """Return microseconds a query, native and emulated: issued together, and waited for one by one."""
+def measure_backend(backend: str, queries: int, rounds: int) -> Iterator[Record]:
+    """Yield microseconds a query, native and emulated: issued together, and waited for one by one."""
     with rhi.create_device(backend) as device:
         flat, image = device.program(Flat), device.texture((256, 256), Format.RGBA8)
         box = device.mesh({"position": np.array([[-1, -1], [1, -1], [0, 1]], np.float32) / 16})
-        kinds = {"native": False, "emulated": True}
-        made = {kind: [device.occlusion_query(emulated=value) for _ in range(queries)] for kind, value in kinds.items()}
+        made = {kind: [device.occlusion_query(emulated=kind == "emulated") for _ in range(queries)] for kind in KINDS}
 
-        def ask(kind: str, waits: bool) -> list[int]:
+        def ask(kind: str, waits: bool, _: int = 0) -> list[int]:
             samples = []
             with device.render_pass(image):
                 for query in made[kind]:
@@ -91,33 +91,25 @@ def measure(backend: str, queries: int, rounds: int) -> dict[str, float]:
             return samples or [query.wait() for query in made[kind]]
 
         assert ask("native", False) == ask("emulated", True)
-        work = {
-            f"{kind}, {'waited for' if waits else 'together'}": lambda _, kind=kind, waits=waits: ask(kind, waits)
-            for waits in (False, True)
-            for kind in made
-        }
-        times = alternate(work, range(rounds))
-        return {name: round(1e6 * each.median / queries, 2) for name, each in times.items()}
+        subjects = [
+            Subject({"backend": backend, "read": read, "queries": kind}, partial(ask, kind, waits), device=device)
+            for read, waits in (("together", False), ("one by one", True))
+            for kind in KINDS
+        ]
+        columns = {"microseconds": time(1e6 / queries, 2), "ratio": ratio(), "kernels": kernels}
+        yield from compare(subjects, columns, range(rounds), within=("read",))
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--queries", type=int, default=200, help="queries a round (default: %(default)s)")
-    parser.add_argument("--rounds", type=int, default=20, help="rounds (default: %(default)s)")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
-    given = parser.parse_args()
-    race = {name: count(**times) for name, times in WAYS.items()}
-    drawing = [report.name for report in rhi.report() if report.capabilities and report.capabilities.renders]
-    costs = {backend: measure(backend, given.queries, given.rounds) for backend in drawing}
-    if given.json:
-        print(json.dumps({"race": race, "microseconds_per_query": costs}, indent=2))
-        return
-    header = ["the sample counter", "samples", "halted µs", "hazards", "happened"]
-    print(format_table(header, [[name, *found.values()] for name, found in race.items()], markdown=True))
-    print()
-    names = list(next(iter(costs.values()), {}))
-    print(format_table(["µs a query", *names], [[b, *found.values()] for b, found in costs.items()], markdown=True))
+def measure(given: argparse.Namespace) -> Iterator[Record]:
+    """Yield what each way to read the counter finds, and what queries take on each backend that draws."""
+    yield from ({"the sample counter": name, **count(**times)} for name, times in WAYS.items())
+    for report in rhi.report():
+        if report.capabilities and report.capabilities.renders:
+            yield from measure_backend(report.name, given.queries, given.rounds)
+
+
+OPTIONS: Final = (options.count("--queries", "queries a round", 200), options.rounds("rounds", 20))
 
 
 if __name__ == "__main__":
-    main()
+    run_benchmark(__doc__, OPTIONS, measure)

@@ -12,20 +12,20 @@ from __future__ import annotations
 
 import argparse
 import gc
-import json
-import os
-import subprocess
-import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
 import rhi
+from renderer.cli import options
+from renderer.cli.comparison import run_benchmark
+from renderer.lab.comparison import Record
 from rhi import Format, Primitive, Scissor
 from rhi.shading import Shader, StorageRW, Struct, Uniform, global_id, vec2, vec4
-
-os.environ.setdefault("RHI_KERNELS", "optimised")
 
 
 class Corner(Struct):
@@ -180,7 +180,7 @@ def resident_bytes() -> int:
     return 1024 * next(int(line.split()[1]) for line in lines if line.startswith("Rss:"))
 
 
-def measure(backend: str, row: str, scale: float) -> float:
+def measure_here(backend: str, row: str, scale: float) -> int:
     """Return the growth of one row in bytes, measured in this process."""
     count, repeat = ROWS[row]
     count = max(10, round(count * scale))
@@ -196,39 +196,25 @@ def measure(backend: str, row: str, scale: float) -> float:
             repeat(repetitions, number)
         device.finish()
         gc.collect()
-        return float(resident_bytes() - before)
+        return resident_bytes() - before
 
 
-def measure_alone(backend: str, row: str, scale: float) -> float:
-    """Return the growth of one row in bytes, measured in a process of its own."""
-    command = [sys.executable, __file__, "--measure", backend, row, str(scale)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    return float(done.stdout.splitlines()[-1])
+def measure(given: argparse.Namespace) -> Iterator[Record]:
+    """Yield the growth of each row, each measured in a process of its own."""
+    for row in given.only or ROWS:
+        grown = {}
+        for backend in given.backend or ["gl", "cl"]:
+            with ProcessPoolExecutor(1, get_context("spawn")) as alone:
+                grown[f"{backend}, MiB"] = alone.submit(measure_here, backend, row, given.scale).result() / 2**20
+        yield {"repeated": row, "times": max(10, round(ROWS[row][0] * given.scale)), **grown}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--backend", action="append", choices=rhi.backend_names())
-    parser.add_argument("--only", action="append", choices=list(ROWS))
-    parser.add_argument("--scale", type=float, default=1.0, help="repetitions, as a part of those in the table")
-    parser.add_argument("--json", action="store_true")
-    parser.add_argument("--measure", nargs=3, help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    if options.measure:
-        print(measure(options.measure[0], options.measure[1], float(options.measure[2])))
-        return
-    grown = {
-        row: {backend: measure_alone(backend, row, options.scale) for backend in options.backend or ["gl", "cl"]}
-        for row in options.only or ROWS
-    }
-    if options.json:
-        print(json.dumps(grown))
-        return
-    for row, growth in grown.items():
-        count = max(10, round(ROWS[row][0] * options.scale))
-        cells = "  ".join(f"{backend} {size / 2**20:7.1f} MiB" for backend, size in growth.items())
-        print(f"{row:30} {count:7,}  {cells}", flush=True)
+OPTIONS: Final = (
+    options.option("--backend", "repeatable", None, "gl and cl", action="append", choices=rhi.backend_names()),
+    options.option("--only", "repeatable", None, "all", action="append", choices=list(ROWS)),
+    options.option("--scale", "repetitions, as a part of those in the table", 1.0, type=options.parse_bound),
+)
 
 
 if __name__ == "__main__":
-    main()
+    run_benchmark(__doc__, OPTIONS, measure)

@@ -14,20 +14,18 @@ the same number are visible: boxes behind a wall, and 40 in front of it. The fra
 from __future__ import annotations
 
 import argparse
-import json
-import sys
-import time
+from collections.abc import Iterator
 from contextlib import ExitStack, nullcontext
-from pathlib import Path
-from typing import Any
+from time import perf_counter
+from typing import Any, Final
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
 import rhi
+from renderer.cli import options
+from renderer.cli.comparison import run_benchmark
 from renderer.content import BUILT_IN, load_scene
-from renderer.lab.measure import alternate
+from renderer.lab.comparison import Column, Frames, Record, Subject, compare, kernels, ratio, time
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene, SceneBuilder, scaling, translation
 from renderer.scene.transforms import multiply
@@ -35,7 +33,8 @@ from renderer.visibility import CallbackPass, ChcPlusPlus
 
 FRAMES = 60
 TARGET = 4.0
-DOUBLING = 1.2
+COLUMNS: Final[dict[str, Column]] = {"milliseconds": time(digits=2), "ratio": ratio(), "kernels": kernels}
+"""What the frames take; the goal of the ratio is 1.2."""
 SIGHT = 150.0
 
 
@@ -75,7 +74,7 @@ class OracleQueries:
         return queries.shows
 
 
-def measure(text: str) -> dict[str, Any]:
+def measure_walk(text: str) -> Record:
     """Measure the traversal of the scene `text` names; times are medians over the frames."""
     scene = load_scene(text)
     with rhi.create_device("null") as device:
@@ -85,21 +84,21 @@ def measure(text: str) -> dict[str, Any]:
     begin, spent = algorithm._begin, [0.0, 0.0]
 
     def timed_begin(camera: Camera) -> None:
-        began = time.perf_counter()
+        began = perf_counter()
         begin(camera)
-        spent[0] = time.perf_counter() - began
+        spent[0] = perf_counter() - began
         away = np.maximum(np.maximum(forest.lower - camera.position, camera.position - forest.upper), 0.0)
         oracle.nodes = (np.linalg.norm(away, axis=1) < SIGHT).tolist()
-        spent[1] = time.perf_counter() - began
+        spent[1] = perf_counter() - began
 
     algorithm._begin = timed_begin  # type: ignore[method-assign]
     walks, updates, visited, queries = [], [], [], []
     nothing = CallbackPass(lambda rows: None)
     for frame in range(600, 600 + FRAMES):
         camera = scene.paths["ground"].camera(frame)
-        began = time.perf_counter()
+        began = perf_counter()
         statistics = algorithm.render(camera, nothing)
-        walks.append(1e6 * (time.perf_counter() - began - spent[1]) / statistics.nodes_tested)
+        walks.append(1e6 * (perf_counter() - began - spent[1]) / statistics.nodes_tested)
         updates.append(1e3 * spent[0])
         visited.append(statistics.nodes_tested)
         queries.append(statistics.queries)
@@ -128,51 +127,33 @@ def make_hidden(count: int) -> Scene:
     return builder.build()
 
 
-def measure_doubling(backend: str | None, boxes: int) -> dict[str, Any]:
-    """Measure how much longer a frame with twice as many boxes takes; the eye moves a little each frame."""
-    scenes = {str(count): make_hidden(count) for count in (boxes, 2 * boxes)}
+def measure_doubling(backend: str | None, boxes: int) -> Iterator[Record]:
+    """Yield what a frame takes, and one with twice as many boxes; the eye moves a little each frame."""
+    places = [np.array([0.02 * frame, 0.0, 0.0]) for frame in range(FRAMES + 1)]
+    eyes = [Camera.look_at(eye, eye - (0.0, 0.0, 1.0)) for eye in places]
     with rhi.create_device(backend) as device, ExitStack() as stack:
         if not device.capabilities.renders:
-            return {}
-        renderers = {
-            name: stack.enter_context(Renderer(device, scene, visibility=ChcPlusPlus(scene, device)))
-            for name, scene in scenes.items()
-        }
-
-        def render(name: str, frame: int) -> None:
-            eye = np.array([0.02 * frame, 0.0, 0.0])
-            renderers[name].render(Camera.look_at(eye, eye - (0.0, 0.0, 1.0)))
-            device.finish()
-
-        work = {name: lambda frame, name=name: render(name, frame) for name in renderers}
-        times = alternate(work, range(1, FRAMES + 1), warm_ups=5)
-        one, two = times.values()
-        return {
-            "backend": device.backend_name,
-            "boxes": [boxes, 2 * boxes],
-            "milliseconds": [round(1e3 * time.median, 2) for time in (one, two)],
-            "doubling_ratio": round(two.compare_to(one).median, 3),
-            "target_doubling_ratio": DOUBLING,
-        }
+            return
+        subjects = []
+        for count, scene in zip((boxes, 2 * boxes), map(make_hidden, (boxes, 2 * boxes)), strict=True):
+            renderer = stack.enter_context(Renderer(device, scene, visibility=ChcPlusPlus(scene, device)))
+            about = {"backend": device.backend_name, "boxes": count}
+            subjects.append(Subject(about, Frames(renderer, *eyes), device=device))
+        yield from compare(subjects, COLUMNS, range(1, FRAMES + 1), warm_ups=5)
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument("--scene", default="city", help="a scene with a ground path (default: %(default)s)")
-    parser.add_argument("--backend", help="backend for the doubled scene (default: the first that works)")
-    parser.add_argument(
-        "--boxes", type=int, default=10_000, help="hidden boxes of the smaller scene (default: %(default)s)"
-    )
-    given = parser.parse_args()
-    result = measure(given.scene) | measure_doubling(given.backend, given.boxes)
-    if given.json:
-        print(json.dumps(result, indent=2))
-        return 0
-    for key, value in result.items():
-        print(f"{key.replace('_', ' ') + ':':32}{value}")
-    return 0
+def measure(given: argparse.Namespace) -> Iterator[Record]:
+    """Yield the row of the traversal, and those of frames of the two scenes."""
+    yield measure_walk(given.scene)
+    yield from measure_doubling(given.backend, given.boxes)
+
+
+OPTIONS: Final = (
+    options.option("--scene", "a scene with a ground path", "city"),
+    options.option("--backend", "backend for the doubled scene", None, "the first that works"),
+    options.count("--boxes", "hidden boxes of the smaller scene", 10_000),
+)
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    run_benchmark(__doc__, OPTIONS, measure)

@@ -23,12 +23,17 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import statistics
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
+
+from renderer.cli import options
+from renderer.cli.comparison import run_benchmark
+from renderer.lab.comparison import Record, Subject, compare, middle
 
 ROOT: Final = Path(__file__).parents[1]
 IMPORTS: Final = {
@@ -124,81 +129,74 @@ SCENES: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
 """The shaders of each scene, and the arguments of its program."""
 
 
-def time_import(statement: str) -> float:
-    """Return the seconds that a statement takes in a new interpreter, without the interpreter's start."""
-    code = f"import time; start = time.perf_counter(); {statement}; print(time.perf_counter() - start)"
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment())
-    return float(run.stdout)
-
-
 def environment() -> dict[str, str]:
     """Return the environment of a run."""
     left_out = ("POCL_CACHE_DIR", "PYTHONDONTWRITEBYTECODE")
     return {name: value for name, value in os.environ.items() if name not in left_out} | {"PYTHONPATH": str(ROOT)}
 
 
-def time_scene(name: str, backend: str, folder: Path, cold: bool) -> dict[str, float]:
-    """Return the figures of a scene, drawn in a new interpreter with the caches in `folder`."""
-    shaders, arguments = SCENES[name]
-    script = folder / f"{name}.py"  # shaders are read from files
-    script.write_text(HEAD + shaders + TAIL)
-    variables = {"RHI_CACHE": str(folder / "cache"), "MESA_SHADER_CACHE_DISABLE": "true" if cold else "false"}
-    done = subprocess.run(
-        [sys.executable, str(script), backend, *arguments], capture_output=True, text=True, check=True,
-        env=environment() | variables,
-    )  # fmt: skip
-    figures: dict[str, float] = json.loads(done.stdout)
+def run_alone(*arguments: str, **variables: str) -> Any:
+    """Return what a program prints as JSON in a new interpreter."""
+    command = [sys.executable, *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment() | variables)
+    return json.loads(done.stdout)
+
+
+def time_import(name: str) -> dict[str, float]:
+    """Return the seconds that an import takes in a new interpreter, without the interpreter's start."""
+    code = f"import time; start = time.perf_counter(); {IMPORTS[name]}; print(time.perf_counter() - start)"
+    return {"seconds": run_alone("-c", code)}
+
+
+def time_scene(scene: str, backend: str) -> dict[str, float]:
+    """Return the figures of a scene, drawn in new interpreters with empty caches and with what the first one left."""
+    shaders, arguments = SCENES[scene]
+    figures = {}
+    with tempfile.TemporaryDirectory() as folder:
+        script = Path(folder) / f"{scene}.py"  # shaders are read from files
+        script.write_text(HEAD + shaders + TAIL)
+        for state, is_off in (("cold", "true"), ("warm", "false")):
+            variables = {"RHI_CACHE": f"{folder}/cache", "MESA_SHADER_CACHE_DISABLE": is_off}
+            found = run_alone(str(script), backend, *arguments, **variables)
+            figures |= {f"{name}, {state}": found[part] for part, name in list_names(scene).items()}
     return figures
 
 
-def measure_scene(name: str, runs: int) -> list[dict[str, Any]]:
-    """Return the medians of a scene: on gl and on cl, cold and warm, in turns."""
-    rows: dict[tuple[str, str], list[dict[str, float]]] = {}
-    with tempfile.TemporaryDirectory() as folder:
-        for backend in ("gl", "cl"):
-            time_scene("triangle", backend, Path(folder), True)
-    for _ in range(runs):
-        for backend in ("gl", "cl"):
-            with tempfile.TemporaryDirectory() as folder:
-                for state in ("cold", "warm"):
-                    figures = time_scene(name, backend, Path(folder), state == "cold")
-                    rows.setdefault((backend, state), []).append(figures)
-    return [
-        {
-            "scene": name, "backend": backend, "cache": state,
-            **{key: round(statistics.median(each[key] for each in figures), 3) for key in figures[0]},
-        }
-        for (backend, state), figures in rows.items()
-    ]  # fmt: skip
+def list_names(scene: str) -> dict[str, str]:
+    """Return what the two figures of a scene are, by the names that its program prints."""
+    is_states = scene == "states"
+    return {"seconds": "longest" if is_states else "seconds", "processor": "median" if is_states else "processor"}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
-    parser.add_argument("--runs", type=int, default=15, help="runs of each import (default: %(default)s)")
-    parser.add_argument("--cold-runs", type=int, default=3, help="runs of each scene (default: %(default)s)")
-    parser.add_argument("--only", default=",".join(["import", *SCENES]), help="what to measure (default: all)")
-    options = parser.parse_args()
-    wanted = options.only.split(",")
-    times: dict[str, list[float]] = {name: [] for name in IMPORTS if "import" in wanted}
-    for number in range(options.runs + 1):
-        for name in times:
-            seconds = time_import(IMPORTS[name])
-            times[name] += [seconds] * (number > 0)
-    imports = {name: {"milliseconds": statistics.median(values) * 1e3} for name, values in times.items()}
-    scenes = [row for name in SCENES if name in wanted for row in measure_scene(name, options.cold_runs)]
-    if options.json:
-        print(json.dumps({"imports": imports, "scenes": scenes}, indent=2))
-        return
-    for name, row in imports.items():
-        print(f"import {name:<12} {row['milliseconds']:7.1f} ms")
-    for row in scenes:
-        shown = ("longest", "median") if row["scene"] == "states" else ("seconds", "processor")
-        print(
-            f"{row['scene']:<9} {row['backend']} {row['cache']:<5} {shown[0]} {row['seconds']:8.3f} s   "
-            f"{shown[1]} {row['processor']:8.3f} s"
-        )
+def make_subject(about: Record, run: Callable[[], dict[str, float]]) -> Subject:
+    """Return the subject of what is timed in an interpreter of its own."""
+    found: dict[str, float] = {}
+    return Subject(about, lambda _: found.update(run()), count=lambda: dict(found))
+
+
+def measure(given: argparse.Namespace) -> Iterator[Record]:
+    """Yield the medians of the imports, and of the scenes on gl and on cl."""
+    if "import" in given.only:
+        subjects = [make_subject({"import": name}, partial(time_import, name)) for name in IMPORTS]
+        yield from compare(subjects, {"seconds": middle(digits=4)}, range(given.runs))
+    scenes = [name for name in SCENES if name in given.only]
+    for backend in ("gl", "cl") if scenes else ():
+        time_scene("triangle", backend)  # writes the bytecode
+    for scene in scenes:
+        subjects = [
+            make_subject({"scene": scene, "backend": backend}, partial(time_scene, scene, backend))
+            for backend in ("gl", "cl")
+        ]
+        names = [f"{name}, {state}" for state in ("cold", "warm") for name in list_names(scene).values()]
+        yield from compare(subjects, dict.fromkeys(names, middle()), range(given.cold_runs), warm_ups=0)
+
+
+OPTIONS: Final = (
+    options.count("--runs", "runs of each import", 15),
+    options.count("--cold-runs", "runs of each scene", 3),
+    options.some("--only", ("import", *SCENES), "is not measured", ["import", *SCENES], "all"),
+)
 
 
 if __name__ == "__main__":
-    main()
+    run_benchmark(__doc__, OPTIONS, measure)

@@ -11,23 +11,18 @@ on screen from the chosen triangles, of those in the frustum and above the sea, 
 from __future__ import annotations
 
 import argparse
-import os
-import sys
-import time
-from pathlib import Path
-from typing import Any, Final
+from collections.abc import Iterable, Iterator
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
-os.environ.setdefault("RHI_KERNELS", "optimised")  # what is measured is the speed of a long run
-
 import rhi
+from renderer.cli import options
+from renderer.cli.comparison import run_benchmark
 from renderer.content import load_scene, parse_camera
 from renderer.frame import SceneResources
-from renderer.lab.measure import format_records
+from renderer.lab.comparison import Record, Subject, compare, time
 from renderer.renderer import Renderer
 from renderer.scene import Camera, HeightField
 from renderer.scene.height_fields import bisect
@@ -75,69 +70,70 @@ def read_triangles(resources: SceneResources, row: int, count: int) -> NDArray[n
     return np.asarray(resources.indices.read(first, 3 * count).astype(np.int64).reshape(-1, 3))
 
 
-def measure(backend: str, spec: str, rounds: int) -> list[dict[str, Any]]:
-    """Measure all lengths on a scene."""
-    scene = load_scene(spec)
-    row, field = next(iter(scene.height_fields.items()))
+class Edge:
+    """A length of edges: its triangles and its frame, as `camera` sees them."""
+
+    def __init__(self, renderer: Renderer, edge: float, camera: Camera) -> None:
+        self.renderer, self.settings, self.camera = renderer, TessellationSettings(edge), camera
+        self.tessellator, self.resources = renderer.tessellator, renderer.resources
+
+    def choose(self, _: int = 0) -> None:
+        """Choose the triangles."""
+        self.tessellator.settings = self.settings
+        self.tessellator.update(self.resources, self.camera, SIZE[1])
+        self.renderer.device.finish()
+
+    def draw(self, _: int) -> None:
+        """Draw the frame, whose triangles were chosen before."""
+        self.renderer.render(self.camera)
+        self.renderer.device.finish()
+
+    def find(self, cameras: Iterable[Camera]) -> Record:
+        """Return the numbers of triangles and the errors of all views, which are the same in each round."""
+        counts, errors = [], []
+        row, field = next(iter(self.resources.scene.height_fields.items()))
+        for self.camera in cameras:
+            self.choose()
+            counts.append(self.tessellator.fields[0].read_count())
+            errors.append(find_errors(field, read_triangles(self.resources, row, counts[-1]), self.camera))
+        every = np.concatenate(errors)
+        return {
+            "triangles": int(np.median(counts)),
+            "mean error": round(float(every.mean()), 3),
+            "99 %": round(float(np.percentile(every, 99)), 2),
+            "largest": round(float(every.max()), 1),
+        }
+
+
+def measure(given: argparse.Namespace) -> Iterator[Record]:
+    """Yield the row of each length."""
+    scene = load_scene(given.scene)
     cameras = [parse_camera("sky", scene, frame).with_aspect(SIZE[0] / SIZE[1]) for frame in FRAMES]
-    found: dict[float, dict[str, list[Any]]] = {
-        edge: {"triangles": [], "errors": [], "choose": [], "draw": []} for edge in EDGES
-    }
-    with rhi.create_device(backend) as device:
+    with rhi.create_device(given.backend) as device:
         visibility = make_visibility("frustum", scene, device)
         with Renderer(device, scene, size=SIZE, visibility=visibility) as renderer:
-            tessellator, resources = renderer.tessellator, renderer.resources
-            for turn in range(rounds + 1):
-                start = turn % len(EDGES)
-                for edge in EDGES[start:] + EDGES[:start]:
-                    one = found[edge]
-                    for camera in cameras:
-                        tessellator.settings = TessellationSettings(edge)
-                        device.finish()
-                        began = time.process_time()
-                        tessellator.update(resources, camera, SIZE[1])
-                        device.finish()
-                        chosen = time.process_time()
-                        renderer.render(camera)
-                        device.finish()
-                        drawn = time.process_time()
-                        if turn:
-                            one["choose"].append(chosen - began)
-                            one["draw"].append(drawn - chosen)
-                        else:  # and kernels are built
-                            count = tessellator.fields[0].read_count()
-                            one["triangles"].append(count)
-                            triangles = read_triangles(resources, row, count)
-                            one["errors"].append(find_errors(field, triangles, camera))
+            edges = [Edge(renderer, edge, cameras[0]) for edge in EDGES]
+
+            def rounds() -> Iterator[int]:
+                for number in range(given.rounds * len(cameras)):
+                    for one in edges:
+                        one.camera = cameras[number % len(cameras)]
+                    yield number
+
+            subjects = [Subject({}, one.choose) for one in edges] + [Subject({}, one.draw, one.choose) for one in edges]
+            times = [row["ms"] for row in compare(subjects, {"ms": time(digits=1, processor=True)}, rounds())]
+            for one, choosing, drawing in zip(edges, times, times[len(edges) :], strict=False):
+                about = {"backend": given.backend, "edge": one.settings.edge_pixels}
+                yield {**about, **one.find(cameras), "choose": choosing, "draw": drawing}
         visibility.destroy()
-    rows = []
-    for edge, one in found.items():
-        errors = np.concatenate(one["errors"])
-        rows.append(
-            {
-                "backend": backend,
-                "edge": edge,
-                "triangles": int(np.median(one["triangles"])),
-                "mean error": round(float(errors.mean()), 3),
-                "99 %": round(float(np.percentile(errors, 99)), 2),
-                "largest": round(float(errors.max()), 1),
-                "choose": round(1e3 * float(np.median(one["choose"])), 1),
-                "draw": round(1e3 * float(np.median(one["draw"])), 1),
-            }
-        )
-    return rows
 
 
-def main() -> None:
-    """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--backend", default="cl")
-    parser.add_argument("--scene", default="terrain")
-    parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--json", action="store_true")
-    given = parser.parse_args()
-    print(format_records(measure(given.backend, given.scene, given.rounds), as_json=given.json))
+OPTIONS: Final = (
+    options.option("--backend", "the device", "cl"),
+    options.option("--scene", "a scene with a height field and a path `sky`", "terrain"),
+    options.rounds("rounds over all views"),
+)
 
 
 if __name__ == "__main__":
-    main()
+    run_benchmark(__doc__, OPTIONS, measure)

@@ -4,7 +4,7 @@ The frames are 60, 30 apart, of the path's 1,800: the same ones on all our platf
 counted. On each platform all algorithms draw each frame in turn, with native and with emulated queries, and CHC++ also
 with the platform's own parameters (`benchmarks/settings`, written by `python -m renderer tune`).
 
-    python benchmarks/thesis_tables.py ground|sky [--backends gl,cl] [--figure F.png] [--into docs/visibility.md]
+    python benchmarks/thesis_tables.py ground|sky [--backends gl,cl] [--figure F.png] [--into docs/visibility-tables.md]
 
 It prints Markdown: times as ratios to no culling on all platforms, shares of what other algorithms draw and query, and
 for each platform its counts, each beside the thesis's. `--into` also replaces the page's section between the path's two

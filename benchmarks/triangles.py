@@ -9,34 +9,40 @@ edge and cut), and the worst errors: of depth against float64 and beyond the cor
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
+from typing import Final
 
 import numpy as np
 
 import rhi
-from rhi.conformance.triangles import BATCH, CELL, CUT, WHOLE, Judgement, examine
+from renderer.cli import options
+from renderer.cli.comparison import run_benchmark
+from renderer.lab.comparison import Record
+from rhi.conformance.triangles import BATCH, CELL, CUT, WHOLE, examine
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--backend", default="cl", help="default: %(default)s")
-    parser.add_argument("--triangles", type=int, default=100_000, help="number of triangles (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="first seed (default: %(default)s)")
-    given = parser.parse_args()
+def measure(given: argparse.Namespace) -> Iterator[Record]:
+    """Yield the row of each family in each viewport."""
     cases = [(family, float(CELL)) for family in (*CUT, *WHOLE)] + [(family, 16384.0) for family in CUT]
     batches = -(-given.triangles // (BATCH * len(cases)))
-    print(f"{'family':<24} {'viewport':>8} {'triangles':>9} {'texels':>10} {'wrong':>5} "
-          f"{'depth':>8} {'beyond':>8} {'weight':>8} {'beyond':>8}")  # fmt: skip
     with rhi.create_device(given.backend) as device:
         for family, wide in cases:
-            results: list[Judgement] = [examine(device, family, given.seed + number, wide) for number in range(batches)]
-            worst = [
-                max(getattr(result, name) for result in results)
-                for name in ("depth_error", "depth_beyond", "weight_error", "weight_beyond")
-            ]
-            wrong = sum(int(np.sum(result.wrong)) for result in results)
-            print(f"{family.__name__:<24} {wide:>8.0f} {batches * BATCH:>9} {sum(r.drawn for r in results):>10} "
-                  f"{wrong:>5} " + " ".join(f"{error:>8.1e}" for error in worst), flush=True)  # fmt: skip
+            results = [examine(device, family, given.seed + number, wide) for number in range(batches)]
+            errors = ("depth_error", "depth_beyond", "weight_error", "weight_beyond")
+            yield {
+                "family": family.__name__, "viewport": round(wide), "triangles": batches * BATCH,
+                "texels": sum(result.drawn for result in results),
+                "wrong": sum(int(np.sum(result.wrong)) for result in results),
+                **{name: f"{max(getattr(result, name) for result in results):.1e}" for name in errors},
+            }  # fmt: skip
+
+
+OPTIONS: Final = (
+    options.option("--backend", "the device", "cl"),
+    options.count("--triangles", "number of triangles", 100_000),
+    options.count("--seed", "first seed", 0, least=0),
+)
 
 
 if __name__ == "__main__":
-    main()
+    run_benchmark(__doc__, OPTIONS, measure)

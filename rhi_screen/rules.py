@@ -21,3 +21,4 @@ SCREEN_CANVAS: Final = Rule("screen-canvas", "there is no canvas of this name")
 SCREEN_IMAGE: Final = Rule(
     "screen-image", "a screen shows images of 8-bit colors", "draw or blit to an RGBA8 texture first"
 )
+SCREEN_ERRORS: Final = Rule("screen-errors", "a screen raises the errors of its draws, or logs them")

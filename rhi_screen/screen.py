@@ -9,7 +9,7 @@ from typing import Any, Final, Self
 import rhi
 from rhi.errors import refuse
 from rhi_screen.canvases import Canvas, find_loop, open_canvas
-from rhi_screen.rules import SCREEN_IMAGE
+from rhi_screen.rules import SCREEN_ERRORS, SCREEN_IMAGE
 
 SHOWN: Final = (rhi.Format.RGBA8, rhi.Format.RGBA8_SRGB)
 """Formats of images that every canvas shows, bit for bit."""
@@ -72,18 +72,47 @@ class Screen:
         texels[..., 3] = 255
         self._context.set_bitmap(texels)
 
-    def run(self, draw: Callable[[], None] | None = None) -> None:
+    def run(self, draw: Callable[[], None] | None = None, *, on_error: str = "raise") -> None:
         """Run the canvas's loop until it is closed; `draw` is called for each frame.
 
         In a notebook, whose loop runs already, this returns at once. A canvas without a loop, such as offscreen, draws
         one frame.
+
+        Args:
+            draw: a function that shows an image; None: the one that was given to the canvas.
+            on_error: "raise": an exception of `draw` ends the loop, and is raised here; "log": rendercanvas logs it,
+                and the loop goes on. In a notebook errors are logged.
+
+        Raises:
+            ValidationError: `screen-errors` for another `on_error`.
         """
-        self.canvas.request_draw(draw)
+        if on_error not in ("raise", "log"):
+            refuse(SCREEN_ERRORS, "screen.run(on_error=...)", repr(on_error), '"raise" or "log"')
         loop = find_loop(self.canvas)
-        if loop is None:
-            self.canvas.force_draw()
-        else:
-            loop.run()
+        errors: list[Exception] = []
+        running = True
+
+        def draw_or_stop() -> None:
+            assert draw is not None
+            try:
+                draw()
+            except Exception as error:
+                if not running or type(error).__name__ == "DrawCancelled":
+                    raise
+                errors.append(error)
+                if loop is not None:
+                    loop.stop()
+
+        self.canvas.request_draw(draw if draw is None or on_error == "log" else draw_or_stop)
+        try:
+            if loop is None:
+                self.canvas.force_draw()
+            else:
+                loop.run()
+        finally:
+            running = False
+        if errors:
+            raise errors[0]
 
     def close(self) -> None:
         """Close the device, if the screen has created it, and the canvas. A second call does nothing."""

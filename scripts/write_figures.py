@@ -107,7 +107,7 @@ FIGURES: Final = {
     "orders": Figure("docs/materials.md", ("programs", "materials", "meshes", "draws"), find_orders),
     "encodings": Figure("docs/deferred-plus.md", ("mean error", "largest error"), find_encodings, ("ns, gl", "ns, cl")),
     "draw order": Figure("docs/materials.md", ("programs", "bindings", "meshes", "draws"), find_draw_order, ("µs",)),
-    "inferred": Figure("docs/lighting.md", ("PSNR, dB", "pixels more than 2 of 255 off"), find_inferred),
+    "inferred": Figure("docs/lighting-techniques.md", ("PSNR, dB", "pixels more than 2 of 255 off"), find_inferred),
 }
 """The tables that are made again, by the names of their marks."""
 

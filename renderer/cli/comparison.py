@@ -7,6 +7,7 @@ import json
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import groupby
 from typing import Any
 
 import rhi
@@ -87,23 +88,26 @@ class ComparisonProgram:
             print("\n\n".join(tables))
 
     def format(self, rows: Sequence[Record], *, markdown: bool = False) -> str:
-        """Format rows as a table."""
-        shown = self.show(rows)
-        header = [self.titles.get(name, title_of(name)) for name in shown[0]]
-        cells = [[format_value(value) for value in row.values()] for row in shown]
-        return format_table(header, cells, markdown=markdown)
+        """Format rows as a table; those with other columns begin another one."""
+        tables = []
+        for names, some in groupby(self.show(rows), tuple):
+            header = [self.titles.get(name, title_of(name)) for name in names]
+            cells = [[format_value(value) for value in row.values()] for row in some]
+            tables.append(format_table(header, cells, markdown=markdown))
+        return "\n\n".join(tables)
 
 
 def run_benchmark(
-    text: str | None, options: Sequence[CommandOption], measure: Callable[[argparse.Namespace], Iterable[Record]]
-) -> None:
+    text: str | None, options: Sequence[CommandOption], measure: Callable[[argparse.Namespace], Iterable[Record]],
+    plot: Callable[[Any, Sequence[Record]], None] | None = None,
+) -> None:  # fmt: skip
     """Run a program of `benchmarks`: its docstring, its options but for those of `form`, and the function that yields
-    its rows.
+    its rows, of one table or of several; with a chart, which `plot` draws, `options.chart` is one of the options.
 
     Unless RHI_KERNELS says otherwise, cl runs optimised kernels, as a long run does.
     """
     os.environ.setdefault("RHI_KERNELS", "optimised")
-    comparison = ComparisonProgram("", "", "", options, lambda given: Report({}, list(measure(given))))
+    comparison = ComparisonProgram("", "", "", options, lambda given: Report({}, list(measure(given))), plot=plot)
     parser = Parser(description=text)
     add_options(parser, (*options, *form()))
     comparison.run(parser.parse_args())

@@ -15,12 +15,13 @@ from typing import Final
 from renderer import rules
 from renderer.content import GENERATORS, parse_camera
 from renderer.lab.comparison import Column, Frames, Record, Subject, compare, kernels, time
+from renderer.lab.measure.frames import settle
 from renderer.lab.measure.light_evaluations import count_light_evaluations
 from renderer.lab.measure.plans import describe_plan
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene
 from renderer.settings import RenderSettings
-from renderer.techniques import Technique
+from renderer.techniques import AutoTechnique, Technique
 from rhi import Device, refuse
 
 OPTIONS: Final = {"objects": "count", "lights": "lights"}
@@ -67,26 +68,29 @@ def compare_techniques(
     for scene in scenes:
         view = chosen.aim(parse_camera(camera or next(iter(scene.views)), scene, frame))
         with chosen.open(device, scene, size) as renderer:
-            subjects = [_make_subject(renderer, name, one, view) for name, one in techniques.items()]
+            subjects = [make_subject(renderer, name, one, view) for name, one in techniques.items()]
             yield from compare(subjects, COLUMNS, progress(range(rounds)), warm_ups=_SETTLES)
 
 
-def _make_subject(renderer: Renderer, name: str, technique: Technique, camera: Camera) -> Subject:
-    """Return the subject of a technique, which takes the place of another one in the renderer before it is timed."""
+def make_subject(renderer: Renderer, name: str, technique: Technique, camera: Camera) -> Subject:
+    """Return the subject of a technique, which takes the place of another one in the renderer before it is timed.
+
+    Of `AutoTechnique`, which first ends its trial, what is counted is that of the technique that it has chosen."""
     scene, size, draw = renderer.scene, renderer.size, Frames(renderer, camera)
 
     def exchange() -> None:
         renderer.technique = technique
-        draw(0)  # what this creates isn't timed
+        settle(renderer, camera)  # what this creates isn't timed
+        renderer.device.finish()
 
     def find() -> Record:
         """Count what doesn't change from frame to frame: lights that are looked at, bytes and draw commands."""
-        renderer.technique = technique
+        renderer.technique = used = technique.current if isinstance(technique, AutoTechnique) else technique
         _, plan = renderer.plan(camera)
         return {
             "light_evaluations": count_light_evaluations(renderer, camera),
             "bytes_per_pixel": round(plan.count_bytes(size) / (size[0] * size[1]), 2),
-            "draws": sum(one.draws for one in describe_plan(scene, technique, camera, size).passes),
+            "draws": sum(one.draws for one in describe_plan(scene, used, camera, size).passes),
         }
 
     lights = len(scene.lights.point) + len(scene.lights.spot)

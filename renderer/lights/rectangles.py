@@ -72,12 +72,12 @@ def _bound(a: Floats, x: Floats, b: Floats, w: Floats, radii: Floats, near: floa
     second, first, zeroth = w * w - squared * bb, x * w - squared * ab, x * x - squared * aa
     root = np.sqrt(np.maximum(first * first - second * zeroth, 0.0))
     stable = first + np.where(first >= 0.0, root, -root)
-    # The near plane cuts it in a circle.
-    along = (near - w) / np.maximum(radii, 1e-300)
-    aside = np.sqrt(max(aa - ab * ab / bb, 0.0)) * np.sqrt(np.maximum(1.0 - along * along / bb, 0.0))
     found: list[NDArray[np.float64]] = []
     valid: list[NDArray[np.bool_]] = []
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        # The near plane cuts it in a circle.
+        along = (near - w) / np.maximum(radii, 1e-300)
+        aside = np.sqrt(max(aa - ab * ab / bb, 0.0)) * np.sqrt(np.maximum(1.0 - along * along / bb, 0.0))
         for tangent in (stable / second, zeroth / stable):
             normal = aa - 2.0 * tangent * ab + tangent * tangent * bb
             touched = w - (ab - tangent * bb) * (x - tangent * w) / normal

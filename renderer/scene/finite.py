@@ -6,7 +6,8 @@ without a word. So what may be assigned is checked when it is used, and refused 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -29,8 +30,17 @@ class FiniteArrays:
     def __init__(self) -> None:
         self._checked: dict[str, bytes] = {}
 
-    def check(self, call: str, given: Mapping[str, NDArray[Any]]) -> None:
-        """Refuse arrays of numbers, or of structs of them, that aren't finite, by the name and row of the first."""
+    def check(
+        self,
+        call: str,
+        given: Mapping[str, NDArray[Any]],
+        check_more: Mapping[str, Callable[[str, NDArray[Any]], None]] = MappingProxyType({}),
+    ) -> None:
+        """Refuse arrays of numbers, or of structs of them, that aren't finite, by the name and row of the first.
+
+        Args:
+            check_more: by name, functions of the call and the array that refuse more.
+        """
         for name, array in given.items():
             contents = array.tobytes()
             if self._checked.get(name) == contents:
@@ -42,4 +52,6 @@ class FiniteArrays:
                 row = int(np.flatnonzero(~np.isfinite(part).reshape(len(part), -1).all(1))[0])
                 where = f"{name}[{row}]" + (f"[{field!r}]" if field else "")
                 refuse(rules.NOT_FINITE, f"{call}: {where}", part[row], "finite numbers")
+            if name in check_more:
+                check_more[name](f"{call}: {name}", array)
             self._checked[name] = contents

@@ -52,6 +52,7 @@ RELATIVE_SPOT: Final = np.dtype(
 """64 bytes, std430; positions relative to the eye."""
 
 _ROUNDED: Final = 2.0**-23  # of a unit vector's components in float32
+_OFF_UNIT: Final = 1e-3  # by so much the light of a direction may be off before it shows
 _AMOUNTS: Final = ("range", "color", "intensity")  # 0 or more
 _LARGEST: Final = float(np.finfo(np.float32).max)
 
@@ -71,7 +72,8 @@ class Lights:
     """The lights of a scene: added one by one or as arrays, read as arrays.
 
     Attributes:
-        directional, point, spot: (k,) of `DIRECTIONAL`, `POINT`, `SPOT`; may be written to.
+        directional, point, spot: (k,) of `DIRECTIONAL`, `POINT`, `SPOT`; may be written to. A frame refuses what
+            `add_…` would, and directions that aren't unit vectors (`scene-bad-light`).
         sky, ground: linear colours (3,) of the ambient hemisphere.
     """
 
@@ -169,11 +171,7 @@ class Lights:
         lights = np.zeros(count, before.dtype)
         values = {name: _numbers(call, name, one, lights[name].shape) for name, one in given.items()}
         if "inner" in values:
-            low, high = values["inner"], values["outer"]
-            allowed = (low >= 0.0) & (low <= high) & (high <= np.pi)
-            if not allowed.all():
-                shown = _describe(allowed, lambda row: f"inner={low[row]}, outer={high[row]}")
-                refuse(rules.BAD_LIGHT, call, shown, "0 <= inner <= outer <= pi")
+            _check_angles(call, values["inner"], values["outer"])
         for name, numbers in values.items():
             lights[name] = _units(call, numbers) if name == "direction" else numbers
         lights["casts_shadow"] = casts_shadow
@@ -191,6 +189,29 @@ class Lights:
         spot["direction"] = self.spot["direction"]
         spot["cos_inner"], spot["cos_outer"] = np.cos(self.spot["inner"]), np.cos(self.spot["outer"])
         return RelativeLights(self.directional.copy(), point, spot)
+
+
+def check_lights(call: str, lights: NDArray[Any]) -> None:
+    """Refuse lights of a kind (k,) that were written to, if a value is out of its range: `scene-bad-light`."""
+    for name in _AMOUNTS:
+        if name in (lights.dtype.names or ()):
+            _numbers(call, name, lights[name], lights[name].shape)
+    if "inner" in (lights.dtype.names or ()):
+        _check_angles(call, lights["inner"], lights["outer"])
+    if "direction" in (lights.dtype.names or ()):
+        directions = lights["direction"].astype(np.float64)
+        allowed = np.abs(np.linalg.norm(directions, axis=1) - 1.0) <= _OFF_UNIT
+        if not allowed.all():
+            shown = _describe(allowed, lambda row: f"{directions[row]}")
+            refuse(rules.BAD_LIGHT, f"{call}: direction", shown, "a unit vector", "divide it by its length")
+
+
+def _check_angles(call: str, low: Floats, high: Floats) -> None:
+    """Refuse half angles (k,) unless 0 <= inner <= outer <= pi."""
+    allowed = (low >= 0.0) & (low <= high) & (high <= np.float32(np.pi))
+    if not allowed.all():
+        shown = _describe(allowed, lambda row: f"inner={low[row]}, outer={high[row]}")
+        refuse(rules.BAD_LIGHT, call, shown, "0 <= inner <= outer <= pi")
 
 
 def _count(call: str, position: ArrayLike) -> int:

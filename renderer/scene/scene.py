@@ -21,7 +21,7 @@ from renderer.scene.camera import Camera
 from renderer.scene.features import MaterialFeatures
 from renderer.scene.finite import FiniteArrays, check_finite
 from renderer.scene.height_fields import HeightField
-from renderer.scene.lights import Lights
+from renderer.scene.lights import Lights, check_lights
 from renderer.scene.materials import (
     MATERIAL,
     TEXTURE,
@@ -167,11 +167,13 @@ class Scene:
         return self._features.kinds
 
     def check_numbers(self, call: str) -> None:
-        """Refuse numbers of lights, materials and the air that aren't finite; they may be written to at any time."""
+        """Refuse numbers of lights, materials and the air that aren't finite, and lights whose values are out of range;
+        they may be written to at any time."""
         lights = self.lights
         air = np.array([*lights.sky, *lights.ground, *self.background, self.haze], np.float64)
         checked = {"directional": lights.directional, "point": lights.point, "spot": lights.spot}
-        self._finite.check(call, {**checked, "materials": self.materials, "sky, ground, background, haze": air})
+        others = {"materials": self.materials, "sky, ground, background, haze": air}
+        self._finite.check(call, checked | others, dict.fromkeys(checked, check_lights))
 
     def make_simulator(self) -> Simulator:
         """Create a simulator of the scene, in which nothing has been run yet."""

@@ -8,9 +8,16 @@ from rhi.shading import (
     PointSize,
     Shader,
     Storage,
+    StorageRW,
     Struct,
+    Texture2D,
     Uniform,
+    atomic_add,
+    discard,
+    fragment_coordinate,
+    ivec2,
     ivec4,
+    uint,
     uvec4,
     vec2,
     vec4,
@@ -45,6 +52,31 @@ class Colored(Shader):
 
     def fragment(self, v: Shade) -> vec4:
         return v.color
+
+
+class Checkered(Shader):
+    """Discards every other fragment."""
+
+    def vertex(self, v: Corner) -> Shade:
+        return Shade(clip=v.position, color=v.color)
+
+    def fragment(self, v: Shade) -> vec4:
+        at = ivec2(fragment_coordinate().xy)
+        if (at.x + at.y) % 2 == 1:
+            discard()
+        return v.color
+
+
+class Loads(Shader):
+    """Loads texels by integer coordinates."""
+
+    source: Texture2D
+
+    def vertex(self, v: Corner) -> Shade:
+        return Shade(clip=v.position, color=v.color)
+
+    def fragment(self, v: Shade) -> vec4:
+        return self.source.load(ivec2(fragment_coordinate().xy))
 
 
 class FlatShade(Struct):
@@ -169,3 +201,12 @@ class Sized(Shader):
 
     def fragment(self, v: SizedShade) -> vec4:
         return v.color
+
+
+class Count(Shader):
+    """Counts its invocations."""
+
+    total: StorageRW[uint]
+
+    def compute(self) -> None:
+        atomic_add(self.total[0], uint(1))

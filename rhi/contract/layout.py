@@ -125,7 +125,7 @@ def round_up(value: int, alignment: int) -> int:
 
 
 def is_host_shareable(type: HostType) -> bool:
-    """Return whether a type has a layout in memory, which is the case if it contains no bool."""
+    """Return whether a type has a layout in memory, which is the case if it contains no bool and isn't empty."""
     match type:
         case ScalarType():
             return type is not BOOL
@@ -136,7 +136,7 @@ def is_host_shareable(type: HostType) -> bool:
         case ArrayType(element=element):
             return is_host_shareable(element)
         case StructType(fields=fields):
-            return all(is_host_shareable(field.type) for field in fields)
+            return bool(fields) and all(is_host_shareable(field.type) for field in fields)
 
 
 @lru_cache(maxsize=4096)

@@ -37,7 +37,7 @@ from rhi.contract.formats import Format
 from rhi.contract.limits import full_levels
 from rhi.contract.states import State
 from rhi.device.command_buffer import CommandBuffer, check_submissions
-from rhi.device.core.core import NO_THREAD, Core, Statistics, ValidatingCore
+from rhi.device.core.core import FORKED, NO_THREAD, Core, Statistics, ValidatingCore
 from rhi.device.core.refusals import RefusalLog
 from rhi.device.core.state_cache import StateCache
 from rhi.device.encoder import Encoder
@@ -132,7 +132,7 @@ class Device(Encoder):
         """
         core = self._core
         quiet = Arguments("device.close", core.refuse).flag("quiet", quiet)
-        if core.closed:
+        if core.closed or core.thread == FORKED:  # then it is the parent's
             return
         if core.thread == NO_THREAD:
             core.make_current()
@@ -295,7 +295,7 @@ class Device(Encoder):
     @_creates
     def storage(self, element: type[T], source: int | NDArray[Any] | Buffer, *, label: str = "") -> StorageBuffer[T]:
         """Create an array for `Storage[T]` and `StorageRW[T]`: a number of zeroed elements, a copy of an array, or a
-        view of a buffer.
+        view of a buffer. An array of vectors of three components may be (n, 3): memory has a fourth, which is 0.
 
         Raises:
             ValidationError: `layout-mismatch` if the array's dtype is not the element's std430 dtype.
@@ -312,7 +312,7 @@ class Device(Encoder):
             return StorageBuffer(source, element, dtype)
         count, array = as_whole(source), None
         if count is None:
-            array = match_layout(core, check.array("source", source), dtype, check.call)
+            array = match_layout(core, check.array("source", source), dtype, check.call, element)
             if not array.ndim and array.dtype.names is None:
                 check.fail("source", source, "a number of elements, an array, or a Buffer")
             count = array.size // int(np.prod(dtype.shape, initial=1))

@@ -7,6 +7,7 @@ also after an exception.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from sys import is_finalizing
 from types import TracebackType
 from typing import Any, Final, TypeAlias, TypeVar, cast
 
@@ -126,7 +127,7 @@ class RenderPass(Scope):
     ) -> None:
         core = self._core
         core.check_thread("the end of a render pass")
-        if core.closed:
+        if core.closed or is_finalizing():  # Python ends, and closes generators: drivers are gone or going
             core.leave_pass()
             return
         try:

@@ -5,8 +5,8 @@
   nothing here depends on it. Further keyword parameters of the function are options that only this backend has;
   `create_device` passes them on.
 - A backend that is not installed is named by its function, `package.module:function`, as in an entry point.
-- This is the only module that may treat backends differently: it decides the order in which they are tried, and that
-  the null device records.
+- This is the only module that may treat backends differently: it decides the order in which they are tried, that
+  the null device records, and that only its devices may be created in a process that was forked after another device.
 """
 
 from __future__ import annotations
@@ -18,17 +18,24 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Final
+from weakref import WeakSet
 
 from rhi.commands.recorder import Recorder
 from rhi.contract.backend import Backend, Capabilities
+from rhi.device.core.core import FORKED
 from rhi.device.device import Device
 from rhi.errors import DeviceError, RhiError, refuse
 from rhi.errors.arguments import Arguments
-from rhi.errors.rules import DEVICE_ARGUMENT, DEVICE_DRIVER, DEVICE_UNKNOWN
+from rhi.errors.rules import DEVICE_ARGUMENT, DEVICE_DRIVER, DEVICE_FORKED, DEVICE_UNKNOWN
 
 GROUP: Final = "rhi.backends"
 PREFERENCE: Final = ("gl",)
 """Backends that are tried first, in this order, if no name is given; one that doesn't render must be named."""
+
+
+_devices: Final[WeakSet[Device]] = WeakSet()
+_loaded: Final[set[str]] = set()  # backends whose drivers this process has
+_forked: Final[set[str]] = set()  # those that its parent had when it was forked
 
 
 @cache
@@ -80,16 +87,35 @@ def create_device(
     backend = _create_named(name, validation, options) if name else _create_first(validation, options)
     if record is None:
         record = backend.capabilities.backend == "null"
-    return Device(
+    device = Device(
         Recorder(backend) if record else backend,
         validation=validation,
         timing=timing,
         frames_in_flight=frames_in_flight,
     )
+    _devices.add(device)
+    return device
+
+
+def _note_fork() -> None:
+    """Mark the devices of the parent, in a process that was just forked: their drivers' threads and locks are gone."""
+    _forked.update(_loaded)
+    for device in _devices:
+        device._core.thread = FORKED
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_note_fork)
 
 
 def _create_named(name: str, validation: bool, options: Mapping[str, object]) -> Backend:
     create = find_function(name)
+    if name in _forked:
+        raise DeviceError(
+            DEVICE_FORKED, f"rhi.create_device({name!r})", f"{name} was used before this process was forked"
+        )
+    if name != "null":
+        _loaded.add(name)
     if options:
         accepted = list(inspect.signature(create).parameters.keys() - {"validation"})
         unknown = sorted(options.keys() - accepted)
@@ -115,11 +141,16 @@ def find_function(name: str) -> Callable[..., Backend]:
         close = get_close_matches(name, names, 1)
         tip = f"did you mean {close[0]!r}?" if close else ""
         raise DeviceError(DEVICE_UNKNOWN, f"rhi.create_device({name!r})", repr(name), ", ".join(names), tip)
+    call, tip = f"rhi.create_device({name!r})", "is its module on Python's path?"
     try:
         create: Callable[..., Backend] = point.load()
     except (ImportError, AttributeError) as error:
-        call, tip = f"rhi.create_device({name!r})", "is its module on Python's path?"
         raise DeviceError(DEVICE_UNKNOWN, call, f"{name!r}: {error}", "", tip) from error
+    try:
+        inspect.signature(create).bind(validation=False)
+    except (TypeError, ValueError) as error:  # it isn't called: it may be any function of any module
+        given, tip = f"{name!r}: {error}", "see docs/porting.md"
+        raise DeviceError(DEVICE_UNKNOWN, call, given, "a function create(*, validation)", tip) from error
     return create
 
 

@@ -161,7 +161,7 @@ class TransientMemory:
         core.check_command()
         check = Arguments("transient.storage", core.refuse)
         dtype = storage_dtype(check, element)
-        data = as_storage(check, core, source, dtype, core.capabilities.max_storage_bytes)
+        data = as_storage(check, core, element, source, dtype, core.capabilities.max_storage_bytes)
         core.upload_bytes += data.nbytes
         offset = self._constants.write(
             data.reshape(-1).view(np.uint8).data, data.nbytes, core.capabilities.storage_alignment

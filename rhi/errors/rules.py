@@ -53,6 +53,11 @@ DEVICE_THREAD: Final = Rule(
     "the device belongs to another thread",
     "let that thread do it, or move the device: release_current() there, then make_current() here",
 )
+DEVICE_FORKED: Final = Rule(
+    "device-forked",
+    "drivers don't outlive a fork of their process",
+    'start processes by multiprocessing.get_context("spawn"), and create devices there',
+)
 DEVICE_CONTEXT: Final = Rule(
     "device-context",
     "the device's context is not current on this thread",

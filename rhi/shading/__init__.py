@@ -6,89 +6,62 @@ Python. It is parsed and never run: `compile_shader` builds a typed tree (`rhi.s
 descriptor of a program. See docs/shading.md.
 """
 
-from typing import TYPE_CHECKING, Any
+from importlib import import_module as _import_module
+from typing import TYPE_CHECKING as _TYPE_CHECKING
+from typing import Any as _Any
 
-from rhi.shading.compile import compile_shader, opencl_kernel, stage_trees
-from rhi.shading.emitters import ShaderCode, register_language
-from rhi.shading.language import functions, textures, vectors
-from rhi.shading.language.annotations import Flat, FragmentDepth, NoPerspective, PointSize, value_type_of
-from rhi.shading.language.bindings import (
-    ImageBinding,
-    Storage,
-    StorageRange,
-    StorageRW,
-    TextureBinding,
-    Uniform,
-    UniformRange,
-)
-from rhi.shading.language.builtins import Precision
-from rhi.shading.language.function import function, native
+from rhi.errors.exports import list_public as _list_public
+from rhi.shading.compile import compile_shader as compile_shader
+from rhi.shading.compile import opencl_kernel as opencl_kernel
+from rhi.shading.compile import stage_trees as stage_trees
+from rhi.shading.emitters import ShaderCode as ShaderCode
+from rhi.shading.emitters import register_language as register_language
+from rhi.shading.language.annotations import Flat as Flat
+from rhi.shading.language.annotations import FragmentDepth as FragmentDepth
+from rhi.shading.language.annotations import NoPerspective as NoPerspective
+from rhi.shading.language.annotations import PointSize as PointSize
+from rhi.shading.language.annotations import value_type_of as value_type_of
+from rhi.shading.language.bindings import ImageBinding as ImageBinding
+from rhi.shading.language.bindings import Storage as Storage
+from rhi.shading.language.bindings import StorageRange as StorageRange
+from rhi.shading.language.bindings import StorageRW as StorageRW
+from rhi.shading.language.bindings import TextureBinding as TextureBinding
+from rhi.shading.language.bindings import Uniform as Uniform
+from rhi.shading.language.bindings import UniformRange as UniformRange
+from rhi.shading.language.builtins import Precision as Precision
+from rhi.shading.language.function import function as function
+from rhi.shading.language.function import native as native
 from rhi.shading.language.functions import *  # noqa: F403
-from rhi.shading.language.modules import from_source
-from rhi.shading.language.shader import Shader, shared
-from rhi.shading.language.structs import Struct
+from rhi.shading.language.modules import from_source as from_source
+from rhi.shading.language.shader import Shader as Shader
+from rhi.shading.language.shader import shared as shared
+from rhi.shading.language.structs import Struct as Struct
 from rhi.shading.language.textures import *  # noqa: F403
 from rhi.shading.language.vectors import *  # noqa: F403
 
-if TYPE_CHECKING:
-    from rhi.shading.evaluation.compute import evaluate, run_compute
-    from rhi.shading.evaluation.stages import run_fragment, run_vertex
-    from rhi.shading.numpy.kernel import NumpyKernel
-    from rhi.shading.numpy.textures import HostTexture
+if _TYPE_CHECKING:
+    from rhi.shading.evaluation.compute import evaluate as evaluate
+    from rhi.shading.evaluation.compute import run_compute as run_compute
+    from rhi.shading.evaluation.stages import run_fragment as run_fragment
+    from rhi.shading.evaluation.stages import run_vertex as run_vertex
+    from rhi.shading.numpy.kernel import NumpyKernel as NumpyKernel
+    from rhi.shading.numpy.textures import HostTexture as HostTexture
+
+_LATER = {
+    "HostTexture": "numpy.textures",
+    "NumpyKernel": "numpy.kernel",
+    "evaluate": "evaluation.compute",
+    "run_compute": "evaluation.compute",
+    "run_fragment": "evaluation.stages",
+    "run_vertex": "evaluation.stages",
+}
+"""Modules that are imported when they are asked for: few programs need them, and they take as long as all the rest."""
 
 
-def __getattr__(name: str) -> Any:
-    if name in ("evaluate", "run_compute"):  # few programs need these, and they take as long to import as all the rest
-        from rhi.shading.evaluation import compute
-
-        return getattr(compute, name)
-    if name in ("run_fragment", "run_vertex"):
-        from rhi.shading.evaluation import stages
-
-        return getattr(stages, name)
-    if name == "NumpyKernel":
-        from rhi.shading.numpy.kernel import NumpyKernel
-
-        return NumpyKernel
-    if name == "HostTexture":
-        from rhi.shading.numpy.textures import HostTexture
-
-        return HostTexture
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+def __getattr__(name: str) -> _Any:
+    if name not in _LATER:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(_import_module(f"{__name__}.{_LATER[name]}"), name)
 
 
-__all__ = [
-    "Flat",
-    "FragmentDepth",
-    "HostTexture",
-    "ImageBinding",
-    "NoPerspective",
-    "NumpyKernel",
-    "PointSize",
-    "Precision",
-    "Shader",
-    "ShaderCode",
-    "Storage",
-    "StorageRW",
-    "StorageRange",
-    "Struct",
-    "TextureBinding",
-    "Uniform",
-    "UniformRange",
-    "compile_shader",
-    "evaluate",
-    "from_source",
-    "function",
-    "native",
-    "opencl_kernel",
-    "register_language",
-    "run_compute",
-    "run_fragment",
-    "run_vertex",
-    "shared",
-    "stage_trees",
-    "value_type_of",
-]
-__all__ += functions.__all__
-__all__ += textures.__all__
-__all__ += vectors.__all__
+__all__ = sorted([*_list_public(globals()), *_LATER])

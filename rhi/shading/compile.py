@@ -22,7 +22,7 @@ from rhi.shading.ir.interface import Interface
 from rhi.shading.language import rules
 from rhi.shading.language.builtins import Precision
 from rhi.shading.language.edits import Edit
-from rhi.shading.language.shader import Declaration, Shader, StorageClass
+from rhi.shading.language.shader import Declaration, Shader, StorageClass, find_work_group
 from rhi.shading.language.types import VOID, ImageType, StorageType
 from rhi.shading.parser.interface import (
     attributes_read,
@@ -115,9 +115,10 @@ def stage_trees(shader: type[Shader]) -> dict[Stage, tree.StageTree]:
     return {stage: StageParser(shader, stage).parse(entry) for stage, entry in _entries(shader).items()}
 
 
-def stage_interface(shader: type[Shader]) -> Interface:
-    """Return the inputs, outputs and varyings of a shader's stages."""
-    return _interface(_entries(shader))
+def compiled_code(shader: type[Shader]) -> ShaderCode:
+    """Return the stages that `compile_shader` has parsed, from which texts are written."""
+    compile_shader(shader)
+    return _compiled[shader][1]
 
 
 def _compile(shader: type[Shader]) -> tuple[ProgramDescriptor, ShaderCode]:
@@ -138,7 +139,7 @@ def _compile(shader: type[Shader]) -> tuple[ProgramDescriptor, ShaderCode]:
         shader.__qualname__.replace("<locals>.", ""),
         interface,
         {binding.name: binding for binding in bindings},
-        _work_group(shader),
+        find_work_group(shader),
         shader.early_depth,
     )
     compute, needs_lane_check = stages.get(Stage.COMPUTE), False
@@ -257,18 +258,3 @@ def _binding(declaration: Declaration, kind: BindingKind, slot: int, stored: boo
     if kind is BindingKind.TEXTURE:
         return Binding(name, kind, slot, False, type)
     return Binding(name, kind, slot, False, declaration.host, place(type, Layout.STD140).size)
-
-
-def _work_group(shader: type[Shader]) -> tuple[int, int, int]:
-    given = shader.work_group
-    valid = isinstance(given, tuple) and 1 <= len(given) <= 3 and all(isinstance(n, int) and n > 0 for n in given)
-    if not valid or given[0] * (given[1:] or (1,))[0] * (given[2:] or (1,))[0] > 1024:
-        raise ShaderError(
-            rules.OUT_OF_RANGE,
-            f"class {shader.__name__}: work_group",
-            repr(given),
-            "1 to 3 positive numbers whose product is at most 1024",
-            site=find_call_site(),
-        )
-    x, y, z = (*given, 1, 1)[:3]
-    return x, y, z

@@ -23,7 +23,6 @@ SMALLEST: Final = {
 
 OWN: Final[dict[str, tuple[str, ...]]] = {
     "accuracy_scaling": ("--backend", "null", "--knob", "fxaa"),
-    "backends": ("--json",),  # else it prints to stderr only
     "memory": ("--backend", "null"),
     "occlusion": ("--scene", "city:blocks=4"),
     "techniques": ("--scenes", "grid:4"),

@@ -13,8 +13,6 @@ from typing import Any
 from rhi.backends.gl import create_backend as create_gl_backend
 from rhi.conformance.steps import STEPS
 
-__rhi_internal__ = True
-
 STEP = "RHI_PORT_STEP"
 
 
@@ -26,10 +24,15 @@ def create_backend(*, validation: bool = False) -> Any:
     for number, step in enumerate(STEPS, 1):
         for name in step.methods:
             if name != "capabilities":
-                members[name] = staticmethod(getattr(whole, name) if number <= written else _missing(name))
+                members[name] = _part(whole, name) if number <= written else staticmethod(_missing(name))
     for name in ("resume", "make_current", "release_current", "hand_back"):  # of what holds a context of GL
-        members[name] = staticmethod(getattr(whole, name))
+        members[name] = _part(whole, name)
     return type("PartialBackend", (), members)()
+
+
+def _part(whole: Any, name: str) -> property:
+    """Return a method of the whole, as it is at each call: of a context that isn't current, methods are others."""
+    return property(lambda _: getattr(whole, name))
 
 
 def _missing(name: str) -> Callable[..., None]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -37,9 +38,11 @@ def test_each_rule_is_broken_by_a_test_and_passed_by_another() -> None:
     left_out = [TESTS / "conformance", *ignored]
     arguments = [str(TESTS), *(text for path in left_out for text in ("--ignore", str(path)))]
     kit = ["--pyargs", "rhi.conformance.validation", "--rhi-backend", "null"]
+    path = os.pathsep.join(path for path in sys.path if path)  # the kits of the tests, which no setting of pytest names
     run = subprocess.run(
-        [sys.executable, rule_coverage.__file__, *arguments, *kit], capture_output=True, text=True, check=False
-    )
+        [sys.executable, rule_coverage.__file__, *arguments, *kit],
+        capture_output=True, text=True, check=False, env=os.environ | {"PYTHONPATH": path},
+    )  # fmt: skip
     assert run.returncode == 0, run.stderr
     counts: dict[str, tuple[int, int]] = json.loads(run.stdout)
     never_broken = [rule for rule, (broken, _) in counts.items() if not broken]

@@ -49,6 +49,24 @@ UNSEEN: Final[tuple[Unseen, ...]] = (
         f"{COST}: what is drawn is simulated then, one after the other",
     ),
     Unseen(
+        "renderer/frame/resources.py", "return False", "False", "True",
+        f"{COST}: all rows of places are compared, and the same ones written",
+    ),
+    Unseen(
+        "renderer/scene/meshes.py",
+        "self.vertices: NDArray[Any] = np.concatenate([g.vertices for g in geometries] or [np.empty(0, VERTEX)])",
+        "0", "1", f"{SAME}: a scene has an object, and so a mesh",
+    ),
+    Unseen(
+        "renderer/frame/lamps.py", "_GROUP: Final = 64", "64", "65",
+        f"{SAME}: groups of another size place the same lamps",
+    ),
+    Unseen(
+        "renderer/visibility/software_depth.py",
+        "distance = np.maximum(squared_distances(camera.position, middle, middle), 1e-30)", "1e-30", "2e-30",
+        f"{SAME}: no two points are nearer and not in one place",
+    ),
+    Unseen(
         "rhi/backends/gl/backend.py", "self._tests_alpha = False", "False", "True",
         f"{SAME}: the first program that is bound finds out",
     ),
@@ -59,6 +77,14 @@ UNSEEN: Final[tuple[Unseen, ...]] = (
     Unseen(
         "rhi/shading/opencl/prelude.py", 'body = body.replace("SELECT(", "rhi_select(" if lanes == 1 else "select(")',
         "==", "!=", f"{COST}: both choose, with one instruction or with a branch",
+    ),
+    Unseen(
+        "rhi/contract/layout.py", "return place(ArrayType(type, 1), layout).stride", "1", "2",
+        f"{SAME}: the stride of an array doesn't depend on its length",
+    ),
+    Unseen(
+        "rhi/contract/states.py", "@dataclass(frozen=True, slots=True, eq=False)", "False", "True",
+        f"{SAME}: values are interned, so two whose fields are equal are one object",
     ),
 )  # fmt: skip
 

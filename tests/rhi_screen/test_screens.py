@@ -66,6 +66,16 @@ def test_a_canvas_without_a_loop_draws_one_frame(screen: Screen) -> None:
     assert frames == [(6, 4)]
 
 
+def test_an_error_in_a_draw_is_raised(screen: Screen) -> None:
+    with pytest.raises(ZeroDivisionError):
+        screen.run(lambda: 1 // 0)
+
+
+def test_other_ways_with_errors_are_refused(screen: Screen) -> None:
+    with pytest.raises(ValidationError, match="screen-errors"):
+        screen.run(lambda: None, on_error="ignore")
+
+
 @pytest.mark.parametrize(("format", "options"), [(Format.RGBA16F, {}), (Format.R8, {}), (Format.RGBA8, {"samples": 4})])
 def test_other_images_are_refused_by_name(screen: Screen, format: Format, options: dict[str, Any]) -> None:
     image = screen.device.texture((6, 4), format, **options)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import multiprocessing
 import os
 import shutil
@@ -52,20 +53,12 @@ def windows(display: Display) -> Iterator[Check]:
 
 def play(screen: Screen, steps: Iterator[None]) -> None:
     """Run the screen's loop; each draw is a step, and the last one closes the window."""
-    errors: list[BaseException] = []
 
     def draw() -> None:
-        try:
-            next(steps)
-        except StopIteration:
-            screen.canvas.close()
-        except BaseException as error:
-            errors.append(error)
+        if next(steps, steps) is steps:
             screen.canvas.close()
 
     screen.run(draw)
-    if errors:
-        raise errors[0]
 
 
 def make_image(screen: Screen, seed: int = 1) -> rhi.Texture:
@@ -93,6 +86,43 @@ def x_window(screen: Screen) -> int:
     import glfw
 
     return int(glfw.get_x11_window(screen.canvas._window))
+
+
+def check_errors(display: Display) -> None:
+    with open_screen("gl", size=SIZE, update_mode="fastest") as screen:
+        draws = []
+
+        def draw() -> None:
+            draws.append(screen.size)
+            if len(draws) == 2:
+                raise KeyError("second")
+
+        with pytest.raises(KeyError, match="second"):
+            screen.run(draw)
+        assert len(draws) == 2
+
+
+def check_logged_errors(display: Display) -> None:
+    logging.getLogger("rendercanvas").setLevel(logging.CRITICAL)
+    with open_screen("gl", size=SIZE, update_mode="fastest") as screen:
+        draws = []
+
+        def draw() -> None:
+            draws.append(screen.size)
+            if len(draws) == 4:
+                screen.canvas.close()
+            raise KeyError(len(draws))
+
+        screen.run(draw, on_error="log")
+        assert len(draws) == 4
+
+
+def test_an_error_in_a_draw_ends_the_loop_and_is_raised(windows: Check) -> None:
+    windows(check_errors)
+
+
+def test_an_error_in_a_draw_is_only_logged_if_asked(windows: Check) -> None:
+    windows(check_logged_errors)
 
 
 def check_pixels(display: Display, backend: str) -> None:

@@ -116,15 +116,14 @@ def draw_wide(device: Device) -> Found:
         target.destroy()
         triangle.destroy()
     city = make_city()
-    uncut = Uncut(device, city, along("ground", 600)(city), (width, 2))
-    for name in ("frustum", "two_pass"):
-        if name in list_algorithms(device):
-            algorithm = make_visibility(name, city, device)
-            numbers[f"{width} × 2, {name}"] = wrong = sum(uncut.count_wrong_pixels(algorithm))
-            total += wrong
-            algorithm.destroy()
-    colors = len(np.unique(uncut.frames[0].reshape(-1, 4), axis=0))
-    uncut.destroy()
+    with Uncut(device, city, along("ground", 600)(city), (width, 2)) as uncut:
+        for name in ("frustum", "two_pass"):
+            if name in list_algorithms(device):
+                algorithm = make_visibility(name, city, device)
+                numbers[f"{width} × 2, {name}"] = wrong = sum(uncut.count_wrong_pixels(algorithm))
+                total += wrong
+                algorithm.destroy()
+        colors = len(np.unique(uncut.frames[0].reshape(-1, 4), axis=0))
     return Found(total, numbers, {"there is something to see": colors > 50})
 
 

@@ -81,7 +81,9 @@ def draw_with(renderer: Renderer, algorithm: VisibilityAlgorithm, camera: Camera
 
 
 class Uncut:
-    """The frames of a scene without culling, drawn once, with which any number of algorithms are compared."""
+    """The frames of a scene without culling, drawn once, with which any number of algorithms are compared.
+
+    Its resources on the device last until the end of its `with` statement."""
 
     def __init__(self, device: Device, scene: Scene, shots: Shots, size: tuple[int, int] = SIZE) -> None:
         self.scene, self.shots = scene, shots
@@ -97,8 +99,10 @@ class Uncut:
         pairs = zip(self.draw(algorithm), self.frames, strict=True)
         return [int((given != expected).any(2).sum()) for given, expected in pairs]
 
-    def destroy(self) -> None:
-        """Destroy the resources on the device."""
+    def __enter__(self) -> Uncut:
+        return self
+
+    def __exit__(self, *_: object) -> None:
         self._renderer.destroy()
 
 
@@ -110,10 +114,8 @@ def count_wrong_pixels(
     size: tuple[int, int] = SIZE,
 ) -> list[int]:
     """Count the pixels of each frame that differ from no culling."""
-    uncut = Uncut(device, scene, shots, size)
-    wrong = uncut.count_wrong_pixels(algorithm)
-    uncut.destroy()
-    return wrong
+    with Uncut(device, scene, shots, size) as uncut:
+        return uncut.count_wrong_pixels(algorithm)
 
 
 def _make_grey_boxes(places: ArrayLike, sizes: ArrayLike) -> Scene:

@@ -53,14 +53,13 @@ def look_alike(number: int, device: Device) -> Found:
 
 def _compare(device: Device, image: CullingImage) -> dict[str, list[int]]:
     scene = image.scene()
-    uncut = Uncut(device, scene, image.shots(scene), image.size)
-    wrong = {}
-    for name in list_algorithms(device):
-        if name in NAMES:
-            algorithm = make_visibility(name, scene, device)
-            wrong[name] = uncut.count_wrong_pixels(algorithm)
-            algorithm.destroy()
-    uncut.destroy()
+    with Uncut(device, scene, image.shots(scene), image.size) as uncut:
+        wrong = {}
+        for name in list_algorithms(device):
+            if name in NAMES:
+                algorithm = make_visibility(name, scene, device)
+                wrong[name] = uncut.count_wrong_pixels(algorithm)
+                algorithm.destroy()
     return wrong
 
 
@@ -68,13 +67,12 @@ def _picture(device: Device, title: str, name: str) -> Mapping[str, Picture]:
     """Return the worst frame of an image as it is without culling, with an algorithm, and where the two differ."""
     image = IMAGES[title]
     scene = image.scene()
-    uncut = Uncut(device, scene, image.shots(scene), image.size)
-    algorithm = make_visibility(name, scene, device)
-    frames = uncut.draw(algorithm)
-    differs = [(one != other).any(2) for one, other in zip(frames, uncut.frames, strict=True)]
-    worst = int(np.argmax([one.sum() for one in differs]))
-    algorithm.destroy()
-    uncut.destroy()
+    with Uncut(device, scene, image.shots(scene), image.size) as uncut:
+        algorithm = make_visibility(name, scene, device)
+        frames = uncut.draw(algorithm)
+        differs = [(one != other).any(2) for one, other in zip(frames, uncut.frames, strict=True)]
+        worst = int(np.argmax([one.sum() for one in differs]))
+        algorithm.destroy()
     return {
         f"{title}: without culling": uncut.frames[worst],
         name: frames[worst],
@@ -93,51 +91,48 @@ def choose_sizes(_: Device) -> Found:
 def answer_late(device: Device) -> Found:
     """Let answers come after so many looks, and count the pixels that differ in a walk with a jump."""
     city = make_city()
-    uncut = Uncut(device, city, [*along("ground", 600, 604, 608)(city), *teleport(city)[3:6]])
-    wrong: dict[str, object] = {}
-    total = 0
-    for latency in LATENCIES:
-        for name in list_algorithms(device):
-            if name not in ASKING:
-                continue
-            with late_answers(latency):
-                algorithm = make_visibility(name, city, device)
-                count = sum(uncut.count_wrong_pixels(algorithm))
-                algorithm.destroy()
-            wrong[f"{name}, after {latency} looks"] = count
-            total += count
-    uncut.destroy()
+    with Uncut(device, city, [*along("ground", 600, 604, 608)(city), *teleport(city)[3:6]]) as uncut:
+        wrong: dict[str, object] = {}
+        total = 0
+        for latency in LATENCIES:
+            for name in list_algorithms(device):
+                if name not in ASKING:
+                    continue
+                with late_answers(latency):
+                    algorithm = make_visibility(name, city, device)
+                    count = sum(uncut.count_wrong_pixels(algorithm))
+                    algorithm.destroy()
+                wrong[f"{name}, after {latency} looks"] = count
+                total += count
     return Found(total, wrong)
 
 
 def ask_in_one_batch(device: Device) -> Found:
     """Let CHC++ ask for all at once."""
     city = make_city()
-    uncut = Uncut(device, city, along("ground", *range(800, 812, 2))(city))
-    algorithm = ChcPlusPlus(city, device, VisibilitySettings(batch=100_000))
-    wrong = uncut.count_wrong_pixels(algorithm)
-    algorithm.destroy()
-    uncut.destroy()
+    with Uncut(device, city, along("ground", *range(800, 812, 2))(city)) as uncut:
+        algorithm = ChcPlusPlus(city, device, VisibilitySettings(batch=100_000))
+        wrong = uncut.count_wrong_pixels(algorithm)
+        algorithm.destroy()
     return Found(sum(wrong), {"wrong pixels by frame": wrong})
 
 
 def ask_with_a_threshold(device: Device) -> Found:
     """Compare a threshold of 0 samples, which loses nothing, and one of 10, which loses little."""
     city = make_city()
-    uncut = Uncut(device, city, along("ground", *range(600, 624, 4))(city))
-    numbers: dict[str, object] = {}
-    total, holds = 0, {}
-    for name in ("stop_and_wait", "chc", "chc_plus_plus"):
-        wrong = {}
-        for threshold in (0, 10):
-            with late_answers(0):
-                algorithm = make_visibility(name, city, device, VisibilitySettings(threshold=threshold))
-                wrong[threshold] = uncut.count_wrong_pixels(algorithm)
-                algorithm.destroy()
-            numbers[f"{name}, {threshold} samples"] = wrong[threshold]
-        total += sum(wrong[0])
-        holds[f"{name} loses little with 10"] = 0 < max(wrong[10]) < _FAR_SMALLER * SIZE[0] * SIZE[1]
-    uncut.destroy()
+    with Uncut(device, city, along("ground", *range(600, 624, 4))(city)) as uncut:
+        numbers: dict[str, object] = {}
+        total, holds = 0, {}
+        for name in ("stop_and_wait", "chc", "chc_plus_plus"):
+            wrong = {}
+            for threshold in (0, 10):
+                with late_answers(0):
+                    algorithm = make_visibility(name, city, device, VisibilitySettings(threshold=threshold))
+                    wrong[threshold] = uncut.count_wrong_pixels(algorithm)
+                    algorithm.destroy()
+                numbers[f"{name}, {threshold} samples"] = wrong[threshold]
+            total += sum(wrong[0])
+            holds[f"{name} loses little with 10"] = 0 < max(wrong[10]) < _FAR_SMALLER * SIZE[0] * SIZE[1]
     return Found(total, numbers, holds)
 
 
@@ -145,17 +140,16 @@ def ask_seldom(device: Device) -> Found:
     """Let CHC++ ask visible leaves in each frame, and every twentieth."""
     city = make_city()
     shots = along("ground", *range(800, 848, 2))(city)
-    uncut = Uncut(device, city, shots)
-    total, most = 0, []
-    for persistence in (1, 20):
-        with late_answers(0):
-            algorithm = ChcPlusPlus(city, device, VisibilitySettings(persistence=persistence))
-            total += sum(uncut.count_wrong_pixels(algorithm))
-            with Renderer(device, city, size=SIZE) as renderer:
-                queries = [draw_with(renderer, algorithm, camera).statistics.queries for camera, _ in shots]
-            algorithm.destroy()
-        most.append(max(queries[4:]))
-    uncut.destroy()
+    with Uncut(device, city, shots) as uncut:
+        total, most = 0, []
+        for persistence in (1, 20):
+            with late_answers(0):
+                algorithm = ChcPlusPlus(city, device, VisibilitySettings(persistence=persistence))
+                total += sum(uncut.count_wrong_pixels(algorithm))
+                with Renderer(device, city, size=SIZE) as renderer:
+                    queries = [draw_with(renderer, algorithm, camera).statistics.queries for camera, _ in shots]
+                algorithm.destroy()
+            most.append(max(queries[4:]))
     numbers = {"wrong pixels": total, "most queries of a frame, n = 1": most[0], "n = 20": most[1]}
     return Found(total, numbers, {"n = 20 flattens the spikes": most[1] < most[0]})
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 import ctypes
 import typing
 from collections.abc import Callable
+from functools import cache
 from typing import TYPE_CHECKING, Annotated, Any, Final, TypeAlias
 
 if TYPE_CHECKING:
@@ -212,15 +213,11 @@ class EntryPoints:
         return value.value
 
 
-_prototype_cache: dict[str, Any] = {}
-
-
+@cache
 def _prototypes() -> dict[str, Any]:
     """Return the ctypes function types of all entry points, by name. They are created once, from the annotations."""
-    if not _prototype_cache:
-        hints = typing.get_type_hints(EntryPoints, include_extras=True)
-        _prototype_cache.update((name, _make_prototype(hint)) for name, hint in hints.items())
-    return _prototype_cache
+    hints = typing.get_type_hints(EntryPoints, include_extras=True)
+    return {name: _make_prototype(hint) for name, hint in hints.items()}
 
 
 def _make_prototype(hint: Any) -> Any:

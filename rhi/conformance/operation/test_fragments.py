@@ -19,7 +19,7 @@ from rhi import (
 )
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.formats import require_samples
-from rhi.conformance.shaders import Colored, Corner, DepthFromColor, Shade
+from rhi.conformance.shaders import Checkered, Colored, Corner, DepthFromColor, Shade
 from rhi.conformance.shapes import centers, corners, rectangle
 from rhi.shading import (
     Shader,
@@ -39,19 +39,6 @@ from rhi.shading import (
 pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
 
 SIZE = (8, 8)
-
-
-class Checkered(Shader):
-    """Discards every other fragment."""
-
-    def vertex(self, v: Corner) -> Shade:
-        return Shade(clip=v.position, color=v.color)
-
-    def fragment(self, v: Shade) -> vec4:
-        at = ivec2(fragment_coordinate().xy)
-        if (at.x + at.y) % 2 == 1:
-            discard()
-        return v.color
 
 
 BOARD = np.indices((8, 8)).sum(axis=0) % 2 == 0

@@ -25,7 +25,7 @@ from rhi import (
 )
 from rhi.conformance.compare import assert_near, assert_same
 from rhi.conformance.formats import require_samples
-from rhi.conformance.shaders import Colored, Corner, Shade, Tint, Tinted, Weighted
+from rhi.conformance.shaders import Colored, Corner, Count, Loads, Shade, Tint, Tinted, Weighted
 from rhi.conformance.shapes import centers, corners, rectangle
 from rhi.shading import (
     Image2D,
@@ -33,7 +33,6 @@ from rhi.shading import (
     Storage,
     StorageRW,
     Texture2D,
-    atomic_add,
     fragment_coordinate,
     global_id,
     image,
@@ -50,18 +49,6 @@ HOSTILE = (Scissor(0, 0, 1, 1), ColorWrite.OFF, CullMode.FRONT, DepthFunction.NE
 """States that would break a copy that is implemented as a draw."""
 
 
-class Loaded(Shader):
-    """Loads its color from a texture."""
-
-    source: Texture2D
-
-    def vertex(self, v: Corner) -> Shade:
-        return Shade(clip=v.position, color=v.color)
-
-    def fragment(self, v: Shade) -> vec4:
-        return self.source.load(ivec2(fragment_coordinate().xy))
-
-
 class Fill(Shader):
     """Stores one color everywhere."""
 
@@ -69,15 +56,6 @@ class Fill(Shader):
 
     def compute(self) -> None:
         self.target.store(global_id().xy, vec4(1.0))
-
-
-class Count(Shader):
-    """Counts invocations."""
-
-    total: StorageRW[uint]
-
-    def compute(self) -> None:
-        atomic_add(self.total[0], uint(1))
 
 
 def hostile_draw(device: Device) -> None:
@@ -263,7 +241,7 @@ def test_a_draw_sees_the_copies_of_its_time(device: Device) -> None:
 
 def test_a_draw_sees_the_texels_of_its_time(device: Device) -> None:
     with device.texture(SIZE, Format.R32F) as source:
-        image = steps(device, lambda i: source.write(np.full((8, 8), i, "f4")), Loaded, source=source)
+        image = steps(device, lambda i: source.write(np.full((8, 8), i, "f4")), Loads, source=source)
         assert_same(image, COLUMNS)
 
 
@@ -361,7 +339,7 @@ def test_points_of_two_devices_are_counted_by_their_own_queries(device: Device, 
 # -- draws that aren't finished -----------------------------------------------------------------------------
 
 
-class SlowlyLoaded(Loaded):
+class SlowlyLoaded(Loads):
     """Loads a texel and takes its time, so that the pass is still running when the next commands are issued."""
 
     def fragment(self, v: Shade) -> vec4:

@@ -29,10 +29,9 @@ from rhi.conformance.compare import assert_same
 from rhi.conformance.formats import require_point_sizes, require_samples
 from rhi.conformance.patience import comes_true
 from rhi.conformance.reference import SUBTEXELS, rasterise
-from rhi.conformance.shaders import Colored, Corner, DepthFromColor, Shade, Sized
+from rhi.conformance.shaders import Checkered, Colored, DepthFromColor, Sized
 from rhi.conformance.shapes import corners, point_rows, rectangle, texel_rectangle, window_to_clip
 from rhi.errors import rules
-from rhi.shading import Shader, discard, fragment_coordinate, ivec2, vec4
 
 pytestmark = pytest.mark.needs("draws", "shading")
 
@@ -118,19 +117,6 @@ def test_a_query_counts_inside_the_scissor(device: Device, query: OcclusionQuery
 def test_a_query_counts_after_the_stencil_test(device: Device, query: OcclusionQuery) -> None:
     states = (StencilTest.ON, StencilFront(Comparison.NEVER))
     assert count(device, query, rectangle(depth=0.75), *states) == 0
-
-
-class Checkered(Shader):
-    """Discards every other fragment."""
-
-    def vertex(self, v: Corner) -> Shade:
-        return Shade(clip=v.position, color=v.color)
-
-    def fragment(self, v: Shade) -> vec4:
-        at = ivec2(fragment_coordinate().xy)
-        if (at.x + at.y) % 2 == 1:
-            discard()
-        return v.color
 
 
 def test_a_query_does_not_count_what_is_discarded(device: Device, query: OcclusionQuery) -> None:

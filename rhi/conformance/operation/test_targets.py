@@ -290,6 +290,18 @@ def test_a_resolve_keeps_row_0_on_top(device: Device) -> None:
         assert_mask(target.read(), expected)
 
 
+@pytest.mark.parametrize("at_end", [True, False], ids=["end of pass", "command"])
+def test_a_clear_reaches_all_samples_and_their_mean(device: Device, at_end: bool) -> None:
+    require_samples(device, 4)
+    with device.texture((3, 2), Format.RGBA8, samples=4) as source, device.texture((3, 2), Format.RGBA8) as target:
+        with device.render_pass(source, clear=(0.2, 0.4, 0.6, 0.8), resolve=target if at_end else None):
+            pass
+        if not at_end:
+            assert_same(target.read(), 0)
+            source.resolve_to(target)
+        assert_same(target.read(), (51, 102, 153, 204))
+
+
 def test_depth_is_tested_for_each_sample(device: Device) -> None:
     """A triangle covers half of each texel on the diagonal; the other samples show the surface behind it."""
     require_samples(device, 4)

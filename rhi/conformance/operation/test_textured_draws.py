@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from rhi import Device, Filter, Format, SamplerDescriptor, Wrap
 from rhi.conformance.compare import assert_same
-from rhi.conformance.shaders import Colored, Corner, Shade, TexturedVarying, TexturedVertex
+from rhi.conformance.shaders import Colored, Loads, TexturedVarying, TexturedVertex
 from rhi.conformance.shapes import rectangle
-from rhi.shading import Shader, Texture2D, fragment_coordinate, ivec2, vec4
+from rhi.shading import Shader, Texture2D, vec4
 
 pytestmark = [pytest.mark.needs("draws", "shading", "max_texture_slots"), pytest.mark.recorded_too]
 
@@ -73,18 +73,6 @@ def test_a_drawn_texture_is_sampled_like_a_written_one(device: Device) -> None:
         expected = np.zeros((4, 4, 4))
         expected[:2, :2] = 255
         assert_same(target.read(), expected)
-
-
-class Loads(Shader):
-    """Loads texels by integer coordinates."""
-
-    source: Texture2D
-
-    def vertex(self, v: Corner) -> Shade:
-        return Shade(clip=v.position, color=v.color)
-
-    def fragment(self, v: Shade) -> vec4:
-        return self.source.load(ivec2(fragment_coordinate().xy))
 
 
 def test_texel_loads_count_from_the_top_left(device: Device) -> None:

@@ -14,7 +14,6 @@ from rhi.conformance.formats import (
     random_texels,
     require_format,
     require_renderable,
-    require_samples,
     squeezed,
 )
 from rhi.conformance.reference import channels_of, decode, encode, halve, largest, rounding
@@ -509,18 +508,6 @@ def test_a_clear_of_depth_alone_reaches_one_layer_of_one_level(device: Device, f
             cleared = np.arange(3) == layer if level == 1 else np.zeros(3, bool)
             assert_same(texture.read_layers(level)[:, 0, 0].ravel(), cleared)
             assert_same(texture.read_layers(level).reshape(3, -1).min(axis=1), cleared)
-
-
-@pytest.mark.parametrize("at_end", [True, False], ids=["end of pass", "command"])
-def test_a_clear_reaches_all_samples_and_their_mean(device: Device, at_end: bool) -> None:
-    require_samples(device, 4)
-    with device.texture((3, 2), Format.RGBA8, samples=4) as source, device.texture((3, 2), Format.RGBA8) as target:
-        with device.render_pass(source, clear=(0.2, 0.4, 0.6, 0.8), resolve=target if at_end else None):
-            pass
-        if not at_end:
-            assert_same(target.read(), 0)
-            source.resolve_to(target)
-        assert_same(target.read(), (51, 102, 153, 204))
 
 
 def test_a_clear_of_one_level_leaves_the_others(device: Device) -> None:

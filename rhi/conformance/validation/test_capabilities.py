@@ -24,7 +24,7 @@ from rhi import (
     TextureKind,
     Wrap,
 )
-from rhi.conformance.shaders import Colored
+from rhi.conformance.shaders import Colored, Count
 from rhi.conformance.validation.refusal import refuses
 from rhi.contract.descriptors import Binding, BindingKind
 from rhi.errors import rules
@@ -33,7 +33,6 @@ from rhi.shading import (
     Shader,
     StorageRW,
     Struct,
-    atomic_add,
     compile_shader,
     point_coordinate,
     shared,
@@ -43,15 +42,6 @@ from rhi.shading import (
 )
 
 SIZE = (4, 4)
-
-
-class Count(Shader):
-    """Counts its invocations."""
-
-    total: StorageRW[uint]
-
-    def compute(self) -> None:
-        atomic_add(self.total[0], uint(1))
 
 
 @pytest.fixture

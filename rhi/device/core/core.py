@@ -36,6 +36,7 @@ from rhi.errors.rules import (
     DEVICE_CAPABILITY,
     DEVICE_CLOSED,
     DEVICE_CONTEXT,
+    DEVICE_FORKED,
     DEVICE_MEMORY,
     DEVICE_THREAD,
     LOCK_OPEN,
@@ -47,6 +48,8 @@ from rhi.errors.rules import (
 D = TypeVar("D")
 NO_THREAD: Final = 0
 """The `Core.thread` of a device that belongs to no thread."""
+FORKED: Final = -1
+"""That of a device in a process that was forked after its creation."""
 NO_TARGETS: Final[frozenset[Id]] = frozenset()
 MAX_SAMPLERS: Final = 4096
 """Number of different samplers of a device: they live as long as it does, and platforms have few."""
@@ -311,6 +314,8 @@ class Core:
     def check_thread(self, call: str = "device") -> None:
         """Refuse calls on any thread but the device's own. A closed device has none."""
         if get_ident() != self.thread and not self.closed:
+            if self.thread == FORKED:
+                self.refuse(DEVICE_FORKED, call, "a device of the process that was forked", "devices of this process")
             allowed = name_thread(self.thread) if self.thread != NO_THREAD else "none before make_current()"
             self.refuse(DEVICE_THREAD, call, f"a call on {name_thread(get_ident())}", allowed)
 

@@ -18,7 +18,7 @@ A scope that ended before its block leaves quietly.
 
 from __future__ import annotations
 
-from sys import getrefcount
+from sys import getrefcount, is_finalizing
 from typing import Final, NoReturn
 
 from rhi.device.core.containers import FixedStack
@@ -120,7 +120,7 @@ class OpenScopes(FixedStack[Scope]):
         """
         if self._data[self._index - 1] is scope:
             scope.finish(error is not None)
-        elif not self._closed:
+        elif not self._closed and not is_finalizing():
             with HeldInterrupts():
                 self._leave_around(scope, error, again)
 

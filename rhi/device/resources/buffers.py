@@ -37,12 +37,13 @@ from rhi.errors.rules import (
     BUFFER_SIZE,
     LAYOUT_MISMATCH,
 )
-from rhi.shading import Struct, uint, value_type_of
+from rhi.shading import Struct, ivec3, uint, uvec3, value_type_of, vec3
 from rhi.shading.language.bindings import StorageRange, UniformRange
 from rhi.shading.language.vectors import CLASSES, Composite
 
 T = TypeVar("T")
 MAX_BYTES = 1 << 40
+_VECTORS_OF_3 = (vec3, ivec3, uvec3)
 
 
 class Buffer(Resource):
@@ -247,6 +248,9 @@ class UniformBuffer(UniformRange[T], Resource):
         super().__init__(owner.id, 0, owner.size, layout, owner)
         owner._upload_bytes(data, 0)
 
+    def __repr__(self) -> str:
+        return f"UniformBuffer({self.owner.label!r}, {_name(self.type)})"
+
     def write(self, value: T) -> None:
         """Replace the constants, ordered after the draws before."""
         core, call = self.owner.core, "UniformBuffer.write"
@@ -255,8 +259,7 @@ class UniformBuffer(UniformRange[T], Resource):
             if layout is int and self.type in (float, uint):  # as an int is converted in a field of a struct
                 layout, constants = self.type, _wrapper(self.type)(value=value)
         if layout is not self.type:
-            name = getattr(self.type, "__name__", str(self.type))
-            core.refuse(LAYOUT_MISMATCH, call, f"{value!r}, a {type(value).__name__}", f"a {name}")
+            core.refuse(LAYOUT_MISMATCH, call, f"{value!r}, a {type(value).__name__}", f"a {_name(self.type)}")
         self.owner._check(call)
         self.owner._upload_bytes(constants.to_bytes(), 0)
 
@@ -295,6 +298,9 @@ class UniformArray(Resource, Generic[T]):
     def __len__(self) -> int:
         return len(self._ranges)
 
+    def __repr__(self) -> str:
+        return f"UniformArray({self.buffer.label!r}, {len(self)} × {_name(self.type)})"
+
     def __getitem__(self, index: int) -> UniformRange[T]:
         return self._ranges[index]
 
@@ -326,6 +332,9 @@ class StorageBuffer(StorageRange[T], Resource):
         super().__init__(owner.id, 0, count * dtype.itemsize, element, count, owner)
         self.dtype = dtype
 
+    def __repr__(self) -> str:
+        return f"StorageBuffer({self.owner.label!r}, {self.count} × {_name(self.type)})"
+
     def __len__(self) -> int:
         return self.count
 
@@ -338,8 +347,10 @@ class StorageBuffer(StorageRange[T], Resource):
         return self._typed().read_async(first, count)
 
     def write(self, rows: NDArray[Any], first: int = 0) -> None:
-        """Replace elements from `first` on; `layout-mismatch` if the dtype is not `dtype`."""
-        self._typed().write(match_layout(self.owner.core, rows, self.dtype, "StorageBuffer.write"), first)
+        """Replace elements from `first` on; `layout-mismatch` if the dtype is not `dtype`. Vectors of three components
+        may be (n, 3): they are padded."""
+        call = "StorageBuffer.write"
+        self._typed().write(match_layout(self.owner.core, rows, self.dtype, call, self.type), first)
 
     def lock(self, access: Access, first: int = 0, count: int | None = None) -> Lock:
         """Create a lock: `with array.lock(Access.WRITE, first, count) as rows:`; offsets in elements."""
@@ -380,17 +391,24 @@ def storage_dtype(check: Arguments, element: Any) -> np.dtype[Any]:
 
 
 def as_storage(
-    check: Arguments, core: Core, source: int | NDArray[Any], dtype: np.dtype[Any], most: int
+    check: Arguments, core: Core, element: Any, source: int | NDArray[Any], dtype: np.dtype[Any], most: int
 ) -> NDArray[Any]:
-    """Return what storage of this dtype, of 1 to `most` bytes, begins with: a number of zeros, or an array."""
+    """Return the first contents of storage of these elements, 1 to `most` bytes: a number of zeros, or an array."""
     count = as_whole(source)
-    array = None if count is not None else match_layout(core, check.array("source", source), dtype, check.call)
+    array = None
+    if count is None:
+        array = match_layout(core, check.array("source", source), dtype, check.call, element)
     if array is not None and not array.ndim and array.dtype.names is None:
         check.fail("source", source, "a number of elements, or an array")
     size = array.nbytes if array is not None else (count or 0) * dtype.itemsize
     if not 0 < size <= most:
         core.refuse(BUFFER_SIZE, check.call, f"{size} bytes", f"1 to {most} bytes")
     return np.zeros(count or 0, dtype) if array is None else np.ascontiguousarray(array)
+
+
+def _name(kind: object) -> str:
+    """Return the name of a type of the shading language."""
+    return getattr(kind, "__name__", str(kind))
 
 
 def _is_plain(dtype: np.dtype[Any]) -> bool:
@@ -416,13 +434,26 @@ def aligned_dtype(dtype: np.dtype[Any], alignment: int) -> np.dtype[Any]:
     )
 
 
-def match_layout(core: Core, array: NDArray[Any], expected: np.dtype[Any], call: str) -> NDArray[Any]:
-    """Return an array as one of the expected dtype; refuse another layout, showing both side by side."""
+def match_layout(
+    core: Core, array: NDArray[Any], expected: np.dtype[Any], call: str, element: Any = None
+) -> NDArray[Any]:
+    """Return an array as one of the expected dtype; refuse another layout, showing both side by side.
+
+    Vectors of three components take the place of four: if these are the `element`s, (n, 3) becomes (n, 4).
+    """
     given = Arguments(call, core.refuse).array("array", array)
     base, shape = expected.subdtype or (expected, ())
-    if not accepts(base, given.dtype) or (shape and given.shape[-len(shape) :] != shape):
-        table = compare_layouts(base, given.dtype)
-        core.refuse(LAYOUT_MISMATCH, call, f"shape {given.shape} of\n{table}", str(shape or ""))
+    if shape == (4,) and given.shape[-1:] == (3,) and given.dtype == base and element in _VECTORS_OF_3:
+        given = np.concatenate([given, np.zeros_like(given[..., :1])], axis=-1)
+    if not accepts(base, given.dtype):
+        core.refuse(
+            LAYOUT_MISMATCH, call, f"shape {given.shape} of\n{compare_layouts(base, given.dtype)}", str(shape or "")
+        )
+    if shape and given.shape[-len(shape) :] != shape:
+        allowed = f"(n, {', '.join(map(str, shape))}) of {base}"
+        core.refuse(
+            LAYOUT_MISMATCH, call, f"shape {given.shape} of {given.dtype}", allowed, "give an array of this shape"
+        )
     return given if given.dtype == base else np.ascontiguousarray(given).view(base)
 
 

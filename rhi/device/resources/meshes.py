@@ -365,7 +365,7 @@ class Drawable:
 class Mesh(Drawable, Resource):
     """Vertices with optional indices and per-instance data, or a part of them; created by `device.mesh`."""
 
-    __slots__ = ("data",)
+    __slots__ = ("_is_view", "data")
 
     def __init__(
         self,
@@ -375,9 +375,11 @@ class Mesh(Drawable, Resource):
         count: int,
         base_vertex: int = 0,
         base_instance: int = 0,
+        is_view: bool = False,
     ) -> None:
         super().__init__(primitive, first, count, base_vertex, base_instance, data.buffers, data.vertex_arrays)
         self.data = data
+        self._is_view = is_view
         data.views.add(self)
 
     def create_vertex_array(self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]) -> Id:
@@ -428,10 +430,12 @@ class Mesh(Drawable, Resource):
         return f"Mesh({self.data.label!r}, {self.primitive.name}, {self.first}+{self.count})"
 
     def _part(self, first: int, count: int, base_vertex: int, base_instance: int, primitive: Primitive) -> Mesh:
-        return Mesh(self.data, primitive, first, count, base_vertex, base_instance)
+        return Mesh(self.data, primitive, first, count, base_vertex, base_instance, is_view=True)
 
     def destroy(self) -> None:
-        """Destroy the buffers that were created for this mesh (not those passed in)."""
+        """Destroy the buffers that were created for this mesh (not those passed in). A view owns none: they stay."""
+        if self._is_view:
+            return
         self.data.destroy()
         self.data.core.program = None
 

@@ -13,7 +13,6 @@
 from __future__ import annotations
 
 import inspect
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from importlib.machinery import ModuleSpec
@@ -21,10 +20,10 @@ from types import CellType, FunctionType, ModuleType
 from typing import Any, Final, NoReturn, TypeVar, cast, get_args, get_origin
 
 from rhi.contract.layout import ArrayType, HostType, StructType
-from rhi.errors import CallSite, RhiError, ShaderError, find_call_site
+from rhi.errors import CallSite, ShaderError, find_call_site
 from rhi.shading.language import rules
 from rhi.shading.language.function import ShadingFunction
-from rhi.shading.language.modules import describe_failure
+from rhi.shading.language.modules import execute, is_own
 from rhi.shading.language.shader import Shader, SharedMemory, collect_bindings
 from rhi.shading.language.source import SourceFile, exchange_source, forget_signatures, take_source
 from rhi.shading.language.structs import Struct
@@ -84,15 +83,7 @@ class Edit:
         for name in ("__file__", "__package__", "__path__"):
             if name in vars(module):
                 vars(beside)[name] = vars(module)[name]
-        sys.modules[module.__name__] = beside  # where classes look for their module's names while they are made
-        try:
-            exec(compile(text, file, "exec", dont_inherit=True), vars(beside))
-        except RhiError:
-            raise
-        except Exception as error:
-            raise describe_failure(f"reload of {module.__name__}", file, error, beside) from error
-        finally:
-            sys.modules[module.__name__] = module
+        execute(f"reload of {module.__name__}", file, text, beside, module)
         return beside
 
     # -- what belongs together -----------------------------------------------------------------------------
@@ -102,7 +93,7 @@ class Edit:
         pairs: dict[int, Any] = {}
         for name, new in vars(beside).items():
             old = vars(self.module).get(name)
-            if old is None or not self._is_own(new) or not self._is_own(old):
+            if old is None or not is_own(new, self.module) or not is_own(old, self.module):
                 continue
             for kind in (Shader, Struct):
                 if _is_kind(new, kind) and _is_kind(old, kind):
@@ -110,10 +101,6 @@ class Edit:
             if isinstance(new, ShadingFunction) and isinstance(old, ShadingFunction):
                 pairs[id(new)] = old
         return pairs
-
-    def _is_own(self, value: object) -> bool:
-        value = value.python if isinstance(value, ShadingFunction) else value
-        return getattr(value, "__module__", None) == self.module.__name__
 
     def _translate(self, value: Any) -> Any:
         """Return an annotation or constant with the classes that exist in place of new ones."""
@@ -149,7 +136,8 @@ class Edit:
         for name, new in after.items():
             if name.startswith("__") and name.endswith("__") and name != "__doc__":
                 continue
-            if isinstance(new, FunctionType | type) and self._is_own(new) and not _is_kind(new, (Shader, Struct)):
+            plain = isinstance(new, FunctionType | type) and not _is_kind(new, (Shader, Struct))
+            if plain and is_own(new, module):
                 new = before.get(name, new)  # plain Python
             self._set_name(name, self._exchanges.get(id(new), new))
         for name, old in before.items():
@@ -167,7 +155,7 @@ class Edit:
         ]
         self._put_structs(structs)
         for new in after.values():
-            if not self._is_own(new):
+            if not is_own(new, self.module):
                 continue
             if isinstance(new, ShadingFunction):
                 self._put_function(self._exchanges.get(id(new), new), new)

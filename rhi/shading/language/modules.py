@@ -52,26 +52,40 @@ def from_source(text: str, *names: str, file: str = "<shader>", scope: Mapping[s
     module = ModuleType(f"shader_text_{next(_numbers)}")
     module.__spec__ = ModuleSpec(module.__name__, None, loader_state=source)
     vars(module).update(scope or {})
-    sys.modules[module.__name__] = module  # where classes look for their module's names while they are made
-    try:
-        exec(compile(text, file, "exec", dont_inherit=True), vars(module))
-    except RhiError:
-        raise
-    except Exception as error:
-        raise describe_failure("from_source", source, error, module) from error
-    finally:
-        del sys.modules[module.__name__]
+    execute("from_source", source, text, module)
     found = [_find(source, module, name) for name in names]
     if not names:
         return _last_shader(source, module)
     return found[0] if len(found) == 1 else tuple(found)
 
 
+def execute(call: str, source: SourceFile, text: str, module: ModuleType, kept: ModuleType | None = None) -> None:
+    """Run a text in a module, which has its name in `sys.modules` meanwhile: classes look for it while they are made.
+
+    Afterwards the name is that of the module `kept`, or of none.
+
+    Raises:
+        ShaderError: `shading-text`: the text isn't Python or raises an exception; the error shows the line.
+    """
+    sys.modules[module.__name__] = module
+    try:
+        exec(compile(text, str(source), "exec", dont_inherit=True), vars(module))
+    except RhiError:
+        raise
+    except (Exception, SystemExit) as error:
+        raise _describe_failure(call, source, error, module) from error
+    finally:
+        if kept is None:
+            del sys.modules[module.__name__]
+        else:
+            sys.modules[module.__name__] = kept
+
+
 def _last_shader(source: SourceFile, module: ModuleType) -> type[Shader]:
     shaders = [
         value
         for value in vars(module).values()
-        if isinstance(value, type) and issubclass(value, Shader) and _is_own(value, module)
+        if isinstance(value, type) and issubclass(value, Shader) and is_own(value, module)
     ]
     if not shaders:
         given, allowed = "no shader", "a class derived from Shader"
@@ -81,19 +95,19 @@ def _last_shader(source: SourceFile, module: ModuleType) -> type[Shader]:
 
 def _find(source: SourceFile, module: ModuleType, name: str) -> Any:
     if name not in vars(module):
-        known = [key for key, value in vars(module).items() if _is_own(value, module)]
+        known = [key for key, value in vars(module).items() if is_own(value, module)]
         call, allowed = f"from_source({source})", ", ".join(known)
         raise ShaderError(rules.TEXT, call, repr(name), allowed, suggest(name, known), find_call_site())
     return vars(module)[name]
 
 
-def _is_own(value: object, module: ModuleType) -> bool:
+def is_own(value: object, module: ModuleType) -> bool:
     """Return whether a text itself defines a value of its module: a class or a function."""
     value = value.python if isinstance(value, ShadingFunction) else value
     return getattr(value, "__module__", "") == module.__name__
 
 
-def describe_failure(call: str, source: SourceFile, error: Exception, module: ModuleType) -> ShaderError:
+def _describe_failure(call: str, source: SourceFile, error: BaseException, module: ModuleType) -> ShaderError:
     """Return the error for an exception that executing a text has raised, at the text's innermost line."""
     line, given = 0, f"{type(error).__name__}: {error}"
     if isinstance(error, SyntaxError) and error.filename == source:

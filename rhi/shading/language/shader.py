@@ -11,6 +11,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 import os
 import sys
 from collections.abc import Mapping
@@ -118,6 +119,18 @@ class Shader:
                 f"{cls.__name__}(…)",
                 tip="pass the class itself: device.program(TheShader)",
             )
+
+
+def find_work_group(shader: type[Shader]) -> tuple[int, int, int]:
+    """Return the size of a shader's work-groups; `shading-out-of-range` if it isn't 1 to 3 numbers of at most 1024
+    together."""
+    given: Any = shader.work_group
+    valid = isinstance(given, tuple) and 1 <= len(given) <= 3 and all(type(n) is int and n > 0 for n in given)
+    if not valid or math.prod(given) > 1024:
+        call, allowed = f"class {shader.__name__}: work_group", "1 to 3 positive numbers whose product is at most 1024"
+        raise ShaderError(rules.OUT_OF_RANGE, call, repr(given), allowed, site=find_call_site())
+    x, y, z = (*given, 1, 1)[:3]
+    return x, y, z
 
 
 def collect_bindings(

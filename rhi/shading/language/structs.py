@@ -186,7 +186,7 @@ def struct_of(annotation: Any) -> type[Struct] | None:
 
 
 def _check_shareable(type: StructType, call: str) -> None:
-    if not is_host_shareable(type):
+    if type.fields and not is_host_shareable(type):
         tip = "bools have no layout in memory; use a uint"
         raise ShaderError(rules.STRUCT, call, "a bool field", tip=tip)
 

@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cache
 from typing import Any, Final
 
@@ -15,35 +16,6 @@ from rhi.contract.formats import Format
 from rhi.contract.layout import FLOAT, INT, UINT
 from rhi.shading.language.builtins import Builtin, BuiltinParameter, Overload, SideEffect, expand
 from rhi.shading.language.types import LANGUAGE_NAMES, VECTORS, ImageType, TextureType, Type
-
-__all__ = [  # noqa: F822 (the texture and image classes are created below)
-    "DepthTexture2D",
-    "DepthTexture2DArray",
-    "DepthTextureCube",
-    "Image2D",
-    "Image2DArray",
-    "Image3D",
-    "IntImage2D",
-    "IntImage2DArray",
-    "IntImage3D",
-    "IntTexture2D",
-    "IntTexture2DArray",
-    "IntTexture3D",
-    "IntTextureCube",
-    "Texture2D",
-    "Texture2DArray",
-    "Texture3D",
-    "TextureCube",
-    "UintImage2D",
-    "UintImage2DArray",
-    "UintImage3D",
-    "UintTexture2D",
-    "UintTexture2DArray",
-    "UintTexture3D",
-    "UintTextureCube",
-    "image",
-]
-LANGUAGE_NAMES.update(__all__)
 
 _D2, _ARRAY, _D3, _CUBE = TextureKind.D2, TextureKind.D2_ARRAY, TextureKind.D3, TextureKind.CUBE
 _NOT_3D: Final = frozenset({_D2, _ARRAY, _CUBE})
@@ -203,21 +175,28 @@ def image(format: Format) -> Any:
 
 
 _SHAPES: Final = {_D2: "2D", _ARRAY: "2DArray", _D3: "3D", _CUBE: "Cube"}
+_PREFIXES: Final = {FLOAT: "", INT: "Int", UINT: "Uint"}
 
-for _kind, _shape in _SHAPES.items():
-    for _scalar, _prefix in ((FLOAT, ""), (INT, "Int"), (UINT, "Uint")):
-        _values = {"": "floats", "Int": "ints", "Uint": "uints"}[_prefix]
-        _space: dict[str, Any] = {"__module__": __name__, "shading_type": TextureType(_kind, _scalar)}
-        _space["__doc__"] = f"A {_shape} texture, read as {_values} through a sampler."
-        _name = f"{_prefix}Texture{_shape}"
-        globals()[_name] = type(_name, (SampledTexture,), _space)
-        if _kind in _NOT_CUBE:
-            _name = f"{_prefix}Image{_shape}"
-            _space = {"__module__": __name__, "kind": _kind, "scalar": _scalar}
-            _space["__doc__"] = f"One mip level of a {_shape} texture, loaded and stored as {_values}."
-            globals()[_name] = type(_name, (StorageImage,), _space)
-    if _kind in _NOT_3D:
-        _name = f"DepthTexture{_shape}"
-        _space = {"__module__": __name__, "shading_type": TextureType(_kind, FLOAT, True)}
-        _space["__doc__"] = f"A {_shape} depth texture; reading it compares its texels with a reference."
-        globals()[_name] = type(_name, (SampledTexture,), _space)
+
+def _create_classes() -> Iterator[type]:
+    """Yield the class of each kind of texture and image."""
+    for kind, shape in _SHAPES.items():
+        for scalar, prefix in _PREFIXES.items():
+            doc = f"A {shape} texture, read as {scalar.name}s through a sampler."
+            space: dict[str, Any] = {"shading_type": TextureType(kind, scalar), "__doc__": doc}
+            yield type(f"{prefix}Texture{shape}", (SampledTexture,), space)
+            if kind in _NOT_CUBE:
+                doc = f"One mip level of a {shape} texture, loaded and stored as {scalar.name}s."
+                space = {"kind": kind, "scalar": scalar, "__doc__": doc}
+                yield type(f"{prefix}Image{shape}", (StorageImage,), space)
+        if kind in _NOT_3D:
+            doc = f"A {shape} depth texture; reading it compares its texels with a reference."
+            space = {"shading_type": TextureType(kind, FLOAT, True), "__doc__": doc}
+            yield type(f"DepthTexture{shape}", (SampledTexture,), space)
+
+
+_CLASSES: Final = {cls.__name__: cls for cls in _create_classes()}
+globals().update(_CLASSES)
+
+__all__ = sorted(["image", *_CLASSES])
+LANGUAGE_NAMES.update(__all__)

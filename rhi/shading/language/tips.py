@@ -1,12 +1,19 @@
 """Names of other languages for what the shading language has under another name or says in another way.
 
-`FOREIGN` is the table, from HLSL, GLSL, CUDA, Metal, NumPy and Python. A tip never names something that doesn't exist:
-a test resolves each `name(` in the table.
+`FOREIGN` is the table, from HLSL, GLSL, CUDA, Metal, NumPy and Python. The names that GLSL and NumPy have for a
+built-in follow from its row in `BUILTINS`; the others are written here. A tip never names something that doesn't
+exist: a test resolves each `name(` in the table.
 """
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator
 from typing import Final
+
+from rhi.contract.layout import MatrixType, VectorType
+from rhi.shading.language.builtins import BUILTINS, SideEffect
+from rhi.shading.language.types import VOID
 
 _SAMPLING: Final = "a texture is a field of the shader, and its methods read it: "
 
@@ -27,43 +34,21 @@ FOREIGN: Final[dict[str, str]] = {
     "countbits": "use bit_count(x)",
     "popcount": "use bit_count(x)",
     "popc": "use bit_count(x)",
-    "bitCount": "use bit_count(x)",
     "firstbithigh": "use find_msb(x)",
     "firstbitlow": "use find_lsb(x)",
-    "findMSB": "use find_msb(x)",
-    "findLSB": "use find_lsb(x)",
     "reversebits": "use bitfield_reverse(x)",
-    "bitfieldReverse": "use bitfield_reverse(x)",
-    "bitfieldExtract": "use bitfield_extract(x, offset, count)",
-    "bitfieldInsert": "use bitfield_insert(base, x, offset, count)",
     "asfloat": "use int_bits_to_float(x) or uint_bits_to_float(x)",
     "asint": "use float_bits_to_int(x)",
     "asuint": "use float_bits_to_uint(x)",
     "as_type": "use float_bits_to_int(x) and its kin",
-    "floatBitsToInt": "use float_bits_to_int(x)",
-    "floatBitsToUint": "use float_bits_to_uint(x)",
-    "intBitsToFloat": "use int_bits_to_float(x)",
-    "uintBitsToFloat": "use uint_bits_to_float(x)",
     "f32tof16": "use pack_half_2x16(v)",
     "f16tof32": "use unpack_half_2x16(x)",
-    "packHalf2x16": "use pack_half_2x16(v)",
-    "unpackHalf2x16": "use unpack_half_2x16(x)",
-    "packUnorm4x8": "use pack_unorm_4x8(v)",
-    "unpackUnorm4x8": "use unpack_unorm_4x8(x)",
-    "dFdx": "use ddx(x)",
-    "dFdy": "use ddy(x)",
     "dfdx": "use ddx(x)",
     "dfdy": "use ddy(x)",
     "ddx_coarse": "use ddx(x)",
     "ddx_fine": "use ddx(x)",
     "ddy_coarse": "use ddy(x)",
     "ddy_fine": "use ddy(x)",
-    "lessThan": "use less_than(a, b)",
-    "lessThanEqual": "use less_than_equal(a, b)",
-    "greaterThan": "use greater_than(a, b)",
-    "greaterThanEqual": "use greater_than_equal(a, b)",
-    "notEqual": "use not_equal(a, b)",
-    "roundEven": "use round(x)",
     "matrixCompMult": "write a * b",
     "outerProduct": "write the rows: mat3(a.x * b, a.y * b, a.z * b)",
     "discard_fragment": "call discard()",
@@ -83,6 +68,7 @@ FOREIGN: Final[dict[str, str]] = {
     "textureGrad": _SAMPLING + "self.albedo.sample_grad(uv, ddx(uv), ddy(uv))",
     "textureGather": _SAMPLING + "self.albedo.gather(uv)",
     "texelFetch": _SAMPLING + "self.albedo.load(texel)",
+    "textureQueryLevels": _SAMPLING + "self.albedo.levels()",
     "textureSize": _SAMPLING + "self.albedo.size()",
     "imageLoad": "an image is a field of the shader, and its methods access it: self.target.load(texel)",
     "imageStore": "an image is a field of the shader, and its methods access it: self.target.store(texel, value)",
@@ -101,13 +87,7 @@ FOREIGN: Final[dict[str, str]] = {
     "__syncthreads": "call barrier()",
     "threadgroup_barrier": "call barrier()",
     "__threadfence": "call memory_barrier()",
-    "memoryBarrier": "call memory_barrier()",
-    "atomicAdd": "use atomic_add(location, value)",
-    "atomicMin": "use atomic_min(location, value)",
-    "atomicMax": "use atomic_max(location, value)",
-    "atomicExchange": "use atomic_exchange(location, value)",
     "atomicCAS": "use atomic_compare_exchange(location, expected, value)",
-    "atomicCompSwap": "use atomic_compare_exchange(location, expected, value)",
     "InterlockedAdd": "use atomic_add(location, value)",
     "InterlockedMin": "use atomic_min(location, value)",
     "InterlockedMax": "use atomic_max(location, value)",
@@ -116,41 +96,22 @@ FOREIGN: Final[dict[str, str]] = {
     "blockDim": "it is the `work_group` of the class",
     "gridDim": "use group_count()",
     "groupshared": "declare it on the class: name = shared(float, 64)",
-    "gl_VertexID": "use vertex_index()",
     "gl_VertexIndex": "use vertex_index()",
     "gl_InstanceID": "use instance_index()",
     "gl_InstanceIndex": "use instance_index()",
     "gl_DrawID": "use draw_index()",
     "gl_Position": "return it: a vec4, or the first field of the struct that `vertex` returns",
-    "gl_FragCoord": "use fragment_coordinate()",
-    "gl_FrontFacing": "use front_facing()",
     "gl_FragDepth": "return a struct with a field of type FragmentDepth",
     "gl_FragColor": "return it from `fragment`",
-    "gl_PrimitiveID": "use primitive_index()",
-    "gl_GlobalInvocationID": "use global_id()",
-    "gl_LocalInvocationID": "use local_id()",
-    "gl_LocalInvocationIndex": "use local_index()",
-    "gl_WorkGroupID": "use group_id()",
-    "gl_NumWorkGroups": "use group_count()",
     # NumPy and math
-    "arctan2": "use atan2(y, x)",
-    "arctan": "use atan(x)",
-    "arcsin": "use asin(x)",
-    "arccos": "use acos(x)",
-    "arcsinh": "use asinh(x)",
-    "arccosh": "use acosh(x)",
-    "arctanh": "use atanh(x)",
     "power": "write x ** y, or pow(x, y)",
     "square": "write x * x",
     "cbrt": "write sign(x) * pow(abs(x), 1.0 / 3.0)",
     "reciprocal": "write 1.0 / x",
     "absolute": "use abs(x)",
     "fabs": "use abs(x)",
-    "minimum": "use min(a, b)",
-    "maximum": "use max(a, b)",
     "fmin": "use min(a, b)",
     "fmax": "use max(a, b)",
-    "rint": "use round(x)",
     "fix": "use trunc(x)",
     "remainder": "write x % y",
     "deg2rad": "use radians(x)",
@@ -200,6 +161,33 @@ FOREIGN: Final[dict[str, str]] = {
     "void": "use None",
     "inout": "arguments are passed by value: return the new value",
 }
+
+
+def _derive_tips() -> Iterator[tuple[str, str]]:
+    """Yield the names that built-ins have in GLSL and in NumPy, each with a tip."""
+    for row in BUILTINS.values():
+        overload = row.overloads[0]
+        listed = re.search(r"\b(?:for|of) \((\w[\w, ]*)\)", row.doc)
+        if row.effect is SideEffect.WRITE and not listed:
+            arguments = "location, value"
+        elif listed:
+            arguments = listed[1]
+        elif len(overload.parameters) == 1:
+            is_vector = isinstance(overload.parameters[0].type, VectorType)
+            arguments = "v" if is_vector else "m" if isinstance(overload.parameters[0].type, MatrixType) else "x"
+        else:
+            arguments = ", ".join("abcd"[: len(overload.parameters)])
+        tip = f"{'call' if overload.result is VOID else 'use'} {row.name}({arguments})"
+        for pattern, spelling in ((_GLSL_NAME, overload.glsl), (_NUMPY_NAME, row.numpy)):
+            found = pattern.fullmatch(spelling)
+            if found and found[1] not in BUILTINS:
+                yield found[1], tip
+
+
+_GLSL_NAME: Final = re.compile(r"(?:\w+\()?(?=\w*[A-Z])(\w+)\)?(?:\(\))?")
+"""A name that isn't lower-case throughout, perhaps converted or called: `findLSB`, `ivec3(gl_WorkGroupID)`."""
+_NUMPY_NAME: Final = re.compile(r"np\.(\w+)\(.*\)")
+FOREIGN.update({**dict(_derive_tips()), **FOREIGN})
 for _size in (2, 3, 4):
     for _name in ("float", "half", "double", "dvec", "make_float"):
         FOREIGN[f"{_name}{_size}"] = f"use vec{_size}"

@@ -18,27 +18,7 @@ import numpy as np
 from rhi.contract.layout import BOOL, FLOAT, INT, UINT, HostType
 from rhi.shading.language.types import LANGUAGE_NAMES, MATRICES, VECTORS
 
-__all__ = [  # noqa: F822 (the vector and matrix classes are created below)
-    "Array",
-    "ReadOnlyArray",
-    "array",
-    "bvec2",
-    "bvec3",
-    "bvec4",
-    "ivec2",
-    "ivec3",
-    "ivec4",
-    "mat2",
-    "mat3",
-    "mat4",
-    "uint",
-    "uvec2",
-    "uvec3",
-    "uvec4",
-    "vec2",
-    "vec3",
-    "vec4",
-]
+__all__ = sorted(["Array", "ReadOnlyArray", "array", "uint", *map(str, [*VECTORS.values(), *MATRICES.values()])])
 LANGUAGE_NAMES.update(__all__)
 
 T = TypeVar("T")

@@ -247,11 +247,11 @@ def store(memory: Array, address: Any, value: Any, mask: Any, invocations: Invoc
 
 
 def store_shared(memory: Array, address: Any, value: Any, mask: Any, invocations: WorkGroups) -> None:
-    """Write words of each group's shared memory."""
-    address, value = _active(_flat(memory, address, invocations), _to_shared(value), mask)
-    flat = memory.reshape(-1)
-    inside = (address >= 0) & (address < flat.size)
-    flat[address[inside]] = value[inside]
+    """Write words of each group's shared memory; writes outside it are dropped."""
+    inside = (address >= 0) & (address < memory.shape[1])
+    address = _flat(memory, address, invocations)
+    address, value = _active(address, _to_shared(value), inside if mask is None else inside & mask)
+    memory.reshape(-1)[address] = value
 
 
 def _flat(memory: Array, address: Any, invocations: WorkGroups) -> Any:
@@ -279,13 +279,17 @@ def atomic(
     dtype: Any,
     wanted: bool,
 ) -> Any:
-    """Execute an atomic operation in the order of the invocations; return the old values if they are `wanted`."""
+    """Execute an atomic operation in the order of the invocations; return the old values if they are `wanted`.
+
+    One outside the memory does nothing, and returns 0.
+    """
     shape = invocations.shape
+    inside = (address >= 0) & (address < memory.shape[-1])
     if shared:
         assert isinstance(invocations, WorkGroups)
         address = _flat(memory, address, invocations)
     address = np.broadcast_to(address, shape)
-    mask = np.broadcast_to(True if mask is None else mask, shape)
+    mask = np.broadcast_to(inside if mask is None else inside & mask, shape)
     chosen = address[mask]
     operands = [np.broadcast_to(value, shape)[mask] for value in values]
     flat = memory.reshape(-1)

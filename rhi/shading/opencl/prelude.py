@@ -25,6 +25,13 @@ and the call costs little beside what the function does.
 """
 
 
+def per_lane(width: int, template: str) -> list[str]:
+    """Return a text for each lane, in which `.s@` is the lane's component, or nothing for scalars."""
+    if width == 1:
+        return [template.replace(".s@", "")]
+    return [template.replace("@", digit) for digit in HEX[:width]]
+
+
 def _estimate_text(width: int) -> str:
     """Write 1 / sqrt(x) to at least 11 bits: the machine's instruction where there is one, else OpenCL's function."""
     suffix = str(width) if width > 1 else ""
@@ -53,7 +60,7 @@ def _trigonometry_text(function: str) -> Callable[[int], str]:
     def text(width: int) -> str:
         if width == 1:
             return f"HEADfloat rhi_{function}(float x) {{ return {function}(x); }}"
-        one_by_one = " ".join(f"if (far.s{HEX[i]}) r.s{HEX[i]} = {function}(x.s{HEX[i]});" for i in range(width))
+        one_by_one = " ".join(per_lane(width, f"if (far.s@) r.s@ = {function}(x.s@);"))
         return f"""HEADfloat{width} rhi_{function}(float{width} x) {{
     int{width} far = fabs(x) > 1e5f;
     float{width} r = {function}(select(x, (float{width})(0.0f), far));
@@ -127,12 +134,10 @@ def _uniform_text(width: int) -> str:
         return ""
     texts = []
     for kind in ("float", "int", "uint"):
-        lines = [f"    if (mask.s{HEX[lane]}) return v.s{HEX[lane]};" for lane in range(1, width)]
         texts += [
             f"{_HEAD}{kind} rhi_uniform({kind}{width} v, int all) {{ return v.s0; }}",
             f"{_HEAD}{kind} rhi_uniform({kind}{width} v, int{width} mask) {{",
-            "    if (mask.s0) return v.s0;",
-            *lines,
+            *per_lane(width, "    if (mask.s@) return v.s@;"),
             "    return v.s0;\n}",
         ]
     return "\n".join(texts)
@@ -400,7 +405,7 @@ def lanes_text(width: int) -> str:
 
 def gather_text(space: str, width: int) -> str:
     """Write the gather of a word per lane."""
-    parts = ", ".join(f"p[i.s{HEX[lane]}]" for lane in range(width))
+    parts = ", ".join(per_lane(width, "p[i.s@]"))
     return f"{_HEAD}uint{width} rhi_gather({space} const uint *p, int{width} i) {{ return (uint{width})({parts}); }}"
 
 
@@ -451,18 +456,14 @@ def store_text(name: str, space: str, width: int, count: int) -> str:
 def scatter_text(name: str, space: str, width: int, count: int) -> str:
     """Write the scatter of `count` words per active lane, at any addresses, in the order of the lanes."""
     values = ", ".join(f"uint{width} v{k}" for k in range(count))
-    lines = []
-    for lane in range(width):
-        at = HEX[lane]
-        sets = " ".join(f"p[i.s{at} + {k}] = v{k}.s{at};" for k in range(count))
-        lines.append(f"    if (mask.s{at}) {{ {sets} }}")
-    body = "\n".join(lines)
+    sets = " ".join(f"p[i.s@ + {k}] = v{k}.s@;" for k in range(count))
+    body = "\n".join(per_lane(width, f"    if (mask.s@) {{ {sets} }}"))
     return f"{_HEAD}void {name}({space} uint *p, int{width} i, int{width} mask, {values}) {{\n{body}\n}}"
 
 
 def last_text(width: int) -> str:
     """Write the selection of the last active lane's value."""
-    lines = [f"    if (mask.s{HEX[lane]}) return v.s{HEX[lane]};" for lane in reversed(range(width))]
+    lines = reversed(per_lane(width, "    if (mask.s@) return v.s@;"))
     return f"{_HEAD}uint rhi_last(uint{width} v, int{width} mask) {{\n" + "\n".join(lines) + "\n    return 0;\n}"
 
 
@@ -470,13 +471,9 @@ def atomic_text(name: str, space: str, width: int, operation: str, kind: str) ->
     """Write an atomic operation for each active lane, in order."""
     exchange = operation == "cmpxchg"
     values = f"{kind}{width} v" + (f", {kind}{width} w" if exchange else "")
-    lines = []
-    for lane in range(width):
-        at = HEX[lane]
-        second = f", w.s{at}" if exchange else ""
-        call = f"atomic_{operation}((volatile {space} {kind} *)p + i.s{at}, v.s{at}{second})"
-        lines.append(f"    if (mask.s{at}) old.s{at} = {call};")
-    body = "\n".join(lines)
+    second = ", w.s@" if exchange else ""
+    call = f"atomic_{operation}((volatile {space} {kind} *)p + i.s@, v.s@{second})"
+    body = "\n".join(per_lane(width, f"    if (mask.s@) old.s@ = {call};"))
     return (
         f"{_HEAD}{kind}{width} {name}({space} uint *p, int{width} i, int{width} mask, {values}) {{\n"
         f"    {kind}{width} old = 0;\n{body}\n    return old;\n}}"
@@ -488,8 +485,7 @@ def atomic_add_text(name: str, space: str, width: int, kind: str) -> str:
 
     The sum is added at once; the old value of each lane follows from the sums before it.
     """
-    lines = [f"    before.s{HEX[lane]} = sum; sum += v.s{HEX[lane]};" for lane in range(width)]
-    body = "\n".join(lines)
+    body = "\n".join(per_lane(width, "    before.s@ = sum; sum += v.s@;"))
     return f"""{_HEAD}{kind}{width} {name}({space} uint *p, int i, int{width} mask, {kind}{width} v) {{
     {kind}{width} before; {kind} sum = 0;
     v &= as_{kind}{width}(mask);

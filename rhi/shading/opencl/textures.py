@@ -12,13 +12,13 @@ from __future__ import annotations
 import importlib.resources
 import re
 from collections.abc import Iterable
-from functools import cache
+from functools import cache, reduce
 from typing import Final
 
 from rhi.contract.descriptors import TextureKind
 from rhi.shading.ir.texture_words import enumerations
 from rhi.shading.language.builtins import Precision
-from rhi.shading.opencl.prelude import HEX
+from rhi.shading.opencl.prelude import per_lane
 
 _HEAD: Final = """typedef global const uchar *rhi_texture;
 typedef global uchar *rhi_image;
@@ -108,11 +108,11 @@ def _specialized(text: str, width: int) -> str:
 
 def _memory_text(width: int) -> str:
     """Write the loads and stores whose addresses differ from lane to lane."""
-    lanes = [f"i.s{HEX[lane]}" for lane in range(width)] if width > 1 else ["i"]
+    lanes = per_lane(width, "i.s@")
     texts = [_machine_text(width)]
     for bits, type in ((8, "uchar"), (16, "ushort"), (32, "uint")):
         parts = ", ".join(f"q[{lane}]" for lane in lanes)
-        stores = " ".join(f"if (mask{lane[1:]}) q[{lane}] = ({type})v{lane[1:]};" for lane in lanes)
+        stores = " ".join(per_lane(width, f"if (mask.s@) q[i.s@] = ({type})v.s@;"))
         texts.append(
             f"static RHI_INLINE UINT rhi_gather{bits}(rhi_texture p, INT i) {{\n"
             f"#ifdef RHI_GATHER{bits}\n    return RHI_GATHER{bits}(p, i);\n#else\n"
@@ -189,9 +189,7 @@ def _minimum_text(width: int) -> str:
     head = "static RHI_INLINE int rhi_least(INT x) {"
     if width == 1:
         return f"{head} return x; }}"
-    minimum = "x.s0"
-    for lane in range(1, width):
-        minimum = f"min({minimum}, x.s{HEX[lane]})"
+    minimum = reduce(lambda least, lane: f"min({least}, {lane})", per_lane(width, "x.s@"))
     return "\n".join(
         [
             head,

@@ -18,7 +18,7 @@ from rhi.contract.layout import INT, ArrayType, StructType
 from rhi.shading.ir import tree
 from rhi.shading.language import rules
 from rhi.shading.language.builtins import Builtin, SideEffect
-from rhi.shading.language.shader import Shader, StorageClass
+from rhi.shading.language.shader import Shader, StorageClass, find_work_group
 from rhi.shading.language.source import Source, refuse_at, span_of
 from rhi.shading.language.types import StorageType, Type, count_scalars, has_array
 from rhi.shading.parser.signatures import Callee, UnsizedArray, find_method
@@ -172,7 +172,7 @@ def _check_locals(stage: Stage, entry: tree.Function, finished: list[tree.Functi
                 total += words[node.function]
         total += sum(count_scalars(t) for t in types if isinstance(t, ArrayType | StructType) and has_array(t))
         words[function] = total
-    invocations = math.prod(shader.work_group) if stage is Stage.COMPUTE else PIXELS
+    invocations = math.prod(find_work_group(shader)) if stage is Stage.COMPUTE else PIXELS
     if words[entry] * invocations > MAX_STACK:
         given = f"arrays of {words[entry]} numbers, those of every call included, for each of {invocations} invocations"
         allowed, tip = f"up to {MAX_STACK} numbers together", "use smaller work-groups, or a buffer: StorageRW[…]"

@@ -1,4 +1,4 @@
-"""Writer of the reference of built-ins in a page: `python -m rhi.shading.tools.reference docs/shading.md`.
+"""Writer of the reference of built-ins in a page: `python -m rhi.shading.tools.reference docs/shading-builtins.md`.
 
 The text between the two markers is generated from the table of built-ins. A test checks that the page is current.
 """

@@ -136,6 +136,18 @@ def test_a_benchmark_keeps_the_kernels_that_were_asked_for(
     capsys.readouterr()
 
 
+def test_rows_with_other_columns_are_another_table(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = [{"a": 1}, {"a": 2}, {"b": 3, "c": 4}]
+    monkeypatch.setattr("sys.argv", ["some.py", "--markdown"])
+    run_benchmark("Says what it is.", (), lambda given: rows)
+    assert capsys.readouterr().out == "| a |\n| --- |\n| 1 |\n| 2 |\n\n| b | c |\n| --- | --- |\n| 3 | 4 |\n"
+    monkeypatch.setattr("sys.argv", ["some.py", "--json"])
+    run_benchmark("Says what it is.", (), lambda given: rows)
+    assert json.loads(capsys.readouterr().out) == {"rows": rows}
+
+
 class SlowlyBetter:
     """A device whose backend runs quick kernels until `good` runs were done."""
 

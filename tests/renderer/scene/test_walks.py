@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import find_rule
 
 from renderer.content import find_path, load_scene, parse_camera
 from renderer.scene import Camera, CameraPath, Depth, Orthographic, Perspective
-from rhi.errors import ValidationError
 
 LENSES = [
     Perspective(fov=0.9, aspect=1.5, near=0.3),
@@ -56,14 +56,8 @@ def test_a_walk_is_found_by_its_file_and_a_path_by_its_name(tmp_path: Path) -> N
     assert np.allclose(parse_camera(str(file), scene, 3).position, walk()[3].position)
 
 
-def refusal(call: object) -> str:
-    with pytest.raises(ValidationError) as refused:
-        call()
-    return refused.value.rule.id
-
-
 def test_a_walk_without_a_camera_is_refused() -> None:
-    assert refusal(lambda: CameraPath.record([])) == "camera-bad-walk"
+    assert find_rule(lambda: CameraPath.record([])) == "camera-bad-walk"
 
 
 @pytest.mark.parametrize(
@@ -82,6 +76,6 @@ def test_a_file_that_holds_no_walk_is_refused(tmp_path: Path, change: dict[str, 
     file = tmp_path / "walk.json"
     CameraPath.record(walk()).save(file)
     file.write_text(json.dumps(json.loads(file.read_text()) | change))
-    assert refusal(lambda: CameraPath.load(file)) == rule
+    assert find_rule(lambda: CameraPath.load(file)) == rule
     file.write_text("no json")
-    assert refusal(lambda: CameraPath.load(file)) == "camera-bad-walk"
+    assert find_rule(lambda: CameraPath.load(file)) == "camera-bad-walk"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from frames import make_boxes
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -18,6 +19,7 @@ from renderer.shadows.cascades import (
     find_splits,
     fit_cascades,
 )
+from renderer.shadows.casters import SceneCasters
 
 SUN = np.array((-0.55, -0.62, -0.50)) / np.linalg.norm((-0.55, -0.62, -0.50))
 LENS = Perspective(fov=1.0, near=0.2)
@@ -132,3 +134,18 @@ def test_maps_reach_from_all_casters_to_below_their_slice(top: float) -> None:
         middle = one.camera.rotation[2] @ centre
         assert above >= top
         assert above - one.length <= middle - radius
+
+
+@pytest.mark.parametrize("aside", [(1, 0), (-1, 0), (0, 1), (0, -1)])
+def test_casters_beside_a_cascade_are_left_out_though_the_receiver_reaches_them(aside: tuple[int, int]) -> None:
+    cascade = fit(look(np.array((0.0, 3.0, 0.0)), np.array((0.0, 3.0, -1.0))))[0]
+    lens, rows = cascade.camera, cascade.camera.rotation
+    edge = 1.0 / lens.projection.matrix[0, 0]  # with what filters read
+    way = aside[0] * rows[0] + aside[1] * rows[1]
+    below = lens.position + lens.forward * 0.5 * cascade.length
+    steps = [0.0, 0.9 * edge, edge + 1.5, 3.0 * edge]  # half of a box's diagonal is 0.87
+    scene = make_boxes(*(below + step * way for step in steps)).build()
+    receiver = np.full((1, 3), -1e3), np.full((1, 3), 1e3)
+    found = SceneCasters(scene).turn(0, rows).find(cascade, receiver)
+    assert found is not None
+    assert found.still.tolist() == [0, 1]

@@ -88,18 +88,9 @@ def check_variant(filter: ShadowFilter) -> Any:
     return type("FilterCheck", (FILTERS[filter], FilterCheck), {"__module__": __name__})
 
 
+@pytest.mark.cl_nightly
 @pytest.mark.parametrize("filter", ShadowFilter)
-def test_filters_are_those_of_a_numpy_reference(gl: rhi.Device, filter: ShadowFilter) -> None:
-    compare_filter(gl, filter)
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("filter", ShadowFilter)
-def test_filters_are_those_of_the_reference_on_each_device(drawing_device: rhi.Device, filter: ShadowFilter) -> None:
-    compare_filter(drawing_device, filter)
-
-
-def compare_filter(device: rhi.Device, filter: ShadowFilter) -> None:
+def test_filters_are_those_of_a_numpy_reference(drawing_device: rhi.Device, filter: ShadowFilter) -> None:
     """Compare 4,096 random points, in a tile and at its edges, with the reference."""
     random = np.random.default_rng(7)
     depths = random.uniform(0.3, 0.7, (64, 64)).astype(np.float32)
@@ -109,20 +100,22 @@ def compare_filter(device: rhi.Device, filter: ShadowFilter) -> None:
     points["depth"] = random.uniform(0.3, 0.7, 4096)
     given = (points["at"].astype(float), points["depth"].astype(float), points["slope"].astype(float))
     want, doubt = find_lit_share(filter, depths.astype(float), *given, TILE)
-    atlas = device.texture((64, 64), rhi.Format.D32F)
-    image = device.texture((64, 64), rhi.Format.RGBA32F)
-    numbers = device.texture(depths, rhi.Format.R32F)
+    atlas = drawing_device.texture((64, 64), rhi.Format.D32F)
+    image = drawing_device.texture((64, 64), rhi.Format.RGBA32F)
+    numbers = drawing_device.texture(depths, rhi.Format.R32F)
     states = (rhi.CullMode.NONE, rhi.DepthFunction.ALWAYS)
-    with device.render_pass(None, atlas), device.states(*states):
-        device.draw(device.program(StoreDepth), device.mesh(3), numbers=numbers)
+    with drawing_device.render_pass(None, atlas), drawing_device.states(*states):
+        drawing_device.draw(drawing_device.program(StoreDepth), drawing_device.mesh(3), numbers=numbers)
     assert np.array_equal(atlas.read().reshape(64, 64), depths)
     bindings: dict[str, Any] = {"shadow_atlas": atlas}
     if filter is ShadowFilter.HARDWARE:
         sampler = rhi.SamplerDescriptor(mip=None, compare=rhi.Comparison.GREATER_EQUAL)
         bindings = {"shadow_compare": atlas.sampled(sampler)}
-    with device.render_pass(image), device.states(rhi.CullMode.NONE, rhi.DepthTest.OFF):
-        storage = device.storage(Compared, points)
-        device.draw(device.program(check_variant(filter)), device.mesh(3), points=storage, **bindings)
+    with drawing_device.render_pass(image), drawing_device.states(rhi.CullMode.NONE, rhi.DepthTest.OFF):
+        storage = drawing_device.storage(Compared, points)
+        drawing_device.draw(
+            drawing_device.program(check_variant(filter)), drawing_device.mesh(3), points=storage, **bindings
+        )
     shown = image.read()[..., 0].reshape(-1).astype(float)
     sure = doubt > 1e-5
     assert sure.mean() > 0.99

@@ -377,29 +377,21 @@ def odd_squares() -> Scene:
     return builder.build()
 
 
-def check_odd_squares(device: rhi.Device) -> None:
+@pytest.mark.cl_nightly
+def test_odd_squares_are_those_of_forward_shading(drawing_device: rhi.Device) -> None:
     scene, images = odd_squares(), []
     camera = Camera.look_at((0, 0, 6.5), (0, 0, 0)).with_aspect(1.0)
-    with open_renderer(device, scene, size=(96, 96)) as renderer:
+    with open_renderer(drawing_device, scene, size=(96, 96)) as renderer:
         for renderer.technique in (Forward(), DeferredPlus()):
             images.append(renderer.render(camera).image.read().astype(int))
         assert [one.name for one in renderer.plan(camera)[1].passes][-1] == "shading"
     off = np.abs(images[1] - images[0]).max(2)
-    assert (off > 3).mean() <= (0.001 if device.backend_name == "gl" else 0.0)  # as above
+    assert (off > 3).mean() <= (0.001 if drawing_device.backend_name == "gl" else 0.0)  # as above
     squares = [images[0][y : y + 20, x : x + 20, :3] for y in (10, 38, 66) for x in (10, 38, 66)]
     contrasts = dict(zip(ODD_SQUARES, (np.ptp(one.reshape(-1, 3), axis=0).max() for one in squares), strict=True))
     assert min(contrasts.values()) > 10, contrasts
     hole = (squares[-1] == images[0][0, 0, :3]).all(2)
     assert 0.2 < hole.mean() < 0.6, "3 of 8 columns are below the cut"
-
-
-def test_odd_squares_are_those_of_forward_shading(gl: rhi.Device) -> None:
-    check_odd_squares(gl)
-
-
-@pytest.mark.nightly
-def test_odd_squares_are_those_of_forward_shading_on_each_backend(drawing_device: rhi.Device) -> None:
-    check_odd_squares(drawing_device)
 
 
 def test_coordinates_that_the_buffer_has_no_room_for_are_drawn_with_another_buffer() -> None:

@@ -13,7 +13,7 @@ from frames import find_difference, list_passes, make_boxes, open_renderer, read
 
 import rhi
 from renderer.content import load_scene
-from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene, SceneBuilder, scaling, translation
+from renderer.scene import Camera, Scene, SceneBuilder, scaling, translation
 from renderer.techniques import Forward, ForwardMultipass, LightIndexed, Smoothed, Technique
 from renderer.techniques.light_indexed import (
     LIGHTS_FULL,
@@ -63,24 +63,6 @@ def test_a_scene_looks_as_in_one_pass(
     camera = scene.paths["ground"].camera(500)
     wanted = draw(drawing_device, scene, Forward(), camera)
     assert wanted.std() > 5.0
-    assert find_difference(draw(drawing_device, scene, technique(), camera), wanted) <= 2
-
-
-@pytest.mark.cl_nightly  # by day one scene on cl; lenses on cl in test_technique_pixels.py
-@pytest.mark.parametrize("technique", TECHNIQUES)
-@pytest.mark.parametrize("depth", list(Depth))
-@pytest.mark.parametrize("lens", ["perspective", "far plane", "orthographic"])
-def test_every_lens_and_direction_of_depth_looks_as_in_one_pass(
-    drawing_device: rhi.Device, technique: Callable[[], Technique], depth: Depth, lens: str
-) -> None:
-    projection = {
-        "perspective": Perspective(depth=depth),
-        "far plane": Perspective(far=50.0, depth=depth),
-        "orthographic": Orthographic(9.0, near=-20.0, far=80.0, depth=depth),
-    }[lens]
-    scene = lamps(5, 2, haze=0.05, mirrored=True).build()
-    camera = Camera.look_at((4, 5, 7), (0, 0, 0), projection=projection)
-    wanted = draw(drawing_device, scene, Forward(), camera)
     assert find_difference(draw(drawing_device, scene, technique(), camera), wanted) <= 2
 
 

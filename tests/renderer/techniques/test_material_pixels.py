@@ -12,7 +12,7 @@ from material_scene import build_materials, make_noise
 from numpy.typing import NDArray
 
 import rhi
-from renderer.scene import AlphaMode, Camera, Scene, SceneBuilder, TextureMap, make_geometry
+from renderer.scene import AlphaMode, Camera, SceneBuilder, TextureMap, make_geometry
 from renderer.techniques import TECHNIQUES, Deferred, Forward, Inferred, Technique
 from rhi import Filter, SamplerDescriptor
 
@@ -25,22 +25,15 @@ SIZE = (120, 90)
 NEAREST = SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, None)
 
 
-def check_techniques(device: rhi.Device, scene: Scene) -> None:
+@pytest.mark.cl_nightly
+@pytest.mark.parametrize("lamps", [True, False])
+def test_all_techniques_draw_the_same_materials(drawing_device: rhi.Device, lamps: bool) -> None:
+    scene = build_materials(lamps=lamps)
     techniques, camera = (Forward(), *(make() for make in COMPARED.values())), find_eye(scene).with_aspect(4 / 3)
-    expected, *images = draw_each(device, scene, *techniques, camera=camera, size=SIZE)
+    expected, *images = draw_each(drawing_device, scene, *techniques, camera=camera, size=SIZE)
     assert expected[..., :3].std() > 30.0
     off = {name: find_difference(image, expected) for name, image in zip(COMPARED, images, strict=True)}
     assert max(off.values()) <= 2, off
-
-
-@pytest.mark.parametrize("lamps", [True, False])
-def test_all_techniques_draw_the_same_materials(gl: rhi.Device, lamps: bool) -> None:
-    check_techniques(gl, build_materials(lamps=lamps))
-
-
-@pytest.mark.nightly
-def test_all_techniques_draw_the_same_materials_on_each_backend(drawing_device: rhi.Device) -> None:
-    check_techniques(drawing_device, build_materials())
 
 
 def square(**material: Any) -> SceneBuilder:

@@ -29,8 +29,10 @@ from renderer.techniques import (
     Deferred,
     DeferredPlus,
     Forward,
+    ForwardMultipass,
     ForwardPlus,
     Inferred,
+    LightIndexed,
     LightPrePass,
     Technique,
     TiledDeferred,
@@ -41,6 +43,8 @@ from renderer.visibility import ALGORITHMS, NoCulling, make_visibility
 
 SIZE = (96, 64)
 TECHNIQUES: dict[str, Callable[[], Technique]] = {
+    "forward multipass": ForwardMultipass,
+    "light indexed": LightIndexed,
     "deferred": Deferred,
     "deferred, stencil": lambda: Deferred(stencil=True),
     "light pre-pass": LightPrePass,
@@ -153,6 +157,8 @@ CAMERAS = {
 def test_any_lens_gives_the_picture_of_forward_shading(drawing_device: rhi.Device, lens: str) -> None:
     builder = stage()
     add_random_lights(builder, 30, seed=7)
+    builder.haze, builder.background = 0.05, (0.3, 0.5, 0.7)
+    builder.add_objects(builder.add_node(translation((-1, 1, 4)) @ scaling((-1, 1, 1))), 0, 1)
     image = check_all(drawing_device, builder.build(), CAMERAS[lens])
     assert np.ptp(image[:, :, :3]) > 20, "the scene can be seen"
 

@@ -6,6 +6,7 @@ The hard cases, which the exam measures on every device, are in `renderer.lab.ex
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack
 from itertools import cycle
 
 import numpy as np
@@ -86,12 +87,12 @@ def uncut(device: rhi.Device) -> Iterator[Callable[[str], Uncut]]:
     def draw(situation: str) -> Uncut:
         image = (SITUATIONS | NIGHTLY)[situation]
         if situation not in drawn:
-            drawn[situation] = Uncut(device, scene := image.scene(), image.shots(scene), image.size)
+            made = Uncut(device, scene := image.scene(), image.shots(scene), image.size)
+            drawn[situation] = opened.enter_context(made)
         return drawn[situation]
 
-    yield draw
-    for one in drawn.values():
-        one.destroy()
+    with ExitStack() as opened:
+        yield draw
 
 
 @pytest.mark.parametrize(
@@ -129,7 +130,6 @@ def test_a_lost_object_is_seen(gl: rhi.Device) -> None:
             some = CallbackPass(lambda rows: scene_pass.draw(rows[1:]))
             return FrustumCulling(city).render(camera, some)
 
-    frames = Uncut(gl, city, [(city.views["overview"], 0.0)], (160, 90))
-    assert frames.count_wrong_pixels(FrustumCulling(city)) == [0]
-    assert frames.count_wrong_pixels(LeaveOut()) > [0]
-    frames.destroy()
+    with Uncut(gl, city, [(city.views["overview"], 0.0)], (160, 90)) as uncut:
+        assert uncut.count_wrong_pixels(FrustumCulling(city)) == [0]
+        assert uncut.count_wrong_pixels(LeaveOut()) > [0]

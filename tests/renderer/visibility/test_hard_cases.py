@@ -54,9 +54,8 @@ def test_the_images_are_not_empty(drawing_device: rhi.Device) -> None:
 
     for title, image in IMAGES.items():
         scene = image.scene()
-        uncut = Uncut(drawing_device, scene, image.shots(scene), image.size)
-        assert sum(uncut.count_wrong_pixels(Nothing())) > 0, title
-        uncut.destroy()
+        with Uncut(drawing_device, scene, image.shots(scene), image.size) as uncut:
+            assert sum(uncut.count_wrong_pixels(Nothing())) > 0, title
 
 
 @settings(max_examples=4)

@@ -8,9 +8,11 @@ the resources that it had before (`house_kit`).
 from __future__ import annotations
 
 import signal
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from typing import Any
 
 import numpy as np
@@ -123,6 +125,28 @@ def test_a_device_goes_on_after_an_interrupt_at_any_step(houses: Any, call: Call
         raise
 
 
+@pytest.mark.parametrize("backend", ["cl", "gl", "null"])
+def test_the_first_pass_of_a_device_may_be_interrupted(backend: str) -> None:
+    def clear(device: Device, image: rhi.Texture) -> None:
+        with device.render_pass(image, clear=(1, 0, 0, 1)):
+            pass
+
+    def begin(at: int) -> int:
+        """Interrupt the first pass at a step, and look that the second one clears; return the number of steps."""
+        with rhi.create_device(backend, record=False) as device:
+            image, interrupted = device.texture((4, 4), Format.RGBA8), Interrupt(at)
+            with suppress(KeyboardInterrupt), interrupted:
+                clear(device, image)
+            clear(device, image)
+            assert (image.read() == (255, 0, 0, 255)).all(), interrupted.where
+            return interrupted.steps
+
+    steps = begin(0)
+    assert steps > 20
+    for at in range(1, steps + 1, 7):
+        begin(at)
+
+
 # -- blocks whose ends are cut off -----------------------------------------------------------------------
 
 
@@ -167,34 +191,21 @@ def test_a_scope_around_one_whose_interrupt_was_caught_ends_both(null_device: De
     assert states.depth == 0
 
 
-@pytest.mark.parametrize("kind", ["states", "event", "pass"])
-def test_a_frame_ends_scopes_whose_ends_were_cut_off(null_device: Device, kind: str) -> None:
+@pytest.mark.parametrize(("kind", "cuts"), [("states", 1), ("event", 1), ("pass", 1), ("states", 2), ("event", 2)])
+def test_a_frame_ends_scopes_whose_ends_were_cut_off(null_device: Device, kind: str, cuts: int) -> None:
+    """Also one that was entered inside itself: the stack of scopes alone, for each of its places, doesn't hold it."""
     image = null_device.texture((4, 4), Format.RGBA8)
     block: Any
     if kind == "states":
         block = null_device.states(CullMode.NONE)
     else:
         block = null_device.event("cut") if kind == "event" else null_device.render_pass(image)
-    cut_off(block, type(block))
-    assert len(null_device._core.scopes) == 1
+    for _ in range(cuts):
+        cut_off(block, type(block))
+    assert len(null_device._core.scopes) == cuts
     with pytest.raises(rhi.ValidationError):  # it may still be left: `block` holds it
         null_device.present()
-    del block
-    null_device.present()
-    assert len(null_device._core.scopes) == 0
-    assert null_device._core.states.wanted[CullMode] is CullMode.BACK
-
-
-@pytest.mark.parametrize("kind", ["states", "event"])
-def test_a_frame_ends_scopes_that_were_entered_inside_themselves(null_device: Device, kind: str) -> None:
-    """A block that only the stack of scopes holds, for each of its places, isn't held."""
-    block: Any = null_device.states(CullMode.NONE) if kind == "states" else null_device.event("cut")
-    cut_off(block, type(block))
-    cut_off(block, type(block))
-    assert len(null_device._core.scopes) == 2
-    with pytest.raises(rhi.ValidationError):
-        null_device.present()
-    assert len(null_device._core.scopes) == 2
+    assert len(null_device._core.scopes) == cuts
     del block
     null_device.present()
     assert len(null_device._core.scopes) == 0
@@ -371,3 +382,33 @@ def test_a_resource_whose_creation_was_interrupted_is_destroyed(
     destroyed = [c["resource"] for c in null_device.stream if c.op is rhi.Op.DESTROY]
     assert len(made) == 2
     assert sorted(destroyed) == made
+
+
+# -- the end of a process ------------------------------------------------------------------------------------
+
+SUSPENDED = """
+import sys
+import rhi
+from rhi.conformance.shaders import FlatColored
+from rhi.conformance.shapes import rectangle
+
+device = rhi.create_device(sys.argv[1])
+image, mesh = device.texture((64, 64), rhi.Format.RGBA8), device.mesh(rectangle())
+program = device.program(FlatColored)
+
+def draw():
+    with device.states(rhi.CullMode.NONE), device.event("a"), device.render_pass(image, clear=(0, 0, 0, 0)):
+        with device.states(rhi.CullMode.FRONT), device.event("b"):
+            while True:
+                device.draw(program, mesh)
+                yield
+
+draws = draw()
+next(draws), next(draws)
+"""
+
+
+@pytest.mark.parametrize("backend", ["cl", "gl", "null"])
+def test_a_process_ends_silently_with_a_suspended_generator_in_a_pass(backend: str) -> None:
+    done = subprocess.run([sys.executable, "-c", SUSPENDED, backend], capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stderr) == (0, "")

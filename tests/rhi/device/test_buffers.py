@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from null_kit import Kit
 
 import rhi
-from rhi.shading import Struct, vec2, vec4
+from rhi.shading import Struct, ivec3, uvec3, vec2, vec3, vec4
 
 
 class Light(Struct):
@@ -47,3 +49,31 @@ def test_a_refused_write_changes_nothing(kit: Kit) -> None:
     with pytest.raises(rhi.ValidationError):
         storage.write(np.zeros(1, np.float32))
     assert len(kit.device.stream) == before
+
+
+# -- vectors of three components ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("element", "scalar"), [(vec3, "f4"), (ivec3, "i4"), (uvec3, "u4")])
+def test_vectors_of_three_components_are_padded(kit: Kit, element: Any, scalar: str) -> None:
+    given = np.arange(12).reshape(4, 3).astype(scalar)
+    padded = np.concatenate([given, np.zeros((4, 1), scalar)], axis=1)
+    storage = kit.device.storage(element, given)
+    assert len(storage) == 4
+    assert (storage.read() == padded).all()
+    storage.write(given[:2], 2)
+    assert (storage.read()[2:] == padded[:2]).all()
+
+
+def test_other_widths_are_refused_with_the_shape_that_is_allowed(kit: Kit) -> None:
+    for element, width in ((vec3, 2), (vec4, 3), (vec4, 5)):
+        with pytest.raises(rhi.ValidationError, match="layout-mismatch") as error:
+            kit.device.storage(element, np.zeros((5, width), "f4"))
+        assert error.value.given == f"shape (5, {width}) of float32"
+        assert error.value.allowed == "(n, 4) of float32"
+
+
+def test_typed_buffers_say_what_they_hold(kit: Kit) -> None:
+    assert repr(kit.device.storage(vec3, 5, label="paths")) == "StorageBuffer('paths', 5 × vec3)"
+    assert repr(kit.device.uniform(vec4(1.0), label="tint")) == "UniformBuffer('tint', vec4)"
+    assert repr(kit.device.uniform_array(Light, 3)) == "UniformArray('Light[]', 3 × Light)"

@@ -49,3 +49,13 @@ def test_a_resource_that_cannot_be_filled_is_destroyed(
     device.finish()
     assert count(Op.DESTROY) - destroyed == made
     del held
+
+
+def test_destroying_a_view_leaves_the_mesh(kit: Kit) -> None:
+    mesh = kit.device.mesh({"position": np.zeros((6, 2))})
+    with mesh.view(0, 3) as part:
+        part.view(0, 1).destroy()
+    assert mesh.vertices is not None
+    assert not mesh.vertices.destroyed
+    mesh.destroy()
+    assert mesh.vertices.destroyed

@@ -24,6 +24,13 @@ def test_an_unknown_name_is_refused_with_a_suggestion() -> None:
     assert caught.value.rule.id == "device-unknown"
 
 
+@pytest.mark.parametrize("name", ["os:system", "os:path", "math:pi", "rhi:find_function"])
+def test_what_creates_no_backend_is_refused_without_being_called(name: str) -> None:
+    with pytest.raises(rhi.DeviceError, match="device-unknown") as caught:
+        rhi.create_device(name)
+    assert repr(name) in caught.value.given
+
+
 def test_the_environment_names_the_backend(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("RHI_BACKEND", "null")
     with rhi.create_device() as device:

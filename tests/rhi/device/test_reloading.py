@@ -219,6 +219,7 @@ def test_functions_are_evaluated_as_edited(device: rhi.Device, shaders: Any) -> 
 
 FAULTS = {
     "syntax": ("def fragment(self, v: Varying) -> vec4:", "def fragment(self, v: Varying -> vec4:", "shading-text"),
+    "exit": ("SHARE = 1.0", "raise SystemExit(3)", "shading-text"),
     "exception": ("SHARE = 1.0", "SHARE = 1.0 / 0", "shading-text"),
     "name": ("weaken(v.color)", "waeken(v.color)", "shading-unknown-name"),
     "type": ("* SHARE", "+ self.tint", "shading-type"),

@@ -5,7 +5,7 @@
 - A box is valid until a buffer with its vertices changes. Then all draws of the vertex array start without boxes again.
 - The address of a box is stored with the prepared draw. It is odd while a batch has to measure the box, and then even.
 - Tables made from prepared draws are out of date when `PreparedDraws.version` changes.
-- docs/backends-cl.md, "Boxes before vertices", has the measured gain.
+- docs/backends-cl-rasteriser.md, "Boxes before vertices", has the measured gain.
 """
 
 from __future__ import annotations

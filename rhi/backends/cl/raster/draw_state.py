@@ -97,6 +97,8 @@ class DrawState:
         self.target = PassSurfaces(descriptor.size, descriptor.samples, colors, depth, stencil, drawn)
         self._formats = tuple(formats), depth_format
         self.ready_for = None
+        surfaces = (*colors, depth, stencil)  # last, since what clears needs the target
+        self.has_clears = any(surface is not None and surface.clear is not None for surface in surfaces)
 
     def _make_surface(
         self, attachment: Attachment | DepthAttachment, planes: Sequence[TexelPlane], clear: bytes | None,
@@ -105,7 +107,6 @@ class DrawState:
         plane = planes[attachment.level]
         if clear is not None:
             self._textures[attachment.texture].changes += 1
-            self.has_clears = True
         samples = self._textures[attachment.texture].descriptor.samples
         return RenderSurface(plane, attachment.layer, samples, plane.address, clear)
 

@@ -69,26 +69,6 @@ def test_rows_of_backends_are_a_table_and_a_chart(tmp_path: Path, capsys: pytest
     assert chart.read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        (["city", "--passes", "dept"], "'dept' is not a pass"),
-        (["grid", "--backends", "gl", "--passes", "textured"], "measure-no-images"),
-        ([SCENE, "--backends", "null"], "measure-no-pictures"),
-        ([SCENE, "--backends", "vulkan"], "vulkan"),
-    ],
-)
-def test_what_cannot_be_compared_is_said_in_a_line(
-    arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as stopped:
-        main(["compare", "backends", *arguments])
-    assert stopped.value.code == 2
-    error = capsys.readouterr().err.strip()
-    assert told in error
-    assert "\n" not in error
-
-
 def test_the_depth_pass_draws_the_depth_that_the_lit_pass_draws() -> None:
     scene = load_scene(SCENE)
     camera = find_path("sky", scene).camera(900)

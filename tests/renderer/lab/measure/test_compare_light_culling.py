@@ -176,20 +176,6 @@ def test_overlaps_are_found_in_every_slice() -> None:
     assert found.tolist() == [[False, False, True], [False, False, True], [True, False, False], [True, True, False]]
 
 
-@pytest.mark.usefixtures("gl")
-@pytest.mark.parametrize(("arguments", "rule"), [
-    (["--lights", "9999"], "measure-few-lights"), (["--tests", "plane"], "'plane' is not a test"),
-    (["--lights", "0"], "not a whole number of 1 or more"),
-])  # fmt: skip
-def test_what_cannot_be_compared_is_refused_in_one_line(
-    capsys: pytest.CaptureFixture[str], arguments: list[str], rule: str
-) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["compare", "light-culling", HALL, "--backend", "gl", "--size", "32x32", *arguments])
-    assert ended.value.code == 2
-    assert rule in capsys.readouterr().err
-
-
 def test_a_device_that_draws_nothing_has_no_surfaces(null: rhi.Device) -> None:
     scene = load_scene(HALL)
     with (

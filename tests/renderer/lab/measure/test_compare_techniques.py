@@ -99,21 +99,6 @@ def test_a_scene_that_has_no_such_number_is_refused_and_those_are_named_that_hav
     assert refused.value.allowed == allowed
 
 
-@pytest.mark.parametrize(("arguments", "told"), [
-    (["city", "--lights", "4"], "measure-fixed-scene"), (["grid", "--techniques", "foward"], "'foward'"),
-    (["grid:count=4", "--objects", "4"], "count twice"), (["grid", "--objects", "0"], "not a whole number"),
-])  # fmt: skip
-def test_what_cannot_be_compared_is_said_in_a_line(
-    arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as stopped:
-        main(["compare", "techniques", *arguments, "--backend", "null"])
-    assert stopped.value.code == 2
-    error = capsys.readouterr().err.strip()
-    assert told in error
-    assert "\n" not in error
-
-
 def test_rows_are_a_table_and_a_chart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     chart = tmp_path / "techniques.png"
     numbers = ["--objects", "1,4", "--lights", "1,2", "--techniques", "forward,deferred"]

@@ -175,30 +175,6 @@ def test_debug_visibility_writes_a_picture_and_counts(capsys: pytest.CaptureFixt
     assert lines[3].split() == ["0", "hidden", "by", "others"]
 
 
-@pytest.mark.parametrize(("extra", "said"), [
-    (["--backend", "null"], "draws nothing"),
-    (["--algorithm", "magic"], "--algorithm"),
-    (["--camera", "nowhere"], "camera-unknown-name"),
-    (["--frame", "1800"], "camera-frame-range"),
-    (["--output", "culled.nothing"], "has no known image extension"),
-])  # fmt: skip
-def test_bad_input_of_debug_is_one_line(
-    capsys: pytest.CaptureFixture[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    extra: list[str],
-    said: str,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as stop:
-        main(["debug", "visibility", "city:blocks=2,detail=2", "--size", "16x16", *extra])
-    assert stop.value.code == 2
-    error = capsys.readouterr().err
-    assert said in error
-    assert error.count("\n") == 1
-    assert not list(tmp_path.iterdir())
-
-
 def test_the_legend_has_the_colors_of_the_picture() -> None:
     empty = np.zeros((4, 600, 4), np.uint8)
     legend = np.asarray(compose((empty, empty), dict.fromkeys(CullingOutcome, 1)))

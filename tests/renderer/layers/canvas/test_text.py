@@ -129,13 +129,11 @@ def test_sizes_have_bounds(size: int, is_fine: bool) -> None:
     if is_fine:
         assert Font.load(size).size == size
         return
-    with pytest.raises(RhiError) as raised:
+    with pytest.raises(RhiError, match="canvas-font-size"):
         Font.load(size)
-    assert raised.value.rule.id == "canvas-font-size"
 
 
 def test_a_file_that_is_no_font_is_refused(tmp_path: Path) -> None:
     (tmp_path / "text.ttf").write_text("no font")
-    with pytest.raises(RhiError) as raised:
+    with pytest.raises(RhiError, match="canvas-font-file"):
         Font.load(13, tmp_path / "text.ttf")
-    assert raised.value.rule.id == "canvas-font-file"

@@ -7,10 +7,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from cloth_scenes import make_square
+from refusals import find_rule
 
 from renderer.content.hall import make_banner
 from renderer.scene.cloth import Cloths, Fabric, Gust, Wind, make_sheet
-from rhi.errors import ValidationError
 
 GRID = np.stack([*np.meshgrid(np.arange(3.0), -np.arange(3.0)), np.zeros((3, 3))], 2)
 PINS = np.eye(3, dtype=bool)
@@ -58,12 +58,6 @@ def test_folds_are_as_long_as_the_flat_cloth() -> None:
     assert np.linalg.norm(np.diff(at, axis=0), axis=1).sum() == pytest.approx(2.4, rel=0.03)
 
 
-def refusal(make: object) -> str:
-    with pytest.raises(ValidationError) as error:
-        make()
-    return error.value.rule.id
-
-
 @pytest.mark.parametrize("make", [
     lambda: make_sheet(GRID[:1], PINS[:1]),
     lambda: make_sheet(GRID[0], PINS),
@@ -91,7 +85,7 @@ def refusal(make: object) -> str:
     lambda: Cloths(65_536, make_square()),
 ])  # fmt: skip
 def test_what_is_no_cloth_is_refused(make: object) -> None:
-    assert refusal(make) == "scene-bad-cloth"
+    assert find_rule(make) == "scene-bad-cloth"
 
 
 def test_what_is_just_a_cloth_is_one() -> None:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import ctypes
+import threading
+import typing
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from rhi.backends.gl import llvmpipe
+from rhi.backends.gl import entry_points, llvmpipe
 from rhi.backends.gl.entry_points import EntryPoints, _prototypes
 
 
@@ -51,3 +54,20 @@ def test_freed_memory_is_kept_unless_the_user_has_set_it_up(monkeypatch: pytest.
     monkeypatch.delenv("MALLOC_TRIM_THRESHOLD_")
     llvmpipe.keep_freed_memory()
     assert library.calls == [(-1, 64 << 20), (-3, 32 << 20)]
+
+
+def test_threads_that_ask_for_the_types_at_once_get_all_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    together = threading.Barrier(2, timeout=20)
+    make, begun = entry_points._make_prototype, threading.local()
+
+    def wait_once(hint: object) -> object:
+        if not hasattr(begun, "it"):
+            begun.it = True
+            together.wait()  # the other thread has begun as well, and neither is done
+        return make(hint)
+
+    monkeypatch.setattr(entry_points, "_make_prototype", wait_once)
+    entry_points._prototypes.cache_clear()
+    with ThreadPoolExecutor(2) as threads:
+        found = list(threads.map(lambda _: len(entry_points._prototypes()), range(2)))
+    assert found == [len(typing.get_type_hints(entry_points.EntryPoints))] * 2

@@ -143,21 +143,13 @@ def test_a_program_that_is_only_lucky_has_a_hazard_that_did_not_happen():
         assert [hazard.happened for hazard in backend.hazards] == [happened]
 
 
-def test_a_read_that_waits_frees_everything_before_it():
+@pytest.mark.parametrize("read", [(STATIC, 0, 4), (STREAM, 0, 16)])
+def test_a_read_that_waits_frees_everything_before_it(read):
+    """One of the memory itself is a use, too, and is over when the call returns."""
     backend = uniform_backend()
     backend.bind_uniform(0, STREAM, 0, 16)
     draw(backend)
-    backend.read_buffer(STATIC, 0, 4)
-    backend.write_buffer(STREAM, 0, bytes(4))
-    assert not backend.hazards
-
-
-def test_a_read_of_the_memory_itself_frees_it():
-    """The read is a use, too, and is over when the call returns."""
-    backend = uniform_backend()
-    backend.bind_uniform(0, STREAM, 0, 16)
-    draw(backend)
-    backend.read_buffer(STREAM, 0, 16)
+    backend.read_buffer(*read)
     backend.write_buffer(STREAM, 0, bytes(4))
     assert not backend.hazards
 
@@ -321,13 +313,18 @@ def test_indices_and_vertices_in_the_ring_are_known_at_once():
     assert found_bytes(backend) == [*range(38, 58), *range(200, 204)]
 
 
-def test_an_indirect_draw_reads_what_its_arguments_name():
-    backend = vertex_backend()
-    backend.write_buffer(STATIC, 0, words(2, 1, 4, 0, 0))
+@pytest.mark.parametrize(
+    ("index_buffer", "first", "expected"),
+    [(0, 4, [*range(48, 68)]), (STREAM, 100, [*range(38, 58), *range(200, 204)])],
+)
+def test_an_indirect_draw_reads_what_its_arguments_name(index_buffer, first, expected):
+    backend = vertex_backend(index_buffer=index_buffer)
+    backend.write_buffer(STREAM, 200, indices(3, 4))
+    backend.write_buffer(STATIC, 0, words(2, 1, first, 0, 0))
     backend.draw_indirect(VERTICES, Primitive.LINES, STATIC, 0, 1, 20, 0, 0)
     backend.signal(1)
     backend.spend(1_000_000)
-    assert found_bytes(backend) == list(range(48, 68))
+    assert found_bytes(backend) == expected
 
 
 # -- queries and resources -----------------------------------------------------------------------------------

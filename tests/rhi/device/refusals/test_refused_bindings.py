@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import pytest
@@ -97,8 +98,9 @@ def test_a_binding_must_be_of_its_kind(kit: Kit, name: str) -> None:
 
 def test_a_uniform_must_be_of_the_shader_s_struct(kit: Kit) -> None:
     with kit.device.uniform(Shift(by=(0, 0, 0, 0))) as shift, kit.device.render_pass(kit.image):
-        with refuses(rules.BINDING_TYPE, kit.device):
+        with refuses(rules.BINDING_TYPE, kit.device) as refusal:
             kit.draw(tint=shift)
+        assert re.search(r"Shift[\s\S]*Tint", str(refusal.error))
         kit.draw()
 
 

@@ -9,22 +9,13 @@ import pytest
 
 from rhi import Access, Device, Format
 from rhi.conformance.compare import assert_same
-from rhi.conformance.shaders import Colored
+from rhi.conformance.shaders import Colored, Count
 from rhi.conformance.shapes import rectangle
 from rhi.conformance.validation.refusal import loose, refuses
 from rhi.errors import rules
-from rhi.shading import Shader, StorageRW, atomic_add, uint
+from rhi.shading import uint
 
 SIZE = (4, 4)
-
-
-class Count(Shader):
-    """Counts its invocations."""
-
-    total: StorageRW[uint]
-
-    def compute(self) -> None:
-        atomic_add(self.total[0], uint(1))
 
 
 def test_a_dispatch_needs_a_compute_stage(recording: Device) -> None:

@@ -15,6 +15,7 @@ ELSEWHERE = {
     rules.CONTAINER_CAPACITY: "no device is needed",
     rules.CONTAINER_FULL: "no device is needed",
     rules.CONTAINER_EMPTY: "no device is needed",
+    rules.DEVICE_FORKED: "needs a process that is forked: asserted on in test_forks",
     rules.DEVICE_DRIVER: "needs a machine without a driver",
     rules.DEVICE_MEMORY: "needs a device without memory",
     rules.DEVICE_LOST: "needs a device that is lost",

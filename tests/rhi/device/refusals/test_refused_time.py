@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refused_shaders import Passing
 
 import rhi
 from rhi import Device, DeviceError, Format, Op, Primitive, SamplerDescriptor, ShaderError
@@ -190,16 +191,6 @@ def test_a_backend_is_asked_for_by_its_own_type(recording: Device) -> None:
         recording.backend_as(str)
 
 
-class Late(Shader):
-    """A program that the device has not made yet."""
-
-    def vertex(self, v: Corner) -> Bare:
-        return Bare(clip=v.position)
-
-    def fragment(self) -> vec4:
-        return vec4(1.0)
-
-
 CLOSED_USES: dict[str, Callable[[Device, Any], Any]] = {
     "buffer": lambda d, r: d.buffer(4),
     "uniform": lambda d, r: d.uniform(Tint(color=(0, 0, 0, 0))),
@@ -208,7 +199,7 @@ CLOSED_USES: dict[str, Callable[[Device, Any], Any]] = {
     "texture": lambda d, r: d.texture(SIZE, Format.R8),
     "sampler": lambda d, r: d.sampler(SamplerDescriptor()),
     "mesh": lambda d, r: d.mesh(rectangle()),
-    "program": lambda d, r: d.program(Late),
+    "program": lambda d, r: d.program(Passing),
     "render pass": lambda d, r: d.render_pass(r["texture"]),
     "draw": lambda d, r: d.draw(r["program"], r["mesh"]),
     "draw many": lambda d, r: d.draw_many(r["program"], r["mesh"], r["mesh"].draws()),

@@ -236,3 +236,13 @@ def test_structs_of_one_name_do_not_collide(run):
 
     left = np.ones(1, a.dtype)
     assert run(Uses, left=left, right=np.array([(0, 5)], b.dtype), out=1)["out"].tolist() == [6]
+
+
+def test_a_struct_without_fields_is_no_element() -> None:
+    class Empty(Struct):
+        pass
+
+    with pytest.raises(ShaderError, match="shading-binding"):
+
+        class Stores(Shader):
+            out: StorageRW[Empty]

@@ -43,6 +43,7 @@ from rhi.shading import (
     memory_barrier,
     pack_half_2x16,
     round,
+    run_compute,
     shared,
     transpose,
     uint,
@@ -641,3 +642,40 @@ def test_names_that_glsl_reserves_can_be_used(run_everywhere):
     assert out["out"].tolist() == [4, 16]
     assert out["sample"][0].tolist() == [3, 4]
     assert out["flat"][0] == 7
+
+
+class Outside(Shader):
+    """Atomics and writes at an index that may lie outside."""
+
+    work_group = (4,)
+    at: Uniform[int]
+    words: StorageRW[uint]
+    old: StorageRW[uint]
+    kept = shared(uint, 4)
+
+    def compute(self) -> None:
+        i = int(local_index())
+        self.kept[i] = uint(7)
+        barrier()
+        if i == 0:
+            self.kept[self.at] = uint(9)
+            self.old[0] = atomic_add(self.words[self.at], uint(5))
+            self.old[1] = atomic_max(self.kept[self.at], uint(50))
+            atomic_or(self.words[self.at], uint(64))
+        barrier()
+        self.old[2 + i + 4 * int(group_id().x)] = self.kept[i]
+
+
+@pytest.mark.parametrize("at", [-1, 4, 100_000, -100_000])
+def test_writes_and_atomics_outside_do_nothing_on_numpy(at: int) -> None:
+    words, old = np.full(4, 1, np.uint32), np.full(10, 99, np.uint32)
+    after = run_compute(Outside, 2, at=at, words=words, old=old)
+    assert after["words"].tolist() == [1] * 4
+    assert after["old"].tolist() == [0, 0] + [7] * 8
+
+
+def test_writes_and_atomics_inside_are_seen_on_numpy() -> None:
+    words, old = np.full(4, 1, np.uint32), np.full(10, 99, np.uint32)
+    after = run_compute(Outside, 1, at=2, words=words, old=old)
+    assert after["words"].tolist() == [1, 1, 6 | 64, 1]
+    assert after["old"].tolist() == [1, 9, 7, 7, 50, 7] + [99] * 4

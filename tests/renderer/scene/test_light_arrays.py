@@ -1,0 +1,86 @@
+"""Arrays of lights that are written to: a frame refuses what adding lights does, whoever has written it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from frames import make_boxes, open_renderer
+
+import rhi
+from renderer.lights.rectangles import bound_spheres
+from renderer.scene import Camera, Lights, Perspective
+from renderer.techniques import Forward
+from rhi import ValidationError
+
+WRITTEN: dict[str, tuple[str, str, Any]] = {
+    "a spot's direction three times as long": ("spot", "direction", (0.0, -3.0, 0.0)),
+    "a spot's direction of 0": ("spot", "direction", 0.0),
+    "a sun's direction half as long": ("directional", "direction", (0.0, -0.5, 0.0)),
+    "a negative range of a point": ("point", "range", -3.0),
+    "a negative range of a spot": ("spot", "range", -1e-3),
+    "a negative color": ("point", "color", (1.0, -0.1, 1.0)),
+    "a negative intensity": ("directional", "intensity", -1.0),
+    "a cone that is wider inside": ("spot", "inner", 0.7),
+    "a cone of more than a ball": ("spot", "outer", 3.2),
+    "a cone below 0": ("spot", "inner", -0.1),
+}
+FINE: dict[str, tuple[str, str, Any]] = {
+    "a direction that is rounded": ("spot", "direction", (0.0, -0.9995, 0.0)),
+    "a range of 0": ("point", "range", 0.0),
+    "no light": ("point", "intensity", 0.0),
+    "a ball": ("spot", "outer", np.pi),
+    "a sharp cone": ("spot", "inner", 0.6),
+}
+
+
+def add_lights(lights: Lights) -> None:
+    lights.add_directional((0, -1, 0))
+    lights.add_point((3, 1, 0), 3.0)
+    lights.add_spot((0, 3, 0), (0, -1, 0), 8.0, 0.3, 0.6)
+
+
+def count_draws(kind: str, field: str, value: Any) -> int:
+    """Return the draws of a frame after a field of all lights of a kind was written to."""
+    builder = make_boxes((0, 0, 0))
+    add_lights(builder.lights)
+    scene = builder.build()
+    with rhi.create_device("null") as device, open_renderer(device, scene, Forward()) as renderer:
+        renderer.render(scene.views["eye"])
+        before = device.statistics.draws
+        getattr(scene.lights, kind)[field] = value
+        renderer.render(scene.views["eye"])
+        return device.statistics.draws - before
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+def test_a_value_out_of_its_range_is_refused_by_the_frame(name: str) -> None:
+    with pytest.raises(ValidationError, match="scene-bad-light") as error:
+        count_draws(*WRITTEN[name])
+    assert WRITTEN[name][0] in error.value.call
+    assert error.value.site is not None
+    assert error.value.site.file == __file__
+
+
+@pytest.mark.parametrize("name", FINE)
+def test_a_value_at_the_end_of_its_range_is_drawn(name: str) -> None:
+    assert count_draws(*FINE[name]) > 0
+
+
+def test_a_sphere_without_a_radius_has_a_rectangle_without_an_overflow() -> None:
+    camera = Camera.look_at((0, 0, 0), (0, 0, -1), projection=Perspective(aspect=1.0, far=60.0))
+    with np.errstate(all="raise"):
+        (rectangle,) = bound_spheres(camera, np.array([[0.0, 0.0, -10.0]]), np.zeros(1))
+    assert np.abs(rectangle).max() < 1e-5
+
+
+def test_lights_are_white_and_of_intensity_1_unless_told_otherwise() -> None:
+    lights = Lights()
+    add_lights(lights)
+    lights.add_points([(0, 0, 0)], 1.0)
+    lights.add_spots([(0, 0, 0)], (0, 0, -1), 1.0, 0.1, 0.2)
+    for some, count in ((lights.directional, 1), (lights.point, 2), (lights.spot, 2)):
+        assert some["intensity"].tolist() == [1.0] * count
+        assert some["color"].tolist() == [[1.0, 1.0, 1.0]] * count
+        assert not some["casts_shadow"].any()
