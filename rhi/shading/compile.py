@@ -115,9 +115,10 @@ def stage_trees(shader: type[Shader]) -> dict[Stage, tree.StageTree]:
     return {stage: StageParser(shader, stage).parse(entry) for stage, entry in _entries(shader).items()}
 
 
-def stage_interface(shader: type[Shader]) -> Interface:
-    """Return the inputs, outputs and varyings of a shader's stages."""
-    return _interface(_entries(shader))
+def compiled_code(shader: type[Shader]) -> ShaderCode:
+    """Return the stages that `compile_shader` has parsed, from which texts are written."""
+    compile_shader(shader)
+    return _compiled[shader][1]
 
 
 def _compile(shader: type[Shader]) -> tuple[ProgramDescriptor, ShaderCode]:

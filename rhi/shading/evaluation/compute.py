@@ -18,7 +18,7 @@ from rhi.contract.layout import ArrayType, HostType, Layout, StructType, dtype_o
 from rhi.errors import refuse
 from rhi.shading.compile import compile_shader
 from rhi.shading.ir import tree
-from rhi.shading.ir.lanes import Code, ScalarKind
+from rhi.shading.ir.lanes import ScalarKind
 from rhi.shading.language import rules
 from rhi.shading.language.function import ShadingFunction
 from rhi.shading.language.shader import Shader, StorageClass
@@ -36,9 +36,7 @@ from rhi.shading.parser.stage import StageParser
 Array = NDArray[Any]
 
 _DTYPES: Final = {ScalarKind.INT: np.int32, ScalarKind.UINT: np.uint32, ScalarKind.BOOL: np.bool_}
-_functions: weakref.WeakKeyDictionary[FunctionType, tuple[tree.Function, Code, LaneFunction]] = (
-    weakref.WeakKeyDictionary()
-)
+_functions: weakref.WeakKeyDictionary[FunctionType, tuple[tree.Function, LaneFunction]] = weakref.WeakKeyDictionary()
 _shaders: weakref.WeakKeyDictionary[type[Shader], NumpyKernel] = weakref.WeakKeyDictionary()
 FORGOTTEN.extend((_functions.clear, _shaders.clear))
 
@@ -69,7 +67,7 @@ def evaluate(
     call = f"evaluate({getattr(function, '__name__', repr(function))}, …)"
     if not isinstance(function, ShadingFunction):
         refuse(rules.WRONG_ARGUMENTS, call, repr(function), "a function decorated with @function")
-    tree_function, _, run = _compiled_function(function.python)
+    tree_function, run = _compiled_function(function.python)
     given = _by_name(tree_function, arguments, named, call, dtype)
     scalars = []
     for parameter, value in zip(tree_function.parameters, given, strict=True):
@@ -80,7 +78,7 @@ def evaluate(
     return assemble(tree_function.result, list(results), shape, dtype)  # type: ignore[arg-type]
 
 
-def _compiled_function(function: FunctionType) -> tuple[tree.Function, Code, LaneFunction]:
+def _compiled_function(function: FunctionType) -> tuple[tree.Function, LaneFunction]:
     known = _functions.get(function)
     if known is None:
         callee = Callee(source_of(function), None, False)
@@ -92,7 +90,7 @@ def _compiled_function(function: FunctionType) -> tuple[tree.Function, Code, Lan
         parser.parse_function(callee, types)  # type: ignore[arg-type]
         parsed = parser.finished[-1]
         code = lower_function(parsed)
-        known = _functions[function] = (parsed, code, load_module(write_numpy_function(code), code.name)["run"])
+        known = _functions[function] = (parsed, load_module(write_numpy_function(code), code.name)["run"])
     return known
 
 

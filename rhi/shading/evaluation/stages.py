@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rhi.contract.descriptors import Stage
 from rhi.contract.layout import FLOAT, HostType, StructType
 from rhi.errors import refuse
-from rhi.shading.compile import stage_interface, stage_trees
+from rhi.shading.compile import compiled_code
 from rhi.shading.evaluation.compute import assemble, bound_words, scalars_of
 from rhi.shading.ir import tree
 from rhi.shading.ir.interface import Interface
@@ -31,7 +31,7 @@ from rhi.shading.lowering.stages import lower_stage, takes_differences
 from rhi.shading.numpy.kernel import LaneFunction, load_module
 from rhi.shading.numpy.runtime import Invocations
 from rhi.shading.numpy.writer import write_numpy_function
-from rhi.shading.parser.interface import attributes_read, varyings_read, words_of_varyings
+from rhi.shading.parser.interface import varyings_read, words_of_varyings
 
 Array = NDArray[Any]
 Dtype = type[np.float32] | type[np.float64]
@@ -240,18 +240,15 @@ def _broadcast(shapes: list[tuple[int, ...]], call: str) -> tuple[int, ...]:
 def _compiled_stage(shader: type[Shader], stage: Stage, call: str) -> _CompiledStage:
     known = _stages.setdefault(shader, {})
     if stage not in known:
-        trees = stage_trees(shader)
-        if stage not in trees:
+        compiled = compiled_code(shader)
+        if stage not in compiled.stages:
             refuse(rules.STAGES, call, f"no {stage.value} stage", f"{stage.value}(self, …)")
-        interface = stage_interface(shader)
-        names = {varying.name for varying in interface.varyings}
+        stage_tree, interface = compiled.stages[stage], compiled.options.interface
         if stage is Stage.VERTEX:
-            if shader.lean:
-                interface = replace(interface, attributes=attributes_read(trees[stage], interface.attributes))
-            varyings = words_of_varyings(interface.varyings, names)
+            varyings = words_of_varyings(interface.varyings, {varying.name for varying in interface.varyings})
         else:
-            varyings = varyings_read(trees[stage], interface.varyings)
-        code = lower_stage(trees[stage], shader.__name__, interface, varyings, 0, shader.checked)
+            varyings = varyings_read(stage_tree, interface.varyings)
+        code = lower_stage(stage_tree, shader.__name__, interface, varyings, 0, shader.checked)
         run = load_module(write_numpy_function(code.code), shader.__name__)["run"]
-        known[stage] = _CompiledStage(trees[stage], interface, code, run)
+        known[stage] = _CompiledStage(stage_tree, interface, code, run)
     return known[stage]

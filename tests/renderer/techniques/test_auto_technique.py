@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 
@@ -58,12 +59,6 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def always(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have a device that draws nothing try all candidates."""
-    monkeypatch.setattr("renderer.techniques.auto.list_candidates", lambda device, needs, names: (list(names), ""))
-
-
-@pytest.fixture
 def log() -> list[str]:
     return []
 
@@ -71,39 +66,35 @@ def log() -> list[str]:
 box = partial(make_lit_boxes, 3)
 
 
-def make_auto(
-    device: rhi.Device, scene: Scene, log: list[str], forward: float, clustered: float, rest: int = 0
-) -> AutoTechnique:
-    makers = {
-        "forward": lambda: Slow(Forward(), forward, log),
-        "clustered_deferred": lambda: Slow(ClusteredDeferred(), clustered, log),
-    }
-    return AutoTechnique(scene, device, makers, frames=4, rest=rest)
+OnTrial = Callable[..., tuple[AutoTechnique, Renderer]]
 
 
 @pytest.fixture
-def renderer(null: rhi.Device) -> Iterator[Callable[[AutoTechnique], Renderer]]:
-    made: list[Renderer] = []
+def on_trial(null: rhi.Device, log: list[str], monkeypatch: pytest.MonkeyPatch) -> Iterator[OnTrial]:
+    """Makes a technique whose two candidates take these seconds, and a renderer: its device tries both, though it draws
+    nothing."""
+    monkeypatch.setattr("renderer.techniques.auto.list_candidates", lambda device, needs, names: (list(names), ""))
+    with ExitStack() as opened:
 
-    def make(auto: AutoTechnique) -> Renderer:
-        scene = auto._scene
-        made.append(Renderer(null, scene, technique=auto, visibility=NoCulling(scene), size=SIZE))
-        return made[-1]
+        def make(forward: float, clustered: float, scene: Scene | None = None) -> tuple[AutoTechnique, Renderer]:
+            makers = {
+                "forward": lambda: Slow(Forward(), forward, log),
+                "clustered_deferred": lambda: Slow(ClusteredDeferred(), clustered, log),
+            }
+            shown = scene or box()
+            auto = AutoTechnique(shown, null, makers, frames=4, rest=0)
+            return auto, opened.enter_context(open_renderer(null, shown, auto, size=SIZE))
 
-    yield make
-    for one in made:
-        one.destroy()
+        yield make
 
 
-@pytest.mark.usefixtures("always")
 @pytest.mark.parametrize(
     ("forward", "clustered", "chosen"), [(0.02, 0.01, "clustered_deferred"), (0.01, 0.02, "forward")]
 )
 def test_each_is_tried_and_the_fastest_stays(
-    null: rhi.Device, log: list[str], renderer, forward: float, clustered: float, chosen: str
+    log: list[str], on_trial: OnTrial, forward: float, clustered: float, chosen: str
 ) -> None:
-    auto = make_auto(null, box(), log, forward, clustered)
-    drawn = renderer(auto)
+    auto, drawn = on_trial(forward, clustered)
     drawn.render(EYE)
     assert auto.is_trying
     assert drawn.is_trying
@@ -121,10 +112,8 @@ def test_each_is_tried_and_the_fastest_stays(
     assert auto.because.endswith(" 20.0")
 
 
-@pytest.mark.usefixtures("always")
-def test_the_passes_are_those_of_the_technique_in_use(null: rhi.Device, log: list[str], renderer) -> None:
-    auto = make_auto(null, box(), log, 0.02, 0.01)
-    drawn = renderer(auto)
+def test_the_passes_are_those_of_the_technique_in_use(log: list[str], on_trial: OnTrial) -> None:
+    auto, drawn = on_trial(0.02, 0.01)
     names = []
     for _ in range(9):
         drawn.render(EYE)
@@ -135,7 +124,6 @@ def test_the_passes_are_those_of_the_technique_in_use(null: rhi.Device, log: lis
     assert names == ["forward"] * 5 + ["clustered_deferred"] * 4
 
 
-@pytest.mark.usefixtures("always")
 @pytest.mark.parametrize(
     ("change", "tries"),
     [
@@ -145,12 +133,9 @@ def test_the_passes_are_those_of_the_technique_in_use(null: rhi.Device, log: lis
         (lambda scene, drawn: [scene.lights.add_point((0, 1.5, 0), 3.0) for _ in range(10)], True),
     ],
 )
-def test_another_size_or_many_more_lights_are_another_trial(
-    null: rhi.Device, log: list[str], renderer, change, tries: bool
-) -> None:
+def test_another_size_or_many_more_lights_are_another_trial(on_trial: OnTrial, change, tries: bool) -> None:
     scene = box()
-    auto = make_auto(null, scene, log, 0.01, 0.02)
-    drawn = renderer(auto)
+    auto, drawn = on_trial(0.01, 0.02, scene)
     for _ in range(12):
         drawn.render(EYE)
     assert not auto.is_trying
@@ -159,26 +144,22 @@ def test_another_size_or_many_more_lights_are_another_trial(
     assert auto.is_trying is tries
 
 
-@pytest.mark.usefixtures("always")
 @pytest.mark.parametrize(("camera", "tries"), [
     (Camera.look_at((0, 0, 10.1), (0, 0, 0)), False), (Camera.look_at((0, 0, 12), (0, 0, 0)), True),
     (Camera.look_at((0, 0, 10), (5, 0, 0)), False), (Camera.look_at((0, 0, 10), (11, 0, 0)), True),
 ])  # fmt: skip
-def test_another_view_is_another_trial(null: rhi.Device, log: list[str], renderer, camera: Camera, tries: bool) -> None:
-    auto = make_auto(null, box(), log, 0.01, 0.02)
-    drawn = renderer(auto)
+def test_another_view_is_another_trial(on_trial: OnTrial, camera: Camera, tries: bool) -> None:
+    auto, drawn = on_trial(0.01, 0.02)
     for _ in range(12):
         drawn.render(EYE)
     drawn.render(camera)
     assert auto.is_trying is tries
 
 
-@pytest.mark.usefixtures("always")
 def test_techniques_are_not_exchanged_while_visibility_is_on_trial(
-    null: rhi.Device, log: list[str], renderer, monkeypatch: pytest.MonkeyPatch
+    log: list[str], on_trial: OnTrial, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    auto = make_auto(null, box(), log, 0.02, 0.01)
-    drawn = renderer(auto)
+    auto, drawn = on_trial(0.02, 0.01)
     monkeypatch.setattr(Renderer, "_is_trying_visibility", True)
     for _ in range(9):
         drawn.render(EYE)
@@ -189,10 +170,8 @@ def test_techniques_are_not_exchanged_while_visibility_is_on_trial(
     assert auto.chosen == "clustered_deferred"
 
 
-@pytest.mark.usefixtures("always")
-def test_exchanges_leave_nothing_behind(null: rhi.Device, log: list[str], renderer) -> None:
-    auto = make_auto(null, box(), log, 0.01, 0.012)
-    drawn = renderer(auto)
+def test_exchanges_leave_nothing_behind(null: rhi.Device, log: list[str], on_trial: OnTrial) -> None:
+    _, drawn = on_trial(0.01, 0.012)
 
     def count() -> int:
         made = len(null.stream.filter((Op.CREATE_TEXTURE, Op.CREATE_BUFFER)))
@@ -252,12 +231,12 @@ def test_the_kind_of_device_and_the_lights_in_view_say_what_is_tried(
 
 
 def test_candidates_that_were_tried_once_stay_when_there_are_fewer_lights(
-    null: rhi.Device, renderer, monkeypatch: pytest.MonkeyPatch, log: list[str]
+    on_trial: OnTrial, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen: list[list[str]] = [["forward"], ["forward", "clustered_deferred"], ["forward"], ["forward"]]
     monkeypatch.setattr("renderer.techniques.auto.list_candidates", lambda *_: (seen.pop(0), "few"))
-    auto = make_auto(null, box(), log, 0.02, 0.01)
-    drawn, names = renderer(auto), []
+    auto, drawn = on_trial(0.02, 0.01)
+    names = []
     while seen:
         drawn.render(EYE)
         names.append(auto.names)

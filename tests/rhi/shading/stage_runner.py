@@ -16,7 +16,7 @@ from opencl_runner import build_text, place_texture, queue
 
 from rhi.contract.descriptors import BindingKind, Interpolation, ProgramDescriptor, Stage
 from rhi.shading import Shader, compile_shader, run_fragment, run_vertex
-from rhi.shading.compile import stage_interface
+from rhi.shading.compile import compiled_code
 from rhi.shading.evaluation.compute import storage_words, uniform_words
 
 VERTEX = """
@@ -391,7 +391,7 @@ def run_fragment_glsl(
     corners = np.array([(0, 0), (2, 0), (0, 2)], np.float32)
     declared, sets, content = [], [], [(context.buffer(corners.tobytes()), "2f4", "corner")]
     types = {}
-    for declared_varying in stage_interface(shader).varyings:
+    for declared_varying in compiled_code(shader).options.interface.varyings:
         name, role = declared_varying.name, declared_varying.role
         types[name] = declared_varying.type
         location = f"layout(location = {declared_varying.location})"

@@ -50,6 +50,7 @@ from rhi.shading import (
     vertex_index,
 )
 from rhi.shading.language import rules
+from rhi.shading.parser.stage import StageParser
 
 SHAPE = (8, 12)
 ROWS, COLUMNS = np.mgrid[: SHAPE[0], : SHAPE[1]]
@@ -670,3 +671,20 @@ def test_a_stage_that_a_shader_hasnt_got_doesnt_run():
     with pytest.raises(ValidationError) as caught:
         run_fragment(Endless, {"value": np.zeros((2, 2, 2))}, dtype=np.float16)
     assert caught.value.rule is rules.WRONG_ARGUMENTS
+
+
+def test_a_shader_of_which_both_stages_run_is_parsed_once(monkeypatch):
+    class Both(Shader):
+        def vertex(self) -> vec4:
+            return vec4(0.5)
+
+        def fragment(self) -> vec4:
+            return vec4(0.25)
+
+    parsed, parse = [], StageParser.parse
+    monkeypatch.setattr(StageParser, "parse", lambda self, entry: parsed.append(self.stage) or parse(self, entry))
+    for _ in range(2):
+        assert run_vertex(Both).position.tolist() == [0.5] * 4
+        (color,) = run_fragment(Both, fragment_coordinate=np.zeros((2, 2, 4))).outputs.values()
+        assert color[0, 0].tolist() == [0.25] * 4
+    assert sorted(stage.value for stage in parsed) == ["fragment", "vertex"]
