@@ -403,7 +403,7 @@ def measure(repeats: int) -> list[dict[str, Any]]:
             build[way] = 1e3 * (time.process_time() - started)
         gl.launch(groups)
         for kernel in kernels.values():
-            np.testing.assert_allclose(kernel.results()[result], gl.result(result), rtol=2e-2, atol=2e-3)
+            np.testing.assert_allclose(kernel.memory.contents()[result], gl.result(result), rtol=2e-2, atol=2e-3)
         ways = {"lanes_16_ms": kernels[16], "glsl_ms": gl, "lanes_1_ms": kernels[1]}
         subjects = [Subject({"way": way}, partial(launch, one, groups)) for way, one in ways.items()]
         columns = {"ms": time_column(digits=2), "ratio": ratio(2)}

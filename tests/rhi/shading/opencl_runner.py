@@ -15,7 +15,7 @@ import pytest
 
 from rhi.backends.cl.context import KERNELS_ENVIRONMENT, QUICK, caches_kernels, declares_kernels
 from rhi.backends.cl.pocl.cache import KernelCache
-from rhi.contract.descriptors import BindingKind, StageText
+from rhi.contract.descriptors import BindingKind, ProgramDescriptor, StageText
 from rhi.shading import Shader, compile_shader, opencl_kernel
 from rhi.shading.evaluation.compute import storage_words, uniform_words
 from rhi.shading.ir.faults import FAULT_WORDS, find_fault
@@ -117,6 +117,60 @@ def split_functions(text: str) -> Iterator[str]:
     yield "\n".join(part)
 
 
+def buffer(array: Any) -> cl.Buffer:
+    """Create a buffer with an array's contents and some padding after them."""
+    data = np.frombuffer(np.ascontiguousarray(array).tobytes() + bytes(256), np.uint8)
+    flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
+    return cl.Buffer(queue().context, flags, hostbuf=data)
+
+
+def binding_words(shader: type[Shader], bindings: dict[str, Any]) -> dict[str, Any]:
+    """Return a shader's bindings as words."""
+    words = {}
+    for name, declaration in shader._declared.items():
+        if declaration.storage_class.value == "uniform":
+            words[name] = uniform_words(declaration.type, bindings[name], name)
+        elif declaration.storage_class.value in ("texture", "image"):
+            words[name] = bindings[name]
+        else:
+            words[name] = storage_words(declaration.type.element, bindings[name], name)
+    return words
+
+
+class BoundMemory:
+    """A shader's bindings in buffers of OpenCL, of which `arguments` are those of a kernel."""
+
+    def __init__(self, descriptor: ProgramDescriptor, words: dict[str, Any]) -> None:
+        self.arguments: list[Any] = []
+        self._buffers: dict[str, tuple[cl.Buffer, Any]] = {}
+        self._images: dict[str, tuple[cl.Buffer, Any, HostTexture]] = {}
+        for binding in descriptor.bindings:
+            value = words[binding.name]
+            if binding.kind is BindingKind.UNIFORM:
+                self.arguments.append(buffer(value))
+            elif binding.kind in (BindingKind.TEXTURE, BindingKind.IMAGE):
+                memory, described = place_texture(value)
+                self.arguments += [buffer(memory), buffer(described)]
+                if binding.kind is BindingKind.IMAGE:
+                    self._images[binding.name] = (self.arguments[-2], memory, value)
+            else:
+                whole, content = value
+                self.arguments += [buffer(content), np.int32(len(whole))]
+                if binding.writes:
+                    self._buffers[binding.name] = (self.arguments[-2], whole)
+
+    def contents(self) -> dict[str, Any]:
+        """Return the contents of each writable buffer and each image."""
+        for memory, whole in self._buffers.values():
+            if whole.size:
+                cl.enqueue_copy(queue(), whole, memory)
+        results = {name: whole for name, (_, whole) in self._buffers.items()}
+        for name, (image, memory, texture) in self._images.items():
+            cl.enqueue_copy(queue(), memory, image)
+            results[name] = texels_of(memory, texture.levels[0])
+        return results
+
+
 class Kernel:
     """A compute shader for `width` lanes, whose arguments are set once."""
 
@@ -127,35 +181,11 @@ class Kernel:
         self.text, self.origins = written.text, written.origins
         self.kernel = cl.Kernel(program, name)
         self.items = -(-math.prod(descriptor.work_group) // width)
-        self.buffers: dict[str, tuple[cl.Buffer, Any]] = {}
-        self.images: dict[str, tuple[cl.Buffer, Any, HostTexture]] = {}
-        arguments: list[Any] = []
-        for binding in descriptor.bindings:
-            value = bindings[binding.name]
-            if binding.kind is BindingKind.UNIFORM:
-                words = uniform_words(shader._declared[binding.name].type, value, binding.name)
-                arguments.append(self._buffer(words))
-            elif binding.kind in (BindingKind.TEXTURE, BindingKind.IMAGE):
-                memory, words = place_texture(value)
-                arguments += [self._buffer(memory.view(np.uint32)), self._buffer(words.view(np.uint32))]
-                if binding.kind is BindingKind.IMAGE:
-                    self.images[binding.name] = (arguments[-2], memory, value)
-            else:
-                element = shader._declared[binding.name].type.element
-                whole, words = storage_words(element, value, binding.name)
-                arguments += [self._buffer(words), np.int32(len(whole))]
-                if binding.writes:
-                    self.buffers[binding.name] = (arguments[-2], whole)
-        self.faults = self._buffer(np.zeros(FAULT_WORDS, np.uint32)) if descriptor.checked else None
-        arguments += [self.faults] if descriptor.checked else []
-        self.arguments = arguments  # a kernel doesn't keep its buffers alive
-        self.kernel.set_args(*arguments)
-
-    def _buffer(self, words: Any) -> cl.Buffer:
-        padded = np.zeros(max(64, words.size), np.uint32)
-        padded[: words.size] = words
-        flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
-        return cl.Buffer(queue().context, flags, hostbuf=padded)
+        self.memory = BoundMemory(descriptor, binding_words(shader, bindings))
+        self.faults = buffer(np.zeros(FAULT_WORDS, np.uint32)) if descriptor.checked else None
+        # A kernel doesn't keep its buffers alive.
+        self.arguments = [*self.memory.arguments, *([self.faults] if descriptor.checked else [])]
+        self.kernel.set_args(*self.arguments)
 
     def launch(self, groups: Any = 1) -> None:
         """Enqueue the kernel and wait; raises the fault that a checked shader found."""
@@ -167,17 +197,6 @@ class Kernel:
             error = find_fault(words.tolist(), self.origins)
             if error is not None:
                 raise error
-
-    def results(self) -> dict[str, Any]:
-        """Return the contents of each writable buffer and each image."""
-        for buffer, whole in self.buffers.values():
-            if whole.size:
-                cl.enqueue_copy(self.queue, whole, buffer)
-        results = {name: whole for name, (_, whole) in self.buffers.items()}
-        for name, (buffer, memory, texture) in self.images.items():
-            cl.enqueue_copy(self.queue, memory, buffer)
-            results[name] = texels_of(memory, texture.levels[0])
-        return results
 
 
 def place_texture(texture: HostTexture) -> tuple[Any, Any]:
@@ -206,4 +225,4 @@ def run_opencl(shader: type[Shader], width: int, groups: Any = 1, **bindings: An
     """Run a compute shader once and return the contents of each writable buffer."""
     kernel = Kernel(shader, width, **bindings)
     kernel.launch(groups)
-    return kernel.results()
+    return kernel.memory.contents()

@@ -12,12 +12,11 @@ from typing import Any
 import moderngl
 import numpy as np
 import pyopencl as cl
-from opencl_runner import build_text, place_texture, queue
+from opencl_runner import BoundMemory, binding_words, buffer, build_text, queue
 
 from rhi.contract.descriptors import BindingKind, Interpolation, ProgramDescriptor, Stage
 from rhi.shading import Shader, compile_shader, run_fragment, run_vertex
 from rhi.shading.compile import compiled_code
-from rhi.shading.evaluation.compute import storage_words, uniform_words
 
 VERTEX = """
 kernel void run({parameters}global const uint *inputs, global const int *vertex, int instance, int draw,
@@ -56,27 +55,19 @@ class StageKernel:
     def __init__(self, descriptor: ProgramDescriptor, stage: Stage, bindings: dict[str, Any]) -> None:
         parameters = []
         arguments = []
-        self.values: list[Any] = []
-        self.memory: dict[str, tuple[cl.Buffer, Any]] = {}
+        self.memory = BoundMemory(descriptor, bindings)
         for binding in descriptor.bindings:
-            value = bindings[binding.name]
             name = f"b_{binding.name}"
             arguments.append(name)
             if binding.kind is BindingKind.UNIFORM:
                 parameters.append(f"global const uint *{name}")
-                self.values.append(buffer(value))
             elif binding.kind in (BindingKind.TEXTURE, BindingKind.IMAGE):
                 access = "global const uchar" if binding.kind is BindingKind.TEXTURE else "global uchar"
                 parameters += [f"{access} *{name}", f"global const int *{name}_words"]
                 arguments.append(f"{name}_words")
-                self.values += [buffer(part) for part in place_texture(value)]
             else:
-                whole, words = value
                 parameters += [f"global uint *{name}", f"int {name}_count"]
                 arguments.append(f"{name}_count")
-                self.values += [buffer(words), np.int32(len(whole))]
-                if binding.writes:
-                    self.memory[binding.name] = (self.values[-2], whole)
         self.inputs = sum(varying.words for varying in descriptor.varyings)
         if stage is Stage.VERTEX:
             self.outputs = 4 + self.inputs
@@ -97,36 +88,9 @@ class StageKernel:
         out = np.zeros((groups, words, 16), np.uint32)
         target = buffer(out)
         given = [buffer(value) if isinstance(value, np.ndarray) else np.int32(value) for value in values]
-        self.kernel(queue(), (groups,), None, *self.values, *given, target).wait()
+        self.kernel(queue(), (groups,), None, *self.memory.arguments, *given, target).wait()
         cl.enqueue_copy(queue(), out, target)
         return out
-
-    def contents(self) -> dict[str, Any]:
-        """Return the contents of each writable buffer."""
-        for memory, whole in self.memory.values():
-            if whole.size:
-                cl.enqueue_copy(queue(), whole, memory)
-        return {name: whole for name, (_, whole) in self.memory.items()}
-
-
-def buffer(array: Any) -> cl.Buffer:
-    """Create a buffer with an array's contents and some padding after them."""
-    data = np.frombuffer(np.ascontiguousarray(array).tobytes() + bytes(256), np.uint8)
-    flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
-    return cl.Buffer(queue().context, flags, hostbuf=data)
-
-
-def binding_words(shader: type[Shader], bindings: dict[str, Any]) -> dict[str, Any]:
-    """Return a shader's bindings as words."""
-    words = {}
-    for name, declaration in shader._declared.items():
-        if declaration.storage_class.value == "uniform":
-            words[name] = uniform_words(declaration.type, bindings[name], name)
-        elif declaration.storage_class.value in ("texture", "image"):
-            words[name] = bindings[name]
-        else:
-            words[name] = storage_words(declaration.type.element, bindings[name], name)
-    return words
 
 
 def as_words(array: Any, lanes: int) -> Any:
@@ -175,7 +139,7 @@ def run_vertex_lanes(
     for varying in descriptor.varyings:
         part = rows[:, 4 + varying.word : 4 + varying.word + varying.words]
         results[varying.name] = view(part, varying.kind)
-    return results | kernel.contents()
+    return results | kernel.memory.contents()
 
 
 def blocks(image: Any) -> Any:
@@ -242,7 +206,7 @@ def run_fragment_lanes(
     for output in descriptor.outputs:
         part = image[..., 4 * output.location : 4 * output.location + output.components]
         results[output.name] = view(part, output.kind)
-    return results | kernel.contents()
+    return results | kernel.memory.contents()
 
 
 # -- NumPy -------------------------------------------------------------------------------------------------

@@ -9,8 +9,7 @@ import pyopencl as cl
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from opencl_runner import build_text, queue
-from stage_runner import buffer
+from opencl_runner import buffer, build_text, queue
 
 from rhi.contract.descriptors import Stage
 from rhi.shading import (
