@@ -58,6 +58,10 @@ UNSEEN: Final[tuple[Unseen, ...]] = (
         "0", "1", f"{SAME}: a scene has an object, and so a mesh",
     ),
     Unseen(
+        "renderer/visibility/boxes/hierarchy.py", "self._sort(self.order[np.lexsort((key, self.owner))])",
+        "self._sort(self.order[np.lexsort((key, self.owner))])", "pass", f"{COST}: boxes around whatever is in a half",
+    ),
+    Unseen(
         "renderer/frame/lamps.py", "_GROUP: Final = 64", "64", "65",
         f"{SAME}: groups of another size place the same lamps",
     ),

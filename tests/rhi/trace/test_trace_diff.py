@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from itertools import pairwise
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from testing_kit import House, Light
@@ -146,9 +147,12 @@ def test_the_same_sources_under_another_name_are_a_difference() -> None:
         assert not diff(a, Trace(a.stream))
 
 
-@given(st.lists(st.integers(0, 4), max_size=30), st.lists(st.integers(0, 4), max_size=30))
-def test_an_alignment_pairs_equal_elements_in_rising_order(a: list[int], b: list[int]) -> None:
-    pairs = align(a, b)
+@given(st.lists(st.integers(0, 4), max_size=30), st.lists(st.integers(0, 4), max_size=30), st.sampled_from([0, 1000]))
+def test_an_alignment_pairs_equal_elements_in_rising_order(a: list[int], b: list[int], short: int) -> None:
+    """By either way, that of short sequences and that of long ones."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("rhi.trace.align._SHORT", short)
+        pairs = align(a, b)
     assert all(a[x] == b[y] for x, y in pairs)
     assert all(x < u and y < v for (x, y), (u, v) in pairwise(pairs))
     if a == b:

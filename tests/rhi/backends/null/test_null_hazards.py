@@ -360,7 +360,9 @@ def test_writing_to_what_was_destroyed_is_found():
     backend = make_backend()
     backend.destroy(STREAM)
     backend.write_buffer(STREAM, 0, bytes(16))
-    assert [(h.kind, h.calls) for h in backend.hazards] == [(KINDS.USED_DESTROYED, ("destroy", "write_buffer"))]
+    (hazard,) = backend.hazards
+    assert (hazard.kind, hazard.calls) == (KINDS.USED_DESTROYED, ("destroy", "write_buffer"))
+    assert hazard.happened
 
 
 def test_memory_that_only_the_cpu_has_touched_is_in_nobodys_use():
