@@ -28,6 +28,7 @@ sys.path.insert(0, str(ROOT))
 
 import rhi  # noqa: E402
 from renderer.content import load_scene, parse_camera  # noqa: E402
+from renderer.lights.lists import list_lights  # noqa: E402
 from renderer.renderer import Renderer  # noqa: E402
 from renderer.techniques import Forward, Inferred  # noqa: E402
 
@@ -103,11 +104,45 @@ def find_inferred() -> Rows:
     return rows
 
 
+def find_light_lists() -> Rows:
+    """Count the objects, the lights on the lists of all of them, and those on the longest list."""
+    rows = {}
+    for name in ("night:lights=64", "night:lights=512", "night:lights=4096", "hall:lights=4096"):
+        scene = load_scene(name)
+        positions, ranges = (
+            np.concatenate([lamps[field] for lamps in (scene.lights.point, scene.lights.spot)]).astype(np.float64)
+            for field in ("position", "range")
+        )
+        ends, _ = list_lights(scene.objects.lower, scene.objects.upper, positions, ranges)
+        rows[f"`{name}`"] = [f"{len(scene.objects):,}", f"{ends[-1]:,}, {np.diff(ends).max():,}"]
+    return rows
+
+
+def find_memory() -> Rows:
+    """Sum the bytes of what the renderer holds of `bazaar`."""
+    found = _read_report("-m", "renderer", "plan", "bazaar", "--technique", "forward")["memory"]
+    sizes = {row["name"]: row["bytes"] for row in found["rows"]}
+    groups = {
+        "`maps`": ("maps",),
+        "`images`": ("images",),
+        "vertices, indices": ("meshes vertices", "meshes indices"),
+        "`image` and `depth`": ("image", "depth"),
+        "`objects`, `places`, `batch`": ("objects", "places", "batch"),
+        "`light rows`, `point lights`": ("light rows", "point lights"),
+        "`materials`, `textures`": ("materials", "textures"),
+        "constants": ("ViewConstants", "Ambient"),
+    }
+    rows = {group: [f"{sum(sizes[name] for name in names):,}"] for group, names in groups.items()}
+    return {**rows, "all": [f"{found['bytes']:,}"]}
+
+
 FIGURES: Final = {
     "orders": Figure("docs/materials.md", ("programs", "materials", "meshes", "draws"), find_orders),
     "encodings": Figure("docs/deferred-plus.md", ("mean error", "largest error"), find_encodings, ("ns, gl", "ns, cl")),
     "draw order": Figure("docs/materials.md", ("programs", "bindings", "meshes", "draws"), find_draw_order, ("µs",)),
     "inferred": Figure("docs/lighting-techniques.md", ("PSNR, dB", "pixels more than 2 of 255 off"), find_inferred),
+    "light lists": Figure("docs/renderer.md", ("objects", "lights listed, longest list"), find_light_lists),
+    "memory": Figure("docs/materials.md", ("bytes",), find_memory),
 }
 """The tables that are made again, by the names of their marks."""
 
