@@ -132,7 +132,7 @@ def binding_words(shader: type[Shader], bindings: dict[str, Any]) -> dict[str, A
             words[name] = uniform_words(declaration.type, bindings[name], name)
         elif declaration.storage_class.value in ("texture", "image"):
             words[name] = bindings[name]
-        else:
+        elif declaration.storage_class.value == "storage":  # not shared memory
             words[name] = storage_words(declaration.type.element, bindings[name], name)
     return words
 
