@@ -193,12 +193,13 @@ class Lights:
 
 def check_lights(call: str, lights: NDArray[Any]) -> None:
     """Refuse lights of a kind (k,) that were written to, if a value is out of its range: `scene-bad-light`."""
+    fields = lights.dtype.names or ()
     for name in _AMOUNTS:
-        if name in (lights.dtype.names or ()):
+        if name in fields:
             _numbers(call, name, lights[name], lights[name].shape)
-    if "inner" in (lights.dtype.names or ()):
+    if "inner" in fields:
         _check_angles(call, lights["inner"], lights["outer"])
-    if "direction" in (lights.dtype.names or ()):
+    if "direction" in fields:
         directions = lights["direction"].astype(np.float64)
         allowed = np.abs(np.linalg.norm(directions, axis=1) - 1.0) <= _OFF_UNIT
         if not allowed.all():

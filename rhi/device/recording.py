@@ -54,15 +54,7 @@ class RecordingCore(Core):
     """
 
     __slots__ = (
-        "conditions",
-        "counted_rows",
-        "device",
-        "meshes",
-        "own_arrays",
-        "queries",
-        "recording",
-        "stream",
-        "uses",
+        "conditions", "counted_rows", "device", "meshes", "own_arrays", "queries", "recording", "stream", "uses",
         "vertex_arrays",
     )  # fmt: skip
     records = True

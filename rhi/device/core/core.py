@@ -256,10 +256,7 @@ class Core:
         self.check_ready()
         self.timeline.make_room()
         self.counters.creations += 1
-        number = self.new_id()
-        if self._notes_sites and (site := find_call_site()) is not None:
-            self.timeline.sites[number] = site
-        return number
+        return self.new_id()
 
     def creation(self) -> Creation:
         """Return a block that creates all of its resources or none; see `Creation`."""
@@ -278,6 +275,8 @@ class Core:
                 raise
             make(resource, descriptor)
         self.timeline.living[resource] = size
+        if self._notes_sites and (site := find_call_site()) is not None:
+            self.timeline.sites[resource] = site
         if self.created is not None:
             self.created.append(resource)
 

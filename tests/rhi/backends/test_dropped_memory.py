@@ -7,6 +7,11 @@ import sys
 
 import pytest
 
+pytestmark = [
+    pytest.mark.nightly,
+    pytest.mark.skipif(sys.platform != "linux", reason="reads resident memory from /proc"),
+]
+
 PROGRAM = """
 import sys
 import numpy as np
@@ -66,8 +71,6 @@ def measure_growth(backend: str, how: str) -> dict[str, float]:
     return {kind: float(growth) for growth, kind in (line.split(maxsplit=1) for line in done.stdout.splitlines())}
 
 
-@pytest.mark.nightly
-@pytest.mark.skipif(sys.platform != "linux", reason="reads resident memory from /proc")
 @pytest.mark.parametrize("backend", ["gl", "cl", "null"])
 def test_ten_thousand_dropped_resources_of_a_kind_keep_less_than_20_mib(backend: str) -> None:
     grown = measure_growth(backend, "drops")
@@ -75,7 +78,5 @@ def test_ten_thousand_dropped_resources_of_a_kind_keep_less_than_20_mib(backend:
     assert {kind: growth for kind, growth in grown.items() if growth > 20.0} == {}
 
 
-@pytest.mark.nightly
-@pytest.mark.skipif(sys.platform != "linux", reason="reads resident memory from /proc")
 def test_resources_that_are_held_are_seen_in_the_same_measure() -> None:
     assert measure_growth("null", "keeps")["texture"] > 20.0

@@ -12,6 +12,8 @@ import pytest
 
 import rhi
 from rhi import Format
+from rhi.backends.null import NullBackend
+from rhi.errors.rules import DEVICE_MEMORY
 
 MADE: dict[str, Callable[[rhi.Device], object]] = {
     "Texture": lambda device: device.texture((4, 4), Format.R8, label="it"),
@@ -72,3 +74,14 @@ def test_development_mode_warns_without_validation(options: tuple[str, ...], cou
     done = subprocess.run([sys.executable, *options, "-c", source], capture_output=True, text=True, check=True)
     assert done.stderr.count("ResourceWarning: Buffer('lost') was collected") == count
     assert done.stderr.count("<string>:3") == count
+
+
+def test_a_creation_that_the_backend_refuses_leaves_no_line_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise rhi.DeviceError(DEVICE_MEMORY, "create_texture")
+
+    with rhi.create_device("null", validation=True) as device:
+        monkeypatch.setattr(device.backend_as(NullBackend), "create_texture", fail)
+        with pytest.raises(rhi.DeviceError):
+            device.texture((4, 4), Format.R8)
+        assert not device._core.timeline.sites
