@@ -7,7 +7,8 @@ A fault is one small change of an operator, a constant, a condition or a call. I
 files, which is deleted afterwards, so that processes that tests start, shaders that are parsed from their text and
 kernels in files see it too, and the working tree is never touched. Tests run in stages until one fails: first those of
 the module's folder, then for `rhi` those of its package and the conformance kit on the backends concerned, and for
-`renderer` the tests elsewhere that use the module most, and the exam. The test that fails is run once more without the
+`renderer` the tests elsewhere that use the module most, the exam, and those of the package that imports it most, such
+as techniques for the shaders that they are made of. The test that fails is run once more without the
 fault, where it has to pass. One that doesn't end has noticed the fault, too.
 
 What no stage notices is printed with its line, unless `unseen_faults` explains it. The last line gives the share that
@@ -62,6 +63,9 @@ _MOST_USERS: Final = 8
 """Of the files of tests elsewhere that use a module of the renderer, so many are tried."""
 
 _EXAM: Final = "tests/renderer/lab/exam/test_cases.py"
+
+_MEASURING: Final = ("lab", "cli")
+"""Packages of the renderer whose tests are about measures, not about what is measured."""
 
 _BINARY: Final[dict[type[ast.AST], str]] = {
     ast.Add: "-", ast.Sub: "+", ast.Mult: "/", ast.Div: "*", ast.FloorDiv: "*", ast.Mod: "//", ast.LShift: ">>",
@@ -314,6 +318,7 @@ def choose_tests(root: Path, file: str) -> list[tuple[str, ...]]:
         users = _list_users(root, path, folder)
         stages += [tuple(users)] if users else []
         stages += [(_EXAM,)] if (root / _EXAM).exists() else []
+        stages += [(folder,) for folder in _list_importers(root, path)[:1]]
     return stages
 
 
@@ -340,6 +345,22 @@ def _list_users(root: Path, path: PurePosixPath, folder: Path) -> list[str]:
             if package.search(text):
                 found[each.relative_to(root).as_posix()] = len(set(words.findall(text)))
     return [file for file, count in found.most_common(_MOST_USERS) if count]
+
+
+def _list_importers(root: Path, path: PurePosixPath) -> list[str]:
+    """Return the folders of tests of the packages that import what a module defines, most often first, without those
+    that measure."""
+    package, module = path.parent.as_posix().replace("/", "."), path.with_suffix("").as_posix().replace("/", ".")
+    defined = re.findall(r"^(?:class |def )?([A-Za-z]\w*)(?:\(|:|\[| =)", (root / path).read_text(), re.MULTILINE)
+    names = rf"\b(?:{'|'.join(defined)})\b"
+    listed = rf"(?:[^(\n]*?|\([^()]*?){names}"
+    imports = re.compile(rf"^from (?:{re.escape(module)} import |{re.escape(package)} import {listed})", re.MULTILINE)
+    found = Counter[str]()
+    for file in sorted((root / path.parts[0]).rglob("*.py")):
+        own = file.relative_to(root).parts
+        if len(own) > 2 and own[1] not in (path.parts[1], *_MEASURING) and imports.search(file.read_text()):
+            found["/".join(("tests", *own[:2]))] += 1
+    return [folder for folder, _ in found.most_common() if (root / folder).is_dir()]
 
 
 # -- trials --------------------------------------------------------------------------------------------------------

@@ -99,11 +99,21 @@ def test_a_module_s_tests_are_its_folder_s_and_then_the_kit_s(
 
 
 def test_a_part_of_the_renderer_is_also_tested_where_it_is_used() -> None:
-    own, users, exam = choose_tests(ROOT, "renderer/scene/meshes.py")
+    own, users, exam, importers = choose_tests(ROOT, "renderer/scene/meshes.py")
     assert own == ("tests/renderer/scene",)
     assert 1 < len(users) <= 8
     assert all("renderer.scene" in (ROOT / file).read_text() for file in users)
     assert exam == ("tests/renderer/lab/exam/test_cases.py",)
+    assert importers == ("tests/renderer/content",)
+
+
+@pytest.mark.parametrize("module", ["lighting", "structs", "pixels"])
+def test_shaders_are_also_tested_by_the_techniques_that_are_made_of_them(module: str) -> None:
+    assert ("tests/renderer/techniques",) in choose_tests(ROOT, f"renderer/shaders/{module}.py")
+
+
+def test_what_only_its_package_imports_has_no_tests_of_importers() -> None:
+    assert choose_tests(ROOT, "renderer/techniques/parts/fxaa.py")[-1] == ("tests/renderer/lab/exam/test_cases.py",)
 
 
 TESTED = "def scale(x):\n    return 2 * x\n\n\ndef count(n):\n    while n > 0:\n        n -= 1\n    return n\n"

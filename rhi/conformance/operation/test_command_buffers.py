@@ -161,6 +161,17 @@ def test_clears_copies_and_levels_of_memory_can_be_recorded(device: Device) -> N
         assert_same(target.read(), [7, 7, 7, 7, 6, 5, 7, 7])
 
 
+def test_a_clear_without_a_value_is_to_zeros(device: Device) -> None:
+    with device.buffer(np.arange(1, 5, dtype="u4")) as target:
+        with device.record() as commands:
+            commands.clear(target)
+        device.submit(commands)
+        assert_same(target.read(), 0)
+        target.write(np.arange(1, 5, dtype="u4"))
+        target.clear()
+        assert_same(target.read(), 0)
+
+
 def test_samples_can_be_resolved(device: Device) -> None:
     require_samples(device, 4)
     with (

@@ -13,7 +13,7 @@ from renderer.content import BUILT_IN
 from renderer.frame.images import MOST_ARRAYS, MOST_MEMORY, SceneImages, count_bytes, plan_arrays
 from renderer.scene import AlphaMode, Scene, SceneBuilder, TextureMap
 from renderer.techniques import ForwardPlus
-from rhi import Op, SamplerDescriptor, Wrap
+from rhi import Filter, Op, SamplerDescriptor, Wrap
 
 CLAMPED = SamplerDescriptor(wrap_u=Wrap.CLAMP, wrap_v=Wrap.CLAMP)
 
@@ -113,6 +113,33 @@ def test_rare_samplers_give_way_where_there_are_too_many(null: rhi.Device) -> No
         sampler = SamplerDescriptor(max_anisotropy=1.0 + number)
         builder.add_objects(node, mesh, builder.add_material(texture=TextureMap(image, sampler=sampler)))
     assert len(SceneImages(null, builder.build()).arrays) == MOST_ARRAYS // 2
+
+
+@pytest.mark.parametrize("nearest", [True, False])
+def test_images_in_an_array_of_another_size_are_resampled(null: rhi.Device, nearest: bool) -> None:
+    """The smallest images of too many sizes share an array; each shows what it did, larger."""
+    magnify = Filter.NEAREST if nearest else Filter.LINEAR
+    random = np.random.default_rng(5)
+    builder = SceneBuilder("images")
+    mesh, node = builder.add_mesh(BUILT_IN["box"]()), builder.add_node()
+    images = [random.integers(0, 256, (1 << k, 1 << k, 4), np.uint8) for k in range(9)]
+    for image in images:
+        texture = TextureMap(builder.add_image(image), sampler=SamplerDescriptor(magnify=magnify))
+        builder.add_objects(node, mesh, builder.add_material(texture=texture))
+    shown = SceneImages(null, builder.build())
+    assert shown.table is not None
+    joined = 0
+    for image, use in zip(images, shown.table.read(), strict=True):
+        layer = shown.textures[int(use["array"])].read(layer=int(use["layer"])).astype(int)
+        factor = len(layer) // len(image)
+        wider = image.repeat(factor, 0).repeat(factor, 1).astype(int)
+        joined += factor > 1
+        if nearest or factor == 1:
+            assert np.array_equal(layer, wider)
+        else:  # as smooth as noise becomes, and as bright
+            assert np.abs(np.diff(layer, axis=0)).max() < 200
+            assert np.abs(layer.mean((0, 1)) - wider.mean((0, 1))).max() < 40
+    assert joined
 
 
 def test_colors_and_data_are_in_arrays_of_their_own_that_passes_read_alone(null: rhi.Device) -> None:

@@ -190,6 +190,26 @@ def test_shadows_touch_their_casters_and_end_within_a_texel(
     assert np.array_equal(lit.reshape(-1)[sure], ~blocked[0][sure])
 
 
+def test_shadows_fade_at_the_edge_of_the_last_cascade_alone(gl: rhi.Device) -> None:
+    """A wall of blocks throws a shadow along the view, through all cascades; it is whole up to where the last fades."""
+    builder = make_boxes(
+        translation((0, -0.5, 0)) @ scaling((60, 1, 60)), translation((-2, 1, 0)) @ scaling((1, 2, 60)),
+        name="wall", specular_color=(0, 0, 0),
+    )  # fmt: skip
+    builder.lights.add_directional((1, -0.5, 0))
+    builder.lights.sky = builder.lights.ground = (0.0, 0.0, 0.0)
+    eye = Camera.look_at((0.2, 6, 20), (0.2, 0, 8), projection=Perspective(fov=0.9, aspect=1.0, near=0.1))
+    settings = ShadowSettings(cascades=3, cascade_size=256, distance=24.0)
+    shown, lit = (render(gl, builder.build(), eye, settings, casts=casts)[..., 0] for casts in (True, False))
+    # The floor that the wall is between it and the sun of, below the middle of the image: x from -1.3 to 1.5.
+    shares = shown[:, 32] / np.maximum(lit[:, 32], 1)
+    whole = int(np.argmax(shares <= 0.0))
+    assert 4 < whole < 20, "most of the floor in the picture is nearer than shadows end"
+    assert not shares[whole:].any(), "a shadow ends at the edge of a cascade that isn't the last"
+    assert 0.05 < shares[whole - 1] < 0.95, "shadows end without fading"
+    assert (shares[: whole - 2] == 1.0).all()
+
+
 def leaf_scene(*, turned: bool = False, **material: Any) -> Scene:
     """Make a sheet of 2 × 2 m, 2 m above a floor. The shadow that a sun throws of it is 2 m to its right. With
     `turned`, its front is below."""

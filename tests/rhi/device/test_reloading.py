@@ -21,7 +21,7 @@ import pytest
 
 import rhi
 from rhi import Format, Op, Reloader, RhiError, ShaderError, ValidationError
-from rhi.shading import evaluate
+from rhi.shading import evaluate, run_compute, run_fragment, run_vertex
 
 TEXT = """
 from __future__ import annotations
@@ -215,6 +215,40 @@ def test_functions_are_evaluated_as_edited(device: rhi.Device, shaders: Any) -> 
     assert np.array_equal(evaluate(shaders.weaken, color), color)
     Reloader(device).reload(shaders, TEXT.replace("color * 1.0", "color * 0.5"))
     assert np.array_equal(evaluate(shaders.weaken, color), 0.5 * color)
+
+
+def test_what_ran_on_the_cpu_runs_as_edited(device: rhi.Device, shaders: Any) -> None:
+    """Kernels, stages, and functions and stages that call what was edited."""
+    text = TEXT.replace("return color * 1.0", "return halve(color)").replace(
+        "@function\ndef weaken",
+        "@function\ndef halve(color: vec3) -> vec3:\n    return color * 1.0\n\n@function\ndef weaken",
+    )
+    reloader = Reloader(device)
+    reloader.reload(shaders, text)
+    tint, corners = shaders.Tint(color=(1.0, 1.0, 1.0, 1.0)), np.zeros((3, 2), np.float32)
+    varying = {"clip": np.zeros((2, 2, 4), np.float32), "color": np.ones((2, 2, 3), np.float32)}
+
+    def run() -> list[float]:
+        return [
+            float(evaluate(shaders.weaken, np.ones((1, 3), np.float32))[0, 0]),
+            float(run_compute(shaders.Other, values=1)["values"][0]),
+            float(run_vertex(shaders.Flat, {"position": corners}, tint=tint).varyings["clip"][0, 2]),
+            float(run_fragment(shaders.Flat, varying, tint=tint).outputs["color"][0, 0, 0]),
+        ]
+
+    assert run() == [1.0, 1.0, 0.5, 1.0]
+    text = text.replace("color * 1.0", "color * 0.5").replace("0.5, 1.0)", "0.25, 1.0)").replace("x] = 1.0", "x] = 2.0")
+    reloader.reload(shaders, text)
+    assert run() == [0.5, 2.0, 0.25, 0.5]
+
+
+def test_methods_name_the_class_that_they_are_put_into(device: rhi.Device, shaders: Any) -> None:
+    """`__class__`, at which `super()` begins, is the class that exists, not the one that the text made."""
+    cls = shaders.Flat
+    text = TEXT.replace("gain = 1.0\n", "gain = 2.0\n\n    @staticmethod\n    def whose():\n        return __class__\n")
+    Reloader(device).reload(shaders, text)
+    assert shaders.Flat is cls
+    assert cls.whose() is cls
 
 
 FAULTS = {

@@ -387,7 +387,7 @@ class HazardTracker:
         if not deferred.arguments and array.index_buffer in self._streams:
             size = array.index_format.size
             ranges += [(array.index_buffer, first * size, (first + count) * size)
-                       for count, _, first, _, _ in draws if count]  # fmt: skip
+                       for count, instances, first, _, _ in draws if count and instances]  # fmt: skip
         for buffer, begin, end in ranges:
             for written, write_begin, write_end, use, kind in deferred.suspects:
                 if written == buffer and begin < write_end and write_begin < end:

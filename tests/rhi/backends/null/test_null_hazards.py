@@ -24,8 +24,10 @@ from rhi.contract.descriptors import (
     PassDescriptor,
     Primitive,
     QueryKind,
+    Region,
     SamplerDescriptor,
     TextureDescriptor,
+    TextureKind,
     VertexArrayDescriptor,
     VertexStream,
 )
@@ -36,6 +38,7 @@ from rhi.device.core.timeline import Timeline
 from rhi.errors import ValidationError
 
 PROGRAM, TEXTURE, SAMPLER, VERTICES = 300, 301, 302, 303
+LAYERS = Region(0, 0, 1, 2, 0, 3)
 KINDS = HazardKind
 
 
@@ -208,6 +211,25 @@ def test_every_command_that_touches_memory_counts(use):
         assert len(backend.hazards) == found
 
 
+@pytest.mark.parametrize(
+    ("use", "expected"),
+    [
+        (
+            lambda b: b.draw_indirect(PLAIN, Primitive.TRIANGLES, STREAM, 20, 2, 40, 0, 0),
+            [*range(20, 40), *range(60, 80)],
+        ),
+        (lambda b: b.copy_texture_to_buffer(TEXTURE, 0, LAYERS, STREAM, 16, 4), [*range(16, 40)]),
+        (lambda b: b.copy_buffer_to_texture(STREAM, 16, 4, TEXTURE, 0, LAYERS), [*range(16, 40)]),
+    ],
+    ids=["arguments of two draws", "from layers", "to layers"],
+)
+def test_all_rows_of_a_command_count(use, expected):
+    backend = make_backend()
+    backend.create_texture(TEXTURE, TextureDescriptor((1, 2), Format.RGBA8, TextureKind.D2_ARRAY, layers=3))
+    use(backend)
+    assert found_bytes(backend) == expected
+
+
 def test_ordered_writes_are_no_hazard():
     backend = with_program(make_backend(), Binding("camera", BindingKind.UNIFORM, 0))
     backend.bind_uniform(0, STATIC, 0, 16)
@@ -327,6 +349,32 @@ def test_an_indirect_draw_reads_what_its_arguments_name(index_buffer, first, exp
     assert found_bytes(backend) == expected
 
 
+def test_indirect_draws_read_the_indices_of_each_that_has_any():
+    """Also while the indices that they name aren't known: a write meanwhile is found when they are."""
+    backend = vertex_backend(index_buffer=STREAM)
+    backend.write_buffer(STREAM, 200, indices(3, 4, 9, 9, 7))
+    backend.write_buffer(STATIC, 0, words(2, 1, 100, 0, 0, 0, 1, 102, 0, 0, 1, 1, 104, 1, 0))
+    backend.draw_indirect(VERTICES, Primitive.POINTS, STATIC, 0, 3, 20, 0, 0)
+    for byte in (199, 200, 203, 204, 207, 208, 209, 210, 37, 38, 57, 58, 87, 88, 97, 98):
+        backend.write_buffer(STREAM, byte, bytes(indices(3, 4, 9, 9, 7)[byte - 200 : byte - 199]) or b"x")
+    assert not backend.hazards
+    finish(backend)
+    assert {hazard.bytes[0] for hazard in backend.hazards} == {200, 203, 208, 209, 38, 57, 88, 97}
+    assert all(hazard.happened for hazard in backend.hazards)
+    assert found_bytes(backend) == []
+
+
+@pytest.mark.parametrize(("count", "instances"), [(0, 1), (2, 0)])
+def test_an_indirect_draw_of_nothing_reads_nothing(count, instances):
+    backend = vertex_backend(index_buffer=STREAM)
+    backend.write_buffer(STATIC, 0, words(count, instances, 100, 0, 0))
+    backend.draw_indirect(VERTICES, Primitive.LINES, STATIC, 0, 1, 20, 0, 0)
+    backend.signal(1)
+    backend.spend(1_000_000)
+    backend.write_buffer(STREAM, 0, bytes(256))
+    assert not backend.hazards
+
+
 # -- queries and resources -----------------------------------------------------------------------------------
 
 
@@ -342,6 +390,19 @@ def test_a_query_that_is_open_or_never_begun_is_not_to_be_read():
     backend.end_query(1)
     assert backend.read_query(1) is None  # asked in vain, but it will come
     assert len(backend.hazards) == 2
+
+
+def test_a_query_whose_answer_is_there_can_be_destroyed():
+    for asks in (False, True):
+        backend = make_backend()
+        backend.create_query(1, QueryKind.OCCLUSION)
+        backend.begin_query(1)
+        backend.end_query(1)
+        backend.signal(1)
+        backend.spend(1_000_000)
+        assert not asks or backend.read_query(1) is not None
+        backend.destroy(1)
+        assert kinds(backend) == [KINDS.DESTROYED_IN_USE] * (not asks)
 
 
 def test_destroying_what_the_gpu_may_still_use_is_found():
