@@ -1,6 +1,7 @@
 """The structure of the project: what the docs say of it is true, and a name means one thing.
 
-Which package may import which is held by import-linter (pyproject.toml), so it isn't tested here.
+Which package may import which is held by import-linter (pyproject.toml); what is tested here is derived from tables and
+folders, so that a new leaf needs no row of its own.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import logging
 import re
 import tokenize
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -166,6 +167,71 @@ def test_a_homonym_is_found() -> None:
     assert find_homonyms({"a": "class Place: ...", "b": "class _Place: ...", "c": "class Other: ..."}) == {
         "Place": ["a", "b"]
     }
+
+
+# -- techniques ----------------------------------------------------------------------------------------------------
+
+FLOORS = (("settings",), ("auto", "inspection", "watched"), ("table",))
+"""The modules that may know techniques, and those on floors below their own."""
+
+
+def find_wrong_imports(folder: Path, leaves: set[str]) -> list[str]:
+    """The imports between the modules of techniques that run up, or from one technique to another."""
+    wrong = []
+    for path in sorted(folder.rglob("*.py")):
+        own = path.relative_to(folder).with_suffix("").parts[0]
+        if own == "__init__":
+            continue
+        allowed = {"parts", "technique"}
+        for number, floor in enumerate(FLOORS):
+            if own in floor:
+                allowed |= leaves.union(*FLOORS[number + 1 :])
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("renderer.techniques."):
+                used = (node.module or "").split(".")[2]
+                wrong += [f"{path.name}: {used}"] if used not in allowed else []
+    return wrong
+
+
+def list_leaves() -> set[str]:
+    from renderer.techniques import TECHNIQUES, Technique
+
+    makers: list[Callable[..., Technique]] = list(TECHNIQUES.values())
+    return {maker.__module__.rpartition(".")[2] for maker in makers}
+
+
+def test_no_technique_imports_another_and_parts_import_none() -> None:
+    folder = ROOT / "renderer/techniques"
+    leaves = list_leaves()
+    assert find_wrong_imports(folder, leaves) == []
+    rest = {path.stem for path in folder.glob("*.py")} - leaves - {"__init__", "technique", *sum(FLOORS, ())}
+    assert rest == set(), "a part of techniques belongs to parts/, and a technique into the table"
+
+
+def test_a_technique_that_imports_another_is_found(tmp_path: Path) -> None:
+    (tmp_path / "parts").mkdir()
+    imports = {"deferred": "forward", "parts/depth": "deferred", "forward": "parts.depth", "table": "forward"}
+    for name, imported in {**imports, "auto": "settings", "watched": "auto"}.items():
+        (tmp_path / f"{name}.py").write_text(f"from renderer.techniques.{imported} import Thing\n")
+    found = find_wrong_imports(tmp_path, {"deferred", "forward"})
+    assert found == ["auto.py: settings", "deferred.py: forward", "depth.py: deferred", "watched.py: auto"]
+
+
+# -- rooms ---------------------------------------------------------------------------------------------------------
+
+
+def count_entries(folder: str) -> int:
+    """The modules and packages at the root of a package, without its own `__init__`."""
+    root = ROOT / folder
+    entries = [one for one in root.iterdir() if one.suffix == ".py" or (one / "__init__.py").exists()]
+    return len(entries) - 1
+
+
+@pytest.mark.parametrize(
+    ("folder", "most"), [("renderer", 19), ("renderer/techniques", 17), ("rhi/backends/cl", 12), ("renderer/lab", 12)]
+)
+def test_a_package_has_few_rooms(folder: str, most: int) -> None:
+    assert count_entries(folder) <= most
 
 
 def test_the_root_of_rhi_has_at_most_a_dozen_packages_and_modules() -> None:

@@ -29,9 +29,9 @@ class ForwardPlus:
 
     name: Final = "forward_plus"
 
-    def __init__(self, *, cells: LightCells = TILES) -> None:
+    def __init__(self, *, tiles: LightCells = TILES) -> None:
         """Choose the tiles whose lights are listed."""
-        self.cells = cells
+        self.cells = tiles
 
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the passes `depth`, `light lists` and `forward`; only the last one without lights to list."""
@@ -51,11 +51,11 @@ class Clustered:
 
     name: Final = "clustered"
 
-    def __init__(self, *, depth_first: bool = False, cells: LightCells = CLUSTERS) -> None:
+    def __init__(self, *, depth_first: bool = False, clusters: LightCells = CLUSTERS) -> None:
         """Choose the clusters whose lights are listed. With `depth_first`, a pass of its own draws depth before, so
         that no hidden fragment is lit."""
         self.depth_first = depth_first
-        self.cells = cells
+        self.cells = clusters
 
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the passes `light lists` and `forward`, and before them `depth` if that is drawn first; only the last

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
-from typing import Final
+from functools import cache, partial
+from inspect import signature
 
 from renderer import rules
 from renderer.scene import Scene
 from renderer.techniques.auto import CANDIDATES, AutoTechnique
-from renderer.techniques.deferred import Deferred
-from renderer.techniques.deferred_plus import DeferredPlus
 from renderer.techniques.forward import Forward
-from renderer.techniques.forward_plus import Clustered, ForwardPlus
-from renderer.techniques.inferred import Inferred, check_scale
-from renderer.techniques.light_pre_pass import LightPrePass, check_channels
+from renderer.techniques.inferred import check_scale
+from renderer.techniques.light_pre_pass import check_channels
 from renderer.techniques.parts.cell_lists import CLUSTERS, TILES, LightCells
 from renderer.techniques.parts.fxaa import Smoothed
 from renderer.techniques.table import TECHNIQUES
@@ -72,18 +68,11 @@ class TechniqueSettings:
 
     def make_one(self, name: str) -> Technique:
         """Return a technique of `TECHNIQUES` with those of the parameters that it has."""
-        make = _MAKERS.get(name)
-        technique = TECHNIQUES[name]() if make is None else make(self)
+        technique = TECHNIQUES[name](**{one: getattr(self, one) for one in _list_parameters(name)})
         return Smoothed(technique) if self.fxaa else technique
 
 
-_MAKERS: Final[Mapping[str, Callable[[TechniqueSettings], Technique]]] = {
-    Forward.name: lambda given: Forward(given.samples),
-    ForwardPlus.name: lambda given: ForwardPlus(cells=given.tiles),
-    Clustered.name: lambda given: Clustered(depth_first=given.depth_first, cells=given.clusters),
-    Deferred.name: lambda given: Deferred(stencil=given.stencil),
-    DeferredPlus.name: lambda given: DeferredPlus(multi_pass=given.multi_pass),
-    Inferred.name: lambda given: Inferred(scale=given.scale, stippled=given.stippled),
-    LightPrePass.name: lambda given: LightPrePass(specular_channels=given.specular_channels, stencil=given.stencil),
-}
-"""What makes the techniques that have parameters."""
+@cache
+def _list_parameters(name: str) -> tuple[str, ...]:
+    """Return the parameters of a technique, which have the names of the settings that they are."""
+    return tuple(signature(TECHNIQUES[name]).parameters)

@@ -16,7 +16,7 @@ from renderer.techniques.light_indexed import LightIndexed
 from renderer.techniques.light_pre_pass import LightPrePass
 from renderer.techniques.technique import Technique
 
-TECHNIQUES: Final[dict[str, Callable[[], Technique]]] = {
+TECHNIQUES: Final[dict[str, Callable[..., Technique]]] = {
     one.name: one
     for one in (
         Forward,
@@ -32,4 +32,4 @@ TECHNIQUES: Final[dict[str, Callable[[], Technique]]] = {
         DeferredPlus,
     )
 }
-"""Constructors of all techniques, by name."""
+"""Constructors of all techniques, by name. Their parameters have the names and defaults of `TechniqueSettings`."""

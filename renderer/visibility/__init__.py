@@ -10,7 +10,12 @@ from typing import Final
 
 from renderer import rules
 from renderer.scene import Scene
-from renderer.visibility.algorithm import VisibilityAlgorithm, VisibilityStatistics, find_visible_objects
+from renderer.visibility.algorithm import (
+    ListedAlgorithm,
+    VisibilityAlgorithm,
+    VisibilityStatistics,
+    find_visible_objects,
+)
 from renderer.visibility.auto import AutoCulling
 from renderer.visibility.boxes.culling import Culler, CullingCounts, find_visible
 from renderer.visibility.boxes.hierarchy import Hierarchy, build_by_area, build_by_middle
@@ -24,7 +29,7 @@ from renderer.visibility.queries.conditional import ConditionalCulling
 from renderer.visibility.queries.stop_and_wait import StopAndWait
 from renderer.visibility.scene_pass import CallbackPass, DeviceList, SceneArrays, ScenePass
 from renderer.visibility.settings import DEFAULTS, VisibilitySettings
-from renderer.visibility.software_depth import SoftwareDepth, can_rasterise
+from renderer.visibility.software_depth import SoftwareDepth
 from renderer.visibility.walk import CullingWalk, WalkOutcome, find_walk
 from rhi import Device, refuse
 
@@ -83,7 +88,7 @@ def _make_auto(scene: Scene, device: Device, settings: VisibilitySettings) -> Au
     return AutoCulling(scene, device, {name: partial(make_visibility, name, scene, device, settings) for name in able})
 
 
-ALGORITHMS: Final[dict[str, Callable[[Scene, Device, VisibilitySettings], VisibilityAlgorithm]]] = {
+_LISTED: Final[dict[str, type[ListedAlgorithm]]] = {
     "none": NoCulling,
     "frustum": FrustumCulling,
     "stop_and_wait": StopAndWait,
@@ -93,6 +98,9 @@ ALGORITHMS: Final[dict[str, Callable[[Scene, Device, VisibilitySettings], Visibi
     "software_depth": SoftwareDepth,
     "depth_pyramid": DepthPyramidCulling,
     "two_pass": TwoPassCulling,
+}
+ALGORITHMS: Final[dict[str, Callable[[Scene, Device, VisibilitySettings], VisibilityAlgorithm]]] = {
+    **_LISTED,
     "auto": _make_auto,
 }
 """All visibility algorithms, by the names of the command line."""
@@ -106,21 +114,7 @@ def list_algorithms(device: Device) -> list[str]:
 
 def find_obstacle(name: str, device: Device) -> str | None:
     """Return what a device lacks for an algorithm, in a few words, or None if it can run it."""
-    can = device.capabilities
-    match name:
-        case "none" | "frustum" | "auto":
-            return None
-        case "software_depth":
-            return None if can_rasterise() else "a device on the CPU that draws and computes"
-        case "depth_pyramid" | "two_pass":
-            return None if can.renders and can.compute else "compute shaders and draws that run"
-    if not can.shading:
-        return "draws that run, to answer its occlusion queries"
-    if not (can.occlusion_queries or can.sample_counter):
-        return "occlusion queries or a sample counter"
-    if name == "conditional" and not (can.conditional_rendering and can.occlusion_queries):
-        return "conditional rendering with native occlusion queries"
-    return None
+    return _LISTED[name].find_obstacle(device) if name in _LISTED else None  # `auto` tries those that can run
 
 
 def check_algorithm(name: str, device: Device, call: str) -> None:

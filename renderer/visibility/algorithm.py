@@ -14,9 +14,11 @@ from typing import Protocol
 
 import numpy as np
 
-from renderer.scene import Camera
+from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Rows
 from renderer.visibility.scene_pass import CallbackPass, ScenePass
+from renderer.visibility.settings import VisibilitySettings
+from rhi import Device
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +66,17 @@ class VisibilityAlgorithm(Protocol):
 
     def destroy(self) -> None:
         """Destroy the algorithm's resources on the device."""
+        ...
+
+
+class ListedAlgorithm(VisibilityAlgorithm, Protocol):
+    """An algorithm that can be chosen by name: it takes its settings whole, and says what it needs of a device."""
+
+    def __init__(self, scene: Scene, device: Device, settings: VisibilitySettings, /) -> None: ...
+
+    @staticmethod
+    def find_obstacle(device: Device) -> str | None:
+        """Return what a device lacks to run the algorithm, in a few words, or None if it can."""
         ...
 
 

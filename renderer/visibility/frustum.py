@@ -12,6 +12,7 @@ from renderer.visibility.algorithm import VisibilityStatistics
 from renderer.visibility.boxes.culling import Culler, CullingCounts, find_visible
 from renderer.visibility.boxes.hierarchy import build_by_area
 from renderer.visibility.scene_pass import ScenePass
+from rhi import Device
 
 
 class NoCulling:
@@ -22,6 +23,10 @@ class NoCulling:
     def __init__(self, scene: Scene, *_: object) -> None:
         """Neither a device nor settings are needed."""
         self._rows: Rows = np.arange(len(scene.objects))
+
+    @staticmethod
+    def find_obstacle(_: Device) -> None:
+        """Find none: every device can run it."""
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw every object."""
@@ -49,6 +54,10 @@ class FrustumCulling:
         lower, upper = scene.objects.lower[rows], scene.objects.upper[rows]
         self.hierarchy = build_by_area(lower, upper)
         self._static = Culler(self.hierarchy, lower, upper)
+
+    @staticmethod
+    def find_obstacle(_: Device) -> None:
+        """Find none: every device can run it."""
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw the objects whose bounds are not outside the frustum."""

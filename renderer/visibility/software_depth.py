@@ -61,6 +61,11 @@ class SoftwareDepth:
             self._device, scene, self._limit, len(scene.objects), texels=settings.pyramid_texels
         )
 
+    @staticmethod
+    def find_obstacle(_: Device) -> str | None:
+        """Return what the machine lacks to draw occluders; the device itself needs nothing."""
+        return None if can_rasterise() else "a device on the CPU that draws and computes"
+
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw the visible objects in one batch. The depth target of the pass gives the size of the image."""
         pixels = self._pixels

@@ -45,6 +45,12 @@ class DeviceCulling(ABC):
         self.second = IndirectDrawList(device, self._occludees)
         self._repeated = RepeatedCommands(device, "culling")
 
+    @staticmethod
+    def find_obstacle(device: Device) -> str | None:
+        """Return what a device lacks to cull and draw by itself."""
+        can = device.capabilities
+        return None if can.renders and can.compute else "compute shaders and draws that run"
+
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw what was likely to be visible, then what else is visible."""
         scene_pass.close()

@@ -32,6 +32,10 @@ _MOST_ASKED: Final = 8
 """The largest number of frames whose answers are awaited; older ones are given up."""
 
 
+def _has_conditions(device: Device) -> bool:
+    return device.capabilities.conditional_rendering and device.capabilities.occlusion_queries
+
+
 class ConditionalCulling(ChcPlusPlus):
     """Draws what was visible, and the rest on conditions that the GPU evaluates."""
 
@@ -39,7 +43,7 @@ class ConditionalCulling(ChcPlusPlus):
         """`threshold` only affects what counts as visible in the next frame: for the GPU, one sample is enough to draw.
         The device needs `capabilities.conditional_rendering`, and occlusion queries of its own: `emulated` is refused.
         """
-        if not (device.capabilities.conditional_rendering and device.capabilities.occlusion_queries):
+        if not _has_conditions(device):
             given = f"a {device.backend_name} device without both"
             refuse(rules.NO_CONDITIONS, "ConditionalCulling(...)", given)
         if settings.emulated:
@@ -47,6 +51,14 @@ class ConditionalCulling(ChcPlusPlus):
         super().__init__(scene, device, settings, seed=seed)
         self._asked: FixedQueue[tuple[Asked, int]] = FixedQueue(_MOST_ASKED)
         """For each frame that asked, its questions, and how many of them are about hidden nodes: the first ones."""
+
+    @staticmethod
+    def find_obstacle(device: Device) -> str | None:
+        """Return what a device lacks to draw on conditions."""
+        obstacle = ChcPlusPlus.find_obstacle(device)
+        if obstacle is None and not _has_conditions(device):
+            return "conditional rendering with native occlusion queries"
+        return obstacle
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw what `camera` saw in recent frames, and the rest on condition."""

@@ -28,6 +28,14 @@ class QueryCulling:
         self._queries = BoxQueries(device, sizes, members, settings.threshold, settings.emulated)
         self._drawn = self._batches = self._visits = 0
 
+    @staticmethod
+    def find_obstacle(device: Device) -> str | None:
+        """Return what a device lacks to answer occlusion queries."""
+        can = device.capabilities
+        if not can.shading:
+            return "draws that run, to answer its occlusion queries"
+        return None if can.occlusion_queries or can.sample_counter else "occlusion queries or a sample counter"
+
     def _draw(self, rows: Rows, scene_pass: ScenePass) -> None:
         scene_pass.draw(rows)
         self._drawn += len(rows)

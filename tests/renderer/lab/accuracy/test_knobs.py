@@ -18,10 +18,11 @@ from renderer.lab.measure.encodings import ENCODINGS
 from renderer.scene import Glow, StereoRig
 from renderer.settings import RenderSettings
 from renderer.techniques import TECHNIQUES, TechniqueSettings
+from renderer.techniques.parts.cell_lists import CLUSTERS, TILES
 from tests.renderer.conftest import open_device
 
 SETTABLE = [knob for knob in KNOBS.values() if knob.path]
-TECHNIQUE_FIELDS = {one.name for one in fields(TechniqueSettings)} | {"cells"}
+DEFAULTS = {one.name: one.default for one in fields(TechniqueSettings)}
 
 
 def list_leaves(settings: Any, path: str = "") -> Iterator[str]:
@@ -49,7 +50,18 @@ def test_each_setting_is_a_knob_or_has_a_reason_not_to_be_one() -> None:
 @pytest.mark.parametrize("name", TECHNIQUES)
 def test_no_technique_has_a_choice_that_settings_lack(name: str) -> None:
     chosen = inspect.signature(TECHNIQUES[name]).parameters
-    assert set(chosen) <= TECHNIQUE_FIELDS
+    assert set(chosen) <= set(DEFAULTS)
+    assert {one: parameter.default for one, parameter in chosen.items()} == {one: DEFAULTS[one] for one in chosen}
+
+
+@pytest.mark.parametrize("name", TECHNIQUES)
+def test_a_technique_has_the_settings_that_its_parameters_name(name: str) -> None:
+    others = {"samples": 4, "tiles": CLUSTERS, "clusters": TILES, "scale": 0.25, "stippled": False,
+              "specular_channels": 1, "stencil": True, "depth_first": True, "multi_pass": True}  # fmt: skip
+    chosen = {one: others[one] for one in inspect.signature(TECHNIQUES[name]).parameters}
+    made = TechniqueSettings(**{"name": name, **chosen}).make_one(name)
+    assert vars(made) == vars(TECHNIQUES[name](**chosen))
+    assert not chosen or vars(made) != vars(TECHNIQUES[name]())
 
 
 @pytest.mark.parametrize("knob", SETTABLE, ids=lambda knob: knob.name)
