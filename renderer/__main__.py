@@ -1,17 +1,28 @@
-"""Entry point of `python -m renderer`."""
+"""Entry point of `python -m renderer`, and of the command `rhi-renderer`."""
 
 import sys
 
-from renderer.rules import describe_missing
-from rhi.errors.readers import run_for_reader
+import rhi
 
-try:
-    from renderer.cli import main
-except ModuleNotFoundError as missing:
-    if missing.name not in ("PIL", "tqdm"):
-        raise
-    print(f"error: {describe_missing(missing.name, 'renderer')}", file=sys.stderr)
-    sys.exit(2)
+
+def run() -> int:
+    """Run the command that the process was given, and return its exit status."""
+    if not hasattr(rhi, "__path__"):
+        print(f"error: {rhi.__file__} hides the package rhi: rhi-renderer, or python -P -m renderer", file=sys.stderr)
+        return 2
+    from rhi.errors.readers import run_for_reader
+
+    try:
+        from renderer.cli import main
+    except ModuleNotFoundError as missing:
+        if missing.name not in ("PIL", "tqdm"):
+            raise
+        from renderer.rules import describe_missing
+
+        print(f"error: {describe_missing(missing.name, 'renderer')}", file=sys.stderr)
+        return 2
+    return run_for_reader(main)
+
 
 if __name__ == "__main__":
-    sys.exit(run_for_reader(main))
+    sys.exit(run())

@@ -114,7 +114,10 @@ from rhi.errors import ShaderError as ShaderError
 from rhi.errors import ValidationError as ValidationError
 from rhi.errors import refuse as refuse
 from rhi.errors.exports import list_public as _list_public
+from rhi.errors.namesakes import warn_of_namesake as _warn_of_namesake
 
 __version__ = "0.1.0"
 
 __all__ = _list_public(globals())
+
+_warn_of_namesake("renderer", "rhi-renderer")

@@ -149,5 +149,10 @@ def _say_choice(reports: list[BackendReport]) -> str:
     return chosen
 
 
+def run() -> int:
+    """Run `python -m rhi`, or the command `rhi`, and return its exit status."""
+    return run_for_reader(main)
+
+
 if __name__ == "__main__":
-    sys.exit(run_for_reader(main))
+    sys.exit(run())
