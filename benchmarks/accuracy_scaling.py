@@ -1,4 +1,4 @@
-"""How the sweep of all knobs (`python -m renderer accuracy`) scales with processes.
+"""Scaling of the sweep of all knobs (`python -m renderer accuracy`) with processes.
 
 The jobs are those of the command, shares of knobs, in its order, the longest first, at a small size. They run on 1, 2,
 4 … processes, begun afresh for each count and each with a device of its own, on the executor of `--executor
@@ -57,7 +57,7 @@ PREDICTED: Final = (1, 2, 4, 8)
 
 @dataclass(frozen=True)
 class JobTime:
-    """When a job was done: the process, the clock's time at both ends, and the process's processor time until then."""
+    """The record of a job: the process, the clock's time at both ends, and the process's processor time until then."""
 
     process: int
     began: float

@@ -1,4 +1,4 @@
-"""What animations cost with nothing, half or all of the scene drawn: run everywhere, or only where they are drawn.
+"""Costs of animations with nothing, half or all of the scene drawn: run everywhere, or only where they are drawn.
 
 The scene is a row of boxes that turn, each on a node of its own. In one variant their animation has no bounds, so it
 runs in every frame and its objects' bounds follow; in the other it has, so it runs for what is drawn. The camera sees
@@ -31,7 +31,7 @@ VIEWS = {"nothing": 0.0, "half": 0.5, "everything": 1.0}
 COLUMNS: dict[str, Column] = {
     "calls": average(1), "computed": average(1), "bytes": average(1), "milliseconds": time(), "ratio": ratio(),
 }  # fmt: skip
-"""What a frame takes; the ratio is to running everywhere."""
+"""The columns of a frame's cost; the ratio is to running everywhere."""
 
 
 class Turning:

@@ -1,4 +1,4 @@
-"""What anisotropic filtering gains, and what it costs on OpenCL.
+"""Gain of anisotropic filtering, and its cost on OpenCL.
 
 - Error: footprints of pixels whose longer axis is 1 to 16 times the shorter one, turned at random in the texture and on
   the screen, over checkers of 8 × 8 texels and over random texels. The error is the root of the mean square of the

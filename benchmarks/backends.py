@@ -1,4 +1,4 @@
-"""How the time of a pass grows with triangles, pixels and lights on gl and cl, with the fitted slopes.
+"""Growth of a pass's time with triangles, pixels and lights on gl and cl, with the fitted slopes.
 
 - triangles: a sheet of equal triangles that fills the image, depth only, with 2,048 to 2,097,152 triangles.
 - pixels: a lit city, at 160×90 to 2560×1440.

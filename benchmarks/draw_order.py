@@ -1,4 +1,4 @@
-"""What the order of draws costs where each object is a draw of its own, and what it costs as one draw of all.
+"""Cost of the order of draws where each object is a draw of its own, and as one draw of all.
 
 Objects have one of several programs, materials and meshes, by chance, as in a scene: each draw binds its object's
 constants, and its program, material and mesh where they aren't those of the draw before. The orders are

@@ -1,4 +1,4 @@
-"""What fog and glow add to a frame: processor time and time, as ratios to the same frame without them.
+"""Costs that fog and glow add to a frame: processor time and time, as ratios to the same frame without them.
 
 The frames with nothing, fog, glow and both take turns in one process, of the same view, after all shaders are built.
 Figures are medians over the rounds.

@@ -1,4 +1,4 @@
-"""What a frame of one batch costs the CPU: recorded once and submitted, compared with drawn at once.
+"""Costs of a frame of one batch for the CPU: recorded once and submitted, compared with drawn at once.
 
 The processor time of the main thread in `Renderer.render`, in microseconds, and the median of the ratios. Both variants
 render the same frames in turns, on one device; the GPU is idle when a frame begins. `still`: the camera rests.

@@ -68,7 +68,7 @@ def make_compute_shader() -> type[Shader]:
 
 
 class Repetitions:
-    """What is repeated, on one device: a method for each row, which takes the number of the repetition."""
+    """The calls that are repeated, on one device: a method for each row, which takes the number of the repetition."""
 
     def __init__(self, device: rhi.Device) -> None:
         self.device = device

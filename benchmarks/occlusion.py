@@ -34,7 +34,7 @@ from renderer.visibility import CallbackPass, ChcPlusPlus
 FRAMES = 60
 TARGET = 4.0
 COLUMNS: Final[dict[str, Column]] = {"milliseconds": time(digits=2), "ratio": ratio(), "kernels": kernels}
-"""What the frames take; the goal of the ratio is 1.2."""
+"""The columns of the frames' costs; the goal of the ratio is 1.2."""
 SIGHT = 150.0
 
 

@@ -1,4 +1,4 @@
-"""How long glTF files of some 60 MB take to load: one large mesh, many meshes and nodes, and many images.
+"""Times that glTF files of some 60 MB take to load: one large mesh, many meshes and nodes, and many images.
 
 The files are written by this program into a temporary folder; images are JPEG files beside the third one. Times are
 processor time of all threads and by the clock, medians of the rounds, in which the files take turns. "decoding" is

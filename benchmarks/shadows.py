@@ -1,4 +1,4 @@
-"""What shadows cost: processor times of frames without and with them, with each filter, while the eye rests and moves.
+"""Costs of shadows: processor times of frames without and with them, with each filter, while the eye rests and moves.
 
     python benchmarks/shadows.py [--backend gl] [--rounds 9] [--json]
 

@@ -1,4 +1,4 @@
-"""Where triangles are small: what Deferred+ gains on clustered forward shading (GPU Zen 2017, Deferred+, Table 1.2).
+"""Gain of Deferred+ on clustered forward shading where triangles are small (GPU Zen 2017, Deferred+, Table 1.2).
 
 A rough ground with textures and a normal map, 256 lamps above it. Its triangles are chosen for the view, with edges of
 32 pixels to 1; the techniques take turns. "gain" is the median ratio of the processor times of clustered forward

@@ -1,4 +1,4 @@
-"""What the length of edges costs and loses: triangles, time, and how far they are from the full height field.
+"""Costs and errors of the length of edges: triangles, time, and how far they are from the full height field.
 
 For each length, frames along a path of the terrain are drawn. The lengths take turns in one process; each round starts
 with another one. "choose" is the time of choosing the triangles, "draw" that of a frame without it, both in

@@ -35,7 +35,7 @@ from renderer.visibility import VisibilitySettings, list_algorithms
 SETTINGS: Final = Path(__file__).parent / "settings"
 
 MARKS: Final = ("", " (emulated)")
-"""What follows an algorithm's name, by kind of queries."""
+"""The word behind an algorithm's name, by kind of queries."""
 
 PLATFORMS: Final = ("PC", "Xbox 360", "PlayStation 3", "Wii")
 

@@ -1,4 +1,4 @@
-"""How exact triangles are: coverage, depth and varyings of random triangles against float64.
+"""Exactness of triangles: coverage, depth and varyings of random triangles against float64.
 
 Run `python benchmarks/triangles.py`; `--triangles 1000000` takes some minutes. The families are those of
 `rhi.conformance.triangles`, drawn in the whole view and, where they are cut, in the middle of a viewport of 16,384

@@ -1,4 +1,4 @@
-"""What culling on the device finds, misses and costs: `two_pass` and `depth_pyramid`.
+"""Findings, misses and costs of culling on the device: `two_pass` and `depth_pyramid`.
 
 - Visibility along a path, compared with exact counts: every object is drawn with its number as its color, and the
   nearest one is kept for each pixel. `culled_share` is the share of the hidden objects in the frustum that weren't

@@ -49,7 +49,7 @@ class Lamps(Screen):
 
 
 class Bright(Screen):
-    """What is brighter than white."""
+    """A shader that keeps what is brighter than white."""
 
     source: Texture2D
     window: Uniform[Window]

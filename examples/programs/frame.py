@@ -1,4 +1,4 @@
-"""What the programs of this folder share: a command line that saves a picture, vertex stages, cameras, and a cube.
+"""Shared parts of this folder's programs: a command line that saves a picture, vertex stages, cameras, and a cube.
 
 Each program is one file with one function, `render(device, size)`, which returns the texture it has drawn.
 
@@ -49,7 +49,7 @@ class FlatVertex(Struct):
 
 
 class Colored(Struct):
-    """What lies between such corners."""
+    """The varyings between such corners."""
 
     clip: vec4
     uv: vec2

@@ -28,7 +28,7 @@ GROUP = 8
 
 
 class Generation(Shader):
-    """One generation on a torus."""
+    """A shader of one generation on a torus."""
 
     work_group = (GROUP, GROUP)
     now: UintImage2D = image(rhi.Format.R8UI)

@@ -46,7 +46,7 @@ class Spark(Struct):
 
 
 class Move(Shader):
-    """One step of each particle; those below the ground bounce."""
+    """A shader of one step of each particle; those below the ground bounce."""
 
     work_group = (GROUP,)
     step: Uniform[Step]

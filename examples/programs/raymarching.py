@@ -49,7 +49,7 @@ def trace(origin: vec3, direction: vec3, farthest: float) -> float:
 
 
 class Spheres(Screen):
-    """One ray for the eye and one for the shadow."""
+    """A shader of one ray for the eye and one for the shadow."""
 
     view: Uniform[View]
 

@@ -1,4 +1,4 @@
-"""What commands make of the arguments that several of them have (`renderer.cli.options`)."""
+"""Scenes, sizes and devices of the arguments that several commands have (`renderer.cli.options`)."""
 
 from __future__ import annotations
 

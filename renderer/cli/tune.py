@@ -24,7 +24,7 @@ from renderer.scene import CameraPath
 from renderer.visibility import VisibilitySettings, list_algorithms
 
 _LEAF_SIZES: Final = 5
-"""How many sizes of leaves are tried at most."""
+"""The largest number of sizes of leaves that are tried."""
 
 _NOTES: Final = """\
   python -m renderer tune city --camera-path ground --b 1:100 --n 1:40

@@ -15,7 +15,7 @@ from renderer.scene.meshes import MeshGeometry, join
 from renderer.scene.transforms import multiply, rotation, scaling, translation
 
 LAMP_REACH: Final = 1.6
-"""How far a street lamp's head is from its post, along +x."""
+"""The distance of a street lamp's head from its post, along +x."""
 
 CAR_LENGTH: Final = 4.4
 

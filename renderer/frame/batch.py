@@ -20,7 +20,7 @@ from renderer.visibility.repeated import RepeatedCommands
 from rhi import DRAW, Buffer, Device, Encoder, IndirectDraws
 
 _STEP: Final = 32
-"""What the number of draws is rounded up to a multiple of. A draw of nothing takes no measurable time."""
+"""The step to which the number of draws is rounded up. A draw of nothing takes no measurable time."""
 
 
 class BatchCommands:

@@ -114,7 +114,7 @@ class MirroredValue(Generic[S]):
 
 
 class Workspaces:
-    """What techniques keep between frames, by kinds: each is made when it is first asked for."""
+    """The objects that techniques keep between frames, by kinds: each is made when it is first asked for."""
 
     def __init__(self, device: Device) -> None:
         self._device = device

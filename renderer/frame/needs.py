@@ -162,7 +162,7 @@ class Needs:
 
     @property
     def image(self) -> Target:
-        """What a technique draws: the image itself, or where there is glow, linear light of any strength."""
+        """The target of a technique: the image itself, or where there is glow, linear light of any strength."""
         return _BRIGHT_IMAGE if Effect.GLOW in self.effects else _PLAIN_IMAGE
 
     @property
@@ -192,7 +192,7 @@ class Needs:
 
     @property
     def key(self) -> tuple[object, ...]:
-        """What a technique's declaration depends on."""
+        """All that a technique's declaration depends on."""
         return self.effects, self.has_sun, self.has_both_models, self.casts_shadows, self.blending, self.glow
 
     def explain(self, effect: Effect) -> str:

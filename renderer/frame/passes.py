@@ -189,7 +189,7 @@ class TechniquePass:
 
     @property
     def key(self) -> tuple[object, ...]:
-        """All that the pass's commands depend on, besides what is drawn."""
+        """The values that the pass's commands depend on, besides what is drawn."""
         color = self._color
         return (
             self._program,

@@ -24,7 +24,7 @@ from renderer import rules
 from rhi import Format, refuse
 
 F = TypeVar("F")
-"""What passes are run with: a frame."""
+"""The type that passes are run with: a frame."""
 
 OUTPUTS: Final = ("image", "depth")
 """The contents that every frame has: its image, and the depth that layers and tools read."""

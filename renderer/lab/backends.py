@@ -1,4 +1,4 @@
-"""What the same passes of a scene cost on each backend."""
+"""Costs of the same passes of a scene on each backend."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ Record = dict[str, Any]
 
 @dataclass
 class Subject:
-    """One of what is compared.
+    """A subject of a comparison.
 
     Attributes:
         about: the first cells of its row.

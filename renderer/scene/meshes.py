@@ -31,7 +31,7 @@ _ABSENT: Final[dict[str, tuple[float, ...]]] = {
     "tangent": (1.0, 0.0, 0.0, 1.0),
     "color": (1.0, 1.0, 1.0, 1.0),
 }
-"""What vertices have that lack an attribute which others of their scene have."""
+"""The values of vertices that lack an attribute which others of their scene have."""
 
 RANGE: Final = np.dtype([("first_index", "<u4"), ("index_count", "<u4"), ("base_vertex", "<i4")])
 """The part of the shared arrays that a mesh uses; the fields are those of an indexed draw."""

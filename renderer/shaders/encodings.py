@@ -1,5 +1,5 @@
-"""How a geometry buffer stores what shading needs, in few bits. Each encoding is a pair of functions, and can be tested
-and replaced alone.
+"""Encodings in which a geometry buffer stores what shading needs, in few bits. Each is a pair of functions, and can
+be tested and replaced alone.
 
 | what | bits | how |
 |---|---|---|

@@ -16,7 +16,7 @@ from rhi.shading import Shader, Struct, Uniform, abs, function, mat3, vec2, vec3
 
 
 class PixelRays(Struct):
-    """Where the pixels of a view are: what is d along the view in the pixel at (x, y) is at
+    """The rays of a view's pixels: what is d along the view in the pixel at (x, y) is at
     `across @ (x, y, 1) * w + along * d + start`, relative to the eye. The width w of the view is d with a perspective
     lens and 1 with a parallel one: `lens.y - lens.w * d`. A nearness n is a distance of
     `(lens.x - lens.y * n) / (lens.z - lens.w * n)`.

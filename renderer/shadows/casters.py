@@ -96,7 +96,7 @@ class LightBoxes:
 
     @property
     def top(self) -> float:
-        """How far casters reach to the light, from the world's origin."""
+        """The distance to which casters reach to the light, from the world's origin."""
         return float(max(np.max(upper[:, 2], initial=-np.inf) for _, upper in (self.still, self.moving)))
 
     def find(self, cascade: Cascade, receivers: tuple[Floats, Floats]) -> Casters | None:

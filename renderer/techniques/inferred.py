@@ -71,7 +71,7 @@ from rhi.shading import (
 )
 
 _NEAR_PLANE: Final = 0.01
-"""How far from a fragment's plane a texel's surface may be, in distances from the eye."""
+"""The largest distance of a texel's surface from a fragment's plane, in distances from the eye."""
 _ALIKE: Final = 0.9
 """The least cosine between normals of one surface."""
 _STRANGER: Final = 1e-4

@@ -19,9 +19,9 @@ from renderer.scene.arrays import Floats
 from renderer.scene.camera import Projection
 
 NOTCH: Final = 1.15
-"""How much nearer a notch of the wheel brings, as a ratio of distances."""
+"""The ratio of distances by which a notch of the wheel brings nearer."""
 FAST: Final = 4.0
-"""How many times as fast motion is with Shift."""
+"""The factor of motion's speed with Shift."""
 
 _RATE: Final = 12.0  # a second: how quickly the speed approaches what the keys ask for
 _TURN: Final = 1.6  # radians a second, by keys

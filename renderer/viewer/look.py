@@ -33,7 +33,7 @@ SHADOWS: Final = ("scene", "all", "off")
 """The lights that cast shadows: those of which the scene says so, all, or none."""
 
 PLAIN: Final = RenderSettings(technique=TechniqueSettings(Forward.name), algorithm="frustum")
-"""What a viewer begins with: what builds the fewest kernels, so that the first picture comes soon."""
+"""The look that a viewer begins with: the one that builds the fewest kernels, so that the first picture comes soon."""
 
 _SETTINGS: Final = {
     "technique": "technique.name",

@@ -1,4 +1,4 @@
-"""Why an object is drawn: what the visibility algorithm knows about it."""
+"""Reasons why an object is drawn: what the visibility algorithm knows about it."""
 
 from __future__ import annotations
 

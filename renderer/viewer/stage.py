@@ -158,7 +158,7 @@ class ViewerStage:
 
     @property
     def look(self) -> Look:
-        """What draws the frames."""
+        """The settings that frames are drawn with."""
         return self._configurator.look
 
     def change(self, **changes: Any) -> None:

@@ -77,8 +77,8 @@ class ScenePass(Protocol):
 
     @property
     def key(self) -> tuple[object, ...]:
-        """All that the commands of this pass depend on, besides what is drawn: the key of commands that are repeated
-        (`RepeatedCommands`)."""
+        """The values that this pass's commands depend on, besides what is drawn: the key of commands that are
+        repeated (`RepeatedCommands`)."""
         ...
 
     def widen(self, camera: Camera) -> Camera:

@@ -92,7 +92,7 @@ ID_KINDS: Final[dict[str, type]] = {
     "Id": object, "BufferId": BufferDescriptor, "TextureId": TextureDescriptor, "SamplerId": SamplerDescriptor,
     "ProgramId": ProgramDescriptor, "VertexArrayId": VertexArrayDescriptor, "QueryId": QueryKind,
 }  # fmt: skip
-"""What an id stands for, by its annotation in the contract."""
+"""The kind of object that an id stands for, by its annotation in the contract."""
 ID_ARGUMENTS: Final = {
     op: tuple(i for i, annotation in enumerate(op.parameters.values()) if annotation in ID_KINDS) for op in Op
 }

@@ -140,7 +140,7 @@ FIND_CALLER: Final = f"""\
 
 _LOOK: Final = "if len(modules) != marked[0]: mark_library()"
 _IN_PASSES: Final = ("bind_", "set_", "draw", "end_", "push_", "pop_")
-"""How the commands begin that don't look whether modules were imported, since a pass has begun before them."""
+"""The beginnings of commands that don't look whether modules were imported, since a pass has begun before them."""
 
 FIND_CALLER_GLOBALS: Final = MappingProxyType({
     "get_frame": sys._getframe, "no_frame": _NoFrame(), "mark_library": mark_library, "marked": MARKED,

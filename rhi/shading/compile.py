@@ -40,7 +40,7 @@ from rhi.shading.parser.unused import check_bindings_are_used
 _compiled: weakref.WeakKeyDictionary[type[Shader], tuple[ProgramDescriptor, ShaderCode]] = weakref.WeakKeyDictionary()
 
 Compiled = Mapping[type[Shader], tuple[ProgramDescriptor, ShaderCode]]
-"""What is known of shader classes."""
+"""Shader classes with the descriptors and code that they compile to."""
 
 
 _COMPARED = tuple(field.name for field in fields(ProgramDescriptor) if field.name != "emit")

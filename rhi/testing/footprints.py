@@ -41,15 +41,15 @@ _GROUPS: Final[dict[str, frozenset[Op]]] = {
     "draws": DRAWS,
     "dispatches": DISPATCHES,
 }
-"""How a message groups commands."""
+"""The group in a message of each command."""
 
 _OTHERS: Final = "others"
 _ENDS: Final = frozenset({Op.POP_LABEL, Op.END_PASS})
-"""What ends something that a message has shown already."""
+"""The commands that end something which a message has shown already."""
 
 
 Part: TypeAlias = tuple[str, str]
-"""What a footprint declares: its kind, such as "binding", and its name."""
+"""A declared use of a footprint: its kind, such as "binding", and its name."""
 
 
 @dataclass(frozen=True)

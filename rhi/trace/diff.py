@@ -50,7 +50,7 @@ _KINDS: Final[dict[type, str]] = {
     ProgramDescriptor: "program",
     VertexArrayDescriptor: "vertex array",
 }
-"""What resources are called, by the type of their descriptor; all others are queries."""
+"""The words for resources, by the type of their descriptor; all others are queries."""
 
 
 @dataclass(frozen=True)
@@ -163,7 +163,7 @@ class _Node:
 
 
 class _Side:
-    """One of the two traces, prepared for the comparison."""
+    """A trace of the two, prepared for the comparison."""
 
     def __init__(self, commands: Commands, programs: _ProgramKeys) -> None:
         self.stream = stream = commands.stream

@@ -32,7 +32,7 @@ from rhi.trace.validation import check_capabilities
 
 _FOLLOWED: Final = frozenset({Op.SET_STATES, *CLOSES, *CLOSES.values()})
 _ONCE: Final = _FOLLOWED | {Op.DESTROY, Op.SIGNAL, Op.WAIT, Op.PRESENT}
-"""What isn't executed again if it failed."""
+"""The commands that aren't executed again if they failed."""
 
 
 @dataclass

@@ -34,7 +34,7 @@ __rhi_internal__ = True  # errors name the line that called rhi, not one of this
 
 
 class NumpyBackend:
-    """One device; see `rhi.contract.Backend`."""
+    """The backend of one device; see `rhi.contract.Backend`."""
 
     def __init__(self) -> None:
         self._capabilities = Capabilities(

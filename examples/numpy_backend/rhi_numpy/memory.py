@@ -39,7 +39,7 @@ class Texture:
 
 
 class Memory:
-    """All buffers and textures, by id."""
+    """The memory of a device: all buffers and textures, by id."""
 
     def __init__(self) -> None:
         self.buffers: dict[Id, NDArray[np.uint8]] = {}

@@ -29,7 +29,7 @@ EXTENSIONS: Final = {
 }
 """The extensions that are read, and the kind of object of the file that uses each."""
 NOTED_IN_USE: Final = ("KHR_materials_", "KHR_texture_", "EXT_texture_")
-"""How the names of those begin that are left out by the materials and textures that use them, not by the file."""
+"""The beginnings of extensions that the materials and textures which use them leave out, not the file."""
 
 MAGIC: Final = b"glTF"
 JSON_CHUNK: Final = 0x4E4F534A

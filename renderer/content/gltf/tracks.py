@@ -20,10 +20,10 @@ from renderer.scene.arrays import Floats, Rows
 from renderer.scene.catching_up import Recompute
 
 STEP, LINEAR, CUBIC = range(3)
-"""What is between two keys."""
+"""The ways of interpolating between two keys."""
 
 TRANSLATION, ROTATION, SCALE, WEIGHTS = range(4)
-"""What a track animates."""
+"""The properties that a track may animate."""
 
 _ARC: Final = np.pi / 32.0  # a turn is divided into parts of at most this angle, whose error is bounded
 _PIECES: Final = 8  # into which a segment of a cubic rotation is divided

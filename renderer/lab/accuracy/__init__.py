@@ -1,4 +1,4 @@
-"""What accuracy costs in time: all choices between the two, what each loses, and what it saves."""
+"""The price of accuracy in time: all choices between the two, what each loses, and what it saves."""
 
 from renderer.lab.accuracy.choice import CheckedChoice as CheckedChoice
 from renderer.lab.accuracy.choice import FrontPoint as FrontPoint

@@ -47,7 +47,7 @@ MOST_POINTS: Final = 24
 _MARGIN: Final = 4.0
 """Standard deviations between the mean error of the views of a check and what is expected of others."""
 _PLAIN: Final = {"technique.name": "forward", "algorithm": "frustum"}
-"""What combinations are drawn with where the settings leave it to trials."""
+"""The settings that combinations are drawn with where the settings leave it to trials."""
 _ROOM: Final = "shadows.largest_atlas"
 
 

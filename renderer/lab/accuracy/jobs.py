@@ -41,9 +41,9 @@ _VERSION: Final = 3
 
 
 _FLOAT64_FRAMES: Final = 12
-"""How many frames take as long as a picture in float64."""
+"""The number of frames that take as long as a picture in float64."""
 _MAPS: Final = 2
-"""How many times as long frames take whose shadow maps are drawn, too."""
+"""The factor by which frames take longer whose shadow maps are drawn, too."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -53,16 +53,16 @@ _CROP: Final = (112, 63)
 _VALUES: Final = 1 << 14
 """Vectors that an encoding is measured with."""
 _TRUTH_ROUNDS: Final = 3
-"""How often a truth is timed: it may take many times as long as a value, and isn't chosen by time."""
+"""The number of times that a truth is timed: it may take many times as long as a value, and isn't chosen by time."""
 DRAWS_NOTHING: Final = "it draws nothing"
-"""What a device lacks that only records."""
+"""The lack of a device that only records."""
 _MOST_SHARES: Final = 2
 """The most shares of a sweep. Each opens a device and renderers of all values, so more of them take longer in all."""
 
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """What a sweep draws. It is small enough to be sent to other machines, which load the scene themselves.
+    """The scene, device and size of a sweep, small enough to be sent to other machines, which load the scene.
 
     Attributes:
         scene, camera: their texts. backend: its name, None for the machine's choice.
@@ -85,7 +85,7 @@ class Situation:
 
 @dataclass(frozen=True, slots=True)
 class SweepShare:
-    """One of `count` parts of a sweep, of about the same size."""
+    """A part of a sweep, of `count`, of about the same size."""
 
     number: int = 0
     count: int = 1
@@ -111,7 +111,7 @@ WHOLE: Final = SweepShare()
 
 @dataclass(frozen=True, slots=True)
 class ValueSample:
-    """What a share of a sweep has found for a value.
+    """The findings of a share of a sweep for a value.
 
     Attributes:
         sums: of each view that was compared, the sum of the errors, and the number of pixels that count.
@@ -130,7 +130,7 @@ class ValueSample:
 
 @dataclass(frozen=True, slots=True)
 class KnobSample:
-    """What a share of a sweep has found.
+    """The findings of a share of a sweep.
 
     Attributes:
         left_out: as in `KnobReport`. values: by name, the least accurate first.
@@ -147,7 +147,7 @@ class KnobSample:
 
 @dataclass(frozen=True, slots=True)
 class ValueRow:
-    """What a value of a knob loses and costs.
+    """The error and the cost of a knob's value.
 
     Attributes:
         max_error, mean_error: in the knob's unit: over all pixels of all views with a surface, or over the views.

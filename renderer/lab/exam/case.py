@@ -22,7 +22,7 @@ Picture = NDArray[Any]
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What a case has found on a device.
+    """The findings of a case on a device.
 
     Attributes:
         error: how far the device is off the reference, in the case's unit. What isn't a number fails.

@@ -113,7 +113,7 @@ CHANGES: Final = np.array(
 )  # fmt: skip
 """Derivatives of texture coordinates."""
 CLAMPED: Final = np.array([(4088, 0, 0, -4088), (2044, -2044, 4088, 0)])
-"""What is read of the third and fourth of `CHANGES`: the longest that can be stored, in their directions."""
+"""The vectors read of the third and fourth of `CHANGES`: the longest that can be stored, in their directions."""
 PLACES: Final = np.array([(0.999999, -0.25), (1000.3, 0.0), (-1e-9, 1.0), (-1000.7, 0.5), (65535 / 65536, -0.0)])
 """Texture coordinates."""
 _FRAMES: Final = 5 * len(NORMALS)

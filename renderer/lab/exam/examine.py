@@ -14,7 +14,7 @@ from rhi import Device
 
 @dataclass(frozen=True, slots=True)
 class ExamRow:
-    """How a device has done in a case.
+    """The outcome of a case on a device.
 
     Attributes:
         error: None if the case doesn't apply, or could not be measured.

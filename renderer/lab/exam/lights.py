@@ -180,7 +180,7 @@ class CellQuestion(Struct):
 
 
 class CellAnswer(Struct):
-    """What shaders find for a `CellQuestion`: the cell, its slice and where that begins and ends, its sides at the
+    """The answer of shaders to a `CellQuestion`: the cell, its slice and where that begins and ends, its sides at the
     distance z (left, lower, right, upper), the least and greatest distance of the depth, and the bits of the mask."""
 
     sides: vec4

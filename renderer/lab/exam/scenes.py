@@ -204,7 +204,7 @@ def make_views() -> dict[str, tuple[Scene, Camera]]:
 
 @dataclass(frozen=True, eq=False)
 class CullingImage:
-    """What is looked at, from where, frame by frame; `number` is that of its case."""
+    """A scene and the cameras that look at it, frame by frame; `number` is that of its case."""
 
     number: int
     scene: Callable[[], Scene]

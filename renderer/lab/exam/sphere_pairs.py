@@ -1,4 +1,4 @@
-"""All tests of spheres against cells, made on a device at once."""
+"""The tests of spheres against cells, made on a device at once."""
 
 from __future__ import annotations
 

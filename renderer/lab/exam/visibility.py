@@ -29,7 +29,7 @@ NAMES: Final = tuple(name for name in ALGORITHMS if name != "none")
 ASKING: Final = ("stop_and_wait", "chc", "chc_plus_plus", "conditional")
 """The algorithms that ask the device by queries."""
 LATENCIES: Final = (0, 1, 20, 10**9)
-"""How often an answer is looked at before it is there; the last stands for never within the frame."""
+"""The number of times that an answer is looked at before it is there; the last stands for never within the frame."""
 SIZES: Final = {1: 3, 2: 4, 3: 5, 4: 7, 5: 9, 15: 11}
 """The nodes of a multiquery that have all stayed hidden for so many frames, by the formula of CHC++ in float64."""
 _FAR_SMALLER: Final = 0.1  # of the image: what a threshold of 10 samples may lose

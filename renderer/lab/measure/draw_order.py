@@ -1,4 +1,4 @@
-"""What changes between draws, as a device sees it: programs, materials and meshes (Russell, 6.3 and 6.7.2).
+"""Changes between draws, as a device sees them: programs, materials and meshes (Russell, 6.3 and 6.7.2).
 
 A renderer that draws objects one by one sets a program, a material and a mesh wherever they aren't those of the object
 before, so it sorts objects by these. Here the materials and the meshes of a scene are tables, so one draw takes all
@@ -38,7 +38,7 @@ class Changes:
 
 @dataclass(frozen=True, slots=True)
 class OrderRow:
-    """How often objects that are drawn in one order have another program, material or mesh than those before them."""
+    """The changes of program, material and mesh between objects that are drawn in one order."""
 
     order: str
     programs: int

@@ -59,18 +59,18 @@ from rhi.shading import (
 
 GROUP: Final = 64
 TURNS: Final = 64
-"""How often a value is stored and read in a run that is timed."""
+"""The number of times that a value is stored and read in a run that is timed."""
 
 
 class StoredValue(Struct):
-    """What an encoding stores: up to eight numbers."""
+    """The value that an encoding stores: up to eight numbers."""
 
     first: vec4
     second: vec4
 
 
 class Turns(Struct):
-    """How often values are stored and read."""
+    """The number of times that values are stored and read."""
 
     count: int
 

@@ -1,4 +1,4 @@
-"""What a frame's plan costs, pass by pass: the textures that it uses, and the commands that it issues.
+"""Costs of a frame's plan, pass by pass: the textures that it uses, and the commands that it issues.
 
 Commands are counted on a null device, which records the same ones that another device executes.
 """
@@ -53,7 +53,7 @@ class LeftOut:
 
 @dataclass(frozen=True, slots=True)
 class SimulationReport:
-    """What simulations do in the frame after the planned one, a 60th of a second later.
+    """The work of simulations in the frame after the planned one, a 60th of a second later.
 
     Attributes:
         run, skipped: the numbers of simulated and animated objects that are drawn, and that aren't.

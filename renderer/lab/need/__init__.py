@@ -1,4 +1,4 @@
-"""What each effect needs: a ladder of scenes, what each rung adds to a frame, and that removing it takes this away."""
+"""The needs of each effect: a ladder of scenes, what a rung adds to a frame, and that removing it takes this away."""
 
 from renderer.lab.need.counting import SIZE as SIZE
 from renderer.lab.need.counting import Ascent as Ascent

@@ -1,4 +1,4 @@
-"""What each rung of the ladder adds to a frame, counted on null devices, and what is left of it once it is removed.
+"""Counts, on null devices, of what each rung of the ladder adds to a frame, and of what is left once it is removed.
 
 A frame's commands don't depend on the device, so all of this is exact. Python's calls are counted as well: two frames
 that make the same calls take the processor the same work.
@@ -39,12 +39,12 @@ _BINDS: Final = (Op.BIND_UNIFORM, Op.BIND_STORAGE, Op.BIND_TEXTURE, Op.BIND_IMAG
 _WRITES: Final = (Op.WRITE_BUFFER, Op.WRITE_TEXTURE)
 
 Calls = Counter[tuple[str, str]]
-"""How often each Python function was called: its module, and its name there."""
+"""The number of calls of each Python function: its module, and its name there."""
 
 
 @dataclass(frozen=True, slots=True)
 class FrameCosts:
-    """What a scene and a frame of it cost.
+    """The costs of a scene and of a frame of it.
 
     Attributes:
         passes: the names of the frame's events. draws, dispatches: the numbers of calls. programs: that of the programs
@@ -84,7 +84,7 @@ class CountedFrame:
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """What is left of an effect that was removed, compared with a scene that never had it.
+    """The remains of an effect that was removed, compared with a scene that never had it.
 
     Attributes:
         differences: of the frame's commands. calls: of the renderer's functions, of which one of the frames makes more.

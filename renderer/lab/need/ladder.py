@@ -393,7 +393,7 @@ def build_scene(count: int) -> tuple[Scene, list[int]]:
 
 _LOOKED_AT: Final = (-0.1, 0.55, 0.0)
 EYE: Final = Camera.look_at((1.7, 2.0, 5.0), _LOOKED_AT)
-"""What all rungs are seen from, before it moves."""
+"""The camera of all rungs, before it moves."""
 
 
 def move_eye(frame: int) -> Camera:

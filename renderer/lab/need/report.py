@@ -14,12 +14,12 @@ from renderer.lab.need.ladder import LADDER
 from renderer.lab.need.timing import RungTime, time_removal, time_rungs
 
 _ROUNDS_OF_REMOVAL: Final = 5
-"""How many times as many rounds the removal of an effect is timed as what it adds: it is a matter of percents."""
+"""The factor by which more rounds time the removal of an effect than its addition: it is a matter of percents."""
 
 
 @dataclass(frozen=True, slots=True)
 class RungRow:
-    """What a rung adds.
+    """The figures of what a rung adds.
 
     Attributes:
         costs: of a frame with all rungs up to this one. added: of each number, how much this one adds.

@@ -1,4 +1,4 @@
-"""What each rung of the ladder adds to the time of a frame, and what is left of it once it is removed.
+"""Times that each rung of the ladder adds to a frame, and that are left once it is removed.
 
 All renderers alternate in one process, and times are those of the processor in all threads, with 95 % intervals.
 """
@@ -22,7 +22,7 @@ from renderer.layers.overlay import Overlay
 _WARM: Final = 12
 """Frames that aren't timed: kernels are built and replaced by better ones."""
 _ASKED: Final = 20
-"""How often a frame's needs are found for one measurement, which a clock can tell."""
+"""The number of times that a frame's needs are found for one measurement, which a clock can tell."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,7 @@ def _alternate(ascents: dict[str, Ascent], rounds: Iterable[int]) -> dict[str, M
 
 @dataclass(frozen=True, slots=True)
 class Asking:
-    """What it takes to find what a frame needs: microseconds, and the share of the frame's processor time."""
+    """The cost of finding what a frame needs: microseconds, and the share of the frame's processor time."""
 
     microseconds: Interval
     share: Interval

@@ -37,8 +37,8 @@ from rhi.shading import (
 PADDING: Final = 2.0**-20
 """The share of a test's lengths by which a radius is enlarged, for the rounding of float32."""
 DEPTH_SLACK: Final = 2.0**-22
-"""How far a depth in a texture may be off: this share of it and a quarter of it absolutely. Rasterisers interpolate
-depth in float32."""
+"""The error of a depth in a texture: at most this share of it, and a quarter of that absolutely. Rasterisers
+interpolate depth in float32."""
 MASK_SLICES: Final = 32
 """Number of depth slices of a tile that its mask tells apart."""
 

@@ -1,4 +1,4 @@
-"""What the device is told of a frame to cull its lights: the grid of cells, and the volumes of the lights."""
+"""Uploads of a frame that let the device cull its lights: the grid of cells, and the volumes of the lights."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ class LightCells:
 
 
 LightLists = Callable[[Device], LightGrid]
-"""What makes the lists of a view: `LightCells`, or another function that is always the same one."""
+"""The function that makes the lists of a view: `LightCells`, or another function that is always the same one."""
 
 TILES: Final = LightCells(16)
 """Tiles of 16 × 16 pixels, between the nearest and the farthest surface of each."""

@@ -69,7 +69,7 @@ WIDEST_CONE: Final = np.pi / 3
 """The largest outer half angle for which a cone is drawn: about there, a sphere is as small."""
 
 _MARGIN: Final = 1.001
-"""How much wider volumes are than they must be, for the rounding of what is drawn."""
+"""The factor by which volumes are wider than they must be, for the rounding of what is drawn."""
 FARTHEST_CORNER: Final = 1.5
 """More than the distance of any corner from the light, in ranges or in the widths of a cone's base."""
 

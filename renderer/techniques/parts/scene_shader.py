@@ -85,7 +85,7 @@ from rhi.shading import (
 _METALLIC: Final = int(ShadingModel.METALLIC_ROUGHNESS)
 _MASK: Final = int(AlphaMode.MASK)
 _ROUNDING: Final = 2.0**-16
-"""How far below the cut an alpha may be and still be at it: filtering rounds."""
+"""The most that an alpha may be below the cut and still be at it: filtering rounds."""
 _NO_NORMAL: Final = 5e-5
 """The square of a normal's length, below which it has no direction. No number of 8 bits means 0: a vector of length 0
 is stored as 127 or 128, 1/255 beside it along each axis, and a diagonal would be made of that."""

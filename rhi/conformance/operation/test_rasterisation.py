@@ -1,4 +1,4 @@
-"""Which texels a triangle covers, and its varyings there: fill rule, culling, scissor, viewport, clipping,
+"""The texels that a triangle covers, and its varyings there: fill rule, culling, scissor, viewport, clipping,
 interpolation."""
 
 from __future__ import annotations

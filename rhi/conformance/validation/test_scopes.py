@@ -24,7 +24,7 @@ Block = AbstractContextManager[Any]
 
 
 class Things:
-    """What the blocks of the table use."""
+    """The objects that the table's blocks use."""
 
     def __init__(self, device: Device) -> None:
         self.device = device

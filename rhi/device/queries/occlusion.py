@@ -37,7 +37,7 @@ from rhi.errors.rules import (
 T = TypeVar("T")
 
 ANSWER_SECONDS: Final = 10.0
-"""How long a driver may take to publish an answer after the query's fence value has completed."""
+"""The seconds that a driver may take to publish an answer after the query's fence value has completed."""
 _IDLE, _OPEN, _ENDED = "not begun", "open", "ended"
 
 

@@ -82,7 +82,7 @@ blends."""
 
 
 class TestOrder(enum.Enum):
-    """When depth and stencil are tested and written.
+    """The moment at which depth and stencil are tested and written.
 
     EARLY: before shading. SPLIT: tested before shading, so that hidden fragments aren't shaded, and written after it
     for the fragments that it kept. LATE: tested and written after shading, since shading computes the depth or has
