@@ -8,7 +8,7 @@ from hypothesis import given
 from test_shading_lane_programs import check, program_settings, programs
 
 from rhi.shading.ir import lanes
-from rhi.shading.lowering.scopes import ScopeLowering
+from rhi.shading.lowering.context import Lowering
 from rhi.shading.numpy import writer as numpy_code
 from rhi.shading.opencl import writer as opencl
 
@@ -39,17 +39,17 @@ def break_exits(monkeypatch):
     def narrow(self, end):
         self.emit(lanes.Set(self.line, self.scope.mask, lanes.FALSE, None))
 
-    monkeypatch.setattr(ScopeLowering, "narrow", narrow)
+    monkeypatch.setattr(Lowering, "narrow", narrow)
 
 
 def break_nesting(monkeypatch):
     """The mask of a branch ignores the masks outside it."""
-    real = ScopeLowering.mask_value
+    real = Lowering.mask_value
 
     def mask_value(self):
         return lanes.TRUE if sys._getframe(1).f_code.co_name == "branch" else real(self)
 
-    monkeypatch.setattr(ScopeLowering, "mask_value", mask_value)
+    monkeypatch.setattr(Lowering, "mask_value", mask_value)
 
 
 def break_else(monkeypatch):
@@ -59,7 +59,7 @@ def break_else(monkeypatch):
         condition = self.let(condition, "condition")
         return condition, condition
 
-    monkeypatch.setattr(ScopeLowering, "two_branches", two_branches)
+    monkeypatch.setattr(Lowering, "two_branches", two_branches)
 
 
 def break_nobody_left(monkeypatch):

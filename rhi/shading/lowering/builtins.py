@@ -9,135 +9,141 @@ from rhi.shading.language import rules
 from rhi.shading.language.builtins import SideEffect
 from rhi.shading.language.types import ImageType, TextureType
 from rhi.shading.lowering.components import all_kinds
-from rhi.shading.lowering.expansions import expansion_of
-from rhi.shading.lowering.expressions import ExpressionLowering
+from rhi.shading.lowering.context import Lowering, lowers
+from rhi.shading.lowering.expansions import convert, expansion_of, floored
 from rhi.shading.lowering.lvalues import MemoryLvalue
+from rhi.shading.lowering.memory import lvalue
+from rhi.shading.lowering.textures import difference, lower_texture
 
 
-class BuiltinLowering(ExpressionLowering):
-    """Lowers calls of `rhi.shading.language.functions`."""
+@lowers(tree.BuiltinCall)
+def lower_builtin(lowering: Lowering, node: tree.BuiltinCall, needs_result: bool = True) -> list[Value]:
+    """Lower a call of a built-in to its scalars. `needs_result` is false if they are unused."""
+    name = node.builtin.name
+    if node.arguments and isinstance(node.arguments[0].type, TextureType | ImageType):
+        return lower_texture(lowering, node)
+    if name in lowering.inputs:
+        return list(lowering.inputs[name])
+    if name in ("ddx", "ddy"):
+        return [difference(name, value) for value in lowering.named(node.arguments[0])]
+    if name == "fwidth":
+        values = lowering.named(node.arguments[0])
+        return [apply("abs", difference("ddx", value)) + apply("abs", difference("ddy", value)) for value in values]
+    if name.startswith("atomic_"):
+        return lower_atomic(lowering, node, needs_result)
+    if node.builtin.effect is SideEffect.BARRIER:
+        lower_barrier(lowering, waits=name == "barrier")
+        return []
+    if name in ("global_id", "local_id", "group_id", "group_count", "local_index"):
+        return dispatch_index(lowering, name)
+    if name == "uniform":
+        return [make_uniform(lowering, value) for value in lowering.named(node.arguments[0])]
+    try:
+        expand = expansion_of(node.builtin)
+    except LookupError:
+        lowering.refuse(rules.STAGE, name, tip="lane code doesn't support it yet")
+    return expand(lowering.let, *(lowering.named(argument) for argument in node.arguments))
 
-    # -- provided by TextureLowering
 
-    def texture(self, node: tree.BuiltinCall) -> list[Value]:
-        """Lower a method of a texture or image, which is the call's first argument."""
-        raise NotImplementedError
+def make_uniform(lowering: Lowering, value: Value) -> Value:
+    """Return the value of the first active lane for all lanes of a work-item."""
+    if lowering.width <= 1 or value.uniformity < Uniformity.VARYING:
+        return value
+    if value.kind is ScalarKind.BOOL:
+        return apply("not_equal", make_uniform(lowering, convert(value, ScalarKind.INT)), number(0))
+    mask = lowering.effect_mask()
+    active = get(mask) if mask is not None else lanes.TRUE
+    first = lowering.let(lanes.Apply(value.kind, Uniformity.LANES, "uniform", (value, active)))
+    if lowering.checked:
+        wrong = lowering.let(apply("not_equal", value, first), "wrong")
+        lowering.emit(lanes.Check(lowering.line, wrong, apply("as_int", value), number(-1), lowering.effect_mask()))
+    return first
 
-    # -- all calls
 
-    def builtin(self, node: tree.BuiltinCall, needs_result: bool) -> list[Value]:
-        """Lower a call of a built-in to its scalars. `needs_result` is false if they are unused."""
-        name = node.builtin.name
-        if node.arguments and isinstance(node.arguments[0].type, TextureType | ImageType):
-            return self.texture(node)
-        if name.startswith("atomic_"):
-            return self.atomic(node, needs_result)
-        if node.builtin.effect is SideEffect.BARRIER:
-            self.barrier(waits=name == "barrier")
-            return []
-        if name in ("global_id", "local_id", "group_id", "group_count", "local_index"):
-            return self.dispatch_index(name)
-        if name == "uniform":
-            return [self.uniform(value) for value in self.named(node.arguments[0])]
-        try:
-            expand = expansion_of(node.builtin)
-        except LookupError:
-            self.refuse(rules.STAGE, name, tip="lane code doesn't support it yet")
-        return expand(self.let, *(self.named(argument) for argument in node.arguments))
+def lower_atomic(lowering: Lowering, node: tree.BuiltinCall, needs_result: bool) -> list[Value]:
+    target, *rest = node.arguments
+    values = [lowering.let(value) for argument in rest for value in lowering.lower(argument)]
+    at = lvalue(lowering, target)
+    assert isinstance(at, MemoryLvalue)
+    (kind,) = all_kinds(at.type)
+    result = lowering.variable("old", kind, lowering.own_uniformity) if needs_result else None
+    lowering.emit(
+        lanes.Atomic(
+            lowering.line,
+            result,
+            node.builtin.name.removeprefix("atomic_"),
+            kind,
+            at.memory,
+            at.index,
+            at.scale,
+            at.offset,
+            tuple(values),
+            lowering.effect_mask(),
+        )
+    )
+    return [get(result)] if result is not None else []
 
-    def uniform(self, value: Value) -> Value:
-        """Return the value of the first active lane for all lanes of a work-item."""
-        if self.width <= 1 or value.uniformity < Uniformity.VARYING:
-            return value
-        if value.kind is ScalarKind.BOOL:
-            return apply("not_equal", self.uniform(self.convert(value, ScalarKind.INT)), number(0))
-        mask = self.effect_mask()
-        active = get(mask) if mask is not None else lanes.TRUE
-        first = self.let(lanes.Apply(value.kind, Uniformity.LANES, "uniform", (value, active)))
-        if self.checked:
-            wrong = self.let(apply("not_equal", value, first), "wrong")
-            self.emit(lanes.Check(self.line, wrong, apply("as_int", value), number(-1), self.effect_mask()))
-        return first
 
-    def atomic(self, node: tree.BuiltinCall, needs_result: bool) -> list[Value]:
-        target, *rest = node.arguments
-        values = [self.let(value) for argument in rest for value in self.lower(argument)]
-        at = self.lvalue(target)
-        assert isinstance(at, MemoryLvalue)
-        (kind,) = all_kinds(at.type)
-        result = self.variable("old", kind, self.own_uniformity) if needs_result else None
-        self.emit(
-            lanes.Atomic(
-                self.line,
-                result,
-                node.builtin.name.removeprefix("atomic_"),
-                kind,
-                at.memory,
-                at.index,
-                at.scale,
-                at.offset,
-                tuple(values),
-                self.effect_mask(),
+def lower_barrier(lowering: Lowering, waits: bool) -> None:
+    """Synchronise the work-group.
+
+    All of its invocations must reach a barrier, so no enclosing condition may vary within the work-group.
+    """
+    if waits:
+        conditions = [scope.uniformity for scope in lowering.scopes_up_to(None) if scope.kind != "function"]
+        # Returns found so far stand before the barrier, so lanes may be missing.
+        if max([*conditions, lowering.frame.return_uniformity]) > Uniformity.GROUP:
+            lowering.refuse(
+                rules.BARRIER,
+                "a barrier that part of a work-group may not reach",
+                "conditions and loop bounds that are the same for the whole work-group",
             )
-        )
-        return [get(result)] if result is not None else []
+    lowering.emit(lanes.Barrier(lowering.line, waits))
 
-    def barrier(self, waits: bool) -> None:
-        """Synchronise the work-group.
 
-        All of its invocations must reach a barrier, so no enclosing condition may vary within the work-group.
-        """
-        if waits:
-            conditions = [scope.uniformity for scope in self.scopes_up_to(None) if scope.kind != "function"]
-            # Returns found so far stand before the barrier, so lanes may be missing.
-            if max([*conditions, self.frame.return_uniformity]) > Uniformity.GROUP:
-                self.refuse(
-                    rules.BARRIER,
-                    "a barrier that part of a work-group may not reach",
-                    "conditions and loop bounds that are the same for the whole work-group",
-                )
-        self.emit(lanes.Barrier(self.line, waits))
+def dispatch_index(lowering: Lowering, name: str) -> list[Value]:
+    """Return the components of a built-in index, such as `global_id()`."""
+    sizes = lowering.work_group
+    match name:
+        case "local_index":
+            return [local_index(lowering)]
+        case "group_id" | "group_count":
+            index = lanes.DispatchIndex(name)
+            uniformity = Uniformity.GROUP if name == "group_id" else Uniformity.DISPATCH
+            return [lanes.Input(ScalarKind.INT, uniformity, index, axis) for axis in range(3)]
+        case "local_id":
+            return [local_axis(lowering, axis) for axis in range(3)]
+    groups = dispatch_index(lowering, "group_id")
+    return [groups[axis] * number(sizes[axis]) + local_axis(lowering, axis) for axis in range(3)]
 
-    def dispatch_index(self, name: str) -> list[Value]:
-        """Return the components of a built-in index, such as `global_id()`."""
-        sizes = self.work_group
-        match name:
-            case "local_index":
-                return [self.local_index()]
-            case "group_id" | "group_count":
-                index = lanes.DispatchIndex(name)
-                uniformity = Uniformity.GROUP if name == "group_id" else Uniformity.DISPATCH
-                return [lanes.Input(ScalarKind.INT, uniformity, index, axis) for axis in range(3)]
-            case "local_id":
-                return [self.local_axis(axis) for axis in range(3)]
-        groups = self.dispatch_index("group_id")
-        return [groups[axis] * number(sizes[axis]) + self.local_axis(axis) for axis in range(3)]
 
-    def local_index(self) -> Value:
-        """Return the invocation's index in its work-group. The indices of the lanes are consecutive."""
-        if self.work_group == (1, 1, 1):
-            return number(0)
-        if self.width == 0:
-            return lanes.Input(ScalarKind.INT, Uniformity.VARYING, lanes.DispatchIndex.LOCAL_INDEX)
-        return self.lanes_from(
-            lanes.Input(ScalarKind.INT, Uniformity.LANES, lanes.DispatchIndex.ITEM) * number(self.width)
-        )
+def local_index(lowering: Lowering) -> Value:
+    """Return the invocation's index in its work-group. The indices of the lanes are consecutive."""
+    if lowering.work_group == (1, 1, 1):
+        return number(0)
+    if lowering.width == 0:
+        return lanes.Input(ScalarKind.INT, Uniformity.VARYING, lanes.DispatchIndex.LOCAL_INDEX)
+    return lanes_from(
+        lowering, lanes.Input(ScalarKind.INT, Uniformity.LANES, lanes.DispatchIndex.ITEM) * number(lowering.width)
+    )
 
-    def lanes_from(self, first: Value) -> Value:
-        """Return `first` in the first lane, `first + 1` in the second, and so on."""
-        return lanes.Affine(ScalarKind.INT, Uniformity.VARYING, first, 1) if self.width > 1 else first
 
-    def local_axis(self, axis: int) -> Value:
-        """Return one component of `local_id()`."""
-        size, before = self.work_group[axis], 1
-        for inner in self.work_group[:axis]:
-            before *= inner
-        if size == 1:
-            return number(0)
-        if self.work_group[0] % max(self.width, 1) == 0 and self.width:
-            # The lanes of a work-item are in one row.
-            first = lanes.Input(ScalarKind.INT, Uniformity.LANES, lanes.DispatchIndex.ITEM) * number(self.width)
-            row = self.floored(False, self.floored(True, first, number(before)), number(size))
-            return self.lanes_from(row) if axis == 0 else row
-        index = self.local_index()
-        return self.floored(False, self.floored(True, index, number(before)), number(size))
+def lanes_from(lowering: Lowering, first: Value) -> Value:
+    """Return `first` in the first lane, `first + 1` in the second, and so on."""
+    return lanes.Affine(ScalarKind.INT, Uniformity.VARYING, first, 1) if lowering.width > 1 else first
+
+
+def local_axis(lowering: Lowering, axis: int) -> Value:
+    """Return one component of `local_id()`."""
+    size, before = lowering.work_group[axis], 1
+    for inner in lowering.work_group[:axis]:
+        before *= inner
+    if size == 1:
+        return number(0)
+    if lowering.work_group[0] % max(lowering.width, 1) == 0 and lowering.width:
+        # The lanes of a work-item are in one row.
+        first = lanes.Input(ScalarKind.INT, Uniformity.LANES, lanes.DispatchIndex.ITEM) * number(lowering.width)
+        row = floored(False, floored(True, first, number(before)), number(size))
+        return lanes_from(lowering, row) if axis == 0 else row
+    index = local_index(lowering)
+    return floored(False, floored(True, index, number(before)), number(size))

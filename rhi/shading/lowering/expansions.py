@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Final, TypeAlias
 
-from rhi.shading.ir.lanes import ScalarKind, Value, apply, literal
+from rhi.shading.ir.lanes import Literal, ScalarKind, Value, apply, literal
 from rhi.shading.ir.tree import OPERATORS
 from rhi.shading.language.builtins import BUILTINS, Builtin
 
@@ -38,6 +38,35 @@ def _like(value: Value, number: float) -> Value:
 
 def _if(condition: Value, then: Value, otherwise: Value) -> Value:
     return apply("select", condition, then, otherwise)
+
+
+# -- conversions and operators ----------------------------------------------------------------------------------
+
+
+def convert(value: Value, kind: ScalarKind) -> Value:
+    """Return a component converted to another kind."""
+    if value.kind is kind:
+        return value
+    if value.kind is ScalarKind.BOOL:
+        return apply("select", value, literal(1, kind), literal(0, kind))
+    if kind is ScalarKind.BOOL:
+        return apply("not_equal", value, literal(0, value.kind))
+    if isinstance(value, Literal) and kind is ScalarKind.FLOAT:
+        return literal(float(value.value))
+    if ScalarKind.FLOAT in (kind, value.kind):
+        return apply(f"to_{kind.value}", value)
+    return apply(f"as_{kind.value}", value)
+
+
+def floored(divide: bool, a: Value, b: Value) -> Value:
+    """Return `a // b` or, if `divide` is false, `a % b`."""
+    if a.kind is ScalarKind.FLOAT:
+        return apply("floor", a / b) if divide else float_modulo(a, b)
+    if isinstance(b, Literal) and b.value > 0 and int(b.value).bit_count() == 1:
+        if divide:
+            return apply("shift_right", a, literal(int(b.value).bit_length() - 1, a.kind))
+        return a & literal(int(b.value) - 1, a.kind)
+    return apply("floor_divide" if divide else "modulo", a, b)
 
 
 # -- expressions -------------------------------------------------------------------------------------------

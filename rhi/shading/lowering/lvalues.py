@@ -21,7 +21,7 @@ from rhi.contract.layout import (
     VectorType,
     place,
 )
-from rhi.shading.ir.lanes import Literal, MemoryRegion, Uniformity, Value, Variable, apply, number
+from rhi.shading.ir.lanes import Literal, MemoryRegion, Value, Variable, apply, number
 from rhi.shading.lowering.components import leaf_kinds, words_of
 
 
@@ -155,11 +155,6 @@ def element(at: Lvalue, index: Value) -> Lvalue:
             return replace(at, type=inner, index=row, scale=1)
         case LvalueChoice():
             return LvalueChoice(inner, at.index, [element(one, index) for one in at.choices])
-
-
-def private_uniformity(uniformity: Uniformity) -> Uniformity:
-    """Return the uniformity of private memory, which is shared at most by the lanes of a work-item."""
-    return max(uniformity, Uniformity.LANES)
 
 
 def select_by_index(index: Value, values: list[Value]) -> Value:

@@ -14,31 +14,25 @@ from typing import Final
 
 from rhi.contract.descriptors import Interpolation, Stage, StageVarying
 from rhi.contract.layout import HostType, StructType
-from rhi.shading.ir import lanes, tree
+from rhi.shading.ir import tree
 from rhi.shading.ir.interface import Interface
 from rhi.shading.ir.lanes import (
     FIRST_VERTEX,
     WIDTH,
-    AddressSpace,
     Affine,
     Argument,
     Code,
-    ElementCount,
-    Get,
-    MemoryRegion,
     ScalarKind,
     StageCode,
     Uniformity,
     Value,
-    Variable,
     apply,
     get,
     literal,
-    number,
 )
 from rhi.shading.lowering.components import all_kinds
-from rhi.shading.lowering.functions import Lowering
-from rhi.shading.lowering.scopes import InlinedFrame
+from rhi.shading.lowering.context import InlinedFrame, Lowering
+from rhi.shading.lowering.functions import inline
 
 _DIFFERENCES: Final = frozenset({"ddx", "ddy", "fwidth", "sample", "sample_bias", "sample_compare"})
 """The built-ins that compare pixels of a quad, including the texture methods that compute the mip level implicitly."""
@@ -84,24 +78,25 @@ def lower_stage(
     """
     if f"opencl{width}" in stage.entry.native:
         return StageCode(Code(name, width, [], ()), (), False)
-    lowering = StageLowering(stage, width)
-    lowering.checked = checked
+    inputs = _INPUTS[stage.stage]
+    built_in = [value for values in inputs.values() for value in values]
+    if stage.stage is Stage.VERTEX and width:
+        inputs = inputs | {"vertex_index": (Affine(ScalarKind.INT, Uniformity.VARYING, _argument(FIRST_VERTEX), 1),)}
+    has_helpers = stage.stage is Stage.FRAGMENT and takes_differences(stage)
+    lowering = Lowering(width, checked=checked, inputs=inputs, has_helpers=has_helpers, may_discard=stage.discards)
     if stage.stage is Stage.VERTEX:
         arguments, words = _vertex_arguments(stage, interface), _vertex_words(stage, interface, varyings)
     else:
         arguments, words = _fragment_arguments(stage, varyings), _fragment_words(stage, interface)
-    results = lowering.settle(lambda: lowering.run(arguments))
+    results = lowering.settle(lambda: _lower(lowering, stage.entry, arguments))
     outputs = [(word, value) for word, value in zip(words, results, strict=True) if word is not None]
     depth = [value for word, value in outputs if word == _DEPTH]
     outputs = [(word, value) for word, value in outputs if word != _DEPTH]
     values = [value for _, value in outputs] + depth
     if stage.stage is Stage.FRAGMENT:
         values.append(lowering.kept)
-    memories = tuple(lowering.memories.values())
-    built_in = [value for values in _INPUTS[stage.stage].values() for value in values]
     given = tuple(value for value in (*arguments, *built_in, _MASK) if isinstance(value, Argument))
-    code = Code(name, width, lowering.block, memories, given, tuple(values), checked=checked)
-    return StageCode(code, tuple(word for word, _ in outputs), bool(depth))
+    return StageCode(lowering.code(name, given, values), tuple(word for word, _ in outputs), bool(depth))
 
 
 # -- inputs and outputs ------------------------------------------------------------------------------------
@@ -175,123 +170,15 @@ def _fragment_words(stage: tree.StageTree, interface: Interface) -> list[int | N
 # -- lowering ----------------------------------------------------------------------------------------------
 
 
-class StageLowering(Lowering):
-    """Lowers a vertex or fragment stage."""
-
-    def __init__(self, stage: tree.StageTree, width: int) -> None:
-        super().__init__(width, (1, 1, 1))
-        self.stage = stage
-        self.has_helpers = stage.stage is Stage.FRAGMENT and takes_differences(stage)
-
-    def start(self) -> None:
-        super().start()
-        self.discards = 0  # the number of masked discards
-        self.discarded = Uniformity.DISPATCH  # how much they vary
-        self.covered: Variable  # the mask of lanes that aren't helpers
-        self.kept: Value  # the mask of covered lanes that weren't discarded
-
-    def run(self, arguments: list[Value]) -> list[Value]:
-        """Lower the whole stage and return the components of its result."""
-        entry = self.stage.entry
-        self.frame = InlinedFrame(entry, ())
-        present = self.covered = self.new_mask(_MASK, "covered")
-        if self.has_helpers:
-            present = self.new_mask(apply("quads", get(present)), "present")
-        self.scope.mask, self.scope.owns_mask = present, True
-        self.kept = get(self.new_mask(get(self.covered), "kept")) if self.stage.discards else _MASK
-        return self.inline(entry, list(arguments), ())
-
-    # -- masks
-
-    def returns_early(self, function: tree.Function, path: tuple[int, ...]) -> bool:
-        whole = not path and self.stage.discards
-        return whole or super().returns_early(function, path)
-
-    def effect_mask(self) -> Variable | None:
-        if not self.has_helpers:
-            return super().effect_mask()
-        return self.new_mask(self.mask_value() & get(self.covered), "covered")
-
-    def inline(
-        self,
-        function: tree.Function,
-        values: list[Value],
-        path: tuple[int, ...],
-        textures: dict[tree.Local, tree.BindingRead] | None = None,
-    ) -> list[Value]:
-        before = self.discards
-        results = super().inline(function, values, path, textures)
-        if self.discards > before:  # its callers lose the same lanes
-            self.jump_pending = True
-            self.frame.return_uniformity = max(self.frame.return_uniformity, self.discarded)
-        return results
-
-    def discard(self) -> None:
-        frame, scopes = self.frame, list(self.scopes_up_to(None))
-        while frame.caller is not None and frame.caller.caller is not None:
-            frame = frame.caller
-        target = scopes[-2]  # the entry function's scope; the last one holds the stage's mask
-        uniformity = max([scope.uniformity for scope in scopes[:-2]], default=Uniformity.DISPATCH)
-        self.join((target.key, "function"), uniformity)
-        self.discarded = max(self.discarded, uniformity)
-        self.frame.return_uniformity = max(self.frame.return_uniformity, uniformity)
-        assert frame.inlined_call is not None
-        assert isinstance(self.kept, Get)
-        remaining = apply("not", self.mask_value())
-        self.emit(lanes.Set(self.line, self.kept.variable, self.kept & remaining, None))
-        if self.branches(uniformity) and self.width:
-            frame.inlined_call.returns_early = True
-            self.emit(lanes.Return(self.line, frame.inlined_call))
-        else:
-            self.narrow(target)
-            if self.has_helpers:  # helpers whose quad is discarded become inactive, too
-                needed = self.let(apply("quads", self.kept))
-                for scope in scopes[:-1]:
-                    if scope.owns_mask and scope.mask is not None:
-                        both = get(scope.mask) & needed
-                        self.emit(lanes.Set(self.line, scope.mask, both, None))
-            self.jump_pending = True
-            self.discards += 1
-            self.returns += 1
-
-    # -- values
-
-    def load(self, memory: MemoryRegion, kind: ScalarKind, index: Value, scale: int, offset: int) -> Value:
-        last: Value = number((memory.length - 1 - offset) // scale)
-        if memory.space is AddressSpace.STORAGE:  # the scale is the words of an element, or 1
-            count = ElementCount(ScalarKind.INT, Uniformity.DISPATCH, memory)
-            whole = scale == memory.stride
-            last = count - number(1) if whole else count * number(memory.stride) - number(offset + 1)
-        return super().load(memory, kind, self.limited(index, last), scale, offset)
-
-    def store_private(self, memory: MemoryRegion, index: Value, value: Value) -> None:
-        super().store_private(memory, self.limited(index, number(memory.length - 1)), value)
-
-    def limited(self, index: Value, last: Value) -> Value:
-        """Return an index clamped to memory if helpers run, because theirs may be out of bounds."""
-        if not self.has_helpers or index.uniformity < Uniformity.VARYING:
-            return index
-        return self.let(apply("max", apply("min", index, last), number(0)))
-
-    def builtin(self, node: tree.BuiltinCall, needs_result: bool) -> list[Value]:
-        name = node.builtin.name
-        if name == "vertex_index" and self.width:
-            return [Affine(ScalarKind.INT, Uniformity.VARYING, _argument(FIRST_VERTEX), 1)]
-        if name in _INPUTS[self.stage.stage]:
-            return list(_INPUTS[self.stage.stage][name])
-        if name in ("ddx", "ddy", "fwidth"):
-            values = [self.let(value) for value in self.lower(node.arguments[0])]
-            if name != "fwidth":
-                return [self.difference(name, value) for value in values]
-            return [
-                apply("abs", self.difference("ddx", value)) + apply("abs", self.difference("ddy", value))
-                for value in values
-            ]
-        return super().builtin(node, needs_result)
-
-    def difference(self, name: str, value: Value) -> Value:
-        """Return `ddx` or `ddy` of a component."""
-        return apply(name, value) if value.uniformity is Uniformity.VARYING else literal(0.0)
+def _lower(lowering: Lowering, entry: tree.Function, arguments: list[Value]) -> list[Value]:
+    """Lower the whole stage and return the components of its result."""
+    lowering.frame = InlinedFrame(entry, ())
+    present = lowering.covered = lowering.new_mask(_MASK, "covered")
+    if lowering.has_helpers:
+        present = lowering.new_mask(apply("quads", get(present)), "present")
+    lowering.scope.mask, lowering.scope.owns_mask = present, True
+    lowering.kept = get(lowering.new_mask(get(lowering.covered), "kept")) if lowering.may_discard else _MASK
+    return inline(lowering, entry, list(arguments), ())
 
 
 def takes_differences(stage: tree.StageTree) -> bool:

@@ -7,7 +7,8 @@ import pytest
 from rhi.contract.descriptors import Stage
 from rhi.shading import Shader, Storage, StorageRW, global_id
 from rhi.shading.compile import stage_trees
-from rhi.shading.lowering.functions import Lowering, lower_compute
+from rhi.shading.lowering import functions
+from rhi.shading.lowering.functions import lower_compute
 
 
 class Straight(Shader):
@@ -58,7 +59,7 @@ class RaisedTwice(Straight):
 def test_a_stage_is_lowered_again_only_where_a_value_rose_after_it_was_used(
     shader: type[Shader], runs: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    lowered, entry = [], Lowering.entry
-    monkeypatch.setattr(Lowering, "entry", lambda *given: lowered.append(given) or entry(*given))
+    lowered, entry = [], functions.lower_entry
+    monkeypatch.setattr(functions, "lower_entry", lambda *given: lowered.append(given) or entry(*given))
     lower_compute(stage_trees(shader)[Stage.COMPUTE], "shader", (64, 1, 1), 16)
     assert len(lowered) == runs

@@ -1,4 +1,7 @@
-"""Scopes, masks and uniformities: which lanes take part in what, and how uniform each value is.
+"""The lowering of one stage or function: what its parts share, in one `Lowering`.
+
+- Each module beside this one has functions of a `Lowering` and a node. Those of expressions are chosen by the node's
+  type (`lowers`): an operand may be a call, whose body has statements, which have expressions again.
 
 - A `MaskScope` is a part of the stage under one condition: a branch, a loop, an iteration of a loop, the body of an
   inlined call. Where its condition varies among lanes, it owns a mask. A variable that is assigned inside scopes that
@@ -11,7 +14,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Final, NoReturn, TypeVar
@@ -23,6 +26,7 @@ from rhi.shading.ir.lanes import (
     TRUE,
     Get,
     InlinedCall,
+    MemoryRegion,
     ScalarKind,
     Uniformity,
     Value,
@@ -80,18 +84,56 @@ class InlinedFrame:
     slots: dict[tree.Local, list[Home]] = field(default_factory=dict)
 
 
-class ScopeLowering:
+Lower = TypeVar("Lower", bound=Callable[..., list[Value]])
+_EXPRESSIONS: Final[dict[type[tree.Expression], Callable[..., list[Value]]]] = {}
+
+
+def lowers(*nodes: type[tree.Expression]) -> Callable[[Lower], Lower]:
+    """Decorate the function that lowers expressions of these types to their scalars, in order."""
+
+    def register(function: Lower) -> Lower:
+        _EXPRESSIONS.update(dict.fromkeys(nodes, function))
+        return function
+
+    return register
+
+
+class Lowering:
     """Emits statements into the current block, under the current scope.
 
     Attributes:
         joined: for each key (a local, a loop's exits, a function's returns), the join of the uniformities and strides
             found so far, in all runs.
+        memories: the memory that the code accesses, by the names of bindings; constant arrays by a key.
         told: what this run was told of each key, first. Whatever it was told later is above that, as is its end.
     """
 
-    def __init__(self, width: int) -> None:
+    def __init__(
+        self,
+        width: int,
+        work_group: tuple[int, int, int] = (1, 1, 1),
+        *,
+        checked: bool = False,
+        inputs: Mapping[str, Sequence[Value]] | None = None,
+        has_helpers: bool = False,
+        may_discard: bool = False,
+    ) -> None:
+        """Prepare to lower for `width` lanes, or for whole arrays of any shape with 0.
+
+        Args:
+            checked: whether to test every index.
+            inputs: the components of the built-in inputs of a vertex or fragment stage, by the built-in's name.
+            has_helpers: whether the stage has differences between pixels, for which helper invocations run.
+            may_discard: whether the stage discards fragments.
+        """
         self.width = width
+        self.work_group = work_group
+        self.checked = checked
+        self.inputs = inputs or {}
+        self.has_helpers = has_helpers
+        self.may_discard = may_discard
         self.joined: dict[object, tuple[Uniformity, int]] = {}
+        self.memories: dict[object, MemoryRegion] = {}
         self.start()
 
     def settle(self, run: Callable[[], R]) -> R:
@@ -113,6 +155,32 @@ class ScopeLowering:
         self.private: dict[int, tuple[object, MaskScope]] = {}
         self.scope = MaskScope("function", None, Uniformity.DISPATCH, None, False)
         self.frame: InlinedFrame
+        self.discards = 0  # the number of masked discards
+        self.discarded = Uniformity.DISPATCH  # how much they vary
+        self.covered: Variable  # the mask of lanes that aren't helpers
+        self.kept: Value  # the mask of covered lanes that weren't discarded
+
+    def code(self, name: str, arguments: tuple[lanes.Argument, ...] = (), results: Iterable[Value] = ()) -> lanes.Code:
+        """Return what the last run has emitted."""
+        memories = tuple(self.memories.values())
+        return lanes.Code(
+            name, self.width, self.block, memories, arguments, tuple(results), self.work_group, self.checked
+        )
+
+    # -- expressions
+
+    def lower(self, node: tree.Expression) -> list[Value]:
+        """Lower an expression of the current frame to its scalars, in order."""
+        return _EXPRESSIONS[type(node)](self, node)
+
+    def one(self, node: tree.Expression) -> Value:
+        """Lower a scalar expression."""
+        (value,) = self.lower(node)
+        return value
+
+    def named(self, node: tree.Expression) -> list[Value]:
+        """Lower an expression whose components are used more than once."""
+        return [self.let(value) for value in self.lower(node)]
 
     # -- the target
 
@@ -189,6 +257,12 @@ class ScopeLowering:
         """Return the mask of the lanes that are active now."""
         mask = self.scope.mask
         return get(mask) if mask is not None else TRUE
+
+    def effect_mask(self) -> Variable | None:
+        """Return the mask of the lanes that may write to memory which other invocations see."""
+        if not self.has_helpers:
+            return self.scope.mask
+        return self.new_mask(self.mask_value() & get(self.covered), "covered")
 
     def scopes_up_to(self, end: object, inclusive: bool = False) -> Iterator[MaskScope]:
         """Yield the scopes from the current one outwards, up to `end`."""

@@ -1,0 +1,375 @@
+"""The lowering of everything that lies somewhere: reads and assignments of locals, buffers, shared memory, constants.
+
+Helper invocations read within bounds whatever their extrapolated inputs are.
+"""
+
+from __future__ import annotations
+
+import math
+
+from rhi.contract.layout import ArrayType, Layout, StructType, stride_of
+from rhi.shading.ir import lanes, tree
+from rhi.shading.ir.lanes import (
+    AddressSpace,
+    Affine,
+    ElementCount,
+    Get,
+    Literal,
+    MemoryRegion,
+    ScalarKind,
+    Uniformity,
+    Value,
+    apply,
+    get,
+    literal,
+    number,
+)
+from rhi.shading.ir.tree import Expression
+from rhi.shading.language import rules
+from rhi.shading.language.shader import Declaration, StorageClass
+from rhi.shading.language.types import StorageType
+from rhi.shading.lowering.components import all_kinds, leaf_kinds, word_offsets, words_of
+from rhi.shading.lowering.context import Lowering
+from rhi.shading.lowering.expansions import convert
+from rhi.shading.lowering.lvalues import (
+    Home,
+    LocalLvalue,
+    Lvalue,
+    LvalueChoice,
+    MemoryLvalue,
+    Slot,
+    count_parts,
+    element,
+    member,
+    part,
+    select_by_index,
+)
+
+# -- lvalues -----------------------------------------------------------------------------------------------
+
+
+def region_of(lowering: Lowering, declaration: Declaration) -> MemoryRegion:
+    """Return the memory region of a binding."""
+    known = lowering.memories.get(declaration.name)
+    if known is None:
+        type = declaration.type
+        if declaration.storage_class is StorageClass.STORAGE:
+            assert isinstance(type, StorageType)
+            stride = stride_of(type.element, Layout.STD430) // 4
+            known = MemoryRegion(declaration.name, AddressSpace.STORAGE, stride, 0, type.writable)
+        elif declaration.storage_class is StorageClass.UNIFORM:
+            words = stride_of(type, Layout.STD140) // 4  # type: ignore[arg-type]
+            known = MemoryRegion(declaration.name, AddressSpace.UNIFORM, length=words)
+        elif declaration.storage_class is StorageClass.SHARED:
+            known = MemoryRegion(declaration.name, AddressSpace.SHARED, 1, words_of(type), True)  # type: ignore[arg-type]
+        else:
+            lowering.refuse(
+                rules.NATIVE,
+                f"{declaration.name}: {type}",
+                "buffers and values",
+                "lane code accesses textures only by their methods",
+            )
+        lowering.memories[declaration.name] = known
+    return known
+
+
+def lvalue(lowering: Lowering, node: Expression) -> Lvalue | None:
+    """Return an expression as an lvalue, or None if its value has to be computed."""
+    match node:
+        case tree.Read(local=local):
+            homes = lowering.frame.slots[local]
+            return LocalLvalue(local.type, homes)  # type: ignore[arg-type]
+        case tree.BindingRead(declaration=declaration) if declaration.storage_class in (
+            StorageClass.UNIFORM,
+            StorageClass.SHARED,
+        ):
+            layout = Layout.STD140 if declaration.storage_class is StorageClass.UNIFORM else None
+            memory = region_of(lowering, declaration)
+            return MemoryLvalue(declaration.type, memory, layout, number(0), 1, 0)  # type: ignore[arg-type]
+        case tree.ConstantArray(type=type):
+            return MemoryLvalue(type, constant_region(lowering, node), None, number(0), 1, 0)  # type: ignore[arg-type]
+        case tree.Member(base=base, name=name):
+            at = lvalue(lowering, base)
+            return member(at, name) if at is not None else None
+        case tree.Swizzle(base=base, components=(component,)):
+            at = lvalue(lowering, base)
+            return part(at, component) if at is not None else None
+        case tree.Index(base=tree.BindingRead(declaration=declaration), index=index) if isinstance(
+            declaration.type, StorageType
+        ):
+            memory = region_of(lowering, declaration)
+            row = lowering.let(convert(lowering.one(index), ScalarKind.INT))
+            row = check_index(lowering, row, lanes.ElementCount(ScalarKind.INT, Uniformity.DISPATCH, memory))
+            return MemoryLvalue(declaration.type.element, memory, Layout.STD430, row, memory.stride, 0)
+        case tree.Index(base=base, index=index):
+            at = lvalue(lowering, base)
+            if at is None:
+                return None
+            row = lowering.let(convert(lowering.one(index), ScalarKind.INT))
+            row = check_index(lowering, row, number(count_parts(base.type)))  # type: ignore[arg-type]
+            return part(at, int(row.value)) if isinstance(row, Literal) else element(at, row)
+    return None
+
+
+def check_index(lowering: Lowering, index: Value, limit: Value) -> Value:
+    """Return an index. In a checked shader, one that isn't below `limit` is reported and replaced by 0."""
+    if not lowering.checked or (isinstance(index, Literal) and isinstance(limit, Literal)):
+        return index
+    wrong = lowering.let(apply("greater_equal", apply("as_uint", index), apply("as_uint", limit)), "wrong")
+    lowering.emit(lanes.Check(lowering.line, wrong, index, limit, lowering.effect_mask()))
+    return lowering.let(apply("select", wrong, number(0), index))
+
+
+def constant_region(lowering: Lowering, node: tree.ConstantArray) -> MemoryRegion:
+    """Return the memory region of a constant array."""
+    key = ("constant", id(node))
+    if key not in lowering.memories:
+        values = [value for one in node.elements for value in lowering.lower(one)]
+        numbers = tuple(value.value for value in values if isinstance(value, Literal))
+        name = f"constant_{len(lowering.memories)}"
+        lowering.memories[key] = MemoryRegion(
+            name, AddressSpace.CONSTANT, 1, len(values), kind=values[0].kind, values=numbers
+        )
+    return lowering.memories[key]
+
+
+# -- reading -----------------------------------------------------------------------------------------------
+
+
+def read(lowering: Lowering, at: Lvalue) -> list[Value]:
+    """Return the scalars of an lvalue."""
+    match at:
+        case LocalLvalue(type=ArrayType(length=length)):
+            return [value for i in range(length) for value in read(lowering, part(at, i))]
+        case LocalLvalue(type=StructType(fields=fields)):
+            return [value for field in fields for value in read(lowering, member(at, field.name))]
+        case LocalLvalue(homes=homes, index=index):
+            return [read_home(lowering, home, index) for home in homes]
+        case MemoryLvalue(type=type, layout=layout, offset=offset):
+            offsets = word_offsets(type, layout)
+            return [
+                load(lowering, at.memory, kind, at.index, at.scale, offset + place)
+                for kind, place in zip(all_kinds(type), offsets, strict=True)
+            ]
+        case LvalueChoice(index=index, choices=choices):
+            values_of_choices = [read(lowering, one) for one in choices]
+            return [select_by_index(index, list(values)) for values in zip(*values_of_choices, strict=True)]
+
+
+def read_home(lowering: Lowering, home: Slot | MemoryRegion, index: Value | None) -> Value:
+    if isinstance(home, MemoryRegion):
+        assert index is not None
+        return load(lowering, home, home.kind, index, 1, 0)
+    variable = home.variable
+    value: Value = get(variable)
+    return lanes.Affine(variable.kind, Uniformity.VARYING, value, home.stride) if home.stride else value
+
+
+def load(lowering: Lowering, memory: MemoryRegion, kind: ScalarKind, index: Value, scale: int, offset: int) -> Value:
+    """Return a word of memory. Writable memory is read here, not later where the value is used."""
+    index = clamp_index(lowering, memory, index, scale, offset)
+    uniformity = index.uniformity
+    match memory.space:
+        case AddressSpace.PRIVATE:
+            uniformity = max(uniformity, memory.uniformity)
+        case AddressSpace.SHARED:
+            uniformity = max(uniformity, Uniformity.GROUP)
+        case AddressSpace.STORAGE if memory.writable:
+            uniformity = max(uniformity, Uniformity.GROUP)
+    is_bool = kind is ScalarKind.BOOL and memory.space is not AddressSpace.PRIVATE
+    stored = ScalarKind.UINT if is_bool else kind
+    mask = lowering.scope.mask if index.uniformity > Uniformity.DISPATCH else None
+    value: Value = lanes.Load(stored, uniformity, memory, index, scale, offset, mask)
+    if memory.writable:
+        value = lowering.let(value, memory.name)
+    return apply("not_equal", value, literal(0, ScalarKind.UINT)) if is_bool else value
+
+
+def clamp_index(lowering: Lowering, memory: MemoryRegion, index: Value, scale: int, offset: int) -> Value:
+    """Return an index clamped to memory if helpers run, because theirs may be out of bounds."""
+    if not lowering.has_helpers or index.uniformity < Uniformity.VARYING:
+        return index
+    last: Value = number((memory.length - 1 - offset) // scale)
+    if memory.space is AddressSpace.STORAGE:  # the scale is the words of an element, or 1
+        count = ElementCount(ScalarKind.INT, Uniformity.DISPATCH, memory)
+        whole = scale == memory.stride
+        last = count - number(1) if whole else count * number(memory.stride) - number(offset + 1)
+    return lowering.let(apply("max", apply("min", index, last), number(0)))
+
+
+# -- declaring ---------------------------------------------------------------------------------------------
+
+
+def new_slot(lowering: Lowering, name: str, kind: ScalarKind, key: object, value: Value | None) -> Slot:
+    """Declare a component of a local."""
+    stride = value.stride if isinstance(value, Affine) else 0
+    if value is not None:
+        lowering.join(key, value.uniformity, stride)
+    uniformity, stride = lowering.known(key)
+    variable = lowering.variable(name, kind, Uniformity.LANES if stride else uniformity)
+    if stride and isinstance(value, Affine):
+        value = value.base
+    lowering.emit(lanes.Let(lowering.line, variable, value))
+    return Slot(variable, stride, key, lowering.scope)
+
+
+def declare(lowering: Lowering, local: tree.Local, values: list[Value] | None, zeros: bool = False) -> None:
+    """Declare a local, with initial scalars, zeros or no value."""
+    path, type = lowering.frame.path, local.type
+    homes: list[Home] = []
+    lowering.frame.slots[local] = homes
+    has_arrays = any(count for _, count in leaf_kinds(type))  # type: ignore[arg-type]
+    for i, (kind, count) in enumerate(leaf_kinds(type)):  # type: ignore[arg-type]
+        key = (path, id(local), i)
+        if count:
+            uniformity = private_uniformity(lowering, key)
+            lowering.count += 1
+            name = f"{local.name}_{lowering.count}"
+            memory = MemoryRegion(name, AddressSpace.PRIVATE, 1, count, True, kind, uniformity)
+            lowering.private[id(memory)] = (key, lowering.scope)
+            lowering.emit(lanes.DeclareMemory(lowering.line, memory, zeros))
+            homes.append(memory)
+        elif has_arrays:
+            zero = literal(0, kind) if zeros else None
+            homes.append(new_slot(lowering, local.name, kind, key, zero))
+        else:
+            value = literal(0, kind) if zeros else values[i] if values is not None else None
+            homes.append(new_slot(lowering, local.name, kind, key, value))
+    if has_arrays and values is not None:
+        write(lowering, LocalLvalue(type, homes), values)  # type: ignore[arg-type]
+
+
+def private_uniformity(lowering: Lowering, key: object) -> Uniformity:
+    """Return the uniformity known of private memory, which is shared at most by the lanes of a work-item."""
+    uniformity = lowering.known_uniformity(key)
+    return max(uniformity, Uniformity.LANES) if lowering.width else uniformity
+
+
+# -- assigning ---------------------------------------------------------------------------------------------
+
+
+def write(lowering: Lowering, at: Lvalue, values: list[Value]) -> None:
+    """Assign scalars to an lvalue."""
+    match at:
+        case LocalLvalue(type=ArrayType(length=length)):
+            size = len(values) // length
+            for i in range(length):
+                write(lowering, part(at, i), values[i * size : (i + 1) * size])
+        case LocalLvalue(type=StructType(fields=fields)):
+            start = 0
+            for field in fields:
+                size = len(all_kinds(field.type))
+                write(lowering, member(at, field.name), values[start : start + size])
+                start += size
+        case LocalLvalue(homes=homes, index=index):
+            values = without_aliases(lowering, homes, values)
+            for home, value in zip(homes, values, strict=True):
+                if isinstance(home, Slot):
+                    assign(lowering, home, value)
+                else:
+                    assert index is not None
+                    store_private(lowering, home, index, value)
+        case MemoryLvalue():
+            store(lowering, at, values)
+        case LvalueChoice(index=index, choices=choices):
+            values = [lowering.let(value) for value in values]
+            for which, one in enumerate(choices):
+                with lowering.branch(apply("equal", index, number(which))):
+                    write(lowering, one, values)
+
+
+def assign_to(lowering: Lowering, target: tree.Expression, values: list[Value]) -> None:
+    if isinstance(target, tree.Swizzle) and len(target.components) > 1:
+        whole = lvalue(lowering, target.base)
+        assert whole is not None
+        if isinstance(whole, LocalLvalue):
+            homes = [whole.homes[c] for c in target.components]
+            values = without_aliases(lowering, homes, values)
+        values = [lowering.let(value) for value in values]
+        for component, value in zip(target.components, values, strict=True):
+            write(lowering, part(whole, component), [value])
+        return
+    at = lvalue(lowering, target)
+    assert at is not None
+    write(lowering, at, values)
+
+
+def without_aliases(lowering: Lowering, homes: list[Slot | MemoryRegion], values: list[Value]) -> list[Value]:
+    """Return the values, copied if assigning one of them would change another: `v = v.yx`."""
+    targets = {id(home.variable) for home in homes if isinstance(home, Slot)}
+    clash = len(values) > 1 and any(
+        id(variable) in targets for value in values for variable in lanes.variables_of(value)
+    )
+    return [copy(lowering, value) for value in values] if clash else values
+
+
+def copy(lowering: Lowering, value: Value) -> Value:
+    """Return a copy of the current value."""
+    if isinstance(value, Literal):
+        return value
+    if isinstance(value, Affine):
+        return Affine(value.kind, value.uniformity, copy(lowering, value.base), value.stride)
+    variable = lowering.variable("t", value.kind, value.uniformity)
+    lowering.emit(lanes.Let(lowering.line, variable, value))
+    return Get(value.kind, value.uniformity, variable)
+
+
+def assign(lowering: Lowering, slot: Slot, value: Value) -> None:
+    """Assign a component of a local, blended unless all lanes that can read it are active."""
+    uniformity, blend = value.uniformity, False
+    for scope in lowering.scopes_up_to(slot.scope):
+        uniformity, blend = max(uniformity, scope.uniformity), blend or scope.owns_mask
+    if blend and lowering.scope.mask is not None:
+        uniformity = max(uniformity, lowering.scope.mask.uniformity)
+    stride = value.stride if isinstance(value, Affine) and not blend else 0
+    uniformity, stride = lowering.join(slot.key, uniformity, stride)
+    variable = slot.variable
+    variable.uniformity, slot.stride = Uniformity.LANES if stride else uniformity, stride
+    if stride and isinstance(value, Affine):
+        value = value.base
+    lowering.emit(lanes.Set(lowering.line, variable, value, lowering.scope.mask if blend else None))
+
+
+def store_private(lowering: Lowering, memory: MemoryRegion, index: Value, value: Value) -> None:
+    index = clamp_index(lowering, memory, index, 1, 0)
+    key, scope = lowering.private[id(memory)]
+    uniformity, blend = max(value.uniformity, index.uniformity), False
+    for inner in lowering.scopes_up_to(scope):
+        uniformity, blend = max(uniformity, inner.uniformity), blend or inner.owns_mask
+    lowering.join(key, uniformity)
+    memory.uniformity = private_uniformity(lowering, key)
+    # The index of an inactive lane is undefined.
+    mask = lowering.scope.mask if blend or index.uniformity is Uniformity.VARYING else None
+    lowering.emit(lanes.Store(lowering.line, memory, index, 1, 0, (value,), mask))
+
+
+def store(lowering: Lowering, at: MemoryLvalue, values: list[Value]) -> None:
+    memory, offsets = at.memory, word_offsets(at.type, at.layout)
+    if at.index.uniformity < Uniformity.VARYING and lowering.scope.mask is None:
+        check_race(lowering, memory, values)
+    words = [
+        apply("select", value, literal(1, ScalarKind.UINT), literal(0, ScalarKind.UINT))
+        if value.kind is ScalarKind.BOOL
+        else value
+        for value in values
+    ]
+    words = [lowering.let(word) for word in words]
+    mask, start = lowering.effect_mask(), 0
+    while start < len(words):
+        end = start + 1
+        while end < len(words) and offsets[end] == offsets[end - 1] + 1:
+            end += 1
+        run, offset = tuple(words[start:end]), at.offset + offsets[start]
+        padding = int(len(words) == 3 and memory.stride == 4 and memory.space is AddressSpace.STORAGE)
+        padding = padding if at.scale == 4 and at.offset == 0 and end == 3 else 0
+        lowering.emit(lanes.Store(lowering.line, memory, at.index, at.scale, offset, run, mask, padding))
+        start = end
+
+
+def check_race(lowering: Lowering, memory: MemoryRegion, values: list[Value]) -> None:
+    if math.prod(lowering.work_group) > 1 and any(value.uniformity is Uniformity.VARYING for value in values):
+        lowering.refuse(
+            rules.RACE,
+            f"a store to one element of {memory.name} by all invocations of a work-group",
+            "an index that differs between them, or one invocation: `if local_index() == 0:`",
+        )
