@@ -34,7 +34,7 @@ from rhi.shading.parser.interface import (
     vertex_inputs,
 )
 from rhi.shading.parser.signatures import Callee, find_method
-from rhi.shading.parser.stage import StageParser
+from rhi.shading.parser.stage import parse_stage
 from rhi.shading.parser.unused import check_bindings_are_used
 
 _compiled: weakref.WeakKeyDictionary[type[Shader], tuple[ProgramDescriptor, ShaderCode]] = weakref.WeakKeyDictionary()
@@ -111,8 +111,12 @@ def is_same(one: ProgramDescriptor, known: Compiled, shader: type[Shader]) -> bo
 
 
 def stage_trees(shader: type[Shader]) -> dict[Stage, tree.StageTree]:
-    """Return the typed trees of a shader's stages."""
-    return {stage: StageParser(shader, stage).parse(entry) for stage, entry in _entries(shader).items()}
+    """Return the typed trees of a shader's stages: those that its texts are written from.
+
+    Raises:
+        ShaderError: the shader breaks a rule of `rhi.shading.language.rules`; the error shows the line.
+    """
+    return dict(compiled_code(shader).stages)
 
 
 def compiled_code(shader: type[Shader]) -> ShaderCode:
@@ -124,7 +128,7 @@ def compiled_code(shader: type[Shader]) -> ShaderCode:
 def _compile(shader: type[Shader]) -> tuple[ProgramDescriptor, ShaderCode]:
     entries = _entries(shader)
     interface = _interface(entries)
-    stages = {stage: StageParser(shader, stage).parse(entry) for stage, entry in entries.items()}
+    stages = {stage: parse_stage(shader, stage, entry) for stage, entry in entries.items()}
     stored = frozenset().union(*(stage.stored for stage in stages.values()))
     used = frozenset(declaration.name for stage in stages.values() for declaration in stage.bindings)
     check_bindings_are_used(shader, used)

@@ -22,7 +22,7 @@ from rhi.shading.ir.lanes import ScalarKind
 from rhi.shading.language import rules
 from rhi.shading.language.function import ShadingFunction
 from rhi.shading.language.shader import Shader, StorageClass
-from rhi.shading.language.source import FORGOTTEN, source_of
+from rhi.shading.language.source import FORGOTTEN
 from rhi.shading.language.structs import Struct
 from rhi.shading.language.types import ImageType, StorageType, TextureType
 from rhi.shading.lowering.components import all_kinds, words_of
@@ -30,8 +30,7 @@ from rhi.shading.lowering.functions import lower_function
 from rhi.shading.numpy.kernel import LaneFunction, NumpyKernel, load_module
 from rhi.shading.numpy.textures import HostTexture
 from rhi.shading.numpy.writer import write_numpy_function
-from rhi.shading.parser.signatures import Callee
-from rhi.shading.parser.stage import StageParser
+from rhi.shading.parser.stage import parse_function
 
 Array = NDArray[Any]
 
@@ -81,21 +80,10 @@ def evaluate(
 def _compiled_function(function: FunctionType) -> tuple[tree.Function, LaneFunction]:
     known = _functions.get(function)
     if known is None:
-        callee = Callee(source_of(function), None, False)
-        parser = StageParser(_NoShader, Stage.COMPUTE)
-        types = tuple(parameter.type for parameter in callee.signature.parameters)
-        for parameter in callee.signature.parameters:
-            if not isinstance(parameter.type, HostType):
-                callee.source.refuse(rules.ANNOTATION, callee.source.node, f"{parameter.name}: {parameter.type}")
-        parser.parse_function(callee, types)  # type: ignore[arg-type]
-        parsed = parser.finished[-1]
+        parsed = parse_function(function)
         code = lower_function(parsed)
         known = _functions[function] = (parsed, load_module(write_numpy_function(code), code.name)["run"])
     return known
-
-
-class _NoShader(Shader):
-    """A placeholder shader for functions, which belong to none."""
 
 
 def _by_name(

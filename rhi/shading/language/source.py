@@ -98,6 +98,11 @@ class SourceSpan:
     end_column: int = 0
 
 
+def header_of(node: ast.stmt) -> SourceSpan:
+    """Return the span of a statement's first line."""
+    return SourceSpan(node.lineno, node.col_offset, 0)
+
+
 def span_of(node: ast.AST) -> SourceSpan:
     """Return the source span of a node; for a node of several lines, the part on its first line."""
     line, column = getattr(node, "lineno", 1), getattr(node, "col_offset", 0)

@@ -20,8 +20,9 @@ from rhi.shading.language.textures import methods_of
 from rhi.shading.language.tips import FOREIGN, METHODS
 from rhi.shading.language.types import VECTORS, ImageType, StorageType, TextureType, Type, with_scalar
 from rhi.shading.language.vectors import array
-from rhi.shading.parser.expressions import ExpressionParser, member_tip
-from rhi.shading.parser.signatures import Callee, Signature, UnsizedArray, fits
+from rhi.shading.parser.context import FunctionParser, parses
+from rhi.shading.parser.expressions import cast, check_memory, check_size, member_tip
+from rhi.shading.parser.signatures import Callee, Signature, UnsizedArray, find_method, fits
 
 _PYTHON_BUILTINS: Final[dict[Any, Builtin]] = {
     builtins.abs: BUILTINS["abs"],
@@ -30,254 +31,264 @@ _PYTHON_BUILTINS: Final[dict[Any, Builtin]] = {
 }
 
 
-class CallParser(ExpressionParser):
-    """Parses the calls of one function."""
+@parses(ast.Call)
+def parse_call(parser: FunctionParser, node: ast.Call) -> Expression:
+    for part in node.args:
+        if isinstance(part, ast.Starred):
+            parser.unsupported(part)
+    if any(keyword.arg is None for keyword in node.keywords):
+        parser.refuse(rules.SYNTAX, node, "**arguments")
+    callee = node.func
+    if isinstance(callee, ast.Attribute):
+        if parser.is_self(callee.value):
+            return _call_method(parser, node, callee.attr, None)
+        value = callee.value
+        if isinstance(value, ast.Call) and isinstance(value.func, ast.Name) and value.func.id == "super":
+            return _call_method(parser, node, callee.attr, parser.owner)
+    found = parser.static(callee)
+    if found is MISSING:
+        return _call_on_value(parser, node)
+    return _call_object(parser, node, found)
 
-    def _call(self, node: ast.Call) -> Expression:
-        for part in node.args:
-            if isinstance(part, ast.Starred):
-                self.unsupported(part)
-        if any(keyword.arg is None for keyword in node.keywords):
-            self.refuse(rules.SYNTAX, node, "**arguments")
-        callee = node.func
-        if isinstance(callee, ast.Attribute):
-            if self.is_self(callee.value):
-                return self._call_method(node, callee.attr, None)
-            value = callee.value
-            if isinstance(value, ast.Call) and isinstance(value.func, ast.Name) and value.func.id == "super":
-                return self._call_method(node, callee.attr, self.owner)
-        found = self.static(callee)
-        if found is MISSING:
-            return self._call_on_value(node)
-        return self._call_object(node, found)
 
-    def _call_method(self, node: ast.Call, name: str, after: type | None) -> Expression:
-        found = self.stage_context.method(name, after)
-        if found is None:
-            shader = self.stage_context.shader
-            if name in shader._declared:
-                self.refuse(rules.WRONG_ARGUMENTS, node, f"{name} is a binding, not a method")
-            self.refuse(rules.UNKNOWN_MEMBER, node.func, f"{shader.__name__}.{name}", tip=suggest(name, dir(shader)))
-        return self._call_python(node, found)
+def _call_method(parser: FunctionParser, node: ast.Call, name: str, after: type | None) -> Expression:
+    found = find_method(parser.stage.shader, name, after)
+    if found is None:
+        shader = parser.stage.shader
+        if name in shader._declared:
+            parser.refuse(rules.WRONG_ARGUMENTS, node, f"{name} is a binding, not a method")
+        parser.refuse(rules.UNKNOWN_MEMBER, node.func, f"{shader.__name__}.{name}", tip=suggest(name, dir(shader)))
+    return _call_python(parser, node, found)
 
-    def _call_python(self, node: ast.Call, callee: Callee) -> tree.Call:
-        signature = callee.signature
-        names = [parameter.name for parameter in signature.parameters]
-        given: dict[str, ast.expr] = {}
-        if len(node.args) > len(names):
-            self.refuse(rules.WRONG_ARGUMENTS, node, f"{len(node.args)} arguments", ", ".join(names) or "none")
-        given.update(zip(names, node.args, strict=False))
+
+def _call_python(parser: FunctionParser, node: ast.Call, callee: Callee) -> tree.Call:
+    signature = callee.signature
+    names = [parameter.name for parameter in signature.parameters]
+    given: dict[str, ast.expr] = {}
+    if len(node.args) > len(names):
+        parser.refuse(rules.WRONG_ARGUMENTS, node, f"{len(node.args)} arguments", ", ".join(names) or "none")
+    given.update(zip(names, node.args, strict=False))
+    for keyword in node.keywords:
+        name = keyword.arg or ""
+        if name not in names or name in given:
+            what = "twice" if name in given else "unknown"
+            parser.refuse(
+                rules.WRONG_ARGUMENTS,
+                keyword,
+                f"{name}=…, {what}",
+                ", ".join(names),
+                suggest(name, names),
+            )
+        given[name] = keyword.value
+    # Python evaluates arguments in the order in which they are written, which is the order of `given`.
+    values = {name: _argument(parser, signature, name, at) for name, at in given.items()}
+    if [name for name in names if name in given] != list(given) and any(map(tree.has_effect, values.values())):
+        parser.refuse(rules.EVALUATED_TWICE, node, "side effects in arguments out of order")
+    for parameter in signature.parameters:
+        if parameter.name not in values:
+            if parameter.default is MISSING:
+                parser.refuse(rules.WRONG_ARGUMENTS, node, f"no {parameter.name!r}", ", ".join(names))
+            # As in Python, the value that the default had when the function was defined.
+            default = parser.python_value(parameter.default, node, parameter.name)
+            if not isinstance(parameter.type, UnsizedArray):
+                default = parser.convert(default, parameter.type, node, parameter.name)
+            elif not fits(parameter.type, default.type):
+                given_type = f"{parameter.name}: {default.type}"
+                parser.refuse(rules.WRONG_TYPE, node, given_type, str(parameter.type))
+            values[parameter.name] = default
+    arguments = tuple(values[name] for name in names)
+    types = tuple(argument.type for argument in arguments)
+    function = parser.stage.instance(callee, types, node, parser.source)
+    if function.has_effect:
+        parser.mark_effect()
+    return tree.Call(function.result, span_of(node), function, arguments)
+
+
+def _argument(parser: FunctionParser, signature: Signature, name: str, at: ast.expr) -> Expression:
+    wanted = next(parameter.type for parameter in signature.parameters if parameter.name == name)
+    if not isinstance(wanted, UnsizedArray):
+        return parser.converted(at, wanted, name)
+    value = parser.expression(at)
+    if not fits(wanted, value.type):
+        parser.refuse(rules.WRONG_TYPE, at, f"{name}: {value.type}", str(wanted))
+    return value
+
+
+def _call_on_value(parser: FunctionParser, node: ast.Call) -> Expression:
+    if not isinstance(node.func, ast.Attribute):
+        parser.refuse(rules.SYNTAX, node, "a call of something that is not a name")
+    base = parser.expression(node.func.value)
+    name = node.func.attr
+    if not isinstance(base.type, TextureType | ImageType):
+        tip = member_tip(base.type) or _method_tip(name)
+        parser.refuse(rules.UNKNOWN_MEMBER, node.func, f"{base.type}.{name}(…)", tip=tip)
+    methods = methods_of(base.type)
+    if name not in methods:
+        allowed, foreign = ", ".join(methods), METHODS.get(name, "")
+        tip = f"use {foreign}(…)" if foreign in methods else suggest(name, methods)
+        parser.refuse(rules.UNKNOWN_MEMBER, node.func, f"{base.type}.{name}", allowed, tip)
+    return _call_builtin(parser, node, methods[name], [base])
+
+
+def _call_object(parser: FunctionParser, node: ast.Call, found: Any) -> Expression:
+    if isinstance(found, BuiltinFunctionType):
+        found = _PYTHON_BUILTINS.get(found, found)
+    if isinstance(found, Builtin):
+        return _call_builtin(parser, node, found, [])
+    if isinstance(found, ShadingFunction):
+        return _call_python(parser, node, Callee(source_of(found.python), None, False))
+    if found is builtins.len:
+        return _length(parser, node)
+    if found is array:
+        return _zeros(parser, node)
+    if isinstance(found, type) and issubclass(found, Struct):
+        return _construct_struct(parser, node, found)
+    type_ = value_type(found)
+    if type_ is not None:
+        return _construct(parser, node, type_)
+    name = ast.unparse(node.func)
+    if isinstance(found, FunctionType):
+        parser.refuse(rules.NOT_SHADING, node.func, name, tip="decorate it with @function of rhi.shading")
+    if found is builtins.range:
+        parser.refuse(rules.SYNTAX, node, "range(…) outside a for loop")
+    known = getattr(found, "__name__", "")
+    tip = f"use rhi.shading.{known}" if known in BUILTINS else FOREIGN.get(known, "")
+    parser.refuse(rules.NOT_SHADING, node.func, name, tip=tip)
+
+
+def _call_builtin(parser: FunctionParser, node: ast.Call, row: Builtin, first: list[Expression]) -> Expression:
+    arguments = [*first, *(parser.expression(argument) for argument in node.args)]
+    if node.keywords:
+        names = {p.name: i for o in row.overloads for i, p in enumerate(o.parameters) if p.name and i}
         for keyword in node.keywords:
-            name = keyword.arg or ""
-            if name not in names or name in given:
-                what = "twice" if name in given else "unknown"
-                self.refuse(
-                    rules.WRONG_ARGUMENTS,
-                    keyword,
-                    f"{name}=…, {what}",
-                    ", ".join(names),
-                    suggest(name, names),
-                )
-            given[name] = keyword.value
-        # Python evaluates arguments in the order in which they are written, which is the order of `given`.
-        values = {name: self._argument(signature, name, at) for name, at in given.items()}
-        if [name for name in names if name in given] != list(given) and any(map(tree.has_effect, values.values())):
-            self.refuse(rules.EVALUATED_TWICE, node, "side effects in arguments out of order")
-        for parameter in signature.parameters:
-            if parameter.name not in values:
-                if parameter.default is MISSING:
-                    self.refuse(rules.WRONG_ARGUMENTS, node, f"no {parameter.name!r}", ", ".join(names))
-                # As in Python, the value that the default had when the function was defined.
-                default = self.python_value(parameter.default, node, parameter.name)
-                if not isinstance(parameter.type, UnsizedArray):
-                    default = self.convert(default, parameter.type, node, parameter.name)
-                elif not fits(parameter.type, default.type):
-                    given_type = f"{parameter.name}: {default.type}"
-                    self.refuse(rules.WRONG_TYPE, node, given_type, str(parameter.type))
-                values[parameter.name] = default
-        arguments = tuple(values[name] for name in names)
-        types = tuple(argument.type for argument in arguments)
-        function = self.stage_context.instance(callee, types, node, self.source)
-        if function.has_effect:
-            self.mark_effect()
-        return tree.Call(function.result, span_of(node), function, arguments)
+            if names.get(keyword.arg or "") != len(arguments):
+                parser.refuse(rules.WRONG_ARGUMENTS, keyword, f"{keyword.arg}=…", row.signatures())
+            arguments.append(parser.expression(keyword.value))
+    types = [argument.type for argument in arguments]
+    literals = [isinstance(a, Constant) and a.literal and a.value >= 0 for a in arguments]
+    overload = row.choose(types, literals)
+    if overload is None:
+        given = f"{row.name}({', '.join(str(type) for type in types)})"
+        parser.refuse(rules.WRONG_ARGUMENTS, node, given, row.signatures())
+    _check_stage(parser, row, node)
+    converted = []
+    for argument, parameter, at in zip(
+        arguments,
+        overload.parameters,
+        [*[node.func] * len(first), *node.args, *node.keywords],
+        strict=True,
+    ):
+        if parameter.memory:
+            check_memory(parser, argument, at)
+        converted.append(parser.convert(argument, parameter.type, at))
+    if row.name == "gather" and len(converted) == 3:
+        component = converted[2]
+        if not isinstance(component, Constant) or not 0 <= component.value < 4:
+            parser.refuse(rules.OUT_OF_RANGE, node.args[-1] if node.args else node, "component", "0 to 3, constant")
+    if row.effect is SideEffect.BARRIER or row.effect is SideEffect.WRITE:
+        parser.mark_effect()
+    return tree.BuiltinCall(overload.result, span_of(node), row, overload, tuple(converted))
 
-    def _argument(self, signature: Signature, name: str, at: ast.expr) -> Expression:
-        wanted = next(parameter.type for parameter in signature.parameters if parameter.name == name)
-        if not isinstance(wanted, UnsizedArray):
-            return self.converted(at, wanted, name)
-        value = self.expression(at)
-        if not fits(wanted, value.type):
-            self.refuse(rules.WRONG_TYPE, at, f"{name}: {value.type}", str(wanted))
-        return value
 
-    def _call_on_value(self, node: ast.Call) -> Expression:
-        if not isinstance(node.func, ast.Attribute):
-            self.refuse(rules.SYNTAX, node, "a call of something that is not a name")
-        base = self.expression(node.func.value)
-        name = node.func.attr
-        if not isinstance(base.type, TextureType | ImageType):
-            tip = member_tip(base.type) or _method_tip(name)
-            self.refuse(rules.UNKNOWN_MEMBER, node.func, f"{base.type}.{name}(…)", tip=tip)
-        methods = methods_of(base.type)
-        if name not in methods:
-            allowed, foreign = ", ".join(methods), METHODS.get(name, "")
-            tip = f"use {foreign}(…)" if foreign in methods else suggest(name, methods)
-            self.refuse(rules.UNKNOWN_MEMBER, node.func, f"{base.type}.{name}", allowed, tip)
-        return self._call_builtin(node, methods[name], [base])
+def _check_stage(parser: FunctionParser, builtin: Builtin, at: ast.Call) -> None:
+    """Refuse a built-in that isn't available in the stage being compiled."""
+    stage = parser.stage.stage
+    if stage not in builtin.stages:
+        allowed = ", ".join(sorted(stage.value for stage in builtin.stages))
+        given = f"{builtin.name} in the {stage.value} stage of {parser.stage.shader.__name__}"
+        parser.refuse(rules.STAGE, at, given, allowed)
 
-    def _call_object(self, node: ast.Call, found: Any) -> Expression:
-        if isinstance(found, BuiltinFunctionType):
-            found = _PYTHON_BUILTINS.get(found, found)
-        if isinstance(found, Builtin):
-            return self._call_builtin(node, found, [])
-        if isinstance(found, ShadingFunction):
-            return self._call_python(node, Callee(source_of(found.python), None, False))
-        if found is builtins.len:
-            return self._length(node)
-        if found is array:
-            return self._zeros(node)
-        if isinstance(found, type) and issubclass(found, Struct):
-            return self._construct_struct(node, found)
-        type_ = value_type(found)
-        if type_ is not None:
-            return self._construct(node, type_)
-        name = ast.unparse(node.func)
-        if isinstance(found, FunctionType):
-            self.refuse(rules.NOT_SHADING, node.func, name, tip="decorate it with @function of rhi.shading")
-        if found is builtins.range:
-            self.refuse(rules.SYNTAX, node, "range(…) outside a for loop")
-        known = getattr(found, "__name__", "")
-        tip = f"use rhi.shading.{known}" if known in BUILTINS else FOREIGN.get(known, "")
-        self.refuse(rules.NOT_SHADING, node.func, name, tip=tip)
 
-    def _call_builtin(self, node: ast.Call, row: Builtin, first: list[Expression]) -> Expression:
-        arguments = [*first, *(self.expression(argument) for argument in node.args)]
-        if node.keywords:
-            names = {p.name: i for o in row.overloads for i, p in enumerate(o.parameters) if p.name and i}
-            for keyword in node.keywords:
-                if names.get(keyword.arg or "") != len(arguments):
-                    self.refuse(rules.WRONG_ARGUMENTS, keyword, f"{keyword.arg}=…", row.signatures())
-                arguments.append(self.expression(keyword.value))
-        types = [argument.type for argument in arguments]
-        literals = [isinstance(a, Constant) and a.literal and a.value >= 0 for a in arguments]
-        overload = row.choose(types, literals)
-        if overload is None:
-            given = f"{row.name}({', '.join(str(type) for type in types)})"
-            self.refuse(rules.WRONG_ARGUMENTS, node, given, row.signatures())
-        self.stage_context.check_stage(row, node, self.source)
-        converted = []
-        for argument, parameter, at in zip(
-            arguments,
-            overload.parameters,
-            [*[node.func] * len(first), *node.args, *node.keywords],
-            strict=True,
-        ):
-            if parameter.memory:
-                self.check_memory(argument, at)
-            converted.append(self.convert(argument, parameter.type, at))
-        if row.name == "gather" and len(converted) == 3:
-            component = converted[2]
-            if not isinstance(component, Constant) or not 0 <= component.value < 4:
-                self.refuse(rules.OUT_OF_RANGE, node.args[-1] if node.args else node, "component", "0 to 3, constant")
-        if row.effect is SideEffect.BARRIER or row.effect is SideEffect.WRITE:
-            self.mark_effect()
-        return tree.BuiltinCall(overload.result, span_of(node), row, overload, tuple(converted))
+def _length(parser: FunctionParser, node: ast.Call) -> Expression:
+    if len(node.args) != 1 or node.keywords:
+        parser.refuse(rules.WRONG_ARGUMENTS, node, f"len of {len(node.args)} arguments", "len(array)")
+    value = parser.expression(node.args[0])
+    if isinstance(value.type, ArrayType):
+        return Constant(INT, span_of(node), value.type.length, literal=True)
+    if not isinstance(value.type, StorageType):
+        parser.refuse(rules.WRONG_TYPE, node.args[0], f"len({value.type})", "arrays and storage")
+    return tree.Length(INT, span_of(node), value)
 
-    def check_memory(self, target: Expression, at: ast.AST) -> None:
-        """Refuse an atomic's first argument unless it is an lvalue in writable storage or shared memory."""
-        raise NotImplementedError
 
-    def mark_effect(self) -> None:
-        """Record that the function has side effects."""
-        raise NotImplementedError
+def _zeros(parser: FunctionParser, node: ast.Call) -> Expression:
+    if len(node.args) != 2 or node.keywords:
+        parser.refuse(rules.WRONG_ARGUMENTS, node, ast.unparse(node), "array(element, length)")
+    element = value_type(parser.static(node.args[0]))
+    length = parser.expression(node.args[1])
+    if element is None:
+        parser.refuse(rules.WRONG_ARGUMENTS, node.args[0], ast.unparse(node.args[0]), "a value type")
+    if not isinstance(length, Constant) or length.type is not INT or length.value < 1:
+        parser.refuse(rules.OUT_OF_RANGE, node.args[1], ast.unparse(node.args[1]), "a constant of 1 or more")
+    type = ArrayType(element, int(length.value))
+    check_size(parser, type, node, ast.unparse(node))
+    return tree.Zeros(type, span_of(node))
 
-    def _length(self, node: ast.Call) -> Expression:
-        if len(node.args) != 1 or node.keywords:
-            self.refuse(rules.WRONG_ARGUMENTS, node, f"len of {len(node.args)} arguments", "len(array)")
-        value = self.expression(node.args[0])
-        if isinstance(value.type, ArrayType):
-            return Constant(INT, span_of(node), value.type.length, literal=True)
-        if not isinstance(value.type, StorageType):
-            self.refuse(rules.WRONG_TYPE, node.args[0], f"len({value.type})", "arrays and storage")
-        return tree.Length(INT, span_of(node), value)
 
-    def _zeros(self, node: ast.Call) -> Expression:
-        if len(node.args) != 2 or node.keywords:
-            self.refuse(rules.WRONG_ARGUMENTS, node, ast.unparse(node), "array(element, length)")
-        element = value_type(self.static(node.args[0]))
-        length = self.expression(node.args[1])
-        if element is None:
-            self.refuse(rules.WRONG_ARGUMENTS, node.args[0], ast.unparse(node.args[0]), "a value type")
-        if not isinstance(length, Constant) or length.type is not INT or length.value < 1:
-            self.refuse(rules.OUT_OF_RANGE, node.args[1], ast.unparse(node.args[1]), "a constant of 1 or more")
-        type = ArrayType(element, int(length.value))
-        self.check_size(type, node, ast.unparse(node))
-        return tree.Zeros(type, span_of(node))
+def _construct_struct(parser: FunctionParser, node: ast.Call, cls: type[Struct]) -> Expression:
+    type = cls.shading_type
+    names = [field.name for field in type.fields]
+    if node.args:
+        parser.refuse(rules.WRONG_ARGUMENTS, node, "fields by position", f"by name: {', '.join(names)}")
+    given = {keyword.arg: keyword for keyword in node.keywords}
+    for name, keyword in given.items():
+        if name not in names:
+            tip = suggest(name or "", names)
+            parser.refuse(rules.UNKNOWN_MEMBER, keyword, f"{type}.{name}", ", ".join(names), tip)
+    parts = {}
+    for name, keyword in given.items():
+        field = type.field(name or "")
+        assert field is not None
+        parts[name] = parser.converted(keyword.value, field.type, f"{type}.{name}")
+    if list(given) != [name for name in names if name in given] and any(map(tree.has_effect, parts.values())):
+        # Python evaluates arguments in the order written, a constructor in the order of the fields.
+        parser.refuse(rules.EVALUATED_TWICE, node, "side effects in fields out of order")
+    for field in type.fields:
+        if field.name not in parts:
+            if field.name not in cls._defaults:
+                parser.refuse(rules.WRONG_ARGUMENTS, node, f"no {field.name!r}", ", ".join(names))
+            default = parser.python_value(cls._defaults[field.name], node, field.name)
+            parts[field.name] = parser.convert(default, field.type, node)
+    return tree.Construct(type, span_of(node), tuple(parts[name] for name in names))
 
-    def _construct_struct(self, node: ast.Call, cls: type[Struct]) -> Expression:
-        type = cls.shading_type
-        names = [field.name for field in type.fields]
-        if node.args:
-            self.refuse(rules.WRONG_ARGUMENTS, node, "fields by position", f"by name: {', '.join(names)}")
-        given = {keyword.arg: keyword for keyword in node.keywords}
-        for name, keyword in given.items():
-            if name not in names:
-                tip = suggest(name or "", names)
-                self.refuse(rules.UNKNOWN_MEMBER, keyword, f"{type}.{name}", ", ".join(names), tip)
-        parts = {}
-        for name, keyword in given.items():
-            field = type.field(name or "")
-            assert field is not None
-            parts[name] = self.converted(keyword.value, field.type, f"{type}.{name}")
-        if list(given) != [name for name in names if name in given] and any(map(tree.has_effect, parts.values())):
-            # Python evaluates arguments in the order written, a constructor in the order of the fields.
-            self.refuse(rules.EVALUATED_TWICE, node, "side effects in fields out of order")
-        for field in type.fields:
-            if field.name not in parts:
-                if field.name not in cls._defaults:
-                    self.refuse(rules.WRONG_ARGUMENTS, node, f"no {field.name!r}", ", ".join(names))
-                default = self.python_value(cls._defaults[field.name], node, field.name)
-                parts[field.name] = self.convert(default, field.type, node)
-        return tree.Construct(type, span_of(node), tuple(parts[name] for name in names))
 
-    def _construct(self, node: ast.Call, type: Type) -> Expression:
-        if node.keywords:
-            self.refuse(rules.WRONG_ARGUMENTS, node, f"{node.keywords[0].arg}=…", "arguments by position")
-        parts = [self.expression(argument) for argument in node.args]
-        span = span_of(node)
-        types = ", ".join(str(part.type) for part in parts)
-        if isinstance(type, ScalarType):
-            if len(parts) == 1 and isinstance(parts[0].type, ScalarType):
-                return self.cast(parts[0], type, span)
-        elif isinstance(type, VectorType):
-            only = parts[0] if len(parts) == 1 else None
-            if only is not None and isinstance(only.type, VectorType) and only.type.size == type.size:
-                return self.cast(only, type, span)
-            if only is not None and isinstance(only.type, ScalarType):
-                return tree.Construct(type, span, (self._component(only, type, node.args[0]),))
-            if sum(getattr(part.type, "size", 1) for part in parts) == type.size and len(parts) > 1:
-                components = [self._component(p, type, at) for p, at in zip(parts, node.args, strict=True)]
-                return tree.Construct(type, span, tuple(components))
-        elif isinstance(type, MatrixType):
-            row = VECTORS[FLOAT, type.size]
-            if len(parts) == 1 and isinstance(parts[0].type, MatrixType):
-                return tree.Construct(type, span, tuple(parts))
-            if len(parts) == type.size and all(part.type == row for part in parts):
-                return tree.Construct(type, span, tuple(parts))
-            if len(parts) in (1, type.size**2):
-                scalars = [self.convert(p, FLOAT, at) for p, at in zip(parts, node.args, strict=True)]
-                return tree.Construct(type, span, tuple(scalars))
-        self.refuse(rules.WRONG_ARGUMENTS, node, f"{type}({types})", _constructor_tip(type))
+def _construct(parser: FunctionParser, node: ast.Call, type: Type) -> Expression:
+    if node.keywords:
+        parser.refuse(rules.WRONG_ARGUMENTS, node, f"{node.keywords[0].arg}=…", "arguments by position")
+    parts = [parser.expression(argument) for argument in node.args]
+    span = span_of(node)
+    types = ", ".join(str(part.type) for part in parts)
+    if isinstance(type, ScalarType):
+        if len(parts) == 1 and isinstance(parts[0].type, ScalarType):
+            return cast(parser, parts[0], type, span)
+    elif isinstance(type, VectorType):
+        only = parts[0] if len(parts) == 1 else None
+        if only is not None and isinstance(only.type, VectorType) and only.type.size == type.size:
+            return cast(parser, only, type, span)
+        if only is not None and isinstance(only.type, ScalarType):
+            return tree.Construct(type, span, (_component(parser, only, type, node.args[0]),))
+        if sum(getattr(part.type, "size", 1) for part in parts) == type.size and len(parts) > 1:
+            components = [_component(parser, p, type, at) for p, at in zip(parts, node.args, strict=True)]
+            return tree.Construct(type, span, tuple(components))
+    elif isinstance(type, MatrixType):
+        row = VECTORS[FLOAT, type.size]
+        if len(parts) == 1 and isinstance(parts[0].type, MatrixType):
+            return tree.Construct(type, span, tuple(parts))
+        if len(parts) == type.size and all(part.type == row for part in parts):
+            return tree.Construct(type, span, tuple(parts))
+        if len(parts) in (1, type.size**2):
+            scalars = [parser.convert(p, FLOAT, at) for p, at in zip(parts, node.args, strict=True)]
+            return tree.Construct(type, span, tuple(scalars))
+    parser.refuse(rules.WRONG_ARGUMENTS, node, f"{type}({types})", _constructor_tip(type))
 
-    def _component(self, part: Expression, type: VectorType, at: ast.AST) -> Expression:
-        if isinstance(part.type, ScalarType) and part.type is not BOOL:
-            wanted: Type = type.scalar
-        elif isinstance(part.type, ScalarType | VectorType):
-            wanted = with_scalar(part.type, type.scalar)
-        else:
-            wanted = type
-        return self.convert(part, wanted, at)
+
+def _component(parser: FunctionParser, part: Expression, type: VectorType, at: ast.AST) -> Expression:
+    if isinstance(part.type, ScalarType) and part.type is not BOOL:
+        wanted: Type = type.scalar
+    elif isinstance(part.type, ScalarType | VectorType):
+        wanted = with_scalar(part.type, type.scalar)
+    else:
+        wanted = type
+    return parser.convert(part, wanted, at)
 
 
 def _method_tip(name: str) -> str:

@@ -1,28 +1,29 @@
 """The parser of one stage of a shader, from the class to a `tree.StageTree`.
 
 - Methods are looked up along the MRO of the shader, so a stage in a base calls the override in a subclass.
-- A function is compiled once per stage for each combination of argument types it is called with.
 - The resources that a stage uses are collected from the finished tree, so code that a constant condition removes
   doesn't count.
 """
 
 from __future__ import annotations
 
-import ast
 import math
 from types import FunctionType
 from typing import Final
 
 from rhi.contract.descriptors import Stage
-from rhi.contract.layout import INT, ArrayType, StructType
+from rhi.contract.layout import INT, ArrayType, HostType, StructType
 from rhi.shading.ir import tree
 from rhi.shading.language import rules
 from rhi.shading.language.builtins import Builtin, SideEffect
 from rhi.shading.language.shader import Shader, StorageClass, find_work_group
-from rhi.shading.language.source import Source, refuse_at, span_of
+from rhi.shading.language.source import refuse_at, source_of
 from rhi.shading.language.types import StorageType, Type, count_scalars, has_array
-from rhi.shading.parser.signatures import Callee, UnsizedArray, find_method
-from rhi.shading.parser.statements import FunctionParser
+from rhi.shading.parser import calls as calls  # what they parse
+from rhi.shading.parser import expressions as expressions
+from rhi.shading.parser import statements as statements
+from rhi.shading.parser.context import StageParser
+from rhi.shading.parser.signatures import Callee, UnsizedArray
 
 PIXELS: Final = 16
 """The invocations of a vertex or fragment stage that run together on a CPU."""
@@ -30,57 +31,27 @@ MAX_STACK: Final = 1 << 20
 """The greatest number of scalars in the local arrays of a work-group: 4 MiB, half of a thread's stack on Linux."""
 
 
-class StageParser:
-    """Parses the functions of one stage; the `StageContext` of their parsers."""
+def parse_stage(shader: type[Shader], stage: Stage, entry: Callee) -> tree.StageTree:
+    """Return the typed tree of the stage whose entry function is `entry`."""
+    types = []
+    for parameter in entry.signature.parameters:
+        if isinstance(parameter.type, UnsizedArray):
+            entry.source.refuse(rules.INTERFACE, entry.source.node, f"{parameter.name}: {parameter.type}")
+        types.append(parameter.type)
+    parser = StageParser(shader, stage)
+    function = parser.parse_function(entry, tuple(types))
+    return _collect(stage, function, parser.finished, shader)
 
-    def __init__(self, shader: type[Shader], stage: Stage) -> None:
-        self.shader = shader
-        self.stage = stage
-        self.instances: dict[tuple[FunctionType, tuple[Type, ...]], tree.Function] = {}
-        self.finished: list[tree.Function] = []
-        self.nesting = 0
 
-    def parse(self, entry: Callee) -> tree.StageTree:
-        """Return the stage whose entry function is `entry`."""
-        types = []
-        for parameter in entry.signature.parameters:
-            if isinstance(parameter.type, UnsizedArray):
-                entry.source.refuse(rules.INTERFACE, entry.source.node, f"{parameter.name}: {parameter.type}")
-            types.append(parameter.type)
-        function = self.parse_function(entry, tuple(types))
-        return _collect(self.stage, function, self.finished, self.shader)
-
-    # -- StageContext
-
-    def method(self, name: str, after: type | None) -> Callee | None:
-        return find_method(self.shader, name, after)
-
-    def instance(self, callee: Callee, types: tuple[Type, ...], at: ast.Call, caller: Source) -> tree.Function:
-        known = self.instances.get((callee.source.function, types))
-        if known is None:
-            return self.parse_function(callee, types)
-        if known not in self.finished:
-            caller.refuse(rules.RECURSION, at, f"{caller.name} calls {callee.source.name}")
-        return known
-
-    def check_stage(self, builtin: Builtin, at: ast.Call, caller: Source) -> None:
-        if self.stage not in builtin.stages:
-            allowed = ", ".join(sorted(stage.value for stage in builtin.stages))
-            given = f"{builtin.name} in the {self.stage.value} stage of {self.shader.__name__}"
-            caller.refuse(rules.STAGE, at, given, allowed)
-
-    def parse_function(self, callee: Callee, types: tuple[Type, ...]) -> tree.Function:
-        """Parse a function for arguments of these types, and the functions that it calls."""
-        source, described = callee.source, callee.signature
-        parameters = tuple(
-            tree.Local(parameter.name, type, is_parameter=True)
-            for parameter, type in zip(described.parameters, types, strict=True)
-        )
-        function = tree.Function(source.node.name, source.file, span_of(source.node), parameters, described.result)
-        self.instances[source.function, types] = function
-        FunctionParser(self, callee, function).parse()
-        self.finished.append(function)
-        return function
+def parse_function(function: FunctionType) -> tree.Function:
+    """Return the typed tree of a function that belongs to no shader."""
+    callee = Callee(source_of(function), None, False)
+    types = []
+    for parameter in callee.signature.parameters:
+        if not isinstance(parameter.type, HostType):
+            callee.source.refuse(rules.ANNOTATION, callee.source.node, f"{parameter.name}: {parameter.type}")
+        types.append(parameter.type)
+    return StageParser(Shader, Stage.COMPUTE).parse_function(callee, tuple(types))
 
 
 # -- the resources of a stage ---------------------------------------------------------------------------------------

@@ -59,7 +59,8 @@ class RaisedTwice(Straight):
 def test_a_stage_is_lowered_again_only_where_a_value_rose_after_it_was_used(
     shader: type[Shader], runs: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    stage = stage_trees(shader)[Stage.COMPUTE]
     lowered, entry = [], functions.lower_entry
     monkeypatch.setattr(functions, "lower_entry", lambda *given: lowered.append(given) or entry(*given))
-    lower_compute(stage_trees(shader)[Stage.COMPUTE], "shader", (64, 1, 1), 16)
+    lower_compute(stage, "shader", (64, 1, 1), 16)
     assert len(lowered) == runs

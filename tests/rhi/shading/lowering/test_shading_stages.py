@@ -41,6 +41,7 @@ from rhi.shading import (
     primitive_index,
     run_fragment,
     run_vertex,
+    stage_trees,
     uint,
     uniform,
     uvec2,
@@ -49,8 +50,8 @@ from rhi.shading import (
     vec4,
     vertex_index,
 )
+from rhi.shading import compile as compiler
 from rhi.shading.language import rules
-from rhi.shading.parser.stage import StageParser
 
 SHAPE = (8, 12)
 ROWS, COLUMNS = np.mgrid[: SHAPE[0], : SHAPE[1]]
@@ -681,10 +682,11 @@ def test_a_shader_of_which_both_stages_run_is_parsed_once(monkeypatch):
         def fragment(self) -> vec4:
             return vec4(0.25)
 
-    parsed, parse = [], StageParser.parse
-    monkeypatch.setattr(StageParser, "parse", lambda self, entry: parsed.append(self.stage) or parse(self, entry))
+    parsed, parse = [], compiler.parse_stage
+    monkeypatch.setattr(compiler, "parse_stage", lambda *given: parsed.append(given[1]) or parse(*given))
     for _ in range(2):
         assert run_vertex(Both).position.tolist() == [0.5] * 4
         (color,) = run_fragment(Both, fragment_coordinate=np.zeros((2, 2, 4))).outputs.values()
         assert color[0, 0].tolist() == [0.25] * 4
+        assert set(stage_trees(Both)) == {Stage.VERTEX, Stage.FRAGMENT}
     assert sorted(stage.value for stage in parsed) == ["fragment", "vertex"]
