@@ -95,8 +95,9 @@ class GlBackend:
         self._handle = self._find_current()
         self._is_current = True
         self._interrupted: Callable[[], None] = lambda: None
-        self._take_thread()
         self.context = context
+        self._take_thread()
+        context.mglo.__enter__()
         gl = self.gl = EntryPoints(context.mglo._context.load)
         found = query_capabilities(gl, context.version_code, context.extensions)
         self._capabilities = replace(found, shares_textures=shared is not None)
@@ -172,6 +173,7 @@ class GlBackend:
                 "let toolkits create windows with EGL, or release their context; release_current() on the other thread",
             )
         self._is_current = True
+        self._queries.resume()
         kind: type = type(self)
         if kind is _DormantGlBackend:
             self.__class__ = GlBackend
@@ -187,9 +189,18 @@ class GlBackend:
         thread = get_ident()
         holder = _holders.get(thread)
         if holder is not None and holder is not self:
+            holder._suspend_queries()
             holder._leave_thread()
             holder._interrupted()
         _holders[thread] = self
+
+    def _suspend_queries(self) -> None:
+        """Let queries count nothing that another device draws. It makes this backend's context current for that."""
+        if self._queries.is_active:
+            if self._find_current() != self._handle:
+                self.context.mglo.__enter__()
+            if self._find_current() == self._handle:  # it isn't if it is current on another thread
+                self._queries.suspend()
 
     def resume(self) -> bool:
         """See `rhi.contract.backend.HoldsContext`."""

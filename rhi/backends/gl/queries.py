@@ -6,6 +6,8 @@
   which is the thesis's emulation (4.4.2).
 - If a query begins again while llvmpipe is still counting for it, llvmpipe adds both counts. So a query that begins
   before its last result is available gets another GL query.
+- Some GPUs have one counter for all contexts of a process: NVIDIA's driver adds what another context draws to a query
+  that is active here. So none stays active while another device's context draws (`suspend`, `resume`).
 """
 
 from __future__ import annotations
@@ -138,6 +140,7 @@ class Queries:
         self._counters = 0  # COUNTER queries that exist
         self._counter = SampleCounter(self._begin_segment, self._end_segment, self._poll, self._spare.append)
         self._active: GlQuery | None = None
+        self._is_suspended = False
         self._no_samples = self._begin_segment()  # a query that counts no samples
         self._end_segment()
 
@@ -145,6 +148,11 @@ class Queries:
     def is_counting(self) -> bool:
         """Whether the sample counter is running, so that occlusion queries are differences of it."""
         return self._counter.is_running
+
+    @property
+    def is_active(self) -> bool:
+        """Whether a query of GL counts now."""
+        return self._counter.is_running or self._active is not None
 
     def __getitem__(self, query: Id) -> GlQuery:
         return self._queries[query]
@@ -212,6 +220,19 @@ class Queries:
         elif self._active is not None:
             self._end_segment()
         self._active = None
+
+    def suspend(self) -> None:
+        """End what counts until `resume`. An active query becomes a difference of counts, without what others draw."""
+        if self._active is not None and not self._counter.is_running:
+            self._start_counter()
+        self._counter.stop()
+        self._is_suspended = True
+
+    def resume(self) -> None:
+        """Count again, if `suspend` ended that."""
+        if self._is_suspended:
+            self._is_suspended = False
+            self._counter.start()
 
     def restore(self, condition: tuple[Id, bool] | None) -> None:
         """Make GL's active query and conditional rendering agree with this object again, after some calls may have

@@ -319,6 +319,7 @@ def test_draws_of_two_devices_may_alternate(device: Device, backend: str) -> Non
 
 
 def test_points_of_two_devices_are_counted_by_their_own_queries(device: Device, backend: str) -> None:
+    """Draws alternate, and a device is created and closed while both queries are active."""
     if not device.capabilities.occlusion_queries:
         pytest.skip(f"{backend} declares no occlusion_queries")
     rows = corners(centers([(i, 0) for i in range(8)], SIZE))
@@ -332,6 +333,17 @@ def test_points_of_two_devices_are_counted_by_their_own_queries(device: Device, 
             a.draw(pa, ma.view(0, na))
             b.draw(pb, mb.view(0, nb))
         assert (qa.wait(), qb.wait()) == (na, nb)
+        with a.render_pass(ia), b.render_pass(ib), qa, qb:
+            for i in range(na):
+                a.draw(pa, ma.view(i, 1))
+                b.draw(pb, mb.view(i, 2))
+            with rhi.create_device(backend):
+                b.draw(pb, mb.view(0, 1))
+            a.draw(pa, ma.view(0, 2))
+        assert (qa.wait(), qb.wait()) == (na + 2, 2 * na + 1)
+        with a.render_pass(ia), qa:  # and once more alone
+            a.draw(pa, ma.view(0, 4))
+        assert qa.wait() == 4
         for resource in (ia, ma, qa):
             resource.destroy()
 

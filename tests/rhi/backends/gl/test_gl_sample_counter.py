@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import ctypes
+
 import pytest
 from gl_kit import FULL, GlKit, describe_program
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rhi.backends.gl import create_backend
+from rhi.backends.gl import create_backend, enums
 from rhi.backends.gl.queries import SampleCounter
-from rhi.contract.descriptors import Id, QueryKind
+from rhi.contract.descriptors import BufferDescriptor, Id, QueryKind
 from rhi.contract.states import CullMode
 
 
@@ -191,3 +193,38 @@ def test_no_query_is_active_when_the_context_goes(kind: QueryKind, monkeypatch: 
     assert len(active) == 1
     kit.backend.close()
     assert not active
+
+
+@pytest.mark.parametrize("kind", [QueryKind.OCCLUSION, QueryKind.COUNTER])
+@pytest.mark.parametrize("is_new", [False, True], ids=["drawing", "created"])
+def test_no_query_is_active_while_another_device_has_the_thread(gl_kit: GlKit, kind: QueryKind, is_new: bool) -> None:
+    """Drivers of some GPUs would add what the other draws. llvmpipe doesn't, so counts alone can't show it here."""
+
+    def find_active() -> int:
+        active = ctypes.c_int()
+        gl_kit.backend.context.mglo.__enter__()
+        gl_kit.backend.gl.GetQueryiv(enums.SAMPLES_PASSED, enums.CURRENT_QUERY, ctypes.byref(active))
+        other.context.mglo.__enter__()
+        return active.value
+
+    other = None if is_new else create_backend()
+    program, query = gl_kit.program(describe_program()), gl_kit.query(kind)
+    shape = gl_kit.shape(program, FULL)
+    gl_kit.begin(gl_kit.texture())
+    gl_kit.set(CullMode.NONE)
+    gl_kit.backend.bind_program(program)
+    if kind is QueryKind.OCCLUSION:
+        gl_kit.backend.begin_query(query)
+    gl_kit.draw(shape)
+    other = other or create_backend()
+    other.create_buffer(901, BufferDescriptor(64))
+    assert find_active() == 0
+    gl_kit.draw(shape)
+    assert find_active() != 0  # and counts again
+    other.activate()
+    if kind is QueryKind.OCCLUSION:
+        gl_kit.backend.end_query(query)
+    else:
+        gl_kit.backend.write_query(query)
+    assert gl_kit.answer(query) == 128
+    other.close()
