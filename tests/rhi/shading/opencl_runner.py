@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache, lru_cache
@@ -65,7 +66,9 @@ def build_text(text: str, options: Sequence[str] = ()) -> cl.Program:
         options = (*options, *QUICK)
     cache = KernelCache(None, "", declares=caches_kernels(device) and declares_kernels(device))
     source, options = cache.request(text, ["-w", *options]).write()
-    return cl.Program(queue().context, source).build(list(options))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", cl.CompilerWarning)  # some drivers log what they think of register use
+        return cl.Program(queue().context, source).build(list(options))
 
 
 @lru_cache(64)
