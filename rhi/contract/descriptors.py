@@ -231,6 +231,11 @@ class VertexFormat(Choice):
         self.normalized = normalized
         self.kind = kind
 
+    @property
+    def size(self) -> int:
+        """The number of bytes that an attribute takes."""
+        return self.components * int(self.code[1:])
+
 
 @dataclass(frozen=True, slots=True)
 class VertexAttribute:

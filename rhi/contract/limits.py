@@ -17,6 +17,7 @@ from rhi.contract.descriptors import (
     DRAW,
     Attachment,
     BindingKind,
+    BufferId,
     DepthAttachment,
     Id,
     PassDescriptor,
@@ -27,6 +28,7 @@ from rhi.contract.descriptors import (
     Stage,
     TextureDescriptor,
     TextureKind,
+    VertexArrayDescriptor,
     Wrap,
 )
 from rhi.contract.states import (
@@ -53,7 +55,11 @@ from rhi.errors.rules import (
     BUFFER_RANGE,
     DEVICE_CAPABILITY,
     DISPATCH_SIZE,
+    DRAW_COUNT,
     INDIRECT_RANGE,
+    MESH_ATTRIBUTE,
+    MESH_DATA,
+    MESH_RANGE,
     PASS_CLEAR,
     PASS_SAMPLES,
     PASS_SIZE,
@@ -309,6 +315,72 @@ def range_faults(kind: BindingKind, offset: int, size: int, least: int, limits: 
     alignment = limits.uniform_alignment if uniform else limits.storage_alignment
     if not least <= size <= most or offset % alignment:
         yield Fault(BINDING_SIZE, f"{size} bytes at {offset}", f"{least} to {most} bytes at a multiple of {alignment}")
+
+
+MAX_ELEMENTS: Final = (1 << 31) - 1
+"""The most vertices, instances or indices of a draw."""
+MAX_STRIDE: Final = 1 << 14
+
+
+class ElementCounts(NamedTuple):
+    """How many elements a draw can read of the buffers of a vertex array; `MAX_ELEMENTS` if it reads none."""
+
+    vertices: int
+    instances: int
+    indices: int
+
+
+def count_elements(descriptor: VertexArrayDescriptor, sizes: Callable[[BufferId], int]) -> ElementCounts:
+    """Return how many vertices, instances and indices lie in the buffers of a vertex array, given their `sizes`."""
+    least = {False: MAX_ELEMENTS, True: MAX_ELEMENTS}
+    for stream in descriptor.streams:
+        room = sizes(stream.buffer) - stream.offset
+        for attribute in stream.attributes:
+            rest = room - attribute.offset - attribute.format.size
+            count = 0 if rest < 0 else rest // stream.stride + 1 if stream.stride else MAX_ELEMENTS
+            least[stream.per_instance] = min(least[stream.per_instance], count)
+    indices = MAX_ELEMENTS
+    if descriptor.index_buffer:
+        indices = sizes(descriptor.index_buffer) // descriptor.index_format.size
+    return ElementCounts(least[False], least[True], indices)
+
+
+def vertex_array_faults(descriptor: VertexArrayDescriptor, sizes: Callable[[BufferId], int]) -> Faults:
+    """Yield what is wrong with the places of attributes in buffers of these `sizes`."""
+    for stream in descriptor.streams:
+        if not 0 <= stream.stride <= MAX_STRIDE:
+            yield Fault(MESH_DATA, f"stride {stream.stride}", f"0 to {MAX_STRIDE}")
+        if not 0 <= stream.offset <= sizes(stream.buffer):
+            yield Fault(BUFFER_RANGE, f"vertices from byte {stream.offset}", f"within {sizes(stream.buffer)} bytes")
+        for attribute in stream.attributes:
+            end = attribute.offset + attribute.format.size
+            if attribute.offset < 0 or (stream.stride and end > stream.stride):
+                yield Fault(MESH_ATTRIBUTE, f"{attribute}", f"inside an element of {stream.stride} bytes")
+            if stream.offset + end > sizes(stream.buffer):
+                allowed = f"one element or more within {sizes(stream.buffer)} bytes"
+                yield Fault(BUFFER_RANGE, f"{attribute} from byte {stream.offset}", allowed)
+
+
+def draw_faults(
+    elements: ElementCounts, indexed: bool, first: int, count: int, instances: int, base_vertex: int, base_instance: int
+) -> Faults:
+    """Yield why a draw can't read its elements. Of an indexed draw, the indices aren't known here: devices clamp
+    them."""
+    numbers = (first, count, instances, base_instance)
+    if min(numbers) < 0 or max(numbers) > MAX_ELEMENTS or abs(base_vertex) > MAX_ELEMENTS:
+        given = f"first {first}, count {count}, instances {instances}, bases {base_vertex} and {base_instance}"
+        yield Fault(DRAW_COUNT, given, f"numbers from 0 to {MAX_ELEMENTS}, a base vertex up to {MAX_ELEMENTS}")
+    if not (count and instances):
+        return
+    most = elements.indices if indexed else elements.vertices
+    if first + count > most:
+        yield Fault(MESH_RANGE, f"first {first}, count {count}", f"within {most} elements")
+    if base_instance + instances > elements.instances:
+        given = f"{instances} instances from {base_instance}"
+        yield Fault(MESH_RANGE, given, f"within {elements.instances} of the mesh's data per instance")
+    if base_vertex and (not indexed or base_vertex >= elements.vertices):
+        allowed = f"below {elements.vertices}" if indexed else "0 for a mesh without indices"
+        yield Fault(MESH_RANGE, f"base vertex {base_vertex}", allowed)
 
 
 def indirect_faults(draws: int, offset: int, stride: int, count_offset: int, size: int) -> Faults:

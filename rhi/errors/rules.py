@@ -107,7 +107,7 @@ LOCK_CLOSED: Final = Rule("lock-closed", "the lock is not open", "use the array 
 
 MESH_DATA: Final = Rule("mesh-data", "the arrays don't form a mesh")
 MESH_INDEX: Final = Rule("mesh-index", "the indices don't fit the vertices")
-MESH_RANGE: Final = Rule("mesh-range", "the view lies outside the mesh")
+MESH_RANGE: Final = Rule("mesh-range", "the view or draw lies outside the mesh")
 MESH_ATTRIBUTE: Final = Rule("mesh-attribute", "the mesh doesn't provide the inputs of the program's vertex stage")
 PROGRAM_STAGE: Final = Rule("program-stage", "the program lacks the stage that this call executes")
 PROGRAM_OUTPUT: Final = Rule("program-output", "the outputs of the fragment stage don't match the targets of the pass")

@@ -12,6 +12,7 @@ import re
 import zipfile
 import zlib
 from pathlib import Path
+from tokenize import TokenError
 from types import TracebackType
 from typing import Any, Final, NoReturn, Self
 
@@ -143,7 +144,7 @@ class ArchiveReader:
                 (2, 0): np.lib.format.read_array_header_2_0,
             }[version]
             shape, fortran, dtype = read_header(file)
-        except (ValueError, KeyError, SyntaxError, TypeError, RecursionError, MemoryError) as error:
+        except (ValueError, KeyError, SyntaxError, TypeError, RecursionError, MemoryError, TokenError) as error:
             self.refuse(TRACE_ARRAY, f"{name}: {str(error).splitlines()[:1] or type(error).__name__}", "a .npy of 1.0")
         if dtype.kind not in "uif" or fortran or any(size < 0 for size in shape):
             self.refuse(TRACE_ARRAY, f"{name}: {dtype}, shape {shape}", "plain numbers in C order")

@@ -68,6 +68,7 @@ def _make_parser() -> argparse.ArgumentParser:
     replay_parser.add_argument("file", type=Path, metavar="F.zip")
     replay_parser.add_argument("--backend", metavar="NAME", help="default: RHI_BACKEND, or the first that works")
     replay_parser.add_argument("--output", type=Path, metavar="F.png", help="write the last presented image")
+    _add_trust(replay_parser)
     diff_parser = commands.add_parser("diff", help="print what the second trace does differently")
     diff_parser.set_defaults(run=_diff)
     diff_parser.add_argument("a", type=Path, metavar="A.zip")
@@ -80,7 +81,14 @@ def _make_parser() -> argparse.ArgumentParser:
     )
     reduce_parser.add_argument("--output", type=Path, metavar="F.zip", help="write the small trace")
     reduce_parser.add_argument("--test", type=Path, metavar="test_F.py", help="write it as a pytest file")
+    _add_trust(reduce_parser)
     return parser
+
+
+def _add_trust(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--trust", action="store_true", help="run the shaders of the file; only if you know who made it"
+    )
 
 
 def _show(options: argparse.Namespace) -> int:
@@ -95,7 +103,7 @@ def _show(options: argparse.Namespace) -> int:
 
 
 def _replay(options: argparse.Namespace) -> int:
-    trace = load(options.file)
+    trace = load(options.file, trusted=options.trust)
     with rhi.create_device(options.backend) as device:
         result = replay(trace, on=device)
         print(f"{result.commands} commands replayed on {device.backend_name}", file=sys.stderr)
@@ -121,7 +129,7 @@ def _diff(options: argparse.Namespace) -> int:
 
 
 def _reduce(options: argparse.Namespace) -> int:
-    trace, predicate = load(options.file), _import(options.predicate)
+    trace, predicate = load(options.file, trusted=options.trust), _import(options.predicate)
     small = reduce(trace, predicate)
     print(f"{len(trace)} commands reduced to {len(small)}", file=sys.stderr)
     if options.output is not None:

@@ -2,7 +2,10 @@
 
 - The contract is the schema: the types are those of the signatures of `Backend` and of the descriptors' fields.
   Arguments are written without type tags and read back as the declared type only. So a file can't create anything but
-  plain values, enums and descriptors.
+  plain values, enums and descriptors. Nothing is imported, and no function called, because a file names it: states of
+  one platform are found in a table.
+- The sources of a program are text that a driver compiles and runs. Those of a file are only handed out if the file
+  is trusted (`Sources`).
 - An enum is written as its member's name, a descriptor as an object of its fields, a tuple as an array. A missing field
   gets its default, so descriptors can gain fields without a new version of the format.
 """
@@ -11,23 +14,30 @@ from __future__ import annotations
 
 import dataclasses
 import enum
+import re
 import types
 from collections.abc import Sequence
-from contextlib import suppress
 from functools import cache
+from importlib import import_module
 from typing import Any, Final, Union, get_args, get_origin, get_type_hints
 
 from rhi.commands.ops import Op
 from rhi.contract.backend import Backend
-from rhi.contract.descriptors import Attribute, Binding, ProgramDescriptor, Stage, StageText
+from rhi.contract.descriptors import Attribute, Binding, ProgramDescriptor, Stage, StageText, TextureKind
+from rhi.contract.formats import Format
+from rhi.contract.layout import FLOAT, INT, UINT
 from rhi.contract.states import MAX_TARGETS, PER_TARGET, STATE_TYPES, PlatformState, StateChange
-from rhi.device.registry import find_function
 from rhi.errors import RhiError, ShaderError
-from rhi.trace.rules import TRACE_SOURCE
+from rhi.shading.language.types import VECTORS, ImageType
+from rhi.trace.rules import TRACE_SOURCE, TRACE_TRUST
 
 LANGUAGES: Final = ("glsl", "opencl1", "opencl4", "opencl8", "opencl16")
 """Languages in which the stages of a program are saved, as far as they exist in them."""
 
+_PLATFORM_MODULES: Final = {"gl": "rhi.backends.gl.platform_states"}
+"""The modules that are imported for the states of a platform: ours only, whatever a file says."""
+_ATTRIBUTE_TYPES: Final[dict[str, object]] = {str(type): type for type in (FLOAT, INT, UINT, *VECTORS.values())}
+_TEXTURE_TYPE: Final = re.compile(r"(?:Depth|Int|Uint)?(?:Texture|Image)(2D|2DArray|3D|Cube)(?:\[(\w+)\])?")
 _STATES: Final = {state_type.__name__: state_type for state_type in STATE_TYPES}
 
 
@@ -72,6 +82,8 @@ def encode(value: Any) -> Any:
     if isinstance(value, (Binding, Attribute)):
         fields = [field.name for field in dataclasses.fields(value) if field.name != "type"]
         name = getattr(value.type, "__name__", None) or str(value.type)
+        if isinstance(value.type, ImageType):
+            name = f"{name}[{value.type.format.name}]"
         return {field: encode(getattr(value, field)) for field in fields} | {"type": name}
     if dataclasses.is_dataclass(value):
         return {field.name: encode(getattr(value, field.name)) for field in dataclasses.fields(value)}
@@ -100,6 +112,8 @@ def decode(wanted: Any, given: Any, where: str) -> Any:
         if not isinstance(given, str) or given not in wanted.__members__:
             raise MismatchError(f"{where}: {_show(given)} is no {wanted.__name__}")
         return wanted[given]
+    if wanted is Attribute:
+        return _decode_attribute(given, where)
     if dataclasses.is_dataclass(wanted):
         return _decode_dataclass(wanted, given, where)  # type: ignore[arg-type]
     if wanted is float:
@@ -148,6 +162,23 @@ def _decode_dataclass(cls: type, given: Any, where: str) -> Any:
         raise MismatchError(f"{where}: {str(error).splitlines()[0]}") from None
 
 
+def _decode_attribute(given: Any, where: str) -> Attribute:
+    attribute: Attribute = _decode_dataclass(Attribute, given, where)
+    found = _ATTRIBUTE_TYPES.get(str(attribute.type))
+    if found is None:
+        raise MismatchError(f"{where}: {_show(attribute.type)} is no scalar or vector")
+    return dataclasses.replace(attribute, type=found)
+
+
+def read_image_type(text: str) -> tuple[TextureKind, Format | None] | None:
+    """Return the kind of a texture or image that a binding's type names, and the format of an image, None if it isn't
+    written; None if the text isn't the name of such a type."""
+    match = _TEXTURE_TYPE.fullmatch(text)
+    if match is None:
+        return None
+    return TextureKind(match[1].lower().replace("array", "_array")), Format.__members__.get(match[2] or "")
+
+
 def _decode_change(given: Any, where: str) -> StateChange:
     if not isinstance(given, dict) or given.keys() != {"type", "value"} or given["type"] not in _STATES:
         raise MismatchError(f"{where}: {_show(given)} is no change of a state")
@@ -163,15 +194,15 @@ def _decode_change(given: Any, where: str) -> StateChange:
 
 
 def _find_platform_state(name: str, where: str) -> PlatformState:
-    """Return a platform's state by its full name; its backend's package is imported."""
+    """Return a platform's state by its full name. Those of other packages are known once these are imported."""
     platform, _, _ = name.partition(".")
-    with suppress(RhiError):
-        find_function(platform)
+    if platform in _PLATFORM_MODULES:
+        import_module(_PLATFORM_MODULES[platform])
     for state_type in PlatformState.__subclasses__():
         for state in state_type:
             if state.full_name == name:
                 return state
-    raise MismatchError(f"{where}: no backend has the state {_show(name)}")
+    raise MismatchError(f"{where}: no backend that is imported has the state {_show(name)}")
 
 
 def _decode_program(given: Any, where: str) -> ProgramDescriptor:
@@ -194,27 +225,41 @@ def _show(value: Any) -> str:
 
 
 class Sources:
-    """The sources of a loaded program, in place of the shader class that emitted them."""
+    """The sources of a loaded program, in place of the shader class that emitted them.
 
-    def __init__(self, name: str) -> None:
+    Attributes:
+        texts: the sources by language and stage.
+        trusted: whether whoever loaded the file trusts its author: a driver compiles the sources and runs them as
+            they are.
+    """
+
+    def __init__(self, name: str, trusted: bool = False) -> None:
         self.name = name
+        self.trusted = trusted
         self.texts: dict[tuple[str, Stage], str] = {}
 
     def emit(self, language: str, stage: Stage) -> StageText:
         """Return the source of a stage; see `ProgramDescriptor.emit`.
 
         Raises:
-            ShaderError: `trace-source` if the trace has no source in this language.
+            ShaderError: `trace-source` if the trace has no source in this language, `trace-trust` if the file isn't
+                trusted.
         """
+        call = f"program {self.name!r}, {stage.value} stage"
         text = self.texts.get((language, stage))
         if text is None:
             had = ", ".join(sorted({language for language, _ in self.texts})) or "none"
-            raise ShaderError(TRACE_SOURCE, f"program {self.name!r}, {stage.value} stage", language, had)
+            raise ShaderError(TRACE_SOURCE, call, language, had)
+        if not self.trusted:
+            raise ShaderError(TRACE_TRUST, call, f"its {language} of an untrusted file")
         return StageText(text)
 
 
 def sources_of(descriptor: ProgramDescriptor) -> dict[tuple[str, Stage], str]:
     """Return the sources of a program, in all languages in which it can be emitted."""
+    owner = getattr(descriptor.emit, "__self__", None)
+    if isinstance(owner, Sources):
+        return owner.texts
     found: dict[tuple[str, Stage], str] = {}
     for language in LANGUAGES:
         for stage in Stage:  # in their order: equal traces are equal files
@@ -228,5 +273,5 @@ def sources_of(descriptor: ProgramDescriptor) -> dict[tuple[str, Stage], str]:
 
 
 __all__ = [
-    "LANGUAGES", "MismatchError", "Sources", "argument_types", "decode", "encode", "sources_of",
+    "LANGUAGES", "MismatchError", "Sources", "argument_types", "decode", "encode", "read_image_type", "sources_of",
 ]  # fmt: skip

@@ -23,7 +23,7 @@ from typing_extensions import Buffer as BytesLike
 
 from rhi.commands.ops import Op
 from rhi.commands.stream import Command, CommandStream, Failure, Refusal, find_site
-from rhi.contract.descriptors import ProgramDescriptor, Region, TextureDescriptor
+from rhi.contract.descriptors import ProgramDescriptor, Region, Stage, TextureDescriptor
 from rhi.device.device import Device
 from rhi.errors import CallSite, refuse
 from rhi.trace.archive import COMMANDS, HEADER, MAX_BYTES, ArchiveReader, ArchiveWriter, source_name
@@ -51,10 +51,14 @@ class Trace:
     Attributes:
         stream: the commands, as an ordinary stream.
         backend: name of the backend on which the trace was recorded, "" if it is unknown.
+        file: the name of the file that it was loaded from, "" if it is a recording of this process.
+        trusted: whether devices may run its shaders: those of a file are text that anybody may have written.
     """
 
     stream: CommandStream
     backend: str = ""
+    file: str = ""
+    trusted: bool = True
 
     def __len__(self) -> int:
         return len(self.stream)
@@ -77,7 +81,7 @@ class Trace:
             kept.data.extend((op, *values, code, lasti))
             if failure is not None:
                 kept.failures[len(kept) - 1] = failure
-        return Trace(kept, self.backend)
+        return replace(self, stream=kept)
 
 
 def as_trace(source: Trace | Device | CommandStream) -> Trace:
@@ -181,22 +185,30 @@ def _texel_bytes(texture: TextureDescriptor, region: Region) -> int:
 # -- reading -------------------------------------------------------------------------------------------------
 
 
-def load(path: str | PathLike[str], *, max_bytes: int = MAX_BYTES) -> Trace:
-    """Read a trace, which may come from anybody. `max_bytes` limits its unpacked size.
+def load(path: str | PathLike[str], *, max_bytes: int = MAX_BYTES, trusted: bool = False) -> Trace:
+    """Read a trace, which may come from anybody. Nothing of it is executed or imported.
+
+    Args:
+        max_bytes: the limit of its unpacked size.
+        trusted: let devices compile and run its shaders. Those are text in the language of a driver, which can read
+            and write this process's memory on OpenCL; so only for files of authors whom you know. Everything else is
+            checked all the same.
 
     Raises:
         ValidationError: the file is damaged, too large, or not a trace (rules `trace-…`).
         OSError: the file can't be opened.
     """
     with ArchiveReader(Path(path), max_bytes) as reader:
-        return _Loader(reader).load()
+        return _Loader(reader, Path(path).name, trusted).load()
 
 
 class _Loader:
     """Reads one trace file."""
 
-    def __init__(self, reader: ArchiveReader) -> None:
+    def __init__(self, reader: ArchiveReader, file: str, trusted: bool) -> None:
         self.reader = reader
+        self.file = file
+        self.trusted = trusted
         self.stream = CommandStream()
         self.validator = SequenceValidator()
         self.arrays: dict[int, NDArray[Any]] = {}
@@ -212,7 +224,7 @@ class _Loader:
         for name, count in found.items():
             if count != header[name]:
                 self.reader.refuse(TRACE_COUNT, f"{count} {name}", f"{header[name]}, as its header says")
-        return Trace(self.stream, header["backend"])
+        return Trace(self.stream, header["backend"], self.file, self.trusted)
 
     def _read_header(self) -> dict[str, Any]:
         header = self._parse(HEADER, self.reader.read_text(HEADER))
@@ -305,8 +317,9 @@ class _Loader:
 
     def _read_sources(self, program: int, descriptor: ProgramDescriptor) -> None:
         sources: Sources = descriptor.emit.__self__  # type: ignore[attr-defined]
+        sources.trusted = self.trusted
         for language in LANGUAGES:
-            for stage in descriptor.stages:
+            for stage in (stage for stage in Stage if stage in descriptor.stages):
                 name = source_name(program, stage.value, language)
                 if name in self.reader:
                     sources.texts[language, stage] = self.reader.read_text(name)

@@ -161,7 +161,7 @@ def write_test(trace: Trace, path: str | PathLike[str], predicate: Callable[[Tra
         f"def test_{name}(tmp_path):\n"
         '    file = tmp_path / "trace.zip"\n'
         "    file.write_bytes(base64.b85decode(TRACE))\n"
-        f"    assert not {name}(load(file))",
+        f"    assert not {name}(load(file{', trusted=True' if trace.trusted else ''}))",
     ]
     Path(path).write_text("\n\n\n".join(lines) + "\n")
 

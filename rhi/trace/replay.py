@@ -4,6 +4,8 @@
   be used afterwards: its states are restored, passes and labels that the trace left open are ended.
 - Ring memory (`BufferUsage.STREAM`) becomes plain memory, whose writes are in order. A ring relies on the fences of the
   device on which it was recorded.
+- The shaders of a file run only if the file is trusted. The arguments of its indirect draws and dispatches are read
+  back and checked before each of them: a device would execute whatever they say.
 - A call that failed when it was recorded is executed, too; if it fails again, that is noted and not raised. A refused
   call never became a command, so it is only reported.
 """
@@ -11,6 +13,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -21,17 +24,30 @@ from numpy.typing import NDArray
 from rhi.commands.context import StreamContext
 from rhi.commands.ops import CLOSES, CREATIONS, ID_ARGUMENTS, WIDTHS, Op
 from rhi.commands.stream import CommandStream, Failure, Refusal
-from rhi.contract.descriptors import BufferDescriptor, BufferUsage, Id, Region, TextureDescriptor
+from rhi.contract.descriptors import (
+    DRAW,
+    DRAW_UNINDEXED,
+    BufferDescriptor,
+    BufferUsage,
+    Id,
+    ProgramDescriptor,
+    Region,
+    TextureDescriptor,
+    VertexArrayDescriptor,
+)
+from rhi.contract.limits import Faults, dispatch_faults, draw_faults
+from rhi.contract.queries import list_draws
 from rhi.contract.states import STATE_TYPES, StateChange, default_values
 from rhi.device.device import Device
 from rhi.errors import RhiError, refuse
 from rhi.errors.rules import PASS_OPEN
 from rhi.trace.file import Trace, as_trace
 from rhi.trace.ids import map_ids
-from rhi.trace.validation import check_capabilities
+from rhi.trace.rules import TRACE_REFERENCE, TRACE_TRUST
+from rhi.trace.validation import check_capabilities, find_elements, work_faults
 
-_FOLLOWED: Final = frozenset({Op.SET_STATES, *CLOSES, *CLOSES.values()})
-_ONCE: Final = _FOLLOWED | {Op.DESTROY, Op.SIGNAL, Op.WAIT, Op.PRESENT}
+_FOLLOWED: Final = frozenset({Op.SET_STATES, Op.BIND_PROGRAM, *CLOSES, *CLOSES.values()})
+_ONCE: Final = _FOLLOWED - {Op.BIND_PROGRAM} | {Op.DESTROY, Op.SIGNAL, Op.WAIT, Op.PRESENT}
 """The commands that aren't executed again if they failed."""
 
 
@@ -61,7 +77,9 @@ def replay(source: Trace | Device | CommandStream, *, on: Device) -> Replay:
 
     Raises:
         ValidationError: `trace-capability` if the device lacks a capability that the trace needs, `trace-incomplete`
-            for a stream without its beginning, `pass-open` inside a render pass. No command was executed then.
+            for a stream without its beginning, `pass-open` inside a render pass, `trace-trust` for a file with shaders
+            that isn't trusted, on a device that runs shaders. No command was executed then.
+        ValidationError: `trace-reference` for indirect arguments of a file that reach beyond what exists.
         RhiError: the error of a command that succeeded when it was recorded. A note names the command.
     """
     trace = as_trace(source)
@@ -71,7 +89,10 @@ def replay(source: Trace | Device | CommandStream, *, on: Device) -> Replay:
         refuse(PASS_OPEN, "rhi.trace.replay", "a device with an open render pass")
     stream = trace.stream
     check_capabilities(stream, on.capabilities)
-    player = _Player(stream, on)
+    runs_shaders = on.capabilities.shading
+    if runs_shaders and not trace.trusted and stream.filter(Op.CREATE_PROGRAM):
+        refuse(TRACE_TRUST, f"rhi.trace.replay on {on.backend_name}", f"{trace.file!r}, loaded without trusted=True")
+    player = _Player(stream, on, checks_indirect=runs_shaders and bool(trace.file))
     try:
         player.play()
     finally:
@@ -82,8 +103,9 @@ def replay(source: Trace | Device | CommandStream, *, on: Device) -> Replay:
 class _Player:
     """The state of one replay."""
 
-    def __init__(self, stream: CommandStream, device: Device) -> None:
+    def __init__(self, stream: CommandStream, device: Device, checks_indirect: bool) -> None:
         self.stream = stream
+        self.checks_indirect = checks_indirect
         self.core = device._core
         self.result = Replay(refusals=stream.refusals)
         self.context = StreamContext()
@@ -100,7 +122,7 @@ class _Player:
         self.set_states(self.before, default_values())
         own = {
             Op.DESTROY: self.destroy, Op.SIGNAL: self.signal, Op.WAIT: self.wait, Op.PRESENT: self.present,
-            Op.DRAW_INDIRECT: self.call,
+            Op.DRAW_INDIRECT: self.draw_indirect, Op.DISPATCH_INDIRECT: self.dispatch_indirect,
         }  # fmt: skip
         handlers: list[Callable[[Op, list[Any]], None] | None] = [
             self.create if op in CREATIONS else self.follow if op in _FOLLOWED else own.get(op) for op in Op
@@ -170,6 +192,7 @@ class _Player:
 
     def destroy(self, op: Op, values: list[Any]) -> None:
         self.core.backend.destroy(self.result.ids.pop(values[0]))
+        self.context.follow(op, values)
 
     def follow(self, op: Op, values: list[Any]) -> None:
         """Follow states, and what begins and ends."""
@@ -183,6 +206,41 @@ class _Player:
             (value and ids[value]) if i in places else map_ids(value, ids.__getitem__) for i, value in enumerate(values)
         )
         self.methods[op](*translated)
+
+    def draw_indirect(self, op: Op, values: list[Any]) -> None:
+        """Draw, after a look at the arguments."""
+        vertex_array, _, buffer, offset, draws, stride, count_buffer, count_offset = values
+        made = self.context.resources[vertex_array]
+        if self.checks_indirect and isinstance(made, VertexArrayDescriptor):
+            if count_buffer:
+                count = self.core.backend.read_buffer(self.result.ids[count_buffer], count_offset, 4)
+                draws = min(draws, int(np.frombuffer(count, np.uint32)[0]))
+            record = DRAW if made.index_buffer else DRAW_UNINDEXED
+            data = self.read(buffer, offset, (draws - 1) * stride + record.itemsize) if draws else b""
+            elements = find_elements(self.context.resources, made)
+            for draw in list_draws(np.ndarray((draws,), record, data, strides=(stride,))):
+                self.require(draw_faults(elements, bool(made.index_buffer), *draw))
+                self.require(work_faults(draw[1] * draw[2]))
+        self.call(op, values)
+
+    def dispatch_indirect(self, op: Op, values: list[Any]) -> None:
+        """Dispatch, after a look at the number of groups."""
+        program = self.context.resources[self.context.program]
+        if self.checks_indirect and isinstance(program, ProgramDescriptor):
+            groups: list[int] = np.frombuffer(self.read(values[0], values[1], 12), np.uint32).tolist()
+            self.require(dispatch_faults(groups, f"{groups}", self.core.capabilities))
+            self.require(work_faults(math.prod(groups) * math.prod(program.work_group)))
+        self.call(op, values)
+
+    def read(self, buffer: Id, offset: int, size: int) -> bytes:
+        """Return bytes of a buffer of the trace."""
+        return self.core.backend.read_buffer(self.result.ids[buffer], offset, size)
+
+    def require(self, faults: Faults) -> None:
+        """Refuse the trace for the first fault of the arguments in a buffer."""
+        for fault in faults:
+            call = f"rhi.trace.replay on {self.core.capabilities.backend}"
+            refuse(TRACE_REFERENCE, call, f"indirect arguments: {fault.given}", fault.allowed)
 
     def signal(self, op: Op, values: list[Any]) -> None:
         self.fences[values[0]] = self.core.timeline.signal()

@@ -32,3 +32,8 @@ TRACE_PREDICATE: Final = Rule(
     "the predicate can't be used to reduce the trace",
     "pass a function of a trace that is true for it",
 )
+TRACE_TRUST: Final = Rule(
+    "trace-trust",
+    "the shaders of a file run as they are, and the file isn't trusted",
+    "if you know its author: load(…, trusted=True), or --trust; the null device replays it without its shaders",
+)

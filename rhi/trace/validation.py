@@ -6,13 +6,15 @@ same is checked here again, on plain data.
 - `SequenceValidator` follows the commands while a file is loaded: resources exist and are what the contract's
   annotations say, passes, labels and queries are paired, and arguments obey the rules of `rhi.contract.limits`, as far
   as they are those of every device. Not checked is what only a driver knows (whether a shader compiles) and what only
-  the GPU sees (the values of indices and indirect arguments).
+  the GPU sees: indices, which devices clamp, and indirect arguments, which `replay` reads.
 - `check_capabilities` checks a loaded trace by the same rules with the limits of the device that is to replay it,
-  before the first command is issued.
+  before the first command is issued; and that what draws and dispatches read exists and is as large as their program
+  says. (A part of a trace, with bindings left out, still loads: it may be replayed where no shader runs.)
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, Final, TypeAlias, TypeVar
@@ -27,21 +29,27 @@ from rhi.contract.descriptors import (
     BufferDescriptor,
     Id,
     PassDescriptor,
+    Primitive,
     ProgramDescriptor,
     QueryKind,
     Region,
     Stage,
     TextureDescriptor,
+    TextureKind,
     VertexArrayDescriptor,
 )
+from rhi.contract.layout import VectorType
 from rhi.contract.limits import (
     ANY_DEVICE,
+    ElementCounts,
     Fault,
     Faults,
     buffer_copy_faults,
     condition_faults,
+    count_elements,
     count_faults,
     dispatch_faults,
+    draw_faults,
     indirect_dispatch_faults,
     indirect_faults,
     level_faults,
@@ -61,11 +69,15 @@ from rhi.contract.limits import (
     state_faults,
     texture_copy_faults,
     texture_faults,
+    vertex_array_faults,
     written_faults,
 )
 from rhi.contract.states import PER_TARGET, PlatformState, StateChange
 from rhi.errors import refuse
 from rhi.errors.rules import (
+    BINDING_MISSING,
+    BINDING_SIZE,
+    BINDING_TYPE,
     BUFFER_ALIGNMENT,
     BUFFER_RANGE,
     BUFFER_SIZE,
@@ -80,16 +92,16 @@ from rhi.errors.rules import (
     TEXTURE_REGION,
 )
 from rhi.trace.archive import ArchiveReader
+from rhi.trace.codec import read_image_type
 from rhi.trace.ids import kinds_of
 from rhi.trace.rules import TRACE_CAPABILITY, TRACE_REFERENCE, TRACE_SIZE
 
 T = TypeVar("T")
 
-MAX_MEMORY: Final = 16 << 30
+MAX_MEMORY: Final = 4 << 30
 """Limit of the memory that resources of a trace occupy at the same time, in bytes."""
-MAX_LOCATION: Final = 1 << 10
-MAX_STRIDE: Final = 1 << 14
-MAX_COUNT: Final = 1 << 32
+MAX_WORK: Final = 1 << 28
+"""Limit of the vertices of a draw, all instances together, and of the invocations of a dispatch."""
 MAX_LABELS: Final = 1 << 10
 
 
@@ -105,6 +117,9 @@ _PLACES: Final = dict.fromkeys(DRAWS | {Op.END_PASS}, True) | dict.fromkeys(
     DISPATCHES | {Op.BEGIN_PASS, Op.PRESENT}, False
 )
 """Whether a command belongs inside a pass, by op. Others belong everywhere."""
+_CHANGES_BINDINGS: Final = CREATIONS | {
+    Op.DESTROY, Op.BIND_PROGRAM, Op.BIND_UNIFORM, Op.BIND_STORAGE, Op.BIND_TEXTURE, Op.BIND_IMAGE
+}  # fmt: skip
 _STAGES: Final = dict.fromkeys(DRAWS, Stage.VERTEX) | dict.fromkeys(DISPATCHES, Stage.COMPUTE)
 """The stage that a command executes, by op."""
 
@@ -205,8 +220,27 @@ class SequenceValidator:
 
     # -- commands whose rules depend on earlier ones -------------------------------------------------------------
 
+    def draw(self, vertex_array: Id, *_: object) -> None:
+        made = self._find(vertex_array, VertexArrayDescriptor)
+        _need(made.program == self.context.program, "the vertex array of another program")
+        buffers = {stream.buffer for stream in made.streams} | ({made.index_buffer} - {0})
+        _need(buffers <= self.context.resources.keys(), "a buffer of the vertex array was destroyed")
+
+    def draw_indirect(self, vertex_array: Id, primitive: Primitive, *_: object) -> None:
+        self.draw(vertex_array)
+        _need(primitive is not Primitive.QUADS, "an indirect draw of quads")
+
+    def dispatch(self, *groups: int) -> None:
+        program = self._find(self.context.program, ProgramDescriptor)
+        for fault in work_faults(math.prod(groups) * math.prod(program.work_group)):
+            raise InvalidCommandError(f"{fault.given}, allowed: {fault.allowed}")
+
     def destroy(self, resource: Id) -> None:
         self._valid.clear()
+        open_pass = self.context.render_pass
+        if open_pass is not None:
+            _need(resource not in {id for id, _ in kinds_of(Op.BEGIN_PASS, (open_pass,))}, "a target of the open pass")
+        _need(resource not in (self.context.open_query, self.context.condition), "a query that is open")
         self._total -= self._memory[resource]
 
     def signal(self, value: int) -> None:
@@ -275,13 +309,18 @@ def _create_program(made: _Made, limits: Capabilities, program: Id, descriptor: 
 def _create_vertex_array(
     made: _Made, limits: Capabilities, vertex_array: Id, descriptor: VertexArrayDescriptor
 ) -> Faults:
-    for stream in descriptor.streams:
-        yield from _buffer_range(made, stream.buffer, stream.offset, 0)
-        if not 0 <= stream.stride < MAX_STRIDE:
-            yield Fault(MESH_DATA, f"stride {stream.stride}", f"less than {MAX_STRIDE}")
-        for attribute in stream.attributes:
-            if not 0 <= attribute.location < MAX_LOCATION or attribute.offset < 0:
-                yield Fault(MESH_ATTRIBUTE, f"{attribute}", f"locations below {MAX_LOCATION}")
+    yield from vertex_array_faults(descriptor, lambda buffer: int(made[buffer].size))
+    given = [attribute for stream in descriptor.streams for attribute in stream.attributes]
+    inputs = {attribute.location: attribute.type for attribute in made[descriptor.program].attributes}
+    if sorted(attribute.location for attribute in given) != sorted(inputs):
+        yield Fault(MESH_ATTRIBUTE, f"{given}", f"each of the locations {sorted(inputs)} once")
+    if not all(stream.attributes for stream in descriptor.streams):
+        yield Fault(MESH_DATA, "a stream without attributes", "one or more in each")
+    for attribute in given:
+        wanted = inputs[attribute.location]
+        size, scalar = (wanted.size, wanted.scalar) if isinstance(wanted, VectorType) else (1, wanted)
+        if attribute.format.components < size or attribute.format.kind != str(scalar):
+            yield Fault(MESH_ATTRIBUTE, f"{attribute}", f"as {wanted}")
 
 
 def _write_buffer(made: _Made, limits: Capabilities, buffer: Id, offset: int, data: bytes) -> Faults:
@@ -384,9 +423,22 @@ def _draw(
     made: _Made, limits: Capabilities, vertex_array: Id, primitive: object, first: int, count: int, instances: int,
     base_vertex: int, base_instance: int,
 ) -> Faults:  # fmt: skip
-    numbers = (first, count, instances, base_instance)
-    if min(numbers) < 0 or max(numbers) >= MAX_COUNT:
-        yield Fault(DRAW_COUNT, f"{numbers}", f"0 to {MAX_COUNT - 1}")
+    descriptor: VertexArrayDescriptor = made[vertex_array]
+    elements = find_elements(made, descriptor)
+    numbers = (first, count, instances, base_vertex, base_instance)
+    yield from draw_faults(elements, bool(descriptor.index_buffer), *numbers)
+    yield from work_faults(count * instances)
+
+
+def find_elements(made: Mapping[Id, Any], descriptor: VertexArrayDescriptor) -> ElementCounts:
+    """Return how many elements the buffers of a vertex array hold; one that was destroyed holds none."""
+    return count_elements(descriptor, lambda buffer: made[buffer].size if buffer in made else 0)
+
+
+def work_faults(elements: int) -> Faults:
+    """Yield that a command would run for very long."""
+    if elements > MAX_WORK:
+        yield Fault(DRAW_COUNT, f"{elements:,} vertices or invocations", f"up to {MAX_WORK:,} in one command")
 
 
 def _draw_indirect(
@@ -444,15 +496,37 @@ _RECURRING: Final = frozenset(_LIMIT_FAULTS.keys() - CREATIONS | {Op.DRAW, Op.BI
 """Commands that a trace repeats with equal arguments. They stay valid until a resource is destroyed."""
 
 
+def binding_faults(context: StreamContext) -> Faults:
+    """Yield what the bound program reads or writes that isn't bound, is gone, or is less than it says."""
+    program = context.resources.get(context.program)
+    for binding in program.bindings if isinstance(program, ProgramDescriptor) else ():
+        bound = context.slots.get((binding.kind, binding.slot))
+        if bound is None or bound[0] not in context.resources:
+            yield Fault(BINDING_MISSING, f"nothing in {binding.kind.value} slot {binding.slot}", binding.name)
+            return
+        made: Any = context.resources[bound[0]]
+        if isinstance(made, TextureDescriptor):
+            layered = binding.kind is BindingKind.TEXTURE or bound[2] < 0
+            kind, wanted = made.kind if layered else TextureKind.D2, read_image_type(str(binding.type))
+            if wanted is not None and (wanted[0] is not kind or wanted[1] not in (None, made.format)):
+                yield Fault(BINDING_TYPE, f"{kind.value} of {made.format.name}", f"{binding.name}: {binding.type}")
+            if made.samples != 1:
+                yield Fault(BINDING_TYPE, f"{made.samples} samples", f"{binding.name}: 1")
+        elif binding.kind is BindingKind.UNIFORM and bound[2] < binding.size:
+            yield Fault(BINDING_SIZE, f"{bound[2]} bytes", f"{binding.name}: {binding.size}")
+
+
 def check_capabilities(stream: CommandStream, limits: Capabilities) -> None:
     """Refuse a trace that a device can't replay, and name the first command that it doesn't support.
 
     Raises:
-        ValidationError: `trace-capability`.
+        ValidationError: `trace-capability`; `trace-reference` for a draw or dispatch whose bindings aren't there, on a
+            device that runs shaders.
     """
     made: dict[Id, Descriptor] = {}
     checked: set[tuple[Any, ...]] = set()
-    place, index, data = 0, 0, stream.data
+    context, bound = StreamContext(), False
+    place, index, data, failures = 0, 0, stream.data, stream.failures
     while place < len(data):
         op = data[place]
         end = place + WIDTHS[op] - 2
@@ -465,4 +539,13 @@ def check_capabilities(stream: CommandStream, limits: Capabilities) -> None:
                 for fault in _LIMIT_FAULTS[op](made, limits, *entry[1:]):
                     given = f"command {index}: {stream[index]}: {fault.given}"
                     refuse(TRACE_CAPABILITY, f"rhi.trace.replay on {limits.backend}", given, fault.allowed)
+        if limits.shading and index not in failures:
+            if op in _CHANGES_BINDINGS:
+                context.follow(op, data[place + 1 : end])
+                bound = False
+            elif op in _STAGES and not bound:
+                for fault in binding_faults(context):
+                    given = f"command {index}: {stream[index]}: {fault.given}"
+                    refuse(TRACE_REFERENCE, f"rhi.trace.replay on {limits.backend}", given, fault.allowed)
+                bound = True
         place, index = end + 2, index + 1

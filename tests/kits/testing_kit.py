@@ -11,8 +11,13 @@ from rhi.shading import Shader, Struct, Uniform, vec2, vec4
 
 def gl_works() -> bool:
     """Return whether a GL device can be created on this machine."""
+    return backend_works("gl")
+
+
+def backend_works(name: str) -> bool:
+    """Return whether a device of a backend can be created on this machine."""
     try:
-        rhi.create_device("gl").close()
+        rhi.create_device(name).close()
     except rhi.DeviceError:
         return False
     return True

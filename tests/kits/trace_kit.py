@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from testing_kit import Corner, House
+from testing_kit import Corner, House, Tint
 
 import rhi
 from rhi import (
@@ -17,6 +17,7 @@ from rhi import (
     ColorWrite,
     CullMode,
     Format,
+    IndirectDraws,
     Primitive,
     SamplerDescriptor,
     Scissor,
@@ -25,7 +26,20 @@ from rhi import (
     TextureKind,
     Viewport,
 )
-from rhi.shading import Shader, Storage, StorageRW, Texture2D, global_id, vec2, vec4
+from rhi.shading import (
+    Image2D,
+    Shader,
+    Storage,
+    StorageRW,
+    Struct,
+    Texture2D,
+    Uniform,
+    global_id,
+    image,
+    ivec2,
+    vec2,
+    vec4,
+)
 from rhi.trace import save
 
 VERSION_1 = Path(__file__).parents[1] / "rhi/trace/version-1.zip"
@@ -50,6 +64,46 @@ class Pictured(Shader):
 
     def fragment(self) -> vec4:
         return self.picture.sample(vec2(0.5, 0.5))
+
+
+class Inked(Shader):
+    """Work on an image and on memory."""
+
+    ink: Image2D = image(Format.R32F)
+    numbers: StorageRW[float]
+    work_group = (4,)
+
+    def compute(self) -> None:
+        i = global_id().x
+        self.numbers[i] = 2.0
+        self.ink.store(ivec2(i, 0), vec4(1.0))
+
+
+class Placed(Struct):
+    position: vec2
+    offset: vec2
+
+
+class Instanced(Shader):
+    """Vertices, each instance at an offset of its own."""
+
+    def vertex(self, v: Placed) -> vec4:
+        return vec4(v.position + v.offset, 0.5, 1.0)
+
+    def fragment(self) -> vec4:
+        return vec4(1.0, 1.0, 1.0, 1.0)
+
+
+class Tinted(Shader):
+    """A color that is bound."""
+
+    tint: Uniform[Tint]
+
+    def vertex(self, v: Corner) -> vec4:
+        return vec4(v.position, 0.5, 1.0)
+
+    def fragment(self) -> vec4:
+        return self.tint.color
 
 
 def record_much(device: rhi.Device) -> rhi.Texture:
@@ -90,6 +144,30 @@ def record_much(device: rhi.Device) -> rhi.Texture:
 def record(path: Path) -> Path:
     with rhi.create_device("null") as device:
         record_much(device)
+        save(device, path)
+    return path
+
+
+def record_draws(path: Path) -> Path:
+    """Indexed, instanced and indirect draws of a mesh of 4 vertices, 6 indices and 5 instances; a dispatch."""
+    with rhi.create_device("null") as device:
+        vertices = {"position": np.zeros((4, 2), np.float32)}
+        mesh = device.mesh(vertices, np.array([0, 1, 2, 0, 2, 3], np.uint16),
+                           instances={"offset": np.zeros((5, 2), np.float32)})  # fmt: skip
+        plain = device.mesh(vertices)
+        target = device.texture((8, 8), Format.RGBA8)
+        tint = device.uniform(Tint(color=(1, 1, 1, 1)))
+        arguments = device.buffer(mesh.draws([0, 3], 3))
+        count = device.buffer(np.array([2], np.uint32))
+        groups = device.buffer(np.array([1, 1, 1], np.uint32))
+        ink, numbers = device.texture((8, 8), Format.R32F).image(), device.storage(float, 8)
+        device.dispatch(device.program(Inked), 2, ink=ink, numbers=numbers)
+        device.dispatch_indirect(device.program(Inked), groups, ink=ink, numbers=numbers)
+        with device.render_pass(target, clear=(0, 0, 0, 1)), device.states(CullMode.NONE):
+            device.draw(device.program(Instanced), mesh, 5)
+            device.draw(device.program(Tinted), plain, tint=tint)
+            device.draw_indirect(device.program(Instanced), mesh, IndirectDraws(arguments, 2, count=count))
+        device.present(target)
         save(device, path)
     return path
 

@@ -16,6 +16,7 @@ from rhi.__main__ import main
 from rhi.trace import load
 from rhi.trace.cli import encode_png
 
+needs_gl = pytest.mark.skipif(not gl_works(), reason="no GL device here")
 FAULT = """
 import rhi
 from rhi import Op
@@ -40,10 +41,10 @@ def test_show_keeps_to_a_label_and_a_limit(capsys: pytest.CaptureFixture[str]) -
     assert lines[-1].startswith("… and ")
 
 
-@pytest.mark.skipif(not gl_works(), reason="no GL device here")
+@needs_gl
 def test_replay_writes_the_last_presented_image(tmp_path: Path) -> None:
     output = tmp_path / "out.png"
-    assert main(["trace", "replay", str(VERSION_1), "--backend", "gl", "--output", str(output)]) == 0
+    assert main(["trace", "replay", str(VERSION_1), "--backend", "gl", "--trust", "--output", str(output)]) == 0
     with rhi.create_device("gl") as device:
         wanted = record_much(device).read()[:, :, :3]
     assert np.array_equal(np.asarray(Image.open(output)), wanted)
@@ -76,6 +77,7 @@ def test_reduce_writes_a_trace_and_a_test(tmp_path: Path, capsys: pytest.Capture
         ["show", "none.zip"],
         ["show", __file__],
         ["replay", str(VERSION_1), "--backend", "nul"],
+        pytest.param(["replay", str(VERSION_1), "--backend", "gl"], marks=needs_gl),
         ["reduce", str(VERSION_1), "nothing"],
         ["reduce", str(VERSION_1), "nothing:presents"],
         ["reduce", str(VERSION_1), "math:presents"],

@@ -57,7 +57,7 @@ def test_a_loaded_trace_can_be_asserted_on(file: Path) -> None:
 @needs_gl
 def test_a_frame_recorded_on_null_replays_on_gl_to_the_same_image(file: Path) -> None:
     with rhi.create_device("gl", validation=True) as device:
-        image = replay(load(file), on=device).image
+        image = replay(load(file, trusted=True), on=device).image
     with rhi.create_device("gl") as device:
         wanted = record_much(device).read()
     assert image is not None
@@ -167,7 +167,7 @@ def test_a_dispatch_recorded_on_null_computes_on_another_backend(tmp_path: Path,
     except rhi.DeviceError as error:
         pytest.skip(f"no {backend} device here: {error.given or error.rule.sentence}")
     with device:
-        result = replay(load(tmp_path / "t.zip"), on=device)
+        result = replay(load(tmp_path / "t.zip", trusted=True), on=device)
         data = device._backend.read_buffer(result.ids[doubled.owner.id], 0, 32)
     assert np.frombuffer(data, np.int32).tolist() == list(range(0, 16, 2))
 
@@ -323,7 +323,7 @@ def test_a_trace_of_version_1_still_loads_and_replays(null_device: rhi.Device) -
 @needs_gl
 def test_a_trace_of_version_1_still_draws_the_same() -> None:
     with rhi.create_device("gl") as device:
-        image = replay(load(VERSION_1), on=device).image
+        image = replay(load(VERSION_1, trusted=True), on=device).image
     assert image is not None
     with rhi.create_device("gl") as device:
         assert np.array_equal(image, record_much(device).read())

@@ -175,7 +175,7 @@ IMPOSSIBLE: dict[str, tuple[Issue, Issue]] = {
 
 
 def compute(work_group: tuple[int, int, int]) -> rhi.ProgramDescriptor:
-    return replace(PROGRAM, stages=frozenset({rhi.Stage.COMPUTE}), work_group=work_group)
+    return replace(PROGRAM, stages=frozenset({rhi.Stage.COMPUTE}), work_group=work_group, bindings=())
 
 
 def saved(issue: Issue, tmp_path: Path) -> Path:
