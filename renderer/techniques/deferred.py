@@ -16,6 +16,7 @@ from typing import Final
 
 from renderer.frame import Frame, Needs, Pass
 from renderer.techniques.parts.deferred_lighting import volume_passes
+from renderer.techniques.parts.resolve import EXACT_BITS, check_bits
 
 
 class Deferred:
@@ -23,11 +24,14 @@ class Deferred:
 
     name: Final = "deferred"
 
-    def __init__(self, *, stencil: bool = False) -> None:
-        """With `stencil`, each light is masked in a stencil buffer, which takes two draws for each."""
+    def __init__(self, *, stencil: bool = False, light_bits: int = EXACT_BITS) -> None:
+        """With `stencil`, each light is masked in a stencil buffer, which takes two draws for each. `light_bits` is 16
+        or 32: those of a channel of the light that is added up."""
+        check_bits(light_bits, "Deferred")
         self.stencil = stencil
+        self.light_bits = light_bits
 
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the passes `geometry`, `point lights` and `spot lights` if there are any in view, and `resolve`, and
         those of transparent surfaces."""
-        return volume_passes(needs, stencil=self.stencil)
+        return volume_passes(needs, stencil=self.stencil, light_bits=self.light_bits)

@@ -3,7 +3,7 @@ algorithm 2).
 
 - The base pass draws depth, and all light that isn't a lamp's: ambient, emission, directional lights.
 - A light's pass draws the objects that it reaches once more, where they are visible (depth equal), and adds its light.
-- The light is added up in linear 16-bit floats; a last pass maps it to colours.
+- The light is added up in linear 32-bit floats; a last pass maps it to colours.
 
 An object that k lights reach is transformed k + 1 times, and each of its pixels is shaded as often: the cost grows with
 objects × lights. What a light doesn't reach it doesn't draw, and all point lights are one `draw_many`, in the order of
@@ -21,7 +21,7 @@ from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target
 from renderer.scene.arrays import Rows
 from renderer.shaders.structs import Object, SurfaceVarying
 from renderer.techniques.parts.finish import finish_image, forward_passes
-from renderer.techniques.parts.resolve import LIGHT_FORMAT, sum_pass
+from renderer.techniques.parts.resolve import EXACT_BITS, SUM_FORMATS, check_bits, sum_pass
 from renderer.techniques.parts.scene_shader import ForwardShader, LampShader, MaterialShader
 from renderer.techniques.parts.variants import (
     FORWARD,
@@ -77,6 +77,11 @@ class ForwardMultipass:
 
     name: Final = "forward_multipass"
 
+    def __init__(self, *, light_bits: int = EXACT_BITS) -> None:
+        """`light_bits` is 16 or 32: those of a channel of the light that is added up."""
+        check_bits(light_bits, "ForwardMultipass")
+        self.light_bits = light_bits
+
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return a base pass, one for each kind of lamp in view, and one that maps their sum to colours."""
         lamps = list_lamps(needs)
@@ -86,7 +91,7 @@ class ForwardMultipass:
             "base",
             _draw_base,
             "draws the visible objects with the light that isn't a lamp's",
-            writes=(Target("light", LIGHT_FORMAT), Target("depth", DEPTH_FORMAT)),
+            writes=(Target("light", SUM_FORMATS[self.light_bits]), Target("depth", DEPTH_FORMAT)),
         )
         passes, light = [base], "light"
         for effect in lamps:

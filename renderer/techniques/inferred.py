@@ -41,6 +41,7 @@ from renderer.techniques.parts.light_terms import (
     normals_pass,
 )
 from renderer.techniques.parts.light_volumes import declare_lights
+from renderer.techniques.parts.resolve import EXACT_BITS, check_bits
 from renderer.techniques.parts.scene_shader import ForwardShader, SceneShader
 from renderer.techniques.parts.variants import FORWARD, Lighting, draw_full_screen, lit_pass, scene_pass
 from rhi import DepthFunction, DepthWrite, refuse
@@ -211,12 +212,15 @@ class Inferred:
 
     name: Final = "inferred"
 
-    def __init__(self, *, scale: float = 0.6, stippled: bool = True) -> None:
-        """`scale` is the width and height of light buffers in those of the image, more than 0 and at most 1.
+    def __init__(self, *, scale: float = 0.6, stippled: bool = True, light_bits: int = EXACT_BITS) -> None:
+        """`scale` is the width and height of light buffers in those of the image, more than 0 and at most 1;
+        `light_bits` is 16 or 32, those of a channel of the terms that are added up.
 
         If they aren't `stippled`, transparent surfaces are lit by the lists of their objects.
         """
         check_scale(scale, "Inferred")
+        check_bits(light_bits, "Inferred")
+        self.light_bits = light_bits
         self.scale = scale
         self.stippled = stippled
 
@@ -226,7 +230,7 @@ class Inferred:
         stippled = self.stippled and Effect.TRANSPARENCY in needs.effects
         scale, small, lit = self.scale, name_small("small "), name_small("stippled " if stippled else "small ")
         collect = partial(collect_terms, prefix="stippled " if stippled else "small ")
-        lights, last = declare_lights(needs, list_terms(needs), lit, collect, scale)
+        lights, last = declare_lights(needs, list_terms(needs), lit, collect, scale, self.light_bits)
         if not lights:
             return forward_passes(needs)
         own = dict(zip(list_terms(needs), last, strict=True), surface=lit[0])

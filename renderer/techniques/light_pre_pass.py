@@ -31,6 +31,7 @@ from renderer.techniques.parts.light_terms import (
     normals_pass,
 )
 from renderer.techniques.parts.light_volumes import declare_lights
+from renderer.techniques.parts.resolve import EXACT_BITS, check_bits
 from renderer.techniques.parts.scene_shader import ForwardShader
 from renderer.techniques.parts.variants import FORWARD, Lighting, lit_pass
 from rhi import Format, refuse
@@ -77,9 +78,12 @@ class LightPrePass:
 
     name: Final = "light_pre_pass"
 
-    def __init__(self, *, specular_channels: int = 3, stencil: bool = False) -> None:
-        """`specular_channels` is 3 or 1. With `stencil`, each light is masked in a stencil buffer."""
+    def __init__(self, *, specular_channels: int = 3, stencil: bool = False, light_bits: int = EXACT_BITS) -> None:
+        """`specular_channels` is 3 or 1. With `stencil`, each light is masked in a stencil buffer. `light_bits` is 16
+        or 32: those of a channel of the terms that are added up."""
         check_channels(specular_channels, "LightPrePass")
+        check_bits(light_bits, "LightPrePass")
+        self.light_bits = light_bits
         self.specular_channels = specular_channels
         self.stencil = stencil
 
@@ -88,7 +92,8 @@ class LightPrePass:
         shading."""
         reads = ("surface", "shininess", "depth")
         buffers = list_terms(needs, packed=self.specular_channels == 1)
-        lights, last = declare_lights(needs, buffers, reads, partial(collect_terms, stencil=self.stencil))
+        collect = partial(collect_terms, stencil=self.stencil)
+        lights, last = declare_lights(needs, buffers, reads, collect, bits=self.light_bits)
         if not lights:
             return forward_passes(needs)
         own, packed = dict(zip(buffers, last, strict=True)), self.specular_channels == 1

@@ -14,6 +14,7 @@ from renderer.techniques.inferred import check_scale
 from renderer.techniques.light_pre_pass import check_channels
 from renderer.techniques.parts.cell_lists import CLUSTERS, TILES, LightCells
 from renderer.techniques.parts.fxaa import Smoothed
+from renderer.techniques.parts.resolve import EXACT_BITS, check_bits
 from renderer.techniques.table import TECHNIQUES
 from renderer.techniques.technique import Technique
 from rhi import Device, refuse
@@ -31,6 +32,8 @@ class TechniqueSettings:
         scale: the size of the light buffers of `inferred`, in that of the image. stippled: whether it draws transparent
             surfaces to them, too.
         specular_channels: 1 or 3, of `light_pre_pass`.
+        light_bits: 16 or 32, the bits of a channel of light that `forward_multipass`, `deferred`, `light_pre_pass` and
+            `inferred` add up.
         stencil: whether `deferred` and `light_pre_pass` mask each light in a stencil buffer. depth_first: whether
             `clustered` draws depth before. multi_pass: whether `deferred_plus` shades each material by draws of its
             own. Pictures are the same.
@@ -44,6 +47,7 @@ class TechniqueSettings:
     scale: float = 0.6
     stippled: bool = True
     specular_channels: int = 3
+    light_bits: int = EXACT_BITS
     stencil: bool = False
     depth_first: bool = False
     multi_pass: bool = False
@@ -59,6 +63,7 @@ class TechniqueSettings:
             refuse(rules.ONE_SAMPLE, "TechniqueSettings", f"{self.name} with samples={self.samples}")
         check_scale(self.scale, "TechniqueSettings")
         check_channels(self.specular_channels, "TechniqueSettings")
+        check_bits(self.light_bits, "TechniqueSettings")
 
     def make(self, scene: Scene, device: Device) -> Technique:
         """Return the technique for a scene and a device."""

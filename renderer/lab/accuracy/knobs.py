@@ -313,6 +313,16 @@ KNOBS: Final[dict[str, Knob]] = {
             demand=Demand.LAMPS,
         ),
         _picture(
+            "light_bits",
+            "bits of a channel of light that is added up by blending",
+            "technique.light_bits",
+            _same(16, 32),
+            "half floats are off by more than a level from about 64 lights on a surface",
+            truth=FORWARD,
+            within={**_FORWARD, "technique.name": "deferred"},
+            demand=Demand.LAMPS,
+        ),
+        _picture(
             "blending",
             "how transparent surfaces are put together",
             "blending",

@@ -19,7 +19,7 @@ from renderer.techniques.parts.geometry_buffer import (
     list_contents,
 )
 from renderer.techniques.parts.light_volumes import VolumeShader, VolumeVarying, declare_lights, draw_volumes
-from renderer.techniques.parts.resolve import resolve_pass
+from renderer.techniques.parts.resolve import EXACT_BITS, resolve_pass
 from renderer.techniques.parts.scene_shader import LampShader, ShadingShader
 from renderer.techniques.parts.variants import FORWARD, draw_full_screen, list_lamps
 from rhi import Format
@@ -80,14 +80,15 @@ class LitByLists(CellReader, LampShader, GeometryResolve):
         return self.lamplight(surface, self.find_cell_lights(distance))
 
 
-def volume_passes(needs: Needs, *, stencil: bool = False) -> tuple[Pass[Frame], ...]:
+def volume_passes(needs: Needs, *, stencil: bool = False, light_bits: int = EXACT_BITS) -> tuple[Pass[Frame], ...]:
     """Return the passes that draw a geometry buffer, light it by volumes, and make the image.
 
     Args:
         stencil: whether each light is masked in a stencil buffer, which takes two draws for each.
+        light_bits: the bits of a channel of the light that is added up.
     """
     reads = list_contents(needs)
-    lights, last = declare_lights(needs, ["light"], reads, partial(light_geometry, stencil=stencil))
+    lights, last = declare_lights(needs, ["light"], reads, partial(light_geometry, stencil=stencil), bits=light_bits)
     return (
         geometry_pass(needs, Format.D32FS8 if stencil else DEPTH_FORMAT),
         *lights,

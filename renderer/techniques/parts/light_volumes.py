@@ -32,7 +32,7 @@ from renderer.shaders.pixels import PixelRays
 from renderer.shaders.structs import Incidence, ViewConstants
 from renderer.shadows import ShadowReceiver
 from renderer.techniques.parts.full_screen import BEHIND, find_far
-from renderer.techniques.parts.resolve import LIGHT_FORMAT
+from renderer.techniques.parts.resolve import EXACT_BITS, SUM_FORMATS
 from renderer.techniques.parts.variants import bind, find_variant
 from rhi import (
     BlendFunction,
@@ -198,12 +198,13 @@ def declare_lights(
     reads: tuple[str, ...],
     run: Callable[..., None],
     scale: float = 1.0,
+    bits: int = EXACT_BITS,
 ) -> tuple[list[Pass[Frame]], list[str]]:
     """Return the passes that add the light of each kind of lights in view to light buffers, and their contents' names
     after the last pass: none if there are no such lights.
 
     Args:
-        scale: the size of the buffers in that of the frame.
+        scale: the size of the buffers in that of the frame. bits: those of a channel, of `SUM_FORMATS`.
         run: issues the commands; is given the frame and, by name, `effect`, the names of the `targets`, and whether it
             `clears` them.
     """
@@ -219,7 +220,7 @@ def declare_lights(
                 partial(run, effect=effect, targets=names, clears=not last),
                 needs.explain(effect),
                 reads=reads,
-                writes=() if last else tuple(Target(name, LIGHT_FORMAT, scale) for name in names),
+                writes=() if last else tuple(Target(name, SUM_FORMATS[bits], scale) for name in names),
                 changes=dict(zip(last, names, strict=True)) if last else {},
             )
         )

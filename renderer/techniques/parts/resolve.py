@@ -9,15 +9,21 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
+from renderer import rules
 from renderer.frame import Effect, Frame, Needs, Pass
 from renderer.shaders.pixels import FullScreen, distance_at, nearness_of, place_pixel
 from renderer.techniques.parts.scene_shader import FinishShader
 from renderer.techniques.parts.variants import draw_full_screen
-from rhi import Format
+from rhi import Format, refuse
 from rhi.shading import Texture2D, discard, fragment_coordinate, ivec2, vec4
 
 LIGHT_FORMAT: Final = Format.RGBA16F
-"""The format of light that is added up."""
+"""The format of light that is stored once it is complete."""
+SUM_FORMATS: Final = {16: Format.RGBA16F, 32: Format.RGBA32F}
+"""The formats of light that is added up by blending, by the bits of a channel. Each addition is rounded: a half float
+loses up to a 1,024th of the sum each time, and what is smaller than that altogether."""
+EXACT_BITS: Final = 32
+"""The bits with which no picture shows that its light was added up by blending."""
 
 
 class LightSum(FullScreen, FinishShader):
@@ -33,6 +39,12 @@ class LightSum(FullScreen, FinishShader):
             discard()
         position = place_pixel(self.rays, place, distance_at(self.rays, nearness))
         return self.finish(self.light.load(ivec2(place)).rgb, position)
+
+
+def check_bits(light_bits: int, call: str) -> None:
+    """Refuse a number of bits in which light can't be added up."""
+    if type(light_bits) is not int or light_bits not in SUM_FORMATS:
+        refuse(rules.BAD_TECHNIQUE, f"{call}(light_bits=...)", light_bits, "16 or 32")
 
 
 def resolve_pass(needs: Needs, run: Callable[[Frame], None], because: str, reads: tuple[str, ...]) -> Pass[Frame]:

@@ -12,7 +12,15 @@ from frames import count_draws, find_eye, list_passes, make_lit_boxes, open_rend
 import rhi
 from renderer.content import load_scene
 from renderer.scene import Perspective
-from renderer.techniques import Deferred, Forward, Inferred, LightPrePass, Technique
+from renderer.techniques import (
+    Deferred,
+    Forward,
+    ForwardMultipass,
+    Inferred,
+    LightPrePass,
+    Technique,
+    TechniqueSettings,
+)
 from rhi import DepthFunction, DepthWrite, Op
 
 SIZE = (32, 16)
@@ -111,12 +119,14 @@ def test_the_second_pass_of_a_light_pre_pass_draws_what_the_first_has_drawn_and_
     [
         (Forward(), "boxes", 1, 4 + 4),
         (Deferred(), "boxes", 0, 8 + 4 + 4 + 4),
-        (Deferred(), "boxes", 1, 8 + 4 + 4 + 8 + 4),
-        (Deferred(), "city:blocks=4", 1, 8 + 8 + 4 + 8 + 4),
-        (Deferred(stencil=True), "boxes", 1, 8 + 4 + 8 + 8 + 4),
+        (Deferred(), "boxes", 1, 8 + 4 + 4 + 16 + 4),
+        (Deferred(light_bits=16), "boxes", 1, 8 + 4 + 4 + 8 + 4),
+        (Deferred(), "city:blocks=4", 1, 8 + 8 + 4 + 16 + 4),
+        (Deferred(stencil=True), "boxes", 1, 8 + 4 + 8 + 16 + 4),
         (LightPrePass(), "boxes", 0, 4 + 4),
-        (LightPrePass(), "boxes", 1, 8 + 2 + 4 + 16 + 4),
-        (LightPrePass(specular_channels=1), "boxes", 1, 8 + 2 + 4 + 8 + 4),
+        (LightPrePass(), "boxes", 1, 8 + 2 + 4 + 32 + 4),
+        (LightPrePass(light_bits=16), "boxes", 1, 8 + 2 + 4 + 16 + 4),
+        (LightPrePass(specular_channels=1), "boxes", 1, 8 + 2 + 4 + 16 + 4),
     ],
 )
 def test_a_pixel_takes_so_many_bytes(
@@ -145,6 +155,9 @@ def test_a_second_frame_uploads_the_rows_of_its_lamps(null: rhi.Device, techniqu
     [
         *(partial(Inferred, scale=scale) for scale in (0.0, -0.5, 1.001, float("nan"))),
         *(partial(LightPrePass, specular_channels=channels) for channels in (0, 2, 4)),
+        *(partial(kind, light_bits=bits) for kind in (Deferred, LightPrePass, Inferred) for bits in (8, 24, 64)),
+        partial(ForwardMultipass, light_bits=16.0),
+        partial(TechniqueSettings, light_bits=8),
     ],
 )
 def test_a_parameter_out_of_its_range_is_refused(make: Callable[[], Technique]) -> None:

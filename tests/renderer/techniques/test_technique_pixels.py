@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -253,6 +254,32 @@ def test_every_visibility_algorithm_draws_to_geometry_buffers(gl: rhi.Device) ->
                 assert find_difference(image, expected) <= 2, (name, renderer.technique)
                 renderer.visibility = none
                 visibility.destroy()
+
+
+@pytest.mark.parametrize("count", [16, 1500])
+def test_light_of_many_lamps_is_added_up_as_exactly_by_blending_as_in_a_shader(
+    drawing_device: rhi.Device, count: int
+) -> None:
+    builder = make_boxes(
+        translation((0, -0.5, 0)) @ scaling((20, 1, 20)), name="lit by many", specular_color=(0.1, 0.1, 0.1)
+    )
+    builder.lights.sky = builder.lights.ground = (0.0, 0.0, 0.0)
+    places = np.random.default_rng(0).normal((0, 1.5, 0), 0.3, (count, 3))
+    builder.lights.add_points(places, 8.0, (1, 0.8, 0.6), 3.0 / count)
+    scene, camera, size = builder.build(), Camera.look_at((0, 3, 6), (0, 0, 0)), (32, 18)
+    kinds: tuple[Callable[..., Technique], ...] = (
+        ForwardMultipass,
+        Deferred,
+        LightPrePass,
+        partial(LightPrePass, specular_channels=1),
+        partial(Inferred, scale=1.0),
+    )
+    for kind in kinds:
+        expected, image, halves = draw_each(
+            drawing_device, scene, Forward(), kind(), kind(light_bits=16), camera=camera, size=size
+        )
+        assert find_difference(image, expected) <= 1, kind
+        assert (find_difference(halves, expected) > 1) == (count > 16), kind  # the control
 
 
 def test_a_missing_light_is_seen_by_the_comparison(drawing_device: rhi.Device) -> None:
