@@ -182,7 +182,7 @@ def test_a_device_without_quick_kernels_says_nothing_of_them() -> None:
         "techniques grid --techniques forward --rounds 1 --size 32x18",
         "stereo grid --stereo grey --frames 1 --sizes 32x18",
         "visibility grid --algorithms none --frames 1 --size 32x18",
-        pytest.param("deferred-plus grid:count=1,lights=0 --frames 1 --size 32x18", marks=pytest.mark.slow),
+        pytest.param("deferred-plus grid:count=1,lights=0 --frames 1 --size 32x18", marks=pytest.mark.nightly),
     ],
 )
 def test_each_comparison_says_which_kernels_cl_ran(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from functools import partial
 
@@ -51,11 +50,9 @@ def lamps(points: int, spots: int = 0, *, haze: float = 0.0, mirrored: bool = Fa
 SCENES = ("city:blocks=6", "hall:columns=6,flags=2", "grid:count=9")
 
 
+@pytest.mark.cl_nightly  # by day `test_any_lens_gives_the_picture_of_forward_shading` has these techniques on cl
 @pytest.mark.parametrize("technique", TECHNIQUES)
-@pytest.mark.parametrize(("drawing_device", "text"), [
-    pytest.param(backend, text, marks=pytest.mark.nightly if backend == "cl" and text != SCENES[1] else ())
-    for backend, text in itertools.product(("gl", "cl"), SCENES)  # each scene has shaders of its own
-], indirect=["drawing_device"])  # fmt: skip
+@pytest.mark.parametrize("text", SCENES)
 def test_a_scene_looks_as_in_one_pass(
     drawing_device: rhi.Device, technique: Callable[[], Technique], text: str
 ) -> None:

@@ -213,6 +213,7 @@ def test_a_light_of_radius_0_lights_nothing(drawing_device: rhi.Device) -> None:
     builder.lights.add_point((0, 0.5, 3), 0.0, intensity=1e4)
     builder.lights.add_spot((0, 0.5, 3), (0, -1, 0), 0.0, 0.3, 0.5, intensity=1e4)
     builder.lights.add_point((0, 2.0, 3), 5.0, intensity=9.0)
+    builder.haze, builder.background = 0.05, (0.3, 0.5, 0.7)  # the shaders of the test of lenses, which cl has built
     check_all(drawing_device, builder.build())
 
 

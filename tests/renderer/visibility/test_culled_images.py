@@ -52,24 +52,32 @@ def hall(options: str, frames: range, per_second: int) -> CullingImage:
     )  # fmt: skip
 
 
-SITUATIONS = {
+PATHS = {
     "all along the ground": CullingImage(0, make_city, along("ground", 0, 450, 900, 1350, 1799)),
     "all along the sky": CullingImage(0, make_city, along("sky", 0, 450, 900, 1350, 1799)),
     "a walk": CullingImage(0, make_city, along("ground", *range(600, 648, 4))),
     "a flight": CullingImage(0, make_city, along("sky", *range(600, 648, 4))),
+}
+MOTIONS = {
     "what moves": hall("flags=12", range(300, 900, 60), 6),
     "what is simulated": hall("flags=2,fountains=4", range(300, 900, 100), 60),
+}
+PROJECTIONS = {
     "standard depth": CullingImage(0, make_city, through("ground", range(700, 724, 4), STANDARD)),
     "depth that turns round": CullingImage(0, make_city, through("ground", range(700, 724, 4), None, STANDARD)),
     "another lens in each frame": CullingImage(0, make_city, through("sky", range(700, 708), *LENSES)),
+}
+TURNED = {
     "mirrored and skewed objects": CullingImage(0, lambda: mirrored_boxes(two_sides=False), around),
     "backs of two sides, mirrored or not": CullingImage(0, lambda: mirrored_boxes(two_sides=True), around),
-} | {
+}
+SIZES = {
     f"{size} pixels, {'standard' if lens else 'reversed'} depth": CullingImage(
         0, make_city, through("ground", range(600, 632, 8), lens), size
     )
     for size in ((1, 1), (2, 3), (63, 34), (257, 31)) for lens in (None, STANDARD)
 }  # fmt: skip
+SITUATIONS = PATHS | MOTIONS | PROJECTIONS | TURNED | SIZES
 
 NIGHTLY = {
     f"the whole city from the {path}": CullingImage(
@@ -77,6 +85,25 @@ NIGHTLY = {
     )
     for path in ("ground", "sky")
 }
+
+
+BY_DAY = [(PATHS, 2, 4), (MOTIONS, 1, 2), (PROJECTIONS, 1, 3), (TURNED, 1, 2), (SIZES, 2, 4)]
+"""Situations, and of how many each algorithm has one by day, on gl and on cl: another than its neighbours. So gl has
+each situation with half of the algorithms at least, and each algorithm with each size and each depth. On cl, where only
+the device's part may differ, an algorithm has one situation of each kind, and two sizes."""
+
+
+def in_turns() -> list[object]:
+    """All situations with all algorithms: those of the day, and the others nightly."""
+    cases: list[object] = []
+    for turn, (backend, name) in enumerate(PAIRS):
+        for situations, *steps in BY_DAY:
+            step = steps[backend == "cl"]
+            for number, situation in enumerate(situations):
+                marks = () if (number + number // 2 + turn) % step == 0 else pytest.mark.nightly
+                cases.append(pytest.param(backend, name, situation, marks=marks))
+        cases += [pytest.param(backend, name, situation, marks=pytest.mark.nightly) for situation in NIGHTLY]
+    return cases
 
 
 @pytest.fixture(scope="module")
@@ -95,10 +122,7 @@ def uncut(device: rhi.Device) -> Iterator[Callable[[str], Uncut]]:
         yield draw
 
 
-@pytest.mark.parametrize(
-    "situation", [*SITUATIONS, *(pytest.param(name, marks=pytest.mark.nightly) for name in NIGHTLY)]
-)
-@pytest.mark.parametrize(("device", "name"), PAIRS, indirect=["device"])
+@pytest.mark.parametrize(("device", "name", "situation"), in_turns(), indirect=["device"])
 def test_it_looks_as_without_culling(
     device: rhi.Device, uncut: Callable[[str], Uncut], name: str, situation: str
 ) -> None:

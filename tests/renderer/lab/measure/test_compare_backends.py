@@ -110,7 +110,9 @@ def test_rounds_are_those_asked_for() -> None:
     assert [row["pass"] for row in rows] == asked
 
 
-@pytest.mark.parametrize("mode", ["quick", "optimised"])
+@pytest.mark.parametrize(
+    "mode", ["quick", pytest.param("optimised", marks=pytest.mark.nightly)]
+)  # by day `test_cl_builds`
 def test_a_row_says_which_kernels_ran(
     mode: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
