@@ -1,4 +1,4 @@
-"""The memory that a process keeps of what it has made and destroyed, beside meshes that live on.
+"""The memory that a process keeps of what it has made and destroyed or dropped, beside meshes that live on.
 
 Each row repeats one thing, after a tenth as many repetitions to warm up, and shows by how much the resident memory of
 the process has grown. Each row runs in a process of its own, so that no row reuses memory that another has freed.
@@ -14,6 +14,7 @@ import argparse
 import gc
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Final
@@ -65,6 +66,28 @@ def make_compute_shader() -> type[Shader]:
             self.out[global_id().x] = 1.0
 
     return Count
+
+
+def record_a_clear(device: rhi.Device) -> None:
+    """Record and submit a command buffer with a resource that nobody else holds."""
+    with device.record() as commands:
+        commands.clear(device.storage(float, 64))
+    device.submit(commands)
+
+
+DROPPED: Final[dict[str, Callable[[rhi.Device], object]]] = {
+    "textures": lambda device: device.texture((128, 128), Format.RGBA8),
+    "buffers": lambda device: device.buffer(np.zeros(16384)),
+    "uniforms": lambda device: device.uniform(Tint(color=(1, 1, 1, 1))),
+    "storages": lambda device: device.storage(float, 16384),
+    "uniform arrays": lambda device: device.uniform_array(Tint, 256),
+    "meshes": lambda device: device.mesh({"position": np.zeros((4500, 2), np.float32)}),
+    "queries": lambda device: device.occlusion_query(),
+    "query sets": lambda device: device.query_set(8),
+    "reads": lambda device: device.storage(float, 1024).read_async(),
+    "command buffers": record_a_clear,
+}
+"""What is made and dropped without being destroyed: garbage collection gives its memory back."""
 
 
 class Repetitions:
@@ -157,6 +180,9 @@ class Repetitions:
         self.device.dispatch(self.count, 1, out=self.numbers)
         self.numbers.read(0, 1)
 
+    def drop(self, number: int, kind: str) -> None:
+        DROPPED[kind](self.device)
+
 
 ROWS: dict[str, tuple[int, Callable[[Repetitions, int], None]]] = {
     "programs": (2000, Repetitions.programs),
@@ -171,6 +197,7 @@ ROWS: dict[str, tuple[int, Callable[[Repetitions, int], None]]] = {
     "queries nobody reads": (10_000, Repetitions.queries_nobody_reads),
     "command buffers": (5000, Repetitions.command_buffers),
     "writes, no fence": (10_000, Repetitions.writes_without_a_fence),
+    **{f"dropped {kind}": (10_000, partial(Repetitions.drop, kind=kind)) for kind in DROPPED},
 }
 
 
