@@ -7,10 +7,15 @@ the one way to refuse a name: it lists the allowed names and suggests the neares
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import fields
 from difflib import get_close_matches
-from typing import Final, NoReturn
+from enum import Enum
+from functools import cache
+from numbers import Real
+from typing import Any, Final, NoReturn, get_args, get_type_hints
 
 from rhi.errors import RhiError, Rule, refuse
+from rhi.errors.arguments import as_whole, describe_choices
 
 # Model files
 MISSING_FILE: Final = Rule("scene-missing-file", "the model file does not exist")
@@ -180,6 +185,10 @@ BAD_STEP: Final = Rule("animation-step", "what moves is shown at whole multiples
 BAD_EDGE: Final = Rule("tessellation-edge", "edges are split down to a length in pixels")
 BAD_TECHNIQUE: Final = Rule("technique-parameter", "a parameter of a technique is out of its range")
 
+# Settings
+BAD_CHOICE: Final = Rule("renderer-settings", "a setting of the renderer has a value of another kind")
+BAD_TEXTURES: Final = Rule("texture-settings", "a setting of textures is out of its range")
+
 # Shadows
 BAD_SHADOWS: Final = Rule("shadow-settings", "a setting of shadow maps is out of its range")
 
@@ -238,3 +247,33 @@ def refuse_name(rule: Rule, call: str, given: str, allowed: Iterable[str]) -> No
     names = list(allowed)
     near = get_close_matches(given.lower(), names, n=1)
     refuse(rule, call, given, ", ".join(names), f"did you mean {near[0]!r}?" if near else "")
+
+
+def check_kinds(settings: Any, rule: Rule) -> None:
+    """Refuse settings, a dataclass, with a value of another type than its field's. NumPy's numbers become Python's."""
+    owner: type = type(settings)
+    for name, kinds in _list_kinds(owner):
+        value = getattr(settings, name)
+        if not any(_is_of(value, kind) for kind in kinds):
+            allowed = " or ".join(_describe_kind(kind) for kind in kinds)
+            refuse(rule, f"{owner.__name__}({name}=...)", repr(value), allowed)
+        if kinds[0] in (int, float) and type(value) not in (int, float):
+            object.__setattr__(settings, name, kinds[0](value))
+
+
+@cache
+def _list_kinds(owner: type) -> tuple[tuple[str, tuple[type, ...]], ...]:
+    """Return the fields of a dataclass, each with the types that its value may have."""
+    hints = get_type_hints(owner)
+    return tuple((one.name, get_args(hints[one.name]) or (hints[one.name],)) for one in fields(owner))
+
+
+def _is_of(value: object, kind: type) -> bool:
+    if kind is int:
+        return as_whole(value) is not None
+    return isinstance(value, Real) and not isinstance(value, bool) if kind is float else isinstance(value, kind)
+
+
+def _describe_kind(kind: type) -> str:
+    words = {bool: "True or False", int: "a whole number", float: "a number", str: "a text", type(None): "None"}
+    return describe_choices(kind) if issubclass(kind, Enum) else words.get(kind, f"a {kind.__name__}")

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from enum import Enum
+from math import inf
 from pathlib import Path
 from typing import Any, Final, Self, get_args, get_type_hints
 
@@ -22,7 +23,7 @@ from renderer.shadows import ShadowSettings
 from renderer.stereo import Stereo
 from renderer.techniques import Technique, TechniqueSettings
 from renderer.tessellation import TessellationSettings
-from renderer.visibility import VisibilitySettings, check_algorithm, make_visibility
+from renderer.visibility import ALGORITHMS, VisibilitySettings, check_algorithm, make_visibility
 from rhi import Device, RhiError, refuse
 from rhi.shading import Precision
 
@@ -53,6 +54,14 @@ class RenderSettings:
     depth: Depth = Depth.REVERSED
     animation_step: float = 0.0
     reprojects: bool = False
+
+    def __post_init__(self) -> None:
+        rules.check_kinds(self, rules.BAD_CHOICE)
+        if self.algorithm not in ALGORITHMS:
+            call = "RenderSettings(algorithm=...)"
+            rules.refuse_name(rules.UNKNOWN_ALGORITHM, call, self.algorithm, ALGORITHMS)
+        if not 0.0 <= self.animation_step < inf:
+            refuse(rules.BAD_STEP, "RenderSettings(animation_step=...)", self.animation_step, "0 or more, finite")
 
     def get(self, path: str) -> Any:
         """Return a setting by its path, such as `shadows.cascades`."""

@@ -15,12 +15,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import inf
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from renderer import rules
 from renderer.scene import Scene
 from renderer.shaders.structs import TextureUse
 from rhi import (
@@ -31,6 +33,7 @@ from rhi import (
     StorageBuffer,
     Texture,
     TextureKind,
+    refuse,
 )
 
 MOST_ARRAYS: Final = 8
@@ -57,6 +60,11 @@ class TextureSettings:
     filter: Filter = Filter.LINEAR
     mip: Filter | None = Filter.LINEAR
     anisotropy: float = 1.0
+
+    def __post_init__(self) -> None:
+        rules.check_kinds(self, rules.BAD_TEXTURES)
+        if not 1.0 <= self.anisotropy < inf:
+            refuse(rules.BAD_TEXTURES, "TextureSettings(anisotropy=...)", self.anisotropy, "1 or more, finite")
 
     def adjust(self, sampler: SamplerDescriptor, most: float) -> SamplerDescriptor:
         """Return a texture's sampler as these settings have it, on a device with at most this anisotropy."""

@@ -99,7 +99,8 @@ class GlowSettings:
     tames_sparks: bool = False
 
     def __post_init__(self) -> None:
-        if type(self.levels) is not int or not 1 <= self.levels <= _MOST_LEVELS:
+        rules.check_kinds(self, rules.BAD_GLOW)
+        if not 1 <= self.levels <= _MOST_LEVELS:
             refuse(rules.BAD_GLOW, "GlowSettings(levels=...)", self.levels, f"a whole number from 1 to {_MOST_LEVELS}")
 
 

@@ -53,6 +53,7 @@ class ShadowSettings:
     back_faces: bool = False
 
     def __post_init__(self) -> None:
+        rules.check_kinds(self, rules.BAD_SHADOWS)
         for name, fine, allowed in (
             ("cascades", 1 <= self.cascades <= 8, "1 to 8"),
             ("cascade_size", _is_power(self.cascade_size), "a power of two"),

@@ -53,11 +53,12 @@ class TechniqueSettings:
     multi_pass: bool = False
 
     def __post_init__(self) -> None:
+        rules.check_kinds(self, rules.BAD_TECHNIQUE)
         if self.name not in (AutoTechnique.name, *TECHNIQUES):
             rules.refuse_name(
                 rules.BAD_TECHNIQUE, "TechniqueSettings(name=...)", self.name, [AutoTechnique.name, *TECHNIQUES]
             )
-        if type(self.samples) is not int or self.samples < 1:
+        if self.samples < 1:
             refuse(rules.BAD_TECHNIQUE, "TechniqueSettings(samples=...)", self.samples, "a whole number of 1 or more")
         if self.samples > 1 and self.name not in (AutoTechnique.name, Forward.name):
             refuse(rules.ONE_SAMPLE, "TechniqueSettings", f"{self.name} with samples={self.samples}")

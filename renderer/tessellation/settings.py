@@ -24,5 +24,6 @@ class TessellationSettings:
     edge_pixels: float = 8.0
 
     def __post_init__(self) -> None:
+        rules.check_kinds(self, rules.BAD_EDGE)
         if not 0.0 < self.edge_pixels < float("inf"):
             refuse(rules.BAD_EDGE, "TessellationSettings(edge_pixels=...)", self.edge_pixels, "above 0, finite")

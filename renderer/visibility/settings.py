@@ -44,17 +44,12 @@ class VisibilitySettings:
     pyramid_texels: int = 8
 
     def __post_init__(self) -> None:
+        rules.check_kinds(self, rules.BAD_PARAMETER)
         for name in _COUNTS:
             value, least = getattr(self, name), int(name != "threshold")
-            if type(value) is not int or value < least:
-                refuse(
-                    rules.BAD_PARAMETER,
-                    f"VisibilitySettings({name}=…)",
-                    repr(value),
-                    f"a whole number of {least} or more",
-                )
-        if type(self.emulated) is not bool:
-            refuse(rules.BAD_PARAMETER, "VisibilitySettings(emulated=…)", repr(self.emulated), "True or False")
+            if value < least:
+                given, allowed = repr(value), f"a whole number of {least} or more"
+                refuse(rules.BAD_PARAMETER, f"VisibilitySettings({name}=…)", given, allowed)
 
     def save(self, path: Path, **found: Any) -> None:
         """Write the settings as JSON. `found` is written too, to say how they were found; `load` ignores it."""

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import json
+import re
+from dataclasses import fields
+from math import inf
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 import rhi
 from renderer.content import load_scene
-from renderer.frame import Blending, TextureSettings
+from renderer.frame import Blending, GlowSettings, TextureSettings
 from renderer.scene import Depth, StereoRig
 from renderer.settings import RenderSettings
 from renderer.shadows import ShadowFilter, ShadowSettings
 from renderer.techniques import TECHNIQUES, Clustered, Forward, Inferred, TechniqueSettings
 from renderer.techniques.parts.cell_lists import LightCells
+from renderer.tessellation import TessellationSettings
 from renderer.visibility import ChcPlusPlus, FrustumCulling, VisibilitySettings
 from rhi import Filter, SamplerDescriptor
 from rhi.shading import Precision, Shader
@@ -102,6 +108,52 @@ def test_a_setting_that_no_frame_could_have_is_refused_as_its_file_is_read(
     (tmp_path / "s.json").write_text(f'{{"rendering": {text}}}')
     with pytest.raises(rhi.ValidationError, match=rule):
         RenderSettings.load(tmp_path / "s.json")
+
+
+PARTS = (
+    RenderSettings,
+    TechniqueSettings,
+    VisibilitySettings,
+    ShadowSettings,
+    TextureSettings,
+    TessellationSettings,
+    GlowSettings,
+)
+FIELDS = [(part, one.name) for part in PARTS for one in fields(part)]
+
+
+@pytest.mark.parametrize(("part", "name"), FIELDS, ids=lambda one: getattr(one, "__name__", one))
+def test_a_value_of_another_kind_is_refused_by_name(part: type[Any], name: str) -> None:
+    given = getattr(part(), name)
+    others: list[Any] = ["text" if not isinstance(given, str) else 3, [], float("nan")]
+    others += [1] if isinstance(given, bool) else [True]
+    others += [1.5] if type(given) is int else []
+    for other in others:
+        with pytest.raises(rhi.ValidationError, match=re.escape(f"{part.__name__}({name}=")):
+            part(**{name: other})
+
+
+def test_numbers_of_numpy_become_python_s_own() -> None:
+    shadows = ShadowSettings(cascades=np.int64(3), bias=np.float32(0.5))
+    assert (type(shadows.cascades), type(shadows.bias)) == (int, float)
+    assert shadows == ShadowSettings(cascades=3, bias=0.5)
+    assert TessellationSettings(edge_pixels=4).edge_pixels == 4
+
+
+@pytest.mark.parametrize("anisotropy", [0.99, inf])
+def test_an_anisotropy_out_of_its_range_is_refused(anisotropy: float) -> None:
+    with pytest.raises(rhi.ValidationError, match=r"^\[texture-settings\]"):
+        TextureSettings(anisotropy=anisotropy)
+    assert TextureSettings(anisotropy=1.0).anisotropy == 1.0
+
+
+def test_an_algorithm_or_a_step_that_no_frame_could_have_is_refused() -> None:
+    with pytest.raises(rhi.ValidationError, match="frustum"):
+        RenderSettings(algorithm="frustrum")
+    for step in (-1e-9, inf):
+        with pytest.raises(rhi.ValidationError, match=r"^\[animation-step\]"):
+            RenderSettings(animation_step=step)
+    assert RenderSettings(algorithm="frustum", animation_step=0.0).algorithm == "frustum"
 
 
 def test_settings_at_the_ends_of_their_ranges_are_taken(tmp_path: Path) -> None:
