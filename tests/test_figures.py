@@ -24,6 +24,15 @@ def test_only_the_cells_of_the_columns_that_do_not_depend_on_time_are_written() 
     assert list(list_differences(PAGE, replace_cells(PAGE, "sums", ["sum"], {"1, 2": ["3"], "4, 5": ["8"]}))) == []
 
 
+@pytest.mark.parametrize(
+    ("cell", "is_near"), [("8.5", True), ("8.51", False), ("7.5", True), ("7.49", False), ("x", False)]
+)
+def test_numbers_may_differ_by_a_share_of_the_old_one(cell: str, is_near: bool) -> None:
+    after = PAGE.replace("| 8 |", f"| {cell} |")
+    assert (list(list_differences(PAGE, after, 0.0625)) == []) is is_near
+    assert list(list_differences(PAGE, after)) != []
+
+
 def test_ratios_of_times_are_printed_old_and_new() -> None:
     rows = {"1, 2": ["3", "2.0"], "4, 5": ["9", "3.0"]}
     (line,) = list_ratios(PAGE, "sums", Figure("", ("sum",), lambda: rows, ("ms",)), rows)
@@ -51,7 +60,7 @@ def test_each_mark_of_the_pages_has_a_figure() -> None:
 def test_a_table_that_does_not_depend_on_time_is_what_its_command_finds(name: str) -> None:
     figure = FIGURES[name]
     text = (ROOT / figure.page).read_text()
-    assert list(list_differences(text, replace_cells(text, name, figure.columns, figure.find()))) == []
+    assert list(list_differences(text, replace_cells(text, name, figure.columns, figure.find()), figure.within)) == []
 
 
 # -- commands ------------------------------------------------------------------------------------------------------
