@@ -14,11 +14,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhi.contract.descriptors import Stage
-from rhi.contract.layout import ArrayType, HostType, Layout, StructType, dtype_of, element_dtype, shape_of
+from rhi.contract.layout import (
+    BOOL,
+    INT,
+    UINT,
+    ArrayType,
+    HostType,
+    Layout,
+    StructType,
+    dtype_of,
+    element_dtype,
+    shape_of,
+)
 from rhi.errors import refuse
 from rhi.shading.compile import compile_shader
 from rhi.shading.ir import tree
-from rhi.shading.ir.lanes import ScalarKind
 from rhi.shading.language import rules
 from rhi.shading.language.function import ShadingFunction
 from rhi.shading.language.shader import Shader, StorageClass
@@ -34,7 +44,7 @@ from rhi.shading.parser.stage import parse_function
 
 Array = NDArray[Any]
 
-_DTYPES: Final = {ScalarKind.INT: np.int32, ScalarKind.UINT: np.uint32, ScalarKind.BOOL: np.bool_}
+_DTYPES: Final = {INT: np.int32, UINT: np.uint32, BOOL: np.bool_}
 _functions: weakref.WeakKeyDictionary[FunctionType, tuple[tree.Function, LaneFunction]] = weakref.WeakKeyDictionary()
 _shaders: weakref.WeakKeyDictionary[type[Shader], NumpyKernel] = weakref.WeakKeyDictionary()
 FORGOTTEN.extend((_functions.clear, _shaders.clear))

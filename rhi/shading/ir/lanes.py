@@ -19,16 +19,8 @@ from typing import Final, TypeAlias
 
 from rhi.contract.descriptors import TextureKind
 from rhi.contract.formats import Choice
+from rhi.contract.layout import BOOL, FLOAT, INT, UINT, ScalarType
 from rhi.shading.ir import nodes
-
-
-class ScalarKind(Choice):
-    """The scalar type of a component. A varying bool is a mask."""
-
-    FLOAT = "float"
-    INT = "int"
-    UINT = "uint"
-    BOOL = "bool"
 
 
 class Uniformity(enum.IntEnum):
@@ -45,7 +37,7 @@ class Variable:
     """A named component. Its `uniformity` is final when lowering is done."""
 
     name: str
-    kind: ScalarKind
+    kind: ScalarType
     uniformity: Uniformity
 
 
@@ -79,7 +71,7 @@ class MemoryRegion:
     stride: int = 1
     length: int = 0
     writable: bool = False
-    kind: ScalarKind = ScalarKind.UINT
+    kind: ScalarType = UINT
     uniformity: Uniformity = Uniformity.VARYING
     values: tuple[float, ...] = ()
     shape: TextureKind = TextureKind.D2
@@ -90,9 +82,9 @@ class MemoryRegion:
 
 @dataclass(slots=True, eq=False)
 class Value:
-    """A component of a value. Arithmetic on values creates `Apply` values."""
+    """A component of a value; a varying bool is a mask. Arithmetic on values creates `Apply` values."""
 
-    kind: ScalarKind
+    kind: ScalarType
     uniformity: Uniformity
 
     def __add__(self, other: Value) -> Value:
@@ -252,7 +244,7 @@ class Atomic(Statement):
 
     result: Variable | None
     operation: str
-    kind: ScalarKind
+    kind: ScalarType
     memory: MemoryRegion
     index: Value
     scale: int
@@ -369,25 +361,25 @@ class Code:
 
 _COMPARISONS: Final = frozenset({"equal", "not_equal", "less", "less_equal", "greater", "greater_equal"})
 _FIXED: Final = {
-    "to_float": ScalarKind.FLOAT,
-    "to_int": ScalarKind.INT,
-    "to_uint": ScalarKind.UINT,
-    "as_float": ScalarKind.FLOAT,
-    "as_int": ScalarKind.INT,
-    "as_uint": ScalarKind.UINT,
-    "half_bits": ScalarKind.UINT,
-    "half_value": ScalarKind.FLOAT,
+    "to_float": FLOAT,
+    "to_int": INT,
+    "to_uint": UINT,
+    "as_float": FLOAT,
+    "as_int": INT,
+    "as_uint": UINT,
+    "half_bits": UINT,
+    "half_value": FLOAT,
 }
 
 
-def literal(value: float, kind: ScalarKind = ScalarKind.FLOAT) -> Literal:
+def literal(value: float, kind: ScalarType = FLOAT) -> Literal:
     """Return a constant."""
     return Literal(kind, Uniformity.DISPATCH, value)
 
 
 def number(value: int) -> Literal:
     """Return an int constant."""
-    return Literal(ScalarKind.INT, Uniformity.DISPATCH, value)
+    return Literal(INT, Uniformity.DISPATCH, value)
 
 
 def get(variable: Variable) -> Get:
@@ -395,8 +387,8 @@ def get(variable: Variable) -> Get:
     return Get(variable.kind, variable.uniformity, variable)
 
 
-TRUE: Final = literal(True, ScalarKind.BOOL)
-FALSE: Final = literal(False, ScalarKind.BOOL)
+TRUE: Final = literal(True, BOOL)
+FALSE: Final = literal(False, BOOL)
 
 
 def apply(operation: str, *arguments: Value) -> Value:
@@ -407,7 +399,7 @@ def apply(operation: str, *arguments: Value) -> Value:
     simple = _simplify(operation, arguments)
     if simple is not None:
         return simple
-    kind = _FIXED.get(operation, ScalarKind.BOOL if operation in _COMPARISONS else arguments[-1].kind)
+    kind = _FIXED.get(operation, BOOL if operation in _COMPARISONS else arguments[-1].kind)
     depth = 1 + max(argument.depth if isinstance(argument, Apply) else 0 for argument in arguments)
     return Apply(kind, max(argument.uniformity for argument in arguments), operation, arguments, depth)
 
@@ -420,7 +412,7 @@ def _simplify(operation: str, arguments: tuple[Value, ...]) -> Value | None:
             return arguments[1] if a.value else arguments[2]
         case "not" if isinstance(a, Literal):
             return FALSE if a.value else TRUE
-        case "and" | "or" if a.kind is ScalarKind.BOOL:
+        case "and" | "or" if a.kind is BOOL:
             for one, other in (arguments, arguments[::-1]):
                 if isinstance(one, Literal):
                     return other if bool(one.value) == (operation == "and") else one
@@ -428,9 +420,9 @@ def _simplify(operation: str, arguments: tuple[Value, ...]) -> Value | None:
         case "to_int" | "to_uint" if isinstance(a, Affine):
             base = apply(operation, a.base)
             return Affine(base.kind, Uniformity.VARYING, base, a.stride)
-        case "to_int" if a.kind is ScalarKind.INT:
+        case "to_int" if a.kind is INT:
             return a
-    if a.kind not in (ScalarKind.INT, ScalarKind.UINT) or len(arguments) != 2:
+    if a.kind not in (INT, UINT) or len(arguments) != 2:
         return None
     b = arguments[1]
     match operation:

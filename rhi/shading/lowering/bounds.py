@@ -22,6 +22,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Final, TypeAlias, TypeGuard
 
+from rhi.contract.layout import FLOAT
 from rhi.shading.ir import lanes, nodes
 from rhi.shading.ir.lanes import (
     AddressSpace,
@@ -32,7 +33,6 @@ from rhi.shading.ir.lanes import (
     Literal,
     Load,
     PositionBounds,
-    ScalarKind,
     Set,
     StageCode,
     Uniformity,
@@ -99,14 +99,14 @@ class _Analysis:
 
     def measure(self, value: Value) -> _Magnitude | None:
         """Return the magnitude of a component; None if it isn't affine."""
-        if value.kind is not ScalarKind.FLOAT:
+        if value.kind is not FLOAT:
             return None
         if _is_fixed(value):
             size = literal(abs(value.value)) if isinstance(value, Literal) else apply("abs", value)
             return _extend(size), 0
         match value:
             case Argument(name=name) if name.startswith(_INPUTS):
-                reach = Argument(ScalarKind.FLOAT, Uniformity.LANES, f"{_REACHES}{name[len(_INPUTS) :]}")
+                reach = Argument(FLOAT, Uniformity.LANES, f"{_REACHES}{name[len(_INPUTS) :]}")
                 return _extend(reach), 0
             case Get(variable=variable):
                 return self._known.get(id(variable))
@@ -123,9 +123,9 @@ class _Analysis:
 
     def _name(self, magnitude: _Magnitude, name: str, line: tuple[str, int]) -> _Magnitude:
         value, roundings = magnitude
-        variable = Variable(f"reach_{len(self.block)}_{name}", ScalarKind.FLOAT, Uniformity.LANES)
+        variable = Variable(f"reach_{len(self.block)}_{name}", FLOAT, Uniformity.LANES)
         self.block.append(Let(line, variable, value))
-        return Get(ScalarKind.FLOAT, Uniformity.LANES, variable), roundings
+        return Get(FLOAT, Uniformity.LANES, variable), roundings
 
 
 def _extend(value: Value) -> Value:

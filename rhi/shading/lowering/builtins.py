@@ -3,8 +3,9 @@ invocations: indices in the dispatch, atomics, barriers, `uniform`."""
 
 from __future__ import annotations
 
+from rhi.contract.layout import BOOL, INT
 from rhi.shading.ir import lanes, tree
-from rhi.shading.ir.lanes import ScalarKind, Uniformity, Value, apply, get, number
+from rhi.shading.ir.lanes import Uniformity, Value, apply, get, number
 from rhi.shading.language import rules
 from rhi.shading.language.builtins import SideEffect
 from rhi.shading.language.types import ImageType, TextureType
@@ -49,8 +50,8 @@ def make_uniform(lowering: Lowering, value: Value) -> Value:
     """Return the value of the first active lane for all lanes of a work-item."""
     if lowering.width <= 1 or value.uniformity < Uniformity.VARYING:
         return value
-    if value.kind is ScalarKind.BOOL:
-        return apply("not_equal", make_uniform(lowering, convert(value, ScalarKind.INT)), number(0))
+    if value.kind is BOOL:
+        return apply("not_equal", make_uniform(lowering, convert(value, INT)), number(0))
     mask = lowering.effect_mask()
     active = get(mask) if mask is not None else lanes.TRUE
     first = lowering.let(lanes.Apply(value.kind, Uniformity.LANES, "uniform", (value, active)))
@@ -110,7 +111,7 @@ def dispatch_index(lowering: Lowering, name: str) -> list[Value]:
         case "group_id" | "group_count":
             index = lanes.DispatchIndex(name)
             uniformity = Uniformity.GROUP if name == "group_id" else Uniformity.DISPATCH
-            return [lanes.Input(ScalarKind.INT, uniformity, index, axis) for axis in range(3)]
+            return [lanes.Input(INT, uniformity, index, axis) for axis in range(3)]
         case "local_id":
             return [local_axis(lowering, axis) for axis in range(3)]
     groups = dispatch_index(lowering, "group_id")
@@ -122,15 +123,13 @@ def local_index(lowering: Lowering) -> Value:
     if lowering.work_group == (1, 1, 1):
         return number(0)
     if lowering.width == 0:
-        return lanes.Input(ScalarKind.INT, Uniformity.VARYING, lanes.DispatchIndex.LOCAL_INDEX)
-    return lanes_from(
-        lowering, lanes.Input(ScalarKind.INT, Uniformity.LANES, lanes.DispatchIndex.ITEM) * number(lowering.width)
-    )
+        return lanes.Input(INT, Uniformity.VARYING, lanes.DispatchIndex.LOCAL_INDEX)
+    return lanes_from(lowering, lanes.Input(INT, Uniformity.LANES, lanes.DispatchIndex.ITEM) * number(lowering.width))
 
 
 def lanes_from(lowering: Lowering, first: Value) -> Value:
     """Return `first` in the first lane, `first + 1` in the second, and so on."""
-    return lanes.Affine(ScalarKind.INT, Uniformity.VARYING, first, 1) if lowering.width > 1 else first
+    return lanes.Affine(INT, Uniformity.VARYING, first, 1) if lowering.width > 1 else first
 
 
 def local_axis(lowering: Lowering, axis: int) -> Value:
@@ -142,7 +141,7 @@ def local_axis(lowering: Lowering, axis: int) -> Value:
         return number(0)
     if lowering.work_group[0] % max(lowering.width, 1) == 0 and lowering.width:
         # The lanes of a work-item are in one row.
-        first = lanes.Input(ScalarKind.INT, Uniformity.LANES, lanes.DispatchIndex.ITEM) * number(lowering.width)
+        first = lanes.Input(INT, Uniformity.LANES, lanes.DispatchIndex.ITEM) * number(lowering.width)
         row = floored(False, floored(True, first, number(before)), number(size))
         return lanes_from(lowering, row) if axis == 0 else row
     index = local_index(lowering)

@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 from rhi.contract.layout import (
-    BOOL,
     FLOAT,
-    INT,
-    UINT,
     ArrayType,
     HostType,
     Layout,
@@ -18,21 +13,18 @@ from rhi.contract.layout import (
     VectorType,
     place,
 )
-from rhi.shading.ir.lanes import ScalarKind
 from rhi.shading.language.types import count_scalars
 
-KINDS: Final = {FLOAT: ScalarKind.FLOAT, INT: ScalarKind.INT, UINT: ScalarKind.UINT, BOOL: ScalarKind.BOOL}
 
-
-def leaf_kinds(type: HostType) -> list[tuple[ScalarKind, int]]:
+def leaf_kinds(type: HostType) -> list[tuple[ScalarType, int]]:
     """Return the kinds of a type's components, each with the number of array elements that share it (0: no array)."""
     match type:
         case ScalarType():
-            return [(KINDS[type], 0)]
+            return [(type, 0)]
         case VectorType(scalar=scalar, size=size):
-            return [(KINDS[scalar], 0)] * size
+            return [(scalar, 0)] * size
         case MatrixType(size=size):
-            return [(ScalarKind.FLOAT, 0)] * size**2
+            return [(FLOAT, 0)] * size**2
         case ArrayType(element=element, length=length):
             return [(kind, max(count, 1) * length) for kind, count in leaf_kinds(element)]
         case StructType(fields=fields):
@@ -44,7 +36,7 @@ def words_of(type: HostType) -> int:
     return count_scalars(type)
 
 
-def all_kinds(type: HostType) -> list[ScalarKind]:
+def all_kinds(type: HostType) -> list[ScalarType]:
     """Return the kinds of all scalars of a value, including each element of arrays."""
     match type:
         case ArrayType(element=element, length=length):

@@ -19,6 +19,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Final, NoReturn, TypeVar
 
+from rhi.contract.layout import BOOL, ScalarType
 from rhi.errors import Rule
 from rhi.shading.ir import lanes, nodes, tree
 from rhi.shading.ir.lanes import (
@@ -27,7 +28,6 @@ from rhi.shading.ir.lanes import (
     Get,
     InlinedCall,
     MemoryRegion,
-    ScalarKind,
     Uniformity,
     Value,
     Variable,
@@ -233,7 +233,7 @@ class Lowering:
         yield block
         self.block = before
 
-    def variable(self, name: str, kind: ScalarKind, uniformity: Uniformity) -> Variable:
+    def variable(self, name: str, kind: ScalarType, uniformity: Uniformity) -> Variable:
         """Return a new variable with a unique name."""
         self.count += 1
         return Variable(f"{name}_{self.count}", kind, uniformity)
@@ -274,7 +274,7 @@ class Lowering:
             yield scope
 
     def new_mask(self, value: Value, name: str) -> Variable:
-        mask = self.variable(name, ScalarKind.BOOL, value.uniformity if not self.width else Uniformity.VARYING)
+        mask = self.variable(name, BOOL, value.uniformity if not self.width else Uniformity.VARYING)
         self.emit(lanes.Let(self.line, mask, value))
         return mask
 

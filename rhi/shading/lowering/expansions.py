@@ -12,7 +12,8 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Final, TypeAlias
 
-from rhi.shading.ir.lanes import Literal, ScalarKind, Value, apply, literal
+from rhi.contract.layout import BOOL, FLOAT, INT, UINT, ScalarType
+from rhi.shading.ir.lanes import Literal, Value, apply, literal
 from rhi.shading.ir.tree import OPERATORS
 from rhi.shading.language.builtins import BUILTINS, Builtin
 
@@ -43,24 +44,24 @@ def _if(condition: Value, then: Value, otherwise: Value) -> Value:
 # -- conversions and operators ----------------------------------------------------------------------------------
 
 
-def convert(value: Value, kind: ScalarKind) -> Value:
+def convert(value: Value, kind: ScalarType) -> Value:
     """Return a component converted to another kind."""
     if value.kind is kind:
         return value
-    if value.kind is ScalarKind.BOOL:
+    if value.kind is BOOL:
         return apply("select", value, literal(1, kind), literal(0, kind))
-    if kind is ScalarKind.BOOL:
+    if kind is BOOL:
         return apply("not_equal", value, literal(0, value.kind))
-    if isinstance(value, Literal) and kind is ScalarKind.FLOAT:
+    if isinstance(value, Literal) and kind is FLOAT:
         return literal(float(value.value))
-    if ScalarKind.FLOAT in (kind, value.kind):
-        return apply(f"to_{kind.value}", value)
-    return apply(f"as_{kind.value}", value)
+    if FLOAT in (kind, value.kind):
+        return apply(f"to_{kind.name}", value)
+    return apply(f"as_{kind.name}", value)
 
 
 def floored(divide: bool, a: Value, b: Value) -> Value:
     """Return `a // b` or, if `divide` is false, `a % b`."""
-    if a.kind is ScalarKind.FLOAT:
+    if a.kind is FLOAT:
         return apply("floor", a / b) if divide else float_modulo(a, b)
     if isinstance(b, Literal) and b.value > 0 and int(b.value).bit_count() == 1:
         if divide:
@@ -158,7 +159,7 @@ def clamp(x: Value, low: Value, high: Value) -> Value:
 
 
 def mix(x: Value, y: Value, a: Value) -> Value:
-    if a.kind is ScalarKind.BOOL:
+    if a.kind is BOOL:
         return _if(a, y, x)
     return x * (_like(x, 1.0) - a) + y * a
 
@@ -263,11 +264,11 @@ def all_of(let: LetFunction, v: Components) -> list[Value]:
 
 
 def _uint(value: int) -> Value:
-    return literal(value, ScalarKind.UINT)
+    return literal(value, UINT)
 
 
 def _int(value: int) -> Value:
-    return literal(value, ScalarKind.INT)
+    return literal(value, INT)
 
 
 def find_lsb(x: Value) -> Value:
@@ -276,7 +277,7 @@ def find_lsb(x: Value) -> Value:
 
 
 def find_msb(x: Value) -> Value:
-    if x.kind is ScalarKind.INT:
+    if x.kind is INT:
         x = apply("xor", x, apply("shift_right", x, _int(31)))
     return _int(31) - apply("as_int", apply("leading_zeros", x))
 
@@ -289,7 +290,7 @@ def bitfield_reverse(let: LetFunction, v: Components) -> list[Value]:
             low = apply("shift_left", bits & _uint(mask), _uint(count))
             bits = let(apply("shift_right", bits, _uint(count)) & _uint(mask) | low)
         bits = apply("shift_right", bits, _uint(16)) | apply("shift_left", bits, _uint(16))
-        result.append(bits if part.kind is ScalarKind.UINT else apply("as_int", bits))
+        result.append(bits if part.kind is UINT else apply("as_int", bits))
     return result
 
 
@@ -305,7 +306,7 @@ def bitfield_extract(let: LetFunction, v: Components, offset: Components, count:
     ones, result = let(_ones(count[0])), []
     for part in v:
         bits = let(apply("shift_right", apply("as_uint", part), start) & ones)
-        if part.kind is ScalarKind.INT:
+        if part.kind is INT:
             # Sign extension: the field's top bit is copied to all bits above it.
             top = let(apply("xor", ones, apply("shift_right", ones, _uint(1))))
             extended = apply("xor", bits, top) - top
@@ -323,7 +324,7 @@ def bitfield_insert(
     for old, new in zip(base, v, strict=True):
         moved = apply("shift_left", apply("as_uint", new), start) & field
         bits = apply("as_uint", old) & apply("invert", field) | moved
-        result.append(bits if old.kind is ScalarKind.UINT else apply("as_int", bits))
+        result.append(bits if old.kind is UINT else apply("as_int", bits))
     return result
 
 

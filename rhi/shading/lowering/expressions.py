@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Final
 
-from rhi.contract.layout import INT, UINT, ArrayType, MatrixType, StructType, VectorType
+from rhi.contract.layout import BOOL, INT, UINT, ArrayType, MatrixType, ScalarType, StructType, VectorType
 from rhi.shading.ir import lanes, tree
-from rhi.shading.ir.lanes import Get, Literal, ScalarKind, Uniformity, Value, apply, get, literal, number
+from rhi.shading.ir.lanes import Get, Literal, Uniformity, Value, apply, get, literal, number
 from rhi.shading.ir.tree import Expression, Operator
 from rhi.shading.language.builtins import SideEffect
 from rhi.shading.language.shader import StorageClass
 from rhi.shading.language.types import StorageType, scalar_of
-from rhi.shading.lowering.components import KINDS, all_kinds, words_of
+from rhi.shading.lowering.components import all_kinds, words_of
 from rhi.shading.lowering.context import Lowering, lowers
 from rhi.shading.lowering.expansions import all_of, any_of, by_component, convert, dot, floored
 from rhi.shading.lowering.lvalues import part, select_by_index
@@ -58,12 +58,13 @@ def index_value(lowering: Lowering, values: list[Value], size: int, index: Value
 @lowers(tree.Length)
 def lower_length(lowering: Lowering, node: tree.Length) -> list[Value]:
     assert isinstance(node.base, tree.BindingRead)
-    return [lanes.ElementCount(ScalarKind.INT, Uniformity.DISPATCH, region_of(lowering, node.base.declaration))]
+    return [lanes.ElementCount(INT, Uniformity.DISPATCH, region_of(lowering, node.base.declaration))]
 
 
 @lowers(tree.Constant)
 def lower_constant(lowering: Lowering, node: tree.Constant) -> list[Value]:
-    return [Literal(KINDS[node.type], Uniformity.DISPATCH, node.value)]  # type: ignore[index]
+    assert isinstance(node.type, ScalarType)
+    return [Literal(node.type, Uniformity.DISPATCH, node.value)]
 
 
 @lowers(tree.Zeros)
@@ -73,7 +74,8 @@ def lower_zeros(lowering: Lowering, node: tree.Zeros) -> list[Value]:
 
 @lowers(tree.Convert)
 def lower_conversion(lowering: Lowering, node: tree.Convert) -> list[Value]:
-    kind = KINDS[scalar_of(node.type)]  # type: ignore[index]
+    kind = scalar_of(node.type)
+    assert kind is not None
     return shallow(lowering, [convert(part, kind) for part in lowering.lower(node.value)])
 
 
@@ -185,14 +187,14 @@ def lower_short_circuit(lowering: Lowering, node: tree.Binary, operand: list[Val
         return [apply("and" if is_and else "or", left, lowering.one(node.right))]
     left = lowering.let(left)
     uniformity = max(left.uniformity, lowering.known_uniformity((lowering.frame.path, id(node))))
-    result = lowering.variable("condition", ScalarKind.BOOL, uniformity)
+    result = lowering.variable("condition", BOOL, uniformity)
     lowering.emit(lanes.Let(lowering.line, result, left))
     with lowering.branch(left if is_and else apply("not", left)):
         right = lowering.one(node.right)
         mask = lowering.scope.mask if lowering.scope.owns_mask else None
         uniformity, _ = lowering.join((lowering.frame.path, id(node)), max(left.uniformity, right.uniformity))
         lowering.emit(lanes.Set(lowering.line, result, right, mask))
-    return [Get(ScalarKind.BOOL, uniformity, result)]
+    return [Get(BOOL, uniformity, result)]
 
 
 def lower_matrix_product(lowering: Lowering, node: tree.Binary, left: list[Value]) -> list[Value]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from rhi.contract.layout import BOOL, INT, ScalarType
 from rhi.shading.ir import lanes, tree
 from rhi.shading.ir.lanes import (
     Affine,
@@ -15,7 +16,6 @@ from rhi.shading.ir.lanes import (
     Get,
     InlinedCall,
     Literal,
-    ScalarKind,
     Uniformity,
     Value,
     apply,
@@ -57,7 +57,7 @@ def lower_compute(
 def lower_function(function: tree.Function) -> Code:
     """Lower a function of values for whole arrays. Its arguments are the scalars of the parameters."""
     lowering = Lowering(0)
-    kinds: list[ScalarKind] = []
+    kinds: list[ScalarType] = []
     for parameter in function.parameters:
         kinds += all_kinds(parameter.type)  # type: ignore[arg-type]
     arguments = tuple(lanes.Argument(kind, Uniformity.VARYING, f"a{i}") for i, kind in enumerate(kinds))
@@ -70,7 +70,7 @@ def lower_entry(lowering: Lowering, function: tree.Function, arguments: tuple[Va
     lowering.frame = InlinedFrame(function, ())
     invocations = math.prod(lowering.work_group)
     if lowering.width > 1 and invocations % lowering.width:
-        first = lanes.Input(ScalarKind.INT, Uniformity.LANES, lanes.DispatchIndex.ITEM) * number(lowering.width)
+        first = lanes.Input(INT, Uniformity.LANES, lanes.DispatchIndex.ITEM) * number(lowering.width)
         present = apply("less", lanes_from(lowering, first), number(invocations))
         lowering.scope.mask, lowering.scope.owns_mask = lowering.new_mask(present, "present"), True
     return inline(lowering, function, list(arguments), ())
@@ -247,7 +247,7 @@ def lower_for(lowering: Lowering, node: tree.For) -> None:
     stride = start.stride if isinstance(start, Affine) and step.uniformity < Uniformity.VARYING else 0
     uniformity, stride = lowering.join(key, uniformity, stride)
     first = start.base if stride and isinstance(start, Affine) else start
-    variable = lowering.variable(node.local.name, ScalarKind.INT, Uniformity.LANES if stride else uniformity)
+    variable = lowering.variable(node.local.name, INT, Uniformity.LANES if stride else uniformity)
     lowering.emit(lanes.Let(lowering.line, variable, first))
     slot = Slot(variable, stride, key, lowering.scope)
     lowering.frame.slots[node.local] = [slot]
@@ -267,7 +267,7 @@ def lower_for(lowering: Lowering, node: tree.For) -> None:
     else:
         first = apply("select", up, ascending, apply("and", down, descending))
         more = apply("select", up, apply("less", count, last), apply("greater", count, last))
-    going = lowering.variable("more", ScalarKind.BOOL, max(first.uniformity, more.uniformity))
+    going = lowering.variable("more", BOOL, max(first.uniformity, more.uniformity))
     lowering.emit(lanes.Let(lowering.line, going, first))
     following = apply("as_int", apply("as_uint", get(variable)) + apply("as_uint", step))
     steps: lanes.Block = [

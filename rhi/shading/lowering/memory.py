@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from rhi.contract.layout import ArrayType, Layout, StructType, stride_of
+from rhi.contract.layout import BOOL, INT, UINT, ArrayType, Layout, ScalarType, StructType, stride_of
 from rhi.shading.ir import lanes, tree
 from rhi.shading.ir.lanes import (
     AddressSpace,
@@ -16,7 +16,6 @@ from rhi.shading.ir.lanes import (
     Get,
     Literal,
     MemoryRegion,
-    ScalarKind,
     Uniformity,
     Value,
     apply,
@@ -98,14 +97,14 @@ def lvalue(lowering: Lowering, node: Expression) -> Lvalue | None:
             declaration.type, StorageType
         ):
             memory = region_of(lowering, declaration)
-            row = lowering.let(convert(lowering.one(index), ScalarKind.INT))
-            row = check_index(lowering, row, lanes.ElementCount(ScalarKind.INT, Uniformity.DISPATCH, memory))
+            row = lowering.let(convert(lowering.one(index), INT))
+            row = check_index(lowering, row, lanes.ElementCount(INT, Uniformity.DISPATCH, memory))
             return MemoryLvalue(declaration.type.element, memory, Layout.STD430, row, memory.stride, 0)
         case tree.Index(base=base, index=index):
             at = lvalue(lowering, base)
             if at is None:
                 return None
-            row = lowering.let(convert(lowering.one(index), ScalarKind.INT))
+            row = lowering.let(convert(lowering.one(index), INT))
             row = check_index(lowering, row, number(count_parts(base.type)))  # type: ignore[arg-type]
             return part(at, int(row.value)) if isinstance(row, Literal) else element(at, row)
     return None
@@ -165,7 +164,7 @@ def read_home(lowering: Lowering, home: Slot | MemoryRegion, index: Value | None
     return lanes.Affine(variable.kind, Uniformity.VARYING, value, home.stride) if home.stride else value
 
 
-def load(lowering: Lowering, memory: MemoryRegion, kind: ScalarKind, index: Value, scale: int, offset: int) -> Value:
+def load(lowering: Lowering, memory: MemoryRegion, kind: ScalarType, index: Value, scale: int, offset: int) -> Value:
     """Return a word of memory. Writable memory is read here, not later where the value is used."""
     index = clamp_index(lowering, memory, index, scale, offset)
     uniformity = index.uniformity
@@ -176,13 +175,13 @@ def load(lowering: Lowering, memory: MemoryRegion, kind: ScalarKind, index: Valu
             uniformity = max(uniformity, Uniformity.GROUP)
         case AddressSpace.STORAGE if memory.writable:
             uniformity = max(uniformity, Uniformity.GROUP)
-    is_bool = kind is ScalarKind.BOOL and memory.space is not AddressSpace.PRIVATE
-    stored = ScalarKind.UINT if is_bool else kind
+    is_bool = kind is BOOL and memory.space is not AddressSpace.PRIVATE
+    stored = UINT if is_bool else kind
     mask = lowering.scope.mask if index.uniformity > Uniformity.DISPATCH else None
     value: Value = lanes.Load(stored, uniformity, memory, index, scale, offset, mask)
     if memory.writable:
         value = lowering.let(value, memory.name)
-    return apply("not_equal", value, literal(0, ScalarKind.UINT)) if is_bool else value
+    return apply("not_equal", value, literal(0, UINT)) if is_bool else value
 
 
 def clamp_index(lowering: Lowering, memory: MemoryRegion, index: Value, scale: int, offset: int) -> Value:
@@ -191,7 +190,7 @@ def clamp_index(lowering: Lowering, memory: MemoryRegion, index: Value, scale: i
         return index
     last: Value = number((memory.length - 1 - offset) // scale)
     if memory.space is AddressSpace.STORAGE:  # the scale is the words of an element, or 1
-        count = ElementCount(ScalarKind.INT, Uniformity.DISPATCH, memory)
+        count = ElementCount(INT, Uniformity.DISPATCH, memory)
         whole = scale == memory.stride
         last = count - number(1) if whole else count * number(memory.stride) - number(offset + 1)
     return lowering.let(apply("max", apply("min", index, last), number(0)))
@@ -200,7 +199,7 @@ def clamp_index(lowering: Lowering, memory: MemoryRegion, index: Value, scale: i
 # -- declaring ---------------------------------------------------------------------------------------------
 
 
-def new_slot(lowering: Lowering, name: str, kind: ScalarKind, key: object, value: Value | None) -> Slot:
+def new_slot(lowering: Lowering, name: str, kind: ScalarType, key: object, value: Value | None) -> Slot:
     """Declare a component of a local."""
     stride = value.stride if isinstance(value, Affine) else 0
     if value is not None:
@@ -348,10 +347,7 @@ def store(lowering: Lowering, at: MemoryLvalue, values: list[Value]) -> None:
     if at.index.uniformity < Uniformity.VARYING and lowering.scope.mask is None:
         check_race(lowering, memory, values)
     words = [
-        apply("select", value, literal(1, ScalarKind.UINT), literal(0, ScalarKind.UINT))
-        if value.kind is ScalarKind.BOOL
-        else value
-        for value in values
+        apply("select", value, literal(1, UINT), literal(0, UINT)) if value.kind is BOOL else value for value in values
     ]
     words = [lowering.let(word) for word in words]
     mask, start = lowering.effect_mask(), 0

@@ -13,7 +13,7 @@ from __future__ import annotations
 from typing import Final
 
 from rhi.contract.descriptors import Interpolation, Stage, StageVarying
-from rhi.contract.layout import HostType, StructType
+from rhi.contract.layout import BOOL, FLOAT, INT, HostType, ScalarType, StructType
 from rhi.shading.ir import tree
 from rhi.shading.ir.interface import Interface
 from rhi.shading.ir.lanes import (
@@ -22,7 +22,6 @@ from rhi.shading.ir.lanes import (
     Affine,
     Argument,
     Code,
-    ScalarKind,
     StageCode,
     Uniformity,
     Value,
@@ -40,11 +39,11 @@ _DIFFERENCES: Final = frozenset({"ddx", "ddy", "fwidth", "sample", "sample_bias"
 _DEPTH: Final = -1
 
 
-def _argument(name: str, kind: ScalarKind = ScalarKind.INT, uniformity: Uniformity = Uniformity.LANES) -> Argument:
+def _argument(name: str, kind: ScalarType = INT, uniformity: Uniformity = Uniformity.LANES) -> Argument:
     return Argument(kind, uniformity, name)
 
 
-_MASK: Final = _argument("mask", ScalarKind.BOOL, Uniformity.VARYING)
+_MASK: Final = _argument("mask", BOOL, Uniformity.VARYING)
 _INPUTS: Final[dict[Stage, dict[str, tuple[Value, ...]]]] = {
     Stage.VERTEX: {
         "vertex_index": (_argument(FIRST_VERTEX, uniformity=Uniformity.VARYING),),
@@ -52,10 +51,10 @@ _INPUTS: Final[dict[Stage, dict[str, tuple[Value, ...]]]] = {
         "draw_index": (_argument("draw"),),
     },
     Stage.FRAGMENT: {
-        "fragment_coordinate": tuple(_argument(axis, ScalarKind.FLOAT, Uniformity.VARYING) for axis in "xyzw"),
-        "front_facing": (_argument("front", ScalarKind.BOOL),),
+        "fragment_coordinate": tuple(_argument(axis, FLOAT, Uniformity.VARYING) for axis in "xyzw"),
+        "front_facing": (_argument("front", BOOL),),
         "primitive_index": (_argument("primitive"),),
-        "point_coordinate": tuple(_argument(axis, ScalarKind.FLOAT, Uniformity.VARYING) for axis in ("across", "down")),
+        "point_coordinate": tuple(_argument(axis, FLOAT, Uniformity.VARYING) for axis in ("across", "down")),
     },
 }
 
@@ -81,7 +80,7 @@ def lower_stage(
     inputs = _INPUTS[stage.stage]
     built_in = [value for values in inputs.values() for value in values]
     if stage.stage is Stage.VERTEX and width:
-        inputs = inputs | {"vertex_index": (Affine(ScalarKind.INT, Uniformity.VARYING, _argument(FIRST_VERTEX), 1),)}
+        inputs = inputs | {"vertex_index": (Affine(INT, Uniformity.VARYING, _argument(FIRST_VERTEX), 1),)}
     has_helpers = stage.stage is Stage.FRAGMENT and takes_differences(stage)
     lowering = Lowering(width, checked=checked, inputs=inputs, has_helpers=has_helpers, may_discard=stage.discards)
     if stage.stage is Stage.VERTEX:

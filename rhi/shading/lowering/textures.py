@@ -11,12 +11,12 @@ from __future__ import annotations
 from typing import Final
 
 from rhi.contract.descriptors import TextureKind
+from rhi.contract.layout import FLOAT, INT, ScalarType
 from rhi.shading.ir import lanes, tree
 from rhi.shading.ir.lanes import (
     AddressSpace,
     Get,
     MemoryRegion,
-    ScalarKind,
     Uniformity,
     Value,
     apply,
@@ -24,7 +24,7 @@ from rhi.shading.ir.lanes import (
     number,
 )
 from rhi.shading.language.types import ImageType, TextureType
-from rhi.shading.lowering.components import KINDS, all_kinds
+from rhi.shading.lowering.components import all_kinds
 from rhi.shading.lowering.context import Lowering
 from rhi.shading.lowering.memory import check_index, check_race
 
@@ -42,23 +42,23 @@ def lower_texture(lowering: Lowering, node: tree.BuiltinCall) -> list[Value]:
     if name in ("size", "levels"):
         count = len(all_kinds(node.type))  # type: ignore[arg-type]
         first: list[Value] = [] if name == "levels" else [number(0)]
-        return access(lowering, name, memory, arguments[0] if arguments else first, ScalarKind.INT, count)
+        return access(lowering, name, memory, arguments[0] if arguments else first, INT, count)
     at = arguments[0]
     at = [*at, literal(0, at[0].kind)][:3]
     if isinstance(type, ImageType):
         return lower_image(lowering, name, memory, type, at, arguments[1:])
     if name == "load":
         level = arguments[1] if len(arguments) > 1 else [number(0)]
-        return access(lowering, "load", memory, check_texel(lowering, memory, at, *level), KINDS[type.scalar], 4)
+        return access(lowering, "load", memory, check_texel(lowering, memory, at, *level), type.scalar, 4)
     if name in ("gather", "gather_compare"):
         component = arguments[1] if len(arguments) > 1 else [number(0)]
         inputs = [*at, *component] if name == "gather_compare" else [*component, *at]
-        return access(lowering, name, memory, inputs, KINDS[type.scalar], 4)
+        return access(lowering, name, memory, inputs, type.scalar, 4)
     if type.compare:
-        operation, kind, count = "sample_compare", ScalarKind.FLOAT, 1
+        operation, kind, count = "sample_compare", FLOAT, 1
         given, more = [*at, *arguments[1]], arguments[2:]
     else:
-        operation, kind, count = "sample", KINDS[type.scalar], 4
+        operation, kind, count = "sample", type.scalar, 4
         given, more = at, arguments[1:]
     if name in ("sample_lod", "sample_compare_lod"):
         return access(lowering, operation, memory, [*given, *more[0]], kind, count)
@@ -88,7 +88,7 @@ def lower_image(
 ) -> list[Value]:
     place = check_texel(lowering, memory, at, number(0))
     if name == "load":
-        return access(lowering, "load", memory, place, KINDS[type.scalar], 4)
+        return access(lowering, "load", memory, place, type.scalar, 4)
     (values,), at = rest, place[:3]
     mask = lowering.effect_mask()
     if mask is None and all(value.uniformity < Uniformity.VARYING for value in at):
@@ -104,12 +104,12 @@ def check_texel(lowering: Lowering, memory: MemoryRegion, at: list[Value], level
     """
     if not lowering.checked:
         return [*at, level]
-    (count,) = access(lowering, "levels", memory, [], ScalarKind.INT, 1)
+    (count,) = access(lowering, "levels", memory, [], INT, 1)
     level = check_index(lowering, level, count)
     if level.uniformity is Uniformity.VARYING and lowering.width != 1:
         return [*at, level]
     axes = 2 if memory.shape is TextureKind.D2 else 3
-    sizes = access(lowering, "size", memory, [level], ScalarKind.INT, axes)
+    sizes = access(lowering, "size", memory, [level], INT, axes)
     checked = [check_index(lowering, lowering.let(axis), size) for axis, size in zip(at, sizes, strict=False)]
     return [*checked, *at[axes:], level]
 
@@ -127,7 +127,7 @@ def texture_region(lowering: Lowering, source: tree.BindingRead) -> MemoryRegion
 
 
 def access(
-    lowering: Lowering, operation: str, memory: MemoryRegion, arguments: list[Value], kind: ScalarKind, count: int
+    lowering: Lowering, operation: str, memory: MemoryRegion, arguments: list[Value], kind: ScalarType, count: int
 ) -> list[Value]:
     """Emit a texture access and return its results."""
     arguments = [lowering.let(value) for value in arguments]

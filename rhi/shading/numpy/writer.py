@@ -11,21 +11,22 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from rhi.contract.layout import BOOL, FLOAT, INT, UINT, ScalarType
 from rhi.shading.ir import lanes
-from rhi.shading.ir.lanes import AddressSpace, Code, MemoryRegion, ScalarKind, Value
+from rhi.shading.ir.lanes import AddressSpace, Code, MemoryRegion, Value
 from rhi.shading.ir.primitives import spelling
 
 _ZEROS: Final = {
-    ScalarKind.FLOAT: "F(0)",
-    ScalarKind.INT: "np.int32(0)",
-    ScalarKind.UINT: "np.uint32(0)",
-    ScalarKind.BOOL: "False",
+    FLOAT: "F(0)",
+    INT: "np.int32(0)",
+    UINT: "np.uint32(0)",
+    BOOL: "False",
 }
 _DTYPES: Final = {
-    ScalarKind.FLOAT: "F",
-    ScalarKind.INT: "np.int32",
-    ScalarKind.UINT: "np.uint32",
-    ScalarKind.BOOL: "np.bool_",
+    FLOAT: "F",
+    INT: "np.int32",
+    UINT: "np.uint32",
+    BOOL: "np.bool_",
 }
 
 
@@ -92,10 +93,10 @@ class _NumpyWriter:
                 return self.load(node)
         raise TypeError(f"no NumPy for {node}")
 
-    def literal(self, kind: ScalarKind, value: float) -> str:
-        if kind is ScalarKind.BOOL:
+    def literal(self, kind: ScalarType, value: float) -> str:
+        if kind is BOOL:
             return repr(bool(value))
-        if kind is ScalarKind.FLOAT:
+        if kind is FLOAT:
             number = float(value)
             text = repr(number) if math.isfinite(number) else f'float("{number}")'
             text = f"F({text})"

@@ -14,6 +14,7 @@ import struct
 from typing import Final
 
 from rhi.contract.descriptors import Binding, BindingKind, StageText, TextureKind
+from rhi.contract.layout import BOOL, FLOAT, INT, UINT, ScalarType
 from rhi.shading.ir import lanes, tree
 from rhi.shading.ir.lanes import (
     AddressSpace,
@@ -21,7 +22,6 @@ from rhi.shading.ir.lanes import (
     Code,
     Literal,
     MemoryRegion,
-    ScalarKind,
     Uniformity,
     Value,
     number,
@@ -32,7 +32,7 @@ from rhi.shading.language.builtins import Precision
 from rhi.shading.opencl import prelude
 from rhi.shading.opencl.textures import textures_text
 
-_NAMES: Final = {ScalarKind.FLOAT: "float", ScalarKind.INT: "int", ScalarKind.UINT: "uint", ScalarKind.BOOL: "int"}
+_NAMES: Final = {FLOAT: "float", INT: "int", UINT: "uint", BOOL: "int"}
 _ATOMICS: Final = {"exchange": "xchg", "compare_exchange": "cmpxchg"}
 _SPACES: Final = {
     AddressSpace.STORAGE: "global",
@@ -126,8 +126,8 @@ class OpenCLWriter:
             texts.append(self.native.declarations)
         return "\n".join([*texts, *self.helpers.values()]).split("\n")
 
-    def word(self, kind: ScalarKind, value: float) -> str:
-        if kind is ScalarKind.FLOAT:
+    def word(self, kind: ScalarType, value: float) -> str:
+        if kind is FLOAT:
             return f"0x{struct.unpack('<I', struct.pack('<f', value))[0]:08x}u"
         return f"{int(value) & 0xFFFFFFFF}u"
 
@@ -142,7 +142,7 @@ class OpenCLWriter:
 
     # -- types and values
 
-    def type(self, kind: ScalarKind, vector: bool) -> str:
+    def type(self, kind: ScalarType, vector: bool) -> str:
         return _NAMES[kind] + (self.suffix if vector else "")
 
     def is_vector(self, value: Value) -> bool:
@@ -153,7 +153,7 @@ class OpenCLWriter:
         text = self.value(value)
         if not vector or self.is_vector(value) or self.width == 1:
             return text
-        if value.kind is ScalarKind.BOOL:
+        if value.kind is BOOL:
             text = f"-({text})"
         return f"({self.type(value.kind, True)})({text})"
 
@@ -169,7 +169,7 @@ class OpenCLWriter:
             case Affine(kind=kind, base=base, stride=stride):
                 steps = self.steps or "RHI_LANES"
                 steps = steps if stride == 1 else f"{steps} * {stride}"
-                steps = f"as_uint{self.width}({steps})" if kind is ScalarKind.UINT else steps
+                steps = f"as_uint{self.width}({steps})" if kind is UINT else steps
                 return f"({self.value(base)} + {steps})"
             case lanes.ElementCount(memory=memory):
                 return f"{self.name(memory)}_count"
@@ -190,11 +190,11 @@ class OpenCLWriter:
 
     def literal(self, node: Literal) -> str:
         value = node.value
-        if node.kind is ScalarKind.BOOL:
+        if node.kind is BOOL:
             return "1" if value else "0"
-        if node.kind is ScalarKind.UINT:
+        if node.kind is UINT:
             return f"{int(value) & 0xFFFFFFFF}u"
-        if node.kind is ScalarKind.INT:
+        if node.kind is INT:
             return "((int)0x80000000)" if value == -(2**31) else f"({int(value)})" if value < 0 else str(int(value))
         number = float(value)
         if math.isnan(number):
@@ -211,14 +211,14 @@ class OpenCLWriter:
             if isinstance(exponent, Literal) and exponent.value in range(1, _LARGEST_POWER + 1):
                 return self.whole_power(base, int(exponent.value))
         row, vector = spelling(node.operation, self.precision), self.is_vector(node)
-        texts = [self.wide(one, vector and (not row.infix or one.kind is ScalarKind.BOOL)) for one in node.arguments]
+        texts = [self.wide(one, vector and (not row.infix or one.kind is BOOL)) for one in node.arguments]
         template = row.vector if vector and row.vector else row.opencl
         return template.format(*texts, type=self.type(node.kind, vector))
 
     def whole_power(self, base: Value, exponent: int) -> str:
         """Return a power by repeated squaring, from the exponent's highest bit down."""
         name = f"rhi_power_{exponent}"
-        type = self.type(ScalarKind.FLOAT, self.is_vector(base))
+        type = self.type(FLOAT, self.is_vector(base))
         head = f"inline __attribute__((overloadable, always_inline)) {type} {name}({type} x)"
         self.helper(f"{name} {type}", f"{head} {{ {type} r = x; {power_steps(exponent)} return r; }}")
         return f"{name}({self.value(base)})"
@@ -243,8 +243,8 @@ class OpenCLWriter:
     def address(self, index: Value, scale: int, offset: int) -> Value:
         return index * number(scale) + number(offset)
 
-    def cast(self, kind: ScalarKind, vector: bool, text: str) -> str:
-        if kind is ScalarKind.UINT:
+    def cast(self, kind: ScalarType, vector: bool, text: str) -> str:
+        if kind is UINT:
             return text
         return f"as_{self.type(kind, vector)}({text})"
 
@@ -284,7 +284,7 @@ class OpenCLWriter:
         if varying:
             address = f"{address} * {self.width} + RHI_LANES"
         text = self.cast(node.kind, True, f"rhi_gather({self.pointer(memory)}, {address})")
-        return text if varying or node.kind is not ScalarKind.BOOL else f"(-{text})"
+        return text if varying or node.kind is not BOOL else f"(-{text})"
 
     def mask(self, mask: lanes.Variable | None) -> str:
         return mask.name if mask is not None else f"(int{self.width})(-1)"
@@ -379,7 +379,7 @@ class OpenCLWriter:
 
     def bits(self, value: Value, vector: bool) -> str:
         text = self.wide(value, vector)
-        return text if value.kind is ScalarKind.UINT else f"as_{self.type(ScalarKind.UINT, vector)}({text})"
+        return text if value.kind is UINT else f"as_{self.type(UINT, vector)}({text})"
 
     def store(self, node: lanes.Store) -> None:
         memory, index = node.memory, node.index
@@ -487,7 +487,7 @@ class OpenCLWriter:
             axes = [f", {axis}" if operation == "size" else "" for axis in range(len(results))]
             words = [f"{function}({arguments}{axis}){first}" for axis in axes]
         else:
-            kind, whole = self.type(ScalarKind.UINT, each), f"{results[0].name}_words"
+            kind, whole = self.type(UINT, each), f"{results[0].name}_words"
             self.add(node, f"{kind} {whole}[4]; {function}({name}_, {arguments}, {whole});")
             words = [self.cast(result.kind, varies, f"{whole}[{i}]{first}") for i, result in enumerate(results)]
         for result, word in zip(results, words, strict=True):
