@@ -91,12 +91,12 @@ def finish(block: BlockBuilder) -> tree.Block:
         match statement:
             case Splice(block=inner):
                 result.extend(finish(inner))
-                if result and isinstance(result[-1], tree.Return):
-                    break  # what follows is never reached
-                continue
             case tree.If(then=BlockBuilder() as then, otherwise=BlockBuilder() as otherwise):
                 statement.then, statement.otherwise = finish(then), finish(otherwise)
             case tree.For(body=BlockBuilder() as body) | tree.While(body=BlockBuilder() as body):
                 statement.body = finish(body)
-        result.append(statement)
+        if not isinstance(statement, Splice):
+            result.append(statement)
+        if result and isinstance(result[-1], tree.Return | tree.Break | tree.Continue):
+            break  # what follows is never reached
     return result

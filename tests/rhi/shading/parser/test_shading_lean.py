@@ -17,6 +17,7 @@ from rhi.shading import (
     global_id,
     run_compute,
     run_vertex,
+    stage_trees,
     vec2,
     vec4,
 )
@@ -95,6 +96,48 @@ class Undecided(Decided):
 def test_what_follows_a_return_that_is_taken_is_left_out_of_any_program() -> None:
     texts = [compile_shader(shader).emit("glsl", Stage.COMPUTE).text for shader in (Decided, Undecided)]
     assert ["7.0" in text for text in texts] == [False, True]
+
+
+class Skips(Shader):
+    """Adds up what is `given` in a loop that a constant condition may leave or go on with before `more` is added."""
+
+    work_group = (4,)
+    ends = False
+    skips = False
+
+    found: StorageRW[float]
+    given: Storage[float]
+    more: Storage[float]
+
+    def compute(self) -> None:
+        total = 0.0
+        for i in range(3):
+            total += self.given[i]
+            if self.ends:
+                break
+            if self.skips:
+                continue
+            total += self.more[i]
+        self.found[int(global_id().x)] = total
+
+
+class Ends(Skips):
+    ends = True
+
+
+class Goes(Skips):
+    skips = True
+
+
+@pytest.mark.parametrize(
+    ("shader", "read", "total"), [(Skips, {"given", "more"}, 66.0), (Ends, {"given"}, 1.0), (Goes, {"given"}, 6.0)]
+)
+def test_what_follows_a_break_or_continue_that_is_taken_is_left_out(
+    shader: type[Shader], read: set[str], total: float
+) -> None:
+    assert {declared.name for declared in stage_trees(shader)[Stage.COMPUTE].bindings} == {"found", *read}
+    given, more = np.float32([1, 2, 3]), np.float32([10, 20, 30])
+    assert run_compute(shader, given=given, more=more, found=4)["found"].tolist() == [total] * 4
 
 
 def test_a_lean_program_computes_as_the_whole_one_does() -> None:
