@@ -195,7 +195,7 @@ def _to_shared(values: Any) -> Array:
     return array.view(np.uint64) if array.dtype == np.float64 else array.view(np.uint32).astype(np.uint64)
 
 
-def private(length: int, dtype: Any, invocations: Invocations | None) -> list[Any]:
+def private(length: int, dtype: Any) -> list[Any]:
     """Create a private array: a list whose elements are single numbers until invocations differ."""
     return [np.zeros((), dtype)[()]] * length
 
@@ -211,7 +211,7 @@ def load_private(memory: list[Any], address: Any, mask: Any) -> Any:
     return result
 
 
-def store_private(memory: list[Any], address: Any, value: Any, mask: Any, invocations: Invocations | None) -> None:
+def store_private(memory: list[Any], address: Any, value: Any, mask: Any) -> None:
     """Write elements of each invocation's private array."""
     if np.ndim(address) == 0:
         index = int(address)
@@ -239,7 +239,7 @@ def _words(values: Array) -> Array:
     return array.view(np.uint32)
 
 
-def store(memory: Array, address: Any, value: Any, mask: Any, invocations: Invocations) -> None:
+def store(memory: Array, address: Any, value: Any, mask: Any) -> None:
     """Write words of a buffer; writes outside it are dropped. The last of several values for a word stays."""
     address, value = _active(address, value, mask)
     inside = (address >= 0) & (address < memory.size)

@@ -140,7 +140,7 @@ class _NumpyWriter:
                 self.add(depth, f"{variable.name} = {text}")
             case lanes.DeclareMemory(memory=memory):
                 kind = _DTYPES[memory.kind]
-                self.add(depth, f"{self.name(memory)} = R.private({memory.length}, {kind}, P)")
+                self.add(depth, f"{self.name(memory)} = R.private({memory.length}, {kind})")
             case lanes.Set(variable=variable, value=value, mask=mask):
                 text = self.value(value)
                 if mask is not None:
@@ -192,12 +192,11 @@ class _NumpyWriter:
 
     def store(self, node: lanes.Store, depth: int) -> None:
         mask = self.mask(node.mask)
-        function = {AddressSpace.PRIVATE: "store_private", AddressSpace.SHARED: "store_shared"}.get(
-            node.memory.space, "store"
-        )
+        names = {AddressSpace.PRIVATE: "store_private", AddressSpace.SHARED: "store_shared"}
+        function, groups = names.get(node.memory.space, "store"), ", P" * (node.memory.space is AddressSpace.SHARED)
         for i, value in enumerate(node.values):
             target = self.target(node.memory, node.index, node.scale, node.offset + i)
-            self.add(depth, f"R.{function}({target}, {self.value(value)}, {mask}, P)")
+            self.add(depth, f"R.{function}({target}, {self.value(value)}, {mask}{groups})")
 
     def atomic(self, node: lanes.Atomic, depth: int) -> None:
         mask = self.mask(node.mask)
