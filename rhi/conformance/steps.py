@@ -55,7 +55,7 @@ STEPS: Final = (
         ("create_vertex_array", "set_states", "draw", "draw_indirect"),
         ("operation · orientation", "operation · rasterisation", "operation · topology", "operation · meshes",
          "operation · points", "operation · transient", "operation · scopes", "operation · recording",
-         "operation · dropped", "operation · draw times"),
+         "operation · dropped", "operation · draw times", "operation · draw bounds"),
     ),
     Step(
         "depth, stencil, blending and targets",

@@ -282,7 +282,7 @@ class Encoder:
         """Return the program as this encoder uses it, and the array of draws as backends need it."""
         own = self._resolve_program(program, call)
         check_drawable(self._core, mesh, call)
-        return own, check_draws(self._core, mesh, draws, call)
+        return own, check_draws(self._core, mesh, draws, own.descriptor.attributes, call)
 
     def _refuse_quads(self, mesh: Drawable, call: str) -> None:
         """Refuse quads, whose indices can't be expanded where the GPU reads the arguments of draws."""

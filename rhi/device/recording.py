@@ -134,9 +134,8 @@ class RecordedProgram(Program[Any]):
             origin.recorded_code = compile_draw_code(origin.name, origin.descriptor.bindings, recorded=True)
         self._install_code(origin.recorded_code)
 
-    def prepare_draw(self, mesh: Drawable) -> Callable[[int], object]:
-        draw = self.prepared_draws[mesh] = self._make_draw(mesh)
-        return draw
+    def _keep_draw(self, mesh: Drawable, draw: Callable[[int], object]) -> None:
+        self.prepared_draws[mesh] = draw
 
     def find_vertex_array(self, mesh: Drawable) -> Id:
         core = self.core

@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any, Final, NamedTuple, NoReturn, TypeAlias, TypeVar, cast, overload
 
 import numpy as np
@@ -239,7 +239,15 @@ class TransientMemory:
             index_format = IndexFormat.UINT16 if size == 2 else IndexFormat.UINT32
         vertex_array = self._find_vertex_array(program, tuple(sources), index_buffer, index_format)
         count = vertex_count if indices is None else len(indices)
-        whole = TransientWhole(core, first, base, count, indices is not None, self._mesh_owner)
+        fields: frozenset[str] = frozenset()
+        if instances is not None:
+            fields = frozenset(instances.dtype.names or ()) - frozenset(
+                () if vertices is None else vertices.dtype.names or ()
+            )
+        whole = TransientWhole(
+            core, first, base, count, indices is not None, self._mesh_owner, vertex_count, fields,
+            0 if instances is None else len(instances),
+        )  # fmt: skip
         return TransientMesh(whole, {program: vertex_array}, primitive, first, count, base, 0)
 
     def _upload(self, memory: Ring | Arena, array: NDArray[Any], alignment: int) -> int:
@@ -298,6 +306,9 @@ class TransientWhole(NamedTuple):
     element_count: int
     is_indexed: bool
     owner: TransientOwner
+    vertex_count: int
+    instance_fields: Collection[str]
+    instance_count: int
 
 
 class TransientMesh(Drawable):
@@ -332,6 +343,21 @@ class TransientMesh(Drawable):
     def element_count(self) -> int:
         """Number of indices or, without indices, of vertices; a view's is that of the whole mesh."""
         return self._whole.element_count
+
+    @property
+    def vertex_count(self) -> int:
+        """Number of vertices of the whole mesh."""
+        return self._whole.vertex_count
+
+    @property
+    def instance_fields(self) -> Collection[str]:
+        """The names of fields that are read once per instance."""
+        return self._whole.instance_fields
+
+    @property
+    def instance_count(self) -> int:
+        """Number of elements of the per-instance data."""
+        return self._whole.instance_count
 
     def place_draws(self, draws: NDArray[Any]) -> NDArray[Any]:
         """Return draws as the backend needs them: counted from the start of the frame's memory."""

@@ -121,9 +121,9 @@ def _write_draw(
         "try:",
         f"    _draw = {'_program.prepared_draws[_mesh]' if recorded else '_mesh.prepared_draws[_program]'}",
         "except KeyError:",
-        "    _draw = _program.prepare_draw(_mesh)",
+        "    _draw = _program.prepare_draw(_mesh, _instances)",
         "if _instances is not _one:",
-        "    _instances = _program.check_instances(_instances)",
+        "    _instances = _program.check_instances(_instances, _mesh)",
     )
     yield from _write_bind(bindings, cells, "_program.check_can_draw(_mesh)", find, recorded, draws=True)
     yield "            if _states.wanted is not _states.hardware:"

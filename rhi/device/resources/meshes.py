@@ -10,7 +10,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, Final, NamedTuple, Self, TypeAlias, cast
 from weakref import WeakSet
 
@@ -48,8 +48,8 @@ _FORMATS: Final = {(f.code, f.components, f.normalized): f for f in VertexFormat
 class MeshData:
     """The buffers of a mesh, shared by its views."""
 
-    __slots__ = ("__weakref__", "buffers", "core", "index_buffer", "index_count", "index_format", "instances", "label",
-                 "owned", "vertex_arrays", "vertex_count", "vertices", "views")  # fmt: skip
+    __slots__ = ("__weakref__", "buffers", "core", "index_buffer", "index_count", "index_format", "instance_fields",
+                 "instances", "label", "owned", "vertex_arrays", "vertex_count", "vertices", "views")  # fmt: skip
 
     def __init__(
         self, core: Core, vertices: VertexSource | int, indices: NDArray[Any] | Buffer | None,
@@ -80,6 +80,9 @@ class MeshData:
         self.views: WeakSet[Mesh] = WeakSet()
         sources = (self.vertices, self.instances, self.index_buffer)
         self.buffers = tuple(buffer for buffer in sources if buffer is not None)
+        names = () if self.instances is None else self.instances.dtype.names or ()
+        own = () if self.vertices is None else self.vertices.dtype.names or ()
+        self.instance_fields = frozenset(names) - frozenset(own)  # a vertex's field comes first
         for buffer in self.buffers:
             core.timeline.watch(self, buffer.id)
 
@@ -232,6 +235,9 @@ def _format_text(form: VertexFormat) -> str:
 class Drawable:
     """Vertices that a draw can read: a `Mesh`, or a `TransientMesh`.
 
+    What a draw's own numbers say beyond the vertices or instances is refused. Indices that were written to the device,
+    and arguments that it reads, aren't known here: backends clamp what they read by them.
+
     Attributes:
         primitive, first, count, base_vertex, base_instance: the arguments of a draw. `first` and `count` are in
             indices for an indexed mesh, in vertices otherwise. Read-only.
@@ -292,6 +298,21 @@ class Drawable:
         """Number of indices or, without indices, of vertices; a view's is that of the whole."""
         raise NotImplementedError
 
+    @property
+    def vertex_count(self) -> int:
+        """Number of vertices of the whole."""
+        raise NotImplementedError
+
+    @property
+    def instance_fields(self) -> Collection[str]:
+        """The names of fields that are read once per instance."""
+        return ()
+
+    @property
+    def instance_count(self) -> int:
+        """Number of elements of the per-instance data."""
+        return 0
+
     def view(
         self,
         first: int = 0,
@@ -319,6 +340,8 @@ class Drawable:
             core.refuse(MESH_RANGE, call, given, f"within {total} elements, base instance 0 or more")
         if not self.is_indexed and base_vertex:
             core.refuse(MESH_RANGE, call, f"base vertex {base_vertex}", "0 for a mesh without indices")
+        if base_vertex >= self.vertex_count:
+            core.refuse(MESH_RANGE, call, f"base vertex {base_vertex}", f"below {self.vertex_count}, the vertices")
         return self._part(first, count, base_vertex, base_instance, primitive or self.primitive)
 
     def draws(
@@ -351,6 +374,7 @@ class Drawable:
             core.refuse(MESH_RANGE, call, "a base vertex", "0 for a mesh without indices")
         for name, column in columns.items():
             draws[name] = column
+        _check_base_vertices(self, draws, call)
         return draws
 
     def place_draws(self, draws: NDArray[Any]) -> NDArray[Any]:
@@ -405,6 +429,16 @@ class Mesh(Drawable, Resource):
     def is_indexed(self) -> bool:
         """Whether the mesh has indices."""
         return self.data.index_count is not None
+
+    @property
+    def instance_fields(self) -> Collection[str]:
+        """The names of fields that are read once per instance."""
+        return self.data.instance_fields
+
+    @property
+    def instance_count(self) -> int:
+        """Number of elements of the per-instance data."""
+        return self.data.instances.count if self.data.instances is not None else 0
 
     @property
     def vertices(self) -> Buffer | None:
@@ -470,8 +504,18 @@ def _whole_columns(check: Arguments, given: dict[str, Any]) -> dict[str, NDArray
     return dict(zip(columns, map(np.atleast_1d, parts), strict=True))
 
 
-def check_draws(core: Core, mesh: Drawable, draws: NDArray[Any], call: str) -> NDArray[Any]:
-    """Return draws as backends need them; refuse a dtype that is not the mesh's, and draws beyond the mesh."""
+def _check_base_vertices(mesh: Drawable, draws: NDArray[Any], call: str) -> None:
+    """Refuse draws whose first vertex already lies beyond the mesh."""
+    if mesh.is_indexed and len(draws) and int(draws["base_vertex"].max()) >= mesh.vertex_count:
+        given = f"base vertex {int(draws['base_vertex'].max())}"
+        mesh.core.refuse(MESH_RANGE, call, given, f"below {mesh.vertex_count}, the vertices")
+
+
+def check_draws(
+    core: Core, mesh: Drawable, draws: NDArray[Any], attributes: tuple[Attribute, ...], call: str
+) -> NDArray[Any]:
+    """Return draws as backends need them; refuse a dtype that is not the mesh's, and draws beyond the mesh or, if the
+    program's `attributes` are among them, its per-instance data."""
     expected = DRAW if mesh.is_indexed else DRAW_UNINDEXED
     array = Arguments(call, core.refuse).array("draws", draws)
     if array.dtype != expected or array.ndim != 1:
@@ -480,7 +524,23 @@ def check_draws(core: Core, mesh: Drawable, draws: NDArray[Any], call: str) -> N
         last = int((array["first"].astype(np.int64) + array["count"]).max())
         if last > mesh.element_count:
             core.refuse(MESH_RANGE, call, f"a draw up to element {last}", f"within {mesh.element_count} elements")
+        _check_base_vertices(mesh, array, call)
+        if reads_instances(mesh, attributes):
+            ends = array["base_instance"].astype(np.int64) + array["instances"]
+            check_instance_end(core, mesh, int(np.max(ends, where=array["instances"] > 0, initial=0)), call)
     return np.ascontiguousarray(mesh.place_draws(array))
+
+
+def reads_instances(mesh: Drawable, attributes: tuple[Attribute, ...]) -> bool:
+    """Return whether a program with these attributes reads per-instance data of a mesh."""
+    fields = mesh.instance_fields
+    return bool(fields) and any(attribute.name in fields for attribute in attributes)
+
+
+def check_instance_end(core: Core, mesh: Drawable, end: int, call: str) -> None:
+    """Refuse a draw that reads per-instance data up to `end`, if there is less."""
+    if end > mesh.instance_count:
+        core.refuse(MESH_RANGE, call, f"instances up to {end}", f"within the mesh's {mesh.instance_count} instances")
 
 
 def check_clips(core: Core, clips: ArrayLike, count: int, call: str) -> NDArray[np.int64]:

@@ -22,7 +22,7 @@ from rhi.device.core.timeline import Timeline
 from rhi.device.resources.buffers import Buffer
 from rhi.device.resources.draw_code import MISSING, compile_draw_code, make_draw_code
 from rhi.device.resources.lifetime import retire
-from rhi.device.resources.meshes import Drawable
+from rhi.device.resources.meshes import Drawable, check_instance_end, reads_instances
 from rhi.device.resources.textures import Texture
 from rhi.errors import ValidationError
 from rhi.errors.arguments import Arguments
@@ -174,10 +174,27 @@ class Program(Generic[P]):
         core.backend.bind_program(self.id)
         core.program = None if core.locked else self
 
-    def prepare_draw(self, mesh: Drawable) -> Callable[[int], object]:
-        """Prepare the draw of a mesh that this program has not drawn yet, and keep it with the mesh."""
-        draw = mesh.prepared_draws[self] = self._make_draw(mesh)
+    def prepare_draw(self, mesh: Drawable, instances: int) -> Callable[[int], object]:
+        """Prepare the draw of a mesh that this program has not drawn yet, and keep it for the next one.
+
+        It isn't kept if the mesh's first instance lies beyond its data, which may be drawn with no `instances` only: so
+        a draw of one instance, which is most of them, needn't look.
+        """
+        draw = self._make_draw(mesh)
+        if mesh.base_instance < mesh.instance_count or not reads_instances(mesh, self.descriptor.attributes):
+            self._keep_draw(mesh, draw)
+        elif instances:
+            self._check_instance_end(mesh, 1)
         return draw
+
+    def _keep_draw(self, mesh: Drawable, draw: Callable[[int], object]) -> None:
+        mesh.prepared_draws[self] = draw
+
+    def _check_instance_end(self, mesh: Drawable, instances: int) -> None:
+        """Refuse a draw of instances that the mesh doesn't have, if this program reads them."""
+        if reads_instances(mesh, self.descriptor.attributes):
+            call = f"draw of program {self.name!r}"
+            check_instance_end(self.core, mesh, mesh.base_instance + instances, call)
 
     def _make_draw(self, mesh: Drawable) -> Callable[[int], object]:
         """Return the draw of a mesh as a function of the number of instances."""
@@ -306,12 +323,14 @@ class Program(Generic[P]):
         if wanted - names:
             self.core.refuse(BINDING_MISSING, call, f"nothing for {', '.join(sorted(wanted - names))}", shown)
 
-    def check_instances(self, instances: Any) -> int:
-        """Return the number of instances as an int; refuse an invalid one."""
-        if instances.__class__ is int and 0 <= instances <= MAX_INSTANCES:
-            return instances
-        check = Arguments(f"draw of program {self.name!r}", self.core.refuse, DRAW_COUNT)
-        return check.whole("instances", instances, 0, MAX_INSTANCES)
+    def check_instances(self, instances: Any, mesh: Drawable) -> int:
+        """Return the number of instances as an int; refuse an invalid one, and one that `mesh` doesn't have."""
+        if instances.__class__ is not int or not 0 <= instances <= MAX_INSTANCES:
+            check = Arguments(f"draw of program {self.name!r}", self.core.refuse, DRAW_COUNT)
+            instances = check.whole("instances", instances, 0, MAX_INSTANCES)
+        if mesh.instance_fields and instances:
+            self._check_instance_end(mesh, instances)
+        return int(instances)
 
 
 def check_program(core: Core, program: object, call: str) -> None:

@@ -65,8 +65,8 @@ SAFE = {
     "Texture": "at compressed core descriptor destroyed format id image kind label layers levels lock owner sampled "
     "requested sampler samples size texture",
     "Mesh": "base_instance base_vertex buffers core count data draws element_count first index_count indices instances "
-    "is_indexed keep_vertex_array place_draws create_vertex_array prepared_draws primitive vertex_arrays vertex_count "
-    "vertices view",
+    "instance_count instance_fields is_indexed keep_vertex_array place_draws create_vertex_array prepared_draws "
+    "primitive vertex_arrays vertex_count vertices view",
     "Program": "core descriptor destroyed draw_code id label name recorded_code",
     "OcclusionQuery": "core destroyed emulated id ids label",
     "QuerySet": "core destroyed emulated id ids label",

@@ -27,7 +27,9 @@ from rhi.backends.cl.raster.rows import (
     SAMPLES,
     VIEW,
 )
-from rhi.backends.cl.raster.tables import DRAW_STRUCT, MAX_STREAMS
+from rhi.backends.cl.raster.tables import DRAW_STRUCT, GROUP, MAX_STREAMS
+from rhi.errors import DeviceError
+from rhi.errors.rules import DEVICE_MEMORY
 
 _PIECE_GROUPS: Final = 1 << 15  # of vertices: 512 k, 16 MiB of positions; larger pieces cull each other less
 _FIRST_PIECE_GROUPS: Final = 1 << 14  # the following pieces double
@@ -37,6 +39,9 @@ _AT: Final = {name: place[1] for name, place in (DRAW_STRUCT.fields or {}).items
 _COUNTERS: Final = Struct("=2Q")  # samples, condition
 _GROUPS: Final = Struct("=2i")  # vertex_group, primitive_group, or the numbers of both
 _STATES: Final = Struct("=4i")  # number, row, view, inverted
+
+_MAX_PARTS: Final = 1 << 20
+"""Limit of the pieces of one draw: half a trillion vertices, which no device ends."""
 
 Table: TypeAlias = tuple[int, int, int, bytes]
 """Number of draws, their groups of vertices and of primitives, and the draws as `DRAW_STRUCT`s."""
@@ -283,6 +288,9 @@ def split_instances(
     part's draw, its number of instances, and the number of instances before it."""
     most = np.maximum(_FIRST_PIECE_GROUPS // np.maximum(groups, 1), 1)
     parts = np.maximum(-(-instances // most), 1)
+    if parts.sum() > _MAX_PARTS:
+        given = f"{int((groups * instances).sum()) * GROUP:,} vertices in one draw"
+        raise DeviceError(DEVICE_MEMORY, "draw", given)
     which = np.repeat(np.arange(len(parts)), parts)
     done = (np.arange(len(which)) - np.repeat(np.cumsum(parts) - parts, parts)) * most[which]
     return which, np.minimum(most[which], instances[which] - done), done

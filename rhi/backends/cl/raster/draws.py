@@ -162,7 +162,10 @@ class Draws:
         record = DRAW if self._arrays[vertex_array].descriptor.index_buffer else DRAW_UNINDEXED
         stride = stride or record.itemsize
         data = self._read_arguments(buffer, offset, (draws - 1) * stride + record.itemsize)
-        arguments = np.ndarray((draws,), record, data, strides=(stride,))
+        arguments = np.ndarray((draws,), record, data, strides=(stride,)).copy()
+        # Only the device knew these numbers, so nobody has checked them.
+        room = self._arrays[vertex_array].elements.instances - arguments["base_instance"].astype(np.int64)
+        arguments["instances"] = np.clip(arguments["instances"], 0, np.maximum(room, 0))
         self._gather_list(vertex_array, primitive, arguments)
 
     def draw_counted(

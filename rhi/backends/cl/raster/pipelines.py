@@ -103,7 +103,8 @@ class Pipeline:
         """Return the kernels for vertices of this layout, building them on first use."""
         layout = tuple((stream.stride, stream.per_instance, stream.attributes) for stream in streams)
         if layout not in self._vertex:
-            macros = tables.vertex_macros(self.descriptor, streams, self._fault_places[Stage.VERTEX])
+            first = next((line for line, origin in enumerate(self._vertex_text.origins, 1) if origin[0]), 1)
+            macros = tables.vertex_macros(self.descriptor, streams, self._fault_places[Stage.VERTEX], first)
             names = "transform", *(["measure"] if _BOXED in self._vertex_text.text else [])
             request = self._assemble(read_kernels("common"), self._vertex_text, macros, "vertex", names)
             with self._locating_errors(Stage.VERTEX, request, self._vertex_text):

@@ -86,6 +86,7 @@ DRAW_STRUCT: Final = np.dtype(
         ("lowest", "i4"),  # index of the first of them
         *_fields("primitives primitive", "i4"),  # their number, and corners of each
         *_fields("index_bytes vertex_index_bytes base_instance number row view inverted", "i4"),
+        *_fields("last_vertex last_instance", "i4"),  # that lie in the buffers: what is read is clamped to them
     ],
     align=True,
 )
@@ -151,8 +152,11 @@ def common_structs() -> str:
     return defines + "".join(declare_struct(*each) for each in structs.items())
 
 
-def vertex_macros(descriptor: ProgramDescriptor, streams: Sequence[VertexStream], faults: int = 0) -> str:
-    """Return the macros of kernels/vertex.cl; `faults`: the address that a checked program reports faults at."""
+def vertex_macros(
+    descriptor: ProgramDescriptor, streams: Sequence[VertexStream], faults: int = 0, line: int = 1
+) -> str:
+    """Return the macros of kernels/vertex.cl; `faults`: the address that a checked program reports faults at, and
+    `line` the line of its text that stands for its inputs."""
     starts, words = {}, 0
     for attribute in sorted(descriptor.attributes, key=lambda each: each.location):
         starts[attribute.location] = words
@@ -175,6 +179,7 @@ def vertex_macros(descriptor: ProgramDescriptor, streams: Sequence[VertexStream]
         f"#define INPUT_WORDS {words}\n#define VARYING_WORDS {varying_words(descriptor)}\n"
         f"#define VERTEX_WORDS 0x{vertex_words:x}ul\n"
         f"#define BINDINGS {_arguments(descriptor.bindings, faults)}\n#define FETCH {' '.join(fetches)}\n"
+        + (f"#define VERTEX_FAULTS AT(int, {faults}ul)\n#define VERTEX_LINE {line}\n" if faults and fetches else "")
     )
 
 
@@ -230,7 +235,7 @@ def _fetch(stream: VertexStream, attribute: VertexAttribute, at: int, start: int
     yield "{ uint16 raw[4];"
     address = f"AT(const uchar, row[{at}]) + {attribute.offset}"
     if stream.per_instance:
-        yield f"spread({address} + (long)numbered * {stream.stride}, raw);"
+        yield f"spread({address} + (long)clamp(numbered, 0, draw->last_instance) * {stream.stride}, raw);"
     else:
         words = f"{stream.stride}, {count:.0f}, raw)"
         yield f"if (in_row) gather_row({address} + (long)vertices[0] * {stream.stride}, {words};"

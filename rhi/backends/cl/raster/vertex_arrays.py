@@ -2,6 +2,10 @@
 
 - A prepared draw names vertices and indices by address. It holds until the index buffer changes: each index buffer has
   a version, which callers of `prepare` compare with the one that they prepared for.
+- A draw reads within its buffers, whatever its indices and bases say: an index beyond the vertices reads the last one,
+  and what lies beyond without indices, or beyond the instances of an indirect draw, isn't drawn. The range of vertices
+  that a draw's indices name is only used if it lies in the buffers; otherwise the kernel looks each index up, and
+  clamps it.
 - All changes of buffers come through here: the assembler keeps copies of indices, and boxes depend on vertices.
 """
 
@@ -22,17 +26,20 @@ from rhi.backends.cl.raster.draw_tables import DrawSlot, PreparedDraws
 from rhi.backends.cl.raster.pipelines import Pipeline, VertexKernels
 from rhi.backends.cl.raster.tables import DRAW_STRUCT, GROUP, MAX_STREAMS
 from rhi.contract.descriptors import Id, Primitive, VertexArrayDescriptor
+from rhi.contract.limits import MAX_ELEMENTS, ElementCounts, count_elements
 
 
 class VertexArray:
     """A vertex array and its kernels; `version[0]` changes with the contents of its index buffer."""
 
-    __slots__ = ("descriptor", "id", "kernel", "pipeline", "version")
+    __slots__ = ("descriptor", "elements", "id", "kernel", "pipeline", "version")
 
     def __init__(
-        self, id: Id, descriptor: VertexArrayDescriptor, pipeline: Pipeline, kernel: VertexKernels, version: list[int]
+        self, id: Id, descriptor: VertexArrayDescriptor, pipeline: Pipeline, kernel: VertexKernels, version: list[int],
+        elements: ElementCounts,
     ) -> None:  # fmt: skip
         self.id = id
+        self.elements = elements
         self.descriptor = descriptor
         self.pipeline = pipeline
         self.kernel = kernel
@@ -65,7 +72,10 @@ class VertexArrays:
         if descriptor.index_buffer:
             self._assembler.watch(descriptor.index_buffer, self._buffers[descriptor.index_buffer].size)
         kernel = pipeline.find_vertex(descriptor.streams)
-        self.by_id[vertex_array] = VertexArray(vertex_array, descriptor, pipeline, kernel, version)
+        self.by_id[vertex_array] = VertexArray(
+            vertex_array, descriptor, pipeline, kernel, version,
+            count_elements(descriptor, lambda buffer: self._buffers[buffer].size),
+        )  # fmt: skip
         self._boxes.watch(vertex_array, {stream.buffer for stream in descriptor.streams})
 
     def destroy(self, vertex_array: Id) -> None:
@@ -105,7 +115,10 @@ class VertexArrays:
         base_instance: int,
     ) -> None:  # fmt: skip
         """Fill in a prepared draw."""
-        made = array.descriptor
+        made, elements = array.descriptor, array.elements
+        if not made.index_buffer:
+            count = max(0, min(count, elements.vertices - first))
+            first = first if count else 0
         assembly = self._assembler.assemble(primitive, first, count, made.index_buffer, made.index_format)
         slot.memory = assembly.memory
         row = np.zeros((), DRAW_STRUCT)
@@ -117,14 +130,18 @@ class VertexArrays:
             indices = self._bindings.find_buffer(made.index_buffer) + made.index_format.size * assembly.start
             index_bytes = made.index_format.size
         base = assembly.base + (base_vertex if made.index_buffer else 0)
-        if assembly.lowest is None or assembly.highest is None:  # one vertex per index
+        low, high = assembly.lowest, assembly.highest
+        if low is not None and high is not None and not 0 <= low + base <= high + base < elements.vertices:
+            low = None if assembly.indexed else low
+        base = min(max(base, -MAX_ELEMENTS), MAX_ELEMENTS)
+        if low is None or high is None:  # one vertex per index
             row["vertex_indices"], row["vertex_index_bytes"] = indices, index_bytes
             row["vertices"], row["first_vertex"] = assembly.count, base
         else:
             row["indices"], row["index_bytes"] = indices, index_bytes
-            row["lowest"], row["vertices"] = assembly.lowest, assembly.highest - assembly.lowest + 1
-            row["first_vertex"] = assembly.lowest + base
-        row["base_instance"] = base_instance
+            row["lowest"], row["vertices"] = low, high - low + 1
+            row["first_vertex"] = low + base
+        row["base_instance"] = min(base_instance, MAX_ELEMENTS)
         self._store(slot.number, array, row)
 
     def prepare_lists(
@@ -147,13 +164,18 @@ class VertexArrays:
             size = made.index_format.size
             rows["indices"] = self._bindings.find_buffer(made.index_buffer) + size * first
             rows["index_bytes"] = size
-            rows["first_vertex"] = low + draws["base_vertex"]
+            base = draws["base_vertex"]
+            if (low + base < 0).any() or (high + base >= array.elements.vertices).any():
+                return False
+            rows["first_vertex"] = low + base
         else:
             low, high = first, first + whole - 1
+            if (first + count > array.elements.vertices).any():
+                return False
             rows["first_vertex"] = low
         rows["lowest"], rows["vertices"] = low, high - low + 1
         rows["primitives"], rows["primitive"] = whole // corners, corners
-        rows["base_instance"] = draws["base_instance"]
+        rows["base_instance"] = np.minimum(draws["base_instance"], MAX_ELEMENTS)
         self._store(numbers, array, rows)
         return True
 
@@ -162,6 +184,7 @@ class VertexArrays:
         prepared, streams = self._prepared, array.descriptor.streams
         rows["primitive_groups"] = -(-rows["primitives"] // GROUP)
         rows["vertex_groups"] = -(-rows["vertices"] // GROUP)
+        rows["last_vertex"], rows["last_instance"] = array.elements.vertices - 1, array.elements.instances - 1
         prepared.draws[numbers] = rows
         prepared.arrays[numbers], prepared.seen[numbers] = array.id, False
         prepared.streams[numbers, : len(streams)] = [

@@ -78,15 +78,32 @@ INLINE void store_words(global uint *memory, const uint16 *words, const int widt
     }
 }
 
+#ifdef VERTEX_FAULTS
+// Record the first number of a vertex or instance that a checked program doesn't have (rhi.shading.ir.faults).
+#define REPORT(wrong, given, last) \
+    if ((wrong) && atomic_cmpxchg((volatile global int *)VERTEX_FAULTS, 0, VERTEX_LINE) == 0) { \
+        VERTEX_FAULTS[1] = given; \
+        VERTEX_FAULTS[2] = last + 1; \
+    }
+#endif
+
 // Load the attributes of 16 vertices of an instance, and return their numbers. The last group repeats the last vertex.
+// Numbers beyond the buffers, which indices and bases may give, read the nearest vertex or instance there is.
 INLINE int16 fetch(global const Draw *draw, global const ulong *row, int part, int numbered, uint16 *inputs) {
     const int last = draw->vertices - 1 - part * GROUP;
     int16 vertex = part * GROUP + min(LANES, last);
     if (draw->vertex_indices) vertex = look_up(draw->vertex_indices, draw->vertex_index_bytes, vertex);
     vertex += draw->first_vertex;
-    const bool in_row = last >= GROUP - 1 && !draw->vertex_indices;
+    const int first = draw->first_vertex + part * GROUP;
+    const bool in_row = last >= GROUP - 1 && !draw->vertex_indices && first >= 0 && first <= draw->last_vertex - (GROUP - 1);
     int vertices[GROUP];
-    vstore16(vertex, 0, vertices);
+    vstore16(clamp(vertex, 0, draw->last_vertex), 0, vertices);
+#ifdef VERTEX_FAULTS
+    int named[GROUP];
+    vstore16(vertex, 0, named);
+    for (int i = 0; i < GROUP; ++i) REPORT(vertices[i] != named[i], named[i], draw->last_vertex)
+    REPORT(numbered > draw->last_instance || numbered < 0, numbered, draw->last_instance)
+#endif
     FETCH
     return vertex;
 }

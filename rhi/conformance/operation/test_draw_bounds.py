@@ -1,0 +1,255 @@
+"""Draws that name what doesn't exist: what the CPU knows is refused, the rest reads within the buffers.
+
+A point of each vertex, or of each instance, shows its own number. Buffers beside the mesh hold other numbers, so a draw
+that reads beyond its buffers shows them, or ends the process. Which of the mesh's numbers it shows instead, or none, is
+the platform's choice (as in WebGPU's robust buffer access).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rhi import Buffer, Device, Format, IndirectDraws, Mesh, Primitive, ShaderError
+from rhi.conformance.compare import assert_same
+from rhi.conformance.shapes import centers
+from rhi.conformance.validation.refusal import refuses
+from rhi.errors.rules import MESH_RANGE
+from rhi.shading import Flat, Shader, Struct, instance_index, vec2, vec4
+
+pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
+
+COUNT = 8
+SIZE = (COUNT, 1)
+OWN = np.arange(1.0, COUNT + 1)
+FOREIGN = 77.0
+FAR = [COUNT, 1000, 1 << 20, (1 << 31) - 1, 1 << 31, (1 << 32) - 2]
+"""Numbers of vertices, instances or indices beyond a mesh, just beyond it and as far as 32 bits reach."""
+
+
+class Vertex(Struct):
+    place: vec2
+    shade: float
+
+
+class Shown(Struct):
+    clip: vec4
+    shade: Flat[float]
+
+
+class Numbered(Shader):
+    """Points that show their own number, in whichever stream it lies."""
+
+    def vertex(self, v: Vertex) -> Shown:
+        return Shown(clip=vec4(v.place, 0.5, 1.0), shade=v.shade)
+
+    def fragment(self, v: Shown) -> float:
+        return v.shade
+
+
+class Place(Struct):
+    place: vec2
+
+
+class Counted(Shader):
+    """Points at their vertex, that show how many instances were drawn; no data of instances is read."""
+
+    def vertex(self, v: Place) -> Shown:
+        return Shown(clip=vec4(v.place, 0.5, 1.0), shade=float(instance_index() + 1))
+
+    def fragment(self, v: Shown) -> float:
+        return v.shade
+
+
+def rows(shade: Any) -> NDArray[Any]:
+    made = np.zeros(COUNT, Vertex.dtype)
+    made["place"], made["shade"] = centers([(i, 0) for i in range(COUNT)], SIZE), shade
+    return made
+
+
+@pytest.fixture
+def guarded(device: Device) -> Iterator[list[Buffer]]:
+    """Buffers of foreign numbers, created before and after what a test creates."""
+    buffers = [device.buffer(np.repeat(rows(FOREIGN), 512)) for _ in range(4)]
+    yield buffers
+    for buffer in buffers:
+        buffer.destroy()
+
+
+@pytest.fixture
+def indexed(device: Device, guarded: list[Buffer]) -> Iterator[Mesh]:
+    with device.mesh(rows(OWN), np.arange(COUNT, dtype=np.uint32), primitive=Primitive.POINTS) as mesh:
+        guarded.append(device.buffer(np.repeat(rows(FOREIGN), 512)))
+        yield mesh
+
+
+@pytest.fixture
+def plain(device: Device, guarded: list[Buffer]) -> Iterator[Mesh]:
+    with device.mesh(rows(OWN), primitive=Primitive.POINTS) as mesh:
+        guarded.append(device.buffer(np.repeat(rows(FOREIGN), 512)))
+        yield mesh
+
+
+@pytest.fixture
+def instanced(device: Device, guarded: list[Buffer]) -> Iterator[Mesh]:
+    """One point; its place and number are those of 8 instances."""
+    vertices = {"unused": np.zeros((1, 2), np.float32)}
+    indices = np.zeros(1, np.uint32)
+    with device.mesh(vertices, indices, instances=rows(OWN), primitive=Primitive.POINTS) as mesh:
+        guarded.append(device.buffer(np.repeat(rows(FOREIGN), 512)))
+        yield mesh
+
+
+def show(device: Device, draw: Any) -> NDArray[Any]:
+    """Return the row of numbers that a draw shows, 0 where nothing is drawn."""
+    with device.texture(SIZE, Format.R32F) as image:
+        with device.render_pass(image, clear=(0, 0, 0, 0)):
+            draw()
+        return np.asarray(image.read()[0])
+
+
+def assert_own(device: Device, mesh: Mesh, draw: Any) -> None:
+    """Assert that a draw shows nothing but numbers of the mesh, and that the next one is right."""
+    shown = show(device, draw)
+    assert np.isin(shown, [0.0, *OWN]).all(), shown
+    assert_same(show(device, lambda: device.draw(device.program(Numbered), mesh.view(0, 1))), OWN * (OWN == 1))
+
+
+# -- refused -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("base", [COUNT, COUNT + 1, 1 << 29])
+def test_a_base_vertex_beyond_the_vertices_is_refused(device: Device, indexed: Mesh, base: int) -> None:
+    program = device.program(Numbered)
+    with refuses(MESH_RANGE):
+        indexed.view(0, 1, base_vertex=base)
+    with refuses(MESH_RANGE):
+        indexed.draws(0, 1, base_vertex=[0, base])
+    draws = indexed.draws(0, 1, base_vertex=[0, COUNT - 1])
+    with device.texture(SIZE, Format.R32F) as image, device.render_pass(image, clear=(0, 0, 0, 0)):
+        device.draw_many(program, indexed, draws)
+        draws["base_vertex"][1] = base
+        with refuses(MESH_RANGE):
+            device.draw_many(program, indexed, draws)
+
+
+def test_the_last_vertex_is_a_base_vertex(device: Device, indexed: Mesh) -> None:
+    view = indexed.view(0, 1, base_vertex=COUNT - 1)
+    assert_same(show(device, lambda: device.draw(device.program(Numbered), view)), OWN * (OWN == COUNT))
+
+
+@pytest.mark.parametrize(("base", "instances"), [(0, COUNT + 1), (1, COUNT), (COUNT, 1), (COUNT + 1, 1), (0, 1 << 30)])
+def test_instances_beyond_their_data_are_refused(device: Device, instanced: Mesh, base: int, instances: int) -> None:
+    program, view = device.program(Numbered), instanced.view(base_instance=base)
+    draws = instanced.draws(0, 1, instances=[1, instances], base_instance=[0, base])
+    with device.texture(SIZE, Format.R32F) as image, device.render_pass(image, clear=(0, 0, 0, 0)):
+        device.draw(program, instanced, COUNT)
+        with refuses(MESH_RANGE):
+            device.draw(program, view, instances)
+        with refuses(MESH_RANGE):
+            device.draw_many(program, instanced, draws)
+        with refuses(MESH_RANGE):  # each time, whatever was drawn in between
+            device.draw(program, view, instances)
+
+
+def test_all_instances_are_drawn_and_none_beyond_the_last(device: Device, instanced: Mesh) -> None:
+    program = device.program(Numbered)
+    assert_same(show(device, lambda: device.draw(program, instanced, COUNT)), OWN)
+    last = instanced.view(base_instance=COUNT - 1)
+    assert_same(show(device, lambda: device.draw(program, last)), OWN * (OWN == COUNT))
+    end = instanced.view(base_instance=COUNT)
+    assert_same(show(device, lambda: device.draw(program, end, 0)), 0)
+    draws = instanced.draws(0, 1, instances=[1, 0], base_instance=[0, COUNT])
+    assert_same(show(device, lambda: device.draw_many(program, instanced, draws)), OWN * (OWN == 1))
+
+
+def test_a_program_that_reads_no_instances_draws_more_of_them(device: Device) -> None:
+    with device.mesh(rows(OWN), instances={"other": np.zeros(2, np.float32)}, primitive=Primitive.POINTS) as mesh:
+        shown = show(device, lambda: device.draw(device.program(Counted), mesh.view(0, 1, base_instance=3), 5))
+        assert shown[0] in (5.0, 8.0)  # whether an instance's index counts from the base
+        assert not shown[1:].any()
+
+
+# -- only the device knows -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("by_device", [False, True], ids=["by the CPU", "by the device"])
+@pytest.mark.parametrize("far", FAR)
+@pytest.mark.parametrize("primitive", [Primitive.POINTS, Primitive.TRIANGLES, Primitive.LINE_STRIP])
+def test_an_index_that_was_written_reads_the_mesh(
+    device: Device, indexed: Mesh, primitive: Primitive, far: int, by_device: bool
+) -> None:
+    written = np.array([0, 1, far, 3, far, far], np.uint32)
+    assert indexed.indices is not None
+    if by_device:
+        with device.buffer(written) as source:
+            source.copy_to(indexed.indices)
+    else:
+        indexed.indices.write(written)
+    view = indexed.view(0, 6, primitive=primitive)
+    assert_own(device, indexed, lambda: device.draw(device.program(Numbered), view))
+
+
+@pytest.mark.parametrize("base", [-1, -COUNT, -(1 << 30)])
+def test_a_negative_base_vertex_reads_the_mesh(device: Device, indexed: Mesh, base: int) -> None:
+    view = indexed.view(0, 3, base_vertex=base)
+    assert_own(device, indexed, lambda: device.draw(device.program(Numbered), view))
+
+
+@pytest.mark.parametrize(
+    ("mesh_name", "name", "value"),
+    [("indexed", "count", 9), ("indexed", "count", 100_000), ("indexed", "first", COUNT), ("indexed", "first", 1 << 20),
+     ("indexed", "base_vertex", COUNT), ("indexed", "base_vertex", -1), ("indexed", "base_vertex", 1 << 30),
+     ("indexed", "base_vertex", -(1 << 31)), ("plain", "count", 9), ("plain", "count", 100_000),
+     ("plain", "first", COUNT), ("plain", "first", 1 << 30), ("instanced", "instances", 9),
+     ("instanced", "instances", 100_000), ("instanced", "base_instance", COUNT),
+     ("instanced", "base_instance", 1 << 30)],
+)  # fmt: skip
+def test_indirect_arguments_read_the_mesh(
+    device: Device, request: pytest.FixtureRequest, mesh_name: str, name: str, value: int
+) -> None:
+    mesh: Mesh = request.getfixturevalue(mesh_name)
+    draws = mesh.draws(0, 1)
+    draws[name] = value
+    with device.buffer(draws) as arguments:
+        program, given = device.program(Numbered), IndirectDraws(arguments, 1)
+        assert_own(device, mesh, lambda: device.draw_indirect(program, mesh, given))
+
+
+@pytest.mark.needs("indirect_count")
+@pytest.mark.parametrize("count", [3, 1000, (1 << 32) - 1])
+def test_an_indirect_count_is_at_most_the_draws_of_the_command(device: Device, plain: Mesh, count: int) -> None:
+    draws = plain.draws([0, 1, 2, 3], 1)
+    with device.buffer(draws) as arguments, device.buffer(np.array([count], np.uint32)) as counts:
+        given = IndirectDraws(arguments, 2, count=counts)
+        shown = show(device, lambda: device.draw_indirect(device.program(Numbered), plain, given))
+    assert_same(shown, OWN * (OWN <= 2))
+
+
+class Checked(Numbered):
+    """The same, which reports what it reads beyond."""
+
+    checked = True
+
+
+def test_a_checked_shader_says_that_an_index_is_beyond(device: Device, indexed: Mesh) -> None:
+    program = device.program(Checked)
+    assert indexed.indices is not None
+    indexed.indices.write(np.array([0, 1, 1000], np.uint32))
+    found = None
+    try:
+        show(device, lambda: device.draw(program, indexed.view(0, 3)))
+    except ShaderError as error:
+        found = error
+    if found is None:
+        assert device.backend_name != "cl"  # what checks a shader is OpenCL's and NumPy's
+    else:
+        assert found.rule.id == "shading-index"
+        assert (found.given, found.allowed) == ("index 1000", f"0 to {COUNT - 1}")
+        assert found.site is not None
+        assert found.site.file == __file__
+    assert_same(show(device, lambda: device.draw(program, indexed.view(0, 2))), OWN * (OWN <= 2))
