@@ -13,6 +13,7 @@ import re
 import tokenize
 import tomllib
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -34,18 +35,16 @@ FILE = re.compile(r"(?:rhi_screen|rhi|renderer|tests|docs|examples|benchmarks|sc
 MOVED = "CHANGELOG.md"  # lists names that are gone, beside those that took their place
 
 
-def read_prose(path: Path) -> Iterator[tuple[int, str]]:
+@cache
+def read_prose(path: Path) -> tuple[tuple[int, str], ...]:
     """The text of a page, or the strings and comments of a program, with their first lines."""
     if path.suffix == ".md":
-        yield (
-            1,
-            re.sub(r"```.*?```", lambda block: "\n" * block[0].count("\n"), path.read_text(), flags=re.DOTALL),
-        )
-        return
+        text = re.sub(r"```.*?```", lambda block: "\n" * block[0].count("\n"), path.read_text(), flags=re.DOTALL)
+        return ((1, text),)
     with path.open("rb") as file:
-        for token in tokenize.tokenize(file.readline):
-            if token.type in (tokenize.STRING, tokenize.COMMENT):
-                yield token.start[0], token.string
+        tokens = tokenize.tokenize(file.readline)
+        said = (tokenize.STRING, tokenize.COMMENT)
+        return tuple((each.start[0], each.string) for each in tokens if each.type in said and "`" in each.string)
 
 
 def find_mentions(path: Path, pattern: re.Pattern[str]) -> Iterator[tuple[int, str]]:

@@ -71,13 +71,16 @@ def count(device: rhi.Device, scene: Scene, name: str) -> tuple[list[set[int]], 
 
 
 def list_copies() -> list[object]:
-    """All devices, algorithms and walls. By day, cl has one of the two walls for each algorithm, in turns, and none for
-    stop-and-wait, which asks as on gl, one question at a time."""
-    walls = [*WALLS]
+    """All devices, algorithms and walls. By day, an algorithm has one of the two walls on cl and the other on gl, in
+    turns; on gl both, if it doesn't run on cl, or asks as on gl, one question at a time (stop-and-wait)."""
+    walls, alike = [*WALLS], ("none", "frustum", "stop_and_wait")
+    by_day = {
+        (backend, name): walls if backend == "gl" and name in alike else [walls[(number + (backend == "gl")) % 2]]
+        for backend in ("gl", "cl") for number, name in enumerate(NAMES) if backend == "gl" or name != "stop_and_wait"
+    }  # fmt: skip
     return [
-        pytest.param(backend, name, wall, marks=pytest.mark.nightly
-                     if backend == "cl" and (name == "stop_and_wait" or wall != walls[number % 2]) else ())
-        for backend in ("gl", "cl") for number, name in enumerate(NAMES) for wall in walls
+        pytest.param(backend, name, wall, marks=() if wall in by_day.get((backend, name), ()) else pytest.mark.nightly)
+        for backend in ("gl", "cl") for name in NAMES for wall in walls
     ]  # fmt: skip
 
 

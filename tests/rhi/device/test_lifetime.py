@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 
 import numpy as np
@@ -59,3 +60,14 @@ def test_destroying_a_view_leaves_the_mesh(kit: Kit) -> None:
     assert not mesh.vertices.destroyed
     mesh.destroy()
     assert mesh.vertices.destroyed
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_a_creation_inside_another_is_a_part_of_it(kit: Kit, fails: bool) -> None:
+    with contextlib.suppress(KeyError), kit.device._core.creation():
+        held = [kit.device.buffer(16), kit.device.texture((4, 4), Format.R8)]
+        if fails:
+            raise KeyError
+    kit.device.finish()
+    destroyed = {command.arguments["resource"] for command in kit.device.stream.filter(Op.DESTROY)}
+    assert [each.id in destroyed for each in held] == [fails, fails]

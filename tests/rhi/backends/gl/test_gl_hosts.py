@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import moderngl
@@ -19,6 +20,7 @@ import rhi.backends.gl.backend
 from rhi import BlendFunction, CullMode, Device, DeviceError, Format, Scissor, ValidationError
 from rhi.backends.gl import enums
 from rhi.backends.gl.entry_points import EntryPoints
+from rhi.backends.gl.host import _describe_version
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
 from rhi.shading import Shader, Texture2D, fragment_coordinate, vec2, vec4, vertex_index
@@ -280,6 +282,14 @@ def test_without_a_current_context_nothing_is_adopted(host: Host) -> None:
     assert refused.value.rule.id == "device-driver"
     with rhi.create_device("gl", context=host.context) as device:  # it is made current
         assert device.texture(ramp(), Format.RGBA8).read().shape == (6, 8, 4)
+
+
+@pytest.mark.parametrize(("given", "said"), [(b"3.1 (Old)", "3.1 (Old)"), (None, "unknown version")])
+def test_the_version_of_a_context_that_shares_nothing_is_told(given: bytes | None, said: str) -> None:
+    text = ctypes.create_string_buffer(given) if given is not None else None
+    get = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_uint)(lambda _: ctypes.addressof(text) if text else None)
+    api: Any = SimpleNamespace(find_address=lambda _: ctypes.cast(get, ctypes.c_void_p).value)
+    assert _describe_version(api) == said
 
 
 def test_what_is_no_context_is_refused(host: Host) -> None:
