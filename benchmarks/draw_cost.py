@@ -3,6 +3,8 @@
 - `bare moderngl`: a loop that binds a range of a uniform buffer and renders a vertex array. It is the reference.
 - `device.draw`, `program.draw`: the same draws through rhi. Each has its own vertex buffer and its own constants.
 - `device.draw_many`: as many draws of one shared mesh in one call, with the constants as instance attributes.
+- `bare, constants set`, `device.draw, value`: each draw's two constants are numbers of Python. The bare loop sets two
+  uniforms of its program, ours passes a struct that is made for the draw; the first is the reference of the second.
 - `scope of 3 states`: entering and leaving `device.states` with 3 states, without a draw.
 
 The rows on `null` have what a scope of each kind costs around nothing, its creation included, on a device without a
@@ -91,6 +93,18 @@ class FlatMany(Shader):
         return v.color
 
 
+BARE_VERTEX = """#version 430
+in vec2 position;
+uniform vec4 offset;
+void main() { gl_Position = vec4(position, 0.5, 1.0) + offset; }
+"""
+BARE_FRAGMENT = """#version 430
+uniform vec4 color;
+out vec4 shown;
+void main() { shown = color; }
+"""
+
+
 def measure_draws(given: argparse.Namespace) -> Iterator[Record]:
     """Yield the microseconds per draw of each variant, and its ratio to the bare loop."""
     draws, triangles = given.draws, given.triangles
@@ -149,6 +163,23 @@ def measure_draws(given: argparse.Namespace) -> Iterator[Record]:
             buffer.bind_to_uniform_block(1, offset, size)
             array.render(mode, count)
 
+    bare_program = backend.context.program(vertex_shader=BARE_VERTEX, fragment_shader=BARE_FRAGMENT)
+    position = backend.context.buffer(corners[0].tobytes())
+    one = backend.context.vertex_array(bare_program, [(position, "2f", "position")])
+    set_offset, set_color = bare_program["offset"], bare_program["color"]
+    numbers = [tuple(map(tuple, (row["offset"].tolist(), row["color"].tolist()))) for row in rows]
+
+    def bare_constants() -> None:
+        for offset, color in numbers:
+            set_offset.value, set_color.value = offset, color
+            one.render(mode, count)
+
+    mesh_of_one = meshes[0]
+
+    def through_values() -> None:
+        for offset, color in numbers:
+            draw(program, mesh_of_one, camera=camera, object=Object(offset=offset, color=color))
+
     variants: dict[str, Callable[[], None]] = {
         "bare moderngl": bare,
         "device.draw": through_device,
@@ -168,12 +199,17 @@ def measure_draws(given: argparse.Namespace) -> Iterator[Record]:
             # One untimed draw binds the program and the camera, which the bare loop does not bind itself.
             own_draw(meshes[0], camera=camera, object=ranges[0])
 
-        subjects = [Subject({"variant": name}, lambda _, run=run: run(), open_pass) for name, run in variants.items()]
+        def compare_variants(variants: dict[str, Callable[[], None]]) -> list[Record]:
+            names = variants.items()
+            subjects = [Subject({"variant": name}, lambda _, run=run: run(), open_pass) for name, run in names]
+            return compare(subjects, {"microseconds": time(1e6 / draws), "ratio": ratio()}, range(given.rounds))
+
         gc.disable()
-        rows = compare(subjects, {"microseconds": time(1e6 / draws), "ratio": ratio()}, range(given.rounds))
+        costs = compare_variants(variants)
+        costs += compare_variants({"bare, constants set": bare_constants, "device.draw, value": through_values})
         gc.enable()
     device.close()
-    yield from rows
+    yield from costs
 
 
 class EmptyBlock:

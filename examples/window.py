@@ -68,7 +68,7 @@ class Demo:
         """Draw a frame in the size that the canvas has now, and show it."""
         screen, self.angle, self.drawn = self.screen, self.angle + 0.02, self.drawn + 1
         width, height = screen.size
-        turn = screen.device.transient.uniform(Turn(angle=self.angle, aspect=width / height))
+        turn = Turn(angle=self.angle, aspect=width / height)
         with screen.device.texture((width, height), rhi.Format.RGBA8, label="frame") as image:
             with screen.device.render_pass(image, clear=(0.1, 0.1, 0.15, 1.0)):
                 screen.device.draw(self.program, self.corners, turn=turn)

@@ -49,7 +49,7 @@ class Worker:
 
     def draw(self, seconds: float) -> rhi.Texture:
         """Draw the frame at a time."""
-        moment = self.device.transient.uniform(Moment(size=self.size, seconds=seconds))
+        moment = Moment(size=self.size, seconds=seconds)
         with self.device.render_pass(self.image), self.device.states(rhi.CullMode.NONE):
             self.device.draw(self.program, self.triangle, moment=moment)
         self.device.present(self.image)

@@ -71,7 +71,7 @@ class Engine:
     def _draw_each(self, boxes: list[Box]) -> None:
         for box in boxes:
             thing = Thing(place=(box.x, 0, 0.9 - 0.8 * box.distance, 0.1), color=box.color)
-            self.device.draw(self.program, self.cube, thing=self.device.transient.uniform(thing))
+            self.device.draw(self.program, self.cube, thing=thing)
 
 
 BOXES = [

@@ -108,6 +108,7 @@ class TransientMemory:
                 memories.append(ring)
             core.frame_rings.append(self)
         self._constants, self._vertices, self._indices, self.arguments = memories
+        core.place_constants = self._place_constants
         self._owner: TransientOwner | None = None
         self._owner_generation = 0
         self._mesh_owner = TransientOwner(core, "transient memory")
@@ -140,14 +141,19 @@ class TransientMemory:
         except RhiError as error:  # also of structs, which may have no layout in memory
             core.refusals.note(error)
             raise
-        core.upload_bytes += len(data)
-        offset = self._constants.write(data, len(data), core.capabilities.uniform_alignment)
+        return self._place_constants(data, kind)
+
+    def _place_constants(self, data: bytes, kind: object) -> UniformRange[Any]:
+        """Upload the bytes of a uniform block of this type, in a command that was checked."""
+        core, size = self._core, len(data)
+        core.upload_bytes += size
+        offset = self._constants.write(data, size, core.capabilities.uniform_alignment)
         if self._owner is None or self._constants.generation != self._owner_generation:
             # The ring has moved to a larger buffer. Ranges of the old one stay valid for this frame; a new owner
             # makes draws bind the new buffer.
             self._owner = TransientOwner(core, "transient constants", self._constants.buffer)
             self._owner_generation = self._constants.generation
-        return UniformRange(self._constants.buffer, offset, len(data), kind, self._owner)
+        return UniformRange(self._constants.buffer, offset, size, kind, self._owner)
 
     def storage(self, element: type[T], source: int | NDArray[Any]) -> StorageRange[T]:
         """Upload an array that the draws and dispatches of this frame read as `Storage[T]`; see `Device.storage`.

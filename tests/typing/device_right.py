@@ -71,6 +71,8 @@ def use(device: rhi.Device) -> None:
     with device.render_pass(image, clear=(0, 0, 0, 1)):
         with device.states(CullMode.NONE, DepthWrite.OFF, ColorWrite.OFF.at(1), BlendFunction.ALPHA):
             device.draw(flat, mesh, tint=tint, many=many, albedo=image)
+            device.draw(flat, mesh, tint=Tint(color=(0, 0, 0, 0)), many=many, albedo=image)
+            device.draw(flat, mesh, tint={"color": (0, 0, 0, 0)}, many=many, albedo=image)
         flat.draw(mesh, 2, tint=objects[0], many=many, albedo=image.sampled(smooth))
         passing = device.transient.mesh(flat, np.zeros(3, Corner.dtype))
         device.draw(flat, passing, tint=objects[1], many=many, albedo=image)

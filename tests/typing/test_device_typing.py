@@ -21,15 +21,16 @@ MISTAKES = [
     ("ColorWrite.OFF.at(1)", "Format.R8", 'Argument 3 to "states"'),
     ("ColorWrite.OFF.at(1)", 'ColorWrite.OFF.at("1")', 'Argument 1 to "at"'),
     # a wrong kind of resource
-    (DRAW, DRAW.replace("tint=tint", "tint=other"), 'expected "UniformRange[Tint]"'),
-    (DRAW, DRAW.replace("tint=tint", "tint=many"), 'expected "UniformRange[Tint]"'),
+    (DRAW, DRAW.replace("tint=tint", "tint=other"), 'expected "UniformRange[Tint] | Tint | dict[str, Any]"'),
+    (DRAW, DRAW.replace("tint=tint", "tint=many"), 'expected "UniformRange[Tint] | Tint | dict[str, Any]"'),
+    (DRAW, DRAW.replace("tint=tint", "tint=Other(color=(0, 0, 0, 0))"), 'has incompatible type "Other"'),
     (DRAW, DRAW.replace("albedo=image", "albedo=tint"), 'expected "TextureBinding"'),
     (DRAW, DRAW.replace("flat, mesh", "mesh, mesh"), 'Argument 1 to "draw"'),
     (DRAW, DRAW.replace("flat, mesh", "flat, image"), 'Argument 2 to "draw"'),
     (
         "flat.draw(mesh, 2, tint=objects[0]",
         "flat.draw(mesh, 2, tint=objects",
-        'expected "UniformRange[Tint]"',
+        'expected "UniformRange[Tint] | Tint | dict[str, Any]"',
     ),
     ("device.render_pass(image", "device.render_pass(tint", 'Argument 1 to "render_pass"'),
     ("counted, [1], tint", "image, [1], tint", 'Argument 4 to "draw_counted"'),
@@ -43,7 +44,7 @@ MISTAKES = [
     ("device.dispatch(plain, (1, 1, 1))", "device.dispatch(plain)", "Too few arguments"),
     # in a command buffer
     ("commands.draw(flat, mesh, 3", "commands.draw(flat, image, 3", 'Argument 2 to "draw"'),
-    ("mesh, 3, tint=constants", "mesh, 3, tint=other", 'expected "UniformRange[Tint]"'),
+    ("mesh, 3, tint=constants", "mesh, 3, tint=other", 'expected "UniformRange[Tint] | Tint | dict[str, Any]"'),
     ("device.submit(commands)", "device.submit(image)", 'expected "CommandBuffer"'),
     # a wrong value
     ("device.texture((8, 8), Format.RGBA8)", 'device.texture((8, 8), "rgba8")', 'Argument 2 to "texture"'),

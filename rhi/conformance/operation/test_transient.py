@@ -43,17 +43,39 @@ def points(count: int, size: tuple[int, int]) -> NDArray[Any]:
 # -- constants ---------------------------------------------------------------------------------------------
 
 
-def test_each_draw_of_a_frame_has_its_own_constants(device: Device) -> None:
+@pytest.mark.parametrize("way", ["transient", "value", "fields"])
+def test_each_draw_of_a_frame_has_its_own_constants(device: Device, way: str) -> None:
     size = (64, 32)
     count = size[0] * size[1]  # far more than the initial size of the ring
     rows = points(count, size)
     with device.texture(size, Format.R32F) as image, device.mesh(rows, primitive=Primitive.POINTS) as mesh:
         with device.render_pass(image):
             for index in range(count):
-                tint = device.transient.uniform(Tint(color=(index, 0, 0, 0)))
+                color = (index, 0, 0, 0)
+                value = {"color": color} if way == "fields" else Tint(color=color)
+                tint: Any = device.transient.uniform(value) if way == "transient" else value
                 device.draw(device.program(Tinted), mesh.view(index, 1), tint=tint)
         device.present()
         assert_same(image.read().reshape(-1), np.arange(count))
+
+
+def test_a_value_is_read_when_it_is_drawn_with(device: Device) -> None:
+    """One struct changes between draws, takes turns with a buffer, and is given to each kind of draw."""
+    size, tint = (8, 1), Tint(color=(0, 0, 0, 0))
+    kept, program = device.uniform(Tint(color=(100, 0, 0, 0))), device.program(Tinted)
+    with device.texture(size, Format.R32F) as image, device.mesh(points(8, size), primitive=Primitive.POINTS) as mesh:
+        with device.render_pass(image):
+            for index in range(6):
+                tint.color = vec4(index + 1, 0, 0, 0)
+                device.draw(program, mesh.view(index, 1), tint=kept if index in (2, 3) else tint)
+            part = mesh.draws()
+            part["first"], part["count"] = 6, 1
+            device.draw_many(program, mesh, part, tint=Tint(color=(7, 0, 0, 0)))
+            with device.immediate(program, Primitive.POINTS, tint=Tint(color=(8, 0, 0, 0))) as one:
+                one.vertices(points(8, size)[7:])
+        device.present()
+        assert_same(image.read().reshape(-1), [1, 2, 100, 100, 5, 6, 7, 8])
+    kept.destroy()
 
 
 def test_constants_made_first_and_drawn_later_are_intact(device: Device) -> None:
@@ -521,7 +543,7 @@ class Values(Shader):
         return v.color
 
 
-@pytest.mark.parametrize("way", ["uniform", "transient", "write"])
+@pytest.mark.parametrize("way", ["uniform", "transient", "write", "value"])
 def test_numbers_vectors_and_matrices_are_bound_as_they_are(device: Device, way: str) -> None:
     rng = np.random.default_rng(3)
     turn, view = rng.integers(-4, 5, (3, 3)).astype("f4"), rng.integers(-4, 5, (4, 4)).astype("f4")
@@ -529,7 +551,7 @@ def test_numbers_vectors_and_matrices_are_bound_as_they_are(device: Device, way:
         "scale": 0.5, "number": -3, "bits": np.uint32(7), "offset": np.array([1.0, 2, 3]), "turn": turn, "view": view,
     }  # fmt: skip
     make: Any = device.transient.uniform if way == "transient" else device.uniform
-    bound = {name: make(value) for name, value in values.items()}
+    bound = values if way == "value" else {name: make(value) for name, value in values.items()}
     if way == "write":
         for name, value in values.items():
             bound[name].write(value * 0)

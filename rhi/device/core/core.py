@@ -44,6 +44,7 @@ from rhi.errors.rules import (
     RESOURCE_DESTROYED,
     RESOURCE_FOREIGN,
 )
+from rhi.shading.language.bindings import UniformRange
 
 D = TypeVar("D")
 NO_THREAD: Final = 0
@@ -178,6 +179,7 @@ class Core:
         "lock_blocks",
         "locked",
         "open_query",
+        "place_constants",
         "program",
         "readbacks",
         "refusals",
@@ -193,6 +195,8 @@ class Core:
         "upload_bytes",
     )
 
+    place_constants: Callable[[bytes, object], UniformRange[Any]]
+    """Uploads the value of a uniform binding to the transient memory of the device or command buffer."""
     records: ClassVar[bool] = False
     """Whether this is the core of a command buffer, whose transient memory nothing else may use."""
     validates: ClassVar[bool] = False

@@ -29,6 +29,7 @@ from rhi.device.core.core import Core
 from rhi.device.resources.lifetime import Resource, drop, retire
 from rhi.device.resources.locks import Lock
 from rhi.device.resources.readbacks import Readback
+from rhi.errors import ValidationError
 from rhi.errors.arguments import Arguments, as_whole
 from rhi.errors.rules import (
     BUFFER_ALIGNMENT,
@@ -481,6 +482,14 @@ def as_constants(check: Arguments, value: Any) -> tuple[Any, Struct]:
         allowed = "a struct, e.g. Tint(scale=(1, 1, 1)), a number, 2 to 4 numbers, or a matrix of 2×2 to 4×4 floats"
         check.fail("value", value, allowed)
     return kind, _wrapper(kind)(value=value)
+
+
+def pack_single(kind: Any, value: Any) -> bytes | None:
+    """Return a number, vector or matrix as a uniform block of this type, None if it isn't one."""
+    try:
+        return _wrapper(kind)(value=value).to_bytes()
+    except ValidationError:
+        return None
 
 
 @cache

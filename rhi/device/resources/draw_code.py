@@ -9,6 +9,8 @@
 - The number of instances is compared with 1 by identity, which is the quicker comparison and tells 1 from 1.0 and True.
 - A command buffer has functions of its own for a program (`recorded`): uniforms are bound through its backend, which
   records, and prepared draws are kept with the program, not with the mesh, which outlives the recording.
+- A uniform binding takes a value as well as a range. The class of the last range is kept, so that one comparison tells
+  a range from a value; the bytes of a value become transient memory once nothing is refused any more.
 - `draw` takes bindings as keywords, for the program's own draw. `draw_with` and `bind` take them as the dictionary
   that `device.draw(**bindings)` has anyway: unpacking it again would cost 70 ns.
 """
@@ -85,11 +87,11 @@ def _write_source(bindings: tuple[Binding, ...], recorded: bool, validates: bool
 
     Its own names start with an underscore and a letter, those of bindings with a letter.
     """
-    cells = [f"_{kind}_{i}" for kind in ("bound", "owner") for i in range(len(bindings))]
+    cells = [f"_{kind}_{i}" for kind in ("bound", "owner", "class") for i in range(len(bindings))]
     keywords = "".join(f", {binding.name}=_missing" for binding in bindings)
     yield "def make(_core, _backend, _states, _program, _types, _missing, _unbound, _refusal, _one=1):"
     yield f"    {' = '.join([*cells, '_unset'])} = _unbound"
-    yield "    _len = len  # a binding may have that name"
+    yield "    _len, _type = len, type  # a binding may have that name"
     yield "    _draws = 0  # counted in a cell, at half the cost of an attribute"
     for i in range(len(bindings)):
         yield f"    _type_{i} = _types[{i}]"
@@ -170,6 +172,17 @@ def _write_bind(
         name = binding.name
         # For another range of an owner that was checked already, only the type is compared.
         known = f" and ({name}.owner is not _owner_{i} or {name}.type is not _type_{i})"
+        if binding.kind is BindingKind.UNIFORM:
+            yield f"            _data_{i} = None"
+            yield f"            if {name} is not _bound_{i}:"
+            yield f"                if _type({name}) is not _class_{i}:"
+            yield f"                    _data_{i} = _program.pack_value({i}, {name})"
+            yield f"                    if _data_{i} is None:"
+            yield f"                        _class_{i} = _type({name})"
+            yield f"                if _data_{i} is None{known}:"
+            yield f"                    _program.check({i}, {name})"
+            yield f"                    _owner_{i} = {name}.owner"
+            continue
         yield f"            if {name} is not _bound_{i}{known if binding.kind in _RANGES else ''}:"
         yield f"                _program.check({i}, {name})"
         if binding.kind in _RANGES:
@@ -184,6 +197,9 @@ def _write_bind(
     yield "                _program.make_current()"
     for i, binding in enumerate(bindings):
         yield f"            if {binding.name} is not _bound_{i}:"
+        if binding.kind is BindingKind.UNIFORM:
+            yield f"                if _data_{i} is not None:"
+            yield f"                    {binding.name} = _core.place_constants(_data_{i}, _type_{i})"
         apply = (_APPLY_RECORDED if recorded else _APPLY)[binding.kind]
         yield "                " + apply.format(slot=binding.slot, name=binding.name)
         yield f"                _bound_{i} = {binding.name}"

@@ -19,7 +19,7 @@ from rhi.contract.formats import ChannelKind, Format
 from rhi.contract.limits import program_faults, range_faults, show_stages
 from rhi.device.core.core import Core, describe_object
 from rhi.device.core.timeline import Timeline
-from rhi.device.resources.buffers import Buffer
+from rhi.device.resources.buffers import Buffer, pack_single
 from rhi.device.resources.draw_code import MISSING, compile_draw_code, make_draw_code
 from rhi.device.resources.lifetime import retire
 from rhi.device.resources.meshes import Drawable, check_instance_end, reads_instances
@@ -226,9 +226,27 @@ class Program(Generic[P]):
             mesh.base_instance,
         )
 
+    def pack_value(self, index: int, value: Any) -> bytes | None:
+        """Return the bytes of a value for the uniform binding at `index`, None for a range of memory or a misfit.
+
+        Raises:
+            ValidationError: `shading-struct-value` for a dictionary that doesn't give a struct's fields.
+        """
+        type: Any = self.descriptor.bindings[index].type
+        if value.__class__ is type and issubclass(type, Struct):
+            return value.to_bytes()  # type: ignore[no-any-return]
+        if isinstance(value, UniformRange | Struct | str | bytes) or value is MISSING or value is None:
+            return None
+        with self.core.refusals:
+            if issubclass(type, Struct):
+                return type(**value).to_bytes() if isinstance(value, dict) else None
+            return pack_single(type, value)
+
     def check(self, index: int, value: Any) -> None:
         """Refuse `value` for the binding at `index` unless its type fits and its resource can be used."""
         binding = self.descriptor.bindings[index]
+        if binding.kind is BindingKind.UNIFORM and self.pack_value(index, value) is not None:
+            return
         call = f"{binding.name}= of program {self.name!r}"
         if value is MISSING or value is None:
             self.core.refuse(BINDING_MISSING, call, "nothing", _wanted(binding))
@@ -390,7 +408,7 @@ def _how_to_make(binding: Binding) -> str:
     if binding.kind is BindingKind.STORAGE:
         return f"make it with device.storage({made}, …)"
     value = f"{made}(…)" if isinstance(binding.type, type) and issubclass(binding.type, Struct) else "…"
-    return f"make it with device.uniform({value}), or for a frame device.transient.uniform({value})"
+    return f"give the value itself, {value}, or keep it in device.uniform({value})"
 
 
 def _check_limits(core: Core, descriptor: ProgramDescriptor) -> None:

@@ -1,7 +1,7 @@
 """Annotations for a shader's buffer bindings, and the handles that draws and dispatches bind to a shader's fields.
 
 - For type checkers an annotation is a descriptor. Reading the field inside a stage gives the shader's view of it:
-  `Uniform[T]` reads as a `T`. Assigning to it takes a handle, here a `UniformRange[T]`; the constructor that
+  `Uniform[T]` reads as a `T`. Assigning to it takes a handle, here a `UniformRange[T]` or a value; the constructor that
   `dataclass_transform` synthesises assigns, and `device.draw` has that constructor's parameters. At run time these
   classes are only annotations.
 - A handle has slots for what a draw needs and nothing else. Resources create handles or derive from them.
@@ -88,7 +88,7 @@ class Uniform(Generic[T]):
     if TYPE_CHECKING:
 
         def __get__(self, instance: object, owner: Any = None) -> T: ...
-        def __set__(self, instance: object, value: UniformRange[T]) -> None: ...
+        def __set__(self, instance: object, value: UniformRange[T] | T | dict[str, Any]) -> None: ...
 
 
 class Storage(Generic[T]):

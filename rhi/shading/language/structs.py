@@ -2,8 +2,8 @@
 
 - `class Light(Struct)` declares annotated fields. `Light.dtype` is its NumPy dtype in storage and vertex buffers
   (std430), `Light.uniform_dtype` the one in uniform blocks (std140); both include the padding.
-- `Light(position=(0, 1, 0), …)` is a value on the CPU. Its fields are checked and converted when they are set, and
-  `to_bytes` lays them out in memory. For many values, prefer an array of `Light.dtype`.
+- `Light(position=(0, 1, 0), …)` is a value on the CPU. Its fields are checked when they are set, and `to_bytes` lays
+  them out in memory. For many values, prefer an array of `Light.dtype`. Constructors are generated (`struct_code`).
 - A struct may inherit from another; the fields of the base come first.
 """
 
@@ -14,7 +14,7 @@ import math
 import struct
 import sys
 from collections.abc import Mapping
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, ClassVar, Final, NoReturn, get_args, get_origin
 
 import numpy as np
@@ -41,6 +41,7 @@ from rhi.errors import RhiError, ShaderError, find_call_site, refuse
 from rhi.shading.language import rules
 from rhi.shading.language.annotations import Role, role_of, value_type
 from rhi.shading.language.source import globals_of, locals_of, suggest, suggest_name
+from rhi.shading.language.struct_code import MISSING, make_constructor, split_numbers
 from rhi.shading.language.types import LANGUAGE_NAMES, scalar_of
 from rhi.shading.language.vectors import CLASSES, ArrayLength, array, uint
 
@@ -99,7 +100,10 @@ class Struct:
     _depth: ClassVar[int] = 0
     _leaves: ClassVar[int] = 0
 
-    _values: dict[str, Any]
+    # A value of which no field was read or set since it was constructed by a generated constructor has, instead of
+    # `_values`: its scalars in order, with the bytes of matrices among them, and the bytes of a uniform block.
+    _numbers: tuple[Any, ...]
+    _bytes: bytes
 
     def __init_subclass__(cls) -> None:
         own = inspect.get_annotations(cls)
@@ -139,9 +143,16 @@ class Struct:
         cls._roles, cls._defaults = roles, defaults
         for name in own:
             setattr(cls, name, FieldAccess(fields[name]))
+        if "__init__" not in cls.__dict__:
+            cls.__init__ = _construct_first  # type: ignore[method-assign, assignment]
 
     def __init__(self, **values: Any) -> None:
+        self._set_fields(values)
+
+    def _set_fields(self, values: Mapping[str, Any]) -> None:
+        """Check and convert the values of all fields one by one; those that are `MISSING` weren't given."""
         cls = type(self)
+        values = {name: value for name, value in values.items() if value is not MISSING}
         names = [field.name for field in cls.shading_type.fields]
         for name in values:
             if name not in names:
@@ -160,8 +171,18 @@ class Struct:
         for name, value in values.items():
             setattr(self, name, value)
 
+    @cached_property
+    def _values(self) -> dict[str, Any]:
+        """The fields by name. Those of a generated constructor are made when the first is read or set."""
+        parts = split_numbers(self.shading_type, self._numbers)
+        values = {field.name: _converted(field.type, part) for field, part in parts}
+        del self._numbers, self._bytes
+        return values
+
     def to_bytes(self, layout: Layout = Layout.STD140) -> bytes:
         """Return the value's bytes in a memory layout. Uniform blocks need the default, std140."""
+        if layout is Layout.STD140 and "_bytes" in self.__dict__:
+            return self._bytes
         numbers: list[Any] = []
         _flatten(self.shading_type, self, numbers)
         return _packer(self.shading_type, layout).pack(*numbers)
@@ -176,6 +197,14 @@ class Struct:
     def __repr__(self) -> str:
         fields = self.shading_type.fields
         return f"{type(self).__name__}({', '.join(f'{f.name}={self._values[f.name]!r}' for f in fields)})"
+
+
+def _construct_first(self: Struct, /, **values: Any) -> None:
+    """Construct the first value of a struct class, and generate the constructor of all others."""
+    cls = type(self)
+    owner: Any = next(each for each in cls.__mro__ if each.__dict__.get("__init__") is _construct_first)
+    owner.__init__ = make_constructor(owner, owner.shading_type, owner._defaults) or Struct.__init__
+    owner.__init__(self, **values)
 
 
 def struct_of(annotation: Any) -> type[Struct] | None:

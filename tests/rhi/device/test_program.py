@@ -41,11 +41,40 @@ def test_a_new_pass_makes_everything_be_sent_again(kit: Kit) -> None:
     assert len(kit.ops(Op.BIND_UNIFORM)) == 4
 
 
-def test_a_value_that_is_no_binding_is_refused_with_the_call_that_creates_one(kit: Kit) -> None:
-    for wrong in (np.eye(4), Camera(tint=(0, 0, 0, 0))):
-        with kit.device.render_pass(kit.image), pytest.raises(rhi.ValidationError) as caught:
+def test_a_value_of_another_type_is_refused_with_the_call_that_creates_one(kit: Kit) -> None:
+    for wrong in (np.eye(4), Object(offset=(0, 0, 0, 0)), 1.0, "1234", b"0123456789abcdef", [0, 0, 0, 0], Camera):
+        before = len(kit.device.stream)
+        with kit.device.render_pass(kit.image):
+            with pytest.raises(rhi.ValidationError) as caught:
+                kit.device.draw(kit.program, kit.mesh, camera=wrong, object={"offset": (0, 0, 0, 0)})
+        assert "Camera(…), or keep it in device.uniform(Camera(…))" in caught.value.tip
+        sent = [command.op for command in list(kit.device.stream)[before:]]
+        assert Op.WRITE_BUFFER not in sent  # nothing of the value that does fit was uploaded
+
+
+def test_the_fields_of_a_value_are_checked_by_name(kit: Kit) -> None:
+    for wrong, given in (({"tnt": (0, 0, 0, 0)}, "tint"), ({"tint": (0, 0)}, "shape"), ({}, "no tint")):
+        with kit.device.render_pass(kit.image), pytest.raises(rhi.ValidationError, match=given) as caught:
             kit.device.draw(kit.program, kit.mesh, camera=wrong, object=kit.objects[0])
-        assert "device.uniform(Camera(…))" in caught.value.tip
+        assert caught.value.rule.id == "shading-struct-value"
+        assert caught.value.site is not None
+        assert caught.value.site.file == __file__
+
+
+def test_a_value_is_one_upload_and_one_binding_of_its_bytes(kit: Kit) -> None:
+    tint = Camera(tint=(1, 2, 3, 4))
+    with kit.device.render_pass(kit.image):
+        kit.device.draw(kit.program, kit.mesh, camera=kit.camera, object=kit.objects[0])
+        before = len(kit.device.stream)
+        kit.device.draw(kit.program, kit.mesh, camera=tint, object=kit.objects[0])
+        kit.device.draw(kit.program, kit.mesh, camera=tint, object=kit.objects[0])
+        kit.device.draw(kit.program, kit.mesh, camera=kit.camera, object=kit.objects[0])
+    sent = [command for command in list(kit.device.stream)[before:] if command.op is not Op.CREATE_BUFFER]
+    one = [Op.WRITE_BUFFER, Op.BIND_UNIFORM, Op.DRAW]
+    assert [command.op for command in sent] == [*one, *one, Op.BIND_UNIFORM, Op.DRAW, Op.END_PASS]
+    assert bytes(sent[0]["data"]) == np.array([1, 2, 3, 4], "f4").tobytes()
+    assert (sent[1]["buffer"], sent[1]["offset"]) == (sent[0]["buffer"], sent[0]["offset"])
+    assert sent[3]["offset"] != sent[0]["offset"]  # the first draw may not have run yet
 
 
 def test_a_missing_binding_is_refused_by_both_draws(kit: Kit) -> None:

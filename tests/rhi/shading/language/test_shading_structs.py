@@ -1,11 +1,13 @@
 """Structs as layouts (checked by the device itself), as CPU values, and as classes."""
 
+import math
+
 import numpy as np
 import pytest
 
 from rhi.contract.descriptors import Stage
 from rhi.contract.layout import Layout
-from rhi.errors import ShaderError
+from rhi.errors import ShaderError, ValidationError
 from rhi.shading import (
     Array,
     Shader,
@@ -144,6 +146,94 @@ def test_the_device_reads_every_field_where_the_dtypes_put_it(run):
     assert out.tolist() == list(range(start))
     assert len(values[0].to_bytes()) == Whole.uniform_dtype.itemsize
     assert Whole.dtype != Whole.uniform_dtype
+
+
+class Plain(Struct):
+    scale: float
+    view: mat4
+    offset: vec3
+    count: int
+    bits: uint
+    cell: ivec2
+
+
+class Defaulted(Plain):
+    color: vec4 = vec4(1, 2, 3, 4)
+
+
+GOOD = {
+    "scale": [0.1, 3, True, np.float32(0.1), np.int64(2), math.inf, math.nan, "1.5"],
+    "view": [
+        np.arange(16.0).reshape(4, 4),
+        np.eye(4, dtype="f4").T,
+        np.arange(16).reshape(4, 4),
+        np.eye(4).tolist(),
+        mat4(2),
+    ],
+    "offset": [(1, 2, 3), [0.1, 0.2, 0.3], np.array([1, 2, 3]), vec3(5), np.array([0.1, 2, 3], "f4")],
+    "count": [-5, 3.0, np.int16(7), 2**31 - 1],
+    "bits": [5, 2**32 - 1, uint(3), 4.0],
+    "cell": [(1, -2), np.array([3, 4]), ivec2(7), (1.0, 2.0)],
+}
+BAD = {
+    "scale": [1e39, "x", None, (1,), [1, 2], 1j, object(), np.zeros(2)],
+    "view": [np.eye(3), 1.0, (1, 2), None, np.zeros((4, 4), "U1"), np.zeros(16)],
+    "offset": [(1, 2), (1, 2, 3, 4), 1.0, "xyz", None, (1, 2, 1e39), ((1,), (2,), (3,)), np.zeros((3, 1))],
+    "count": [0.5, 2**31, "x", None, (1,)],
+    "bits": [-1, 2**32, 0.5, None],
+    "cell": [(1, 0.5), (1, 2, 3), 5, (1, 2**31)],
+}
+
+
+def field_by_field(cls, values):
+    made = cls.__new__(cls)
+    made._set_fields(values)
+    return made
+
+
+@pytest.mark.parametrize("cls", [Plain, Defaulted])
+@pytest.mark.parametrize(("name", "value"), [(name, value) for name in GOOD for value in GOOD[name]])
+def test_a_generated_constructor_keeps_what_checks_field_by_field_would(cls, name, value):
+    values = {each: GOOD[each][0] for each in GOOD} | {name: value}
+    made, expected = cls(**values), field_by_field(cls, values)
+    for layout in Layout:
+        assert cls(**values).to_bytes(layout) == expected.to_bytes(layout)
+    assert repr(made) == repr(expected)
+    assert made.to_bytes() == expected.to_bytes()  # also after its fields were read
+    made.scale = expected.scale = 8
+    assert made.to_bytes() == expected.to_bytes() != cls(**values).to_bytes()
+
+
+@pytest.mark.parametrize("cls", [Plain, Defaulted])
+@pytest.mark.parametrize(("name", "value"), [(name, value) for name in BAD for value in BAD[name]])
+def test_a_generated_constructor_refuses_what_checks_field_by_field_would(cls, name, value):
+    values = {each: GOOD[each][0] for each in GOOD} | {name: value}
+    with pytest.raises(ValidationError) as expected:
+        field_by_field(cls, values)
+    with pytest.raises(ValidationError) as refused:
+        cls(**values)
+    assert str(refused.value).splitlines()[:4] == str(expected.value).splitlines()[:4]
+    assert refused.value.site.file == __file__
+
+
+def test_a_constructor_generated_for_a_base_does_not_serve_structs_derived_from_it():
+    class Wider(Plain):
+        extra: vec2 = vec2(7, 8)
+
+        def __init__(self, **values):
+            super().__init__(**values, scale=1.0)
+
+    values = {name: GOOD[name][0] for name in GOOD if name != "scale"}
+    Plain(scale=1.0, **values)
+    assert Wider(**values).extra == vec2(7, 8)
+    assert len(Wider(**values).to_bytes()) == Wider.uniform_dtype.itemsize
+
+
+def test_a_value_keeps_what_its_arrays_held():
+    view = np.arange(16.0).reshape(4, 4)
+    made = Plain(**{name: GOOD[name][0] for name in GOOD} | {"view": view})
+    view[:] = 0
+    assert np.asarray(made.view).tolist() == np.arange(16.0).reshape(4, 4).tolist()
 
 
 def test_rows_of_a_structs_dtype_take_plain_tuples():

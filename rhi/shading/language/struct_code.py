@@ -1,0 +1,115 @@
+"""The constructor that is generated for a struct of scalars, vectors and 4×4 matrices.
+
+- Checking and converting field by field costs some ten times the draw that the constants are for. The generated one
+  unpacks all fields at once and packs them as a uniform block (std140) holds them: what `struct.pack` takes fits.
+- It accepts the usual cases only. Everything else, refusals included, is done field by field, by the struct itself.
+- The numbers are kept as they were given, and a matrix as its bytes. Fields are made of them when one is read or set.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Final
+
+import numpy as np
+
+from rhi.contract.layout import BOOL, Field, Layout, MatrixType, ScalarType, StructType, VectorType, place
+
+MISSING: Final = object()
+"""The value of a field that was not given."""
+
+_CODES: Final = {"f4": "f", "i4": "i", "u4": "I"}
+_MATRIX: Final = (4, 4)
+_FLOAT: Final = np.dtype("<f4")
+_ERRORS: Final = (TypeError, ValueError, OverflowError, struct.error, Warning)
+"""What unpacking and packing raise for values that need a closer look; warnings where a program makes them errors."""
+
+
+def make_constructor(owner: type, type: StructType, defaults: Mapping[str, Any]) -> Callable[..., None] | None:
+    """Return the `__init__` of a struct class, or None if it has fields of other types than those of this module.
+
+    It leaves `_numbers` and `_bytes` in the value, or calls its `_set_fields(values)`.
+    """
+    if not type.fields or not all(map(_is_simple, type.fields)):
+        return None
+    unpack, names, parameters = [], [], []
+    scope: dict[str, Any] = {
+        "__rhi_internal__": True, "__name__": __name__, "_errors": _ERRORS, "_owner": owner, "_bytes_of": _matrix_bytes,
+        "_pack": struct.Struct(_format_of(type)).pack,
+    }  # fmt: skip
+    for i, field in enumerate(type.fields):
+        parts = [f"_{i}_{j}" for j in range(_count(field))]
+        if isinstance(field.type, MatrixType):
+            unpack.append(f"            {parts[0]} = _bytes_of({field.name})")
+        elif isinstance(field.type, VectorType):
+            unpack.append(f"            {', '.join(parts)} = {field.name}")
+        else:
+            parts = [field.name]
+        names += parts
+        scope[f"_default_{i}"] = defaults.get(field.name, MISSING)
+        parameters.append(f"{field.name}=_default_{i}")
+    given = ", ".join(f"{field.name!r}: {field.name}" for field in type.fields)
+    lines = [
+        f"def __init__(_self, /, *, {', '.join(parameters)}, **_unknown):",
+        "    if not _unknown and _self.__class__ is _owner:",
+        "        try:",
+        *unpack,
+        f"            _numbers = ({', '.join(names)},)",
+        "            _self._bytes = _pack(*_numbers)",
+        "            _self._numbers = _numbers",
+        "            return",
+        "        except _errors:",
+        "            pass",
+        f"    _self._set_fields({{{given}, **_unknown}})",
+    ]
+    exec(compile("\n".join(lines), f"<constructor of {type.name}>", "exec"), scope)
+    made: Callable[..., None] = scope["__init__"]
+    return made
+
+
+def split_numbers(type: StructType, numbers: tuple[Any, ...]) -> Iterator[tuple[Field, Any]]:
+    """Yield each field with its part of a value's numbers: one, a tuple, or a (4, 4) array of float32."""
+    start = 0
+    for field in type.fields:
+        part = numbers[start : start + _count(field)]
+        start += len(part)
+        if isinstance(field.type, VectorType):
+            yield field, part
+        else:
+            yield (
+                field,
+                np.frombuffer(part[0], _FLOAT).reshape(_MATRIX) if isinstance(field.type, MatrixType) else part[0],
+            )
+
+
+def _is_simple(field: Field) -> bool:
+    type = field.type
+    if isinstance(type, MatrixType):
+        return type.size == 4  # smaller ones have padding in each row
+    scalar = type.scalar if isinstance(type, VectorType) else type
+    return isinstance(scalar, ScalarType) and scalar is not BOOL
+
+
+def _count(field: Field) -> int:
+    """Return how many numbers a field has; the bytes of a matrix are one."""
+    return field.type.size if isinstance(field.type, VectorType) else 1
+
+
+def _format_of(type: StructType) -> str:
+    """Return the format for `struct` of a uniform block, in which a matrix is 64 bytes."""
+    placement, text, end = place(type, Layout.STD140), "<", 0
+    for field, offset in zip(type.fields, placement.offsets, strict=True):
+        scalar = field.type.scalar if isinstance(field.type, VectorType) else field.type
+        part = _CODES[scalar.code] * _count(field) if isinstance(scalar, ScalarType) else "64s"
+        text += f"{offset - end}x{part}"
+        end = offset + struct.calcsize(f"<{part}")
+    return f"{text}{placement.size - end}x"
+
+
+def _matrix_bytes(value: Any) -> bytes:
+    """Return the bytes of a 4×4 array, row by row."""
+    if value.__class__ is not np.ndarray or value.shape != _MATRIX:
+        raise TypeError
+    data: bytes = value.astype(_FLOAT).tobytes()
+    return data
