@@ -10,7 +10,7 @@
 - A command buffer has functions of its own for a program (`recorded`): uniforms are bound through its backend, which
   records, and prepared draws are kept with the program, not with the mesh, which outlives the recording.
 - A uniform binding takes a value as well as a range. The class of the last range is kept, so that one comparison tells
-  a range from a value; the bytes of a value become transient memory once nothing is refused any more.
+  a range from a value; a value becomes transient memory (`PendingConstants`) once nothing is refused any more.
 - `draw` takes bindings as keywords, for the program's own draw. `draw_with` and `bind` take them as the dictionary
   that `device.draw(**bindings)` has anyway: unpacking it again would cost 70 ns.
 """
@@ -24,6 +24,41 @@ from typing import Any, Final, NamedTuple
 
 from rhi.contract.descriptors import Binding, BindingKind
 from rhi.errors import ValidationError
+
+
+class PendingConstants:
+    """The value of a uniform binding, until a call that isn't refused any more asks for the range that it lies in."""
+
+    __slots__ = ("_core", "_range", "_type", "data")
+
+    def __init__(self, core: Any, data: bytes, type: object) -> None:
+        self._core, self.data, self._type = core, data, type
+        self._range: Any = None
+
+    @property
+    def owner(self) -> Any:
+        """The owner of the range."""
+        return (self._range or self._place()).owner
+
+    @property
+    def buffer(self) -> Any:
+        """The buffer's id."""
+        return (self._range or self._place()).buffer
+
+    @property
+    def offset(self) -> Any:
+        """Where the constants begin in the buffer, in bytes."""
+        return (self._range or self._place()).offset
+
+    @property
+    def size(self) -> int:
+        """The constants' bytes."""
+        return len(self.data)
+
+    def _place(self) -> Any:
+        self._range = self._core.place_constants(self.data, self._type)
+        return self._range
+
 
 MISSING: Final = object()
 """The value of a binding that was not given."""
@@ -79,7 +114,11 @@ def make_draw_code(code: CodeType, program: Any, bindings: tuple[Binding, ...]) 
     exec(code, scope)
     core = program.core
     types = tuple(binding.type for binding in bindings)
-    return DrawCode(*scope["make"](core, core.backend, core.states, program, types, MISSING, object(), ValidationError))
+    return DrawCode(
+        *scope["make"](
+            core, core.backend, core.states, program, types, MISSING, object(), ValidationError, PendingConstants
+        )
+    )
 
 
 def _write_source(bindings: tuple[Binding, ...], recorded: bool, validates: bool) -> Iterator[str]:
@@ -89,7 +128,7 @@ def _write_source(bindings: tuple[Binding, ...], recorded: bool, validates: bool
     """
     cells = [f"_{kind}_{i}" for kind in ("bound", "owner", "class") for i in range(len(bindings))]
     keywords = "".join(f", {binding.name}=_missing" for binding in bindings)
-    yield "def make(_core, _backend, _states, _program, _types, _missing, _unbound, _refusal, _one=1):"
+    yield "def make(_core, _backend, _states, _program, _types, _missing, _unbound, _refusal, _pending, _one=1):"
     yield f"    {' = '.join([*cells, '_unset'])} = _unbound"
     yield "    _len, _type = len, type  # a binding may have that name"
     yield "    _draws = 0  # counted in a cell, at half the cost of an attribute"
@@ -173,15 +212,15 @@ def _write_bind(
         # For another range of an owner that was checked already, only the type is compared.
         known = f" and ({name}.owner is not _owner_{i} or {name}.type is not _type_{i})"
         if binding.kind is BindingKind.UNIFORM:
-            yield f"            _data_{i} = None"
             yield f"            if {name} is not _bound_{i}:"
-            yield f"                if _type({name}) is not _class_{i}:"
-            yield f"                    _data_{i} = _program.pack_value({i}, {name})"
-            yield f"                    if _data_{i} is None:"
-            yield f"                        _class_{i} = _type({name})"
-            yield f"                if _data_{i} is None{known}:"
-            yield f"                    _program.check({i}, {name})"
-            yield f"                    _owner_{i} = {name}.owner"
+            yield f"                if _type({name}) is _class_{i}:"
+            yield f"                    if {known.removeprefix(' and ')}:"
+            yield f"                        _program.check({i}, {name})"
+            yield f"                        _owner_{i} = {name}.owner"
+            yield "                else:"
+            yield f"                    {name} = _program.take_uniform({i}, {name})"
+            yield f"                    if _type({name}) is not _pending:"
+            yield f"                        _class_{i}, _owner_{i} = _type({name}), {name}.owner"
             continue
         yield f"            if {name} is not _bound_{i}{known if binding.kind in _RANGES else ''}:"
         yield f"                _program.check({i}, {name})"
@@ -197,9 +236,6 @@ def _write_bind(
     yield "                _program.make_current()"
     for i, binding in enumerate(bindings):
         yield f"            if {binding.name} is not _bound_{i}:"
-        if binding.kind is BindingKind.UNIFORM:
-            yield f"                if _data_{i} is not None:"
-            yield f"                    {binding.name} = _core.place_constants(_data_{i}, _type_{i})"
         apply = (_APPLY_RECORDED if recorded else _APPLY)[binding.kind]
         yield "                " + apply.format(slot=binding.slot, name=binding.name)
         yield f"                _bound_{i} = {binding.name}"

@@ -20,7 +20,7 @@ from rhi.contract.limits import program_faults, range_faults, show_stages
 from rhi.device.core.core import Core, describe_object
 from rhi.device.core.timeline import Timeline
 from rhi.device.resources.buffers import Buffer, pack_single
-from rhi.device.resources.draw_code import MISSING, compile_draw_code, make_draw_code
+from rhi.device.resources.draw_code import MISSING, PendingConstants, compile_draw_code, make_draw_code
 from rhi.device.resources.lifetime import retire
 from rhi.device.resources.meshes import Drawable, check_instance_end, reads_instances
 from rhi.device.resources.textures import Texture
@@ -235,12 +235,22 @@ class Program(Generic[P]):
         type: Any = self.descriptor.bindings[index].type
         if value.__class__ is type and issubclass(type, Struct):
             return value.to_bytes()  # type: ignore[no-any-return]
+        if isinstance(value, PendingConstants):
+            return value.data
         if isinstance(value, UniformRange | Struct | str | bytes) or value is MISSING or value is None:
             return None
         with self.core.refusals:
             if issubclass(type, Struct):
                 return type(**value).to_bytes() if isinstance(value, dict) else None
             return pack_single(type, value)
+
+    def take_uniform(self, index: int, value: Any) -> Any:
+        """Return what a draw binds for the uniform at `index`: a range that fits, or the constants of a value."""
+        data = self.pack_value(index, value)
+        if data is not None:
+            return PendingConstants(self.core, data, self.descriptor.bindings[index].type)
+        self.check(index, value)
+        return value
 
     def check(self, index: int, value: Any) -> None:
         """Refuse `value` for the binding at `index` unless its type fits and its resource can be used."""
