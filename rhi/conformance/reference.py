@@ -6,7 +6,7 @@ their top row first, and y points down in windows.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -257,19 +257,24 @@ def rasterise_within(
 
 def _edges(
     triangle: ArrayLike, width: int, height: int, subtexels: int = SUBTEXELS
-) -> list[tuple[NDArray[np.int64], bool, float]]:
-    """Return for each edge the edge function at the texel centers (positive inside), whether it is a top or left edge,
-    and its length in subtexels. A triangle without area gets one edge with every texel outside."""
-    corners = [(int(x), int(y)) for x, y in np.asarray(triangle, np.int64)]
+) -> Iterator[tuple[NDArray[np.int64], bool, float]]:
+    """Yield the edges of a triangle at the texel centers, see `find_edges`."""
+    y, x = np.mgrid[0:height, 0:width].astype(np.int64) * subtexels + subtexels // 2
+    return find_edges([(int(u), int(v)) for u, v in np.asarray(triangle, np.int64)], x, y)
+
+
+def find_edges(
+    corners: Sequence[tuple[int, int]], x: NDArray[np.int64], y: NDArray[np.int64]
+) -> Iterator[tuple[NDArray[np.int64], bool, float]]:
+    """Yield for each edge of a triangle the edge function at places x (right) and y (down), in the corners' unit and
+    positive inside; whether it is a top or left edge, to which places on it belong; and its length. Corners have either
+    winding. A triangle without area gets one edge with every place outside."""
     (ax, ay), (bx, by), (cx, cy) = corners
     area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-    y, x = np.mgrid[0:height, 0:width].astype(np.int64) * subtexels + subtexels // 2
     if area == 0:
-        return [(np.full_like(x, -1 << 40), False, 1.0)]
-    if area < 0:  # clockwise as seen with y down
-        corners = corners[::-1]
-    edges = []
-    for (sx, sy), (ex, ey) in zip(corners, [*corners[1:], corners[0]], strict=True):
+        yield np.full_like(x, -1 << 40), False, 1.0
+        return
+    ring = [*corners] if area > 0 else [*corners[::-1]]  # clockwise as seen with y down
+    for (sx, sy), (ex, ey) in zip(ring, [*ring[1:], ring[0]], strict=True):
         dx, dy = ex - sx, ey - sy
-        edges.append((dx * (y - sy) - dy * (x - sx), dy < 0 or (dy == 0 and dx > 0), float(np.hypot(dx, dy))))
-    return edges
+        yield dx * (y - sy) - dy * (x - sx), dy < 0 or (dy == 0 and dx > 0), float(np.hypot(dx, dy))

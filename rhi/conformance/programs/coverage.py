@@ -18,6 +18,7 @@ from rhi import CullMode, FrontFace, Primitive, Scissor, Viewport
 from rhi.conformance.programs.intervals import Float, Interval, Tested
 from rhi.conformance.programs.rules import Rules
 from rhi.conformance.programs.steps import Part, Shape
+from rhi.conformance.reference import find_edges
 from rhi.conformance.shapes import window_to_clip
 
 SUBTEXELS: Final = 256
@@ -154,16 +155,11 @@ def find_coverage(
     may = np.ones(sample_x.shape, bool)
     lawful = (at_x // SUBTEXELS >= lawful_x) & (at_y // SUBTEXELS >= lawful_y)
     must = may & lawful[..., None]
-    ring = [(ax, ay), (bx, by), (cx, cy)] if area > 0 else [(ax, ay), (cx, cy), (bx, by)]
-    for (sx, sy), (ex, ey) in zip(ring, [*ring[1:], ring[0]], strict=True):
-        dx, dy = ex - sx, ey - sy
-        edge = dx * (sample_y - sy) - dy * (sample_x - sx)
+    for edge, owns, length in find_edges([(ax, ay), (bx, by), (cx, cy)], sample_x, sample_y):
         if margin:
-            reach = margin * float(np.hypot(dx, dy))
-            must &= edge > reach
-            may &= edge >= -reach
+            must &= edge > margin * length
+            may &= edge >= -margin * length
         else:
-            owns = dy < 0 or (dy == 0 and dx > 0)
             hits = edge >= 0 if owns else edge > 0
             must &= hits
             may &= hits

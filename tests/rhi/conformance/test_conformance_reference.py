@@ -60,6 +60,16 @@ def test_top_and_left_edges_own_their_centers() -> None:
     square = [(half, half), (half + 2 * SUBTEXELS, half), (half, half + 2 * SUBTEXELS)]
     assert rasterise(square, 4, 4)[0, :3].tolist() == [True, True, False]
     assert rasterise(square, 4, 4)[:3, 0].tolist() == [True, True, False]
+    above = [(half, half), (half + 2 * SUBTEXELS, half + 2 * SUBTEXELS), (half, half + 2 * SUBTEXELS)]
+    assert rasterise(above, 4, 4)[:3, 0].tolist() == [False, True, False]  # a bottom edge owns none
+
+
+@pytest.mark.parametrize(("margin", "sure"), [(0.6, True), (0.8, False)])
+def test_a_margin_is_measured_across_an_edge(margin: float, sure: bool) -> None:
+    """The texel beside the diagonal has its center 0.71 texels from it."""
+    certain, possible = rasterise_within(np.array([(0, 0), (8, 8), (0, 8)]) * SUBTEXELS, 8, 8, margin)
+    assert (certain[4, 3], possible[4, 3]) == (sure, True)
+    assert (certain[3, 4], possible[3, 4]) == (False, not sure)
 
 
 @given(st.floats(0, 1))

@@ -8,6 +8,7 @@ import pytest
 from rhi.contract.descriptors import Stage
 from rhi.errors import ShaderError
 from rhi.shading import compile_shader, from_source, run_compute
+from rhi.shading.ir import tree
 
 HEAD = """
 from rhi.shading import *
@@ -262,3 +263,10 @@ def test_a_constant_array_is_refused_beyond_its_limit():
             compile_shader(from_source(text, scope={"TABLE": table}))
         assert error.value.rule.id == "shading-too-large"
         assert "Storage" in str(error.value)
+
+
+def test_nodes_are_compared_by_identity_and_can_be_keys():
+    """Two reads of one local at one place of the text are two nodes."""
+    kinds = [each for each in vars(tree).values() if isinstance(each, type) and issubclass(each, tree.Expression)]
+    assert len(kinds) > 10
+    assert [kind.__name__ for kind in kinds if (kind.__eq__, kind.__hash__) != (object.__eq__, object.__hash__)] == []
