@@ -8,6 +8,7 @@ through the hall.
 
 from __future__ import annotations
 
+from enum import IntEnum
 from typing import Final
 
 import numpy as np
@@ -382,6 +383,14 @@ def _add_lamps(builder: SceneBuilder, rng: np.random.Generator, columns: int, le
         lights.add_spot((x, _HEIGHT - 0.4, 0.0), aim, 14.0, 0.30, 0.55, (1.0, 0.95, 0.85), 55.0)
 
 
+class _HallLight(IntEnum):
+    """The last of eight kinds of coloured lights; those before them float."""
+
+    NEAR_FLOOR = 5
+    NEAR_CEILING = 6
+    SPOT = 7
+
+
 def _add_colored_lights(
     builder: SceneBuilder, count: int, columns: Floats, length: float, width: float, seed: int
 ) -> None:
@@ -400,10 +409,14 @@ def _add_colored_lights(
     away = np.maximum(np.hypot(x - middle, z - nearest), 1e-6)
     further = np.maximum(_CLEAR / away, 1.0)
     places = np.stack([middle + (x - middle) * further, 0.0 * x, nearest + (z - nearest) * further], axis=1)
-    places[:, 1] = np.select([kind == 5, kind >= 6], [0.25, _HEIGHT - 0.35], 1.0 + 5.0 * draws[:, 3])
+    places[:, 1] = np.select(
+        [kind == _HallLight.NEAR_FLOOR, kind >= _HallLight.NEAR_CEILING],
+        [0.25, _HEIGHT - 0.35],
+        1.0 + 5.0 * draws[:, 3],
+    )
     reach = float(np.clip(np.sqrt(_OVERLAP * length * width / (np.pi * count)), *_REACH))
     number = (draws[:, 4] * len(_HUES)).astype(np.int64)
-    is_spot = kind == 7
+    is_spot = kind == _HallLight.SPOT
     lights = builder.lights
     lights.sky, lights.ground = (0.026, 0.028, 0.040), (0.020, 0.017, 0.015)
     lights.add_points(places[~is_spot], reach, _HUES[number[~is_spot]], 0.12 * reach**2)

@@ -53,6 +53,11 @@ from renderer.scene.paths import FRAME_COUNT as FRAME_COUNT
 from renderer.scene.paths import FRAMES_PER_SECOND as FRAMES_PER_SECOND
 from renderer.scene.paths import CameraPath as CameraPath
 from renderer.scene.paths import make_path as make_path
+from renderer.scene.rigs import COMFORTABLE_SHARE as COMFORTABLE_SHARE
+from renderer.scene.rigs import NATURAL_DISTANCE as NATURAL_DISTANCE
+from renderer.scene.rigs import Skewed as Skewed
+from renderer.scene.rigs import StereoRig as StereoRig
+from renderer.scene.rigs import measure_parallax as measure_parallax
 from renderer.scene.scene import Scene as Scene
 from renderer.scene.scene import SceneBuilder as SceneBuilder
 from renderer.scene.simulation import Advanced as Advanced
@@ -64,11 +69,6 @@ from renderer.scene.simulation import Moving as Moving
 from renderer.scene.simulation import ObjectSimulation as ObjectSimulation
 from renderer.scene.simulation import Simulated as Simulated
 from renderer.scene.simulation import Simulator as Simulator
-from renderer.scene.stereo import COMFORTABLE_SHARE as COMFORTABLE_SHARE
-from renderer.scene.stereo import NATURAL_DISTANCE as NATURAL_DISTANCE
-from renderer.scene.stereo import Skewed as Skewed
-from renderer.scene.stereo import StereoRig as StereoRig
-from renderer.scene.stereo import measure_parallax as measure_parallax
 from renderer.scene.transforms import normal_matrices as normal_matrices
 from renderer.scene.transforms import relative_to as relative_to
 from renderer.scene.transforms import rotation as rotation

@@ -9,8 +9,8 @@ from renderer.stereo.outputs import fit_picture as fit_picture
 from renderer.stereo.outputs import mix_anaglyph as mix_anaglyph
 from renderer.stereo.pair import EyePair as EyePair
 from renderer.stereo.pair import Stereo as Stereo
+from renderer.stereo.pair import find_rig as find_rig
 from renderer.stereo.reprojection import find_holes as find_holes
-from renderer.stereo.rigs import find_rig as find_rig
 from rhi.errors.exports import list_public as _list_public
 
 __all__ = _list_public(globals())

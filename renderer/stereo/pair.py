@@ -1,4 +1,4 @@
-"""The second eye of a frame, and the image in which both are shown.
+"""The second eye of a frame, the rig that suits a scene, and the image in which both are shown.
 
 A frame of two eyes is the frame of the left one, then that of the right one, each with its view and its targets, and
 all else shared: the simulation, the transforms, the light lists, the needs and the plan, and the objects found where
@@ -14,12 +14,36 @@ from typing import Final
 
 from renderer import rules
 from renderer.frame import IMAGE_FORMAT, Frame, Plan, Targets, View, make_plan
-from renderer.scene import StereoRig
+from renderer.scene import Camera, Scene, StereoRig
 from renderer.stereo.mixing import MIXED, Mixer
 from renderer.stereo.outputs import check_output, fit_picture
 from renderer.stereo.reprojection import REPROJECTION
+from renderer.visibility.boxes.depth_range import find_depth_range
 from renderer.visibility.repeated import RepeatedCommands, copy
 from rhi import Device, Encoder, Region, Texture, refuse
+
+_LEAST: Final = 1e-3  # of the farthest depth: a parallel lens may see what is behind the eye
+
+
+def find_rig(
+    scene: Scene,
+    camera: Camera,
+    *,
+    eye_distance: float | None = None,
+    convergence: float | None = None,
+    is_toed_in: bool = False,
+) -> StereoRig:
+    """Return the rig that is comfortable for what `camera` sees of `scene`, with what is given instead."""
+    depths = find_depth_range(scene, camera)
+    rig = StereoRig()
+    if depths is not None and depths[1] > 0.0:
+        nearest, farthest = depths
+        rig = StereoRig.comfortable(camera.projection, max(nearest, _LEAST * farthest), farthest)
+    return StereoRig(
+        rig.eye_distance if eye_distance is None else eye_distance,
+        rig.convergence if convergence is None else convergence,
+        is_toed_in,
+    )
 
 
 @dataclass(frozen=True, slots=True)

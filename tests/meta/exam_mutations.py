@@ -313,14 +313,14 @@ MUTATIONS: tuple[Mutation, ...] = (
     Mutation(
         (45,),
         "lenses are skewed outwards",
-        "renderer.scene.stereo",
+        "renderer.scene.rigs",
         "-offset / self.convergence",
         "offset / self.convergence",
     ),
     Mutation(
         (46,),
         "eyes are never closer than a centimetre",
-        "renderer.scene.stereo",
+        "renderer.scene.rigs",
         "            return camera, camera\n",
         "            beside = camera.position + 0.01 * camera.right\n"
         "            return camera, Camera(beside, camera.rotation, camera.projection)\n",

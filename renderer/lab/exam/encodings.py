@@ -1,4 +1,4 @@
-"""Encodings of geometry buffers, cases 37 to 42 and 66: values whose codes are at an edge, stored and read on the
+"""Encodings of geometry buffers: values whose codes are at an edge, stored and read on the
 device."""
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Input that is no number, case 59: every value that users give is tried with NaN and infinity, and must be refused."""
+"""Input that is no number: every value that users give is tried with NaN and infinity, and must be refused."""
 
 from __future__ import annotations
 

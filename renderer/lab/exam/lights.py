@@ -1,4 +1,4 @@
-"""Light culling, cases 22 to 36: no pair of a cell and a light that overlap is dropped, by any test.
+"""Light culling: no pair of a cell and a light that overlap is dropped, by any test.
 
 Cells are looked up and tested in float32 on the device. What is right is known in float64, mostly by formulas that
 shaders don't use: the inverse of a projection gives the corners of cells.

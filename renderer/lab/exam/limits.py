@@ -1,4 +1,4 @@
-"""Long times and large numbers, cases 60 to 65 and 67: 10⁸ s, a million objects, 100,000 frames, images of 16,384
+"""Long times and large numbers: 10⁸ s, a million objects, 100,000 frames, images of 16,384
 pixels and of one."""
 
 from __future__ import annotations

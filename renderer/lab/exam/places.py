@@ -1,4 +1,4 @@
-"""Far places and wide ranges of depth, cases 43, 44, 57, 58 and 68: what is drawn depends on the eye, not on the
+"""Far places and wide ranges of depth: what is drawn depends on the eye, not on the
 world."""
 
 from __future__ import annotations

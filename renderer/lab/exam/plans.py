@@ -1,4 +1,4 @@
-"""Plans of frames, case 51: what runs, and in which order, against brute force; and what a scene without lights has."""
+"""Plans of frames: what runs, and in which order, against brute force; and what a scene without lights has."""
 
 from __future__ import annotations
 

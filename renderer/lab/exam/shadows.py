@@ -1,4 +1,4 @@
-"""Shadows, cases 48 to 50: lit planes without acne at any slope, lights along up, and maps that don't crawl."""
+"""Shadows: lit planes without acne at any slope, lights along up, and maps that don't crawl."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Stereo, cases 45 to 47, 55 and 56: parallax by its formula, eyes that are one, and colours of anaglyphs."""
+"""Stereo: parallax by its formula, eyes that are one, and colours of anaglyphs."""
 
 from __future__ import annotations
 

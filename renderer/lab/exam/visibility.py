@@ -1,4 +1,4 @@
-"""Visibility, cases 1 to 21, 52 and 53: whatever is culled, images look as they do without culling."""
+"""Visibility: whatever is culled, images look as they do without culling."""
 
 from __future__ import annotations
 
