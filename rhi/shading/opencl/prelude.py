@@ -6,7 +6,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Final
 
 HEX: Final = "0123456789abcdef"
@@ -30,6 +32,20 @@ def per_lane(width: int, template: str) -> list[str]:
     if width == 1:
         return [template.replace(".s@", "")]
     return [template.replace("@", digit) for digit in HEX[:width]]
+
+
+_TYPES: Final = re.compile(r"(?<![A-Z])(UINT|INT|FLOAT|DOUBLE)(?![A-Z])")
+_OPERATIONS: Final = re.compile(r"\b(SELECT|ANY|NOT|BOTH|EITHER)\(")
+_SCALAR: Final = {"SELECT": "rhi_select(", "ANY": "(", "NOT": "!(", "BOTH": "rhi_both(", "EITHER": "rhi_either("}
+_VECTOR: Final = {**_SCALAR, "SELECT": "select(", "ANY": "rhi_any(", "NOT": "~("}
+
+
+@cache
+def specialise(text: str, width: int) -> str:
+    """Return a text for a number of lanes: FLOAT and its kin are vectors or scalars, SELECT and its kin take those."""
+    suffix, operations = (str(width), _VECTOR) if width > 1 else ("", _SCALAR)
+    text = _OPERATIONS.sub(lambda found: operations[found[1]], text)
+    return _TYPES.sub(lambda found: found[1].lower() + suffix, text)
 
 
 def _estimate_text(width: int) -> str:
@@ -354,19 +370,8 @@ def function_text(name: str, width: int, calls: int = 1) -> str:
                 body = body[1:].replace("(SINT", "(INT").replace(" SINT", " INT").replace("(VINT", "(INT")
                 body = body.replace(" VINT", " INT").replace("(SUINT", "(UINT").replace(" SUINT", " UINT")
                 body = body.replace("(VUINT", "(UINT").replace(" VUINT", " UINT")
-            texts.append(head + _for_width(body, lanes))
+            texts.append(head + specialise(body, lanes))
     return "\n".join(texts)
-
-
-def _for_width(body: str, lanes: int) -> str:
-    suffix = "" if lanes == 1 else str(lanes)
-    body = body.replace("SELECT(", "rhi_select(" if lanes == 1 else "select(")
-    return (
-        body.replace("UINT", f"uint{suffix}")
-        .replace("INT", f"int{suffix}")
-        .replace("FLOAT", f"float{suffix}")
-        .replace("DOUBLE", f"double{suffix}")
-    )
 
 
 SCALAR_SELECT: Final = """#pragma clang diagnostic ignored "-Wparentheses-equality"

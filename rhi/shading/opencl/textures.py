@@ -10,7 +10,6 @@
 from __future__ import annotations
 
 import importlib.resources
-import re
 from collections.abc import Iterable
 from functools import cache, reduce
 from typing import Final
@@ -18,7 +17,7 @@ from typing import Final
 from rhi.contract.descriptors import TextureKind
 from rhi.shading.ir.texture_words import enumerations
 from rhi.shading.language.builtins import Precision
-from rhi.shading.opencl.prelude import per_lane
+from rhi.shading.opencl.prelude import per_lane, specialise
 
 _HEAD: Final = """typedef global const uchar *rhi_texture;
 typedef global uchar *rhi_image;
@@ -77,7 +76,7 @@ def _text(width: int) -> str:
     curve = _polynomial(_LOG2, "m")
     template = template.replace("LOG2_CURVE", f"m * fma(m - 1.0f, {curve}, (FLOAT)1.0f)")
     blocks = _read("blocks.cl") if width == 16 else ""
-    return _specialized("\n".join([_memory_text(width), blocks, template]), width)
+    return specialise("\n".join([_memory_text(width), blocks, template]), width)
 
 
 def _read(name: str) -> str:
@@ -89,21 +88,6 @@ def _polynomial(coefficients: tuple[float, ...], name: str) -> str:
     for coefficient in coefficients[-2::-1]:
         text = f"fma({name}, {text}, (FLOAT){coefficient!r}f)"
     return text
-
-
-def _specialized(text: str, width: int) -> str:
-    vector = width > 1
-    for name, wide, scalar in (
-        ("SELECT", "select", "rhi_select"),
-        ("ANY", "rhi_any", ""),
-        ("NOT", "~", "!"),
-        ("BOTH", "rhi_both", "rhi_both"),
-        ("EITHER", "rhi_either", "rhi_either"),
-    ):
-        text = re.sub(rf"\b{name}\(", f"{wide if vector else scalar}(", text)
-    suffix = str(width) if vector else ""
-    names = {"FLOAT": "float", "INT": "int", "UINT": "uint"}
-    return re.sub(r"(?<![A-Z])(UINT|INT|FLOAT)(?![A-Z])", lambda found: names[found[1]] + suffix, text)
 
 
 def _memory_text(width: int) -> str:
