@@ -21,8 +21,8 @@ _NOTES: Final = """\
   python -m renderer view city --listen 7000            then, in another terminal: nc 127.0.0.1 7000
 
 F1 shows what the keys do, F2 or ` opens the console, in which Tab completes. A script has the console's lines, and
-`wait SECONDS`. --listen takes the same lines from programs of this computer: whoever may open a connection there can do
-what the console can, such as write pictures."""
+`wait SECONDS`. --listen takes the same lines from programs of this computer, after a first line that is printed here
+and has a token: whoever knows it can do what the console can, such as write pictures."""
 
 
 _OPTIONS: Final = (
@@ -77,7 +77,8 @@ def _run(given: argparse.Namespace) -> None:
         stage.change(**{name: value for name, value in vars(given).items() if name in ("show", "stereo") and value})
         shown.viewer.run_script(script)
         if given.listen is not None:
-            note(f"listening on 127.0.0.1:{shown.listen(given.listen)}")
+            port = shown.listen(given.listen)
+            note(f"listening on 127.0.0.1:{port}, for connections whose first line is: {shown.viewer.greeting}")
         shown.end_after = given.frames
         shown.run()
         if given.frames is not None:

@@ -1,12 +1,16 @@
 """Commands over a socket of this computer, only if they are asked for.
 
-Each line that comes is run, and answered by a line: `ok` or `error:`, and what there is to say. Nothing else is open to
-others: it is bound to the loopback address. A connection whose first line is no command is closed, so that a page in a
-browser, whose requests begin with other words, can't run any.
+Each line that comes is run, and answered by a line: `ok` or `error:`, and what there is to say.
+
+It is bound to the loopback address, which every user of this computer and every page in a browser can reach. So a
+connection must begin with the greeting, a line with a random token that only the user has seen; with any other line it
+is closed, and nothing is answered. Connections that don't greet make room for new ones.
 """
 
 from __future__ import annotations
 
+import hmac
+import secrets
 import selectors
 import socket
 from collections.abc import Callable
@@ -26,11 +30,11 @@ Answer = Callable[[str], tuple[str, bool]]
 
 @dataclass(slots=True)
 class Connection:
-    """A connection: what came of its next line, and whether any was run."""
+    """A connection: what came of its next line, and whether it has greeted."""
 
     socket: socket.socket
     begun: bytes = b""
-    has_run: bool = False
+    has_greeted: bool = False
 
 
 class CommandServer:
@@ -38,6 +42,7 @@ class CommandServer:
 
     Attributes:
         port: the port; if 0 was asked for, the one that was free.
+        greeting: the first line of every connection.
     """
 
     def __init__(self, port: int, answer: Answer) -> None:
@@ -47,6 +52,7 @@ class CommandServer:
             DeviceError: `viewer-cannot-listen`.
         """
         self._answer = answer
+        self.greeting = f"hello {secrets.token_urlsafe(24)}"
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         self._connections: dict[int, Connection] = {}
@@ -84,8 +90,11 @@ class CommandServer:
         except OSError:  # it has gone again
             return
         if len(self._connections) == _MOST:
-            made.close()
-            return
+            idle = next((each for each in self._connections.values() if not each.has_greeted), None)
+            if idle is None:
+                made.close()
+                return
+            self._drop(idle)
         made.setblocking(False)
         self._connections[made.fileno()] = Connection(made)
         self._selector.register(made, selectors.EVENT_READ)
@@ -101,13 +110,21 @@ class CommandServer:
             self._drop(connection)
             return 0
         *lines, connection.begun = (connection.begun + data).split(b"\n")
+        if lines and not connection.has_greeted:
+            if not hmac.compare_digest(lines[0].rstrip(b"\r"), self.greeting.encode()):
+                self._drop(connection)
+                return 0
+            connection.has_greeted = True
+            lines = lines[1:]
+            if not self._send(connection, "ok"):
+                self._drop(connection)
+                return 0
         for number, line in enumerate(lines):
             said, is_error = self._answer(line.decode("utf-8", "replace"))
             said = f"error: {said}" if is_error else f"ok {said}".rstrip()
-            if not self._send(connection, " ".join(said.split())) or (is_error and not connection.has_run):
+            if not self._send(connection, " ".join(said.split())):
                 self._drop(connection)
                 return number + 1
-            connection.has_run = True
         if len(connection.begun) > _LONGEST:
             self._drop(connection)
         return len(lines)

@@ -164,7 +164,8 @@ class Viewer:
         self._queue.extendleft(reversed(lines))
 
     def listen(self, port: int) -> int:
-        """Run the lines that come over a socket of this computer; return the port.
+        """Run the lines that come over a socket of this computer; return the port. Each connection begins with the
+        line `greeting`.
 
         Raises:
             DeviceError: `viewer-cannot-listen`.
@@ -174,6 +175,12 @@ class Viewer:
             self._server.close()
         self._server = made
         return made.port
+
+    @property
+    def greeting(self) -> str:
+        """The first line of a connection to the port of `listen`, "" if there is none: it has a token that is new each
+        time."""
+        return "" if self._server is None else self._server.greeting
 
     def say(self, text: str, is_error: bool = False) -> None:
         """Say something in the console, and for some seconds over the picture."""

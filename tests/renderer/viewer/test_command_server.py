@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 from collections.abc import Iterator
 
@@ -32,17 +33,93 @@ def client(server: CommandServer) -> Iterator[socket.socket]:
         yield made
 
 
-def connect(server: CommandServer) -> socket.socket:
+def connect(server: CommandServer, greeting: str | None = None) -> socket.socket:
+    """Return a connection that has greeted, or one with other words, or with "" none."""
     made = socket.create_connection((ADDRESS, server.port))
     made.settimeout(5.0)
     server.poll()
+    if greeting != "":
+        made.sendall(f"{server.greeting if greeting is None else greeting}\n".encode())
+        assert server.poll() == 0
+        if greeting is None:
+            assert made.recv(9) == b"ok\n"
     return made
+
+
+def receive(client: socket.socket, lines: int) -> bytes:
+    """Return so many lines, which may come in parts."""
+    data = b""
+    while data.count(b"\n") < lines:
+        data += client.recv(999)
+    return data
+
+
+def is_closed(client: socket.socket) -> bool:
+    """Return whether nothing was answered and the connection was closed, or reset with what wasn't read."""
+    try:
+        return client.recv(999) == b""
+    except ConnectionResetError:
+        return True
+
+
+@pytest.mark.parametrize(
+    "first",
+    [
+        "\n",
+        "# comment",
+        "time",
+        "GET / HTTP/1.1",
+        "# / HTTP/1.1",
+        "hello",
+        "hello x",
+        "HELLO",
+        "é\0",
+        " {}",
+        "{} x",
+        "{}x",
+    ],
+)
+def test_without_the_greeting_nothing_is_run_or_answered(server: CommandServer, first: str) -> None:
+    with connect(server, first.replace("{}", server.greeting)) as client:
+        with contextlib.suppress(OSError):
+            client.sendall(server.greeting.encode() + b"\nscreenshot evil.png\n")
+        server.poll()
+        assert is_closed(client)
+    assert RAN == []
+
+
+def test_a_greeting_is_for_one_server_and_can_come_in_parts(server: CommandServer) -> None:
+    other = CommandServer(0, answer)
+    assert len(other.greeting) > 30
+    with connect(other, server.greeting) as client:
+        assert is_closed(client)
+    with connect(server, "") as client:
+        client.sendall(server.greeting[:9].encode())
+        assert server.poll() == 0
+        client.sendall(server.greeting[9:].encode() + b"\r\ntime\n")
+        assert server.poll() == 1
+        assert receive(client, 2) == b"ok\nok TIME\n"
+    other.close()
+
+
+def test_idle_connections_lock_nobody_out(server: CommandServer) -> None:
+    idle = [connect(server, "") for _ in range(20)]
+    with connect(server) as client:
+        client.sendall(b"ping\n")
+        server.poll()
+        assert client.recv(99) == b"ok PING\n"
+        more = [connect(server, "") for _ in range(20)]
+        client.sendall(b"pong\n")
+        server.poll()
+        assert client.recv(99) == b"ok PONG\n"
+    for one in (*idle, *more):
+        one.close()
 
 
 def test_each_line_is_run_and_answered(server: CommandServer, client: socket.socket) -> None:
     client.sendall(b"time\nbad\nde")
     assert server.poll() == 2
-    assert client.recv(999) == b"ok TIME\nerror: what? nothing\n"
+    assert receive(client, 2) == b"ok TIME\nerror: what? nothing\n"
     client.sendall(b"pth\n")
     assert server.poll() == 1
     assert client.recv(999) == b"ok DEPTH\n"
@@ -52,12 +129,10 @@ def test_nothing_to_do_does_not_wait(server: CommandServer, client: socket.socke
     assert server.poll() == 0
 
 
-def test_a_request_of_a_browser_runs_nothing(server: CommandServer, client: socket.socket) -> None:
-    client.sendall(b"POST / HTTP/1.1\r\nHost: x\r\n\r\nscreenshot evil.png\n")
-    server.poll()
-    assert client.recv(999).startswith(b"error:")
-    assert client.recv(999) == b""
-    assert RAN == ["POST / HTTP/1.1\r"]
+def test_a_request_of_a_browser_runs_nothing(server: CommandServer) -> None:
+    with connect(server, "POST / HTTP/1.1\r\nHost: x\r\n\r\nscreenshot evil.png") as client:
+        assert is_closed(client)
+    assert RAN == []
 
 
 def test_a_line_without_an_end_is_cut_off(server: CommandServer, client: socket.socket) -> None:
@@ -71,9 +146,9 @@ def test_a_line_without_an_end_is_cut_off(server: CommandServer, client: socket.
 
 
 def test_too_many_connections_are_refused(server: CommandServer) -> None:
-    clients = [connect(server) for _ in range(9)]
-    server.poll()
-    assert clients[8].recv(9) == b""
+    clients = [connect(server) for _ in range(8)]
+    with connect(server, "") as ninth:
+        assert is_closed(ninth)
     clients[0].close()
     server.poll()
     with connect(server) as another:
