@@ -46,7 +46,7 @@ from renderer.content import load_scene
 from renderer.lab.accuracy import KNOBS, Situation, SweepJob, list_jobs
 from renderer.lab.accuracy.jobs import order_jobs
 from renderer.lab.accuracy.sweep import DRAWS_NOTHING, find_lack, list_views, prepare_scene
-from renderer.lab.comparison import Record
+from renderer.lab.comparison import Record, forget_commands
 
 SITUATION: Final = Situation("city", size=(240, 135), views=3, rounds=6)
 NULL_FRAMES: Final = 24
@@ -90,7 +90,7 @@ def record_frames(job: SweepJob) -> None:
                 for number in job.share.take(range(NULL_FRAMES)):
                     view = views[number % len(views)]
                     renderer.render(settings.aim(view.camera), view.seconds)
-                    device.stream.clear()
+                    forget_commands(device)
 
 
 def choose_jobs(backend: str, knobs: Sequence[str]) -> list[SweepJob]:
@@ -169,6 +169,5 @@ OPTIONS: Final = (
 
 
 if __name__ == "__main__":
-    # By default optimised kernels are built meanwhile, in processes of their own.
-    os.environ.setdefault("RHI_KERNELS", "quick")
-    run_benchmark(__doc__, OPTIONS, measure)
+    # Optimised kernels would be built meanwhile, in processes of their own.
+    run_benchmark(__doc__, OPTIONS, measure, kernels="quick")

@@ -84,8 +84,6 @@ class Variant:
 
     def prepare(self) -> None:
         Turning.calls = Turning.computed = 0
-        if self.device.backend_name == "null":
-            self.device.stream.clear()
 
     def draw(self, _: int) -> None:
         """Draw the next frame."""
@@ -109,7 +107,7 @@ def measure(given: argparse.Namespace) -> Iterator[Record]:
             subjects = []
             for name, one in variants.items():
                 one.camera = look(given.objects, share)
-                subjects.append(Subject({"drawn": view, "run": name}, one.draw, one.prepare, one.count))
+                subjects.append(Subject({"drawn": view, "run": name}, one.draw, one.prepare, one.count, device))
             yield from compare(subjects, COLUMNS, range(given.rounds), warm_ups=2)  # these upload what was left
         for one in variants.values():
             one.renderer.destroy()

@@ -143,10 +143,10 @@ def measure_costs(rounds: int, size: tuple[int, int]) -> Iterator[Record]:
                     device.draw(program, mesh, source=sampled)
                 device.finish()
 
-            subjects = [Subject({}, partial(draw, most)) for most in MOST]
+            subjects = [Subject({}, partial(draw, most), device=device) for most in MOST]
             rows = compare(subjects, {"ratio": ratio_column(1, processor=True)}, range(rounds))
             costs = {f"up to {most}": row["ratio"] for most, row in zip(MOST, rows, strict=True)}
-            yield {"a plane seen": name, **costs}
+            yield {"a plane seen": name, **costs, "kernels": rows[0]["kernels"]}
 
 
 def measure(given: argparse.Namespace) -> Iterator[Record]:

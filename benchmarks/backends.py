@@ -29,7 +29,7 @@ from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
 from renderer.cli.output import show_progress
 from renderer.content import find_path, load_scene
-from renderer.lab.comparison import Record, Subject, compare, kernels, ratio, time
+from renderer.lab.comparison import Record, Subject, compare, ratio, time
 from renderer.lab.measure.backends import BackendPasses, DepthShader
 from rhi import CullMode, Device, Format, Mesh
 from rhi.contract.texels import encode
@@ -37,7 +37,7 @@ from rhi.shading import Shader, Storage, Struct, Texture2D, Uniform, dot, max, v
 
 BACKENDS = ("gl", "cl")
 SIZE = (1280, 720)
-COLUMNS: Final = {"ms": time(), "ratio": ratio(inverse=True), "kernels": kernels}
+COLUMNS: Final = {"ms": time(), "ratio": ratio(inverse=True)}
 Work = Callable[[int], object]
 
 

@@ -65,7 +65,10 @@ def measure(given: argparse.Namespace) -> Iterator[Record]:
             "drawn at once, transient constants": lambda _: scene.draw_transient(device),
             "recorded on 4 threads, together": lambda _: record_on_threads(scene, 4),
         }
-        subjects = [Subject({"variant": name}, run, lambda name=name: prepare(name)) for name, run in work.items()]
+        subjects = [
+            Subject({"variant": name}, run, lambda name=name: prepare(name), device=device)
+            for name, run in work.items()
+        ]
         yield from compare(subjects, {"µs per draw": time(1e6 / given.draws, 2)}, range(given.rounds))
 
 

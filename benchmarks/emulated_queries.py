@@ -23,7 +23,7 @@ import numpy as np
 import rhi
 from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
-from renderer.lab.comparison import Record, Subject, compare, kernels, ratio, time
+from renderer.lab.comparison import Record, Subject, compare, ratio, time
 from rhi import Format
 from rhi.backends.null import Activity, CostModel, Lane, SimulatedBackend, Simulation
 from rhi.shading import Shader, Struct, vec2, vec4
@@ -96,7 +96,7 @@ def measure_backend(backend: str, queries: int, rounds: int) -> Iterator[Record]
             for read, waits in (("together", False), ("one by one", True))
             for kind in KINDS
         ]
-        columns = {"microseconds": time(1e6 / queries, 2), "ratio": ratio(), "kernels": kernels}
+        columns = {"microseconds": time(1e6 / queries, 2), "ratio": ratio()}
         yield from compare(subjects, columns, range(rounds), within=("read",))
 
 

@@ -4,27 +4,29 @@ The processor time of the main thread in `Renderer.render`, in microseconds, and
 render the same frames in turns, on one device; the GPU is idle when a frame begins. `still`: the camera rests.
 `walking`: it follows the scene's path, so that the order of the objects and (`frustum`) their number change.
 
-    python benchmarks/frame_batch.py [--backend gl] [--scene city:blocks=8,detail=2] [--rounds 200] [--timers]
+    python benchmarks/frame_batch.py [--backend gl] [--scene city:blocks=8,detail=2] [--rounds 200] [--timers] [--json]
 
-With `--timers` it prints the timer trees of frames that aren't waited for, and of others that are.
+With `--timers` it shows how many frames begin before the GPU has ended the one before, when none is waited for and when
+all are, and prints the last timer trees on stderr.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
+from collections.abc import Iterator
 from contextlib import ExitStack
 from itertools import pairwise
-from statistics import median
 from time import thread_time
 from typing import Final
 
-os.environ.setdefault("RHI_KERNELS", "optimised")  # what is measured is the speed of a long run
-
 import rhi
+from renderer.cli import options
+from renderer.cli.comparison import run_benchmark
+from renderer.cli.output import note
 from renderer.content import load_scene
+from renderer.lab.comparison import Column, Record, Subject, compare, middle, ratio_of
 from renderer.renderer import Renderer
-from renderer.scene import Camera, Scene
+from renderer.scene import Camera, CameraPath, Scene
 from renderer.visibility import (
     CallbackPass,
     ScenePass,
@@ -32,6 +34,9 @@ from renderer.visibility import (
     VisibilityStatistics,
     make_visibility,
 )
+
+COLUMNS: Final[dict[str, Column]] = {"microseconds": middle(digits=1), "ratio": ratio_of("microseconds")}
+_WARM_UPS: Final = 5
 
 
 class AtOnce:
@@ -51,35 +56,39 @@ class AtOnce:
         self._algorithm.destroy()
 
 
-def measure(backend: str, scene: Scene, name: str, rounds: int, *, walks: bool) -> tuple[float, float, float]:
-    """Return the median microseconds of a frame that is drawn at once, of one that is submitted, and of the ratios."""
-    path = scene.paths["ground"]
-    times: dict[bool, list[float]] = {False: [], True: []}
+class Way:
+    """A way to draw frames of a path, of which the first `_WARM_UPS` aren't timed."""
+
+    def __init__(self, renderer: Renderer, path: CameraPath, *, walks: bool) -> None:
+        self.renderer, self._path, self._walks, self._frame = renderer, path, walks, 0
+
+    def draw(self, _: int) -> None:
+        """Draw the next frame, by the clock of this thread."""
+        camera = self._path.camera(600 + self._frame % 900 if self._walks else 600)
+        self._frame += 1
+        began = thread_time()
+        self.renderer.render(camera)
+        self._taken = thread_time() - began
+
+    def count(self) -> Record:
+        return {"microseconds": 1e6 * self._taken}
+
+
+def measure_frames(backend: str, scene: Scene, name: str, rounds: int, *, walks: bool) -> Iterator[Record]:
+    """Yield the rows of a frame that is drawn at once, and of one that is submitted."""
     with rhi.create_device(backend) as device, ExitStack() as stack:
         algorithm = make_visibility(name, scene, device)
-        renderers = {
-            submits: stack.enter_context(
-                Renderer(device, scene, visibility=algorithm if submits else AtOnce(algorithm), size=(64, 36))
-            )
-            for submits in times
-        }
-        for number in range(-5, rounds):
-            camera = path.camera(600 + (number + 5) % 900 if walks else 600)
-            for submits in (number % 2 == 0, number % 2 == 1):
-                if backend == "null":  # it records all commands
-                    device.stream.clear()
-                began = thread_time()
-                renderers[submits].render(camera)
-                taken = thread_time() - began
-                device.finish()
-                if number >= 0:
-                    times[submits].append(1e6 * taken)
-    ratios = [new / old for old, new in zip(times[False], times[True], strict=True)]
-    return median(times[False]), median(times[True]), median(ratios)
+        subjects = []
+        for variant, visibility in {"at once": AtOnce(algorithm), "submitted": algorithm}.items():
+            renderer = stack.enter_context(Renderer(device, scene, visibility=visibility, size=(64, 36)))
+            way = Way(renderer, scene.paths["ground"], walks=walks)
+            about = {"visibility": name, "camera": "walking" if walks else "still", "frames are": variant}
+            subjects.append(Subject(about, way.draw, device.finish, way.count, device))
+        yield from compare(subjects, COLUMNS, range(rounds), warm_ups=_WARM_UPS)
 
 
-def show_timers(backend: str, scene: Scene, *, waits: bool, frames: int = 12) -> None:
-    """Print the timer trees of the last frames, and how many began before the GPU had ended the one before."""
+def find_overlap(backend: str, scene: Scene, *, waits: bool, frames: int = 12) -> Record:
+    """Return how many of some frames began before the GPU had ended the one before; print their last timer trees."""
     trees: list[list[rhi.TimerNode]] = []
     with rhi.create_device(backend, timing=True) as device:
         visibility = make_visibility("none", scene, device)
@@ -91,35 +100,32 @@ def show_timers(backend: str, scene: Scene, *, waits: bool, frames: int = 12) ->
                 if device.timers and (not trees or device.timers is not trees[-1]):
                     trees.append(device.timers)
             device.finish()
-    early = 0
-    for (before,), (node,) in pairwise(trees):
-        if before.gpu_span is None or node.cpu_span is None:
-            print(f"{backend} doesn't date timestamps")
-            return
-        early += node.cpu_span[0] < before.gpu_span[1]
-    print(f"{'waiting for each frame' if waits else 'not waiting'}: {early} of {len(trees) - 1} frames overlap")
     for (root,) in trees[-4:]:
-        print(root.format())
+        note(root.format())
+    spans = [(before.gpu_span, node.cpu_span) for (before,), (node,) in pairwise(trees)]
+    early = [gpu and cpu and cpu[0] < gpu[1] for gpu, cpu in spans]
+    dated = None not in early  # timestamps of some devices have no date
+    return {"frames are waited for": waits, "overlap": sum(map(bool, early)) if dated else None, "of": len(spans)}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--backend", default="gl", help="backend to measure (default: %(default)s)")
-    parser.add_argument("--scene", default="city:blocks=8,detail=2", help="scene (default: %(default)s)")
-    parser.add_argument("--rounds", type=int, default=200, help="frames of each kind (default: %(default)s)")
-    parser.add_argument("--timers", action="store_true", help="print timer trees instead")
-    arguments = parser.parse_args()
-    scene = load_scene(arguments.scene)
-    if arguments.timers:
-        for waits in (False, True):
-            show_timers(arguments.backend, scene, waits=waits)
+def measure(given: argparse.Namespace) -> Iterator[Record]:
+    """Yield the rows of all algorithms, cameras and ways to draw; or of what timers find."""
+    scene = load_scene(given.scene)
+    if given.timers:
+        yield from (find_overlap(given.backend, scene, waits=waits) for waits in (False, True))
         return
     for name in ("none", "frustum"):
         for walks in (False, True):
-            old, new, ratio = measure(arguments.backend, scene, name, arguments.rounds, walks=walks)
-            kind = "walking" if walks else "still"
-            print(f"{name:8} {kind:8} at once {old:8.1f} µs  submitted {new:8.1f} µs  ratio {ratio:5.2f}")
+            yield from measure_frames(given.backend, scene, name, given.rounds, walks=walks)
+
+
+OPTIONS: Final = (
+    options.option("--backend", "backend to measure", "gl"),
+    options.option("--scene", "scene with a path `ground`", "city:blocks=8,detail=2"),
+    options.rounds("frames of each kind", 200),
+    options.switch("--timers", "show what timers find instead"),
+)
 
 
 if __name__ == "__main__":
-    main()
+    run_benchmark(__doc__, OPTIONS, measure)

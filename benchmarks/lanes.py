@@ -9,7 +9,7 @@
 - `emit_ms` is the time of compiling the shader to OpenCL C with 16 lanes. `build_ms` and `cached_build_ms` are the
   processor time in milliseconds that this process uses to build that text and launch it once: a text that is new to
   PoCL, and one from PoCL's cache.
-- `front_end` is the processor time in seconds of parsing and typing all shaders of the renderer, and of emitting each
+- `front end` is the processor time in seconds of parsing and typing all shaders of the renderer, and of emitting each
   stage as GLSL and as OpenCL C with 16 lanes.
 
     python benchmarks/lanes.py [--json] [--repeats 9]
@@ -22,7 +22,7 @@ import importlib
 import pkgutil
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -38,9 +38,8 @@ from opencl_runner import Kernel, queue
 import renderer
 import rhi
 from renderer.cli import options
-from renderer.cli.comparison import ComparisonProgram, Report
-from renderer.cli.subcommand import Parser
-from renderer.lab.comparison import Subject, compare, ratio
+from renderer.cli.comparison import run_benchmark
+from renderer.lab.comparison import Record, Subject, compare, ratio
 from renderer.lab.comparison import time as time_column
 from rhi.contract.descriptors import BindingKind, SamplerDescriptor, Stage
 from rhi.contract.formats import Format
@@ -377,14 +376,13 @@ def launch(one: GlRun | Kernel, groups: tuple[int, int], _: int) -> None:
     one.launch(groups)
 
 
-def measure(repeats: int) -> list[dict[str, Any]]:
-    """Measure all cases.
+def measure_cases(repeats: int) -> Iterator[Record]:
+    """Yield a row for each case.
 
     Raises:
         AssertionError: if results differ from OpenGL's.
     """
     context = moderngl.create_context(standalone=True, backend="egl", require=430)
-    rows = []
     cl.Program(queue().context, "kernel void first() {}").build()  # makes PoCL load its compiler
     for name, (shader, groups, bindings, result) in make_cases().items():
         emit = milliseconds(lambda shader=shader: opencl_kernel(shader, 16))  # not emitted before, so not cached
@@ -408,23 +406,20 @@ def measure(repeats: int) -> list[dict[str, Any]]:
         subjects = [Subject({"way": way}, partial(launch, one, groups)) for way, one in ways.items()]
         columns = {"ms": time_column(digits=2), "ratio": ratio(2)}
         timed = {row["way"]: row for row in compare(subjects, columns, range(repeats))}
-        rows.append(
-            {
-                "case": name,
-                **{way: timed[way]["ms"] for way in ("glsl_ms", "lanes_1_ms", "lanes_16_ms")},
-                "ratio": timed["glsl_ms"]["ratio"],
-                "target_ratio": TARGETS[name],
-                "lanes_16_over_1": timed["lanes_1_ms"]["ratio"],
-                "emit_ms": round(emit, 1),
-                "build_ms": round(build["cold"], 0),
-                "cached_build_ms": round(build["cached"], 0),
-            }
-        )
-    return rows
+        yield {
+            "case": name,
+            **{way: timed[way]["ms"] for way in ("glsl_ms", "lanes_1_ms", "lanes_16_ms")},
+            "ratio": timed["glsl_ms"]["ratio"],
+            "target_ratio": TARGETS[name],
+            "lanes_16_over_1": timed["lanes_1_ms"]["ratio"],
+            "emit_ms": round(emit, 1),
+            "build_ms": round(build["cold"], 0),
+            "cached_build_ms": round(build["cached"], 0),
+        }
 
 
-def measure_front_end() -> dict[str, float]:
-    """Measure the seconds to parse, type and emit all shaders of the renderer."""
+def measure_front_end() -> Record:
+    """Return the seconds to parse, type and emit all shaders of the renderer."""
     shaders = []
     for module in pkgutil.walk_packages(renderer.__path__, "renderer."):
         if not module.name.endswith("__main__"):
@@ -445,22 +440,18 @@ def measure_front_end() -> dict[str, float]:
         for stage in program.stages:
             program.emit("glsl", stage)
             program.emit("opencl16", stage)
-    return {"shaders": len(shaders) - bases, "seconds": round(time.process_time() - started, 3)}
+    return {
+        "front end": "all shaders",
+        "shaders": len(shaders) - bases,
+        "seconds": round(time.process_time() - started, 3),
+    }
 
 
-def measure_all(given: argparse.Namespace) -> Report:
-    front_end = measure_front_end()
-    return Report({"front_end": front_end}, measure(given.repeats))
-
-
-OPTIONS = (options.count("--repeats", "runs of each variant", 9), *options.form())
-
-
-def show_front_end(about: Mapping[str, Any], _: bool) -> list[str]:
-    return ["front end: {shaders} shaders in {seconds} s".format(**about["front_end"])]
+def measure(given: argparse.Namespace) -> Iterator[Record]:
+    """Yield the row of the front end, and those of all cases."""
+    yield measure_front_end()
+    yield from measure_cases(given.repeats)
 
 
 if __name__ == "__main__":
-    parser = Parser(description=__doc__)
-    options.add_options(parser, OPTIONS)
-    ComparisonProgram("lanes", "", "", OPTIONS, measure_all, more=show_front_end).run(parser.parse_args())
+    run_benchmark(__doc__, (options.count("--repeats", "runs of each variant", 9),), measure)

@@ -25,7 +25,7 @@ import rhi
 from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
 from renderer.content import BUILT_IN, load_scene
-from renderer.lab.comparison import Column, Frames, Record, Subject, compare, kernels, ratio, time
+from renderer.lab.comparison import Column, Frames, Record, Subject, average, compare, middle, ratio, time
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene, SceneBuilder, scaling, translation
 from renderer.scene.transforms import multiply
@@ -33,8 +33,13 @@ from renderer.visibility import CallbackPass, ChcPlusPlus
 
 FRAMES = 60
 TARGET = 4.0
-COLUMNS: Final[dict[str, Column]] = {"milliseconds": time(digits=2), "ratio": ratio(), "kernels": kernels}
+COLUMNS: Final[dict[str, Column]] = {"milliseconds": time(digits=2), "ratio": ratio()}
 """The columns of the frames' costs; the goal of the ratio is 1.2."""
+WALK: Final[dict[str, Column]] = {
+    "visited_per_frame": average(1), "queries_per_frame": average(1), "walk_microseconds_per_node": middle(digits=2),
+    "update_milliseconds": middle(),
+}  # fmt: skip
+"""The columns of the traversal, by clocks of its own."""
 SIGHT = 150.0
 
 
@@ -92,25 +97,23 @@ def measure_walk(text: str) -> Record:
         spent[1] = perf_counter() - began
 
     algorithm._begin = timed_begin  # type: ignore[method-assign]
-    walks, updates, visited, queries = [], [], [], []
-    nothing = CallbackPass(lambda rows: None)
-    for frame in range(600, 600 + FRAMES):
+    nothing, counts = CallbackPass(lambda rows: None), dict[str, float]()
+
+    def walk(frame: int) -> None:
         camera = scene.paths["ground"].camera(frame)
         began = perf_counter()
-        statistics = algorithm.render(camera, nothing)
-        walks.append(1e6 * (perf_counter() - began - spent[1]) / statistics.nodes_tested)
-        updates.append(1e3 * spent[0])
-        visited.append(statistics.nodes_tested)
-        queries.append(statistics.queries)
-    return {
-        "scene": scene.name,
-        "nodes": len(forest),
-        "visited_per_frame": round(float(np.mean(visited)), 1),
-        "queries_per_frame": round(float(np.mean(queries)), 1),
-        "walk_microseconds_per_node": round(float(np.median(walks)), 2),
-        "update_milliseconds": round(float(np.median(updates)), 3),
-        "target_microseconds_per_node": TARGET,
-    }
+        found = algorithm.render(camera, nothing)
+        taken = perf_counter() - began - spent[1]
+        counts.update(
+            visited_per_frame=found.nodes_tested,
+            queries_per_frame=found.queries,
+            walk_microseconds_per_node=1e6 * taken / found.nodes_tested,
+            update_milliseconds=1e3 * spent[0],
+        )
+
+    about = {"scene": scene.name, "nodes": len(forest)}
+    one = Subject(about, walk, count=counts.copy, find=lambda: {"target_microseconds_per_node": TARGET})
+    return compare([one], WALK, range(600, 600 + FRAMES), warm_ups=0)[0]
 
 
 def make_hidden(count: int) -> Scene:
@@ -138,7 +141,7 @@ def measure_doubling(backend: str | None, boxes: int) -> Iterator[Record]:
         for count, scene in zip((boxes, 2 * boxes), map(make_hidden, (boxes, 2 * boxes)), strict=True):
             renderer = stack.enter_context(Renderer(device, scene, visibility=ChcPlusPlus(scene, device)))
             about = {"backend": device.backend_name, "boxes": count}
-            subjects.append(Subject(about, Frames(renderer, *eyes), device=device))
+            subjects.append(Subject(about, Frames(renderer, *eyes)))
         yield from compare(subjects, COLUMNS, range(1, FRAMES + 1), warm_ups=5)
 
 

@@ -35,15 +35,11 @@ def measure(given: argparse.Namespace) -> Iterator[Record]:
         for name, simulation in (("executed", None), ("simulated", Simulation())):
             scene = make(given.draws, simulation)
 
-            def clear(scene: Scene = scene) -> None:
-                scene.device.stream.clear()
-                gc.collect()
-
             def frame(_: int, scene: Scene = scene, draw: bool = transient) -> None:
                 (scene.draw_transient if draw else scene.draw)(scene.device)
                 scene.present()
 
-            subjects.append(Subject({"variant": name + suffix}, frame, clear))
+            subjects.append(Subject({"variant": name + suffix}, frame, gc.collect, device=scene.device))
             scenes.append(scene)
     rows = compare(subjects, {"commands/s": rate(1.0)}, range(given.rounds))
     for row, scene in zip(rows, scenes, strict=True):

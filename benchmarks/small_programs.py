@@ -391,8 +391,11 @@ def measure(given: argparse.Namespace) -> Iterator[Record]:
             stack.callback(bench.device.close)
         for name in given.only:
             for fast in (False,) if name == "empty" else (False, True):
-                about = {"program": name, "precision": "fast" if fast else "default", "kernels": given.kernels}
-                subjects = [Subject(about | {"backend": one}, benches[one].run(name, fast)) for one in benches]
+                about = {"program": name, "precision": "fast" if fast else "default"}
+                subjects = [
+                    Subject(about | {"backend": backend}, bench.run(name, fast), device=bench.device)
+                    for backend, bench in benches.items()
+                ]
                 yield from compare(subjects, COLUMNS, range(given.rounds), warm_ups=3)
 
 

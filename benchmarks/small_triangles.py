@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 import rhi
 from renderer.cli.comparison import run_benchmark
 from renderer.cli.options import option, rounds, size
-from renderer.lab.comparison import Frames, Record, Subject, compare, kernels, ratio, time
+from renderer.lab.comparison import Frames, Record, Subject, compare, ratio, time
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene, SceneBuilder, make_height_field
 from renderer.techniques import TECHNIQUES
@@ -67,7 +67,7 @@ def measure(given: argparse.Namespace) -> Iterator[Record]:
     """Yield a row for each technique and length of edges."""
     scene = make_ground()
     camera = Camera.look_at((0, 14, 50), (0, 0, 0)).with_aspect(given.size[0] / given.size[1])
-    columns = {"ms": time(processor=True), "gain": ratio(2, processor=True, inverse=True), "kernels": kernels}
+    columns = {"ms": time(processor=True), "gain": ratio(2, processor=True, inverse=True)}
     with rhi.create_device(given.backend) as device:
         renderers = {name: Renderer(device, scene, size=given.size) for name in NAMES}
         for name, renderer in renderers.items():
@@ -79,7 +79,7 @@ def measure(given: argparse.Namespace) -> Iterator[Record]:
                 frames = Frames(renderer, camera)
                 frames(0)
                 about = {"edges": edge, "triangles": frames.result.statistics.triangles, "technique": name}
-                subjects.append(Subject(about, frames, device=device))
+                subjects.append(Subject(about, frames))
             yield from compare(subjects, columns, range(given.rounds), warm_ups=2)
 
 

@@ -19,14 +19,14 @@ import rhi
 from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
 from renderer.content import load_scene
-from renderer.lab.comparison import Record, Subject, compare, kernels, time
+from renderer.lab.comparison import Record, Subject, compare, time
 from renderer.scene import Scene
 from renderer.visibility import FrustumCulling, SoftwareDepth, VisibilitySettings, find_visible_objects
 from renderer.visibility.boxes.bounds import find_near, pad_boxes
 from renderer.visibility.gpu.occluder_depth import OccluderDepth
 from renderer.visibility.software_depth import BACKEND
 
-COLUMNS = {"milliseconds": time(), "kernels": kernels}
+COLUMNS = {"milliseconds": time()}
 
 
 def measure_path(scene: Scene, path: str, boxes: int, size: tuple[int, int], rounds: int) -> Record:

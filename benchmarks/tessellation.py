@@ -120,11 +120,13 @@ def measure(given: argparse.Namespace) -> Iterator[Record]:
                         one.camera = cameras[number % len(cameras)]
                     yield number
 
-            subjects = [Subject({}, one.choose) for one in edges] + [Subject({}, one.draw, one.choose) for one in edges]
-            times = [row["ms"] for row in compare(subjects, {"ms": time(digits=1, processor=True)}, rounds())]
-            for one, choosing, drawing in zip(edges, times, times[len(edges) :], strict=False):
+            subjects = [Subject({}, one.choose) for one in edges]
+            subjects += [Subject({}, one.draw, one.choose, device=device) for one in edges]
+            rows = compare(subjects, {"ms": time(digits=1, processor=True)}, rounds())
+            for one, choosing, drawing in zip(edges, rows, rows[len(edges) :], strict=False):
                 about = {"backend": given.backend, "edge": one.settings.edge_pixels}
-                yield {**about, **one.find(cameras), "choose": choosing, "draw": drawing}
+                found = {"choose": choosing["ms"], "draw": drawing["ms"], "kernels": drawing["kernels"]}
+                yield {**about, **one.find(cameras), **found}
         visibility.destroy()
 
 

@@ -25,11 +25,6 @@ LINE: Final = "The quick brown fox jumps over 13 lazy dogs; AVATAR To. Wörter m
 TEXTS: Final = {"line": LINE.rstrip(), "page": LINE * 40}
 
 
-def forget_commands(device: rhi.Device) -> None:
-    if device.backend_name == "null":
-        device.stream.clear()
-
-
 OPTIONS: Final = (
     options.option("--backends", "backends to measure", ",".join(rhi.backend_names())),
     options.rounds("rounds", 41),
@@ -66,7 +61,7 @@ def measure_device(device: rhi.Device, rounds: int) -> Iterator[Record]:
         for name, text in TEXTS.items():
             glyphs = len(lay_out(canvas.font, text).glyphs)
             about = {"backend": device.backend_name, "step": step, "text": name, "glyphs": glyphs}
-            subjects.append(Subject(about, partial(run, text), lambda: forget_commands(device)))
+            subjects.append(Subject(about, partial(run, text), device=device))
     for row in compare(subjects, {"glyphs/ms": rate(1e-3, processor=True)}, range(rounds), warm_ups=30):
         yield row | {"glyphs/ms": row["glyphs"] * row["glyphs/ms"]}
 

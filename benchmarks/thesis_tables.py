@@ -7,30 +7,29 @@ with the platform's own parameters (`benchmarks/settings`, written by `python -m
     python benchmarks/thesis_tables.py ground|sky [--backends gl,cl] [--figure F.png] [--into docs/visibility-tables.md]
 
 It prints Markdown: times as ratios to no culling on all platforms, shares of what other algorithms draw and query, and
-for each platform its counts, each beside the thesis's. `--into` also replaces the page's section between the path's two
-markers, and writes the figure beside the page. `--save` keeps the results; `--load` prints kept ones.
+for each platform its counts, each beside the thesis's, and which kernels drew. `--into` also replaces the page's
+section between the path's two markers, and writes the figure beside the page. `--save` keeps the results; `--load`
+prints kept ones.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
+import os
 import sys
-from dataclasses import asdict, replace
 from pathlib import Path
 from textwrap import fill
 from typing import Any, Final
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-import rhi
-from renderer.cli.options import parse_count, parse_frame, size
-from renderer.cli.output import draw_chart, show_progress
+from renderer.cli.compare_visibility import COMMAND, measure_visibility
+from renderer.cli.options import add_options, parse_count, parse_frame, size
+from renderer.cli.output import draw_chart
 from renderer.cli.subcommand import Parser
-from renderer.content import load_scene
 from renderer.lab.measure import format_table
-from renderer.lab.visibility import compare_algorithms, list_contenders, list_frames
-from renderer.renderer import Renderer
-from renderer.visibility import VisibilitySettings, list_algorithms
+from renderer.scene import FRAME_COUNT
 
 SETTINGS: Final = Path(__file__).parent / "settings"
 
@@ -83,28 +82,23 @@ COUNTS: Final[dict[str, dict[str, tuple[int, ...]]]] = {
 none."""
 
 
-def measure(backend: str, path_name: str, frames: int, warm_up: int, size: tuple[int, int]) -> dict[str, Any]:
-    """Compare the algorithms on one backend, and return the report."""
-    scene = load_scene("city")
-    path = scene.paths[path_name]
-    stride = len(path) // frames
-    first = (stride - 1 - warm_up) // 2
-    walk = list_frames(first, frames, len(path), stride=stride, warm_up=warm_up)
-    tuned = VisibilitySettings.load(SETTINGS / f"{backend}.json")
-    with rhi.create_device(backend) as device, Renderer(device, scene, size=size) as renderer:
-        contenders = list_contenders(list_algorithms(device), VisibilitySettings(), tuned, (False, True))
-        rows = compare_algorithms(renderer, contenders, path, show_progress(walk, len(walk), backend))
-        return {
-            "backend": backend,
-            "device": device.capabilities.device,
-            "first_frame": first + warm_up,
-            "stride": stride,
-            "frames": frames,
-            "warm_up": warm_up,
-            "size": list(size),
-            "optimized": asdict(replace(tuned, emulated=False)),
-            "rows": {row["algorithm"]: row for row in rows},
-        }
+def measure(given: argparse.Namespace, backend: str) -> dict[str, Any]:
+    """Compare the algorithms on one backend, as `compare visibility` does, and return what it reports as JSON."""
+    stride = FRAME_COUNT // given.frames
+    asked = {
+        "camera-path": given.path, "frame": (stride - 1 - given.warm_up) // 2, "frames": given.frames, "stride": stride,
+        "warm-up": given.warm_up, "size": "{}x{}".format(*given.size), "backend": backend,
+        "queries": "native,emulated", "settings": SETTINGS / f"{backend}.json",
+    }  # fmt: skip
+    parser = Parser()
+    add_options(parser, COMMAND.options)
+    report = measure_visibility(parser.parse_args(["city", *(f"--{name}={value}" for name, value in asked.items())]))
+    return {**report.about, "rows": report.rows}
+
+
+def find_rows(report: dict[str, Any]) -> dict[str, Any]:
+    """Return the rows of a report by the names of their algorithms."""
+    return {row["algorithm"]: row for row in report["rows"]}
 
 
 SHARES: Final = (
@@ -126,7 +120,7 @@ def show_shares(path: str, reports: list[dict[str, Any]]) -> str:
     for counter, name, other in SHARES:
         label = f"{counter.replace('_', ' ')}: {name} of {other}"
         line = [label]
-        for rows in (report["rows"] for report in reports):
+        for rows in map(find_rows, reports):
             for mark in MARKS:
                 base = rows[other + mark if other + mark in rows else other]
                 line.append(f"{rows[name + mark][counter] / base[counter]:.2f}")
@@ -138,13 +132,13 @@ def show_shares(path: str, reports: list[dict[str, Any]]) -> str:
 
 def show_times(path: str, reports: list[dict[str, Any]]) -> str:
     """Return the table of times, as ratios to no culling, on our platforms and on the thesis's."""
-    names = list(dict.fromkeys(name.partition(" ")[0] for report in reports for name in report["rows"]))
+    names = list(dict.fromkeys(name.partition(" ")[0] for report in reports for name in find_rows(report)))
     header, cells = ["algorithm"], [[name] for name in names]
     for report in reports:
         for mark in MARKS:
             header.append(report["backend"] + mark)
             for name, line in zip(names, cells, strict=True):
-                row = report["rows"].get(name + mark)
+                row = find_rows(report).get(name + mark)
                 line.append("" if row is None else f"{row['ratio']:.2f}")
     header += PLATFORMS
     base = TIMES[path]["none"]
@@ -159,14 +153,16 @@ def show_counts(path: str, report: dict[str, Any]) -> str:
     header = ["algorithm", "ms"]
     for name in COUNTED:
         header += [name.replace("_", " ").replace(" changes", "s"), "thesis"]
-    header += ["wrong pixels", "tied pixels", "stalled ms"]
+    header += ["wrong pixels", "tied pixels", "stalled ms", "kernels"]
     cells: list[list[object]] = []
-    for name, row in report["rows"].items():
+    for name, row in find_rows(report).items():
         line: list[object] = [name, row["milliseconds"]]
         known = COUNTS[path].get(name.partition(" ")[0], ())
         for place, counted in enumerate(COUNTED):
             line += [row[counted], known[place] if place < len(known) else ""]
-        cells.append([*line, row["wrong_pixels"], row["tied_pixels"], row["stalled_milliseconds"]])
+        cells.append(
+            [*line, row["wrong_pixels"], row["tied_pixels"], row["stalled_milliseconds"], row["kernels"] or ""]
+        )
     return format_table(header, cells, markdown=True)
 
 
@@ -176,7 +172,7 @@ def plot(path: str, reports: list[dict[str, Any]], file: Path) -> None:
     shown = ("frustum", "chc_plus_plus", "optimized_chc_plus_plus")
     for report in reports:
         for mark in MARKS:
-            rows = report["rows"]
+            rows = find_rows(report)
             found = [rows["frustum"], *(rows[name + mark] for name in shown[1:])]
             groups.append((f"{report['backend']}{mark}", [row["ratio"] for row in found]))
     for place, platform in enumerate(PLATFORMS):
@@ -240,13 +236,11 @@ def main() -> None:
     parser.add_argument("--save", type=Path, metavar="F.json", help="keep the results")
     parser.add_argument("--load", type=Path, nargs="+", metavar="F.json", help="print these results")
     given = parser.parse_args()
+    os.environ.setdefault("RHI_KERNELS", "optimised")  # as a long run has them
     if given.load is not None:
         reports = [report for file in given.load for report in json.loads(file.read_text())]
     else:
-        reports = [
-            measure(backend, given.path, given.frames, given.warm_up, given.size)
-            for backend in given.backends.split(",")
-        ]
+        reports = [measure(given, backend) for backend in given.backends.split(",")]
     if given.save is not None:
         given.save.write_text(json.dumps(reports, indent=1) + "\n")
     text = describe(given.path, reports)

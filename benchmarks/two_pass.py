@@ -101,7 +101,7 @@ def measure_cpu() -> Iterator[Record]:
                 opened.enter_context(renderer)
                 cameras = [scene.paths["ground"].camera(600 + frame) for frame in range(ROUNDS)]
                 about = {"algorithm": name, "objects": count}
-                subjects.append(Subject(about, Frames(renderer, *cameras), device.stream.clear))
+                subjects.append(Subject(about, Frames(renderer, *cameras)))
             yield from compare(subjects, COLUMNS, range(ROUNDS), warm_ups=3)
 
 

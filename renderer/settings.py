@@ -17,8 +17,8 @@ from typing import Any, Final, Self, get_args, get_type_hints
 
 from renderer import rules
 from renderer.frame import Blending, GlowSettings, TextureSettings
-from renderer.renderer import Renderer
-from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene, StereoRig
+from renderer.renderer import FrameResult, Renderer
+from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene, Shot, StereoRig
 from renderer.shadows import ShadowSettings
 from renderer.stereo import Stereo
 from renderer.techniques import Technique, TechniqueSettings
@@ -89,6 +89,10 @@ class RenderSettings:
         if lens.depth is self.depth:
             return camera
         return camera.with_projection(replace(lens, depth=self.depth))
+
+    def render(self, renderer: Renderer, shot: Shot) -> FrameResult:
+        """Draw a shot with the direction of depth that is set."""
+        return renderer.render(self.aim(shot.camera), shot.seconds)
 
     @contextmanager
     def open(

@@ -12,11 +12,10 @@ from renderer.cli import options
 from renderer.cli.arguments import make_technique, open_scene
 from renderer.cli.output import draw_chart, note, prepare_chart, print_report, show_progress
 from renderer.cli.subcommand import Subcommand
-from renderer.content import parse_camera
+from renderer.content import parse_shots
 from renderer.lab.measure.capture import CapturedFrame, capture_frames, list_passes, write_frames
 from renderer.lab.measure.table import format_table
 from renderer.renderer import Renderer
-from renderer.scene import FRAMES_PER_SECOND
 from renderer.visibility import check_algorithm, make_visibility
 
 _NOTES: Final = """\
@@ -49,10 +48,7 @@ def _run(given: argparse.Namespace) -> None:
         prepare_chart(given.plot)
     scene = open_scene(given.scene)
     camera = given.camera or next(iter(scene.paths or scene.views))
-    shots = [
-        (frame, parse_camera(camera, scene, frame), frame / FRAMES_PER_SECOND)
-        for frame in range(given.frame, given.frame + given.frames)
-    ]
+    shots = parse_shots(camera, scene, range(given.frame, given.frame + given.frames))
     given.output.parent.mkdir(parents=True, exist_ok=True)
     with rhi.create_device(given.backend) as device:
         check_algorithm(given.visibility, device, "capture")

@@ -42,7 +42,8 @@ surfaces the one drawn first stays. `stalled` is how long the CPU waited. Where 
 The null device answers no queries. On it `auto` is frustum culling, and algorithms that use queries don't run."""
 
 
-def _measure(given: argparse.Namespace) -> Report:
+def measure_visibility(given: argparse.Namespace) -> Report:
+    """Compare the algorithms that the command's arguments ask for."""
     if given.teleport is not None and given.stride > 1:
         raise OutputError("--teleport: it jumps between consecutive frames; leave out --stride")
     settings = VisibilitySettings()
@@ -131,6 +132,6 @@ _OPTIONS: Final = (
     options.chart("times and triangles"),
 )  # fmt: skip
 COMMAND: Final = ComparisonProgram(
-    "visibility", "compare visibility algorithms along a camera path", _NOTES, _OPTIONS, _measure,
+    "visibility", "compare visibility algorithms along a camera path", _NOTES, _OPTIONS, measure_visibility,
     show=show_rows, plot=plot_algorithms,
 ).command  # fmt: skip

@@ -14,7 +14,7 @@ import rhi
 from renderer.cli.options import CommandOption, add_options, form
 from renderer.cli.output import draw_chart, list_left_out, note, prepare_chart
 from renderer.cli.subcommand import Parser, Subcommand
-from renderer.lab.comparison import Record
+from renderer.lab.comparison import KERNELS, Record
 from renderer.lab.measure.table import format_table, format_value, title_of
 from renderer.scene import Scene
 
@@ -76,6 +76,8 @@ class ComparisonProgram:
         if self.plot is not None and given.plot is not None:
             prepare_chart(given.plot)
         report = self.measure(given)
+        if any("quick" in (row.get(KERNELS) or "") for row in report.rows):
+            note("quick kernels ran, which a long run has not: RHI_KERNELS=optimised measures its own")
         if self.plot is not None and given.plot is not None:
             with draw_chart(given.plot, report.title) as figure:
                 self.plot(figure, report.rows)
@@ -99,14 +101,15 @@ class ComparisonProgram:
 
 def run_benchmark(
     text: str | None, options: Sequence[CommandOption], measure: Callable[[argparse.Namespace], Iterable[Record]],
-    plot: Callable[[Any, Sequence[Record]], None] | None = None,
+    plot: Callable[[Any, Sequence[Record]], None] | None = None, kernels: str = "optimised",
 ) -> None:  # fmt: skip
     """Run a program of `benchmarks`: its docstring, its options but for those of `form`, and the function that yields
     its rows, of one table or of several; with a chart, which `plot` draws, `options.chart` is one of the options.
 
-    Unless RHI_KERNELS says otherwise, cl runs optimised kernels, as a long run does.
+    Unless RHI_KERNELS says otherwise, cl runs these `kernels`: optimised ones, as a long run does, "quick" ones, or
+    with "" those that a first run has.
     """
-    os.environ.setdefault("RHI_KERNELS", "optimised")
+    os.environ.setdefault("RHI_KERNELS", kernels)
     comparison = ComparisonProgram("", "", "", options, lambda given: Report({}, list(measure(given))), plot=plot)
     parser = Parser(description=text)
     add_options(parser, (*options, *form()))

@@ -14,7 +14,7 @@ from renderer.cli import options
 from renderer.cli.arguments import load_settings, open_scene
 from renderer.cli.output import OutputError, note, prepare_image, print_report
 from renderer.cli.subcommand import Subcommand
-from renderer.content import parse_camera
+from renderer.content import parse_shots
 from renderer.lab.measure.pictures import (
     COLORS,
     MEANINGS,
@@ -24,7 +24,6 @@ from renderer.lab.measure.pictures import (
     picture_from_camera,
 )
 from renderer.renderer import Renderer
-from renderer.scene import FRAMES_PER_SECOND
 from renderer.visibility import make_visibility
 
 _NOTES: Final = """\
@@ -60,16 +59,15 @@ def _run(given: argparse.Namespace) -> None:
     path = prepare_image(given.output)
     settings = load_settings(given).visibility
     scene = open_scene(given.scene)
-    frames = range(max(given.frame - given.warm_up, 0), given.frame + 1)
-    cameras = [parse_camera(given.camera, scene, frame) for frame in frames]
+    shots = parse_shots(given.camera, scene, range(max(given.frame - given.warm_up, 0), given.frame + 1))
     with rhi.create_device(given.backend) as device:
         if not device.capabilities.renders:
             raise OutputError(f"--backend: the {device.backend_name} device draws nothing, so there is no picture")
         algorithm = make_visibility(given.algorithm, scene, device, settings)
         with Renderer(device, scene, visibility=algorithm, size=given.size) as renderer:
-            for frame, camera in zip(frames, cameras, strict=True):
-                result = renderer.render(camera, frame / FRAMES_PER_SECOND)
-            camera = cameras[-1].with_aspect(given.size[0] / given.size[1])
+            for shot in shots:
+                result = renderer.render(shot.camera, shot.seconds)
+            camera = shot.camera.with_aspect(given.size[0] / given.size[1])
             outcomes = find_outcomes(scene, camera, result.visible)
             pictures = (
                 picture_from_camera(renderer, camera, result, outcomes),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 from contextlib import ExitStack
-from dataclasses import asdict, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import Final
 
@@ -15,10 +15,10 @@ from renderer.cli.arguments import open_scene
 from renderer.cli.options import option
 from renderer.cli.output import name_of, note, open_working, prepare_image, show_progress, write_image
 from renderer.cli.subcommand import Subcommand
-from renderer.lab.comparison import Column, Subject, average, compare, kernels, ratio, time
+from renderer.lab.comparison import Column, Frames, Subject, average, compare, ratio, time
 from renderer.lab.measure import format_rows
-from renderer.renderer import FrameResult, FrameStatistics, Renderer
-from renderer.scene import FRAME_COUNT, FRAMES_PER_SECOND
+from renderer.renderer import FrameStatistics, Renderer
+from renderer.scene import FRAME_COUNT
 from renderer.visibility import make_visibility
 
 _NOTES: Final = """\
@@ -44,35 +44,6 @@ _IDLE = ("simulation_steps", "skipped_simulations")
 """The counters that say nothing where nothing is simulated."""
 
 
-class RenderVariant:
-    """A row of the table: a path, an algorithm, and the renderer that draws it; `result` is the latest frame."""
-
-    result: FrameResult
-
-    def __init__(self, path: str, visibility: str, renderer: Renderer, frames: list[int]) -> None:
-        """Create the row; `frames` are those of the rounds."""
-        self.path, self.renderer, self._frames = path, renderer, frames
-        about = {"path": path, "visibility": visibility, "backend": self.backend}
-        self.subject = Subject(about, self._run, count=lambda: asdict(self.result.statistics), device=renderer.device)
-
-    @property
-    def backend(self) -> str:
-        return self.renderer.device.backend_name
-
-    def _run(self, number: int) -> None:
-        self.render(self._frames[number])
-
-    def render(self, frame: int) -> FrameResult:
-        """Draw one frame of the path and wait for the device."""
-        renderer = self.renderer
-        camera = renderer.scene.paths[self.path].camera(frame)
-        self.result = renderer.render(camera, frame / FRAMES_PER_SECOND)
-        renderer.device.finish()
-        if self.backend == "null":
-            renderer.device.stream.clear()
-        return self.result
-
-
 _OPTIONS: Final = (
     option("scene", "a scene generator (see `scenes`) or a model file", "city", nargs="?", metavar="SCENE"),
     options.file("--output", "folder for the pictures", "DIR", "out"),
@@ -85,29 +56,32 @@ def _run(given: argparse.Namespace) -> None:
     scene = open_scene(given.scene)
     with ExitStack() as stack:
         devices = open_devices(stack)
-        frames = [(2 * number + 1) * FRAME_COUNT // (2 * given.frames) for number in range(given.frames)]
-        variants = []
-        for path in scene.paths:
+        numbers = [(2 * number + 1) * FRAME_COUNT // (2 * given.frames) for number in range(given.frames)]
+        subjects, variants = [], []
+        for name, path in scene.paths.items():
             for device in devices:
-                for name in _ALGORITHMS:
-                    algorithm = make_visibility(name, scene, device)
-                    renderer = stack.enter_context(Renderer(device, scene, visibility=algorithm, size=given.size))
-                    variants.append(RenderVariant(path, name, renderer, frames))
-        is_simulated = bool(len(variants[0].renderer.simulator))
-        columns: dict[str, Column] = {"milliseconds": time(), "vs none": ratio(), "kernels": kernels}
+                for algorithm in _ALGORITHMS:
+                    visibility = make_visibility(algorithm, scene, device)
+                    renderer = stack.enter_context(Renderer(device, scene, visibility=visibility, size=given.size))
+                    frames = Frames(renderer, *map(path.shot, numbers))
+                    about = {"path": name, "visibility": algorithm, "backend": device.backend_name}
+                    subjects.append(Subject(about, frames, count=frames.count))
+                    variants.append(frames)
+        is_simulated = bool(len(renderer.simulator))
+        columns: dict[str, Column] = {"milliseconds": time(), "vs none": ratio()}
         for counter in fields(FrameStatistics):
             if is_simulated or counter.name not in _IDLE:
                 columns[counter.name] = average()
         rounds = show_progress(range(given.frames), given.frames, "measure")
-        rows = compare([one.subject for one in variants], columns, rounds, within=("path", "backend"))
-        for path in scene.paths:
+        rows = compare(subjects, columns, rounds, within=("path", "backend"))
+        for name in scene.paths:
             seen = [
                 (row["milliseconds"], number)
                 for number, row in enumerate(rows)
-                if row["path"] == path and variants[number].renderer.device.capabilities.renders
+                if row["path"] == name and variants[number].renderer.device.capabilities.renders
             ]
             if seen:
-                write_picture(variants[min(seen)[1]], given.output)
+                write_picture(variants[min(seen)[1]].renderer, name, given.output)
         if not any(device.capabilities.renders for device in devices):
             note(f"the {devices[0].backend_name} device records and draws nothing: there is no image")
         print(format_rows(rows))
@@ -122,14 +96,15 @@ def open_devices(stack: ExitStack) -> list[rhi.Device]:
     return devices
 
 
-def write_picture(variant: RenderVariant, folder: Path) -> None:
-    """Write one picture of the variant's path."""
-    scene = variant.renderer.scene
-    suffix = "" if variant.path == next(iter(scene.paths)) else f"-{variant.path}"
-    result = variant.render(_PICTURED.get(variant.path, FRAME_COUNT // 2))
+def write_picture(renderer: Renderer, name: str, folder: Path) -> None:
+    """Write one picture of the scene's path with this name."""
+    scene = renderer.scene
+    suffix = "" if name == next(iter(scene.paths)) else f"-{name}"
+    shot = scene.paths[name].shot(_PICTURED.get(name, FRAME_COUNT // 2))
+    result = renderer.render(shot.camera, shot.seconds)
     path = prepare_image(folder / f"{name_of(scene)}{suffix}.png")
     write_image(path, result.image.read())
-    note(f"wrote {path}, drawn by {variant.backend}")
+    note(f"wrote {path}, drawn by {renderer.device.backend_name}")
 
 
 COMMAND: Final = Subcommand(

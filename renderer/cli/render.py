@@ -16,13 +16,13 @@ from renderer.cli.arguments import explain_technique, make_stereo, merge_setting
 from renderer.cli.options import option
 from renderer.cli.output import list_left_out, name_of, note, prepare_image, show_progress, write_image
 from renderer.cli.subcommand import Subcommand
-from renderer.content import parse_camera
+from renderer.content import parse_shots
 from renderer.lab.measure import FrameCost, measure_frame
 from renderer.lab.measure.contents import picture_contents
 from renderer.layers.overlay import Overlay
 from renderer.layers.particles import Particles
 from renderer.renderer import FrameResult, Renderer
-from renderer.scene import FRAMES_PER_SECOND, CameraPath, Scene
+from renderer.scene import CameraPath, Scene
 from renderer.settings import RenderSettings
 from renderer.stereo import Stereo, find_holes
 from renderer.techniques import AutoTechnique, Forward, Technique, Watched
@@ -90,32 +90,32 @@ def _run(given: argparse.Namespace) -> None:
     settings = merge_settings(given)
     given.reproject = given.reproject or (settings.reprojects and given.stereo is not None)
     scene = open_scene(given.scene)
-    cameras = [
-        settings.aim(parse_camera(given.camera or next(iter(scene.views)), scene, frame))
-        for frame in range(given.frame, given.frame + given.frames)
+    frames = range(given.frame, given.frame + given.frames)
+    shots = [
+        replace(shot, camera=settings.aim(shot.camera))
+        for shot in parse_shots(given.camera or next(iter(scene.views)), scene, frames)
     ]
     if given.record is not None:
         given.record.parent.mkdir(parents=True, exist_ok=True)
-        CameraPath.record(cameras).save(given.record)
-        note(f"wrote {given.record}: {len(cameras)} frames")
+        CameraPath.record([shot.camera for shot in shots]).save(given.record)
+        note(f"wrote {given.record}: {len(shots)} frames")
     with (
         rhi.create_device(given.backend, record=True if given.trace is not None else None) as device,
         settings.open(device, scene, given.size, technique=_make_shown(given, settings, scene, device)) as renderer,
         ExitStack() as layers,
     ):
-        renderer.stereo = make_stereo(given, scene, cameras[0].with_aspect(given.size[0] / given.size[1]))
+        renderer.stereo = make_stereo(given, scene, shots[0].camera.with_aspect(given.size[0] / given.size[1]))
         if given.particles:
             renderer.layers.append(Particles(device))
         if given.overlay:
             renderer.layers.append(Overlay(device, scale=max(1, given.size[1] // 720)))
         for layer in renderer.layers:
             layers.callback(layer.destroy)
-        shots = list(enumerate(cameras, given.frame))
         for _ in show_progress(warm_up(renderer), None, "find what is the fastest"):
-            measure_frame(renderer, cameras[0], given.frame / FRAMES_PER_SECOND)
+            measure_frame(renderer, shots[0])
         costs = []
-        for frame, camera in show_progress(shots, len(shots), "render"):
-            result, cost = measure_frame(renderer, camera, frame / FRAMES_PER_SECOND)
+        for shot in show_progress(shots, len(shots), "render"):
+            result, cost = measure_frame(renderer, shot)
             costs.append(cost)
         if given.trace is not None:
             given.trace.parent.mkdir(parents=True, exist_ok=True)

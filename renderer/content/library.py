@@ -21,7 +21,7 @@ from renderer.content.night import NIGHT
 from renderer.content.specs import Generator
 from renderer.content.terrain import TERRAIN
 from renderer.scene.camera import Camera
-from renderer.scene.paths import CameraPath
+from renderer.scene.paths import CameraPath, Shot
 from renderer.scene.scene import Scene
 from rhi.errors import refuse
 
@@ -76,3 +76,8 @@ def parse_camera(text: str, scene: Scene, frame: int = 0) -> Camera:
     target = np.array(numbers[3:]) if len(numbers) == 6 else 0.5 * (lower + upper)
     lens = next(iter(scene.views.values())).projection
     return Camera.look_at(numbers[:3], target, projection=lens)
+
+
+def parse_shots(text: str, scene: Scene, frames: range) -> list[Shot]:
+    """Return frames of the camera that `text` names, as `parse_camera` reads it."""
+    return [Shot(frame, parse_camera(text, scene, frame)) for frame in frames]

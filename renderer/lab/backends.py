@@ -8,12 +8,12 @@ from typing import Final
 
 import rhi
 from renderer import rules
-from renderer.lab.comparison import Column, Record, Subject, compare, kernels, ratio, time
+from renderer.lab.comparison import Column, Record, Subject, compare, ratio, time
 from renderer.lab.measure.backends import BackendPasses
 from renderer.scene import Camera, Scene
 from rhi import refuse
 
-COLUMNS: Final[dict[str, Column]] = {"milliseconds": time(), "ratio_to_gl": ratio(2, inverse=True), "kernels": kernels}
+COLUMNS: Final[dict[str, Column]] = {"milliseconds": time(), "ratio_to_gl": ratio(2, inverse=True)}
 
 
 def compare_backends(

@@ -8,19 +8,18 @@ are the business of `renderer.cli.comparison`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from operator import truediv
 from statistics import fmean, median
 from typing import Any, Final, Protocol, runtime_checkable
 
 import rhi
 from renderer.lab.measure.alternate import Measurement, alternate
 from renderer.renderer import FrameResult, Renderer
-from renderer.scene import Camera
+from renderer.scene import Camera, Shot
 
-QUICK: Final = "ran quick kernels"
-"""The count that every subject has: whether kernels ran that aren't optimised.
-
-None stands for a device that has no such kernels."""
+KERNELS: Final = "kernels"
+"""The cell of a subject that runs on a device: which kernels ran in its rounds, see `describe_kernels`."""
 Record = dict[str, Any]
 """A row: its cells by the names of its columns."""
 
@@ -34,7 +33,8 @@ class Subject:
         run: does the work of a round, given its number, and waits for it.
         before: called before each run, untimed.
         count: returns what the run that was just timed has done, by name.
-        device: where it runs, for the column `kernels`.
+        device: where it runs; its row then has a cell `kernels`, after those of the columns, and a device that records
+            commands forgets them before each run. `Frames` say it.
         find: returns the last cells of its row, once all rounds are over.
     """
 
@@ -45,14 +45,19 @@ class Subject:
     device: rhi.Device | None = None
     find: Callable[[], Mapping[str, Any]] = dict
 
+    def __post_init__(self) -> None:
+        if isinstance(self.run, Frames):
+            self.device = self.run.renderer.device
+
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """The times of a subject and of the one that it is compared with, and its counts by name, round by round."""
+    """The times and counts of a subject, by name, round by round, and those of the one that it is compared with."""
 
     time: Measurement
     base: Measurement
     counts: Mapping[str, Sequence[Any]]
+    base_counts: Mapping[str, Sequence[Any]]
 
 
 Column = Callable[[Result, str], object]
@@ -99,6 +104,12 @@ def middle(scale: float = 1.0, digits: int = 3) -> Column:
     return lambda found, name: round(scale * median(found.counts[name]), digits)
 
 
+def ratio_of(counted: str, digits: int = 3) -> Column:
+    """Return the column of the median ratio of a count to that of the base in the same round: what a subject has taken
+    by a clock of its own."""
+    return lambda found, _: round(median(map(truediv, found.counts[counted], found.base_counts[counted])), digits)
+
+
 def largest(found: Result, name: str) -> Any:
     """Return the largest of what was counted under this name; None if it couldn't be counted."""
     counts = found.counts[name]
@@ -123,10 +134,15 @@ def find_quick_work(device: rhi.Device | None) -> int | None:
         return None
 
 
-def kernels(found: Result, _: str) -> str | None:
-    """Return which kernels a device ran in the rounds: quick ones, optimised ones as in a long run, or first these and
-    then those; None if its backend has no such kernels."""
-    ran = found.counts[QUICK]
+def forget_commands(device: rhi.Device) -> None:
+    """Let the null device forget the commands that it has recorded, which would take ever more memory."""
+    if device.backend_name == "null":
+        device.stream.clear()
+
+
+def describe_kernels(ran: Sequence[bool | None]) -> str | None:
+    """Return which kernels ran, given for each round whether quick ones did: these, optimised ones as in a long run, or
+    first these and then those; None if the device has no such kernels."""
     if None in ran:
         return None
     if all(ran):
@@ -138,7 +154,8 @@ def compare(
     subjects: Sequence[Subject], columns: Mapping[str, Column], rounds: Iterable[int], *, warm_ups: int = 1,
     within: Sequence[str] = (),
 ) -> list[Record]:  # fmt: skip
-    """Return a row for each subject: its first cells, those of the columns, and what it has found.
+    """Return a row for each subject: its first cells, those of the columns, which `kernels` ran if it has a device, and
+    what it has found.
 
     Subjects take turns: each round starts with another one.
 
@@ -155,28 +172,35 @@ def compare(
         bases.setdefault(tuple(one.about[key] for key in within), name)
     counted: dict[str, list[Mapping[str, Any]]] = {name: [] for name in named}
     quick: dict[str, int | None] = {}
+    ran: dict[str, list[bool | None]] = {name: [] for name in named}
 
     def prepare(name: str) -> None:
-        named[name].before()
-        quick[name] = find_quick_work(named[name].device)
+        one = named[name]
+        one.before()
+        if one.device is not None:
+            forget_commands(one.device)
+        quick[name] = find_quick_work(one.device)
 
     def count(name: str) -> None:
         done = find_quick_work(named[name].device)
-        ran = None if done is None else done > (quick[name] or 0)
-        counted[name].append({**named[name].count(), QUICK: ran})
+        ran[name].append(None if done is None else done > (quick[name] or 0))
+        counted[name].append(named[name].count())
 
     times = alternate({name: one.run for name, one in named.items()}, rounds, warm_ups, prepare, count)
+    counts = {name: {key: [some[key] for some in found] for key in found[0]} for name, found in counted.items()}
     rows = []
     for name, one in named.items():
-        counts = {key: [some[key] for some in counted[name]] for key in counted[name][0]}
         base = bases[tuple(one.about[key] for key in within)]
-        found = Result(times[name], times[base], counts)
-        rows.append({**one.about, **{key: make(found, key) for key, make in columns.items()}, **one.find()})
+        found = Result(times[name], times[base], counts[name], counts[base])
+        cells = {key: make(found, key) for key, make in columns.items()}
+        if one.device is not None:
+            cells[KERNELS] = describe_kernels(ran[name])
+        rows.append({**one.about, **cells, **one.find()})
     return rows
 
 
 class Frames:
-    """Draws a frame with the camera of a round, which are taken in turn, and waits for the device.
+    """Draws the shot of a round, which are taken in turn, and waits for the device.
 
     Attributes:
         result: the latest frame.
@@ -184,9 +208,16 @@ class Frames:
 
     result: FrameResult
 
-    def __init__(self, renderer: Renderer, *cameras: Camera) -> None:
-        self.renderer, self.cameras = renderer, cameras
+    def __init__(self, renderer: Renderer, *shots: Shot | Camera) -> None:
+        """A camera alone draws the frame 0."""
+        self.renderer = renderer
+        self.shots = [one if isinstance(one, Shot) else Shot(0, one) for one in shots]
 
     def __call__(self, number: int) -> None:
-        self.result = self.renderer.render(self.cameras[number % len(self.cameras)])
+        shot = self.shots[number % len(self.shots)]
+        self.result = self.renderer.render(shot.camera, shot.seconds)
         self.renderer.device.finish()
+
+    def count(self) -> Record:
+        """Return the statistics of the latest frame, for a subject."""
+        return asdict(self.result.statistics)

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from renderer.lab.comparison import Column, Frames, Record, Result, Subject, compare, kernels, time
+from renderer.lab.comparison import Column, Frames, Record, Result, Subject, compare, time
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene
 from renderer.techniques import Clustered, DeferredPlus, Technique
@@ -42,7 +42,7 @@ _SETTLES: Final = 4
 
 
 TIMES: Final[dict[str, Column]] = {
-    "milliseconds": time(), "processor_milliseconds": time(processor=True), "kernels": kernels,
+    "milliseconds": time(), "processor_milliseconds": time(processor=True),
 }  # fmt: skip
 
 
@@ -125,7 +125,7 @@ class _TechniqueVariant:
         self._is_culled = isinstance(renderer.visibility, TwoPassCulling)
         self._draw = Frames(renderer, *cameras)
         about = {"technique": name, "culling": self._is_culled}
-        self.timed = Subject(about, self._draw, device=renderer.device)
+        self.timed = Subject(about, self._draw)
         self.stepped = Subject(about, self._draw, count=self._count)
 
     def _count(self) -> Record:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from renderer import rules
 from renderer.frame import DEPTH_FORMAT, Frame, Needs, Pass, Target
-from renderer.lab.comparison import Record, Subject, compare, kernels, middle, time
+from renderer.lab.comparison import Record, Subject, compare, middle, time
 from renderer.lights.culling.cells import CellGrid, block_cell, slice_start
 from renderer.lights.culling.grid import CellLists, LightGrid
 from renderer.lights.culling.sphere_tests import overlaps_exactly, overlaps_planes
@@ -237,7 +237,7 @@ def _compare_tests(
     drawing = [Subject({}, draw, partial(exchange, one), partial(count, one), device) for one in drawn.values()]
     numbers = list(rounds)
     collected = compare(collecting, {"collect_ms": time()}, numbers)
-    shown = compare(drawing, {"draw_ms": middle(1e3), "kernels": kernels}, numbers, warm_ups=3)
+    shown = compare(drawing, {"draw_ms": middle(1e3)}, numbers, warm_ups=3)
     return [one | other for one, other in zip(collected, shown, strict=True)]
 
 

@@ -11,9 +11,9 @@ from contextlib import ExitStack
 from typing import Final
 
 from renderer import rules
-from renderer.lab.comparison import Column, Record, Subject, average, compare, kernels, ratio, time
-from renderer.renderer import FrameResult, Renderer
-from renderer.scene import FRAMES_PER_SECOND, CameraPath, Scene, StereoRig
+from renderer.lab.comparison import Column, Frames, Record, Subject, average, compare, ratio, time
+from renderer.renderer import Renderer
+from renderer.scene import CameraPath, Scene, StereoRig
 from renderer.stereo import OUTPUTS, Stereo
 from renderer.techniques import Technique
 from renderer.visibility import FrustumCulling
@@ -32,7 +32,6 @@ COLUMNS: Final[dict[str, Column]] = {
     "maps_drawn": average(1),  # of shadows
     "calls": average(1),  # of the device, that draw or dispatch
     "upload_bytes": average(),
-    "kernels": kernels,
 }
 _SETTLES: Final = 3  # frames that aren't counted
 
@@ -64,6 +63,7 @@ def compare_stereo(
         technique: makes a technique for each way.
     """
     start = max(frames.start - 1, 0)
+    shots = [path.shot(start + frame) for frame in range(len(frames) + 1)]
     for size in sizes:
         for has_shadows, scene in scenes.items():
             with ExitStack() as opened:
@@ -73,33 +73,23 @@ def compare_stereo(
                         Renderer(device, scene, technique=technique(), visibility=FrustumCulling(scene), size=size)
                     )
                     renderer.stereo = make_stereo(name, rig)
-                    way = _Way(renderer, path, start)
+                    way = _Way(renderer, *shots)
                     about = {"stereo": name, "shadows": has_shadows, "size": size}
-                    subjects.append(Subject(about, way.draw, way.prepare, way.count, device))
+                    subjects.append(Subject(about, way, way.prepare, way.count))
                 yield from compare(subjects, COLUMNS, progress(range(1, len(frames) + 1)), warm_ups=_SETTLES)
 
 
-class _Way:
-    """A way to show a scene. It draws the frames of a path after `start`, and knows what the latest one took."""
-
-    _result: FrameResult
-
-    def __init__(self, renderer: Renderer, path: CameraPath, start: int) -> None:
-        self._renderer, self._path, self._start = renderer, path, start
+class _Way(Frames):
+    """A way to show a scene. It knows what its latest frame took."""
 
     def prepare(self) -> None:
-        self._before = self._renderer.device.statistics
+        self._before = self.renderer.device.statistics
 
-    def draw(self, number: int) -> None:
-        frame = self._start + number
-        self._result = self._renderer.render(self._path.camera(frame), frame / FRAMES_PER_SECOND)
-        self._renderer.device.finish()
-
-    def count(self) -> dict[str, int]:
-        before, after = self._before, self._renderer.device.statistics
+    def count(self) -> Record:
+        before, after = self._before, self.renderer.device.statistics
         return {
-            "draws": self._result.statistics.draws,
-            "maps_drawn": self._renderer.shadows.count("drawn"),
+            "draws": self.result.statistics.draws,
+            "maps_drawn": self.renderer.shadows.count("drawn"),
             "calls": after.draws - before.draws + after.dispatches - before.dispatches,
             "upload_bytes": after.upload_bytes - before.upload_bytes,
         }

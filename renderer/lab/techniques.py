@@ -14,7 +14,7 @@ from typing import Final
 
 from renderer import rules
 from renderer.content import GENERATORS, parse_camera
-from renderer.lab.comparison import Column, Frames, Record, Subject, compare, kernels, time
+from renderer.lab.comparison import Column, Frames, Record, Subject, compare, time
 from renderer.lab.measure.frames import settle
 from renderer.lab.measure.light_evaluations import count_light_evaluations
 from renderer.lab.measure.plans import describe_plan
@@ -27,7 +27,7 @@ from rhi import Device, refuse
 OPTIONS: Final = {"objects": "count", "lights": "lights"}
 """The options of generators that say how many objects and lights a scene has."""
 COLUMNS: Final[dict[str, Column]] = {
-    "milliseconds": time(), "processor_milliseconds": time(processor=True), "kernels": kernels,
+    "milliseconds": time(), "processor_milliseconds": time(processor=True),
 }  # fmt: skip
 _SETTLES: Final = 3
 """Frames that a technique draws before it is timed: lists of lights learn how much room they need."""
@@ -95,4 +95,4 @@ def make_subject(renderer: Renderer, name: str, technique: Technique, camera: Ca
 
     lights = len(scene.lights.point) + len(scene.lights.spot)
     about = {"technique": name, "objects": len(scene.objects), "lights": lights}
-    return Subject(about, draw, exchange, device=renderer.device, find=find)
+    return Subject(about, draw, exchange, find=find)

@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.lab.comparison import Column, Record, Subject, average, compare, kernels, largest, ratio, time
+from renderer.lab.comparison import Column, Record, Subject, average, compare, largest, ratio, time
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import FRAMES_PER_SECOND, CameraPath, Simulator
 from renderer.visibility import NoCulling, VisibilityAlgorithm, VisibilitySettings, make_visibility
@@ -43,7 +43,6 @@ COLUMNS: Final[dict[str, Column]] = {
     "stalled_milliseconds": average(3),
     "simulation_steps": average(),
     "skipped_simulations": average(),
-    "kernels": kernels,
 }
 
 
@@ -166,8 +165,7 @@ class _SharedWalk:
 
     def list_counted(self, frames: Iterable[WalkFrame]) -> Iterator[int]:
         """Yield the numbers of counted frames: each after those before it were drawn, and itself without culling."""
-        device = self.renderer.device
-        draws_pixels = device.capabilities.shading
+        draws_pixels = self.renderer.device.capabilities.shading
         for frame in frames:
             if frame.is_counted:
                 self._reference.prepare()
@@ -177,8 +175,6 @@ class _SharedWalk:
                 for one in self._warmed:
                     one.prepare()
                     one.draw(frame.number)
-            if not draws_pixels:
-                device.stream.clear()
 
 
 class _Walker:

@@ -52,6 +52,7 @@ from renderer.scene.omissions import Omissions as Omissions
 from renderer.scene.paths import FRAME_COUNT as FRAME_COUNT
 from renderer.scene.paths import FRAMES_PER_SECOND as FRAMES_PER_SECOND
 from renderer.scene.paths import CameraPath as CameraPath
+from renderer.scene.paths import Shot as Shot
 from renderer.scene.paths import make_path as make_path
 from renderer.scene.rigs import COMFORTABLE_SHARE as COMFORTABLE_SHARE
 from renderer.scene.rigs import NATURAL_DISTANCE as NATURAL_DISTANCE

@@ -32,6 +32,19 @@ _LENSES: Final = {"perspective": Perspective, "orthographic": Orthographic}
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class Shot:
+    """A frame to draw: its number, which is its time, and its camera."""
+
+    number: int
+    camera: Camera
+
+    @property
+    def seconds(self) -> float:
+        """The time of the frame."""
+        return self.number / FRAMES_PER_SECOND
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class CameraPath:
     """The cameras of a path.
 
@@ -55,6 +68,10 @@ class CameraPath:
             refuse(rules.FRAME_RANGE, "camera(frame=...)", frame, f"0 to {len(self) - 1}")
         up = np.broadcast_to(self.ups, self.positions.shape)[frame]
         return Camera.look_at(self.positions[frame], self.targets[frame], up, self.projection)
+
+    def shot(self, frame: int) -> Shot:
+        """Return one frame of the path, 0 to len - 1."""
+        return Shot(frame, self.camera(frame))
 
     @classmethod
     def record(cls, cameras: Sequence[Camera]) -> Self:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +14,8 @@ from typing import Final
 import pytest
 
 ROOT: Final = Path(__file__).parents[2]
-PROGRAMS: Final = sorted(path.stem for path in (ROOT / "benchmarks").glob("*.py") if "__main__" in path.read_text())
+FILES: Final = {path.stem: path.read_text() for path in (ROOT / "benchmarks").glob("*.py")}
+PROGRAMS: Final = sorted(name for name, text in FILES.items() if "__main__" in text)
 
 SMALLEST: Final = {
     "--boxes": "40", "--cold-runs": "1", "--commands": "200", "--draws": "20", "--frames": "2", "--materials": "4",
@@ -20,16 +23,30 @@ SMALLEST: Final = {
     "--runs": "1", "--scale": "0.001", "--size": "32x18", "--teleports": "1", "--triangles": "1000", "--warm-up": "1",
 }  # fmt: skip
 """The options that say how much a program does, with the least that each of them may say."""
+FREE: Final = {"--programs", "--seed"}
+"""Options with a number that says nothing of how much a program does, or is the least by itself."""
 
+ON_CL: Final = dict.fromkeys(
+    ("animation", "command_buffers", "effects", "frame_batch", "occlusion", "shadows", "techniques"),
+    ("--backend", "cl"),
+)
 OWN: Final[dict[str, tuple[str, ...]]] = {
+    **ON_CL,
     "accuracy_scaling": ("--backend", "null", "--knob", "fxaa"),
     "memory": ("--backend", "null"),
-    "occlusion": ("--scene", "city:blocks=4"),
-    "techniques": ("--scenes", "grid:4"),
+    "occlusion": (*ON_CL["occlusion"], "--scene", "city:blocks=4"),
+    "techniques": (*ON_CL["techniques"], "--scenes", "grid:4"),
     "thesis_tables": ("ground",),
     "two_pass": ("--scene", "city:blocks=4"),
 }
-"""What programs are given besides: what they can't do without, and smaller scenes."""
+"""What programs are given besides: what they can't do without, smaller scenes, and cl where another is the default."""
+TIMES_CL: Final = {
+    *ON_CL, "anisotropy", "backends", "emulated_queries", "small_programs", "small_triangles", "software_depth",
+    "tessellation", "text",
+}  # fmt: skip
+"""Programs that say beside each figure which kernels cl ran."""
+TEXT: Final = {"thesis_tables"}
+"""Programs that print pages, and so no JSON."""
 
 
 def run(name: str, *arguments: str) -> str:
@@ -41,14 +58,48 @@ def run(name: str, *arguments: str) -> str:
     return done.stdout
 
 
-def test_the_programs_are_found() -> None:
+def test_each_file_is_a_program_that_the_nightly_test_runs_or_shared_by_them() -> None:
     assert {"recording", "lanes", "draw_cost"} <= set(PROGRAMS)
-    assert "scenes" not in PROGRAMS  # what several of them draw
+    assert sorted(FILES.keys() - set(PROGRAMS)) == ["scenes"]  # what several of them draw
+    assert set(OWN) <= set(PROGRAMS)
+
+
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_a_benchmark_prints_by_the_command_line_of_all(name: str) -> None:
+    """So it has `--json` and `--markdown`, and cl runs the kernels of a long run unless it says otherwise."""
+    assert ("run_benchmark(" in FILES[name]) is (name not in TEXT)
+    assert "argparse.ArgumentParser" not in FILES[name]
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_a_benchmark_runs_in_its_smallest_size(name: str) -> None:
-    options = set(re.findall(r"--[a-z-]+", run(name, "--help")))
+    text = run(name, "--help")
+    options = set(re.findall(r"--[a-z-]+", text))
+    assert set(re.findall(r"(--[a-z-]+) N\b", text)) <= SMALLEST.keys() | FREE
     small = [part for option in sorted(options & set(SMALLEST)) for part in (option, SMALLEST[option])]
-    assert run(name, *OWN.get(name, ()), *small).strip()
+    out = run(name, *OWN.get(name, ()), *small, *(() if name in TEXT else ("--json",)))
+    if name in TEXT:
+        assert out.strip()
+        return
+    rows = json.loads(out)["rows"]
+    assert rows
+    assert any(row.get("kernels") for row in rows) is (name in TIMES_CL)
+
+
+def test_starting_up_is_measured_with_the_kernels_of_a_first_run(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given: list[str | None] = []
+
+    def run_none(*_: object, env: dict[str, str], **__: object) -> subprocess.CompletedProcess[str]:
+        given.append(env.get("RHI_KERNELS"))
+        return subprocess.CompletedProcess([], 0, stdout="0.5")
+
+    monkeypatch.setenv("RHI_KERNELS", "optimised")  # and so back to what it was at the end
+    monkeypatch.delenv("RHI_KERNELS")
+    monkeypatch.setattr(subprocess, "run", run_none)
+    monkeypatch.setattr(sys, "argv", ["startup.py", "--only", "import", "--runs", "1", "--json"])
+    runpy.run_path(str(ROOT / "benchmarks/startup.py"), run_name="__main__")
+    assert [row["seconds"] for row in json.loads(capsys.readouterr().out)["rows"]] == [0.5] * 3
+    assert set(given) == {""}

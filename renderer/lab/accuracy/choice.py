@@ -15,7 +15,6 @@ cases, if errors are spread normally. The result is tried in twenty views that h
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
@@ -25,19 +24,12 @@ import numpy as np
 import rhi
 from renderer import rules
 from renderer.content import load_scene
+from renderer.lab.accuracy.bench import Bench, read_picture
 from renderer.lab.accuracy.knobs import KNOBS, Demand, Knob, Unit
-from renderer.lab.accuracy.sweep import (
-    KnobReport,
-    Situation,
-    SweepFrame,
-    limit_anisotropy,
-    list_views,
-    read_picture,
-    shrink_picture,
-)
+from renderer.lab.accuracy.sweep import KnobReport, Situation, list_views
 from renderer.lab.measure.alternate import alternate
 from renderer.renderer import Renderer
-from renderer.scene import Scene
+from renderer.scene import Scene, Shot
 from renderer.scene.arrays import Floats
 from renderer.settings import RenderSettings
 from rhi import Device, refuse
@@ -164,51 +156,36 @@ def find_truth(settings: RenderSettings, names: Iterable[str]) -> tuple[RenderSe
     return best, max((knob.truth.scale for knob in knobs), default=1)
 
 
-class CombinationBench:
+class CombinationBench(Bench):
     """Draws combinations of settings, and what all of them are judged by."""
 
     def __init__(self, device: Device, scene: Scene, situation: Situation, names: Sequence[str]) -> None:
-        self._device, self._scene, self._situation = device, scene, situation
-        truth, self._scale = find_truth(make_plain(situation.settings), names)
-        self._truth = limit_anisotropy(truth, device)
-        self._stack = ExitStack()
+        super().__init__(device, scene, situation.size, *find_truth(make_plain(situation.settings), names))
+        self._rounds = range(situation.rounds)
         self._renderers: dict[object, Renderer] = {}
-        width, height = situation.size
-        size = width * self._scale, height * self._scale
-        self._true = self._stack.enter_context(self._truth.open(device, scene, size))
         self._pictures: dict[int, Floats] = {}
-
-    def __enter__(self) -> CombinationBench:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stack.close()
+        self.open_truth()
 
     def exchange(self, settings: RenderSettings) -> Renderer:
         """Return a renderer that has settings: one for each way to read textures, which can't be exchanged."""
         renderer = self._renderers.get(settings.textures)
         if renderer is None:
-            opened = settings.open(self._device, self._scene, self._situation.size)
-            renderer = self._renderers[settings.textures] = self._stack.enter_context(opened)
+            renderer = self._renderers[settings.textures] = self.open(settings)
         settings.exchange(renderer)
         return renderer
 
-    def compare(self, settings: RenderSettings, frames: Sequence[SweepFrame]) -> list[float]:
+    def compare(self, settings: RenderSettings, frames: Sequence[Shot]) -> list[float]:
         """Return the mean error of each frame."""
         renderer, errors = self.exchange(settings), []
         for frame in frames:
-            shown = read_picture(renderer.render(settings.aim(frame.camera), frame.seconds))
-            errors.append(float(np.abs(shown - self._find_true(frame)).max(axis=2).mean()))
+            shown = read_picture(settings.render(renderer, frame))
+            if frame.number not in self._pictures:
+                self._pictures[frame.number] = self.find_true(frame)
+            errors.append(float(np.abs(shown - self._pictures[frame.number]).max(axis=2).mean()))
         return errors
 
-    def _find_true(self, frame: SweepFrame) -> Floats:
-        if frame.number not in self._pictures:
-            result = self._true.render(self._truth.aim(frame.camera), frame.seconds)
-            self._pictures[frame.number] = shrink_picture(read_picture(result), self._scale)
-        return self._pictures[frame.number]
-
     def time(
-        self, combinations: Mapping[str, RenderSettings], frames: Sequence[SweepFrame],
+        self, combinations: Mapping[str, RenderSettings], frames: Sequence[Shot],
         progress: Callable[[range], Iterable[int]],
     ) -> dict[str, tuple[float, float, float, float]]:  # fmt: skip
         """Return the median milliseconds of a frame of each, and its ratio to the first with the interval's ends. The
@@ -216,9 +193,8 @@ class CombinationBench:
         turn = 0
 
         def draw(name: str, number: int) -> None:
-            settings, frame = combinations[name], frames[number % len(frames)]
-            self._renderers[settings.textures].render(settings.aim(frame.camera), frame.seconds)
-            self._device.finish()
+            settings = combinations[name]
+            self.draw(self._renderers[settings.textures], settings, frames[number % len(frames)])
 
         def exchange(name: str) -> None:
             """Exchange the settings, and draw another view; what this creates isn't timed."""
@@ -228,7 +204,7 @@ class CombinationBench:
             draw(name, turn // len(combinations) + 1)
 
         work: dict[str, Callable[[int], object]] = {name: partial(draw, name) for name in combinations}
-        times = alternate(work, progress(range(self._situation.rounds)), 1, exchange)
+        times = alternate(work, progress(self._rounds), 1, exchange)
         base = times[next(iter(combinations))]
         ratios = {name: one.compare_to(base) for name, one in times.items()}
         return {
@@ -343,7 +319,7 @@ def expect_error(errors: Sequence[float]) -> float:
     return max(*errors, float(np.mean(errors) + _MARGIN * np.std(errors, ddof=1)))
 
 
-def list_held_out(scene: Scene, situation: Situation, count: int, known: Sequence[SweepFrame]) -> list[SweepFrame]:
+def list_held_out(scene: Scene, situation: Situation, count: int, known: Sequence[Shot]) -> list[Shot]:
     """Return frames that are none of `known`, spread over the same part of the path; if it has only one view, that
     one."""
     numbers = {frame.number for frame in known}

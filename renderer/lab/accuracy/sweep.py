@@ -31,15 +31,16 @@ from PIL import Image
 
 import rhi
 from renderer.content import find_path, load_scene, parse_camera
-from renderer.lab.accuracy.float64 import ExactPicture, decode_levels, encode_levels, shade_exactly
+from renderer.lab.accuracy.bench import Bench, read_picture
+from renderer.lab.accuracy.float64 import ExactPicture, shade_exactly
 from renderer.lab.accuracy.knobs import Demand, Knob, Unit, find_knob
 from renderer.lab.measure.alternate import Measurement, alternate
 from renderer.lab.measure.encodings import ENCODINGS, TURNS, run_round_trip, time_round_trip
 from renderer.lab.measure.exact import ExactVisibility
 from renderer.lab.measure.frames import settle
 from renderer.lab.measure.light_evaluations import count_light_evaluations
-from renderer.renderer import FrameResult, Renderer
-from renderer.scene import FRAMES_PER_SECOND, Camera, Glow, Orthographic, Perspective, Scene, StereoRig
+from renderer.renderer import FrameResult
+from renderer.scene import Camera, Glow, Orthographic, Perspective, Scene, Shot
 from renderer.scene.arrays import Floats
 from renderer.settings import RenderSettings
 from renderer.stereo import find_rig
@@ -194,19 +195,6 @@ class KnobReport:
     pictures: dict[str, str] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class SweepFrame:
-    """A frame to draw."""
-
-    number: int
-    camera: Camera
-
-    @property
-    def seconds(self) -> float:
-        """The time of the frame."""
-        return self.number / FRAMES_PER_SECOND
-
-
 def sweep_knob(situation: Situation, name: str) -> KnobReport:
     """Measure all values of a knob, on a device of its own."""
     return join_shares([sweep_share(situation, name, WHOLE)])
@@ -321,7 +309,7 @@ class ValueErrors:
         self.worst: tuple[int, int, int] | None = None
         self.picture = ""
 
-    def add(self, view: SweepFrame, errors: Floats, pictures: tuple[Floats, Floats] | None) -> None:
+    def add(self, view: Shot, errors: Floats, pictures: tuple[Floats, Floats] | None) -> None:
         """Add the errors of a view: (h, w), NaN where nothing counts, with the value's picture and the true one; or a
         single number."""
         counted = errors[np.isfinite(errors)]
@@ -369,59 +357,42 @@ def _make_row(knob: Knob, value: str, sample: ValueSample, time: Measurement, ba
     )  # fmt: skip
 
 
-class KnobBench:
+class KnobBench(Bench):
     """The renderers of all values of a knob, and what judges them."""
 
     def __init__(
         self, device: Device, scene: Scene, situation: Situation, knob: Knob, values: Sequence[str],
         share: SweepShare = WHOLE,
     ) -> None:  # fmt: skip
-        self._device, self._scene, self._situation, self._knob = device, scene, situation, knob
+        self._knob, self._share = knob, share
         self._rounds = share.take(range(situation.rounds))
-        self._share = share
         self._history, self._views, self._timed = list_frames(scene, situation, knob, share)
         self._settings = {value: knob.set(situation.settings, value) for value in values}
         best = self._settings[values[-1]]
-        self._true_settings = best.change_all(knob.truth.changes)
-        self._stack = ExitStack()
-        rig = self._find_rig(best)
-        opened = self._stack.enter_context
-        try:
-            self._renderers = {
-                value: opened(settings.open(device, scene, situation.size, rig))
-                for value, settings in self._settings.items()
-            }
-            self._true: Renderer | None = None
-            self._exact: ExactVisibility | None = None
-            truth = knob.truth
+        rig = None
+        if knob.demand is Demand.STEREO:
+            width, height = situation.size
+            rig = find_rig(scene, best.aim(self._timed[0].camera).with_aspect(width / height))
+        super().__init__(device, scene, situation.size, best.change_all(knob.truth.changes), knob.truth.scale, rig)
+        with ExitStack() as self._opened:  # closed if one of them can't be opened
+            self._renderers = {value: self.open(settings) for value, settings in self._settings.items()}
             if knob.unit is Unit.OVERDRAW:
                 self._exact = ExactVisibility(device, scene, situation.size)
-                self._stack.callback(self._exact.destroy)
-            elif knob.unit is Unit.LEVELS and not truth.is_float64:
-                known = [value for value, settings in self._settings.items() if settings == self._true_settings]
-                if known and truth.scale == 1:
+                self._opened.callback(self._exact.destroy)
+            elif knob.unit is Unit.LEVELS and not knob.truth.is_float64:
+                known = [value for value, settings in self._settings.items() if settings == self._truth]
+                if known and knob.truth.scale == 1:
                     self._true = self._renderers[known[0]]
                 else:
-                    width, height = situation.size
-                    size = width * truth.scale, height * truth.scale
-                    self._true = opened(limit_anisotropy(self._true_settings, device).open(device, scene, size, rig))
-        except BaseException:
-            self._stack.close()
-            raise
+                    self.open_truth()
+            self._opened = self._opened.pop_all()
 
-    def __enter__(self) -> KnobBench:
-        return self
+    @property
+    def _has_own_truth(self) -> bool:
+        """Whether the truth is a picture, and none of the values'."""
+        return self._true is not None and self._true not in self._renderers.values()
 
-    def __exit__(self, *_: object) -> None:
-        self._stack.close()
-
-    def _find_rig(self, settings: RenderSettings) -> StereoRig | None:
-        if self._knob.demand is not Demand.STEREO:
-            return None
-        width, height = self._situation.size
-        return find_rig(self._scene, settings.aim(self._timed[0].camera).with_aspect(width / height))
-
-    def list_views(self) -> Sequence[SweepFrame]:
+    def list_views(self) -> Sequence[Shot]:
         """Return the frames to compare."""
         return self._views
 
@@ -429,11 +400,11 @@ class KnobBench:
         """Draw what frames to compare depend on, if they depend on earlier ones."""
         for view in self._history:
             for value in self._renderers:
-                self._draw(value, view)
-            if self._true is not None and self._true not in self._renderers.values():
-                self._true.render(self._true_settings.aim(view.camera), view.seconds)
+                self._render(value, view)
+            if self._has_own_truth:
+                self.find_true(view)
 
-    def find_errors(self, views: Sequence[SweepFrame]) -> dict[str, ValueErrors]:
+    def find_errors(self, views: Sequence[Shot]) -> dict[str, ValueErrors]:
         """Return the errors of each value in all views."""
         errors = {value: ValueErrors(self._knob.unit) for value in self._renderers}
         for view in views:
@@ -441,135 +412,124 @@ class KnobBench:
                 errors[value].add(view, *error)
         return errors
 
-    def compare(self, view: SweepFrame) -> Iterator[tuple[str, tuple[Floats, tuple[Floats, Floats] | None]]]:
+    def compare(self, view: Shot) -> Iterator[tuple[str, tuple[Floats, tuple[Floats, Floats] | None]]]:
         """Yield each value with the errors of its frame, and the pictures that they are differences of."""
-        if self._knob.unit is Unit.LEVELS:
-            yield from self._compare_pictures(view)
-        elif self._knob.unit is Unit.DEPTH:
-            yield from self._compare_depths(view)
-        elif self._knob.unit is Unit.LIGHTS:
-            yield from self._compare_lights(view)
-        else:
-            yield from self._compare_triangles(view)
+        match self._knob.unit:
+            case Unit.LEVELS:
+                yield from self._compare_pictures(view)
+                return
+            case Unit.DEPTH:
+                found = self._compare_depths(view)
+            case Unit.LIGHTS:
+                found = self._compare_lights(view)
+            case _:
+                found = self._compare_triangles(view)
+        for value, errors in found:
+            yield value, (errors, None)
 
-    def _draw(self, value: str, view: SweepFrame) -> FrameResult:
-        renderer = self._renderers[value]
-        return renderer.render(self._settings[value].aim(view.camera), view.seconds)
+    def _render(self, value: str, view: Shot) -> FrameResult:
+        return self._settings[value].render(self._renderers[value], view)
 
-    def _compare_pictures(self, view: SweepFrame) -> Iterator[tuple[str, tuple[Floats, tuple[Floats, Floats] | None]]]:
+    def _compare_pictures(self, view: Shot) -> Iterator[tuple[str, tuple[Floats, tuple[Floats, Floats] | None]]]:
         # The truth is read before values are drawn: it may be the renderer of one of them.
         if self._true is None:
             exact = self._shade(view)
             true, counts = exact.levels, exact.objects >= 0
         else:
-            result = self._true.render(self._true_settings.aim(view.camera), view.seconds)
-            true = shrink_picture(read_picture(result), self._knob.truth.scale)
+            true = self.find_true(view)
             counts = np.ones(true.shape[:2], bool)
         for value, renderer in self._renderers.items():
             if renderer is self._true and self._knob.remembers:
                 yield value, (np.zeros(true.shape[:2]), None)  # drawn already: another time would be another frame
                 continue
-            shown = read_picture(self._draw(value, view))
+            shown = read_picture(self._render(value, view))
             errors = np.where(counts, np.abs(shown - true).max(axis=2), np.nan)
             yield value, (errors, (np.where(counts[..., None], true, shown), shown))
 
-    def _shade(self, view: SweepFrame) -> ExactPicture:
+    def _shade(self, view: Shot) -> ExactPicture:
         value = list(self._renderers)[-1]
         return shade_exactly(self._renderers[value], self._settings[value].aim(view.camera), view.seconds)
 
-    def _compare_depths(self, view: SweepFrame) -> Iterator[tuple[str, tuple[Floats, None]]]:
+    def _compare_depths(self, view: Shot) -> Iterator[tuple[str, Floats]]:
         exact = self._shade(view)
         for value in self._renderers:
-            depth = self._draw(value, view).depth.read().astype(np.float64)
+            depth = self._render(value, view).depth.read().astype(np.float64)
             away = find_distances(self._settings[value].aim(view.camera), depth)
             errors = np.full(depth.shape, np.nan)
             seen = exact.objects >= 0
             errors[seen] = 1e6 * np.abs(away[seen] / exact.distances[seen] - 1.0)
-            yield value, (errors, None)
+            yield value, errors
 
-    def _compare_lights(self, view: SweepFrame) -> Iterator[tuple[str, tuple[Floats, None]]]:
+    def _compare_lights(self, view: Shot) -> Iterator[tuple[str, Floats]]:
         exact = self._shade(view)
         seen = exact.positions[exact.objects >= 0]
-        needed = count_reached(self._scene, view.camera, seen)
+        needed = count_reached(self.scene, view.camera, seen)
         for value, renderer in self._renderers.items():
             counted = count_light_evaluations(renderer, self._settings[value].aim(view.camera))
             assert counted is not None
-            yield value, (np.array([(counted - needed) / max(len(seen), 1)]), None)
+            yield value, np.array([(counted - needed) / max(len(seen), 1)])
 
-    def _compare_triangles(self, view: SweepFrame) -> Iterator[tuple[str, tuple[Floats, None]]]:
-        assert self._exact is not None
-        results = {value: self._draw(value, view).statistics.triangles for value in self._renderers}
-        rows = np.array(sorted(self._exact.find(self._situation.settings.aim(view.camera))), np.int64)
-        seen = self._scene.count_triangles(rows) if len(rows) else 0
+    def _compare_triangles(self, view: Shot) -> Iterator[tuple[str, Floats]]:
+        results = {value: self._render(value, view).statistics.triangles for value in self._renderers}
+        rows = np.array(sorted(self._exact.find(self._truth.aim(view.camera))), np.int64)
+        seen = self.scene.count_triangles(rows) if len(rows) else 0
         for value, triangles in results.items():
             # Nothing is seen in some views, and a part of nothing is no error.
-            yield value, (np.array([100.0 * (triangles / seen - 1.0) if seen else np.nan]), None)
+            yield value, np.array([100.0 * (triangles / seen - 1.0) if seen else np.nan])
 
     def time(self) -> tuple[dict[str, Measurement], tuple[float, ...]]:
         """Time frames of all values, and of the truth if it is a picture of a renderer of its own; return the latter's
         times in those of the most accurate value."""
-        views, rounds, settings = self._timed, self._rounds, self._settings
-        names = list(self._renderers)
+        views, rounds, names = self._timed, self._rounds, list(self._renderers)
         start = rounds[0] % len(names)  # another value is the first in each round, in all shares together, too
-
-        def draw(name: str, number: int) -> None:
-            view = views[number % len(views)]
-            self._renderers[name].render(settings[name].aim(view.camera), view.seconds)
-            self._device.finish()
-
-        work: dict[str, Callable[[int], object]] = {name: partial(draw, name) for name in names[start:] + names[:start]}
+        work = {name: self._draw_timed(name) for name in names[start:] + names[:start]}
         if self._knob.remembers:
-            return alternate(work, range(len(rounds)), 0), self._time_truth(names[-1], draw)
-        for name, renderer in self._renderers.items():  # the view before that of the first round
-            view = views[(rounds[0] - 1) % len(views)]
-            settle(renderer, settings[name].aim(view.camera), view.seconds)
-        return alternate(work, rounds, 0), self._time_truth(names[-1], draw)
+            rounds = range(len(rounds))
+        else:
+            view = views[(rounds[0] - 1) % len(views)]  # the view before that of the first round
+            for name, renderer in self._renderers.items():
+                settle(renderer, self._settings[name].aim(view.camera), view.seconds)
+        return alternate(work, rounds, 0), self._time_truth(work[names[-1]])
 
-    def _time_truth(self, best: str, draw: Callable[[str, int], None]) -> tuple[float, ...]:
+    def _draw_timed(self, name: str) -> Callable[[int], None]:
+        """Return what draws the frame of a round with a value."""
+        views, renderer, settings = self._timed, self._renderers[name], self._settings[name]
+        return lambda number: self.draw(renderer, settings, views[number % len(views)])
+
+    def _time_truth(self, draw_best: Callable[[int], None]) -> tuple[float, ...]:
         """Return the times of the truth in those of the most accurate value, none if it isn't a picture of its own."""
-        true, settings, views = self._true, self._true_settings, self._timed
-        rounds = self._share.take(range(max(_TRUTH_ROUNDS, self._share.count)))
-        if true is None or true in self._renderers.values():
+        true, views = self._true, self._timed
+        if true is None or not self._has_own_truth:
             return ()
-
-        def draw_truth(number: int) -> None:
-            frame = views[number % len(views)]
-            true.render(settings.aim(frame.camera), frame.seconds)
-            self._device.finish()
-
-        times = alternate({"truth": draw_truth, "best": partial(draw, best)}, rounds, 0 if self._views else 1)
+        rounds = self._share.take(range(max(_TRUTH_ROUNDS, self._share.count)))
+        work = {"truth": lambda number: self.draw(true, self._truth, views[number % len(views)]), "best": draw_best}
+        times = alternate(work, rounds, 0 if self._views else 1)
         return tuple(map(truediv, times["truth"].seconds, times["best"].seconds))
-
-
-def limit_anisotropy(settings: RenderSettings, device: Device) -> RenderSettings:
-    """Return the settings of a truth with no more anisotropy than the device has."""
-    most = min(settings.textures.anisotropy, device.capabilities.max_anisotropy)
-    return settings.change("textures.anisotropy", most)
 
 
 def list_views(
     scene: Scene, situation: Situation, *, consecutive: bool = False, count: int | None = None
-) -> list[SweepFrame]:
+) -> list[Shot]:
     """Return frames of the situation's camera: consecutive ones from the middle of its path, or spread over all of it.
     A camera that isn't a path has one."""
     text = situation.camera or ("ground" if "ground" in scene.paths else next(iter(scene.views)))
     wanted = count or situation.views
     if text not in scene.paths and not text.endswith(".json"):
         camera = parse_camera(text, scene)
-        return [SweepFrame(number, camera) for number in range(wanted)] if consecutive else [SweepFrame(0, camera)]
+        return [Shot(number, camera) for number in range(wanted)] if consecutive else [Shot(0, camera)]
     path = find_path(text, scene)
     last = len(path) - 1 if situation.last is None else min(situation.last, len(path) - 1)
     first = min(situation.first, last)
     if consecutive:
         begin = max(first, min((first + last) // 2, last - wanted + 1))
-        return [SweepFrame(number, path.camera(number)) for number in range(begin, min(begin + wanted, last + 1))]
+        return [path.shot(number) for number in range(begin, min(begin + wanted, last + 1))]
     places = np.linspace(first, last, wanted + 2)[1:-1]  # not the ends, where there may be nothing to see
-    return [SweepFrame(number, path.camera(number)) for number in dict.fromkeys(int(place) for place in places)]
+    return [path.shot(number) for number in dict.fromkeys(int(place) for place in places)]
 
 
 def list_frames(
     scene: Scene, situation: Situation, knob: Knob, share: SweepShare
-) -> tuple[Sequence[SweepFrame], Sequence[SweepFrame], Sequence[SweepFrame]]:
+) -> tuple[Sequence[Shot], Sequence[Shot], Sequence[Shot]]:
     """Return the frames of a share that others depend on, those to compare, and those to time."""
     if not knob.remembers:
         views = list_views(scene, situation)
@@ -579,20 +539,6 @@ def list_frames(
     first = max(len(frames) - counted, 0)
     counting = frames[first:]
     return frames[:first], counting[:compared], counting[compared:] or counting
-
-
-def read_picture(result: FrameResult) -> Floats:
-    """Return the picture of a frame, of two eyes the second one's: (h, w, 3) in levels."""
-    return np.asarray(result.pictures[-1].read()[..., :3], np.float64)
-
-
-def shrink_picture(levels: Floats, scale: int) -> Floats:
-    """Return a picture (h, w, 3) in which `scale` × `scale` pixels are one: the mean of their light, in levels."""
-    if scale == 1:
-        return levels
-    height, width = (side // scale for side in levels.shape[:2])
-    light = decode_levels(levels).reshape(height, scale, width, scale, 3).mean(axis=(1, 3))
-    return encode_levels(light)
 
 
 def find_distances(camera: Camera, depth: Floats) -> Floats:

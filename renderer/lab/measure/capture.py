@@ -9,10 +9,7 @@ from pathlib import Path
 
 from renderer.lab.measure.frames import measure_frame
 from renderer.renderer import Renderer
-from renderer.scene import Camera
-
-Shot = tuple[int, Camera, float]
-"""A frame's number, its camera, and its time in seconds."""
+from renderer.scene import Shot
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,13 +37,13 @@ def capture_frames(renderer: Renderer, shots: Iterable[Shot]) -> Iterator[Captur
     has_timestamps, before = device.capabilities.timestamps, device.timing
     device.timing = has_timestamps
     try:
-        for frame, camera, seconds in shots:
-            _, cost = measure_frame(renderer, camera, seconds)
+        for shot in shots:
+            _, cost = measure_frame(renderer, shot)
             passes = {
                 node.name: PassTime(node.gpu_milliseconds if has_timestamps else None, node.cpu_milliseconds)
                 for node in device.timers
             }
-            yield CapturedFrame(frame, cost.milliseconds, passes)
+            yield CapturedFrame(shot.number, cost.milliseconds, passes)
     finally:
         device.timing = before
 

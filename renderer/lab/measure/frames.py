@@ -8,7 +8,7 @@ from statistics import median
 from time import perf_counter
 
 from renderer.renderer import FrameResult, FrameStatistics, Renderer
-from renderer.scene import Camera
+from renderer.scene import Camera, Shot
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,10 +33,10 @@ class FrameCost:
         }
 
 
-def measure_frame(renderer: Renderer, camera: Camera, seconds: float) -> tuple[FrameResult, FrameCost]:
-    """Render one frame, wait for the device, and return the result and its cost."""
+def measure_frame(renderer: Renderer, shot: Shot) -> tuple[FrameResult, FrameCost]:
+    """Render a shot, wait for the device, and return the result and its cost."""
     began = perf_counter()
-    result = renderer.render(camera, seconds)
+    result = renderer.render(shot.camera, shot.seconds)
     renderer.device.finish()
     return result, FrameCost(1e3 * (perf_counter() - began), result.statistics)
 

@@ -13,6 +13,7 @@ from typing import Final
 
 import rhi
 from renderer.frame import find_needs
+from renderer.lab.comparison import forget_commands
 from renderer.lab.measure import Measurement, alternate
 from renderer.lab.measure.alternate import Interval
 from renderer.lab.need.counting import Ascent, open_without, remove
@@ -73,8 +74,7 @@ def _alternate(ascents: dict[str, Ascent], rounds: Iterable[int]) -> dict[str, M
 
     def prepare(name: str) -> None:
         device = ascents[name].renderer.device
-        if device.backend_name == "null":
-            device.stream.clear()
+        forget_commands(device)
         has_overlay = any(isinstance(layer, Overlay) for layer in ascents[name].renderer.layers)
         if device.timing != has_overlay and device.capabilities.timestamps:
             device.timing = has_overlay
@@ -105,11 +105,9 @@ def time_asking(device: rhi.Device, rounds: int) -> Asking:
         ascent.render()
         device.finish()
 
-    def prepare(_: str) -> None:
-        if device.backend_name == "null":
-            device.stream.clear()
-
-    times = alternate({"ask": ask, "frame": draw}, range(rounds), warm_ups=_WARM, before=prepare)
+    times = alternate(
+        {"ask": ask, "frame": draw}, range(rounds), warm_ups=_WARM, before=lambda _: forget_commands(device)
+    )
     ascent.destroy()
     asked, drawn = times["ask"].in_milliseconds() / _ASKED, times["frame"].in_milliseconds()
     return Asking(Interval.of(1e3 * asked), Interval.of(asked / drawn))

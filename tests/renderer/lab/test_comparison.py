@@ -15,19 +15,24 @@ import pytest
 import rhi
 from renderer.cli import main, options
 from renderer.cli.comparison import run_benchmark
+from renderer.content import load_scene
 from renderer.lab.comparison import (
     Column,
+    Frames,
     Record,
     Subject,
     average,
     compare,
     interval,
-    kernels,
     largest,
+    middle,
     rate,
     ratio,
+    ratio_of,
     time,
 )
+from renderer.renderer import FrameResult, Renderer
+from renderer.scene import Camera, Shot
 from tests.renderer.conftest import open_device
 
 COLUMNS: dict[str, Column] = {"ratio": ratio(), "speed": ratio(inverse=True)}
@@ -91,6 +96,18 @@ def test_a_ratio_is_the_median_of_rounds_and_no_quotient_of_medians(ticks: Calla
     assert compare(uneven, {"ratio": ratio()}, range(3), warm_ups=0)[1]["ratio"] == 1.0  # medians are 2 and 3
 
 
+def test_a_ratio_of_counts_is_the_median_of_rounds_too() -> None:
+    """As of clocks that a subject has of its own; a quotient of medians would be 1.5, and one of means 1."""
+    now: list[int] = []
+    subjects = [
+        Subject({}, now.append, count=lambda of=of: {"seconds": of[now[-1]]})
+        for of in ((1.0, 2.0, 9.0), (3.0, 1.0, 8.0), (1.0, 2.0, 9.0))
+    ]
+    columns = {"seconds": middle(), "ratio": ratio_of("seconds")}
+    rows = compare(subjects, columns, range(3), warm_ups=0)
+    assert [(row["seconds"], row["ratio"]) for row in rows] == [(2.0, 1.0), (3.0, 0.889), (2.0, 1.0)]
+
+
 def test_counts_are_those_of_timed_runs_and_cells_have_their_order() -> None:
     done: list[int] = []
 
@@ -136,6 +153,17 @@ def test_a_benchmark_keeps_the_kernels_that_were_asked_for(
     capsys.readouterr()
 
 
+def test_a_benchmark_may_measure_what_a_first_run_has(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["some.py"])
+    monkeypatch.setenv("RHI_KERNELS", "")  # and so back to what it was at the end
+    monkeypatch.delenv("RHI_KERNELS")
+    run_benchmark("Says what it is.", (), lambda given: [{"a": 1}], kernels="")
+    assert os.environ["RHI_KERNELS"] == ""
+    capsys.readouterr()
+
+
 def test_rows_with_other_columns_are_another_table(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -150,6 +178,8 @@ def test_rows_with_other_columns_are_another_table(
 
 class SlowlyBetter:
     """A device whose backend runs quick kernels until `good` runs were done."""
+
+    backend_name = "cl"
 
     def __init__(self, good: int) -> None:
         self.good, self.runs, self.quick_work = good, 0, 0
@@ -167,13 +197,46 @@ class SlowlyBetter:
 )
 def test_kernels_are_those_of_the_timed_rounds(good: int, said: str | None) -> None:
     device: Any = SlowlyBetter(good)
-    rows = compare([Subject({}, device.run, device=device)], {"kernels": kernels}, range(3), warm_ups=2)
+    rows = compare([Subject({}, device.run, device=device)], {}, range(3), warm_ups=2)
     assert rows == [{"kernels": said}]
 
 
 def test_a_device_without_quick_kernels_says_nothing_of_them() -> None:
     with rhi.create_device("null") as device:
-        assert compare([Subject({}, lambda _: None, device=device)], {"kernels": kernels}, [0]) == [{"kernels": None}]
+        assert compare([Subject({}, lambda _: None, device=device)], {}, [0]) == [{"kernels": None}]
+        assert compare([Subject({}, lambda _: None)], {}, [0]) == [{}]  # nor does one that says no device
+
+
+def test_frames_say_their_device_and_draw_their_shots_in_turn() -> None:
+    scene = load_scene("grid:count=1")
+    shots = [Shot(number, next(iter(scene.views.values()))) for number in (30, 90)]
+    seconds: list[float] = []
+
+    class Timed(Renderer):
+        def render(self, camera: Camera, seconds_: float = 0.0) -> FrameResult:
+            seconds.append(seconds_)
+            return super().render(camera, seconds_)
+
+    with rhi.create_device("null") as device, Timed(device, scene, size=(8, 8)) as renderer:
+        draw = Frames(renderer, *shots)
+        (row,) = compare([Subject({}, draw, count=draw.count)], {"draws": average()}, range(3), warm_ups=0)
+    assert seconds == [0.5, 1.5, 0.5]
+    assert row == {"draws": 1, "kernels": None}
+
+
+def test_a_device_that_records_keeps_the_commands_of_the_latest_run_only() -> None:
+    with rhi.create_device("null") as device:
+        lengths: list[int] = []
+
+        def run(_: int) -> None:
+            device.buffer(4)
+            device.finish()
+            lengths.append(len(device.stream))
+
+        compare([Subject({}, run, device=device)], {}, range(4))
+        assert lengths == lengths[:1] * 5
+        run(0)
+        assert lengths[-1] > lengths[0]  # nobody else forgets them
 
 
 @pytest.mark.parametrize(
@@ -192,4 +255,16 @@ def test_each_comparison_says_which_kernels_cl_ran(
     monkeypatch.setenv("RHI_CACHE", str(tmp_path))  # which has no optimised ones
     with open_device("cl"):  # or the test is skipped
         assert main(["compare", *command.split(), "--backend", "cl", "--json"]) == 0
-    assert {row["kernels"] for row in json.loads(capsys.readouterr().out)["rows"]} == {"quick"}
+    out, err = capsys.readouterr()
+    assert {row["kernels"] for row in json.loads(out)["rows"]} == {"quick"}
+    assert "RHI_KERNELS=optimised" in err
+
+
+@pytest.mark.parametrize(("ran", "is_noted"), [("quick", True), ("quick, then optimised", True), ("optimised", False)])
+def test_figures_that_a_long_run_has_not_are_noted(
+    ran: str, is_noted: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["some.py"])
+    monkeypatch.setenv("RHI_KERNELS", "quick")
+    run_benchmark("Says what it is.", (), lambda given: [{"a": 1}, {"a": 1, "kernels": ran}, {"a": 2, "kernels": None}])
+    assert ("quick kernels ran" in capsys.readouterr().err) is is_noted

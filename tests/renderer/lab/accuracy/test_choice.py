@@ -40,7 +40,8 @@ from renderer.lab.accuracy.choice import (
     mark_best,
 )
 from renderer.lab.accuracy.jobs import list_jobs, load_sample, order_jobs, save_sample
-from renderer.lab.accuracy.sweep import KnobSample, SweepFrame, SweepShare, ValueSample, list_views
+from renderer.lab.accuracy.sweep import KnobSample, SweepShare, ValueSample, list_views
+from renderer.scene import Shot
 from renderer.settings import RenderSettings
 from renderer.shadows import ShadowFilter
 from tests.renderer.conftest import open_device
@@ -135,7 +136,7 @@ def test_a_choice_keeps_its_bound_with_a_margin(monkeypatch: pytest.MonkeyPatch)
         def __exit__(self, *_: object) -> None:
             pass
 
-        def compare(self, settings: RenderSettings, frames: Sequence[SweepFrame]) -> list[float]:
+        def compare(self, settings: RenderSettings, frames: Sequence[Shot]) -> list[float]:
             drawn.extend(frame.number for frame in frames)
             spread = 1.0 if settings is cheap.settings else 0.1
             return [1.0 + spread * (number % 2) for number in range(len(frames))]

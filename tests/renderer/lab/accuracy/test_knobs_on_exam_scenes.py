@@ -10,9 +10,9 @@ import pytest
 import rhi
 from renderer.content import load_scene
 from renderer.lab.accuracy import KNOBS, Knob, Situation, Unit, sweep_knob
-from renderer.lab.accuracy.sweep import KnobBench, SweepFrame, list_left_out, prepare_scene
+from renderer.lab.accuracy.sweep import KnobBench, list_left_out, prepare_scene
 from renderer.lab.exam.scenes import IMAGES, SIZE, Shots, along
-from renderer.scene import Scene
+from renderer.scene import Scene, Shot
 from tests.renderer.conftest import open_device
 
 SITUATION = Situation("", size=SIZE, rounds=1)
@@ -59,7 +59,7 @@ def measure(device: rhi.Device, title: str, knob: Knob) -> dict[str, float]:
     values = [value for value in knob.values if value not in left_out]
     if len(values) < 2:
         return {}
-    frames = [SweepFrame(number, camera) for number, (camera, _) in enumerate(shots(scene))]
+    frames = [Shot(number, camera) for number, (camera, _) in enumerate(shots(scene))]
     with KnobBench(device, scene, SITUATION, knob, values) as bench:
         return {value: some.summarize()[1] for value, some in bench.find_errors(frames).items()}
 

@@ -9,6 +9,7 @@ import pytest
 
 from renderer.content import load_scene
 from renderer.lab.accuracy import KNOBS, Situation, sweep_knob
+from renderer.lab.accuracy.bench import shrink_picture
 from renderer.lab.accuracy.sweep import (
     KnobBench,
     SweepShare,
@@ -19,7 +20,6 @@ from renderer.lab.accuracy.sweep import (
     list_shares,
     list_views,
     prepare_scene,
-    shrink_picture,
     sweep_share,
 )
 from renderer.lab.measure.alternate import Interval, Measurement

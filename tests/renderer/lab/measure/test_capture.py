@@ -13,6 +13,7 @@ from renderer.cli import main
 from renderer.content import load_scene
 from renderer.lab.measure.capture import CapturedFrame, PassTime, capture_frames, list_passes, write_frames
 from renderer.renderer import Renderer
+from renderer.scene import Shot
 from renderer.techniques import ForwardMultipass
 
 
@@ -20,7 +21,7 @@ def test_each_frame_has_the_times_of_its_own_passes(null: rhi.Device) -> None:
     scene = load_scene("hall:columns=4,flags=2")
     view = next(iter(scene.views.values()))
     away = view.__class__.look_at((0, 900, 0), (0, 1000, 1), projection=view.projection)  # no lamp in view
-    shots = [(7, view, 0.0), (8, away, 0.1), (9, view, 0.2)]
+    shots = [Shot(7, view), Shot(8, away), Shot(9, view)]
     with Renderer(null, scene, technique=ForwardMultipass(), size=(32, 16)) as renderer:
         frames = list(capture_frames(renderer, shots))
     lit = ["base", "point lights", "spot lights", "resolve"]

@@ -22,10 +22,9 @@ import numpy as np
 
 import rhi
 from renderer.content import load_scene
-from renderer.lab.measure.alternate import alternate
-from renderer.lab.measure.frames import measure_frame
-from renderer.renderer import FrameStatistics, Renderer
-from renderer.scene import FRAMES_PER_SECOND, CameraPath
+from renderer.lab.comparison import Column, Frames, Result, Subject, average, compare, time
+from renderer.renderer import Renderer
+from renderer.scene import CameraPath, Shot
 from renderer.visibility import VisibilitySettings, make_visibility
 
 ParameterPair = tuple[int, int]
@@ -34,6 +33,7 @@ ParameterPair = tuple[int, int]
 _FIRST: Final = 4  # number of values of b and of n in the first round
 _FINALISTS: Final = 3
 _TRIMMED: Final = 0.25
+_COUNTED: Final = ("triangles", "draws", "queries", "hardware_state_changes")
 _LOCK: Final = Lock()  # trials on threads of one process would share the interpreter and the driver's context
 
 
@@ -61,7 +61,7 @@ class Walk:
 @dataclass(frozen=True, slots=True)
 class Trial:
     """The result for a pair with one size of leaves: medians of the times, the `ratio` to the time of the default
-    settings, and means of the counters."""
+    settings, and means of the counters; and which `kernels` drew."""
 
     batch: int
     persistence: int
@@ -73,6 +73,19 @@ class Trial:
     queries: int
     hardware_state_changes: int
     leaf_size: int = 1
+    kernels: str | None = None
+
+
+def trim_ratio(found: Result, _: str) -> float:
+    """Return the mean of the frames' ratios without the quarter at either end, as a column."""
+    ratios = np.sort(np.divide(found.time.seconds, found.base.seconds))
+    cut = int(_TRIMMED * len(ratios))
+    return round(float(ratios[cut : len(ratios) - cut].mean()), 4)
+
+
+COLUMNS: Final[dict[str, Column]] = {
+    "milliseconds": time(), "ratio": trim_ratio, **dict.fromkeys(_COUNTED, average()),
+}  # fmt: skip
 
 
 def try_pairs(walk: Walk, pairs: Sequence[ParameterPair], leaf_size: int = 1) -> list[Trial]:
@@ -91,35 +104,24 @@ def try_pairs(walk: Walk, pairs: Sequence[ParameterPair], leaf_size: int = 1) ->
         tried = [
             replace(default, batch=batch, persistence=persistence, leaf_size=leaf_size) for batch, persistence in pairs
         ]
-        algorithms = [make_visibility("chc_plus_plus", scene, device, one) for one in (default, *tried)]
-        costs: list[list[FrameStatistics]] = [[] for _ in algorithms]
+        shots = [Shot(walk.first + frame, walk.path.camera(frame)) for frame in range(len(walk.path))]
+        subjects = [_make_subject(renderer, shots, settings) for settings in (default, *tried)]
+        base, *rows = compare(subjects, COLUMNS, range(1, len(shots)))
+    return [
+        Trial(*pair, default_milliseconds=base["milliseconds"], leaf_size=leaf_size, **row)
+        for pair, row in zip(pairs, rows, strict=True)
+    ]
 
-        def render(which: int, frame: int) -> None:
-            renderer.visibility = algorithms[which]
-            seconds = (walk.first + frame) / FRAMES_PER_SECOND
-            costs[which].append(measure_frame(renderer, walk.path.camera(frame), seconds)[1].statistics)
 
-        work = {str(which): lambda frame, which=which: render(which, frame) for which in range(len(algorithms))}
-        times = list(alternate(work, range(1, len(walk.path))).values())
-    base = times[0]
-    trials = []
-    for pair, time, counted in zip(pairs, times[1:], costs[1:], strict=True):
-        ratios = np.sort(np.divide(time.seconds, base.seconds))
-        cut = int(_TRIMMED * len(ratios))
-        trials.append(
-            Trial(
-                *pair,
-                milliseconds=round(1e3 * time.median, 3),
-                default_milliseconds=round(1e3 * base.median, 3),
-                ratio=round(float(ratios[cut : len(ratios) - cut].mean()), 4),
-                **{
-                    name: round(sum(getattr(one, name) for one in counted[1:]) / len(counted[1:]))
-                    for name in ("triangles", "draws", "queries", "hardware_state_changes")
-                },
-                leaf_size=leaf_size,
-            )
-        )
-    return trials
+def _make_subject(renderer: Renderer, shots: Sequence[Shot], settings: VisibilitySettings) -> Subject:
+    """Return the subject that draws frames with settings of CHC++."""
+    algorithm = make_visibility("chc_plus_plus", renderer.scene, renderer.device, settings)
+
+    def exchange() -> None:
+        renderer.visibility = algorithm
+
+    draw = Frames(renderer, *shots)
+    return Subject({}, draw, exchange, draw.count)
 
 
 def search(

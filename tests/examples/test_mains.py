@@ -1,0 +1,47 @@
+"""Each example runs as users run it, in its smallest size (nightly). New ones are found by their folder."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Final
+
+import pytest
+
+ROOT: Final = Path(__file__).parents[2]
+FOLDER: Final = ROOT / "examples"
+FILES: Final = sorted(path for path in FOLDER.rglob("*.py") if path.parent.name != "rhi_numpy")  # its own test runs it
+PROGRAMS: Final = [path for path in FILES if "__main__" in path.read_text()]
+SMALL: Final = ("--size", "32x18")
+ARGUMENTS: Final[dict[str, tuple[str, ...]]] = {"tiled_lights": ("--frames", "2"), "window": ("--canvas", "page")}
+"""What examples are given that have no option `--size`."""
+
+
+def run(path: Path, *arguments: str) -> str:
+    """Run an example as users do, with kernels that are built quickly; return what it prints."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "RHI_KERNELS": "quick"}
+    command = [sys.executable, str(path.relative_to(ROOT)), *arguments]
+    done = subprocess.run(
+        command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=300, check=False
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_each_example_is_a_program_or_shared_by_them() -> None:
+    assert [path.stem for path in FILES if path not in PROGRAMS] == ["frame"]
+    assert {"tiled_lights", "window", "triangle"} <= {path.stem for path in PROGRAMS}
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("backend", ["gl", "cl"])
+@pytest.mark.parametrize(
+    "path", [path for path in PROGRAMS if path.stem != "window"], ids=lambda path: path.stem
+)  # `test_window` opens its window
+def test_an_example_draws_in_its_smallest_size(path: Path, backend: str, tmp_path: Path) -> None:
+    picture = tmp_path / "picture.png"
+    out = run(path, "--backend", backend, "--output", str(picture), *ARGUMENTS.get(path.stem, SMALL))
+    assert str(picture) in out
+    assert picture.stat().st_size > 0
