@@ -13,9 +13,9 @@ import pytest
 ROOT: Final = Path(__file__).parents[2]
 FOLDER: Final = ROOT / "examples"
 FILES: Final = sorted(path for path in FOLDER.rglob("*.py") if path.parent.name != "rhi_numpy")  # its own test runs it
-PROGRAMS: Final = [path for path in FILES if "__main__" in path.read_text()]
+PROGRAMS: Final = [path for path in FILES if '__name__ == "__main__"' in path.read_text()]
 SMALL: Final = ("--size", "32x18")
-ARGUMENTS: Final[dict[str, tuple[str, ...]]] = {"tiled_lights": ("--frames", "2"), "window": ("--canvas", "page")}
+ARGUMENTS: Final[dict[str, tuple[str, ...]]] = {"tiled_lights": ("--frames", "2")}
 """What examples are given that have no option `--size`."""
 
 
