@@ -18,8 +18,8 @@ from renderer.cli.options import option
 from renderer.cli.output import OutputError, draw_chart, note, print_report, show_progress
 from renderer.cli.subcommand import Subcommand
 from renderer.content import find_path
+from renderer.lab.accuracy.tuning import ParameterPair, Trial, Walk, find_best, search, space_evenly, try_pairs
 from renderer.lab.measure import format_table, title_of
-from renderer.lab.tuning import ParameterPair, Trial, Walk, find_best, search, space_evenly, try_pairs
 from renderer.scene import CameraPath
 from renderer.visibility import VisibilitySettings, list_algorithms
 

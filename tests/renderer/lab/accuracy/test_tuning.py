@@ -22,7 +22,7 @@ from renderer.cli import main
 from renderer.cli.executors import make_executor
 from renderer.cli.output import OutputError
 from renderer.content import load_scene
-from renderer.lab.tuning import ParameterPair, Trial, Walk, find_best, search, try_pairs
+from renderer.lab.accuracy.tuning import ParameterPair, Trial, Walk, find_best, search, try_pairs
 from renderer.visibility import VisibilitySettings
 
 COMMAND = ["tune", "city:blocks=4,detail=2", "--size", "64x36", "--frames", "3", "--b", "1:8", "--n", "2"]
