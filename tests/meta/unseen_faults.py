@@ -79,6 +79,10 @@ UNSEEN: Final[tuple[Unseen, ...]] = (
         f"{SAME}: nobody uses the lanes beyond the last vertex, and what they fetch is kept within the buffer",
     ),
     Unseen(
+        "rhi/backends/cl/raster/boxes.py", "prepared.version += 1", "1", "2",
+        f"{SAME}: versions are compared for being equal alone",
+    ),
+    Unseen(
         "rhi/shading/opencl/prelude.py", 'body = body.replace("SELECT(", "rhi_select(" if lanes == 1 else "select(")',
         "==", "!=", f"{COST}: both choose, with one instruction or with a branch",
     ),
