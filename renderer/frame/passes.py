@@ -36,6 +36,9 @@ FARTHEST: Final = {Depth.REVERSED: 0.0, Depth.STANDARD: 1.0}
 """The depth to clear to."""
 NEARER: Final = {Depth.REVERSED: DepthFunction.GREATER, Depth.STANDARD: DepthFunction.LESS}
 """The depth function that nearer fragments pass."""
+NOT_BEHIND: Final = {Depth.REVERSED: DepthFunction.GREATER_EQUAL, Depth.STANDARD: DepthFunction.LESS_EQUAL}
+"""The depth function of the scene's surfaces. Of those in one place the one that is drawn last is seen: so it is in a
+later pass that draws them again where depth is equal, in the same order."""
 
 
 class Drawn:
@@ -47,8 +50,7 @@ class Drawn:
 
     def __init__(self, resources: SceneResources) -> None:
         self._resources = resources
-        self._batches: list[NDArray[np.int64]] = []
-        self._conditional: list[tuple[NDArray[np.int64], QuerySet, NDArray[np.int64]]] = []
+        self._steps: list[NDArray[np.int64] | tuple[NDArray[np.int64], QuerySet, NDArray[np.int64]]] = []
         self._lists: list[tuple[DeviceList, int]] = []
         self._being_read: list[Callable[[], NDArray[np.int64]]] | None = None
         self._transparent: list[NDArray[np.int64]] = []
@@ -59,8 +61,8 @@ class Drawn:
         return not self._lists
 
     def add_batch(self, rows: NDArray[np.int64]) -> None:
-        """Record that the objects `rows` (k,) were drawn."""
-        self._batches.append(rows)
+        """Record that the objects `rows` (k,) were drawn, in this order."""
+        self._steps.append(rows)
 
     def add_transparent(self, rows: NDArray[np.int64]) -> None:
         """Record that the transparent objects `rows` (k,) are in view: they are drawn after the others."""
@@ -68,7 +70,7 @@ class Drawn:
 
     def add_conditional(self, rows: NDArray[np.int64], queries: QuerySet, answers: NDArray[np.int64]) -> None:
         """Record that the objects `rows` (k,) were drawn, each on a condition."""
-        self._conditional.append((rows, queries, answers))
+        self._steps.append((rows, queries, answers))
 
     def add_list(self, draws: DeviceList) -> None:
         """Record that a list was drawn."""
@@ -88,8 +90,8 @@ class Drawn:
     def opaque(self) -> NDArray[np.int64]:
         """The rows of all objects drawn but the transparent ones, in the order of their batches."""
         lists = self._read_lists() if self._being_read is None else [wait() for wait in self._being_read]
-        conditional = [rows for rows, _, _ in self._conditional]
-        return np.concatenate([np.zeros(0, np.int64), *self._batches, *conditional, *lists])
+        rows = [step if isinstance(step, np.ndarray) else step[0] for step in self._steps]
+        return np.concatenate([np.zeros(0, np.int64), *rows, *lists])
 
     def fetch_lists(self) -> None:
         """Begin to read back the lists that the device has made, if any, so that they are available after others have
@@ -107,15 +109,22 @@ class Drawn:
         return [draws.read_rows() for draws, _ in self._lists]
 
     def draw_again(self, scene_pass: TechniquePass) -> None:
-        """Draw the same objects in another pass of the same frame. Rows are one batch, whatever they were before."""
-        if len(self._batches) == 1 and not self._conditional and not self._lists:
-            scene_pass.draw_alone(self._batches[0])
+        """Draw the same objects in another pass of the same frame, in the same order: of surfaces in one place the same
+        one is drawn last. Batches that follow each other are one."""
+        if len(self._steps) == 1 and not self._lists and isinstance(self._steps[0], np.ndarray):
+            scene_pass.draw_alone(self._steps[0])
             return
         scene_pass.open()
-        if self._batches:
-            scene_pass.draw(np.concatenate(self._batches))
-        for rows, queries, answers in self._conditional:
-            scene_pass.draw_conditional(rows, queries, answers)
+        batches: list[NDArray[np.int64]] = []
+        for step in (*self._steps, None):
+            if isinstance(step, np.ndarray):
+                batches.append(step)
+                continue
+            if batches:
+                scene_pass.draw_as_ordered(np.concatenate(batches))
+                batches = []
+            if step is not None:
+                scene_pass.draw_conditional(*step)
         scene_pass.draw_lists([draws for draws, _ in self._lists])
 
     @cached_property
@@ -158,7 +167,7 @@ class TechniquePass:
         Args:
             clear: the colour of pixels on which nothing is drawn; None keeps what the color targets hold.
             states: states of the pass, besides the faces to cull, which each group has, and a depth test that passes
-                and writes what is nearer unless they say otherwise.
+                and writes what isn't behind (`NOT_BEHIND`) unless they say otherwise.
             clears: whether the depth is cleared.
         """
         self.depth = depth
@@ -170,8 +179,8 @@ class TechniquePass:
         self._bindings = bindings
         self._color = color
         self._clear = clear
-        nearer = NEARER[view.camera.projection.depth]
-        defaults: tuple[State, ...] = (CullMode.BACK, DepthTest.ON, DepthWrite.ON, nearer)
+        not_behind = NOT_BEHIND[view.camera.projection.depth]
+        defaults: tuple[State, ...] = (CullMode.BACK, DepthTest.ON, DepthWrite.ON, not_behind)
         self._states = tuple({type(state): state for state in (*defaults, *states)}.values())
         self._clears = clears
         self.was_opened = False
@@ -237,13 +246,23 @@ class TechniquePass:
         resources = self._begin_batch(rows)
         if self._has_transparent:
             rows = rows[self._set_transparent_aside(rows)]
-        self.drawn.add_batch(rows)
         rows = self._sort(rows)
-        for number, states in resources.groups:
-            part = rows[resources.find_group(rows, number)]
-            if part.size:
-                with self._device.states(*states):
-                    resources.draw_rows(self._device, self._program, part, self._bindings)
+        if len(resources.groups) > 1:
+            rows = rows[np.argsort(resources.group[rows], kind="stable")]
+        self._draw_runs(rows)
+
+    def draw_as_ordered(self, rows: NDArray[np.int64]) -> None:
+        """Draw the objects `rows` (k,) in this order, none of which is transparent. Neighbours of one group are drawn
+        in one call."""
+        self._begin_batch(rows)
+        self._draw_runs(rows)
+
+    def _draw_runs(self, rows: NDArray[np.int64]) -> None:
+        self.drawn.add_batch(rows)
+        resources = self._resources
+        for run in _divide(rows, resources.group[rows]):
+            with self._device.states(*DRAW_GROUPS[resources.group[run[0]]]):
+                resources.draw_rows(self._device, self._program, run, self._bindings)
 
     def draw_alone(self, rows: NDArray[np.int64]) -> None:
         """Draw the objects `rows` (k,) in a pass of their own. The commands are recorded when they come again, and then
@@ -310,15 +329,9 @@ class TechniquePass:
         """Draw the objects `rows` (k,) in this order, transparent ones as well. Neighbours of one group are drawn in
         one call."""
         resources = self._begin_batch(rows)
-        group = resources.group[rows]
-        ends = [*(np.flatnonzero(group[1:] != group[:-1]) + 1).tolist(), len(rows)]
-        begin = 0
-        for end in ends:
-            with self._device.states(*DRAW_GROUPS[group[begin]]):
-                self._device.draw_many(
-                    self._program, resources.mesh, resources.draws[rows[begin:end]], **self._bindings
-                )
-            begin = end
+        for run in _divide(rows, resources.group[rows]):
+            with self._device.states(*DRAW_GROUPS[resources.group[run[0]]]):
+                self._device.draw_many(self._program, resources.mesh, resources.draws[run], **self._bindings)
 
     def _set_transparent_aside(self, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Record the transparent ones of the objects `rows`, and return which are not."""
@@ -388,3 +401,8 @@ class TechniquePass:
         scopes, self._scopes = self._scopes, None
         if scopes is not None:
             scopes.__exit__(kind, error, trace)
+
+
+def _divide(rows: NDArray[np.int64], groups: NDArray[np.int32]) -> list[NDArray[np.int64]]:
+    """Return the runs of neighbours of one group, none of which is empty."""
+    return [run for run in np.split(rows, np.flatnonzero(np.diff(groups)) + 1) if len(run)]

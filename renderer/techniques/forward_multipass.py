@@ -3,6 +3,7 @@ algorithm 2).
 
 - The base pass draws depth, and all light that isn't a lamp's: ambient, emission, directional lights.
 - A light's pass draws the objects that it reaches once more, where they are visible (depth equal), and adds its light.
+  Of objects in one place only the one that the base pass shows is lit: that pass notes which one it is.
 - The light is added up in linear 32-bit floats; a last pass maps it to colours.
 
 An object that k lights reach is transformed k + 1 times, and each of its pixels is shaded as often: the cost grows with
@@ -31,8 +32,20 @@ from renderer.techniques.parts.variants import (
     list_lamps,
     scene_pass,
 )
-from rhi import BlendFunction, CullMode, DepthFunction, DepthTest, DepthWrite, Program, State, Texture
-from rhi.shading import Storage, Struct, instance_index, ivec3, vec3, vec4
+from rhi import BlendFunction, CullMode, DepthFunction, DepthTest, DepthWrite, Format, Program, State, Texture
+from rhi.shading import (
+    Storage,
+    Struct,
+    UintTexture2D,
+    fragment_coordinate,
+    instance_index,
+    ivec2,
+    ivec3,
+    uint,
+    uvec4,
+    vec3,
+    vec4,
+)
 
 _ADDED: Final[tuple[State, ...]] = (
     DepthTest.ON,
@@ -42,8 +55,22 @@ _ADDED: Final[tuple[State, ...]] = (
 )
 
 
+class BaseTexels(Struct):
+    """The texels that `Unmapped` writes: light, and 1 more than the row of the object."""
+
+    light: vec4
+    shown: uvec4
+
+
 class Unmapped(ForwardShader):
-    """Leaves light linear and of any strength, to be added to other light."""
+    """Leaves light linear and of any strength, to be added to other light, and tells which object is shown. The lists
+    of its lights aren't used; their place in the varyings has the object's row."""
+
+    def list_lights(self, thing: Object) -> ivec3:
+        return ivec3(self.find_object())
+
+    def fragment(self, v: SurfaceVarying) -> BaseTexels:  # type: ignore[override]  # more targets
+        return BaseTexels(light=self.light(v, self.materials[v.material]), shown=uvec4(uint(v.lights.x + 1)))
 
     def finish(self, color: vec3, position: vec3) -> vec4:
         return vec4(color, 1.0)
@@ -72,6 +99,23 @@ class LampPairs(MaterialShader, LampShader):
         return vec4(self.lamplight(self.find_surface(v, self.materials[v.material]), v.lights), 0.0)
 
 
+class ShownPairs(LampPairs):
+    """Adds the light of pairs where their object is shown. The place of the lists in the varyings has the light's entry
+    and the object's row."""
+
+    shown: UintTexture2D
+
+    def list_lights(self, thing: Object) -> ivec3:
+        return ivec3(self.pairs[instance_index()].entry, self.find_object(), 0)
+
+    def fragment(self, v: SurfaceVarying) -> vec4:
+        if self.shown.load(ivec2(fragment_coordinate().xy)).x != uint(v.lights.y + 1):
+            return vec4(0.0)
+        entry = v.lights.x
+        lights = ivec3(entry, entry + 1 if self.has_point_lights else entry, entry + 1)
+        return vec4(self.lamplight(self.find_surface(v, self.materials[v.material]), lights), 0.0)
+
+
 class ForwardMultipass:
     """Draws the scene with a base pass, and once more for each light; without lamps in view, as `Forward` does."""
 
@@ -91,7 +135,11 @@ class ForwardMultipass:
             "base",
             _draw_base,
             "draws the visible objects with the light that isn't a lamp's",
-            writes=(Target("light", SUM_FORMATS[self.light_bits]), Target("depth", DEPTH_FORMAT)),
+            writes=(
+                Target("light", SUM_FORMATS[self.light_bits]),
+                Target("shown", Format.R32UI),
+                Target("depth", DEPTH_FORMAT),
+            ),
         )
         passes, light = [base], "light"
         for effect in lamps:
@@ -101,7 +149,7 @@ class ForwardMultipass:
                     effect.value,
                     partial(_add_lamps, effect=effect),
                     f"adds a light at a time; {needs.explain(effect)}",
-                    reads=("depth",),
+                    reads=("shown", "depth"),
                     changes={light: result},
                 )
             )
@@ -111,12 +159,13 @@ class ForwardMultipass:
 
 def _draw_base(frame: Frame) -> None:
     switches = {**NO_LAMPS, "has_haze": False, "has_fog": False}
-    base = scene_pass(frame, Unmapped, switches=switches, color=frame.targets["light"], clear=(0.0, 0.0, 0.0, 0.0))
+    color = [frame.targets["light"], frame.targets["shown"]]
+    base = scene_pass(frame, Unmapped, switches=switches, color=color)
     frame.draw_visible(base)
 
 
 def _add_lamps(frame: Frame, effect: Effect) -> None:
-    draw_pairs(frame, effect, frame.targets["light"], LampPairs)
+    draw_pairs(frame, effect, frame.targets["light"], ShownPairs)
 
 
 def draw_pairs(frame: Frame, effect: Effect, color: Texture, *bases: type[Any]) -> None:

@@ -216,7 +216,8 @@ class Inferred:
         """`scale` is the width and height of light buffers in those of the image, more than 0 and at most 1;
         `light_bits` is 16 or 32, those of a channel of the terms that are added up.
 
-        If they aren't `stippled`, transparent surfaces are lit by the lists of their objects.
+        If they aren't `stippled`, transparent surfaces are lit by the lists of their objects; so they are at full size,
+        where each texel that they take is missing in the picture of what is behind them.
         """
         check_scale(scale, "Inferred")
         check_bits(light_bits, "Inferred")
@@ -227,7 +228,7 @@ class Inferred:
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the passes `normals`, `shrink`, those of lights in view, and `materials`; without such lights, that of
         forward shading; and those of transparent surfaces."""
-        stippled = self.stippled and Effect.TRANSPARENCY in needs.effects
+        stippled = self.stippled and self.scale < 1.0 and Effect.TRANSPARENCY in needs.effects
         scale, small, lit = self.scale, name_small("small "), name_small("stippled " if stippled else "small ")
         collect = partial(collect_terms, prefix="stippled " if stippled else "small ")
         lights, last = declare_lights(needs, list_terms(needs), lit, collect, scale, self.light_bits)

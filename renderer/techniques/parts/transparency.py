@@ -23,6 +23,7 @@ from functools import partial
 from typing import Final
 
 from renderer.frame import Blending, Effect, Frame, Needs, Pass, Target
+from renderer.frame.passes import NEARER
 from renderer.shaders.lighting import BRIGHTEST
 from renderer.shaders.pixels import FullScreen
 from renderer.shaders.structs import SurfaceVarying
@@ -179,7 +180,7 @@ def _draw(
         color=[targets[name] for name in contents],
         depth=targets[depth],
         clear=clear,
-        states=(DepthWrite.OFF, blending),
+        states=(DepthWrite.OFF, NEARER[frame.camera.projection.depth], blending),
         clears=False,
     )
     frame.draw_transparent(surfaces, in_order=in_order)

@@ -178,7 +178,7 @@ def test_what_a_scene_lacks_is_not_bound(
 
 @pytest.mark.parametrize(
     ("depth", "far", "function"),
-    [(Depth.REVERSED, 0.0, rhi.DepthFunction.GREATER), (Depth.STANDARD, 1.0, rhi.DepthFunction.LESS)],
+    [(Depth.REVERSED, 0.0, rhi.DepthFunction.GREATER_EQUAL), (Depth.STANDARD, 1.0, rhi.DepthFunction.LESS_EQUAL)],
 )
 def test_the_camera_says_which_way_depth_runs(
     null: rhi.Device, depth: Depth, far: float, function: rhi.DepthFunction
