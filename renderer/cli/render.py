@@ -179,6 +179,7 @@ def describe_run(
         **summary,
         "image_bytes": renderer.image_bytes,
         **({} if overflowing is None else {"overflowing_pixels": overflowing}),
+        **({"dark_lamps": renderer.shadows.dark_lamps} if renderer.shadows.dark_lamps else {}),
         **({} if renderer.stereo is None else _describe_stereo(renderer.stereo)),
         **({} if holes is None else {"holes": holes}),
         "image": None if image is None else str(image),

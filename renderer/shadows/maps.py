@@ -16,6 +16,7 @@ Maps belong to the frame, not to a view: all views of a frame share them.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -31,7 +32,16 @@ from renderer.shaders.structs import ViewConstants
 from renderer.shadows.casters import find_coverage
 from renderer.shadows.lamps import turn_into_quaternion
 from renderer.shadows.needed import SUN, MapKey, NeededMaps, WantedMap
-from renderer.shadows.receiver import MOST_CASCADES, MOST_LAMP_MAPS, SLOTS_WIDE, LampTable, SunMap, SunTable
+from renderer.shadows.receiver import (
+    DARK,
+    MOST_CASCADES,
+    MOST_LAMP_MAPS,
+    NO_MAPS,
+    SLOTS_WIDE,
+    LampTable,
+    SunMap,
+    SunTable,
+)
 from renderer.shadows.settings import ShadowSettings
 from renderer.shadows.tiles import Tile, TileTree
 from rhi import (
@@ -52,6 +62,9 @@ from rhi import (
     Wrap,
 )
 from rhi.shading import Shader, vec4, vertex_index
+
+LOGGER: Final = logging.getLogger("rhi.shadows")
+"""Warns when lamps are dark because there is no room for their shadow maps."""
 
 _COMPARING: Final = SamplerDescriptor(
     mip=None,
@@ -125,12 +138,14 @@ class ShadowMaps:
     Attributes:
         settings: their choices; they may be exchanged between two frames.
         casters_drawn: the number of objects that were drawn to maps in the last frame.
+        dark_lamps: the number of lamps that light nothing in the last frame, because there is no room for their maps.
     """
 
     def __init__(self, device: Device) -> None:
         self.settings = ShadowSettings()
         self._reported: list[tuple[MapKey, str, str, WantedMap | None]] = []
         self.casters_drawn = 0
+        self.dark_lamps = 0
         self._device = device
         self._scene: Scene | None = None
         self._needed: NeededMaps | None = None
@@ -201,11 +216,22 @@ class ShadowMaps:
         visible = np.unique(np.concatenate(seen))
         wanted = self._needed.find(resources, frame.needs, cameras, visible, frame.targets.size)
         self._reported = [(key, "skipped", because, None) for key, because in self._needed.skipped]
+        self._count_dark(len(self._needed.dark))
         shrinks = self._forget_lights(scene)
         self._place({one.key: one.size for one in wanted}, shrinks=shrinks)
         self._draw(frame, self._decide(scene, wanted), bind_depth)
         self.aim(frame.camera)
         self._write_lamps(scene, frame.needs)
+
+    def _count_dark(self, count: int) -> None:
+        """Note how many lamps are dark, and warn if more are than in the last frame."""
+        if count > self.dark_lamps:
+            LOGGER.warning(
+                "%d lamps light nothing, because there is no room for their shadow maps; "
+                "let fewer cast shadows, or shorten their ranges",
+                count,
+            )
+        self.dark_lamps = count
 
     def aim(self, camera: Camera, eye: int = 0) -> None:
         """Give shaders the places of the maps of directional lights relative to the eye of `camera`, one of the `EYES`
@@ -243,14 +269,17 @@ class ShadowMaps:
             return  # no shader reads them
         assert self._needed is not None
         lamps, points, spots = self._needed.lamps, len(scene.lights.point), len(scene.lights.spot)
-        written = (lamps, self._placements, points, spots)
+        written = (lamps, self._needed.dark, self._placements, points, spots)
         if written == self._written:
             return
         self._written = written
-        slots = np.full((-(-(points + spots) // SLOTS_WIDE), SLOTS_WIDE), -1, np.int32)
+        slots = np.full((-(-(points + spots) // SLOTS_WIDE), SLOTS_WIDE), NO_MAPS, np.int32)
+        first = {"point": 0, "spot": points}
+        for kind, row in self._needed.dark:
+            slots.reshape(-1)[first[kind] + row] = DARK
         maps: list[tuple[Camera, Tile, float]] = []
         for kind, row, faces, keys in lamps:
-            slots.reshape(-1)[row + (points if kind == "spot" else 0)] = 2 * len(maps) + (len(keys) > 1)
+            slots.reshape(-1)[first[kind] + row] = 2 * len(maps) + (len(keys) > 1)
             for camera, key in zip(faces.cameras, keys, strict=True):
                 maps.append((camera, _NO_TILE if key is None else self._maps[key].tile, faces.scale))
         table = _make_lamp_table(maps, self.settings.bias, points)
@@ -458,6 +487,7 @@ class ShadowMaps:
     def release(self) -> None:
         """Destroy all maps and tables. They are made again when a frame needs them."""
         self._scene = None
+        self.dark_lamps = 0
         self._casting = ()
         self._reported = []
         self._forget_all()

@@ -89,6 +89,7 @@ class NeededMaps:
         casters: the casters of the scene.
         suns: of the last frame, the cascades of directional lights: the light's row, and the key of the map, if any.
         lamps: the lamps that have maps: the kind and the row, and the keys of those maps that have a caster.
+        dark: the lamps, by kind and row, for whose maps there is no room: they light nothing.
         skipped: the lights, cascades and faces without maps, and why.
     """
 
@@ -96,6 +97,7 @@ class NeededMaps:
         self.casters = SceneCasters(scene)
         self.suns: list[tuple[int, Cascade, MapKey | None]] = []
         self.lamps: list[tuple[str, int, LampMaps, list[MapKey | None]]] = []
+        self.dark: list[tuple[str, int]] = []
         self.skipped: list[tuple[MapKey, str]] = []
         self._settings = settings
         self._faces: dict[tuple[str, int], LampMaps] = {}
@@ -175,13 +177,17 @@ class NeededMaps:
     def _choose_widths(self, lamps: list[WantedLamp], room: int) -> list[tuple[WantedLamp, int]]:
         """Return the lamps that get maps, and how wide these are. The most visible lamps come first."""
         settings, chosen = self._settings, dict[int, int]()
+        self.dark = []
         lamps = sorted(lamps, key=lambda lamp: -lamp.width)
         counts = {i: 6 if is_cube(lamp.light) else 1 for i, lamp in enumerate(lamps)}
         maps = 0
         for i, lamp in enumerate(lamps):
             maps += counts[i]
             if maps > MOST_LAMP_MAPS or maps * settings.smallest**2 > room:
-                self.skipped.append(((lamp.kind, lamp.row, -1), "there is no room left for its maps"))
+                self.skipped.append(
+                    ((lamp.kind, lamp.row, -1), "there is no room left for its maps: it lights nothing")
+                )
+                self.dark.append((lamp.kind, lamp.row))
                 maps -= counts[i]
                 continue
             faces = self._faces.get((lamp.kind, lamp.row))

@@ -66,6 +66,11 @@ MOST_CASCADES: Final = 8
 MOST_LAMP_MAPS: Final = 510
 """The number of maps of all lamps together: their table has the 16 KiB that each uniform block may have."""
 
+NO_MAPS: Final = -1
+DARK: Final = -2
+"""The slots of lamps without maps: those that nothing blocks, and those for whose maps there is no room. The latter
+light nothing, so that no wall is lit through."""
+
 SLOTS_WIDE: Final = 64
 """The width of the texture of slots."""
 
@@ -234,8 +239,8 @@ class ShadowReceiver(ShadowReader):
     """The base of shaders that light surfaces: takes from light what casters block. `plane` is the normal that maps
     don't bend. Without shadows nothing blocks light; with any, a filter is combined with it.
 
-    `lamp_slots` has for each lamp twice the number of its first map, and 1 more if its maps are the faces of a cube; -1
-    without maps.
+    `lamp_slots` has for each lamp twice the number of its first map, and 1 more if its maps are the faces of a cube;
+    `NO_MAPS` or `DARK` without maps.
     """
 
     has_sun_shadows = False
@@ -306,7 +311,7 @@ class ShadowReceiver(ShadowReader):
             return light
         slot = self.lamp_slots.load(ivec2(number % SLOTS_WIDE, number // SLOTS_WIDE)).x
         if slot < 0:
-            return light
+            return light if slot == NO_MAPS else vec3(0.0)
         map = slot // 2
         is_cube = slot % 2 == 1
         distance = max(length(away), 1e-20)

@@ -589,3 +589,58 @@ def test_only_shadows_on_normal_maps_take_a_second_normal(bends: bool, casts: bo
             _, plan = renderer.plan(FLOOR)
             formats = {one.format for one in plan.textures if any(name.endswith("surface") for name in one.names)}
         assert formats == {rhi.Format.RGBA32UI if bends and casts else rhi.Format.RG32UI}
+
+
+def build_wall(lamps: int, spots: int = 0, *, walled: bool = True) -> Scene:
+    """Make a floor and a wall across it, behind which, at x < 0, all lamps are."""
+    builder = SceneBuilder("wall")
+    mesh, white = builder.add_mesh(BUILT_IN["box"]()), builder.add_material(base_color=(0.8, 0.8, 0.8))
+    floor = builder.add_node(translation((0, -0.5, 0)) @ scaling((60, 1, 60)))
+    builder.add_objects(floor, mesh, white, casts_shadow=False)
+    if walled:
+        builder.add_objects(builder.add_node(translation((0, 0, 0)) @ scaling((0.5, 20, 60))), mesh, white)
+    else:  # a caster in the range of each, in the way of nothing that is seen
+        builder.add_objects(builder.add_node(translation((-2, -3, 0)) @ scaling((0.5, 0.5, 40))), mesh, white)
+    places = np.random.default_rng(1).uniform((-4, 1, -8), (-1, 4, 2), (lamps + spots, 3))
+    builder.lights.add_points(places[:lamps], 8.0, intensity=6.0, casts_shadow=True)
+    if spots:
+        builder.lights.add_spots(places[lamps:], (1, -0.5, 0), 8.0, 0.3, 0.7, intensity=6.0, casts_shadow=True)
+    builder.lights.sky = builder.lights.ground = builder.background = (0.0, 0.0, 0.0)
+    return builder.build()
+
+
+TIGHT = ShadowSettings(cascades=1, cascade_size=16, smallest=64, largest=64, largest_atlas=256)
+"""Settings that have room for 16 maps: those of two point lights."""
+BESIDE_THE_WALL = Camera.look_at((6, 5, 5), (2, 0, -4))
+
+
+@pytest.mark.parametrize("name", ["forward", "deferred", "clustered"])
+def test_lamps_without_room_for_maps_shine_through_no_wall(
+    drawing_device: rhi.Device, name: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    technique = TECHNIQUES[name]()
+    for lamps, spots, dark in ((2, 0, 0), (3, 0, 1), (12, 0, 10), (2, 4, 0), (2, 5, 1), (12, 6, 11)):
+        caplog.clear()
+        scene = build_wall(lamps, spots)
+        with open_renderer(drawing_device, scene, technique, size=(64, 36)) as renderer:
+            renderer.shadows.settings = TIGHT
+            picture = read_colors(renderer.render(BESIDE_THE_WALL))
+            assert renderer.shadows.dark_lamps == dark, (lamps, spots)
+            warnings = [one for one in caplog.records if one.name == "rhi.shadows"]
+            assert len(warnings) == (renderer.shadows.dark_lamps > 0)
+            renderer.render(BESIDE_THE_WALL)
+            assert len([one for one in caplog.records if one.name == "rhi.shadows"]) == len(warnings)
+        assert (picture.sum(2) > 30).sum() == 0, (lamps, spots)
+    with open_renderer(drawing_device, build_wall(2, walled=False), technique, size=(64, 36)) as renderer:
+        lit = read_colors(renderer.render(BESIDE_THE_WALL))
+    assert (lit.sum(2) > 30).mean() > 0.1  # the control: without the wall they light the floor
+
+
+def test_lamps_that_nothing_shades_are_lit_however_many_there_are(drawing_device: rhi.Device) -> None:
+    scene = build_wall(12)
+    scene.objects.casts_shadow[:] = False
+    with open_renderer(drawing_device, scene, size=(64, 36)) as renderer:
+        renderer.shadows.settings = TIGHT
+        picture = read_colors(renderer.render(BESIDE_THE_WALL))
+        assert renderer.shadows.dark_lamps == 0
+    assert (picture.sum(2) > 30).mean() > 0.1
