@@ -91,6 +91,7 @@ class ContextApi(ABC):
 
 _POINTER: Final = ctypes.c_void_p
 _UNSIGNED: Final = ctypes.c_uint
+_CONFIG_ID: Final = 0x8013  # GLX_FBCONFIG_ID
 
 
 class Egl(ContextApi):
@@ -164,26 +165,35 @@ class Glx(ContextApi):
         query = self._function(
             "glXQueryContext", ctypes.c_int, _POINTER, _POINTER, ctypes.c_int, ctypes.POINTER(ctypes.c_int)
         )
-        number, screen, count = ctypes.c_int(), ctypes.c_int(), ctypes.c_int()
-        query(host.display, host.context, 0x8013, ctypes.byref(number))  # GLX_FBCONFIG_ID
+        number, screen = ctypes.c_int(), ctypes.c_int()
+        query(host.display, host.context, _CONFIG_ID, ctypes.byref(number))
         query(host.display, host.context, 0x800C, ctypes.byref(screen))  # GLX_SCREEN
-        choose = self._function(
-            "glXChooseFBConfig", ctypes.POINTER(_POINTER), _POINTER, ctypes.c_int, _POINTER, _POINTER
-        )
-        own = (ctypes.c_int * 3)(0x8013, number.value, 0)
-        configs = choose(host.display, screen.value, own, ctypes.byref(count))
+        config = self._find_config(host.display, screen.value, number.value)
         create = ctypes.CFUNCTYPE(_POINTER, _POINTER, _POINTER, _POINTER, ctypes.c_int, _POINTER)(
             self.find_address("glXCreateContextAttribsARB")
         )
-        if not count.value or not create:
+        if config is None or not create:
             return None
         asked = (ctypes.c_int * 7)(0x2091, _MAJOR, 0x2092, _MINOR, 0x9126, 1, 0)
-        context = create(host.display, configs[0], host.context, 1, asked)
+        context = create(host.display, config, host.context, 1, asked)
         if not context:
             return None
         surface = self._function("glXCreatePbuffer", ctypes.c_ulong, _POINTER, _POINTER, _POINTER)
-        hidden = surface(host.display, configs[0], (ctypes.c_int * 5)(0x8041, 1, 0x8040, 1, 0))  # width, height
+        hidden = surface(host.display, config, (ctypes.c_int * 5)(0x8041, 1, 0x8040, 1, 0))  # width, height
         return Place(context, host.display, hidden, hidden)
+
+    def _find_config(self, display: int, screen: int, number: int) -> int | None:
+        """Return the address of the configuration of this number. `glXChooseFBConfig` leaves out those that no window
+        can have, and a context without a window may have one of them."""
+        count, found = ctypes.c_int(), ctypes.c_int()
+        list_all = self._function("glXGetFBConfigs", ctypes.POINTER(_POINTER), _POINTER, ctypes.c_int, _POINTER)
+        read = self._function("glXGetFBConfigAttrib", ctypes.c_int, _POINTER, _POINTER, ctypes.c_int, _POINTER)
+        configs = list_all(display, screen, ctypes.byref(count))
+        for place in range(count.value):
+            read(display, configs[place], _CONFIG_ID, ctypes.byref(found))
+            if found.value == number:
+                return configs[place]
+        return None
 
     def destroy(self, place: Place) -> None:
         self._function("glXDestroyContext", None, _POINTER, _POINTER)(place.display, place.context)
@@ -255,6 +265,7 @@ def open_shared_context(host: HostContext) -> tuple[moderngl.Context, SharedCont
     api, place = found
     own = api.share(place)
     if own is None or not api.make_current(own):
+        api.make_current(place)
         version = _describe_version(api)
         tip = "the host's own context may be of any version from 3.2"
         given = f"a context ({version}) whose driver shares none of OpenGL 4.5 with it"

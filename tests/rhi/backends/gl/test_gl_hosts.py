@@ -14,13 +14,14 @@ from typing import Any
 import moderngl
 import numpy as np
 import pytest
+from screens_kit import Display
 
 import rhi
 import rhi.backends.gl.backend
 from rhi import BlendFunction, CullMode, Device, DeviceError, Format, Scissor, ValidationError
 from rhi.backends.gl import enums
 from rhi.backends.gl.entry_points import EntryPoints
-from rhi.backends.gl.host import _describe_version
+from rhi.backends.gl.host import Egl, _describe_version
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
 from rhi.shading import Shader, Texture2D, fragment_coordinate, vec2, vec4, vertex_index
@@ -329,6 +330,43 @@ def test_two_devices_beside_one_host(host: Host) -> None:
         seen = other.adopt_texture(one.native_texture(images[0]))
         one.present()
         np.testing.assert_array_equal(seen.read(), images[1].read())
+
+
+STANDALONE = """
+import moderngl, numpy as np, rhi
+from rhi.backends.gl.host import Glx
+host = moderngl.create_context(standalone=True)
+there = Glx().find_current()
+with rhi.create_device("gl", context=host) as device:
+    texels = np.arange(16, dtype=np.uint8).reshape(2, 2, 4)
+    texture = device.texture(texels, rhi.Format.RGBA8)
+    name = device.native_texture(texture)
+    device.present()
+    assert Glx().find_current() == there, "the host's context is current after a frame"
+    seen = host.external_texture(name, (2, 2), 4, 0, "f1").read()
+assert Glx().find_current() == there, "and when the device lets go"
+print(sorted(seen) == list(range(16)))
+"""
+
+
+def test_a_context_of_x11_without_a_window_shares_with_a_device(display: Display) -> None:
+    # Its configuration is one that no window can have.
+    done = subprocess.run(
+        [sys.executable, "-c", STANDALONE],
+        env=os.environ | display.environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.stdout, done.returncode) == ("True\n", 0), done.stderr[-2000:]
+
+
+def test_a_host_that_nothing_shares_with_stays_current(host: Host, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = Egl().find_current()
+    monkeypatch.setattr(Egl, "share", lambda self, place: None)
+    with pytest.raises(DeviceError, match="device-driver"):
+        rhi.create_device("gl", context=host.context)
+    assert Egl().find_current() == before
 
 
 @pytest.mark.nightly
