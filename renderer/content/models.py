@@ -50,11 +50,12 @@ class _FileNode:
     mesh: str | None
 
 
-def load_model(path: str) -> Scene:
-    """Load the scene in a model file, and add fitting camera paths, and a sun if it has no light.
+def load_model(path: str | Path) -> Scene:
+    """Load the scene in a model file, and add fitting camera paths, and a sun if it has no light. Its name is the path.
 
     `Scene.omissions` lists what the file has and the scene hasn't. Refused as by `add_model`.
     """
+    path = str(path)
     builder = SceneBuilder(path)
     builder.background = (0.30, 0.36, 0.44)
     surroundings = _add(builder, path)
@@ -72,14 +73,14 @@ def load_model(path: str) -> Scene:
     return scene
 
 
-def add_model(builder: SceneBuilder, path: str) -> None:
+def add_model(builder: SceneBuilder, path: str | Path) -> None:
     """Add everything in a model file to a scene under construction. An image or a mesh that is there already, from
     whichever file, is added once.
 
     Refused, naming the file: `scene-missing-file`, `scene-unknown-format`, `scene-unreadable-model`,
     `scene-empty-model`, `scene-bad-vertices`, `scene-bad-transform`.
     """
-    _add(builder, path)
+    _add(builder, str(path))
 
 
 def save_scene(scene: Scene, path: str | Path) -> tuple[Omission, ...]:
@@ -101,13 +102,9 @@ def _add(builder: SceneBuilder, path: str) -> Surroundings | None:
     _check_file(path)
     surroundings = None
     if Path(path).suffix.lower() in _GLTF:
-        before = builder.object_count
         from renderer.content.gltf import add_gltf
 
         surroundings = add_gltf(builder, path)
-        if builder.object_count == before:
-            others = "; ".join(map(str, builder.omissions))
-            refuse(rules.EMPTY_MODEL, f"load_model({path!r})", f"{path}, with {others}" if others else path)
     else:
         _add_by_trimesh(builder, path)
     return surroundings

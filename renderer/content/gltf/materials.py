@@ -85,21 +85,23 @@ class Materials:
             "double_sided": fields.flag("doubleSided"),
         }
         maps: dict[str, tuple[int, dict[str, Any]]] = {}
-        self._read_map(maps, "texture", pbr.child("baseColorTexture"))
+        self._read_map(maps, "texture", pbr, "baseColorTexture")
         if fields.extension("KHR_materials_unlit") is not None:
             return self._unlit(values, maps), maps
         values["metallic"] = pbr.real("metallicFactor", 1.0, 0.0, 1.0)
         values["roughness"] = pbr.real("roughnessFactor", 1.0, 0.0, 1.0)
-        self._read_map(maps, "metallic_roughness_texture", pbr.child("metallicRoughnessTexture"))
-        if self._read_map(maps, "normal_texture", normal := fields.child("normalTexture")):
-            values["normal_scale"] = normal.real("scale", 1.0, -1e4, 1e4)
-        if self._read_map(maps, "occlusion_texture", occlusion := fields.child("occlusionTexture")):
-            values["occlusion_strength"] = occlusion.real("strength", 1.0, 0.0, 1.0)
+        self._read_map(maps, "metallic_roughness_texture", pbr, "metallicRoughnessTexture")
+        scale = fields.child("normalTexture").real("scale", 1.0, -1e4, 1e4)
+        occlusion = fields.child("occlusionTexture").real("strength", 1.0, 0.0, 1.0)
+        if self._read_map(maps, "normal_texture", fields, "normalTexture"):
+            values["normal_scale"] = scale
+        if self._read_map(maps, "occlusion_texture", fields, "occlusionTexture"):
+            values["occlusion_strength"] = occlusion
         strength = fields.extension("KHR_materials_emissive_strength")
         factor = 1.0 if strength is None else strength.real("emissiveStrength", 1.0, 0.0, _STRONGEST)
         emissive = np.minimum(_colors(fields, "emissiveFactor", 3, 0.0) * factor, _STRONGEST)
         values["emissive"] = tuple(emissive.tolist())
-        self._read_map(maps, "emissive_texture", fields.child("emissiveTexture"))
+        self._read_map(maps, "emissive_texture", fields, "emissiveTexture")
         held = private(fields)
         return (values if held is None else _restore(held, values, maps)), maps
 
@@ -114,11 +116,12 @@ class Materials:
             "emissive": tuple(color[:3].tolist()),
         }
 
-    def _read_map(self, maps: dict[str, tuple[int, dict[str, Any]]], name: str, fields: JsonObject) -> bool:
-        """Note the texture that `fields` describes under `name`, if there is one."""
-        number = fields.index("index", len(self._textures))
-        if number < 0:
+    def _read_map(self, maps: dict[str, tuple[int, dict[str, Any]]], name: str, holder: JsonObject, field: str) -> bool:
+        """Note the texture that a field of `holder` describes under `name`, if it has that field."""
+        if field not in holder:
             return False
+        fields = holder.child(field)
+        number = fields.index("index", len(self._textures), needed=True)
         texture = self._textures[number]
         holder = texture.extension("EXT_texture_webp") or texture
         image = holder.index("source", len(self._images))

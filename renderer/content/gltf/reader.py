@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from renderer import rules
 from renderer.content.assets import share_geometry
 from renderer.content.gltf.accessors import Accessors
 from renderer.content.gltf.animations import make_motion, read_tracks
@@ -42,6 +43,7 @@ from renderer.content.gltf.tracks import WEIGHTS, Track
 from renderer.scene.arrays import Floats
 from renderer.scene.meshes import MeshGeometry
 from renderer.scene.scene import SceneBuilder
+from rhi.errors import refuse
 
 
 def add_gltf(builder: SceneBuilder, path: str) -> Surroundings | None:
@@ -49,11 +51,16 @@ def add_gltf(builder: SceneBuilder, path: str) -> Surroundings | None:
     `save_scene` has written, or None.
 
     Cameras become views, named after their nodes. Refused, naming the file: `scene-unreadable-model`,
-    `scene-bad-vertices`.
+    `scene-empty-model`, `scene-bad-vertices`.
     """
     file = GltfFile(path)
     reader = _GltfReader(builder, file)
+    before = builder.object_count
     reader.add_all()
+    if builder.object_count == before:
+        others = "; ".join(map(str, builder.omissions))
+        given = f"{path}: {reader.explain_emptiness()}"
+        refuse(rules.EMPTY_MODEL, f"load_model({path!r})", f"{given}, with {others}" if others else given)
     builder.files += file.files
     return reader.surroundings
 
@@ -95,6 +102,19 @@ class _GltfReader:
         self._add_nodes(tree, tracks)
         self._add_cameras(nodes, worlds, tree.moves)
         self._add_lights(nodes, worlds, tree.moves)
+
+    def explain_emptiness(self) -> str:
+        """Return why nothing of the file is drawn."""
+        nodes, scenes = self._root.children("nodes"), self._root.children("scenes")
+        if not self._meshes:
+            return "it has no meshes"
+        if not any(self._meshes):
+            return f"none of its {len(self._meshes)} meshes has a triangle"
+        users = [node.where for node in nodes if "mesh" in node]
+        if not users:
+            return f"none of its {len(nodes)} nodes has one of its {len(self._meshes)} meshes"
+        drawn = f"scenes[{max(self._root.index('scene', len(scenes)), 0)}]" if scenes else "its scene"
+        return f"{users[0]} has a mesh, but {drawn} has no node whose mesh has a triangle"
 
     def _add_meshes(self) -> None:
         """Add the materials and the meshes of the file, a mesh for each set of accessors."""

@@ -85,6 +85,13 @@ def refusal(document, folder, name="bad.glb"):
     return error.value.rule.id, error.value.given.removeprefix(path).removeprefix(": "), error.value.allowed
 
 
+def with_triangle(**values):
+    """Return a document with a mesh of one triangle."""
+    document = GltfDocument(**values)
+    document.mesh()
+    return document
+
+
 def test_the_whole_document_is_read(tmp_path):
     scene = load_model(make_document().write(tmp_path / "good.glb"))
     assert len(scene.objects) == 2
@@ -199,6 +206,47 @@ def test_a_file_without_triangles_is_refused_and_says_what_it_has(tmp_path):
     rule, given, _ = refusal(document, tmp_path)
     assert rule == "scene-empty-model"
     assert "points" in given
+
+
+@pytest.mark.parametrize(
+    ("document", "reason"),
+    [
+        (GltfDocument(nodes=[{}]), "it has no meshes"),
+        (GltfDocument(nodes=[{}], meshes=[{"primitives": []}]), "none of its 1 meshes has a triangle"),
+        (with_triangle(nodes=[{}, {}]), "none of its 2 nodes has one of its 1 meshes"),
+        (
+            with_triangle(nodes=[{}, {"mesh": 0}], scenes=[{"nodes": [0]}]),
+            "nodes[1] has a mesh, but scenes[0] has no node whose mesh has a triangle",
+        ),
+    ],
+)
+def test_a_file_of_which_nothing_is_drawn_says_why(document, reason, tmp_path):
+    rule, given, _ = refusal(document, tmp_path)
+    assert rule == "scene-empty-model"
+    assert reason in given
+
+
+MAPS = ["normalTexture", "occlusionTexture", "emissiveTexture", "pbrMetallicRoughness.baseColorTexture"]
+MAPS.append("pbrMetallicRoughness.metallicRoughnessTexture")
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_a_texture_of_a_material_without_an_index_is_refused(name, tmp_path):
+    for use in ({}, {"texCoord": 0}, {"index": None}):
+        material = use
+        for part in reversed(name.split(".")):
+            material = {part: material}
+        rule, given, _ = refusal(with_triangle(materials=[material]), tmp_path)
+        assert rule == "scene-unreadable-model"
+        assert f"materials[0].{name}.index: missing" in given
+
+
+@pytest.mark.parametrize(("name", "field"), [("normalTexture", "scale"), ("occlusionTexture", "strength")])
+def test_a_share_of_a_map_that_is_no_number_is_refused_with_and_without_a_texture(name, field, tmp_path):
+    for use in ({field: "1"}, {field: "1", "index": 0}):
+        rule, given, _ = refusal(with_triangle(materials=[{name: use}]), tmp_path)
+        assert rule == "scene-unreadable-model"
+        assert f"materials[0].{name}.{field}: 1" in given
 
 
 JUNK = st.one_of(

@@ -3,11 +3,13 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from renderer.content import load_model, load_scene
+from renderer.content import add_model, load_model, load_scene, save_scene
+from renderer.scene import SceneBuilder
 from rhi.errors import ValidationError
 
 OBJ = """mtllib two.mtl
@@ -232,3 +234,16 @@ def test_a_face_that_names_a_missing_vertex_is_refused(tmp_path):
 def test_scenes_without_files_import_no_reader_of_files() -> None:
     program = "import sys, renderer.content; print(*{'renderer.content.gltf', 'trimesh'} & {*sys.modules})"
     assert subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout == "\n"
+
+
+def test_a_model_is_loaded_from_a_path_or_a_text_and_saved_again(tmp_path: Path) -> None:
+    saved = tmp_path / "box.glb"
+    save_scene(load_scene("grid:count=1"), saved)
+    scenes = load_model(saved), load_model(str(saved))
+    assert scenes[0].name == scenes[1].name == str(saved)
+    save_scene(scenes[0], tmp_path / "again.glb")
+    assert len(load_model(tmp_path / "again.glb").objects) == len(scenes[0].objects)
+    builder = SceneBuilder("two")
+    add_model(builder, saved)
+    add_model(builder, str(saved))
+    assert builder.object_count == 2 * len(scenes[0].objects)
