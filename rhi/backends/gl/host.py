@@ -192,7 +192,8 @@ class Glx(ContextApi):
         for place in range(count.value):
             read(display, configs[place], _CONFIG_ID, ctypes.byref(found))
             if found.value == number:
-                return configs[place]
+                config: int = configs[place]
+                return config
         return None
 
     def destroy(self, place: Place) -> None:
