@@ -122,7 +122,7 @@ def test_statistics_count_objects_as_draws_and_their_triangles(null: rhi.Device,
     assert seen.statistics.triangles == city.count_triangles(seen.visible)
 
 
-@pytest.mark.parametrize(("depth", "changes"), [(Depth.REVERSED, 0), (Depth.STANDARD, 1)])
+@pytest.mark.parametrize(("depth", "changes"), [(Depth.REVERSED, 1), (Depth.STANDARD, 1)])
 def test_only_states_that_are_not_the_default_change_and_only_in_the_first_frame(
     null: rhi.Device, city: Scene, depth: Depth, changes: int
 ) -> None:
