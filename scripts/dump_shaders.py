@@ -11,6 +11,8 @@ and the constants that they name; no comments, and no line numbers. Where it is 
 the language itself has changed. That is what `--compare` prints; a shader that says something else may have another
 text, and with `--all` its texts are compared as well.
 
+With `--naga`, the compiler of wgpu reads all texts in WGSL, instead.
+
 With `--origins` a hash includes the Python line of each line of the text, so that only dumps of one tree can be
 compared: this is the proof that work on the compiler changed nothing.
 
@@ -48,7 +50,7 @@ from rhi.shading.language.function import NATIVE, ShadingFunction  # noqa: E402
 from rhi.shading.language.source import MISSING, source_of  # noqa: E402
 
 RECORD: Final = ROOT / "tests" / "shader_texts.txt"
-_GRAPHICS: Final = ("glsl", "vulkan", "opencl16")
+_GRAPHICS: Final = ("glsl", "vulkan", "wgsl", "opencl16")
 _COMPUTE: Final = (*_GRAPHICS, "opencl1", "numpy")
 _SCENE: Final = "hall:columns=4,rows=2,flags=2,fountains=2,cloths=1,lights=16,shadows=1,fog=0.02,glow=0.1"
 _DIGITS: Final = 8
@@ -269,6 +271,34 @@ def compare(
     return differ, compared
 
 
+def check_wgsl() -> int:
+    """Let naga, the compiler of wgpu, read each text in WGSL; print what it refuses. Return 1 if it refuses any."""
+    import wgpu
+    import wgpu.backends.wgpu_native
+
+    adapter = next(a for a in wgpu.gpu.enumerate_adapters_sync() if a.info["backend_type"] != "OpenGL")
+    features = sorted(name for name in adapter.features if name != "pipeline-cache")
+    naga = adapter.request_device_sync(required_features=features, required_limits=dict(adapter.limits))
+    count: Counter[str] = Counter()
+    for name, shader in find_shaders().items():
+        try:
+            program = compile_shader(shader)
+        except ShaderError:
+            continue
+        for stage in program.stages:
+            try:
+                naga.create_shader_module(code=program.emit("wgsl", stage).text)
+            except ShaderError:
+                count["refused"] += 1
+            except wgpu.GPUError as error:
+                count["wrong"] += 1
+                print(f"{name}, {stage}: {error}")
+            else:
+                count["accepted"] += 1
+    print(", ".join(f"{count[key]} {key}" for key in ("accepted", "refused", "wrong")), file=sys.stderr)
+    return min(1, count["wrong"])
+
+
 def main() -> int:
     """Write, compare or show; return 1 if texts differ."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -277,9 +307,12 @@ def main() -> int:
     parser.add_argument("--all", action="store_true", help="compare shaders that say something else, too")
     parser.add_argument("--show", metavar="NAME", help="print the texts of the shaders whose name ends with this")
     parser.add_argument("--origins", action="store_true", help="let hashes include the Python line of each line")
+    parser.add_argument("--naga", action="store_true", help="let the compiler of wgpu read all texts in WGSL")
     arguments = parser.parse_args()
     import_modules()
     draw_frames()
+    if arguments.naga:
+        return check_wgsl()
     if arguments.show is not None:
         for name, shader in find_shaders().items():
             if name.endswith(arguments.show):

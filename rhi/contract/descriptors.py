@@ -414,7 +414,7 @@ class ProgramDescriptor:
         emit: a function of (language, stage) that returns the `StageText` of a stage. Languages are "glsl" (4.30);
             "opencl16" (OpenCL C for 16 lanes, see `rhi.shading.opencl.stages`), for compute stages also "opencl1",
             "opencl4" and "opencl8"; for compute stages "numpy", a Python module; "vulkan" (GLSL 4.50 for Vulkan) and
-            "spirv", its `binary`; and those of `rhi.shading.register_language`.
+            "spirv", its `binary`; "wgsl"; and those of `rhi.shading.register_language`.
         work_group: size of a work-group in invocations.
         varyings: the varyings that the fragment stage reads, and the point size, in the order of their words.
         shared_bytes: memory that a work-group shares, in bytes.

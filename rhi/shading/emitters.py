@@ -164,6 +164,13 @@ def _write_spirv(code: ShaderCode, stage: Stage) -> StageText:
     return compile_spirv(code.emit("vulkan", stage), stage, code.options.name)
 
 
+def _write_wgsl(code: ShaderCode, stage: Stage) -> StageText:
+    """Write a stage as WGSL."""
+    from rhi.shading.wgsl.stages import write_wgsl_stage
+
+    return write_wgsl_stage(code.stages[stage], code.options)
+
+
 def _write_opencl(width: int) -> Write:
     """Return the function that writes OpenCL C for `width` lanes: a kernel, or the function of a draw's stage."""
 
@@ -210,3 +217,4 @@ for _width in WIDTHS:
 register_language("numpy", _write_numpy, [Stage.COMPUTE])
 register_language("vulkan", _write_vulkan)
 register_language("spirv", _write_spirv)
+register_language("wgsl", _write_wgsl)

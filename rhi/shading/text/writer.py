@@ -144,6 +144,10 @@ class TextWriter:
                 return self.builtin(node)
         raise TypeError(f"no {self.language} for {node}")
 
+    def needs_statements(self, node: Expression) -> bool:
+        """Return whether a part of an expression is written as statements before the one that contains it."""
+        return False
+
     def argument(self, node: Expression) -> str:
         """Return an argument of a function of the stage."""
         return self.expression(node)
@@ -287,6 +291,8 @@ class TextWriter:
         """Write `if`, `else if` and `else`."""
         line, otherwise = node.span.line, node.otherwise
         nested = otherwise[0] if len(otherwise) == 1 and isinstance(otherwise[0], tree.If) else None
+        if nested is not None and self.needs_statements(nested.condition):
+            nested = None
         header = f"{before}if ({self.expression(node.condition)})"
         with self.lines.braces(header, self.file, line, "}" if not otherwise else ""):
             self.block(node.then)
@@ -311,9 +317,11 @@ class TextWriter:
             start_text, test, advance = self.guard(node, start_text, stop, by, change, advance)
         else:
             test = f"{name} {'<' if change > 0 else '>'} {stop}"
-        with self.lines.braces(
-            f"for ({self.variable(self.type(INT), name, start_text)}; {test}; {advance})", self.file, node.span.line
-        ):
+        self.repeat(node, self.variable(self.type(INT), name, start_text), test, advance)
+
+    def repeat(self, node: tree.For, start: str, test: str, advance: str) -> None:
+        """Write a loop: its variable, its condition, and what follows each turn."""
+        with self.lines.braces(f"for ({start}; {test}; {advance})", self.file, node.span.line):
             self.loop_body(node.body)
 
     def loop_body(self, body: tree.Block) -> None:
@@ -371,10 +379,19 @@ class TextWriter:
                 given = f"no body for {self.language.upper()}, only for {', '.join(node.native)}"
                 tip = f'add @native("{self.language}", …) or a Python body'
                 refuse_at(rules.NATIVE, node.name, node.file, node.span, given, tip=tip)
-            elif count_returns(node.body) > _MOST_RETURNS:
-                self.left_by_break(node)
             else:
-                self.block(node.body)
+                self.begin(node)
+                if count_returns(node.body) > _MOST_RETURNS:
+                    self.left_by_break(node)
+                else:
+                    self.block(node.body)
+                self.end(node)
+
+    def begin(self, node: tree.Function) -> None:
+        """Write what precedes the statements of a function."""
+
+    def end(self, node: tree.Function) -> None:
+        """Write what follows the statements of a function."""
 
     def left_by_break(self, node: tree.Function) -> None:
         """Write a body with many returns as a loop of one turn that a `break` leaves.

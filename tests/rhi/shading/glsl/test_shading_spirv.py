@@ -296,7 +296,7 @@ def test_a_port_adds_a_language_by_one_function(listing):
     assert descriptor.emit(listing, Stage.VERTEX) is descriptor.emit(listing, Stage.VERTEX)
     with pytest.raises(ShaderError) as error:
         descriptor.emit(listing, Stage.FRAGMENT)
-    assert (error.value.rule.id, error.value.allowed) == ("shading-native", "glsl, opencl16, vulkan, spirv")
+    assert (error.value.rule.id, error.value.allowed) == ("shading-native", "glsl, opencl16, vulkan, spirv, wgsl")
 
 
 def test_a_language_is_registered_once(monkeypatch):

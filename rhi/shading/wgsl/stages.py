@@ -1,0 +1,261 @@
+"""A complete stage in WGSL: declarations, functions, and the entry point `main`.
+
+- Bindings have a group for each kind, as in `rhi.shading.glsl.vulkan`: slot n of a texture is the texture at binding 2n
+  and its sampler at 2n + 1. `read_declarations` finds them in a text.
+- WebGPU lacks viewports whose near depth is beyond the far one, and the alpha test. Both are constants that a pipeline
+  overrides: `rhi_reversed` in vertex stages; `rhi_alpha_test`, a number of `ALPHA_TESTS`, and `rhi_alpha_reference` in
+  fragment stages that write alpha.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+from rhi.contract.descriptors import BindingKind, FragmentOutput, Stage, StageText
+from rhi.contract.layout import FLOAT, INT, UINT, HostType, MatrixType, StructType
+from rhi.contract.states import AlphaFunction
+from rhi.shading.glsl.stages import StageOptions
+from rhi.shading.glsl.vulkan import SETS
+from rhi.shading.ir import tree
+from rhi.shading.ir.interface import Varying
+from rhi.shading.ir.text import Lines
+from rhi.shading.language.annotations import Role
+from rhi.shading.language.shader import Declaration, StorageClass
+from rhi.shading.language.types import VECTORS, VOID, ImageType, StorageType, TextureType, scalar_of
+from rhi.shading.text.names import Names
+from rhi.shading.text.writer import constant_key
+from rhi.shading.wgsl.builtins import EXTENSIONS, INPUTS
+from rhi.shading.wgsl.memory import UNIFORM
+from rhi.shading.wgsl.names import RESERVED, texel_format
+from rhi.shading.wgsl.writer import SHAPES, Writer, sampler_type
+
+ALPHA_TESTS: Final = {
+    AlphaFunction.NEVER: ("false", 0),
+    AlphaFunction.LESS: ("a < b", 1),
+    AlphaFunction.EQUAL: ("a == b", 2),
+    AlphaFunction.LESS_EQUAL: ("a <= b", 3),
+    AlphaFunction.GREATER: ("a > b", 4),
+    AlphaFunction.NOT_EQUAL: ("a != b", 5),
+    AlphaFunction.GREATER_EQUAL: ("a >= b", 6),
+    AlphaFunction.ALWAYS: ("true", 7),
+}
+"""Alpha tests as conditions of the alpha a and the reference b, and their numbers in `rhi_alpha_test`."""
+
+_REVERSAL: Final = """\
+override rhi_reversed: bool = false;
+fn rhi_place(p: vec4<f32>) -> vec4<f32> { return select(p, vec4<f32>(p.xy, p.w - p.z, p.w), rhi_reversed); }"""
+_ALPHA_TEST: Final = "\n".join(
+    [
+        "override rhi_alpha_test: u32 = 7u;",
+        "override rhi_alpha_reference: f32 = 0.5;",
+        "fn rhi_passes_alpha(a: f32) -> bool {",
+        "    let b = rhi_alpha_reference;",
+        *(f"    if (rhi_alpha_test == {number}u) {{ return {test}; }}" for test, number in ALPHA_TESTS.values()),
+        "    return true;",
+        "}",
+    ]
+)
+_ROLES: Final = {Role.FLAT: " @interpolate(flat)", Role.NO_PERSPECTIVE: " @interpolate(linear)"}
+_DECLARATION: Final = re.compile(r"^@group\((\d)\) @binding\((\d+)\) var(?:<storage, (\w+)>)?([^;]*);", re.MULTILINE)
+
+
+def write_wgsl_stage(stage: tree.StageTree, options: StageOptions) -> StageText:
+    """Return the stage's complete source in WGSL.
+
+    Raises:
+        ShaderError: `shading-native`: the stage needs something that WGSL lacks.
+    """
+    return _StageWriter(stage, options).write()
+
+
+def read_declarations(text: str) -> dict[tuple[int, int], str]:
+    """Return the bindings that a text declares, by group and binding: "read", "write" or "read_write" for storage
+    buffers and images, "" for others."""
+    found = {}
+    for group, binding, access, rest in _DECLARATION.findall(text):
+        image = re.search(r"texture_storage_\w+<\w+, (\w+)>", rest)
+        found[int(group), int(binding)] = access or (image[1] if image else "")
+    return found
+
+
+class _StageWriter:
+    def __init__(self, stage: tree.StageTree, options: StageOptions) -> None:
+        self.stage = stage
+        self.options = options
+        self.names = Names(reserved=RESERVED)
+        for declaration in stage.bindings:
+            self.names.get(("binding", declaration.name), declaration.name)
+        self.writer = Writer(self.names, stage)
+        self.lines = Lines()
+        self.inputs = sorted(row.name for row in stage.builtins if row.name in INPUTS)
+
+    def write(self) -> StageText:
+        stage, writer = self.stage, self.writer
+        # Names of modules are assigned before those inside functions, which must not hide them.
+        for struct in stage.structs:
+            writer.type(struct)
+        for constant in stage.constants:
+            writer.expression(constant)
+        for function in stage.functions:
+            self.names.get(function, function.name)
+        bindings = [self._binding(declaration) for declaration in stage.bindings]
+        for function in stage.functions:
+            writer.function(function)
+        add = self.lines.add
+        for name in self.inputs:
+            if name in EXTENSIONS:
+                add(f"enable {name};")
+        add(f"// {self.options.name}, {stage.stage.value} stage")
+        for struct in stage.structs:
+            with self.lines.braces(f"struct {writer.type(struct)}"):
+                for field in struct.fields:
+                    add(f"{writer.field(field.name)}: {writer.type(field.type)},")
+        for name, fields in writer.memory.structs.items():
+            with self.lines.braces(f"struct {name}"):
+                for line in fields:
+                    add(line)
+        for lines in bindings:
+            for line in lines:
+                add(line)
+        for constant in {constant_key(one): one for one in stage.constants}.values():
+            name, type = writer.expression(constant), writer.type(constant.type)
+            add(f"const {name} = {type}({', '.join(map(writer.expression, constant.elements))});")
+        for name in self.inputs:
+            add(f"var<private> rhi_{name}: {INPUTS[name][0]};")
+        for text in writer.helpers.values():
+            add(text)
+        self.lines.text += writer.lines.text
+        self.lines.origins += writer.lines.origins
+        self._main()
+        return StageText("\n".join(self.lines.text) + "\n", tuple(self.lines.origins))
+
+    # -- declarations
+
+    def _binding(self, declaration: Declaration) -> list[str]:
+        """Return the declaration of a binding or of shared memory."""
+        writer, name = self.writer, self.names.get(("binding", declaration.name), declaration.name)
+        type, memory, space = declaration.type, self.writer.memory, declaration.name
+        words = memory.is_atomic(space, None, "")
+        if declaration.storage_class is StorageClass.SHARED:
+            return [f"var<workgroup> {name}: {memory.type(type, space, words)};"]  # type: ignore[arg-type]
+        binding = self.options.slots[declaration.name]
+        group, slot = f"@group({SETS[binding.kind]})", f"@binding({binding.slot})"
+        match type:
+            case StorageType(element=element, writable=writable):
+                access = "read_write" if writable else "read"
+                return [f"{group} {slot} var<storage, {access}> {name}: array<{memory.type(element, space, words)}>;"]
+            case TextureType():
+                texture, sampler = writer.names_of_halves(declaration.name, ("binding", declaration.name), self.names)
+                return [
+                    f"{group} @binding({2 * binding.slot}) var {texture}: {writer.type(type)};",
+                    f"{group} @binding({2 * binding.slot + 1}) var {sampler}: {sampler_type(type)};",
+                ]
+            case ImageType(kind=kind, format=format):
+                stored, loaded = declaration.name in self.stage.stored, declaration.name in self.stage.loaded
+                access = "read" if not stored else "read_write" if loaded else "write"
+                form = f"texture_storage_{SHAPES[kind]}<{texel_format(format)}, {access}>"
+                return [f"{group} {slot} var {name}: {form};"]
+        assert binding.kind is BindingKind.UNIFORM
+        return [f"{group} {slot} var<uniform> {name}: {memory.type(type, UNIFORM)};"]  # type: ignore[arg-type]
+
+    # -- the entry point
+
+    def _main(self) -> None:
+        stage, entry, lines = self.stage.stage, self.stage.entry, self.lines
+        given = [f"@builtin({INPUTS[name][2]}) in_{name}: {INPUTS[name][1]}" for name in self.inputs]
+        starts = [f"rhi_{name} = {INPUTS[name][3].format(f'in_{name}')};" for name in self.inputs]
+        arguments = self._arguments(given)
+        outputs = self._outputs()
+        tested = self._tested()
+        if stage is Stage.VERTEX:
+            lines.add(_REVERSAL)
+        if tested is not None:
+            lines.add(_ALPHA_TEST)
+        if outputs:
+            with lines.braces("struct RhiOutputs"):
+                for number, (marks, form, _) in enumerate(outputs):
+                    lines.add(f"{marks} o{number}: {form},")
+        early = "@early_depth_test(force) " if self.options.early_depth and stage is Stage.FRAGMENT else ""
+        x, y, z = self.options.work_group
+        head = f"@compute @workgroup_size({x}, {y}, {z})" if stage is Stage.COMPUTE else f"{early}@{stage.value}"
+        with lines.braces(f"{head} fn main({', '.join(given)}){' -> RhiOutputs' if outputs else ''}"):
+            for start in starts:
+                lines.add(start)
+            call = f"{self.names.get(entry, entry.name)}({', '.join(arguments)})"
+            if entry.result == VOID:
+                lines.add(f"{call};")
+                return
+            lines.add(f"let rhi_result = {call};")
+            if tested is not None:
+                lines.add(f"if (!rhi_passes_alpha({self._result(tested.name)}.w)) {{ discard; }}")
+            if outputs:
+                lines.add(f"return RhiOutputs({', '.join(value for _, _, value in outputs)});")
+
+    def _result(self, name: str) -> str:
+        whole = not isinstance(self.stage.entry.result, StructType)
+        return "rhi_result" if whole else f"rhi_result.{self.writer.field(name)}"
+
+    def _arguments(self, given: list[str]) -> list[str]:
+        """Return the arguments of the stage's function, and add the parameters of `main` that they need."""
+        stage, interface, writer = self.stage.stage, self.options.interface, self.writer
+        attributes = {attribute.name: attribute for attribute in interface.attributes}
+        varyings = {varying.name: varying for varying in interface.varyings}
+        arguments = []
+        for parameter in self.stage.entry.parameters:
+            assert isinstance(parameter.type, StructType)
+            parts = []
+            for field in parameter.type.fields:
+                name, type = f"in_{writer.field(field.name)}", writer.type(field.type)
+                if stage is Stage.VERTEX and field.name in attributes:
+                    given.append(f"@location({attributes[field.name].location}) {name}: {type}")
+                    parts.append(name)
+                elif stage is Stage.FRAGMENT:
+                    rows = list(self._rows(varyings[field.name], name))
+                    given += [f"{marks} {row}: {form}" for marks, row, form in rows]
+                    texts = ", ".join(row for _, row, _ in rows)
+                    parts.append(f"{type}({texts})" if isinstance(field.type, MatrixType) else texts)
+                else:  # a lean vertex stage lacks attributes that nothing reads
+                    parts.append(f"{type}()")
+            arguments.append(f"{writer.type(parameter.type)}({', '.join(parts)})")
+        return arguments
+
+    def _rows(self, varying: Varying, name: str) -> list[tuple[str, str, str]]:
+        """Return the attributes, the name and the type of each location of a varying; a matrix has one for each row."""
+        type: HostType = varying.type
+        marks = _ROLES.get(varying.role, "") if varying.role else ""
+        if not marks and scalar_of(type) in (INT, UINT):
+            marks = _ROLES[Role.FLAT]
+        if isinstance(type, MatrixType):
+            form = f"vec{type.size}<f32>"
+            return [(f"@location({varying.location + i}){marks}", f"{name}_{i}", form) for i in range(type.size)]
+        return [(f"@location({varying.location}){marks}", name, self.writer.type(type))]
+
+    def _outputs(self) -> list[tuple[str, str, str]]:
+        """Return the attributes, the type and the value of each output."""
+        interface, outputs = self.options.interface, []
+        if self.stage.stage is Stage.VERTEX:
+            # The same position code in two programs must give the same depth: a depth pre-pass relies on it.
+            value = f"rhi_place({self._result(interface.position)})"
+            outputs.append(("@builtin(position) @invariant", "vec4<f32>", value))
+            for varying in interface.varyings:
+                rows, value = self._rows(varying, ""), self._result(varying.name)
+                many = isinstance(varying.type, MatrixType)
+                outputs += [
+                    (marks, form, f"{value}[{i}]" if many else value) for i, (marks, _, form) in enumerate(rows)
+                ]
+        elif self.stage.stage is Stage.FRAGMENT:
+            for output in interface.outputs:
+                scalar = {"float": FLOAT, "int": INT, "uint": UINT}[output.kind]
+                form = self.writer.type(scalar if output.components == 1 else VECTORS[scalar, output.components])
+                outputs.append((f"@location({output.location})", form, self._result(output.name)))
+            if interface.depth:
+                outputs.append(("@builtin(frag_depth)", "f32", self._result(interface.depth)))
+        return outputs
+
+    def _tested(self) -> FragmentOutput | None:
+        """Return the output whose alpha is tested."""
+        if self.stage.stage is not Stage.FRAGMENT:
+            return None
+        outputs = self.options.interface.outputs
+        return next((o for o in outputs if (o.location, o.kind, o.components) == (0, "float", 4)), None)

@@ -1,0 +1,527 @@
+"""WGSL from the typed tree: types, literals, declarations, built-ins.
+
+- Every matrix is written as its transpose, whose columns are our rows. So rows are indexed as they are, memory is laid
+  out as elsewhere, and only the operands of `@` change places.
+- `select` evaluates both sides, and takes no structs, arrays and matrices. Where that matters, a choice is a statement
+  before the one that contains it; what is evaluated earlier is then kept in variables. So is a compare-exchange, a loop
+  around WGSL's, which may fail without a reason.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final, NoReturn
+
+from rhi.contract.descriptors import Stage, TextureKind
+from rhi.contract.layout import (
+    BOOL,
+    FLOAT,
+    INT,
+    UINT,
+    ArrayType,
+    HostType,
+    MatrixType,
+    ScalarType,
+    StructType,
+    VectorType,
+)
+from rhi.shading.ir import tree
+from rhi.shading.ir.tree import Expression, Operator
+from rhi.shading.language import rules
+from rhi.shading.language.builtins import SideEffect
+from rhi.shading.language.shader import Declaration, StorageClass
+from rhi.shading.language.source import SourceSpan, refuse_at
+from rhi.shading.language.types import ImageType, StorageType, TextureType, Type, VoidType, scalar_of
+from rhi.shading.text.names import Names
+from rhi.shading.text.writer import TextWriter, int_text
+from rhi.shading.wgsl.builtins import BARRIER, INPUTS, INVERSES, OUTSIDE_FRAGMENTS, SPELLINGS, TEXTURE_CALLS
+from rhi.shading.wgsl.memory import UNIFORM, MemoryTypes
+
+SCALARS: Final = {FLOAT: "f32", INT: "i32", UINT: "u32", BOOL: "bool"}
+SHAPES: Final = {
+    TextureKind.D2: "2d",
+    TextureKind.D2_ARRAY: "2d_array",
+    TextureKind.D3: "3d",
+    TextureKind.CUBE: "cube",
+}
+_IN_MEMORY: Final = (StorageClass.UNIFORM, StorageClass.STORAGE, StorageClass.SHARED)
+_LARGEST: Final = 3.4028235677973366e38
+_STATEMENTS: Final = (SideEffect.BARRIER, SideEffect.DISCARD)
+_CHOICES: Final = (Operator.AND, Operator.OR)
+
+
+class Writer(TextWriter):
+    """Writer of the functions of one stage."""
+
+    language = "wgsl"
+
+    def __init__(self, names: Names, stage: tree.StageTree) -> None:
+        super().__init__(names)
+        self.stage = stage.stage
+        self.entry = stage.entry
+        found = {
+            _word_of(node.arguments[0])
+            for function in stage.functions
+            for node in tree.walk(function.body)
+            if isinstance(node, tree.BuiltinCall) and node.builtin.name.startswith("atomic_")
+        }
+        self.memory = MemoryTypes(self.type, self.field, names.get, frozenset(found))
+
+    def refuse(self, node: Expression, given: str, tip: str = "") -> NoReturn:
+        """Refuse what WGSL lacks."""
+        refuse_at(rules.NATIVE, self.entry.name, self.file, node.span, f"{given}, which WGSL lacks", tip=tip)
+
+    # -- types and literals
+
+    def type(self, type: Type) -> str:
+        """Return a type's WGSL name."""
+        match type:
+            case ScalarType():
+                return SCALARS[type]
+            case VectorType(scalar=scalar, size=size):
+                return f"vec{size}<{SCALARS[scalar]}>"
+            case MatrixType(size=size):
+                return f"mat{size}x{size}<f32>"
+            case StructType(name=name):
+                return self.globals.get(type, name)
+            case ArrayType(element=element, length=length):
+                return f"array<{self.type(element)}, {length}>"
+            case TextureType(kind=kind, scalar=scalar, compare=compare):
+                return f"texture_depth_{SHAPES[kind]}" if compare else f"texture_{SHAPES[kind]}<{SCALARS[scalar]}>"
+        raise TypeError(f"no {self.language} for {type}")
+
+    def constant(self, node: tree.Constant) -> str:
+        """Return a scalar literal."""
+        value = node.value
+        if node.type is BOOL:
+            return "true" if value else "false"
+        if node.type is UINT:
+            return f"{int(value)}u"
+        if node.type is INT:
+            return f"i32({int_text(int(value))})"
+        number = float(value)
+        if math.isfinite(number) and abs(number) <= _LARGEST:
+            text = f"{number!r}f"
+            return text if math.copysign(1.0, number) > 0 else f"({text})"
+        # Constants that aren't numbers are errors in WGSL, so the bits come from a variable.
+        bits = "0x7FC00000u" if math.isnan(number) else "0x7F800000u" if number > 0 else "0xFF800000u"
+        self.helpers["rhi_from_bits"] = "fn rhi_from_bits(x: u32) -> f32 { var y = x; return bitcast<f32>(y); }"
+        return f"rhi_from_bits({bits})"
+
+    def zero(self, type: HostType) -> str:
+        return f"{self.type(type)}()"
+
+    # -- statements that expressions need
+
+    def needs_statements(self, node: Expression) -> bool:
+        """Return whether a part of an expression is written as statements before the one that contains it."""
+        match node:
+            case tree.Select(then=then, otherwise=otherwise):
+                if tree.has_effect(then) or tree.has_effect(otherwise) or not _is_selected(node.type):
+                    return True
+            case tree.BuiltinCall(builtin=builtin) if builtin.name == "atomic_compare_exchange":
+                return True
+            case tree.Binary():
+                chain = tree.left_chain(node)
+                return self.needs_statements(chain[0].left) or any(self.needs_statements(one.right) for one in chain)
+        return any(map(self.needs_statements, tree.parts_of(node)))
+
+    def keep(self, node: Expression, text: str, what: str = "kept") -> str:
+        """Evaluate an expression here, and return the name of its value."""
+        name = self.names.get((node, what), what)
+        self.line(f"let {name} = {text};", node.span)
+        return name
+
+    def sequence(self, nodes: Sequence[Expression]) -> list[str]:
+        """Return the texts of expressions that are evaluated in this order."""
+        last = max((i for i, node in enumerate(nodes) if self.needs_statements(node)), default=0)
+        texts = []
+        for number, node in enumerate(nodes):
+            text = self.argument(node)
+            fixed = isinstance(node, tree.Constant) or isinstance(node.type, TextureType | ImageType)
+            texts.append(self.keep(node, text) if number < last and not fixed else text)
+        return texts
+
+    def chosen(self, node: tree.Select) -> str:
+        """Write a choice as a statement, and return the name of its value."""
+        name = self.names.get((node, "chosen"), "chosen")
+        test = self.expression(node.condition)
+        self.line(f"{self.variable(self.type(node.type), name)};", node.span)
+        for value, header in ((node.then, f"if ({test})"), (node.otherwise, "else")):
+            with self.lines.braces(header, self.file, node.span.line):
+                self.line(f"{name} = {self.expression(value)};", value.span)
+        return name
+
+    # -- expressions
+
+    def expression(self, node: Expression) -> str:
+        match node:
+            case tree.Member() | tree.Index() | tree.Swizzle() | tree.BindingRead():
+                declaration = _declaration_of(node)
+                if declaration is not None and declaration.storage_class in _IN_MEMORY:
+                    if isinstance(node.type, StorageType):
+                        return self.path(node)
+                    return self.memory.load(
+                        node.type, _space_of(declaration), self.path(node), self.is_atomic(node)  # type: ignore[arg-type]
+                    )  # fmt: skip
+            case tree.Select() if self.needs_statements(node):
+                return self.chosen(node)
+            case tree.Call(function=function, arguments=arguments):
+                return f"{self.globals.get(function, function.name)}({', '.join(self.sequence(arguments))})"
+        return super().expression(node)
+
+    def path(self, node: Expression) -> str:
+        """Return a place in memory."""
+        match node:
+            case tree.Member(base=base, name=name):
+                return f"{self.path(base)}.{self.field(name)}"
+            case tree.Swizzle(base=base, components=components):
+                return f"{self.path(base)}.{''.join('xyzw'[index] for index in components)}"
+            case tree.Index(base=base, index=index):
+                declaration = _declaration_of(node)
+                space = _space_of(declaration) if declaration is not None else "local"
+                inner = self.memory.element(base.type, space)  # type: ignore[arg-type]
+                return f"{self.path(base)}[{self.expression(index)}]{inner}"
+            case tree.BindingRead(declaration=declaration):
+                return self.globals.get(("binding", declaration.name), declaration.name)
+        return super().expression(node)
+
+    def is_atomic(self, node: Expression) -> bool:
+        """Return whether the words at a place in memory are atomic."""
+        return isinstance(node.type, ScalarType | ArrayType) and _word_of(node) in self.memory.atomics
+
+    def argument(self, node: Expression) -> str:
+        if isinstance(node.type, TextureType):
+            return ", ".join(self.halves(node))
+        return self.expression(node)
+
+    def index(self, node: tree.Index) -> str:
+        base, index = self.sequence((node.base, node.index))
+        return f"{base}[{index}]"
+
+    def construct(self, node: tree.Construct) -> str:
+        type, parts = node.type, self.sequence(node.parts)
+        if isinstance(type, MatrixType) and len(parts) == 1:
+            size, source = type.size, node.parts[0].type
+            if isinstance(source, ScalarType):
+                cells = [parts[0] if i == j else "0.0" for i in range(size) for j in range(size)]
+            else:
+                assert isinstance(source, MatrixType)
+                known = source.size
+                cells = [
+                    f"{parts[0]}[{i}][{j}]" if max(i, j) < known else "1.0" if i == j else "0.0"
+                    for i in range(size) for j in range(size)
+                ]  # fmt: skip
+            return f"{self.type(type)}({', '.join(cells)})"
+        return f"{self.type(type)}({', '.join(parts)})"
+
+    def choice(self, condition: str, then: str, otherwise: str) -> str:
+        return f"select(({otherwise}), ({then}), ({condition}))"
+
+    def length(self, base: str) -> str:
+        return f"i32(arrayLength(&{base}))"
+
+    # -- operators
+
+    def operation(self, node: tree.Binary, left: str) -> str:
+        if self.needs_statements(node.right):
+            if node.operator in _CHOICES:
+                name = self.keep(node, left, "first")
+                both = node.operator is Operator.AND
+                chosen = self.names.get((node, "chosen"), "chosen")
+                self.line(f"{self.variable('bool', chosen, name)};", node.span)
+                with self.lines.braces(f"if ({name if both else f'!{name}'})", self.file, node.span.line):
+                    self.line(f"{chosen} = {self.expression(node.right)};", node.span)
+                return chosen
+            left = self.keep(node, left, "first")
+        op, types = node.operator, (node.left.type, node.right.type)
+        match op:
+            case Operator.POWER | Operator.FLOOR_DIVIDE | Operator.MODULO:
+                return super().operation(node, left)
+            case Operator.MATRIX_MULTIPLY:
+                return f"({self.expression(node.right)} * {left})"
+            case Operator.EQUAL | Operator.NOT_EQUAL if isinstance(types[0], VectorType):
+                return f"{'all' if op is Operator.EQUAL else 'any'}{super().operation(node, left)}"
+            case Operator.SHIFT_LEFT | Operator.SHIFT_RIGHT:
+                form = "u32" if not isinstance(node.type, VectorType) else f"vec{node.type.size}<u32>"
+                return f"({self.widened(node, node.left, left)} {op.sign} {form}({self.expression(node.right)}))"
+            case Operator.BIT_AND | Operator.BIT_OR | Operator.BIT_XOR if types[0] != types[1]:
+                right = self.widened(node, node.right, self.expression(node.right))
+                return f"({self.widened(node, node.left, left)} {op.sign} {right})"
+            case Operator.MULTIPLY if isinstance(node.type, MatrixType) and types[0] == types[1]:
+                body = f"return {self.type(node.type)}({', '.join(f'a[{i}] * b[{i}]' for i in range(node.type.size))});"
+                name = self.helper("rhi_multiply", self.type(node.type), "a b", body)
+                return f"{name}({left}, {self.expression(node.right)})"
+            case Operator.DIVIDE if isinstance(types[0], MatrixType):
+                return f"({left} * (1.0 / {self.expression(node.right)}))"
+        return super().operation(node, left)
+
+    def power(self, node: tree.Binary, base: str) -> str:
+        exponent = node.right
+        if isinstance(exponent, tree.Constant) and exponent.type in (INT, UINT) and not exponent.value:
+            return f"{self.type(node.type)}({'1.0' if scalar_of(node.type) is FLOAT else '1'})"
+        if isinstance(exponent, tree.Constant) and exponent.type in (INT, UINT) and exponent.value < 0:
+            # WGSL divides no scalar by an integer vector, so one is of the result's type.
+            inverse = tree.Constant(exponent.type, exponent.span, -exponent.value)
+            positive = tree.Binary(node.type, node.span, node.operator, node.left, inverse)
+            return f"({self.type(node.type)}(1) / {super().power(positive, base)})"
+        return super().power(node, base)
+
+    def floored(self, node: tree.Binary, left: str, right: str) -> str:
+        """Return `//` or `%`. WGSL shifts no vectors by scalars, so powers of two are divided by as others are."""
+        if isinstance(node.type, VectorType) and scalar_of(node.type) is INT:
+            left, right = self.widened(node, node.left, left), self.widened(node, node.right, right)
+            return f"{self.integer_helper(node, node.operator is Operator.FLOOR_DIVIDE)}({left}, {right})"
+        divisor = node.right
+        if (
+            scalar_of(node.type) is INT
+            and node.operator is Operator.FLOOR_DIVIDE
+            and isinstance(divisor, tree.Constant)
+        ):
+            value = int(divisor.value)
+            if value > 0 and value.bit_count() == 1:
+                return f"({left} >> {value.bit_length() - 1}u)"
+        return super().floored(node, left, right)
+
+    def integer_helper(self, node: tree.Binary, divide: bool) -> str:
+        type = self.type(node.type)
+        one, zero = f"{type}(1)", f"{type}()"
+        wrong = f"(r != {zero}) & ((r < {zero}) != (b < {zero}))"
+        result = f"select(q, q - {one}, {wrong})" if divide else f"select(r, r + b, {wrong})"
+        body = f"let q = a / b; let r = a - q * b; return {result};"
+        return self.helper("rhi_floor_divide" if divide else "rhi_modulo", type, "a b", body)
+
+    def float_modulo(self, node: tree.Binary, left: str, right: str) -> str:
+        name = self.helper("rhi_mod", self.type(node.type), "a b", "return a - b * floor(a / b);")
+        return f"{name}({self.widened(node, node.left, left)}, {self.widened(node, node.right, right)})"
+
+    # -- built-ins
+
+    def builtin(self, node: tree.BuiltinCall) -> str:
+        """Return a call of a built-in."""
+        name, arguments = node.builtin.name, node.arguments
+        if arguments and isinstance(arguments[0].type, TextureType | ImageType):
+            return self.texture_call(name, node)
+        if name in INPUTS:
+            return f"rhi_{name}"
+        if name.startswith("atomic_"):
+            return self.atomic(name, node)
+        if name == "memory_barrier":
+            self.refuse(node, "memory_barrier()", "barrier(), where all invocations of the work-group come by")
+        if name == "point_coordinate":
+            self.refuse(node, "point_coordinate()")
+        if name == "barrier":
+            self.helpers["rhi_barrier"] = BARRIER
+        texts = self.sequence(arguments)
+        types = [argument.type for argument in arguments]
+        size = next((type for type in types if isinstance(type, VectorType)), None)
+        if size is not None and name in ("min", "max", "clamp", "step", "smoothstep"):
+            texts = [
+                text if isinstance(type, VectorType) else f"{self.type(size)}({text})"
+                for text, type in zip(texts, types, strict=True)
+            ]
+        if name == "mix" and scalar_of(types[2]) is BOOL:
+            return f"select({', '.join(texts)})"
+        if name == "inverse":
+            assert isinstance(node.type, MatrixType)
+            body, type = INVERSES[node.type.size], self.type(node.type)
+            return f"{self.helper(f'rhi_inverse{node.type.size}', type, 'm', body)}({texts[0]})"
+        spelling = SPELLINGS.get(name, name)
+        if spelling.isidentifier() and name != "discard":
+            return f"{spelling}({', '.join(texts)})"
+        bits = f"vec{size.size}<u32>" if size is not None else "u32"
+        return spelling.format(*texts, type=self.type(node.type) if texts else "", bits=bits)
+
+    def atomic(self, name: str, node: tree.BuiltinCall) -> str:
+        """Return a call of an atomic, or write a compare-exchange and return its result."""
+        place, *values = node.arguments
+        texts = self.sequence(values)
+        pointer = f"&{self.path(place)}"
+        if name != "atomic_compare_exchange":
+            return f"{SPELLINGS[name]}({pointer}, {', '.join(texts)})"
+        expected, value = (self.keep(values[i], texts[i], what) for i, what in enumerate(("expected", "value")))
+        old = self.names.get((node, "old"), "old")
+        self.line(f"{self.variable(self.type(node.type), old)};", node.span)
+        with self.lines.braces("loop", self.file, node.span.line):
+            tried = self.names.get((node, "tried"), "tried")
+            self.line(f"let {tried} = atomicCompareExchangeWeak({pointer}, {expected}, {value});", node.span)
+            self.line(f"{old} = {tried}.old_value;", node.span)
+            self.line(f"if ({tried}.exchanged || {old} != {expected}) {{ break; }}", node.span)
+        return old
+
+    def texture(self, node: tree.Read | tree.BindingRead) -> str:
+        return ", ".join(self.halves(node))
+
+    def halves(self, node: Expression) -> tuple[str, str]:
+        """Return the names of a texture and of its sampler."""
+        if isinstance(node, tree.BindingRead):
+            return self.names_of_halves(node.declaration.name, ("binding", node.declaration.name), self.globals)
+        assert isinstance(node, tree.Read)
+        return self.names_of_halves(node.local.name, node.local, self.names)
+
+    def names_of_halves(self, name: str, key: object, names: Names) -> tuple[str, str]:
+        """Return the names of the texture and the sampler that a texture consists of."""
+        return names.get((key, "texture"), f"{name}_texture"), names.get((key, "sampler"), f"{name}_sampler")
+
+    def texture_call(self, name: str, node: tree.BuiltinCall) -> str:
+        """Return a call of a texture's or an image's method."""
+        source, *rest = node.arguments
+        type, texts = source.type, ["", *self.sequence(rest)]
+        assert isinstance(type, TextureType | ImageType)
+        image = isinstance(type, ImageType)
+        texture, sampler = (self.expression(source), "") if image else self.halves(source)
+        layered = type.kind is TextureKind.D2_ARRAY
+        if name == "size":
+            level = "" if image else f", {texts[1]}" if len(texts) > 1 else ", 0"
+            size = f"textureDimensions({texture}{level})"
+            return (
+                f"vec3<i32>(vec3<u32>({size}, textureNumLayers({texture})))"
+                if layered
+                else f"{self.type(node.type)}({size})"
+            )
+        at = texts[1] if rest else ""
+        if layered and rest:
+            if tree.has_effect(rest[0]):
+                self.refuse(rest[0], "a place in an array with a side effect", "assign it to a variable first")
+            whole = isinstance(rest[0].type, VectorType) and rest[0].type.scalar is INT
+            at = f"{at}.xy, {f'{at}.z' if whole else f'i32(floor({at}.z + 0.5))'}"
+        if name == "load":
+            level = "" if image else f", {texts[2] if len(texts) > 2 else '0'}"
+            return f"textureLoad({texture}, {at}{level})"
+        if name == "store":
+            return f"textureStore({texture}, {at}, {texts[2]})"
+        assert isinstance(type, TextureType)
+        if type.scalar is not FLOAT and name not in ("levels", "gather"):
+            self.refuse(node, "an integer texture that is sampled", "load its texels")
+        if name == "gather":
+            component = "0"
+            if len(rest) > 1:
+                if not isinstance(rest[1], tree.Constant):
+                    self.refuse(node, "a gathered component that isn't constant")
+                component = str(int(rest[1].value))
+            return f"textureGather({component}, {texture}, {sampler}, {at})"
+        if name == "sample_compare_lod" and not (isinstance(rest[2], tree.Constant) and not rest[2].value):
+            self.refuse(node, "a comparison at a mip level other than 0")
+        calls = TEXTURE_CALLS if self.stage is Stage.FRAGMENT else TEXTURE_CALLS | OUTSIDE_FRAGMENTS
+        return calls[name].format(*texts, halves=f"{texture}, {sampler}", texture=texture, at=at)
+
+    # -- statements and functions
+
+    def variable(self, type: str, name: str, value: str = "") -> str:
+        return f"var {name}: {type} = {value}" if value else f"var {name}: {type}"
+
+    def statement(self, node: tree.Statement) -> None:
+        match node:
+            case tree.Evaluate(value=tree.BuiltinCall(builtin=builtin) as call) if builtin.effect in _STATEMENTS:
+                self.line(f"{self.expression(call)};", node.span)
+            case tree.Evaluate(value=value):
+                text = self.expression(value)
+                is_call = isinstance(value, tree.Call | tree.BuiltinCall)
+                void = is_call and isinstance(value.type, VoidType)
+                self.line(f"{text};" if void else f"_ = {text};", node.span)
+            case tree.While(condition=condition, body=body) if self.needs_statements(condition):
+                with self.lines.braces("loop", self.file, node.span.line):
+                    self.line(f"if (!({self.expression(condition)})) {{ break; }}", node.span)
+                    self.loop_body(body)
+            case _:
+                super().statement(node)
+
+    def store(self, target: Expression, value: str, place: SourceSpan) -> None:
+        """Write the assignment of a value."""
+        if isinstance(target, tree.Swizzle) and len(target.components) > 1:
+            base, new = self.path(target.base), self.names.get((target, "new"), "new")
+            self.line(f"let {new} = {value};", place)
+            for number, component in enumerate(target.components):
+                self.line(f"{base}.{'xyzw'[component]} = {new}.{'xyzw'[number]};", place)
+            return
+        declaration, type = _declaration_of(target), target.type
+        path, space = self.path(target), "local" if declaration is None else _space_of(declaration)
+        if declaration is None or not self.memory.differs(type, space, self.is_atomic(target)):  # type: ignore[arg-type]
+            self.line(f"{path} = {value};", place)
+            return
+        name = self.names.get((target, "whole"), "whole")
+        self.line(f"let {name} = {value};", place)
+        for line in self.memory.store(type, space, path, name, self.is_atomic(target)):  # type: ignore[arg-type]
+            self.line(line, place)
+
+    def repeat(self, node: tree.For, start: str, test: str, advance: str) -> None:
+        more, _, step = advance.rpartition(", ")
+        if not more:
+            super().repeat(node, start, test, advance)
+            return
+        with self.lines.braces("", self.file, node.span.line):
+            self.line(f"{start};", node.span)
+            with self.lines.braces("loop", self.file, node.span.line):
+                self.line(f"if (!({test})) {{ break; }}", node.span)
+                self.loop_body(node.body)
+                self.line(f"continuing {{ {more}; {step}; }}", node.span)
+
+    def header(self, node: tree.Function) -> str:
+        parts = []
+        for local in node.parameters:
+            if isinstance(local.type, TextureType):
+                texture, sampler = self.names_of_halves(local.name, local, self.names)
+                parts += [f"{texture}: {self.type(local.type)}", f"{sampler}: {sampler_type(local.type)}"]
+            else:
+                parts.append(f"{self._given(local)}: {self.type(local.type)}")
+        result = "" if isinstance(node.result, VoidType) else f" -> {self.type(node.result)}"
+        return f"fn {self.globals.get(node, node.name)}({', '.join(parts)}){result}"
+
+    def _given(self, local: tree.Local) -> str:
+        """Return a parameter's name, which differs from that of the variable that the function changes."""
+        name = self.names.get(local, local.name)
+        return self.names.get((local, "given"), f"{name}_given") if _is_variable(local) else name
+
+    def begin(self, node: tree.Function) -> None:
+        for local in node.parameters:
+            if _is_variable(local) and not isinstance(local.type, TextureType):
+                variable = self.variable(self.type(local.type), self.names.get(local, local.name), self._given(local))
+                self.line(f"{variable};", node.span)
+
+    def end(self, node: tree.Function) -> None:
+        """Return something at the end, where only a loop that never ends leads."""
+        if not isinstance(node.result, VoidType) and node.body and isinstance(node.body[-1], tree.While | tree.For):
+            self.line(f"return {self.type(node.result)}();", node.span)
+
+    def helper(self, name: str, type: str, parameters: str, body: str) -> str:
+        name = f"{name}_{''.join(filter(str.isalnum, type))}"
+        given = ", ".join(f"{parameter}: {type}" for parameter in parameters.split())
+        self.helpers[name] = f"fn {name}({given}) -> {type} {{ {body} }}"
+        return name
+
+
+def sampler_type(type: TextureType) -> str:
+    """Return the type of a texture's sampler."""
+    return "sampler_comparison" if type.compare else "sampler"
+
+
+def _is_variable(local: tree.Local) -> bool:
+    """Return whether a parameter is kept in a variable: the function assigns it, or indexes it."""
+    return bool(local.writes) or isinstance(local.type, ArrayType)
+
+
+def _is_selected(type: Type) -> bool:
+    return isinstance(type, ScalarType | VectorType)
+
+
+def _declaration_of(node: Expression) -> Declaration | None:
+    """Return the binding or shared memory that a place lies in."""
+    root = tree.root_of(node)
+    return root.declaration if isinstance(root, tree.BindingRead) else None
+
+
+def _space_of(declaration: Declaration) -> str:
+    return UNIFORM if declaration.storage_class is StorageClass.UNIFORM else declaration.name
+
+
+def _word_of(node: Expression) -> tuple[str, StructType | None, str]:
+    """Return what declares the words at a place in memory: the binding, and the field of a struct."""
+    declaration = _declaration_of(node)
+    name = declaration.name if declaration is not None else ""
+    while isinstance(node, tree.Index):
+        node = node.base
+    if isinstance(node, tree.Member):
+        assert isinstance(node.base.type, StructType)
+        return name, node.base.type, node.name
+    return name, None, ""

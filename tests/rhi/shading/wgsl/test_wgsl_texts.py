@@ -1,0 +1,224 @@
+"""WGSL texts: naga accepts them, layouts of memory are kept, and what WGSL lacks is refused by name."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rhi.contract.descriptors import Stage
+from rhi.contract.formats import Format
+from rhi.errors import ShaderError
+from rhi.shading import (
+    Array,
+    IntTexture2D,
+    Shader,
+    Storage,
+    StorageRW,
+    Struct,
+    Uniform,
+    array,
+    atomic_add,
+    atomic_compare_exchange,
+    compile_shader,
+    function,
+    global_id,
+    mat2,
+    memory_barrier,
+    uint,
+    vec2,
+    vec3,
+    vec4,
+)
+from rhi.shading.wgsl.names import texel_format
+from rhi.shading.wgsl.stages import read_declarations
+
+ROOT = Path(__file__).parents[4]
+RECORDED_REFUSALS = 21
+"""Stages of the tree's shaders that WGSL can't say: native GLSL, point coordinates, integer textures that are sampled,
+a comparison at another level than 0, `memory_barrier`, and a test's own built-ins."""
+
+
+def text_of(shader: type[Shader], stage: Stage = Stage.COMPUTE) -> str:
+    return compile_shader(shader).emit("wgsl", stage).text
+
+
+@pytest.fixture(scope="module")
+def naga() -> Any:
+    """A device of wgpu, whose compiler checks texts."""
+    wgpu = pytest.importorskip("wgpu")
+    pytest.importorskip("wgpu.backends.wgpu_native")
+    adapters = [a for a in wgpu.gpu.enumerate_adapters_sync() if a.info["backend_type"] != "OpenGL"]
+    if not adapters:
+        pytest.skip("no adapter")
+    return adapters[0].request_device_sync()
+
+
+class Packed(Struct):
+    weights: Array[float] = array(float, 3)
+    turn: mat2
+    pairs: Array[vec2] = array(vec2, 2)
+    end: vec3
+
+
+class Plain(Struct):
+    view: vec4
+    scale: float
+
+
+class Counted(Struct):
+    start: float
+    count: uint
+
+
+class ReadsLayouts(Shader):
+    packed: Uniform[Packed]
+    plain: Uniform[Plain]
+    copies: Storage[Packed]
+    out: StorageRW[float]
+
+    def compute(self) -> None:
+        i = int(global_id().x)
+        whole = self.packed
+        self.out[0] = self.packed.weights[i] + self.packed.pairs[i].y + self.packed.turn[i].x + self.plain.scale
+        self.out[1] = whole.weights[i] + self.copies[i].weights[i]
+
+
+def test_uniform_memory_has_types_of_its_own_only_where_its_layout_differs(naga: Any) -> None:
+    text = text_of(ReadsLayouts)
+    assert re.search(r"struct Packed \{\s+weights: array<f32, 3>,\s+turn: mat2x2<f32>,", text)
+    assert re.search(r"struct Packed_std140 \{\s+@align\(16\) @size\(48\) weights: array<vec4<f32>, 3>,", text)
+    assert "@align(16) @size(32) turn: mat2x4<f32>," in text
+    assert "var<uniform> packed: Packed_std140;" in text
+    assert "var<uniform> plain: Plain;" in text
+    assert "array<Packed>" in text
+    assert "packed.weights[i].x" in text
+    assert "packed.pairs[i].xy" in text
+    naga.create_shader_module(code=text)
+
+
+class CountsTwice(Shader):
+    first: StorageRW[Counted]
+    second: Storage[Counted]
+
+    def compute(self) -> None:
+        atomic_add(self.first[0].count, uint(1))
+        whole = self.first[1]
+        whole.count += self.second[0].count
+        self.first[2] = whole
+
+
+def test_words_are_atomic_only_in_the_memory_that_atomics_work_on(naga: Any) -> None:
+    text = text_of(CountsTwice)
+    assert re.search(r"struct Counted_first \{\s+start: f32,\s+count: atomic<u32>,", text)
+    assert "var<storage, read_write> first: array<Counted_first>;" in text
+    assert "var<storage, read> second: array<Counted>;" in text
+    assert "Counted(first[i32(1)].start, atomicLoad(&first[i32(1)].count))" in text
+    assert "atomicStore(&first[i32(2)].count, whole_2.count);" in text
+    naga.create_shader_module(code=text)
+    assert read_declarations(text) == {(1, 0): "read_write", (1, 1): "read"}
+
+
+class ChoosesEffects(Shader):
+    out: StorageRW[int]
+
+    def compute(self) -> None:
+        i = int(global_id().x)
+        self.out[1] = self.out[2] + (atomic_add(self.out[0], 1) if i > 3 else 7)
+        if i > 5 and atomic_compare_exchange(self.out[0], 1, 2) == 1:
+            self.out[3] = 1
+        elif i < 2 or atomic_compare_exchange(self.out[0], 2, 3) == 2:
+            self.out[3] = 2
+        while atomic_compare_exchange(self.out[0], 4, 5) == 4:
+            self.out[4] += 1
+
+
+def test_choices_with_effects_are_statements_in_the_order_of_python(naga: Any) -> None:
+    text = text_of(ChoosesEffects)
+    assert "select(" not in text
+    lines = [line.strip() for line in text.splitlines()]
+    kept = next(i for i, line in enumerate(lines) if line.startswith("let first = ") and "out[i32(2)]" in line)
+    assert lines[kept + 2] == "if ((i > i32(3))) {"
+    assert lines[kept + 3] == "chosen = atomicAdd(&out[i32(0)], i32(1));"
+    assert text.count("atomicCompareExchangeWeak") == 3
+    assert re.search(
+        r"loop \{\s+let expected\w* = i32\(4\);", text
+    )  # the condition of `while` is evaluated in each turn
+    naga.create_shader_module(code=text)
+
+
+class SamplesIntegers(Shader):
+    given: IntTexture2D
+    out: StorageRW[int]
+
+    def compute(self) -> None:
+        self.out[0] = self.given.sample_lod(vec2(0.5), 0.0).x
+
+
+class FencesMemory(Shader):
+    out: StorageRW[int]
+
+    def compute(self) -> None:
+        self.out[0] = 1
+        memory_barrier()
+
+
+@pytest.mark.parametrize(
+    ("shader", "given"),
+    [(SamplesIntegers, "an integer texture that is sampled"), (FencesMemory, "memory_barrier()")],
+)
+def test_what_wgsl_lacks_is_refused_at_its_python_line(shader: type[Shader], given: str) -> None:
+    with pytest.raises(ShaderError) as caught:
+        text_of(shader)
+    assert caught.value.rule.id == "shading-native"
+    assert caught.value.given == f"{given}, which WGSL lacks"
+    assert caught.value.site is not None
+    line = Path(__file__).read_text().splitlines()[caught.value.site.line - 1]
+    assert given.split()[-1].split("(")[0][:6] in line
+
+
+@function
+def doubled(value: float) -> float:
+    return value * 2.0
+
+
+class Simple(Shader):
+    out: StorageRW[float]
+
+    def compute(self) -> None:
+        self.out[0] = doubled(1.5)
+
+
+def test_each_line_knows_the_python_line_that_it_comes_from() -> None:
+    written = compile_shader(Simple).emit("wgsl", Stage.COMPUTE)
+    lines = written.text.splitlines()
+    number = next(i for i, line in enumerate(lines) if "return (value * 2.0f);" in line)
+    file, line = written.origins[number]
+    assert "return value * 2.0" in Path(file).read_text().splitlines()[line - 1]
+    assert len(written.origins) == len(lines)
+
+
+def test_formats_have_their_names_in_webgpu() -> None:
+    names = {format: texel_format(format) for format in Format}
+    assert len(set(names.values())) == len(Format)
+    chosen = ("R8", "RGBA8_SRGB", "RG8_SNORM", "RGBA16", "RG16F", "R32I", "RGB10A2", "RGB10A2UI", "R11G11B10F")
+    assert [names[Format[name]] for name in chosen] == [
+        "r8unorm", "rgba8unorm-srgb", "rg8snorm", "rgba16unorm", "rg16float", "r32sint", "rgb10a2unorm", "rgb10a2uint",
+        "rg11b10ufloat",
+    ]  # fmt: skip
+
+
+@pytest.mark.nightly
+def test_naga_accepts_every_stage_of_the_tree_that_wgsl_can_say(naga: Any) -> None:
+    del naga
+    done = subprocess.run(
+        [sys.executable, ROOT / "scripts" / "dump_shaders.py", "--naga"], capture_output=True, text=True, check=False
+    )
+    accepted, refused, wrong = map(int, re.findall(r"(\d+) (?:accepted|refused|wrong)", done.stderr))
+    assert wrong == 1, done.stdout  # a test's own built-ins
+    assert refused == RECORDED_REFUSALS - 1
+    assert accepted > 790
