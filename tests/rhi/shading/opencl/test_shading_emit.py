@@ -63,6 +63,6 @@ def test_a_stage_that_draws_is_a_function_for_16_lanes() -> None:
 
 @pytest.mark.parametrize("language", ["opencl1", "opencl8", "numpy"])
 def test_a_stage_that_draws_is_for_16_lanes_only(language: str) -> None:
-    with pytest.raises(ShaderError, match=r"allowed: glsl, opencl16, vulkan, spirv\n") as caught:
+    with pytest.raises(ShaderError, match=r"allowed: glsl, opencl16, vulkan, spirv, wgsl\n") as caught:
         compile_shader(Corner).emit(language, Stage.VERTEX)
     assert caught.value.rule.id == "shading-native"
