@@ -16,7 +16,7 @@ esac
 export PIP_COMPILE=0  # not the bytecode of 90 packages: that of what the tests import is written when they do
 # shellcheck source=scripts/setup.sh
 . scripts/setup.sh
-setup dev libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri pocl-opencl-icd libfribidi0 xvfb xdotool
+setup dev libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri pocl-opencl-icd libfribidi0 mesa-vulkan-drivers xvfb xdotool
 unset PYTHONDONTWRITEBYTECODE  # the tests start hundreds of processes, which share the bytecode
 options=()
 if [ "${1:-}" = --nightly ]; then

@@ -38,6 +38,12 @@ def require_line_width(device: Device, width: float) -> None:
         pytest.skip(f"{device.backend_name} declares max_line_width {device.capabilities.max_line_width:g}")
 
 
+def require_vertex_alignment(device: Device, step: int) -> None:
+    """Skip the test if the places of vertices and their fields must be multiples of more bytes."""
+    if step % device.capabilities.vertex_alignment:
+        pytest.skip(f"{device.backend_name} declares vertex_alignment {device.capabilities.vertex_alignment}")
+
+
 def require_samples(device: Device, samples: int) -> None:
     """Skip the test if the device's textures can't have this many samples."""
     if samples not in device.capabilities.sample_counts:

@@ -126,6 +126,15 @@ class Capabilities:
     """Whether triangles can be drawn as their edges: `PolygonMode.LINE`."""
     platform_states: frozenset[type[PlatformState]] = frozenset()
     """The types of states that only this platform has."""
+    vertex_alignment: int = 1
+    """Strides of vertices, and offsets of attributes in them, are multiples of this number of bytes."""
+    draw_index: bool = True
+    """Whether vertex stages can read the index of the draw: `draw_index()`."""
+    list_restart: bool = True
+    """Whether the largest index restarts lists and fans, too, and not only strips."""
+    precise_lines: bool = True
+    """Whether a line one texel wide covers the texels that OpenGL's diamond rule gives it, within the rule's
+    tolerance."""
     border_colors: bool = True
     """Whether samplers can have `Wrap.BORDER`, with any border color."""
     texture_buffer_copies: bool = False
@@ -134,10 +143,22 @@ class Capabilities:
     """Whether the device stands beside a context of other code, which uses the same textures: `adopt_texture`."""
     compressed_formats: frozenset[CompressedFormat] = frozenset()
     """Block-compressed formats that textures can be stored in. The front end decodes the others."""
+    compressed_size_step: int = 1
+    """Widths and heights of textures stored in them are multiples of this number. The front end decodes others."""
     unsupported_formats: frozenset[Format] = frozenset()
     """Formats that textures can't have."""
     unrenderable_formats: frozenset[Format] = frozenset()
     """Formats that color targets can't have."""
+    unblendable_formats: frozenset[Format] = frozenset()
+    """Formats of color targets, besides integers, that draws can't blend with."""
+    single_sampled_formats: frozenset[Format] = frozenset()
+    """Formats of targets that can't be multi-sampled."""
+    unresolvable_formats: frozenset[Format] = frozenset()
+    """Multi-sampled formats that can't be resolved."""
+    unloadable_formats: frozenset[Format] = frozenset()
+    """Formats whose images can't be loaded from by a program that also stores to them."""
+    unstorable_formats: frozenset[Format] = frozenset()
+    """Formats that images can't have."""
     passed_over: tuple[str, ...] = ()
     """Devices that were tried before this one, each with the reason why it can't be used."""
 

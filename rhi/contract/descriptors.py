@@ -341,7 +341,8 @@ class Binding:
     """A binding of a program. `slot` counts from 0 for each kind.
 
     `type` is the type that must be bound: the host type of a uniform or storage element, or a texture or image type.
-    `size` is the size of one element in bytes.
+    `size` is the size of one element in bytes. `writes` and `reads` say what the program does with its memory; `reads`
+    may be True for what isn't read.
     """
 
     name: str
@@ -350,6 +351,7 @@ class Binding:
     writes: bool = False
     type: object = None
     size: int = 0
+    reads: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -422,6 +424,7 @@ class ProgramDescriptor:
         flushes_denormals: whether numbers below 2^-126 may be treated as 0, which OpenGL may always do.
         point_size: the name of the varying that is the size of points, "" if there is none.
         reads_point_coordinates: whether the fragment stage reads its place inside a point.
+        reads_draw_index: whether the vertex stage reads the index of the draw.
     """
 
     name: str
@@ -441,6 +444,7 @@ class ProgramDescriptor:
     flushes_denormals: bool = False
     point_size: str = ""
     reads_point_coordinates: bool = False
+    reads_draw_index: bool = False
 
     def __post_init__(self) -> None:
         fields = Fields(self)
@@ -458,7 +462,7 @@ class ProgramDescriptor:
             fields.fail("emit", self.emit, "a function of language and stage that returns a StageText")
         fields.flags(
             "writes_memory", "discards", "early_depth", "writes_depth", "checked", "flushes_denormals",
-            "reads_point_coordinates",
+            "reads_point_coordinates", "reads_draw_index",
         )  # fmt: skip
         fields.wholes("shared_bytes", least=0)
 

@@ -16,6 +16,7 @@ from rhi.contract.blocks import CompressedFormat
 from rhi.contract.descriptors import (
     DRAW,
     Attachment,
+    Binding,
     BindingKind,
     BufferId,
     DepthAttachment,
@@ -29,8 +30,10 @@ from rhi.contract.descriptors import (
     TextureDescriptor,
     TextureKind,
     VertexArrayDescriptor,
+    VertexStream,
     Wrap,
 )
+from rhi.contract.formats import Format
 from rhi.contract.states import (
     DEFAULTS,
     AlphaFunction,
@@ -136,6 +139,9 @@ def texture_faults(descriptor: TextureDescriptor, limits: Capabilities) -> Fault
         yield Fault(TEXTURE_LEVELS, f"{descriptor.levels} levels", f"1 to {most}")
     if samples not in limits.sample_counts:
         yield Fault(TEXTURE_SAMPLES, f"{samples} samples", f"{', '.join(map(str, limits.sample_counts))} samples")
+    if samples > 1 and descriptor.format in limits.single_sampled_formats:
+        given = f"{samples} samples of {descriptor.format.name}"
+        yield Fault(DEVICE_CAPABILITY, given, "not among capabilities.single_sampled_formats")
     if samples > 1 and (descriptor.levels > 1 or kind is not TextureKind.D2):
         yield Fault(TEXTURE_SAMPLES, f"{samples} samples, {descriptor.levels} levels, {kind.name}", "2D, one level")
     if descriptor.format.is_depth and kind is TextureKind.D3:
@@ -260,8 +266,10 @@ def row_faults(
         yield Fault(BUFFER_RANGE, f"{used} bytes at {offset}", f"within {size} bytes")
 
 
-def resolve_faults(source: TextureDescriptor, target: TextureDescriptor) -> Faults:
+def resolve_faults(source: TextureDescriptor, target: TextureDescriptor, limits: Capabilities) -> Faults:
     """Yield why a texture can't be resolved to another."""
+    if source.format in limits.unresolvable_formats:
+        yield Fault(DEVICE_CAPABILITY, source.format.name, "not among capabilities.unresolvable_formats")
     if source.samples == 1 or target.samples != 1:
         yield Fault(TEXTURE_SAMPLES, f"{source.samples} to {target.samples} samples", "several samples to 1")
     has_average = not (source.format.is_depth or source.format.is_integer)
@@ -451,6 +459,11 @@ def program_faults(descriptor: ProgramDescriptor, limits: Capabilities) -> Fault
     if (descriptor.point_size or descriptor.reads_point_coordinates) and limits.max_point_size <= 1.0:
         given = "a point size" if descriptor.point_size else "point_coordinate()"
         yield Fault(DEVICE_CAPABILITY, given, "needs capabilities.max_point_size")
+    if descriptor.reads_draw_index and not limits.draw_index:
+        yield Fault(DEVICE_CAPABILITY, "draw_index()", "needs capabilities.draw_index")
+    for binding in descriptor.bindings:
+        if binding.kind is BindingKind.IMAGE:
+            yield from _image_faults(binding, limits)
     if len(descriptor.attributes) > limits.max_vertex_attributes:
         given = f"{len(descriptor.attributes)} attributes"
         yield Fault(DEVICE_CAPABILITY, given, f"at most {limits.max_vertex_attributes}")
@@ -465,6 +478,27 @@ def program_faults(descriptor: ProgramDescriptor, limits: Capabilities) -> Fault
         if descriptor.shared_bytes > limits.max_shared_bytes:
             allowed = f"up to capabilities.max_shared_bytes, {limits.max_shared_bytes}"
             yield Fault(DEVICE_CAPABILITY, f"{descriptor.shared_bytes} bytes of shared memory", allowed)
+
+
+def _image_faults(binding: Binding, limits: Capabilities) -> Faults:
+    """Yield what a device lacks for an image of a program."""
+    format = getattr(binding.type, "format", None)  # descriptors that are made by hand may have no types
+    given = f"{binding.name}, an image of {format.name}" if isinstance(format, Format) else ""
+    if format in limits.unstorable_formats:
+        yield Fault(DEVICE_CAPABILITY, given, "not among capabilities.unstorable_formats")
+    if binding.writes and binding.reads and format in limits.unloadable_formats:
+        yield Fault(DEVICE_CAPABILITY, f"{given} that is loaded from", "not among capabilities.unloadable_formats")
+
+
+def vertex_faults(streams: Sequence[VertexStream], limits: Capabilities) -> Faults:
+    """Yield why vertices can't be read as they lie in memory."""
+    step = limits.vertex_alignment
+    for stream in streams:
+        places = [stream.stride, stream.offset, *(attribute.offset for attribute in stream.attributes)]
+        if any(place % step for place in places):
+            given = f"vertices of {stream.stride} bytes, with fields at {', '.join(map(str, places[2:]))}"
+            tip = "add fields that fill it up, or align the dtype: np.dtype(…, align=True)"
+            yield Fault(DEVICE_CAPABILITY, given, f"multiples of capabilities.vertex_alignment, {step}", tip)
 
 
 def _differs(state: Any) -> bool:
@@ -531,6 +565,8 @@ def pass_faults(descriptor: PassDescriptor, textures: Mapping[Id, TextureDescrip
         if not color.resolve:
             continue
         end = textures[color.resolve]
+        if source.format in limits.unresolvable_formats:
+            yield Fault(DEVICE_CAPABILITY, source.format.name, "not among capabilities.unresolvable_formats")
         fits = source.samples > 1 and end.samples == 1 and end.format is source.format and end.size == descriptor.size
         if not fits or source.format.is_integer:  # integers have no average
             allowed = "from several samples to 1, equal size and format, no integers"

@@ -132,7 +132,8 @@ def _compile(shader: type[Shader]) -> tuple[ProgramDescriptor, ShaderCode]:
     stored = frozenset().union(*(stage.stored for stage in stages.values()))
     used = frozenset(declaration.name for stage in stages.values() for declaration in stage.bindings)
     check_bindings_are_used(shader, used)
-    bindings = tuple(_bindings(shader, stored, used))
+    loaded = frozenset().union(*(stage.loaded for stage in stages.values()))
+    bindings = tuple(_bindings(shader, stored, loaded, used))
     if shader.lean and Stage.VERTEX in stages:
         interface = replace(interface, attributes=attributes_read(stages[Stage.VERTEX], interface.attributes))
     fragment = stages.get(Stage.FRAGMENT)
@@ -181,6 +182,8 @@ def _compile(shader: type[Shader]) -> tuple[ProgramDescriptor, ShaderCode]:
         point_size=interface.point_size,
         reads_point_coordinates=fragment is not None
         and any(builtin.name == "point_coordinate" for builtin in fragment.builtins),
+        reads_draw_index=Stage.VERTEX in stages
+        and any(builtin.name == "draw_index" for builtin in stages[Stage.VERTEX].builtins),
     )
     return descriptor, code
 
@@ -241,24 +244,26 @@ _KINDS = {
 }
 
 
-def _bindings(shader: type[Shader], stored: frozenset[str], used: frozenset[str]) -> Iterator[Binding]:
+def _bindings(
+    shader: type[Shader], stored: frozenset[str], loaded: frozenset[str], used: frozenset[str]
+) -> Iterator[Binding]:
     slots = dict.fromkeys(BindingKind, 0)
     for declaration in shader._declared.values():
         if shader.lean and declaration.name not in used:
             continue
         if declaration.storage_class is not StorageClass.SHARED:
             kind = _KINDS[declaration.storage_class]
-            yield _binding(declaration, kind, slots[kind], declaration.name in stored)
+            yield _binding(declaration, kind, slots[kind], declaration.name in stored, declaration.name in loaded)
             slots[kind] += 1
 
 
-def _binding(declaration: Declaration, kind: BindingKind, slot: int, stored: bool) -> Binding:
+def _binding(declaration: Declaration, kind: BindingKind, slot: int, stored: bool, loaded: bool) -> Binding:
     name, type = declaration.name, declaration.type
     match type:
         case StorageType(element=element, writable=writable):
             return Binding(name, kind, slot, writable, declaration.host, stride_of(element, Layout.STD430))
         case ImageType():
-            return Binding(name, kind, slot, stored, type)
+            return Binding(name, kind, slot, stored, type, reads=loaded)
     if kind is BindingKind.TEXTURE:
         return Binding(name, kind, slot, False, type)
     return Binding(name, kind, slot, False, declaration.host, place(type, Layout.STD140).size)

@@ -465,7 +465,7 @@ _FAULTS: Final[dict[Op, Callable[..., Faults]]] = {
     Op.WRITE_TEXTURE: _write_texture,
     Op.READ_TEXTURE: lambda made, limits, texture, *place: read_faults(made[texture], *place),
     Op.COPY_TEXTURE: _copy_texture,
-    Op.RESOLVE_TEXTURE: lambda made, limits, source, target: resolve_faults(made[source], made[target]),
+    Op.RESOLVE_TEXTURE: lambda made, limits, source, target: resolve_faults(made[source], made[target], limits),
     Op.GENERATE_MIPMAPS: lambda made, limits, texture: mipmap_faults(made[texture]),
     Op.DRAW: _draw,
     Op.DISPATCH_INDIRECT: lambda made, limits, buffer, offset: indirect_dispatch_faults(offset, made[buffer].size),

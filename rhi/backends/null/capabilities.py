@@ -16,13 +16,28 @@ from typing import Final
 import numpy as np
 
 from rhi.contract.backend import Capabilities
-from rhi.contract.formats import ChannelKind, Format
+from rhi.contract.formats import COLOR_FORMATS, ChannelKind, Format
 from rhi.errors import refuse
 from rhi.errors.rules import DEVICE_ARGUMENT
 
 _SNORM: Final = frozenset(form for form in Format if form.kind is ChannelKind.SNORM)
 _UNORM16: Final = frozenset(f for f in Format if f.kind is ChannelKind.UNORM and f.channel_bits[0] == 16)
 _FLOAT: Final = frozenset(form for form in Format if form.kind is ChannelKind.FLOAT)
+
+_FLOAT32: Final = frozenset({Format.R32F, Format.RG32F, Format.RGBA32F})
+_WORDS: Final = frozenset({Format.R32F, Format.R32UI, Format.R32I})
+_STORED: Final = _WORDS | {
+    Format.RGBA8, Format.RGBA8_SNORM, Format.RGBA8UI, Format.RGBA16F, Format.RGBA16UI, Format.RG32F, Format.RG32UI,
+    Format.RG32I, Format.RGBA32F, Format.RGBA32UI, Format.RGBA32I,
+}  # fmt: skip
+_UNSTORED: Final = frozenset(COLOR_FORMATS) - _STORED
+_UNLOADED: Final = frozenset(COLOR_FORMATS) - _WORDS
+_WIDE: Final = frozenset(
+    {
+        Format.RG32F, Format.RGBA32F, Format.R32UI, Format.RG32UI, Format.RGBA32UI, Format.R32I, Format.RG32I,
+        Format.RGBA32I,
+    }
+)  # fmt: skip
 
 
 def _device(name: str) -> Capabilities:
@@ -56,8 +71,10 @@ PROFILES: Final[Mapping[str, Capabilities]] = {
         _device("webgpu"), max_texture_size=8192, max_texture_layers=256, max_uniform_bytes=1 << 16, max_image_slots=4,
         max_work_group=(256, 256, 64), max_work_group_invocations=256, max_shared_bytes=16384, max_anisotropy=16.0,
         sample_counts=(1, 4), copy_alignment=4, conditional_rendering=False, timestamps=False, stencil_per_face=False,
-        depth_bias_clamp=True, blend_per_target=True, border_colors=False, unsupported_formats=_UNORM16,
-        unrenderable_formats=_SNORM | _UNORM16,
+        vertex_alignment=4, draw_index=False, list_restart=False, precise_lines=False, compressed_size_step=4,
+        unblendable_formats=_FLOAT32, unresolvable_formats=_FLOAT32 | {Format.R11G11B10F}, single_sampled_formats=_WIDE,
+        unstorable_formats=_UNSTORED, unloadable_formats=_UNLOADED, depth_bias_clamp=True, blend_per_target=True,
+        border_colors=False, unsupported_formats=_UNORM16, unrenderable_formats=_SNORM | _UNORM16,
     ),
     "opencl-cpu": replace(
         _device("opencl-cpu"), sample_counts=(1,), max_uniform_bytes=1 << 16, max_work_group=(4096, 4096, 4096),

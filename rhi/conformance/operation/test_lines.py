@@ -41,6 +41,8 @@ GENTLE = [(4.3125, 7.4375), (26.5625, 13.1875)]
 STEEP = [(9.4375, 3.1875), (15.3125, 20.5625)]
 TRIANGLE = [(3.3125, 4.4375), (5.6875, 20.1875), (27.5625, 8.3125)]  # counter-clockwise, seen with +Y up
 
+NEEDS_PRECISION = pytest.mark.needs("precise_lines")
+
 AREAS = [Primitive.TRIANGLES, Primitive.TRIANGLE_STRIP, Primitive.TRIANGLE_FAN, Primitive.QUADS]
 
 Mask = NDArray[np.bool_]
@@ -96,6 +98,7 @@ def assert_covers(image: NDArray[Any], wanted: tuple[Mask, Mask]) -> None:
 @pytest.mark.recorded_too
 @pytest.mark.parametrize("width", [1, 2, 3, 4, 7])
 @pytest.mark.parametrize("points", [GENTLE, GENTLE[::-1], STEEP, STEEP[::-1]], ids=["right", "left", "down", "up"])
+@NEEDS_PRECISION
 def test_a_line_is_as_many_texels_wide_as_its_width(device: Device, points: Any, width: int) -> None:
     require_line_width(device, width)
     assert_covers(drawn(device, points, LineWidth(width)), line(points, width))
@@ -202,6 +205,7 @@ def test_a_wide_line_covers_samples(device: Device) -> None:
 @pytest.mark.recorded_too
 @pytest.mark.needs("wireframe")
 @pytest.mark.parametrize("order", [(0, 1, 2), (1, 2, 0), (2, 0, 1), (0, 2, 1), (2, 1, 0), (1, 0, 2)], ids=str)
+@NEEDS_PRECISION
 def test_a_triangle_is_drawn_as_its_edges(device: Device, order: tuple[int, int, int]) -> None:
     points = [TRIANGLE[i] for i in order]
     assert_covers(wired(device, points, CullMode.NONE), outline(points))
@@ -225,6 +229,7 @@ def test_edges_have_the_line_width(device: Device, width: int) -> None:
 @pytest.mark.needs("wireframe")
 @pytest.mark.parametrize("front", list(FrontFace), ids=lambda front: front.name)
 @pytest.mark.parametrize("cull", list(CullMode), ids=lambda cull: cull.name)
+@NEEDS_PRECISION
 def test_edges_are_culled_by_the_facing_of_their_triangle(device: Device, cull: CullMode, front: FrontFace) -> None:
     for points in (TRIANGLE, TRIANGLE[::-1]):
         faces_front = (points is TRIANGLE) == (front is FrontFace.COUNTER_CLOCKWISE)
@@ -239,6 +244,7 @@ def test_edges_are_culled_by_the_facing_of_their_triangle(device: Device, cull: 
 @pytest.mark.needs("wireframe")
 @pytest.mark.parametrize("dtype", [None, "u2", "u4"])
 @pytest.mark.parametrize("primitive", AREAS, ids=lambda primitive: primitive.name)
+@NEEDS_PRECISION
 def test_every_topology_of_triangles_has_edges(device: Device, primitive: Primitive, dtype: str | None) -> None:
     points = [(3.3125, 4.4375), (5.6875, 20.1875), (15.4375, 18.8125), (17.5625, 3.3125)]
     triangles = {
@@ -287,6 +293,7 @@ def test_a_flat_value_of_edges_is_that_of_their_triangle(device: Device) -> None
 
 
 @pytest.mark.needs("wireframe")
+@NEEDS_PRECISION
 def test_values_and_depth_run_along_edges(device: Device) -> None:
     points = [(4.0, 4.25), (8.25, 20.0), (28.0, 8.25)]
     color, depths = np.array([(1, 0, 0, 1), (0, 1, 0, 1), (0, 0, 1, 1)]), [0.2, 0.5, 0.8]
@@ -314,6 +321,7 @@ def test_values_and_depth_run_along_edges(device: Device) -> None:
 
 @pytest.mark.needs("wireframe")
 @pytest.mark.parametrize("function", [DepthFunction.GREATER, DepthFunction.LESS], ids=lambda function: function.name)
+@NEEDS_PRECISION
 def test_each_texel_of_an_edge_is_tested_for_depth(device: Device, function: DepthFunction) -> None:
     points = [(4.0, 4.25), (4.25, 20.0), (28.0, 8.25)]
     depths = (np.array(points)[:, 0] - 4.0) / 24  # 0.5 at x = 16
@@ -334,6 +342,7 @@ def test_each_texel_of_an_edge_is_tested_for_depth(device: Device, function: Dep
 
 
 @pytest.mark.needs("wireframe")
+@NEEDS_PRECISION
 def test_edges_are_offset_as_their_triangle_is(device: Device) -> None:
     """By a bias in steps, and by the slope of the triangle rather than of the edge. Lines are not."""
     points = [(4.0, 4.25), (4.25, 20.0), (28.0, 8.25)]
@@ -358,6 +367,7 @@ def test_edges_are_offset_as_their_triangle_is(device: Device) -> None:
 
 
 @pytest.mark.needs("wireframe", "stencil")
+@NEEDS_PRECISION
 def test_edges_of_a_front_face_have_its_stencil_test(device: Device) -> None:
     require_format(device, Format.D24S8)
     rows = corners(window_to_clip(TRIANGLE, SIZE))
@@ -379,6 +389,7 @@ def test_edges_of_a_front_face_have_its_stencil_test(device: Device) -> None:
 
 
 @pytest.mark.needs("wireframe")
+@NEEDS_PRECISION
 def test_a_triangle_without_an_area_is_a_back_face(device: Device) -> None:
     points = [GENTLE[0], GENTLE[1], GENTLE[0]]
     assert_covers(wired(device, points, CullMode.FRONT), line(GENTLE))
@@ -394,6 +405,7 @@ def test_lines_and_points_are_the_same_in_wireframe(device: Device) -> None:
 
 
 @pytest.mark.needs("wireframe")
+@NEEDS_PRECISION
 def test_filled_triangles_and_edges_are_drawn_in_order(device: Device) -> None:
     rows = corners(window_to_clip(TRIANGLE, SIZE))
     inside = rasterise(np.multiply(TRIANGLE, SUBTEXELS), *SIZE)
@@ -414,6 +426,7 @@ def test_filled_triangles_and_edges_are_drawn_in_order(device: Device) -> None:
 
 
 @pytest.mark.needs("wireframe")
+@NEEDS_PRECISION
 def test_edges_of_a_triangle_that_reaches_beyond_the_view_are_drawn_where_they_are_seen(device: Device) -> None:
     points = [(-40.3125, 4.4375), (5.6875, 70.1875), (27.5625, 8.3125)]
     assert_covers(wired(device, points), outline(points))

@@ -55,6 +55,7 @@ def test_points_outside_the_target_draw_nothing(device: Device) -> None:
     assert_mask(drawn(device, Primitive.POINTS, centers(texels, SIZE)), np.zeros((16, 16), bool))
 
 
+@pytest.mark.needs("precise_lines")
 @pytest.mark.parametrize(
     ("start", "end"),
     [((2, 5), (12, 5)), ((12, 5), (2, 5)), ((4, 1), (4, 14)), ((2, 2), (12, 12)), ((12, 2), (2, 12))],
@@ -81,6 +82,7 @@ def test_lines_are_separate(device: Device) -> None:
     assert image[9, 2:6].all()
 
 
+@pytest.mark.needs("precise_lines")
 def test_a_line_strip_joins_its_vertices(device: Device) -> None:
     path = [(1, 1), (10, 1), (10, 10), (1, 10)]
     image = drawn(device, Primitive.LINE_STRIP, centers(path, SIZE))[..., 0] > 0

@@ -30,6 +30,7 @@ from rhi.contract.descriptors import (
 )
 from rhi.contract.formats import IndexFormat
 from rhi.contract.layout import VectorType
+from rhi.contract.limits import vertex_faults
 from rhi.device.core.core import Core, Owner
 from rhi.device.core.interrupts import HeldInterrupts
 from rhi.device.resources.buffers import Buffer, StorageBuffer
@@ -201,6 +202,7 @@ def describe_streams(
     if remaining:
         have = ", ".join(field for source in sources for field in source.dtype.names or ()) or "no fields"
         core.refuse(rule, call, f"a mesh with {have}", f"fields {', '.join(f'{a.name}: {a.type}' for a in attributes)}")
+    core.require(call, vertex_faults(streams, core.capabilities))
     return tuple(streams)
 
 

@@ -100,7 +100,9 @@ class Texture(TextureBinding, Resource):
         self.requested = descriptor
         if compressed is not None:
             self.requested = replace(descriptor, compressed=compressed)
-            if compressed in core.capabilities.compressed_formats:
+            step = core.capabilities.compressed_size_step
+            whole = not any(size % step for size in descriptor.size)
+            if compressed in core.capabilities.compressed_formats and whole:
                 descriptor = self.requested
         core.require("device.texture", texture_faults(descriptor, core.capabilities))
         core.require("device.texture", compressed_faults(self.requested))
@@ -454,7 +456,7 @@ class Texture(TextureBinding, Resource):
         Arguments(call, self.core.refuse).instance("target", target, Texture, "a Texture")
         self._check(call, core=core)
         target._check(call, core=core)
-        self.core.require(call, resolve_faults(self.requested, target.requested))
+        self.core.require(call, resolve_faults(self.requested, target.requested, self.core.capabilities))
         core.check_ready()
         core.backend.resolve_texture(self.id, target.id)
 

@@ -28,7 +28,7 @@ from rhi.shading.text.writer import constant_key
 from rhi.shading.wgsl.builtins import EXTENSIONS, INPUTS
 from rhi.shading.wgsl.memory import UNIFORM
 from rhi.shading.wgsl.names import RESERVED, texel_format
-from rhi.shading.wgsl.writer import SHAPES, Writer, sampler_type
+from rhi.shading.wgsl.writer import SHAPES, WgslWriter, sampler_type
 
 ALPHA_TESTS: Final = {
     AlphaFunction.NEVER: ("false", 0),
@@ -66,7 +66,7 @@ def write_wgsl_stage(stage: tree.StageTree, options: StageOptions) -> StageText:
     Raises:
         ShaderError: `shading-native`: the stage needs something that WGSL lacks.
     """
-    return _StageWriter(stage, options).write()
+    return _WgslStageWriter(stage, options).write()
 
 
 def read_declarations(text: str) -> dict[tuple[int, int], str]:
@@ -79,14 +79,14 @@ def read_declarations(text: str) -> dict[tuple[int, int], str]:
     return found
 
 
-class _StageWriter:
+class _WgslStageWriter:
     def __init__(self, stage: tree.StageTree, options: StageOptions) -> None:
         self.stage = stage
         self.options = options
         self.names = Names(reserved=RESERVED)
         for declaration in stage.bindings:
             self.names.get(("binding", declaration.name), declaration.name)
-        self.writer = Writer(self.names, stage)
+        self.writer = WgslWriter(self.names, stage)
         self.lines = Lines()
         self.inputs = sorted(row.name for row in stage.builtins if row.name in INPUTS)
 

@@ -51,7 +51,7 @@ _STATEMENTS: Final = (SideEffect.BARRIER, SideEffect.DISCARD)
 _CHOICES: Final = (Operator.AND, Operator.OR)
 
 
-class Writer(TextWriter):
+class WgslWriter(TextWriter):
     """Writer of the functions of one stage."""
 
     language = "wgsl"

@@ -1,0 +1,84 @@
+"""WebGPU's words for the contract's values."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from rhi.contract.blocks import CompressedFormat
+from rhi.contract.descriptors import Primitive, TextureKind, VertexFormat, Wrap
+from rhi.contract.formats import Format
+from rhi.contract.states import BlendFactor, BlendOperation, StencilOperation
+from rhi.shading.wgsl.names import texel_format
+
+FORMATS: Final = {format: texel_format(format) for format in Format}
+COMPRESSED: Final = {
+    CompressedFormat.BC1: "bc1-rgba-unorm", CompressedFormat.BC1_SRGB: "bc1-rgba-unorm-srgb",
+    CompressedFormat.BC2: "bc2-rgba-unorm", CompressedFormat.BC2_SRGB: "bc2-rgba-unorm-srgb",
+    CompressedFormat.BC3: "bc3-rgba-unorm", CompressedFormat.BC3_SRGB: "bc3-rgba-unorm-srgb",
+    CompressedFormat.BC4: "bc4-r-unorm", CompressedFormat.BC4_SNORM: "bc4-r-snorm",
+    CompressedFormat.BC5: "bc5-rg-unorm", CompressedFormat.BC5_SNORM: "bc5-rg-snorm",
+    CompressedFormat.BC6H: "bc6h-rgb-ufloat", CompressedFormat.BC6H_SIGNED: "bc6h-rgb-float",
+    CompressedFormat.BC7: "bc7-rgba-unorm", CompressedFormat.BC7_SRGB: "bc7-rgba-unorm-srgb",
+}  # fmt: skip
+FACTORS: Final = {
+    BlendFactor.ZERO: "zero", BlendFactor.ONE: "one", BlendFactor.SOURCE_COLOR: "src",
+    BlendFactor.ONE_MINUS_SOURCE_COLOR: "one-minus-src", BlendFactor.SOURCE_ALPHA: "src-alpha",
+    BlendFactor.ONE_MINUS_SOURCE_ALPHA: "one-minus-src-alpha", BlendFactor.DESTINATION_COLOR: "dst",
+    BlendFactor.ONE_MINUS_DESTINATION_COLOR: "one-minus-dst", BlendFactor.DESTINATION_ALPHA: "dst-alpha",
+    BlendFactor.ONE_MINUS_DESTINATION_ALPHA: "one-minus-dst-alpha", BlendFactor.CONSTANT: "constant",
+    BlendFactor.ONE_MINUS_CONSTANT: "one-minus-constant", BlendFactor.SOURCE_ALPHA_SATURATE: "src-alpha-saturated",
+}  # fmt: skip
+OPERATIONS: Final = {
+    BlendOperation.ADD: "add",
+    BlendOperation.SUBTRACT: "subtract",
+    BlendOperation.REVERSE_SUBTRACT: "reverse-subtract",
+    BlendOperation.MINIMUM: "min",
+    BlendOperation.MAXIMUM: "max",
+}
+STENCIL: Final = {
+    StencilOperation.KEEP: "keep",
+    StencilOperation.ZERO: "zero",
+    StencilOperation.REPLACE: "replace",
+    StencilOperation.INCREMENT: "increment-clamp",
+    StencilOperation.INCREMENT_WRAP: "increment-wrap",
+    StencilOperation.DECREMENT: "decrement-clamp",
+    StencilOperation.DECREMENT_WRAP: "decrement-wrap",
+    StencilOperation.INVERT: "invert",
+}
+TOPOLOGIES: Final = {
+    Primitive.POINTS: "point-list",
+    Primitive.LINES: "line-list",
+    Primitive.LINE_STRIP: "line-strip",
+    Primitive.TRIANGLES: "triangle-list",
+    Primitive.TRIANGLE_STRIP: "triangle-strip",
+    Primitive.TRIANGLE_FAN: "triangle-list",
+    Primitive.QUADS: "triangle-list",
+}
+"""Topologies; fans and quads are drawn as triangles with other indices."""
+VERTICES: Final = {
+    VertexFormat.FLOAT: "float32", VertexFormat.FLOAT2: "float32x2", VertexFormat.FLOAT3: "float32x3",
+    VertexFormat.FLOAT4: "float32x4", VertexFormat.HALF2: "float16x2", VertexFormat.HALF4: "float16x4",
+    VertexFormat.UINT: "uint32", VertexFormat.UINT2: "uint32x2", VertexFormat.UINT3: "uint32x3",
+    VertexFormat.UINT4: "uint32x4", VertexFormat.INT: "sint32", VertexFormat.INT2: "sint32x2",
+    VertexFormat.INT3: "sint32x3", VertexFormat.INT4: "sint32x4", VertexFormat.UNORM8X4: "unorm8x4",
+    VertexFormat.SNORM8X4: "snorm8x4", VertexFormat.UNORM16X2: "unorm16x2", VertexFormat.SNORM16X2: "snorm16x2",
+    VertexFormat.UINT8X4: "uint8x4", VertexFormat.UINT16X2: "uint16x2",
+}  # fmt: skip
+DIMENSIONS: Final = {
+    TextureKind.D2: "2d",
+    TextureKind.D2_ARRAY: "2d-array",
+    TextureKind.D3: "3d",
+    TextureKind.CUBE: "cube",
+}
+WRAPS: Final = {
+    Wrap.REPEAT: "repeat",
+    Wrap.MIRROR: "mirror-repeat",
+    Wrap.CLAMP: "clamp-to-edge",
+    Wrap.BORDER: "clamp-to-edge",
+}
+"""Address modes; `Wrap.BORDER` is refused by the device."""
+
+
+def word(name: str) -> str:
+    """Return WebGPU's word for a comparison or a filter, whose names are the same."""
+    return name.lower().replace("_", "-")

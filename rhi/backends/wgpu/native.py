@@ -1,0 +1,170 @@
+"""wgpu-native's own functions: what wgpu-py lacks (fences, submissions) or makes slow (draws).
+
+- This is the only module that knows the C interface. wgpu-py promises nothing about it, so its version is pinned.
+- `lib` has the functions as they are: their errors are those of the encoder, which is checked when it is finished.
+  `checked` has the same functions, and raises their errors at once.
+- A handle that was released would end the process. So handles are taken from objects that the tables of the backend
+  keep, and whoever keeps a handle keeps its object.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any, Final, TypeAlias
+
+import wgpu
+import wgpu.backends.wgpu_native
+from wgpu.backends.wgpu_native._api import libf
+from wgpu.backends.wgpu_native._ffi import ffi, lib
+
+from rhi.errors import DeviceError
+from rhi.errors.rules import DEVICE_DRIVER
+
+__all__ = [
+    "NEVER_SLICED", "NULL", "VERSION", "Fence", "GpuObject", "Handle", "Mappings", "check_version", "checked", "ffi",
+    "keep_callbacks", "lib", "release", "timestamp_period", "write_queue",
+]  # fmt: skip
+
+VERSION: Final = "0.32"
+"""The version of wgpu-py whose C interface this module is written for."""
+
+GpuObject: TypeAlias = Any
+"""An object of wgpu-py."""
+Handle: TypeAlias = Any
+"""A pointer to an object of wgpu-native."""
+
+NULL: Final[Handle] = ffi.NULL
+checked: Final = libf
+NEVER_SLICED: Final = 0xFFFFFFFF
+"""The depth slice of attachments that aren't of 3D textures."""
+
+
+def check_version() -> None:
+    """Refuse another wgpu-py than the one whose C interface this module knows.
+
+    Raises:
+        DeviceError: `device-driver`.
+    """
+    if not wgpu.__version__.startswith(f"{VERSION}."):
+        given, tip = f"wgpu {wgpu.__version__}", f'pip install "wgpu=={VERSION}.*"'
+        raise DeviceError(DEVICE_DRIVER, "rhi.create_device('wgpu')", given, f"wgpu {VERSION}", tip)
+
+
+_callbacks: Final[list[Any]] = []
+"""Callbacks of all devices: what a lost device has not done may call them as late as the process ends."""
+
+
+def keep_callbacks(device: GpuObject) -> None:
+    """Let the callbacks of wgpu-py outlive their device, which calls them when it is lost or released."""
+    _callbacks.extend((device._uncaptured_error_callback, device._device_lost_callback))
+
+
+def release(device: GpuObject) -> None:
+    """Destroy a device, and give its handle back while its callbacks exist."""
+    device.destroy()
+    device._release()
+
+
+class Fence:
+    """Values that submissions reach, in order."""
+
+    def __init__(self, device: GpuObject) -> None:
+        self._device = device._internal
+        self._queue = device.queue._internal
+        self.reached = 0
+        self._pending: deque[tuple[int, int]] = deque()  # values, and the submissions that reach them
+        self._info = ffi.new("WGPUQueueWorkDoneCallbackInfo *")
+        self._info.mode = lib.WGPUCallbackMode_AllowProcessEvents
+        callback = self._info.callback = _make_done_callback(self)
+        _callbacks.append(callback)
+
+    def submit(self, commands: GpuObject) -> int:
+        """Submit a command buffer and return the number of the submission."""
+        number: int = checked.wgpuQueueSubmitForIndex(
+            self._queue, 1, ffi.new("WGPUCommandBuffer *", commands._internal)
+        )
+        return number
+
+    def signal(self, value: int, submission: int) -> None:
+        """Set the value once everything that was submitted is done."""
+        self._info.userdata1 = ffi.cast("void *", value)
+        checked.wgpuQueueOnSubmittedWorkDone(self._queue, self._info[0])
+        self._pending.append((value, submission))
+
+    def poll(self) -> int:
+        """Return the value reached, without waiting."""
+        if self._pending:
+            self.process()
+            while self._pending and self._pending[0][0] <= self.reached:
+                self._pending.popleft()
+        return self.reached
+
+    def process(self) -> None:
+        """Let the callbacks of all that is done be called."""
+        lib.wgpuDevicePoll(self._device, False, NULL)
+
+    def finish(self, submission: int) -> None:
+        """Wait until a submission is done."""
+        lib.wgpuDevicePoll(self._device, True, ffi.new("WGPUSubmissionIndex *", submission))
+
+    def finish_all(self) -> None:
+        """Wait until everything that was submitted is done."""
+        lib.wgpuDevicePoll(self._device, True, NULL)
+
+
+def _make_done_callback(fence: Fence) -> Any:
+    @ffi.callback("void(WGPUQueueWorkDoneStatus, WGPUStringView, void *, void *)")  # type: ignore[untyped-decorator]
+    def done(status: int, message: Any, user: Any, other: Any) -> None:
+        fence.reached = max(fence.reached, int(ffi.cast("uintptr_t", user)))
+
+    return done
+
+
+class Mappings:
+    """Reads of buffers that the CPU may map, without the threads that wgpu-py would start for them."""
+
+    def __init__(self) -> None:
+        self._status: dict[int, int] = {}
+        self._latest = 0
+        status = self._status
+
+        @ffi.callback("void(WGPUMapAsyncStatus, WGPUStringView, void *, void *)")  # type: ignore[untyped-decorator]
+        def mapped(result: int, message: Any, user: Any, other: Any) -> None:
+            status[int(ffi.cast("uintptr_t", user))] = int(result)
+
+        self._callback = mapped
+        _callbacks.append(mapped)
+
+    def begin(self, buffer: GpuObject, size: int) -> int:
+        """Begin to map the first bytes of a buffer once all that was submitted is done; return a ticket."""
+        self._latest += 1
+        info = ffi.new("WGPUBufferMapCallbackInfo *")
+        info.mode = lib.WGPUCallbackMode_AllowProcessEvents
+        info.callback = self._callback
+        info.userdata1 = ffi.cast("void *", self._latest)
+        checked.wgpuBufferMapAsync(buffer._internal, lib.WGPUMapMode_Read, 0, size, info[0])
+        return self._latest
+
+    def is_done(self, ticket: int) -> bool:
+        """Return whether the buffer is mapped."""
+        return ticket in self._status
+
+    def end(self, ticket: int, buffer: GpuObject, offset: int, size: int) -> bytes:
+        """Return a range of a mapped buffer, and unmap it. Offset and size are multiples of 8 and 4."""
+        if self._status.pop(ticket) != lib.WGPUMapAsyncStatus_Success:
+            raise wgpu.GPUError("a buffer could not be mapped")
+        address = lib.wgpuBufferGetConstMappedRange(buffer._internal, offset, size)
+        data = bytes(ffi.buffer(address, size))
+        lib.wgpuBufferUnmap(buffer._internal)
+        return data
+
+
+def write_queue(device: GpuObject, buffer: Handle, offset: int, data: Any, start: int, size: int) -> None:
+    """Write a part of `data`, a buffer of Python, before the next submission. Offset and size are multiples of 4."""
+    with ffi.from_buffer("uint8_t[]", data) as source:  # released at once: an error would keep it in a ring
+        checked.wgpuQueueWriteBuffer(device.queue._internal, buffer, offset, source + start, size)
+
+
+def timestamp_period(device: GpuObject) -> float:
+    """Return the nanoseconds of a timestamp's unit."""
+    return float(lib.wgpuQueueGetTimestampPeriod(device.queue._internal))

@@ -1,0 +1,157 @@
+"""Programs: modules of their stages, and layouts of what they bind.
+
+- Each kind of binding has a group: uniforms 0, storage 1, textures and samplers 2, images 3.
+- Uniforms have dynamic offsets, so a group depends on buffers and sizes only: draws that walk through a ring share it.
+- A layout says whether a texture of floats is filtered. Depth that is read as floats isn't, nor are other formats on
+  some devices, so a program has a layout for each set of slots with such textures.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import wgpu
+
+from rhi.backends.wgpu.errors import make_error, make_shader_error, translate_errors
+from rhi.backends.wgpu.formats import DIMENSIONS, FORMATS
+from rhi.backends.wgpu.native import GpuObject
+from rhi.contract.descriptors import BindingKind, Id, ProgramDescriptor, Stage, TextureKind
+from rhi.contract.layout import FLOAT, INT
+from rhi.shading.glsl.vulkan import SETS
+from rhi.shading.language.types import ImageType, TextureType
+from rhi.shading.wgsl.stages import read_declarations
+
+_VISIBILITY: Final = {
+    Stage.VERTEX: wgpu.ShaderStage.VERTEX,
+    Stage.FRAGMENT: wgpu.ShaderStage.FRAGMENT,
+    Stage.COMPUTE: wgpu.ShaderStage.COMPUTE,
+}
+_ACCESS: Final = {"read": "read-only", "write": "write-only", "read_write": "read-write"}
+
+
+class PipelineLayout:
+    """The layout of a program for one set of slots whose textures aren't filtered."""
+
+    __slots__ = ("groups", "object", "unfiltered")
+
+    def __init__(self, device: GpuObject, groups: list[GpuObject], unfiltered: tuple[int, ...]) -> None:
+        self.groups = groups
+        self.unfiltered = unfiltered
+        self.object = device.create_pipeline_layout(bind_group_layouts=groups)
+
+
+class GpuProgram:
+    """A program.
+
+    Attributes:
+        uniforms, storages, textures, images: the slots of each kind.
+        groups: how many groups the program has; those after the last one that isn't empty don't count.
+        float_textures: the slots of textures of floats that aren't compared.
+        written: the storage slots that it may write.
+        pipelines: its pipelines, by all that they depend on.
+        uses_draw_index: whether its vertex stage reads the index of the draw.
+        tests_alpha: whether its fragment stage has an alpha to test.
+    """
+
+    def __init__(self, device: GpuObject, program: Id, descriptor: ProgramDescriptor) -> None:
+        self.id = program
+        self.descriptor = descriptor
+        self.modules: dict[Stage, GpuObject] = {}
+        self.pipelines: dict[object, GpuObject] = {}
+        self._device = device
+        self._visibility: dict[tuple[int, int], int] = {}
+        self._access: dict[tuple[int, int], str] = {}
+        self._layouts: dict[tuple[int, ...], PipelineLayout] = {}
+        self.uses_draw_index = self.tests_alpha = False
+        for stage in sorted(descriptor.stages, key=lambda stage: stage.value):
+            self._compile(stage)
+        self._types = {(b.kind, b.slot): b.type for b in descriptor.bindings}
+        slots = {kind: tuple(sorted(b.slot for b in descriptor.bindings if b.kind is kind)) for kind in BindingKind}
+        self.uniforms, self.storages = slots[BindingKind.UNIFORM], slots[BindingKind.STORAGE]
+        self.textures, self.images = slots[BindingKind.TEXTURE], slots[BindingKind.IMAGE]
+        self.groups = 4 if self.images else 3 if self.textures else 2 if self.storages else 1 if self.uniforms else 0
+        self.written = tuple(s for s in self.storages if self._access.get((1, s)) == "read_write")
+        self.written_images = tuple(s for s in self.images if self._access.get((3, s)) != "read")
+        types = {slot: self.texture_type(slot) for slot in self.textures}
+        self.float_textures = tuple(s for s, type in types.items() if type.scalar is FLOAT and not type.compare)
+
+    def _compile(self, stage: Stage) -> None:
+        descriptor = self.descriptor
+        source = descriptor.emit("wgsl", stage)
+        try:
+            self.modules[stage] = self._device.create_shader_module(label=descriptor.name, code=source.text)
+        except wgpu.GPUValidationError as error:
+            raise make_shader_error(descriptor, stage, source, error) from None
+        except wgpu.GPUError as error:
+            raise make_error(f"device.program({descriptor.name})", error) from error
+        for place, access in read_declarations(source.text).items():
+            self._visibility[place] = self._visibility.get(place, 0) | _VISIBILITY[stage]
+            known = self._access.get(place, access)
+            self._access[place] = access if known == access else "read_write"
+        if stage is Stage.VERTEX:
+            self.uses_draw_index = "rhi_draw_index" in source.text
+        elif stage is Stage.FRAGMENT:
+            self.tests_alpha = "override rhi_alpha_test" in source.text
+
+    def texture_type(self, slot: int) -> TextureType:
+        """Return the type of a texture's slot; descriptors that are made by hand may have none."""
+        type = self._types.get((BindingKind.TEXTURE, slot))
+        return type if isinstance(type, TextureType) else TextureType(TextureKind.D2)
+
+    def image_type(self, slot: int) -> ImageType:
+        """Return the type of an image's slot."""
+        type = self._types[BindingKind.IMAGE, slot]
+        assert isinstance(type, ImageType)
+        return type
+
+    def layout(self, unfiltered: tuple[int, ...]) -> PipelineLayout:
+        """Return the layout for textures of which those in the slots `unfiltered` can't be filtered."""
+        found = self._layouts.get(unfiltered)
+        if found is None:
+            rows = (self._uniforms(), self._storages(), self._textures(unfiltered), self._images())
+            with translate_errors(f"device.program({self.descriptor.name})"):
+                groups = [self._device.create_bind_group_layout(entries=entries) for entries in rows]
+                found = self._layouts[unfiltered] = PipelineLayout(self._device, groups, unfiltered)
+        return found
+
+    def _entry(self, kind: BindingKind, slot: int, **what: object) -> dict[str, Any]:
+        fallback = wgpu.ShaderStage.COMPUTE if Stage.COMPUTE in self.modules else wgpu.ShaderStage.FRAGMENT
+        return {"binding": slot, "visibility": self._visibility.get((SETS[kind], slot), fallback), **what}
+
+    def _uniforms(self) -> list[dict[str, Any]]:
+        buffer = {"type": "uniform", "has_dynamic_offset": True}
+        return [self._entry(BindingKind.UNIFORM, slot, buffer=buffer) for slot in self.uniforms]
+
+    def _storages(self) -> list[dict[str, Any]]:
+        return [
+            self._entry(
+                BindingKind.STORAGE, slot, buffer={"type": "storage" if slot in self.written else "read-only-storage"}
+            )
+            for slot in self.storages
+        ]
+
+    def _textures(self, unfiltered: tuple[int, ...]) -> list[dict[str, Any]]:
+        entries = []
+        for slot in self.textures:
+            type = self.texture_type(slot)
+            if type.compare:
+                sample, sampler = "depth", "comparison"
+            elif type.scalar is not FLOAT:
+                sample, sampler = "sint" if type.scalar is INT else "uint", "non-filtering"
+            elif slot in unfiltered:
+                sample, sampler = "unfilterable-float", "non-filtering"
+            else:
+                sample, sampler = "float", "filtering"
+            texture = {"sample_type": sample, "view_dimension": DIMENSIONS[type.kind]}
+            entries.append(self._entry(BindingKind.TEXTURE, 2 * slot, texture=texture))
+            entries.append(self._entry(BindingKind.TEXTURE, 2 * slot + 1, sampler={"type": sampler}))
+        return entries
+
+    def _images(self) -> list[dict[str, Any]]:
+        entries = []
+        for slot in self.images:
+            type = self.image_type(slot)
+            access = _ACCESS[self._access.get((3, slot)) or "read_write"]
+            image = {"access": access, "format": FORMATS[type.format], "view_dimension": DIMENSIONS[type.kind]}
+            entries.append(self._entry(BindingKind.IMAGE, slot, storage_texture=image))
+        return entries
