@@ -92,11 +92,8 @@ class CommandBuffer(Encoder):
         self._destroyed_uses: dict[Id, str] = {}
         self._draws = self._dispatches = self._queries = self._later_changes = 0
         self._owned: list[Id] = []
+        device.timeline.hold(self, self._owned)
         device.timeline.watch(self)
-
-    def __del__(self) -> None:
-        for resource in getattr(self, "_owned", ()):
-            self._recorder.timeline.drop(resource)
 
     @property
     def stream(self) -> CommandStream:

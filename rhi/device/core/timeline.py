@@ -17,7 +17,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from typing import Final, Protocol
-from weakref import WeakSet
+from weakref import WeakSet, ref
 
 from rhi.contract.backend import FOREVER, Backend
 from rhi.contract.descriptors import Id
@@ -40,6 +40,13 @@ class Watcher(Protocol):
         """Handle the retirement of a resource, which can't be used any more."""
 
 
+class _Holder(ref[object]):
+    """A weak reference to an object that holds resources, with their ids."""
+
+    __slots__ = ("ids",)
+    ids: list[Id]
+
+
 class Timeline:
     """The fence of one device.
 
@@ -50,8 +57,8 @@ class Timeline:
         sites: by id, the lines that created them, if these are noted.
     """
 
-    __slots__ = ("_backend", "_completed", "_dropped", "_lock", "_lot", "_retired", "_waiting", "_waiting_bytes",
-                 "_watchers", "living", "refusals", "signalled", "sites")  # fmt: skip
+    __slots__ = ("_backend", "_completed", "_dropped", "_holders", "_lock", "_lot", "_retired", "_waiting",
+                 "_waiting_bytes", "_watchers", "living", "refusals", "signalled", "sites")  # fmt: skip
 
     def __init__(self, backend: Backend, refusals: RefusalLog = NO_LOG) -> None:
         self._backend = backend
@@ -60,7 +67,8 @@ class Timeline:
         self._completed = 0
         self.living: dict[Id, int] = {}
         self.sites: dict[Id, CallSite] = {}
-        self._dropped: deque[Id] = deque()
+        self._dropped: deque[Id | _Holder] = deque()
+        self._holders: dict[int, _Holder] = {}
         self._retired: deque[tuple[int, Id]] = deque()
         self._waiting = self._waiting_bytes = 0  # retired since the last signal
         self._lot = 0  # the value that `make_room` signalled last
@@ -121,13 +129,23 @@ class Timeline:
         """Queue a resource that nobody holds any more for `retire`. May be called by finalizers."""
         self._dropped.append(resource)
 
+    def hold(self, holder: object, ids: list[Id]) -> None:
+        """Drop what `ids` names when the last reference to `holder` goes. No function of Python runs then, which an
+        interrupt could cut off."""
+        held = _Holder(holder, self._dropped.append)
+        held.ids = ids
+        self._holders[id(held)] = held
+
     def _retire_dropped(self) -> None:
         """Retire what was dropped since the last call, unless it was destroyed before."""
         with HeldInterrupts():
             while self._dropped:
-                resource = self._dropped.popleft()
-                if resource in self.living:
-                    self.retire(resource)
+                dropped = self._dropped.popleft()
+                if isinstance(dropped, _Holder):
+                    del self._holders[id(dropped)]
+                    self._dropped.extend(dropped.ids)
+                elif dropped in self.living:
+                    self.retire(dropped)
 
     def watch(self, watcher: Watcher, resource: Id = _ALL) -> None:
         """Notify `watcher` when `resource` is retired, or each resource, for as long as it lives. May be called from
