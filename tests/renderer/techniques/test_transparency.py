@@ -207,7 +207,10 @@ def test_inferred_light_reaches_three_transparent_surfaces_behind_each_other(
     wrong = draw(gl, scene, Inferred(scale=scale))
     variants.combine.cache_clear()
     assert find_difference(image, expected) <= 8
-    assert find_difference(wrong, expected) > 15
+    if scale < 1.0:
+        assert find_difference(wrong, expected) > 15
+    else:  # at full size nothing is stippled
+        assert find_difference(wrong, image) == 0
 
 
 @pytest.mark.nightly
