@@ -83,10 +83,6 @@ UNSEEN: Final[tuple[Unseen, ...]] = (
         f"{SAME}: versions are compared for being equal alone",
     ),
     Unseen(
-        "rhi/shading/opencl/prelude.py", 'body = body.replace("SELECT(", "rhi_select(" if lanes == 1 else "select(")',
-        "==", "!=", f"{COST}: both choose, with one instruction or with a branch",
-    ),
-    Unseen(
         "rhi/contract/layout.py", "return place(ArrayType(type, 1), layout).stride", "1", "2",
         f"{SAME}: the stride of an array doesn't depend on its length",
     ),
