@@ -16,27 +16,23 @@ BY_DAY = (
 """Groups of operations that take a third of the time of all, and find what most changes break."""
 
 
-def run(*tests: str) -> tuple[int, int]:
-    """Return how many tests of the kit pass and fail on wgpu."""
+def run(*tests: str) -> int:
+    """Run tests of the kit on wgpu, of which none may fail; return how many pass."""
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--tb=short", "--pyargs", *tests]
     done = subprocess.run(
         [*command, "--rhi-backend", "wgpu"], capture_output=True, text=True, check=False,
         env={**os.environ, "RHI_KERNELS": "quick"},
     )  # fmt: skip
-    found = re.search(r"total +(\d+) passed +(\d+) failed", done.stdout)
-    assert found is not None, done.stdout + done.stderr
-    assert found[2] == "0", done.stdout
-    return int(found[1]), int(found[2])
+    totals = re.findall(r"total +(\d+) passed +(\d+) failed", done.stdout)  # of tests of any backend, and of wgpu's
+    assert totals, done.stdout + done.stderr
+    assert all(failed == "0" for _, failed in totals), done.stdout
+    return sum(int(passed) for passed, _ in totals)
 
 
 def test_the_groups_of_the_day_pass(usable: None) -> None:
-    passed, failed = run(*(f"rhi.conformance.operation.test_{group}" for group in BY_DAY))
-    assert passed > 800
-    assert not failed
+    assert run(*(f"rhi.conformance.operation.test_{group}" for group in BY_DAY)) > 800
 
 
 @pytest.mark.nightly
 def test_the_kit_passes(usable: None) -> None:
-    passed, failed = run("rhi.conformance")
-    assert passed > 2200
-    assert not failed
+    assert run("rhi.conformance") > 2200
