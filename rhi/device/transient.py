@@ -26,6 +26,7 @@ from rhi.device.resources.meshes import (
     as_structured,
     attribute_shape,
     describe_streams,
+    find_instance_fields,
     match_indices,
 )
 from rhi.device.resources.programs import Program, check_program
@@ -245,14 +246,9 @@ class TransientMemory:
             index_format = IndexFormat.UINT16 if size == 2 else IndexFormat.UINT32
         vertex_array = self._find_vertex_array(program, tuple(sources), index_buffer, index_format)
         count = vertex_count if indices is None else len(indices)
-        fields: frozenset[str] = frozenset()
-        if instances is not None:
-            fields = frozenset(instances.dtype.names or ()) - frozenset(
-                () if vertices is None else vertices.dtype.names or ()
-            )
         whole = TransientWhole(
-            core, first, base, count, indices is not None, self._mesh_owner, vertex_count, fields,
-            0 if instances is None else len(instances),
+            core, first, base, count, indices is not None, self._mesh_owner, vertex_count,
+            find_instance_fields(vertices, instances), 0 if instances is None else len(instances),
         )  # fmt: skip
         return TransientMesh(whole, {program: vertex_array}, primitive, first, count, base, 0)
 

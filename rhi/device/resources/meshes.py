@@ -81,9 +81,7 @@ class MeshData:
         self.views: WeakSet[Mesh] = WeakSet()
         sources = (self.vertices, self.instances, self.index_buffer)
         self.buffers = tuple(buffer for buffer in sources if buffer is not None)
-        names = () if self.instances is None else self.instances.dtype.names or ()
-        own = () if self.vertices is None else self.vertices.dtype.names or ()
-        self.instance_fields = frozenset(names) - frozenset(own)  # a vertex's field comes first
+        self.instance_fields = find_instance_fields(self.vertices, self.instances)
         for buffer in self.buffers:
             core.timeline.watch(self, buffer.id)
 
@@ -531,6 +529,16 @@ def check_draws(
             ends = array["base_instance"].astype(np.int64) + array["instances"]
             check_instance_end(core, mesh, int(np.max(ends, where=array["instances"] > 0, initial=0)), call)
     return np.ascontiguousarray(mesh.place_draws(array))
+
+
+def find_instance_fields(
+    vertices: Buffer | NDArray[Any] | None, instances: Buffer | NDArray[Any] | None
+) -> frozenset[str]:
+    """Return the names of the fields that a mesh reads once per instance: a vertex's field of the same name comes
+    first."""
+    names = () if instances is None else instances.dtype.names or ()
+    own = () if vertices is None else vertices.dtype.names or ()
+    return frozenset(names).difference(own)
 
 
 def reads_instances(mesh: Drawable, attributes: tuple[Attribute, ...]) -> bool:
