@@ -16,7 +16,6 @@ from rhi.contract.descriptors import Binding, BindingKind, ProgramDescriptor, St
 from rhi.contract.layout import Layout, place, stride_of
 from rhi.errors import ShaderError, find_call_site
 from rhi.shading.emitters import WIDTHS, ShaderCode, make_depth_error
-from rhi.shading.glsl.stages import StageOptions
 from rhi.shading.ir import tree
 from rhi.shading.ir.interface import Interface
 from rhi.shading.language import rules
@@ -127,26 +126,21 @@ def compiled_code(shader: type[Shader]) -> ShaderCode:
 
 def _compile(shader: type[Shader]) -> tuple[ProgramDescriptor, ShaderCode]:
     entries = _entries(shader)
-    interface = _interface(entries)
+    shared = Interface(shader.__qualname__.replace("<locals>.", ""), find_work_group(shader), shader.early_depth)
+    interface = _complete(shared, entries)
     stages = {stage: parse_stage(shader, stage, entry) for stage, entry in entries.items()}
     stored = frozenset().union(*(stage.stored for stage in stages.values()))
     used = frozenset(declaration.name for stage in stages.values() for declaration in stage.bindings)
     check_bindings_are_used(shader, used)
     loaded = frozenset().union(*(stage.loaded for stage in stages.values()))
     bindings = tuple(_bindings(shader, stored, loaded, used))
+    interface = replace(interface, bindings={binding.name: binding for binding in bindings})
     if shader.lean and Stage.VERTEX in stages:
         interface = replace(interface, attributes=attributes_read(stages[Stage.VERTEX], interface.attributes))
     fragment = stages.get(Stage.FRAGMENT)
     if shader.early_depth and interface.depth:
         source = entries[Stage.FRAGMENT].source
         source.refuse(rules.INTERFACE, source.node, "a FragmentDepth with early_depth = True", "one of the two")
-    options = StageOptions(
-        shader.__qualname__.replace("<locals>.", ""),
-        interface,
-        {binding.name: binding for binding in bindings},
-        find_work_group(shader),
-        shader.early_depth,
-    )
     compute, needs_lane_check = stages.get(Stage.COMPUTE), False
     checked = shader.checked and not any(stage.entry.native for stage in stages.values())
     if compute is not None:
@@ -155,17 +149,17 @@ def _compile(shader: type[Shader]) -> tuple[ProgramDescriptor, ShaderCode]:
         needs_lane_check = has_lane_code(compute)
         checked = checked and needs_lane_check
     varyings = varyings_read(fragment, interface.varyings, interface.point_size)
-    code = ShaderCode(stages, options, bindings, varyings, shader.precision, checked)
+    code = ShaderCode(stages, interface, varyings, shader.precision, checked)
     if needs_lane_check:
         # Finds barriers that part of a work-group may not reach, and races.
         code.lower_compute(max(WIDTHS))
     descriptor = ProgramDescriptor(
-        name=options.name,
+        name=interface.name,
         stages=frozenset(stages),
         bindings=bindings,
         attributes=interface.attributes,
         outputs=interface.outputs,
-        work_group=options.work_group if Stage.COMPUTE in stages else (1, 1, 1),
+        work_group=interface.work_group if Stage.COMPUTE in stages else (1, 1, 1),
         emit=code.emit,
         writes_memory=any(binding.writes for binding in bindings),
         discards=fragment is not None and fragment.discards,
@@ -212,7 +206,8 @@ def _entries(shader: type[Shader]) -> dict[Stage, Callee]:
     return entries
 
 
-def _interface(entries: dict[Stage, Callee]) -> Interface:
+def _complete(interface: Interface, entries: dict[Stage, Callee]) -> Interface:
+    """Return an interface with the inputs, outputs and varyings of a shader's stages."""
     compute = entries.get(Stage.COMPUTE)
     if compute is not None:
         described = compute.signature
@@ -224,16 +219,18 @@ def _interface(entries: dict[Stage, Callee]) -> Interface:
                 "compute(self) -> None",
                 "read global_id() and bindings, write StorageRW and images",
             )
-        return Interface()
+        return interface
     vertex, fragment = entries[Stage.VERTEX], entries.get(Stage.FRAGMENT)
     attributes = vertex_inputs(vertex)
     position, varyings = varyings_of(vertex)
-    point_size = point_size_of(vertex)
+    interface = replace(
+        interface, attributes=attributes, varyings=varyings, position=position, point_size=point_size_of(vertex)
+    )
     if fragment is None:
-        return Interface(attributes, varyings, position, point_size=point_size)
+        return interface
     check_fragment_input(fragment, varyings)
     depth, outputs = fragment_outputs(fragment)
-    return Interface(attributes, varyings, position, outputs, depth, point_size)
+    return replace(interface, outputs=outputs, depth=depth)
 
 
 _KINDS = {

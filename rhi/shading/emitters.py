@@ -11,10 +11,11 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from rhi.contract.descriptors import Binding, Stage, StageText, StageVarying
+from rhi.contract.descriptors import Stage, StageText, StageVarying
 from rhi.errors import ShaderError, find_call_site, refuse
-from rhi.shading.glsl.stages import StageOptions, write_stage
+from rhi.shading.glsl.stages import write_stage
 from rhi.shading.ir import tree
+from rhi.shading.ir.interface import Interface
 from rhi.shading.language import rules
 from rhi.shading.language.builtins import Precision
 
@@ -36,7 +37,7 @@ class ShaderCode:
 
     Attributes:
         stages: the typed tree of each stage.
-        options: what the trees don't hold: the interface of the stages, the slots of the bindings, the work-group.
+        interface: what the trees don't hold: inputs, outputs, varyings, the bindings and their slots, the work-group.
         bindings: the bindings, in order.
         varyings: the varyings that the fragment stage reads.
         precision: how exact built-ins must be.
@@ -44,12 +45,12 @@ class ShaderCode:
     """
 
     def __init__(
-        self, stages: Mapping[Stage, tree.StageTree], options: StageOptions, bindings: tuple[Binding, ...],
-        varyings: tuple[StageVarying, ...], precision: Precision, checked: bool,
+        self, stages: Mapping[Stage, tree.StageTree], interface: Interface, varyings: tuple[StageVarying, ...],
+        precision: Precision, checked: bool,
     ) -> None:  # fmt: skip
         self.stages = stages
-        self.options = options
-        self.bindings = bindings
+        self.interface = interface
+        self.bindings = tuple(interface.bindings.values())
         self.varyings = varyings
         self.precision = precision
         self.checked = checked
@@ -67,11 +68,11 @@ class ShaderCode:
             found = _LANGUAGES.get(language)
             if found is None or stage not in found.stages:
                 known = ", ".join(name for name, row in _LANGUAGES.items() if stage in row.stages)
-                raise ShaderError(rules.NATIVE, f"{self.options.name}: emit({language!r}, {stage})", language, known)
+                raise ShaderError(rules.NATIVE, f"{self.interface.name}: emit({language!r}, {stage})", language, known)
             try:
                 text = self._texts[language, stage] = found.write(self, stage)
             except RecursionError:
-                raise make_depth_error(self.options.name) from None
+                raise make_depth_error(self.interface.name) from None
         return text
 
     def written(self) -> Mapping[tuple[str, Stage], StageText]:
@@ -88,8 +89,8 @@ class ShaderCode:
         if code is None:
             from rhi.shading.lowering.functions import lower_compute
 
-            stage, options = self.stages[Stage.COMPUTE], self.options
-            code = lower_compute(stage, options.name, options.work_group, width, self.checked)
+            stage, shared = self.stages[Stage.COMPUTE], self.interface
+            code = lower_compute(stage, shared.name, shared.work_group, width, self.checked)
             self._lane_code[width] = code
         return code
 
@@ -147,28 +148,28 @@ def make_depth_error(name: str) -> ShaderError:
 
 def _write_glsl(code: ShaderCode, stage: Stage) -> StageText:
     """Write a stage as GLSL 4.30 for OpenGL."""
-    return write_stage(code.stages[stage], code.options)
+    return write_stage(code.stages[stage], code.interface)
 
 
 def _write_vulkan(code: ShaderCode, stage: Stage) -> StageText:
     """Write a stage as GLSL 4.50 for Vulkan."""
     from rhi.shading.glsl.vulkan import write_vulkan_stage
 
-    return write_vulkan_stage(code.stages[stage], code.options)
+    return write_vulkan_stage(code.stages[stage], code.interface)
 
 
 def _write_spirv(code: ShaderCode, stage: Stage) -> StageText:
     """Write a stage as GLSL for Vulkan, with its SPIR-V."""
     from rhi.shading.glsl.spirv import compile_spirv
 
-    return compile_spirv(code.emit("vulkan", stage), stage, code.options.name)
+    return compile_spirv(code.emit("vulkan", stage), stage, code.interface.name)
 
 
 def _write_wgsl(code: ShaderCode, stage: Stage) -> StageText:
     """Write a stage as WGSL."""
     from rhi.shading.wgsl.stages import write_wgsl_stage
 
-    return write_wgsl_stage(code.stages[stage], code.options)
+    return write_wgsl_stage(code.stages[stage], code.interface)
 
 
 def _write_opencl(width: int) -> Write:
@@ -184,9 +185,9 @@ def _write_kernel(code: ShaderCode, width: int) -> StageText:
     from rhi.shading.ir.lanes import Code
     from rhi.shading.opencl.writer import write_opencl_kernel
 
-    entry, options = code.stages[Stage.COMPUTE].entry, code.options
+    entry, interface = code.stages[Stage.COMPUTE].entry, code.interface
     if f"opencl{width}" in entry.native:
-        empty = Code(options.name, width, [], (), work_group=options.work_group)
+        empty = Code(interface.name, width, [], (), work_group=interface.work_group)
         return write_opencl_kernel(empty, code.bindings, code.precision, entry)
     return write_opencl_kernel(code.take_compute(width), code.bindings, code.precision)
 
@@ -196,8 +197,7 @@ def _write_function(code: ShaderCode, stage: Stage) -> StageText:
     from rhi.shading.lowering.stages import lower_stage
     from rhi.shading.opencl.stages import write_opencl_stage
 
-    options, interface = code.options, code.options.interface
-    lanes = lower_stage(code.stages[stage], options.name, interface, code.varyings, checked=code.checked)
+    lanes = lower_stage(code.stages[stage], code.interface, code.varyings, checked=code.checked)
     bounds = bound_positions(lanes) if stage is Stage.VERTEX else None
     return write_opencl_stage(code.stages[stage], lanes, bounds, code.bindings, code.precision)
 

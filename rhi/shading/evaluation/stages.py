@@ -243,12 +243,12 @@ def _compiled_stage(shader: type[Shader], stage: Stage, call: str) -> _CompiledS
         compiled = compiled_code(shader)
         if stage not in compiled.stages:
             refuse(rules.STAGES, call, f"no {stage.value} stage", f"{stage.value}(self, …)")
-        stage_tree, interface = compiled.stages[stage], compiled.options.interface
+        stage_tree, interface = compiled.stages[stage], compiled.interface
         if stage is Stage.VERTEX:
             varyings = words_of_varyings(interface.varyings, {varying.name for varying in interface.varyings})
         else:
             varyings = varyings_read(stage_tree, interface.varyings)
-        code = lower_stage(stage_tree, shader.__name__, interface, varyings, 0, shader.checked)
+        code = lower_stage(stage_tree, interface, varyings, 0, shader.checked)
         run = load_module(write_numpy_function(code.code), shader.__name__)["run"]
         known[stage] = _CompiledStage(stage_tree, interface, code, run)
     return known[stage]

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Final
 
-from rhi.contract.descriptors import Binding, FragmentOutput, Stage, StageText
+from rhi.contract.descriptors import FragmentOutput, Stage, StageText
 from rhi.contract.formats import ChannelKind, Format
 from rhi.contract.layout import FLOAT, INT, UINT, StructType
 from rhi.shading.glsl.names import RESERVED
@@ -30,20 +28,9 @@ _PACKED_IMAGES: Final = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class StageOptions:
-    """The properties of a shader that a stage's tree does not hold."""
-
-    name: str
-    interface: Interface
-    slots: Mapping[str, Binding]
-    work_group: tuple[int, int, int]
-    early_depth: bool
-
-
-def write_stage(stage: tree.StageTree, options: StageOptions) -> StageText:
+def write_stage(stage: tree.StageTree, interface: Interface) -> StageText:
     """Return the stage's complete GLSL 4.30 source."""
-    return StageWriter(stage, options).write()
+    return StageWriter(stage, interface).write()
 
 
 class StageWriter:
@@ -52,9 +39,9 @@ class StageWriter:
     version = "#version 430 core"
     writer_type = Writer
 
-    def __init__(self, stage: tree.StageTree, options: StageOptions) -> None:
+    def __init__(self, stage: tree.StageTree, interface: Interface) -> None:
         self.stage = stage
-        self.options = options
+        self.interface = interface
         self.names = Names(reserved=RESERVED)
         for declaration in stage.bindings:
             # Bindings are named first, because native code uses their Python names.
@@ -77,7 +64,7 @@ class StageWriter:
             if function is not stage.entry or not self.whole:
                 writer.function(function)
         add(self.version)
-        add(f"// {self.options.name}, {stage.stage.value} stage")
+        add(f"// {self.interface.name}, {stage.stage.value} stage")
         declarations = self._extensions()
         self._layout_qualifiers()
         for struct in stage.structs:
@@ -125,9 +112,9 @@ class StageWriter:
 
     def _layout_qualifiers(self) -> None:
         if self.stage.stage is Stage.COMPUTE:
-            x, y, z = self.options.work_group
+            x, y, z = self.interface.work_group
             self.lines.add(f"layout(local_size_x = {x}, local_size_y = {y}, local_size_z = {z}) in;")
-        if self.stage.stage is Stage.FRAGMENT and self.options.early_depth:
+        if self.stage.stage is Stage.FRAGMENT and self.interface.early_depth:
             self.lines.add("layout(early_fragment_tests) in;")
 
     def _struct(self, struct: StructType) -> None:
@@ -141,7 +128,7 @@ class StageWriter:
 
     def location(self, declaration: Declaration) -> str:
         """Return where a binding lies, as a layout qualifier."""
-        return f"binding = {self.options.slots[declaration.name].slot}"
+        return f"binding = {self.interface.bindings[declaration.name].slot}"
 
     def binding(self, declaration: Declaration) -> None:
         """Write the declaration of a binding or of shared memory."""
@@ -202,7 +189,7 @@ class StageWriter:
         """Declare the stage's inputs. Return their GLSL names by field."""
         names: dict[str, str] = {}
         if self.stage.stage is Stage.VERTEX:
-            for attribute in self.options.interface.attributes:
+            for attribute in self.interface.attributes:
                 name = names[attribute.name] = self.interface_name("in", "in_", attribute.name)
                 self.lines.add(f"layout(location = {attribute.location}) in {attribute.type} {name};")
         elif self.stage.stage is Stage.FRAGMENT:
@@ -212,7 +199,7 @@ class StageWriter:
                 if isinstance(parameter.type, StructType)
                 for field in parameter.type.fields
             }
-            for varying in self.options.interface.varyings:
+            for varying in self.interface.varyings:
                 if varying.name in used:
                     name = names[varying.name] = self.interface_name("in", "v_", varying.name)
                     self._varying(varying, "in", name)
@@ -221,7 +208,7 @@ class StageWriter:
     def _outputs(self) -> dict[str, str]:
         """Declare the stage's outputs. Return their GLSL names by field."""
         names: dict[str, str] = {}
-        interface = self.options.interface
+        interface = self.interface
         if self.stage.stage is Stage.VERTEX:
             # The same position code in two programs must give the same depth: a depth pre-pass relies on it.
             self.lines.add("invariant gl_Position;")
@@ -245,7 +232,7 @@ class StageWriter:
 
     def _native_stage(self, inputs: dict[str, str], outputs: dict[str, str]) -> None:
         """Write the text of a whole native stage."""
-        interface, type = self.options.interface, self.writer.type
+        interface, type = self.interface, self.writer.type
         fields = {varying.name: type(varying.type) for varying in interface.varyings}
         attributes = {attribute.name: str(attribute.type) for attribute in interface.attributes}
         targets = {output.name: _output_type(output) for output in interface.outputs}
@@ -258,11 +245,11 @@ class StageWriter:
                 declared["uniform", name] = type(binding.type)
         structs = {type(struct) for struct in self.stage.structs}
         entry = self.stage.entry
-        for text, line in lines_of(entry, declared, structs, self.options.work_group):
+        for text, line in lines_of(entry, declared, structs, self.interface.work_group):
             self.lines.add(text, entry.file if line else "", line)
 
     def _main(self, inputs: dict[str, str], outputs: dict[str, str]) -> None:
-        entry, interface = self.stage.entry, self.options.interface
+        entry, interface = self.stage.entry, self.interface
         arguments = []
         for parameter in entry.parameters:
             assert isinstance(parameter.type, StructType)

@@ -12,9 +12,10 @@ from __future__ import annotations
 from typing import Final
 
 from rhi.contract.descriptors import BindingKind, StageText
-from rhi.shading.glsl.stages import StageOptions, StageWriter
+from rhi.shading.glsl.stages import StageWriter
 from rhi.shading.glsl.writer import Writer
 from rhi.shading.ir import tree
+from rhi.shading.ir.interface import Interface
 from rhi.shading.ir.tree import Expression
 from rhi.shading.language.builtins import Builtin
 from rhi.shading.language.shader import Declaration, StorageClass
@@ -31,9 +32,9 @@ SETS: Final = {
 _INDICES: Final = {"vertex_index": "gl_VertexIndex", "instance_index": "gl_InstanceIndex"}
 
 
-def write_vulkan_stage(stage: tree.StageTree, options: StageOptions) -> StageText:
+def write_vulkan_stage(stage: tree.StageTree, interface: Interface) -> StageText:
     """Return the stage's complete source in GLSL 4.50 for Vulkan."""
-    return _VulkanStageWriter(stage, options).write()
+    return _VulkanStageWriter(stage, interface).write()
 
 
 class _VulkanWriter(Writer):
@@ -82,7 +83,7 @@ class _VulkanStageWriter(StageWriter):
         return "" if builtin.name in _INDICES else builtin.extension
 
     def location(self, declaration: Declaration) -> str:
-        binding = self.options.slots[declaration.name]
+        binding = self.interface.bindings[declaration.name]
         return f"set = {SETS[binding.kind]}, binding = {binding.slot}"
 
     def binding(self, declaration: Declaration) -> None:
@@ -91,7 +92,7 @@ class _VulkanStageWriter(StageWriter):
             return
         type, name = declaration.type, self.names.get(("binding", declaration.name), declaration.name)
         assert isinstance(type, TextureType)
-        set, slot = SETS[BindingKind.TEXTURE], self.options.slots[declaration.name].slot
+        set, slot = SETS[BindingKind.TEXTURE], self.interface.bindings[declaration.name].slot
         texture, sampler = self.writer.names_of_halves(declaration.name, ("binding", declaration.name))
         add = self.lines.add
         add(f"layout(set = {set}, binding = {2 * slot}) uniform {self.writer.half(type)} {texture};")

@@ -1,10 +1,11 @@
-"""The inputs, outputs and varyings of a shader's stages."""
+"""What the stages of a shader share and their trees don't hold: inputs, outputs, varyings, bindings, the work-group."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
-from rhi.contract.descriptors import Attribute, FragmentOutput
+from rhi.contract.descriptors import Attribute, Binding, FragmentOutput
 from rhi.contract.layout import HostType
 from rhi.shading.language.annotations import Role
 
@@ -21,12 +22,17 @@ class Varying:
 
 @dataclass(frozen=True, slots=True)
 class Interface:
-    """The inputs, outputs and varyings of a shader's graphics stages.
+    """A shader's name, bindings and work-group, and the inputs, outputs and varyings of its graphics stages.
 
-    `position` is the name of the vertex stage's position field, "" if it returns a plain vec4. `depth` is the name of
-    the fragment stage's depth field, `point_size` that of the vertex stage's point size; "" if there is none.
+    `bindings` holds their slots, by name and in order. `position` is the name of the vertex stage's position field, ""
+    if it returns a plain vec4. `depth` is the name of the fragment stage's depth field, `point_size` that of the vertex
+    stage's point size; "" if there is none.
     """
 
+    name: str
+    work_group: tuple[int, int, int]
+    early_depth: bool
+    bindings: Mapping[str, Binding] = field(default_factory=dict)
     attributes: tuple[Attribute, ...] = ()
     varyings: tuple[Varying, ...] = ()
     position: str = ""

@@ -61,7 +61,6 @@ _INPUTS: Final[dict[Stage, dict[str, tuple[Value, ...]]]] = {
 
 def lower_stage(
     stage: tree.StageTree,
-    name: str,
     interface: Interface,
     varyings: tuple[StageVarying, ...],
     width: int = WIDTH,
@@ -76,7 +75,7 @@ def lower_stage(
         ShaderError: the stage uses a feature that lane code doesn't support.
     """
     if f"opencl{width}" in stage.entry.native:
-        return StageCode(Code(name, width, [], ()), (), False)
+        return StageCode(Code(interface.name, width, [], ()), (), False)
     inputs = _INPUTS[stage.stage]
     built_in = [value for values in inputs.values() for value in values]
     if stage.stage is Stage.VERTEX and width:
@@ -95,7 +94,7 @@ def lower_stage(
     if stage.stage is Stage.FRAGMENT:
         values.append(lowering.kept)
     given = tuple(value for value in (*arguments, *built_in, _MASK) if isinstance(value, Argument))
-    return StageCode(lowering.code(name, given, values), tuple(word for word, _ in outputs), bool(depth))
+    return StageCode(lowering.code(interface.name, given, values), tuple(word for word, _ in outputs), bool(depth))
 
 
 # -- inputs and outputs ------------------------------------------------------------------------------------

@@ -15,10 +15,9 @@ from typing import Final
 from rhi.contract.descriptors import BindingKind, FragmentOutput, Stage, StageText
 from rhi.contract.layout import FLOAT, INT, UINT, HostType, MatrixType, StructType
 from rhi.contract.states import AlphaFunction
-from rhi.shading.glsl.stages import StageOptions
 from rhi.shading.glsl.vulkan import SETS
 from rhi.shading.ir import tree
-from rhi.shading.ir.interface import Varying
+from rhi.shading.ir.interface import Interface, Varying
 from rhi.shading.ir.text import Lines
 from rhi.shading.language.annotations import Role
 from rhi.shading.language.shader import Declaration, StorageClass
@@ -60,13 +59,13 @@ _ROLES: Final = {Role.FLAT: " @interpolate(flat)", Role.NO_PERSPECTIVE: " @inter
 _DECLARATION: Final = re.compile(r"^@group\((\d)\) @binding\((\d+)\) var(?:<storage, (\w+)>)?([^;]*);", re.MULTILINE)
 
 
-def write_wgsl_stage(stage: tree.StageTree, options: StageOptions) -> StageText:
+def write_wgsl_stage(stage: tree.StageTree, interface: Interface) -> StageText:
     """Return the stage's complete source in WGSL.
 
     Raises:
         ShaderError: `shading-native`: the stage needs something that WGSL lacks.
     """
-    return _WgslStageWriter(stage, options).write()
+    return _WgslStageWriter(stage, interface).write()
 
 
 def read_declarations(text: str) -> dict[tuple[int, int], str]:
@@ -80,9 +79,9 @@ def read_declarations(text: str) -> dict[tuple[int, int], str]:
 
 
 class _WgslStageWriter:
-    def __init__(self, stage: tree.StageTree, options: StageOptions) -> None:
+    def __init__(self, stage: tree.StageTree, interface: Interface) -> None:
         self.stage = stage
-        self.options = options
+        self.interface = interface
         self.names = Names(reserved=RESERVED)
         for declaration in stage.bindings:
             self.names.get(("binding", declaration.name), declaration.name)
@@ -106,7 +105,7 @@ class _WgslStageWriter:
         for name in self.inputs:
             if name in EXTENSIONS:
                 add(f"enable {name};")
-        add(f"// {self.options.name}, {stage.stage.value} stage")
+        add(f"// {self.interface.name}, {stage.stage.value} stage")
         for struct in stage.structs:
             with self.lines.braces(f"struct {writer.type(struct)}"):
                 for field in struct.fields:
@@ -139,7 +138,7 @@ class _WgslStageWriter:
         words = memory.is_atomic(space, None, "")
         if declaration.storage_class is StorageClass.SHARED:
             return [f"var<workgroup> {name}: {memory.type(type, space, words)};"]  # type: ignore[arg-type]
-        binding = self.options.slots[declaration.name]
+        binding = self.interface.bindings[declaration.name]
         group, slot = f"@group({SETS[binding.kind]})", f"@binding({binding.slot})"
         match type:
             case StorageType(element=element, writable=writable):
@@ -176,8 +175,8 @@ class _WgslStageWriter:
             with lines.braces("struct RhiOutputs"):
                 for number, (marks, form, _) in enumerate(outputs):
                     lines.add(f"{marks} o{number}: {form},")
-        early = "@early_depth_test(force) " if self.options.early_depth and stage is Stage.FRAGMENT else ""
-        x, y, z = self.options.work_group
+        early = "@early_depth_test(force) " if self.interface.early_depth and stage is Stage.FRAGMENT else ""
+        x, y, z = self.interface.work_group
         head = f"@compute @workgroup_size({x}, {y}, {z})" if stage is Stage.COMPUTE else f"{early}@{stage.value}"
         with lines.braces(f"{head} fn main({', '.join(given)}){' -> RhiOutputs' if outputs else ''}"):
             for start in starts:
@@ -198,7 +197,7 @@ class _WgslStageWriter:
 
     def _arguments(self, given: list[str]) -> list[str]:
         """Return the arguments of the stage's function, and add the parameters of `main` that they need."""
-        stage, interface, writer = self.stage.stage, self.options.interface, self.writer
+        stage, interface, writer = self.stage.stage, self.interface, self.writer
         attributes = {attribute.name: attribute for attribute in interface.attributes}
         varyings = {varying.name: varying for varying in interface.varyings}
         arguments = []
@@ -233,7 +232,7 @@ class _WgslStageWriter:
 
     def _outputs(self) -> list[tuple[str, str, str]]:
         """Return the attributes, the type and the value of each output."""
-        interface, outputs = self.options.interface, []
+        interface, outputs = self.interface, []
         if self.stage.stage is Stage.VERTEX:
             # The same position code in two programs must give the same depth: a depth pre-pass relies on it.
             value = f"rhi_place({self._result(interface.position)})"
@@ -257,5 +256,5 @@ class _WgslStageWriter:
         """Return the output whose alpha is tested."""
         if self.stage.stage is not Stage.FRAGMENT:
             return None
-        outputs = self.options.interface.outputs
+        outputs = self.interface.outputs
         return next((o for o in outputs if (o.location, o.kind, o.components) == (0, "float", 4)), None)

@@ -355,7 +355,7 @@ def run_fragment_glsl(
     corners = np.array([(0, 0), (2, 0), (0, 2)], np.float32)
     declared, sets, content = [], [], [(context.buffer(corners.tobytes()), "2f4", "corner")]
     types = {}
-    for declared_varying in compiled_code(shader).options.interface.varyings:
+    for declared_varying in compiled_code(shader).interface.varyings:
         name, role = declared_varying.name, declared_varying.role
         types[name] = declared_varying.type
         location = f"layout(location = {declared_varying.location})"

@@ -280,7 +280,7 @@ def listing():
 
     def write(code: ShaderCode, stage: Stage) -> StageText:
         names = [declaration.name for declaration in code.stages[stage].bindings]
-        return StageText(f"{code.options.name}: {', '.join(names)}")
+        return StageText(f"{code.interface.name}: {', '.join(names)}")
 
     register_language("listing", write, [Stage.VERTEX, Stage.COMPUTE])
     yield "listing"
