@@ -431,7 +431,7 @@ def measure_front_end() -> Record:
     started = time.process_time()
     for shader in shaders:
         try:
-            program = compile_shader(shader)
+            program = compile_shader(shader, strict=True)
         except rhi.ShaderError as error:
             if error.rule.id != "shading-unused-binding":
                 raise

@@ -111,6 +111,7 @@ from rhi.errors import DeviceError as DeviceError
 from rhi.errors import RhiError as RhiError
 from rhi.errors import Rule as Rule
 from rhi.errors import ShaderError as ShaderError
+from rhi.errors import ShaderWarning as ShaderWarning
 from rhi.errors import ValidationError as ValidationError
 from rhi.errors import refuse as refuse
 from rhi.errors.exports import list_public as _list_public

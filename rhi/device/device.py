@@ -70,6 +70,7 @@ from rhi.errors.rules import (
     TEXTURE_SIZE,
 )
 from rhi.shading import Shader, Struct, compile_shader
+from rhi.shading.language.shader import list_bindings
 
 P = ParamSpec("P")
 S = TypeVar("S", bound=Struct)
@@ -471,11 +472,11 @@ class Device(Encoder):
         program = self._programs.find(shader)
         if program is None:
             if isinstance(shader, ProgramDescriptor):
-                descriptor = shader
+                program = Program(self._core, shader)
             else:
                 with self._core.refusals:
                     descriptor = compile_shader(shader)
-            program = Program(self._core, descriptor)
+                program = Program(self._core, descriptor, list_bindings(shader))
             self._programs.add(shader, program)
         return program
 

@@ -129,9 +129,12 @@ class RecordedProgram(Program[Any]):
         self.descriptor = origin.descriptor
         self.name = origin.name
         self.destroyed = False
+        self._left_out = origin._left_out
         self.prepared_draws: dict[Drawable, Callable[[int], object]] = {}
         if origin.recorded_code is None:
-            origin.recorded_code = compile_draw_code(origin.name, origin.descriptor.bindings, recorded=True)
+            origin.recorded_code = compile_draw_code(
+                origin.name, origin.descriptor.bindings, recorded=True, takes_more=bool(origin._left_out)
+            )
         self._install_code(origin.recorded_code)
 
     def _keep_draw(self, mesh: Drawable, draw: Callable[[int], object]) -> None:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from types import CodeType, FrameType
 from typing import Any, Final, NoReturn
@@ -26,6 +27,8 @@ _PACKAGES: Final = ("rhi", "rhi_screen", "renderer")
 _OWN: Final = tuple(os.path.join(_FOLDER, name, "") for name in _PACKAGES)
 _KIT: Final = os.path.join(_FOLDER, "rhi", "conformance", "")
 """The conformance kit uses the interface as its users do."""
+_SHOWN: Final = 10
+"""The most errors of a shader whose text is shown."""
 _START: Final = "<frozen runpy>"
 """The outermost file of `python -m`: where the search for the user's line ends without one."""
 
@@ -118,7 +121,58 @@ class ValidationError(RhiError, ValueError):
 
 
 class ShaderError(RhiError, TypeError):
-    """A shader that doesn't type-check, or that the driver refuses."""
+    """A shader that doesn't type-check, or that the driver refuses.
+
+    Attributes:
+        others: the other errors of the same shader, in the order in which they were found; its text shows them too.
+    """
+
+    others: tuple[ShaderError, ...] = ()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return *super().__reduce__(), {"others": self.others}
+
+    def __str__(self) -> str:
+        shown = [self._describe(), *map(str, self.others[: _SHOWN - 1])]
+        if len(self.others) >= _SHOWN:
+            shown.append(f"and {len(self.others) + 1 - _SHOWN} more errors")
+        return "\n".join(shown)
+
+
+class ShaderErrors:
+    """Collects the errors of a shader, so that one exception says all of them."""
+
+    def __init__(self, errors: Iterable[ShaderError] = ()) -> None:
+        self.found: dict[tuple[str, str], ShaderError] = {}
+        """The errors by rule and place: a function that two stages call is wrong once."""
+        for error in errors:
+            self.add(error)
+
+    def add(self, error: ShaderError) -> None:
+        """Keep an error and those that it comes with."""
+        for one in (error, *error.others):
+            self.found.setdefault((one.rule.id, one.call), one)
+
+    @contextlib.contextmanager
+    def collect(self) -> Iterator[None]:
+        """Keep an error that is raised inside; what follows it in the block is left out."""
+        try:
+            yield
+        except ShaderError as error:
+            self.add(error.with_traceback(None))
+
+    def check(self) -> None:
+        """Raise what was found."""
+        if self.found:
+            first, *others = self.found.values()
+            first.others = tuple(others)
+            for one in others:
+                one.others = ()
+            raise first
+
+
+class ShaderWarning(UserWarning):
+    """Something in a shader that may be a mistake, such as a binding that it never reads; it works all the same."""
 
 
 class DeviceError(RhiError, RuntimeError):

@@ -14,7 +14,7 @@ from dataclasses import fields, replace
 
 from rhi.contract.descriptors import Binding, BindingKind, ProgramDescriptor, Stage, StageText
 from rhi.contract.layout import Layout, place, stride_of
-from rhi.errors import ShaderError, find_call_site
+from rhi.errors import ShaderError, ShaderErrors, find_call_site
 from rhi.shading.emitters import WIDTHS, ShaderCode, make_depth_error
 from rhi.shading.ir import tree
 from rhi.shading.ir.interface import Interface
@@ -34,7 +34,7 @@ from rhi.shading.parser.interface import (
 )
 from rhi.shading.parser.signatures import Callee, find_method
 from rhi.shading.parser.stage import parse_stage
-from rhi.shading.parser.unused import check_bindings_are_used
+from rhi.shading.parser.unused import find_unused, warn_of_unused
 
 _compiled: weakref.WeakKeyDictionary[type[Shader], tuple[ProgramDescriptor, ShaderCode]] = weakref.WeakKeyDictionary()
 
@@ -45,20 +45,28 @@ Compiled = Mapping[type[Shader], tuple[ProgramDescriptor, ShaderCode]]
 _COMPARED = tuple(field.name for field in fields(ProgramDescriptor) if field.name != "emit")
 
 
-def compile_shader(shader: type[Shader]) -> ProgramDescriptor:
+def compile_shader(shader: type[Shader], *, strict: bool = False) -> ProgramDescriptor:
     """Parse and type-check a shader's stages, once for each class. Their texts are written on request.
 
+    A binding that no method uses is a `ShaderWarning`, once; with `strict` it is an error.
+
     Raises:
-        ShaderError: the shader breaks a rule of `rhi.shading.language.rules`; the error shows the line.
+        ShaderError: the shader breaks rules of `rhi.shading.language.rules`; the error shows the line of each place.
     """
     known = _compiled.get(shader)
     if known is None:
         try:
-            known = _compiled[shader] = _compile(shader)
+            known = _compile(shader)
         except ShaderError as error:  # it shows the line, which the compiler's own traceback would bury
             raise error.with_traceback(None) from error.__cause__
         except RecursionError:
             raise make_depth_error(shader.__qualname__) from None
+    unused = known[1].unused
+    if unused and strict:
+        ShaderErrors(unused).check()
+    if shader not in _compiled:
+        warn_of_unused(unused)
+        _compiled[shader] = known
     return known[0]
 
 
@@ -125,13 +133,17 @@ def compiled_code(shader: type[Shader]) -> ShaderCode:
 
 
 def _compile(shader: type[Shader]) -> tuple[ProgramDescriptor, ShaderCode]:
-    entries = _entries(shader)
-    shared = Interface(shader.__qualname__.replace("<locals>.", ""), find_work_group(shader), shader.early_depth)
-    interface = _complete(shared, entries)
-    stages = {stage: parse_stage(shader, stage, entry) for stage, entry in entries.items()}
+    entries, errors, stages = _entries(shader), ShaderErrors(), {}
+    interface = Interface(shader.__qualname__.replace("<locals>.", ""), find_work_group(shader), shader.early_depth)
+    with errors.collect():
+        interface = _complete(interface, entries)
+    for stage, entry in entries.items():
+        with errors.collect():
+            stages[stage] = parse_stage(shader, stage, entry)
+    errors.check()
     stored = frozenset().union(*(stage.stored for stage in stages.values()))
     used = frozenset(declaration.name for stage in stages.values() for declaration in stage.bindings)
-    check_bindings_are_used(shader, used)
+    unused = find_unused(shader, used)
     loaded = frozenset().union(*(stage.loaded for stage in stages.values()))
     bindings = tuple(_bindings(shader, stored, loaded, used))
     interface = replace(interface, bindings={binding.name: binding for binding in bindings})
@@ -149,7 +161,7 @@ def _compile(shader: type[Shader]) -> tuple[ProgramDescriptor, ShaderCode]:
         needs_lane_check = has_lane_code(compute)
         checked = checked and needs_lane_check
     varyings = varyings_read(fragment, interface.varyings, interface.point_size)
-    code = ShaderCode(stages, interface, varyings, shader.precision, checked)
+    code = ShaderCode(stages, interface, varyings, shader.precision, checked, unused)
     if needs_lane_check:
         # Finds barriers that part of a work-group may not reach, and races.
         code.lower_compute(max(WIDTHS))

@@ -42,11 +42,12 @@ class ShaderCode:
         varyings: the varyings that the fragment stage reads.
         precision: how exact built-ins must be.
         checked: whether faults are reported on the device.
+        unused: an error for each binding that nothing uses.
     """
 
     def __init__(
         self, stages: Mapping[Stage, tree.StageTree], interface: Interface, varyings: tuple[StageVarying, ...],
-        precision: Precision, checked: bool,
+        precision: Precision, checked: bool, unused: tuple[ShaderError, ...] = (),
     ) -> None:  # fmt: skip
         self.stages = stages
         self.interface = interface
@@ -54,6 +55,7 @@ class ShaderCode:
         self.varyings = varyings
         self.precision = precision
         self.checked = checked
+        self.unused = unused
         self._texts: dict[tuple[str, Stage], StageText] = {}
         self._lane_code: dict[int, Code] = {}  # of the compute stage, by width
 

@@ -686,6 +686,43 @@ def test_members_of_a_returned_struct_are_read_where_it_is_returned(device: Devi
     assert_same(run(device, Members, float, x, 4), np.stack([x + 2, x + 10, x + 20, x + 31], axis=-1))
 
 
+class Together(Shader):
+    """Assigns several targets at once: variables, components and elements, some of which the values read."""
+
+    source: Storage[float]
+    target: StorageRW[float]
+
+    def compute(self) -> None:
+        i = global_id().x
+        a, b = self.source[i], 2
+        v, c = vec3(1.0, 2.0, a), float(b)
+        share: float = 1
+        for _n in range(7):
+            a, c = c, a + c
+        v.x, v.z, share = v.z, v.x, share / 4
+        places = array(float, 3)
+        k, places[0], places[1] = 1, a, c
+        k, places[k] = 2, places[0] + float(k)
+        self.target[6 * i], self.target[6 * i + 1] = places[2], places[1]
+        self.target[6 * i + 2], self.target[6 * i + 3] = v.x, v.z
+        self.target[6 * i + 4], self.target[6 * i + 5] = share + float(k), c
+
+
+def test_targets_are_assigned_once_all_values_are_known(device: Device) -> None:
+    def expect(a: float) -> list[float]:
+        c, x, z, share = 2.0, 1.0, a, 1.0
+        for _n in range(7):
+            a, c = c, a + c
+        x, z, share = z, x, share / 4
+        places = [0.0, 0.0, 0.0]
+        k, places[0], places[1] = 1, a, c
+        k, places[k] = 2, places[0] + float(k)
+        return [places[2], places[1], x, z, share + float(k), c]
+
+    source = np.array([1.0, 5.0, -3.0], "f4")
+    assert_same(run(device, Together, float, source, 6), np.array([expect(x) for x in source.tolist()], "f4"))
+
+
 class Base(Shader):
     """A shader to inherit from."""
 

@@ -95,11 +95,15 @@ class DrawCode(NamedTuple):
 
 
 def compile_draw_code(
-    name: str, bindings: tuple[Binding, ...], *, recorded: bool = False, validates: bool = False
+    name: str,
+    bindings: tuple[Binding, ...],
+    recorded: bool = False,
+    validates: bool = False,
+    takes_more: bool = False,
 ) -> CodeType:
     """Compile the functions of a program; `recorded`: those that a command buffer uses; `validates`: those of a device
-    with validation, where each draw checks its thread."""
-    return _compile("\n".join(_write_source(bindings, recorded, validates)), f"<draw of {name}>")
+    with validation, where each draw checks its thread; `takes_more`: a draw may give bindings that are left out."""
+    return _compile("\n".join(_write_source(bindings, recorded, validates, takes_more)), f"<draw of {name}>")
 
 
 @lru_cache(maxsize=256)
@@ -121,7 +125,7 @@ def make_draw_code(code: CodeType, program: Any, bindings: tuple[Binding, ...]) 
     )
 
 
-def _write_source(bindings: tuple[Binding, ...], recorded: bool, validates: bool) -> Iterator[str]:
+def _write_source(bindings: tuple[Binding, ...], recorded: bool, validates: bool, takes_more: bool) -> Iterator[str]:
     """Yield the source of a function `make` that returns the fields of `DrawCode`.
 
     Its own names start with an underscore and a letter, those of bindings with a letter.
@@ -135,10 +139,12 @@ def _write_source(bindings: tuple[Binding, ...], recorded: bool, validates: bool
     for i in range(len(bindings)):
         yield f"    _type_{i} = _types[{i}]"
 
-    yield f"    def draw(_mesh, _instances=1, /{', *' if bindings else ''}{keywords}):"
-    yield from _write_draw(bindings, cells, unpack=False, recorded=recorded, validates=validates)
+    more = ("if _more:", "    _program.check_unknown(_more)") if takes_more else ()
+    star, rest = ", *" if bindings else "", ", **_more" if takes_more else ""
+    yield f"    def draw(_mesh, _instances=1, /{star}{keywords}{rest}):"
+    yield from _write_draw(bindings, cells, more, recorded=recorded, validates=validates)
     yield "    def draw_with(_mesh, _instances, _given):"
-    yield from _write_draw(bindings, cells, unpack=True, recorded=recorded, validates=validates)
+    yield from _write_draw(bindings, cells, tuple(_write_unpack(bindings)), recorded=recorded, validates=validates)
     yield "    def bind(_check, _mesh, _given):"
     yield from _write_nonlocal(cells)
     find = tuple(_write_unpack(bindings))
@@ -152,13 +158,13 @@ def _write_source(bindings: tuple[Binding, ...], recorded: bool, validates: bool
 
 
 def _write_draw(
-    bindings: tuple[Binding, ...], cells: list[str], unpack: bool, recorded: bool, validates: bool
+    bindings: tuple[Binding, ...], cells: list[str], names: tuple[str, ...], recorded: bool, validates: bool
 ) -> Iterator[str]:
     yield from _write_nonlocal([*cells, "_draws"])
     if validates:
         yield "        _core.check_ready()"
     find = (
-        *(_write_unpack(bindings) if unpack else ()),
+        *names,
         "try:",
         f"    _draw = {'_program.prepared_draws[_mesh]' if recorded else '_mesh.prepared_draws[_program]'}",
         "except KeyError:",

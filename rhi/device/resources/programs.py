@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 import keyword
+import warnings
 from collections.abc import Callable, Iterable
 from types import CodeType
 from typing import TYPE_CHECKING, Any, Final, Generic
@@ -24,7 +25,7 @@ from rhi.device.resources.draw_code import MISSING, PendingConstants, compile_dr
 from rhi.device.resources.lifetime import retire
 from rhi.device.resources.meshes import Drawable, check_instance_end, reads_instances
 from rhi.device.resources.textures import Texture
-from rhi.errors import ValidationError
+from rhi.errors import CallSite, ShaderWarning, ValidationError, find_call_site
 from rhi.errors.arguments import Arguments
 from rhi.errors.rules import (
     BINDING_MISSING,
@@ -58,6 +59,8 @@ class Program(Generic[P]):
     """
 
     __slots__ = (
+        "_left_out",  # the bindings that its shader declares or had before an edit and that it doesn't read: draws may
+        # give them. The value is whether a warning has said so.
         "bind",
         "core",
         "descriptor",
@@ -80,16 +83,21 @@ class Program(Generic[P]):
         def draw(self, mesh: Drawable, instances: int = 1, /, *args: P.args, **bindings: P.kwargs) -> None:
             """Draw `mesh`, like `device.draw(program, mesh, …)` but with one Python call less."""
 
-    def __init__(self, core: Core, descriptor: ProgramDescriptor) -> None:
+    def __init__(self, core: Core, descriptor: ProgramDescriptor, declared: Iterable[str] = ()) -> None:
         _check_limits(core, descriptor)
         self.core = core
         self.descriptor = descriptor
         self.name = descriptor.name
         self.destroyed = False
         self.recorded_code: CodeType | None = None
+        self._left_out = dict.fromkeys(set(declared) - {binding.name for binding in descriptor.bindings}, False)
         self.id = core.create_id()
         core.create(core.backend.create_program, self.id, descriptor)
-        self._install_code(compile_draw_code(self.name, descriptor.bindings, validates=core.validates))
+        self._install_code(self._compile_code())
+
+    def _compile_code(self) -> CodeType:
+        more = bool(self._left_out)
+        return compile_draw_code(self.name, self.descriptor.bindings, validates=self.core.validates, takes_more=more)
 
     def _install_code(self, code: CodeType) -> None:
         made = make_draw_code(code, self, self.descriptor.bindings)
@@ -130,9 +138,11 @@ class Program(Generic[P]):
         core.program = None
         core.draws += core.draw_counters.pop(self.id)()
         core.timeline.retire(self.id)
+        for binding in self.descriptor.bindings:
+            self._left_out.setdefault(binding.name, False)
         self.id, self.descriptor, self.name = number, descriptor, descriptor.name
         self.recorded_code = None
-        self._install_code(compile_draw_code(self.name, descriptor.bindings, validates=core.validates))
+        self._install_code(self._compile_code())
 
     # -- checks, off the fast path -----------------------------------------------------------------------
 
@@ -344,12 +354,24 @@ class Program(Generic[P]):
         """Refuse unknown and missing names of bindings."""
         names = set(given)
         wanted = {binding.name for binding in self.descriptor.bindings}
-        call = f"draw of program {self.name!r}"
-        shown = ", ".join(sorted(wanted)) or "no bindings"
-        if names - wanted:
-            self.core.refuse(BINDING_UNKNOWN, call, ", ".join(sorted(names - wanted)), shown)
+        self.check_unknown(names - wanted)
         if wanted - names:
+            call, shown = f"draw of program {self.name!r}", ", ".join(sorted(wanted))
             self.core.refuse(BINDING_MISSING, call, f"nothing for {', '.join(sorted(wanted - names))}", shown)
+
+    def check_unknown(self, names: Iterable[str]) -> None:
+        """Refuse names that aren't bindings; those that the shader declares and doesn't read are a warning, once."""
+        wanted = {binding.name for binding in self.descriptor.bindings}
+        unknown = sorted(set(names) - self._left_out.keys())
+        if unknown:
+            shown = ", ".join(sorted(wanted)) or "no bindings"
+            self.core.refuse(BINDING_UNKNOWN, f"draw of program {self.name!r}", ", ".join(unknown), shown)
+        for name in sorted(names):
+            if name not in wanted and not self._left_out[name]:
+                self._left_out[name] = True
+                site = find_call_site() or CallSite("rhi", 1)
+                text = f"program {self.name!r} doesn't read {name!r}, which a draw gives; it is left out"
+                warnings.warn_explicit(text, ShaderWarning, site.file, site.line)
 
     def check_instances(self, instances: Any, mesh: Drawable) -> int:
         """Return the number of instances as an int; refuse an invalid one, and one that `mesh` doesn't have."""

@@ -23,7 +23,7 @@ from typing_extensions import dataclass_transform
 
 from rhi.contract.formats import ChannelKind, Choice
 from rhi.contract.layout import ArrayType, HostType, is_host_shareable
-from rhi.errors import ShaderError, find_call_site, refuse
+from rhi.errors import ShaderError, ShaderErrors, find_call_site, refuse
 from rhi.shading.language import rules
 from rhi.shading.language.annotations import value_type
 from rhi.shading.language.bindings import Storage, StorageRW, Uniform
@@ -133,6 +133,11 @@ def find_work_group(shader: type[Shader]) -> tuple[int, int, int]:
     return x, y, z
 
 
+def list_bindings(shader: type[Shader]) -> list[str]:
+    """Return the names of all bindings that a shader and its bases declare."""
+    return [name for name, each in shader._declared.items() if each.storage_class is not StorageClass.SHARED]
+
+
 def collect_bindings(
     cls: type[Shader], module: dict[str, Any], names: Mapping[str, Any] = MappingProxyType({})
 ) -> None:
@@ -145,21 +150,23 @@ def collect_bindings(
     declared: dict[str, Declaration] = {}
     for base in reversed(cls.__mro__[1:]):
         declared.update(base.__dict__.get("_declared", {}))
-    inherited = dict(declared)
+    inherited, errors = dict(declared), ShaderErrors()
     for name, annotation in inspect.get_annotations(cls).items():
-        if isinstance(annotation, str):
-            if annotation.startswith(("ClassVar", "typing.ClassVar")):
+        with errors.collect():
+            if isinstance(annotation, str):
+                if annotation.startswith(("ClassVar", "typing.ClassVar")):
+                    continue
+                try:
+                    annotation = eval(annotation, module, dict(names))
+                except NameError as error:
+                    _refuse(cls, name, annotation, suggest_name(error.name or "", [*names, *module]))
+            origin: Any = get_origin(annotation)
+            if origin is ClassVar:
                 continue
-            try:
-                annotation = eval(annotation, module, dict(names))
-            except NameError as error:
-                _refuse(cls, name, annotation, suggest_name(error.name or "", [*names, *module]))
-        origin: Any = get_origin(annotation)
-        if origin is ClassVar:
-            continue
-        if hasattr(Shader, name):
-            _refuse(cls, name, "a name that Shader itself uses", "choose another name")
-        declared[name] = _declare(cls, name, annotation, cls.__dict__.get(name))
+            if hasattr(Shader, name):
+                _refuse(cls, name, "a name that Shader itself uses", "choose another name")
+            declared[name] = _declare(cls, name, annotation, cls.__dict__.get(name))
+    errors.check()
     for name, value in cls.__dict__.items():
         if isinstance(value, FunctionType):
             resolve_annotations(value, names)

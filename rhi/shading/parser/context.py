@@ -18,6 +18,7 @@ from typing import Any, Final, NoReturn, TypeVar
 
 from rhi.contract.descriptors import Stage
 from rhi.contract.layout import BOOL, ScalarType, VectorType
+from rhi.errors import ShaderError, ShaderErrors
 from rhi.shading.ir import tree
 from rhi.shading.ir.tree import Expression, Local
 from rhi.shading.language import rules
@@ -63,11 +64,16 @@ def parses(node: type[ast.AST]) -> Callable[[Parse], Parse]:
     return register
 
 
+class UnknownValueError(Exception):
+    """A statement reads a variable whose value was refused: nothing can be said about it."""
+
+
 class StageParser:
     """Parses the functions of one stage.
 
     - A function is compiled once per stage for each combination of argument types it is called with.
     - `nesting` is the number of expressions, blocks and calls around what is being parsed.
+    - A statement that is refused doesn't end the parsing: `errors` collects what is wrong in all of them.
     """
 
     def __init__(self, shader: type[Shader], stage: Stage) -> None:
@@ -76,6 +82,14 @@ class StageParser:
         self.instances: dict[tuple[FunctionType, tuple[Type, ...]], tree.Function] = {}
         self.finished: list[tree.Function] = []
         self.nesting = 0
+        self.errors = ShaderErrors()
+
+    def parse_entry(self, callee: Callee, types: tuple[Type, ...]) -> tree.Function:
+        """Parse the stage's entry function and all that it calls, or raise all errors in them."""
+        with self.errors.collect():
+            function = self.parse_function(callee, types)
+        self.errors.check()
+        return function
 
     def instance(self, callee: Callee, types: tuple[Type, ...], at: ast.Call, caller: Source) -> tree.Function:
         """Return the function compiled for arguments of these types."""
@@ -95,8 +109,10 @@ class StageParser:
         )
         function = tree.Function(source.node.name, source.file, span_of(source.node), parameters, described.result)
         self.instances[source.function, types] = function
-        FunctionParser(self, callee, function).parse()
-        self.finished.append(function)
+        try:
+            FunctionParser(self, callee, function).parse()
+        finally:
+            self.finished.append(function)
         return function
 
 
@@ -106,6 +122,8 @@ class FunctionParser:
     Attributes:
         untaken: the number of conditions around this place that are constant and false.
         breaks: for each enclosing loop, the sets of assigned locals at its breaks.
+        unknown: the variables whose only values were refused. What reads them is left out, without an error.
+        failed: whether a statement was refused.
     """
 
     def __init__(self, stage: StageParser, callee: Callee, function: tree.Function) -> None:
@@ -122,6 +140,8 @@ class FunctionParser:
         self.reachable = True
         self.blocks: list[BlockBuilder] = [BlockBuilder()]
         self.breaks: list[list[set[Local]]] = []
+        self.unknown: set[str] = set()
+        self.failed = False
         self.stored = _stored_names(callee.source.node)
         for local in function.parameters:
             self.variables[local.name] = TrackedLocal(local, [self.blocks[0]], [0])
@@ -138,9 +158,13 @@ class FunctionParser:
         self.nest(header_of(self.source.node))
         self.statements(body)
         self.stage.nesting -= 1
-        if self.function.result != VOID and self.reachable:
+        if self.function.result != VOID and self.reachable and not self.failed:
             wanted = str(self.function.result)
-            self.refuse(rules.MISSING_RETURN, header_of(self.source.node), "the end is reached", wanted)
+            with self.stage.errors.collect():
+                self.refuse(rules.MISSING_RETURN, header_of(self.source.node), "the end is reached", wanted)
+        if self.stage.errors.found:  # there will be no tree
+            self.function.has_effect = True
+            return
         for variable in (*self.superseded, *self.variables.values()):
             place_declaration(variable)
         self.function.body = finish(self.blocks[0])
@@ -241,6 +265,8 @@ class FunctionParser:
         """Return a read of the variable of that name, or None if the function has none."""
         variable = self.variables.get(name)
         if variable is None:
+            if name in self.unknown:
+                raise UnknownValueError
             if name == self.self_name:
                 self.refuse(rules.WRONG_TYPE, at, "the shader itself", "its fields and methods")
             if name in self.stored:
@@ -279,8 +305,41 @@ class FunctionParser:
             if parse is None:
                 name = type(node).__name__
                 tip = _STATEMENT_TIPS.get(name, "")
-                self.refuse(rules.SYNTAX, header_of(node), f"`{_first_word(node)}`", tip=tip)
-            parse(self, node)
+                with self.stage.errors.collect():
+                    self.refuse(rules.SYNTAX, header_of(node), f"`{_first_word(node)}`", tip=tip)
+                self._skip(node)
+                continue
+            place = len(self.blocks), len(self.breaks), self.stage.nesting, self.untaken
+            try:
+                parse(self, node)
+            except (ShaderError, UnknownValueError) as error:
+                del self.blocks[place[0] :], self.breaks[place[1] :]
+                self.stage.nesting, self.untaken = place[2:]
+                too_deep = False
+                if isinstance(error, ShaderError):
+                    self.stage.errors.add(error.with_traceback(None))
+                    too_deep = error.rule is rules.TOO_DEEP
+                self._skip(node, enter=not too_deep)
+
+    def _skip(self, node: ast.stmt, enter: bool = True) -> None:
+        """Go on behind a statement that was refused. Of an `if` or a loop with a wrong head, the body is parsed."""
+        self.failed = True
+        for name in _stored_names(node):
+            if name in self.variables:
+                self.assigned.add(self.variables[name].local)
+            else:
+                self.unknown.add(name)
+        if enter and isinstance(node, ast.If | ast.For | ast.While):
+            reachable = self.reachable
+            self.breaks.append([])
+            for body in (node.body, node.orelse):
+                self.reachable = reachable
+                with self.block(node):
+                    self.statements(body)
+            self.breaks.pop()
+            self.reachable = reachable
+        elif isinstance(node, ast.Return):
+            self.reachable = False
 
     @contextmanager
     def block(self, at: ast.stmt) -> Iterator[BlockBuilder]:
@@ -313,7 +372,7 @@ def _conversion_tip(source: Type, target: Type) -> str:
     return ""
 
 
-def _stored_names(node: ast.FunctionDef) -> frozenset[str]:
+def _stored_names(node: ast.stmt) -> frozenset[str]:
     return frozenset(
         part.id for part in ast.walk(node) if isinstance(part, ast.Name) and isinstance(part.ctx, ast.Store)
     )

@@ -39,7 +39,7 @@ def parse_stage(shader: type[Shader], stage: Stage, entry: Callee) -> tree.Stage
             entry.source.refuse(rules.INTERFACE, entry.source.node, f"{parameter.name}: {parameter.type}")
         types.append(parameter.type)
     parser = StageParser(shader, stage)
-    function = parser.parse_function(entry, tuple(types))
+    function = parser.parse_entry(entry, tuple(types))
     return _collect(stage, function, parser.finished, shader)
 
 
@@ -51,7 +51,7 @@ def parse_function(function: FunctionType) -> tree.Function:
         if not isinstance(parameter.type, HostType):
             callee.source.refuse(rules.ANNOTATION, callee.source.node, f"{parameter.name}: {parameter.type}")
         types.append(parameter.type)
-    return StageParser(Shader, Stage.COMPUTE).parse_function(callee, tuple(types))
+    return StageParser(Shader, Stage.COMPUTE).parse_entry(callee, tuple(types))
 
 
 # -- the resources of a stage ---------------------------------------------------------------------------------------

@@ -21,7 +21,7 @@ from rhi.shading.language import rules
 from rhi.shading.language.annotations import value_type
 from rhi.shading.language.builtins import SideEffect
 from rhi.shading.language.source import header_of, span_of
-from rhi.shading.language.types import VOID
+from rhi.shading.language.types import VOID, Type, converts
 from rhi.shading.parser.blocks import BlockBuilder, Splice
 from rhi.shading.parser.context import FunctionParser, parses
 from rhi.shading.parser.expressions import cast, check_size, check_target, check_value, combine
@@ -60,14 +60,44 @@ def parse_assignment(parser: FunctionParser, node: ast.Assign) -> None:
         parser.refuse(rules.SYNTAX, node, "several targets", "one target", "write one assignment for each")
     target = node.targets[0]
     if isinstance(target, ast.Tuple | ast.List):
-        parser.refuse(rules.SYNTAX, target, "a tuple of targets", "one target", "write one assignment for each")
+        _assign_together(parser, target, node)
+        return
     if isinstance(target, ast.Name):
-        known = parser.variables.get(target.id)
-        value = parser.expression(node.value, known.local.type if known is not None else None)
-        _assign_name(parser, target, value, node)
+        _assign_name(parser, target, parser.expression(node.value, _known_type(parser, target)), node)
         return
     lvalue = _assignment_target(parser, target)
     parser.append(tree.Assign(span_of(node), lvalue, parser.converted(node.value, lvalue.type)))
+
+
+def _assign_together(parser: FunctionParser, target: ast.Tuple | ast.List, node: ast.Assign) -> None:
+    """Parse `a, b = b, a`: as in Python, all values are evaluated before the first target is assigned."""
+    values = node.value.elts if isinstance(node.value, ast.Tuple | ast.List) else []
+    if len(values) != len(target.elts) or any(isinstance(part, ast.Starred) for part in (*values, *target.elts)):
+        allowed = f"{len(target.elts)} values, as in `a, b = b, a`"
+        parser.refuse(rules.SYNTAX, node, ast.unparse(node.value), allowed, "write one assignment for each")
+    held: list[Expression] = []
+    for part, source in zip(target.elts, values, strict=True):
+        value = parser.expression(source, _known_type(parser, part))
+        if not isinstance(value, Constant | tree.Zeros):
+            check_value(parser, value, source)
+            local = Local("value", value.type, writes=1)
+            parser.append(tree.Declare(span_of(source), local, value))
+            value = tree.Read(value.type, span_of(source), local)
+        held.append(value)
+    for part, value in zip(target.elts, held, strict=True):
+        if isinstance(part, ast.Name):
+            _assign_name(parser, part, value, node)
+        elif isinstance(part, ast.Tuple | ast.List):
+            parser.refuse(rules.SYNTAX, part, "targets inside of targets", "names, fields and elements")
+        else:
+            lvalue = _assignment_target(parser, part)
+            parser.append(tree.Assign(span_of(node), lvalue, parser.convert(value, lvalue.type, part)))
+
+
+def _known_type(parser: FunctionParser, target: ast.expr) -> Type | None:
+    """Return the type of the variable that a target names, None if it is new or no variable."""
+    known = parser.variables.get(target.id) if isinstance(target, ast.Name) else None
+    return known.local.type if known is not None else None
 
 
 @parses(ast.AnnAssign)
@@ -98,7 +128,9 @@ def _assign_name(parser: FunctionParser, target: ast.Name, value: Expression, no
     if value.type != local.type:
         converted = convert(value, local.type)
         if converted is None:
-            parser.refuse(rules.TYPE_CHANGED, node, f"{target.id}: {value.type}", str(local.type))
+            begin = f"begin with `{target.id}: {value.type} = …`, or convert the value"
+            tip = begin if converts(local.type, value.type, literal=True) else ""
+            parser.refuse(rules.TYPE_CHANGED, node, f"{target.id}: {value.type}", str(local.type), tip)
         value = converted
     parser.use(variable)
     statement = tree.Assign(span_of(node), tree.Read(local.type, span_of(target), local), value)

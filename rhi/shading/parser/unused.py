@@ -1,4 +1,7 @@
-"""A check for unused bindings: every draw would have to bind them, and each would occupy a slot of the device.
+"""A check for unused bindings: every draw has to bind them, and each occupies a slot of the device.
+
+It warns, since a line that is commented out for a moment must not stop a program whose shaders are reloaded; a test
+asks for a refusal (`compile_shader(…, strict=True)`).
 
 A binding counts as used if any method of the shader or of its bases names it, even in a branch that a constant
 condition removes: a variant of a shader keeps the bindings of the whole. Only bindings that the class itself declares
@@ -8,38 +11,50 @@ are checked, so that a base may declare bindings for its subclasses.
 from __future__ import annotations
 
 import ast
+import warnings
+from collections.abc import Iterable
 from types import FunctionType
+from typing import Any
 
-from rhi.errors import CallSite, ShaderError
+from rhi.errors import CallSite, ShaderError, ShaderWarning
 from rhi.shading.language import rules
 from rhi.shading.language.function import NATIVE
 from rhi.shading.language.shader import Shader
 from rhi.shading.language.source import SourceSpan, show, source_of, span_of
 
+_warned: dict[Any, Any] = {}
+"""What `warnings` keeps of the lines that it has warned of."""
 
-def check_bindings_are_used(shader: type[Shader], used: frozenset[str]) -> None:
-    """Refuse a shader that declares a binding no method names; `used` are the bindings its stages read or write.
 
-    Raises:
-        ShaderError: `shading-unused-binding`, with the line of the declaration.
-    """
+def find_unused(shader: type[Shader], used: frozenset[str]) -> tuple[ShaderError, ...]:
+    """Return `shading-unused-binding`, with the line of the declaration, for each binding that no method names; `used`
+    are the bindings that the shader's stages read or write."""
     own = [name for name in shader._declared if name in vars(shader).get("__annotations__", {}) or name in vars(shader)]
     unused = [name for name in own if name not in used]
     if not unused:
-        return
+        return ()
     methods = [
         value for base in shader.__mro__ if issubclass(base, Shader) and base is not Shader
         for value in vars(base).values() if isinstance(value, FunctionType)
     ]  # fmt: skip
     if any(hasattr(method, NATIVE) for method in methods):
-        return  # the bindings that a native text uses aren't known
+        return ()  # the bindings that a native text uses aren't known
     named = {name for method in methods for name in _named(method)}
+    found = []
     for name in unused:
         if name not in named:
             file, span = _declaration(shader, methods[0], name)
             call = f"class {shader.__name__}: {name}\n{show(file, span)}"
             site = CallSite(str(file), span.line, shader.__qualname__)
-            raise ShaderError(rules.UNUSED_BINDING, call, f"{name} is never used", site=site)
+            found.append(ShaderError(rules.UNUSED_BINDING, call, f"{name} is never used", site=site))
+    return tuple(found)
+
+
+def warn_of_unused(unused: Iterable[ShaderError]) -> None:
+    """Warn of each, once for a line."""
+    for error in unused:
+        assert error.site is not None
+        warnings.warn_explicit(str(error), ShaderWarning, error.site.file, error.site.line, registry=_warned)
 
 
 def _named(method: FunctionType) -> set[str]:

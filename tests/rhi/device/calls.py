@@ -121,8 +121,8 @@ INTERNAL: Final = {
     "TransientMesh": {"create_vertex_array", "place_draws"},
     "Program": {
         "bind", "bind_current", "build", "check", "check_can_dispatch", "check_can_draw", "check_instances",
-        "check_names", "draw_unprepared", "draw_with", "exchange", "explain", "find_vertex_array", "make_current",
-        "note_retired", "pack_value", "prepare_draw", "take_uniform",
+        "check_names", "check_unknown", "draw_unprepared", "draw_with", "exchange", "explain", "find_vertex_array",
+        "make_current", "note_retired", "pack_value", "prepare_draw", "take_uniform",
     },
     "OcclusionQuery": {
         "abandon", "check_ended", "check_usable", "complete", "cut_off", "describe", "discard_answer", "find_block",

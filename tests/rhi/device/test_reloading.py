@@ -210,6 +210,29 @@ def test_new_bindings_are_asked_for_by_the_next_draw(device: rhi.Device, shaders
     picture.draw(more=device.uniform(0.5))
 
 
+def test_lines_that_are_commented_out_are_a_warning_once(device: rhi.Device, import_text: Any) -> None:
+    """First what reads a binding, then its declaration too: the same draws go on, by the device and by the program."""
+    text = TEXT.replace("gain = 1.0", "gain = 1.0\n    more: Uniform[float]").replace("* SHARE", "* self.more")
+    shaders = import_text(text)
+    picture, reloader = Picture(device, shaders), Reloader(device)
+    picture.draw(more=0.5)
+    text = text.replace("* self.more", "")
+    with pytest.warns(rhi.ShaderWarning, match="more is never used"):
+        reloader.reload(shaders, text)
+    picture.draw(more=0.5)
+    reloader.reload(shaders, text.replace("    more:", "    # more:"))
+    with pytest.warns(rhi.ShaderWarning, match="'Flat' doesn't read 'more', which a draw gives") as caught:
+        picture.draw(more=0.5)
+    assert [each.filename for each in caught] == [__file__]
+    picture.draw(more=0.5)
+    with device.render_pass(picture.image):
+        picture.program.draw(picture.mesh, tint=picture.tint, more=0.5)
+    assert len(device.stream.filter(Op.DRAW)) == 5
+    for given in ({"tint": picture.tint, "moer": 0.5}, {"more": 0.5}):
+        with device.render_pass(picture.image), pytest.raises(ValidationError, match=r"binding-(unknown|missing)"):
+            picture.program.draw(picture.mesh, **given)
+
+
 def test_functions_are_evaluated_as_edited(device: rhi.Device, shaders: Any) -> None:
     color = np.ones((1, 3), np.float32)
     assert np.array_equal(evaluate(shaders.weaken, color), color)

@@ -1,13 +1,15 @@
 """Every rule of the language: a shader that breaks it, and beside it one that doesn't."""
 
+import bisect
 import importlib.util
 import itertools
+import pickle
 import sys
 import textwrap
 
 import pytest
 
-from rhi.errors import RULES, ShaderError, ValidationError
+from rhi.errors import RULES, ShaderError, ShaderWarning, ValidationError
 from rhi.shading import Shader, StorageRW, Struct, compile_shader, function, mat3, sin, uint, vec3, vec4
 from rhi.shading.language import rules
 
@@ -230,7 +232,7 @@ BODIES = [
     ("unsupported", ["x = [1, 2]"], ["x = array(int, 2)"], "array(float, 4)"),
     ("unsupported", ["x = lambda: 1"], ["x = 1"], "Lambda"),
     ("unsupported", ["x = 'text'"], ["'''a docstring'''"], "str"),
-    ("unsupported", ["x, y = 1, 2"], ["x = 1", "y = 2"], "assignment for each"),
+    ("unsupported", ["x, y = vec2(1.0)"], ["x, y = 1, 2", "x, y = y, x + y"], "assignment for each"),
     ("unsupported", ["x = y = 1"], ["x = 1", "y = x"], "one target"),
     (
         "unsupported",
@@ -381,10 +383,94 @@ CLASSES = [
 def test_a_class_that_breaks_a_rule_is_refused_and_the_original_is_not(define, rule, shader, old, new, says):
     assert old in shader
     with pytest.raises(ShaderError) as error:
-        compile_shader(define(shader.replace(old, new)))
+        compile_shader(define(shader.replace(old, new)), strict=True)
     assert error.value.rule.id == f"shading-{rule}"
     assert says in str(error.value)
-    compile_shader(define(shader))
+    compile_shader(define(shader), strict=True)
+
+
+def test_all_that_is_wrong_in_a_shader_is_one_error(define):
+    """A helper for each faulty body, called from one stage, with bodies that are right between them."""
+    bodies = [lines for _, bad, good, _ in BODIES for lines in (bad, good)]
+    text, calls, first = ["class Test(Base):"], [], []
+    for number, lines in enumerate(bodies):
+        first.append(PRELUDE.count("\n") + len(text) + 1)
+        text += [f"    def part_{number}(self) -> None:", *(f"        {line}" for line in lines)]
+        calls.append(f"        self.part_{number}()")
+    text += ["    def compute(self) -> None:", *calls]
+    with pytest.raises(ShaderError) as caught:
+        compile_shader(define("\n".join(text)))
+    found = {}
+    for error in (caught.value, *caught.value.others):
+        part = bisect.bisect(first, error.site.line) - 1
+        found.setdefault(part, []).append(error.rule.id.removeprefix("shading-"))
+    assert found.pop(-1) == ["recursion"]  # in the prelude's `endless`
+    wanted = {2 * number: rule for number, (rule, *_) in enumerate(BODIES)}
+    missing = [bodies[part] for part, rule in wanted.items() if rule not in found.get(part, ())]
+    assert missing == [["x = endless(1.0)"], ["x = 2147483648"]]  # the second only shows in a tree without other errors
+    assert found.keys() < wanted.keys(), "bodies that are right are said to be wrong"
+
+
+def test_what_follows_from_an_error_is_no_error(define):
+    lines = (
+        "a = wieght",
+        "b = a.x + 1.0",
+        "if a > 1.0:",
+        "    c = 2.0",
+        "else:",
+        "    c = 3.0",
+        "for i in range(b):",
+        "    c = c + lost",
+        "d = a",
+        "d = 1",
+        "d = vec2(c, d)",
+        "self.out[0] = d",
+    )
+    with pytest.raises(ShaderError) as caught:
+        compile_shader(define(body(*lines)))
+    shown = [(error.site.line - PRELUDE.count("\n") - 2, error.given) for error in (caught.value, *caught.value.others)]
+    assert shown == [(1, "'wieght'"), (8, "'lost'"), (11, "d: vec2")]
+    text, copy = str(caught.value), pickle.loads(pickle.dumps(caught.value))
+    assert str(copy) == text
+    assert all(f"{error.site}" in text for error in caught.value.others)
+
+
+def test_more_errors_than_are_shown_are_counted(define):
+    for count, rest in ((10, ""), (11, "and 1 more errors"), (13, "and 3 more errors")):
+        with pytest.raises(ShaderError) as caught:
+            compile_shader(define(body(*(f"x{number} = lost{number}" for number in range(count)))))
+        assert len(caught.value.others) == count - 1
+        assert str(caught.value).count("[shading-unknown-name]") == 10
+        assert str(caught.value).endswith(rest)
+
+
+def test_both_stages_their_interface_and_a_shared_function_are_checked(define):
+    shader = GRAPHICS.replace("vec4(0)", "lost").replace("v.uv, 0", "v.lost, wieght").replace("v: V", "v: int, w: V")
+    with pytest.raises(ShaderError) as caught:
+        compile_shader(define(shader))
+    errors = [(error.rule.id, error.call.split("\n")[0]) for error in (caught.value, *caught.value.others)]
+    assert errors == [
+        ("shading-interface", "Test.fragment"),
+        ("shading-unknown-name", "Test.vertex"),
+        ("shading-unknown-member", "Test.fragment"),
+    ]
+
+
+def test_all_bindings_that_are_wrong_are_one_error(define):
+    with pytest.raises(ShaderError) as caught:
+        define("class Test(Base):\n    a: Uniform[str]\n    b: Uniform[float]\n    c: int\n")
+    assert [error.call for error in (caught.value, *caught.value.others)] == ["class Test: a", "class Test: c"]
+
+
+def test_an_unused_binding_is_a_warning_once(define):
+    shader = define(VARIANT.replace("= self.spare", "= 2.0"))
+    with pytest.warns(ShaderWarning, match="spare is never used") as caught:
+        program = compile_shader(shader)
+    assert [each.lineno for each in caught] == [PRELUDE.count("\n") + 3]
+    assert compile_shader(shader) is program
+    assert "spare" in [binding.name for binding in program.bindings]
+    with pytest.raises(ShaderError, match="spare is never used"):
+        compile_shader(shader, strict=True)
 
 
 def test_an_error_names_file_line_and_column_and_points_at_the_word(define):
