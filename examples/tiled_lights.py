@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rhi
+import rhi.shading as sl
 from rhi import (
     Comparison,
     CullMode,
@@ -63,8 +64,6 @@ from rhi.shading import (
     length,
     local_index,
     mat4,
-    max,
-    min,
     mix,
     normalize,
     saturate,
@@ -182,8 +181,8 @@ class FindLamps(Shader):
             for i in range(8):
                 corner = (vec2(group_id().xy) + vec2(float(i & 1), float(i >> 1 & 1))) * float(TILE)
                 point = self.unproject(corner, far if i < 4 else near)
-                low = min(low, point)
-                high = max(high, point)
+                low = sl.min(low, point)
+                high = sl.max(high, point)
             for first in range(0, len(self.lamps), TILE * TILE):
                 i = first + local_index()
                 if i < len(self.lamps):

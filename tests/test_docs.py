@@ -37,6 +37,14 @@ def test_the_first_example_of_the_readme_has_at_most_30_lines() -> None:
     assert len(lines) <= 30
 
 
+def test_what_teaches_shaders_keeps_the_built_ins_of_python() -> None:
+    programs = {path: path.read_text() for path in (ROOT / "examples").rglob("*.py")}
+    programs |= {page: "\n".join(texts) for page, texts in EXAMPLES.items()}
+    replaced = r"from rhi\.shading import (\*|\(?[\w,\s]*\b(abs|min|max)\b)"
+    assert [str(path) for path, text in programs.items() if re.search(replaced, text)] == []
+    assert re.search(replaced, "from rhi.shading import (\n    dot,\n    max,\n)")
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
 def test_links_between_pages_lead_somewhere(page: Path) -> None:
     for target in re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text()):

@@ -13,7 +13,7 @@ import numpy as np
 from frame import Screen, main
 
 import rhi
-from rhi.shading import Texture2D, fragment_coordinate, length, min, vec2, vec4
+from rhi.shading import Texture2D, fragment_coordinate, length, vec2, vec4
 
 EGL: dict[str, Any] = {"backend": "egl", "libgl": "libEGL.so.1", "libegl": "libEGL.so.1"}
 DISC = """

@@ -5,6 +5,7 @@ from __future__ import annotations
 from frame import Screen, main
 
 import rhi
+import rhi.shading as sl
 from rhi import Filter, Format, SamplerDescriptor, Wrap
 from rhi.shading import (
     Struct,
@@ -14,7 +15,6 @@ from rhi.shading import (
     exp,
     fragment_coordinate,
     length,
-    max,
     sin,
     vec2,
     vec3,
@@ -55,7 +55,7 @@ class Bright(Screen):
     window: Uniform[Window]
 
     def fragment(self) -> vec4:
-        return vec4(max(self.source.sample(fragment_coordinate().xy / self.window.size).rgb - 1.0, vec3(0.0)), 1.0)
+        return vec4(sl.max(self.source.sample(fragment_coordinate().xy / self.window.size).rgb - 1.0, vec3(0.0)), 1.0)
 
 
 class Blur(Screen):

@@ -21,7 +21,6 @@ from rhi.shading import (
     instance_index,
     ivec2,
     length,
-    max,
     normalize,
     vec3,
     vec4,

@@ -15,7 +15,6 @@ from rhi.shading import (
     exp,
     length,
     mat4,
-    max,
     mix,
     normalize,
     sin,

@@ -18,7 +18,6 @@ from rhi.shading import (
     Uniform,
     dot,
     instance_index,
-    max,
     normalize,
     vec3,
     vec4,

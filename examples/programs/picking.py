@@ -14,7 +14,6 @@ from rhi.shading import (
     Uniform,
     dot,
     instance_index,
-    max,
     normalize,
     uint,
     vec3,

@@ -15,8 +15,6 @@ from rhi.shading import (
     fragment_coordinate,
     function,
     length,
-    max,
-    min,
     mix,
     normalize,
     vec2,

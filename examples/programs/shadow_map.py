@@ -16,7 +16,6 @@ from rhi.shading import (
     dot,
     instance_index,
     mat4,
-    max,
     normalize,
     vec2,
     vec3,

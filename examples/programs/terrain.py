@@ -16,8 +16,6 @@ from rhi.shading import (
     ivec2,
     length,
     mat4,
-    max,
-    min,
     mix,
     normalize,
     smoothstep,

@@ -6,7 +6,7 @@ import numpy as np
 from frame import Camera, look_at, main, make_cube, perspective
 
 import rhi
-from rhi.shading import Shader, Struct, Texture2D, Uniform, dot, max, normalize, vec2, vec3, vec4
+from rhi.shading import Shader, Struct, Texture2D, Uniform, dot, normalize, vec2, vec3, vec4
 
 
 class Vertex(Struct):
