@@ -1,0 +1,144 @@
+"""Light: what surfaces send to the eye, and what of it the air lets through. All formulas are written again, from the
+documents that the scene's own refer to, in another form where there is one.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.lab.judge.rays import Floats, TriangleTree
+from renderer.lab.judge.surfaces import Geometry, Surfaces, normalize
+from renderer.scene import Fog, Scene, ShadingModel
+
+_AWAY: Final = 1e-6
+"""Metres from a surface at which a ray to a light begins; and its share of how far the place is from the origin, by
+which float64 rounds."""
+_SMOOTHEST: Final = 0.1
+"""The roughness below which the metallic-roughness model counts as that."""
+
+
+class Lighting:
+    """The lights of a scene, and the shadows that its geometry casts."""
+
+    def __init__(self, scene: Scene, geometry: Geometry, tree: TriangleTree, *, has_shadows: bool = True) -> None:
+        self._scene, self._geometry, self._tree, self._has_shadows = scene, geometry, tree, has_shadows
+
+    def light(self, seen: Surfaces) -> Floats:
+        """Return the light (k, 3) that surfaces send to the eye, before it goes through the air."""
+        color = self._reflect_surroundings(seen) + seen.emitted
+        lights = self._scene.lights
+        for sun in lights.directional:
+            to_light = np.broadcast_to(-sun["direction"].astype(np.float64), seen.normal.shape)
+            strength = np.full(len(to_light), float(sun["intensity"]))
+            color += self._reflect(seen, to_light, strength, np.inf, sun)
+        for lamp in (*lights.point, *lights.spot):
+            color += self._reflect_lamp(seen, lamp)
+        return color
+
+    def _reflect_lamp(self, seen: Surfaces, lamp: Any) -> Floats:
+        away = lamp["position"] - seen.position
+        distance = np.linalg.norm(away, axis=1)
+        reach = float(lamp["range"])
+        to_light = normalize(away)
+        window = np.clip(1.0 - (distance / max(reach, 1e-10)) ** 4, 0.0, 1.0)
+        strength = float(lamp["intensity"]) * window**2 / np.maximum(distance, 0.01) ** 2
+        if "outer" in lamp.dtype.names:
+            cosine = -to_light @ lamp["direction"].astype(np.float64)
+            outer, inner = (np.cos(float(lamp[name])) for name in ("outer", "inner"))
+            strength *= np.clip((cosine - outer) / max(inner - outer, 1e-4), 0.0, 1.0) ** 2
+        return self._reflect(seen, to_light, np.where(distance < reach, strength, 0.0), distance, lamp)
+
+    def _reflect(self, seen: Surfaces, to_light: Floats, strength: Floats, distance: Any, lamp: Any) -> Floats:
+        """Return the light that surfaces reflect of a lamp in the direction `to_light`, at a distance."""
+        facing = _dot(seen.normal, to_light)
+        lit = np.flatnonzero((facing > 0.0) & (strength > 0.0))
+        color = np.zeros(seen.normal.shape)
+        if len(lit) and lamp["casts_shadow"] and self._has_shadows:
+            far = np.broadcast_to(distance, facing.shape)[lit]
+            lit = lit[~self._are_dark(seen.position[lit], seen.plane[lit], to_light[lit], far)]
+        if len(lit):
+            some = _take(seen, lit)
+            arriving = lamp["color"].astype(np.float64) * (strength * facing)[lit, None]
+            color[lit] = reflect(some, to_light[lit]) * arriving
+        return color
+
+    def _are_dark(self, position: Floats, plane: Floats, to_light: Floats, distance: Floats) -> NDArray[np.bool_]:
+        start = _AWAY + 1e-13 * np.abs(position).max(axis=1)
+        origins = position + plane * start[:, None]
+        return self._tree.are_blocked(origins, to_light, distance - start, self._geometry.stop_light)
+
+    def _reflect_surroundings(self, seen: Surfaces) -> Floats:
+        """Return the light of the sky and the ground, scattered and mirrored."""
+        lights = self._scene.lights
+        sky, ground = (np.asarray(one, np.float64) for one in (lights.sky, lights.ground))
+
+        def arrive(direction: Floats) -> Floats:
+            height = 0.5 * (direction[:, 1:2] + 1.0)
+            return np.asarray(sky * height + ground * (1.0 - height))
+
+        material, along = seen.material, _dot(seen.normal, seen.to_eye)
+        beyond = 2.0 * along[:, None] * seen.normal - seen.to_eye
+        is_metal, diffuse, mirror, rough = _find_model(seen)
+        clipped = np.clip(along, 0.0, 1.0)
+        rim = material["rim_strength"] * (1.0 - clipped) ** material["rim_power"].astype(np.float64)
+        mirrored = material["specular_color"] + rim[:, None]
+        # Karis's fit of the metallic-roughness model over all directions (Physically Based Shading on Mobile, 2014).
+        share = np.minimum((1.0 - rough) ** 2, 2.0 ** (-9.28 * clipped)) * (1.0 - rough) + 0.0425 - 0.0275 * rough
+        scale = -1.04 * share + 1.04 - 0.572 * rough
+        offset = 1.04 * share + 0.022 * rough - 0.04
+        mirrored = np.where(is_metal[:, None], mirror * scale[:, None] + offset[:, None], mirrored)
+        blunt = np.where(is_metal, rough**2, 0.0)[:, None]
+        beyond = beyond * (1.0 - blunt) + seen.normal * blunt
+        return np.asarray((diffuse * arrive(seen.normal) + mirrored * arrive(beyond)) * seen.occlusion[:, None])
+
+
+def reflect(seen: Surfaces, to_light: Floats) -> Floats:
+    """Return the share (k, 3) of a lamp's light that surfaces send to the eye, for light that falls straight on them:
+    Blinn and Phong's model with the energy of its highlight, or that of glTF 2.0, appendix B."""
+    half = normalize(to_light + seen.to_eye)
+    towards = _dot(seen.normal, half)
+    is_metal, _, mirror, rough = _find_model(seen)
+    shininess = seen.material["shininess"].astype(np.float64)
+    with np.errstate(under="ignore"):
+        lobe = np.clip(towards, 0.0, 1.0) ** shininess * (shininess + 8.0) / 8.0
+    specular = seen.base + seen.material["specular_color"] * lobe[:, None]
+    # D, V and F of glTF; (n·h)² (α² - 1) + 1 is the same as sin² + α² cos² of the angle between n and h.
+    square = rough**4
+    sine = np.linalg.norm(np.cross(seen.normal, half), axis=1)
+    spread = square / np.maximum(sine**2 + square * towards**2, square) ** 2
+    lit, viewed = np.clip(_dot(seen.normal, to_light), 0.0, 1.0), np.abs(_dot(seen.normal, seen.to_eye))
+    masks = [one + np.sqrt(square + (1.0 - square) * one**2) for one in (lit, viewed)]
+    fresnel = mirror + (1.0 - mirror) * ((1.0 - np.clip(_dot(seen.to_eye, half), 0.0, 1.0)) ** 5)[:, None]
+    scattered = seen.base * (1.0 - seen.metallic)[:, None] * (1.0 - fresnel)
+    metal = scattered + fresnel * (spread / (masks[0] * masks[1]))[:, None]
+    return np.where(is_metal[:, None], metal, specular)
+
+
+def _find_model(seen: Surfaces) -> tuple[NDArray[np.bool_], Floats, Floats, Floats]:
+    """Return which surfaces have the metallic-roughness model, the colour that all scatter of light from everywhere,
+    the one that those of that model mirror of light from ahead, and their roughness."""
+    is_metal = np.asarray(seen.material["model"] == ShadingModel.METALLIC_ROUGHNESS)
+    mirror = 0.04 + seen.metallic[:, None] * (seen.base - 0.04)
+    diffuse = np.where(is_metal[:, None], seen.base * (1.0 - seen.metallic)[:, None] * (1.0 - mirror), seen.base)
+    return is_metal, diffuse, mirror, np.maximum(seen.roughness, _SMOOTHEST)
+
+
+def find_thickness(fog: Fog, eye: float, height: Floats, length: Floats) -> Floats:
+    """Return the integral of a fog's density along rays (k,) from the height `eye` that rise by `height` on their
+    `length`, which may be infinite."""
+    thins = fog.falloff * height
+    here = fog.density * np.exp(np.minimum(-fog.falloff * (eye - fog.base), 60.0))
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        share = np.where(np.abs(thins) < 1e-12, 1.0, -np.expm1(-thins) / thins)
+        return np.asarray(here * length * share)
+
+
+def _take(seen: Surfaces, rows: NDArray[Any]) -> Surfaces:
+    return Surfaces(*(getattr(seen, name)[rows] for name in seen.__slots__))
+
+
+def _dot(one: Floats, other: Floats) -> Floats:
+    return np.asarray(np.einsum("ij,ij->i", one, other))

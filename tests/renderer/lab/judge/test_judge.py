@@ -1,0 +1,137 @@
+"""The judge's pictures are what can be worked out by hand."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import renderer.lab.judge
+from renderer.content import BUILT_IN
+from renderer.lab.judge import Judge
+from renderer.lab.judge.light import find_thickness
+from renderer.lab.judge.picture import map_tones, unmap_tones
+from renderer.lab.judge.surfaces import decode_srgb, encode_srgb
+from renderer.scene import AlphaMode, Camera, Fog, Glow, Orthographic, Perspective, SceneBuilder, scaling, translation
+from tests.renderer.fog_reference import add_up
+
+LENS = Perspective(fov=1.0, aspect=1.0)
+
+
+def make_floor(**material: object) -> SceneBuilder:
+    """Begin a scene of a floor at y = 0, of which only the light that it scatters is seen."""
+    builder = SceneBuilder("floor")
+    builder.background = (0.0, 0.0, 0.0)
+    builder.lights.sky = builder.lights.ground = (0.0, 0.0, 0.0)
+    mesh = builder.add_mesh(BUILT_IN["box"]())
+    given = {"base_color": (0.5, 0.25, 0.125), "specular_color": (0, 0, 0), **material}
+    builder.add_objects(builder.add_node(translation((0, -0.5, 0)) @ scaling((20, 1, 20))), mesh,
+                        builder.add_material(**given))  # fmt: skip
+    return builder
+
+
+def see_light(builder: SceneBuilder, eye: tuple[float, float, float], at: tuple[float, float, float]) -> np.ndarray:
+    """Return the light (3,) that comes to an eye from the middle of its picture."""
+    camera = Camera.look_at(eye, at, projection=LENS)
+    color = Judge(builder.build()).see(camera, (8, 8), np.array([(4.0, 4.0)]))
+    return unmap_tones(color)[0]
+
+
+def test_a_lamp_lights_by_the_square_of_its_distance_and_the_cosine() -> None:
+    builder = make_floor()
+    builder.lights.add_point((0, 3, 4), 1e6, (1, 1, 0.5), intensity=50.0)
+    want = np.array((0.5, 0.25, 0.0625)) * 50.0 / 25.0 * 0.6
+    assert see_light(builder, (3, 2, 0), (0, 0, 0)) == pytest.approx(want, rel=1e-6)
+
+
+@pytest.mark.parametrize(("angle", "share"), [(0.1, 1.0), (0.3, 1.0), (0.4, 0.3127), (0.5, 0.0), (0.6, 0.0)])
+def test_a_spot_fades_between_its_angles(angle: float, share: float) -> None:
+    builder = make_floor(base_color=(1, 1, 1))
+    builder.lights.add_spot((0, 1, 0), (0, -1, 0), 1e6, 0.3, 0.5, intensity=1.0)
+    x = np.tan(angle)
+    light = see_light(builder, (x, 2, 0.5), (x, 0, 0))[0]
+    assert light == pytest.approx(share * np.cos(angle) ** 3, abs=2e-3)
+
+
+def test_the_sun_casts_the_shadow_of_a_box_where_it_must_lie() -> None:
+    builder = make_floor()
+    builder.add_objects(builder.add_node(translation((0, 1.5, 0))), builder.add_mesh(BUILT_IN["box"]()),
+                        builder.add_material())  # fmt: skip
+    builder.lights.add_directional((1, -1, 0), intensity=1.0, casts_shadow=True)
+    camera = Camera.look_at((1.5, 30, 0), (1.5, 0, 0), (0, 0, -1), projection=Orthographic(6.0, 1.0, 0.0, 100.0))
+    scene = builder.build()
+    x = np.array([0.6, 0.99, 1.01, 2.49, 2.51])  # the box is seen up to 0.5; its shadow goes from 0.5 to 2.5
+    places = np.stack([(x - 1.5) / 6.0 * 64 + 32, np.full(5, 32.0)], axis=1)
+    lit = Judge(scene).see(camera, (64, 64), places)[:, 0] > 0.0
+    assert lit.tolist() == [False, False, False, False, True]
+    assert Judge(scene, has_shadows=False).see(camera, (64, 64), places)[:, 0].min() > 0.0
+
+
+def test_panes_cover_what_is_behind_them_from_back_to_front() -> None:
+    builder = make_floor(emissive=(0.2, 0.2, 0.2), base_color=(0, 0, 0))
+    mesh = builder.add_mesh(BUILT_IN["box"]())
+    for height, color, alpha in ((1.0, (0.9, 0.0, 0.0), 0.5), (2.0, (0.0, 0.9, 0.0), 0.25)):
+        pane = builder.add_material(base_color=(*color, alpha), emission=1.0, specular_color=(0, 0, 0),
+                                    alpha_mode=AlphaMode.BLEND)  # fmt: skip
+        builder.add_objects(builder.add_node(translation((0, height, 0)) @ scaling((9, 0.1, 9))), mesh, pane)
+    camera = Camera.look_at((0, 5, 0.1), (0, 0, 0.1), (0, 0, -1), projection=LENS)
+    (color,) = Judge(builder.build()).see(camera, (8, 8), np.array([(4.0, 4.0)]))
+    floor, bright = map_tones(np.array([0.2, 0.9]))
+    want = 0.25 * np.array((0, bright, 0)) + 0.75 * (0.5 * np.array((bright, 0, 0)) + 0.5 * np.full(3, floor))
+    assert color == pytest.approx(want, abs=1e-6)
+
+
+def test_more_rays_take_the_mean_of_the_light_of_a_pixel() -> None:
+    builder = make_floor(emissive=(4.0, 4.0, 4.0))
+    camera = Camera.look_at((10, 30, 0), (10, 0, 0), (0, 0, -1), projection=Orthographic(4.0, 1.0, 0.0, 100.0))
+    picture = Judge(builder.build()).draw(camera, (9, 9), rays=16)[4]
+    half = 255.0 * encode_srgb(0.5 * map_tones(np.array([4.0])))[0]
+    assert picture[3, 0] == pytest.approx(255.0 * encode_srgb(map_tones(np.array([4.0])))[0])
+    assert picture[4, 0] == pytest.approx(half, abs=4.0)  # the floor ends in the middle of this pixel
+    assert picture[5, 0] == 0.0
+
+
+@pytest.mark.parametrize("falloff", [0.0, 1e-9, 0.4])
+@pytest.mark.parametrize("rise", [-3.0, 0.0, 2.0])
+def test_fog_is_as_thick_as_its_density_added_up(falloff: float, rise: float) -> None:
+    fog = Fog(0.2, falloff=falloff, base=1.0)
+    ray = np.array((4.0, rise, 1.0))
+    thickness = find_thickness(fog, 2.0, ray[1:2], np.array([np.linalg.norm(ray)]))
+    assert np.exp(-thickness[0]) == pytest.approx(add_up(fog, 2.0, ray), rel=1e-9)
+
+
+def test_tones_and_srgb_have_their_published_values() -> None:
+    assert encode_srgb(np.array([0.0, 0.002, 0.2140411, 1.0])) == pytest.approx([0.0, 0.02584, 0.5, 1.0], abs=1e-6)
+    assert decode_srgb(encode_srgb(np.linspace(0, 1, 99))) == pytest.approx(np.linspace(0, 1, 99), abs=1e-7)
+    assert map_tones(np.array([1.0 / 0.6])) == pytest.approx(2.54 / 3.16)
+    assert map_tones(unmap_tones(np.linspace(0, 1, 9))) == pytest.approx(np.linspace(0, 1, 9), abs=1e-12)
+
+
+def test_what_glows_is_refused() -> None:
+    builder = make_floor()
+    builder.glow = Glow()
+    with pytest.raises(ValueError, match="glow"):
+        Judge(builder.build())
+
+
+def test_the_judge_knows_the_scene_alone() -> None:
+    folder = Path(renderer.lab.judge.__file__).parent
+    known = set()
+    for path in folder.glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom):
+                known.add(str(node.module))
+            elif isinstance(node, ast.Import):
+                known.update(one.name for one in node.names)
+    own = {name for name in known if name.startswith("renderer.lab.judge")}
+    assert known - own <= {
+        "__future__",
+        "collections.abc",
+        "dataclasses",
+        "typing",
+        "numpy",
+        "numpy.typing",
+        "renderer.scene",
+    }
