@@ -31,6 +31,7 @@ sys.path.insert(0, str(ROOT))
 
 import rhi  # noqa: E402
 from renderer.content import load_scene, parse_camera  # noqa: E402
+from renderer.lab.exam.case import COMPUTES, DRAWS, NOTHING  # noqa: E402
 from renderer.lab.visibility import Contender, compare_algorithms, list_frames  # noqa: E402
 from renderer.lights.lists import list_lights  # noqa: E402
 from renderer.renderer import Renderer  # noqa: E402
@@ -183,6 +184,12 @@ def find_leaf_sizes() -> Rows:
     return rows
 
 
+def find_useless() -> Rows:
+    """Count the cases of the exam that devices of no use pass, on gl."""
+    found = _read_report("tests/meta/useless_devices.py")
+    return {name: [str(len(passed[asked])) for asked in (DRAWS, COMPUTES, NOTHING)] for name, passed in found.items()}
+
+
 FIGURES: Final = {
     "orders": Figure("docs/materials.md", ("programs", "materials", "meshes", "draws"), find_orders),
     "encodings": Figure("docs/deferred-plus.md", ("mean error", "largest error"), find_encodings, ("ns, gl", "ns, cl")),
@@ -190,6 +197,7 @@ FIGURES: Final = {
     "inferred": Figure("docs/lighting-techniques.md", ("PSNR, dB", "pixels more than 2 of 255 off"), find_inferred),
     "light lists": Figure("docs/renderer.md", ("objects", "lights listed, longest list"), find_light_lists),
     "memory": Figure("docs/materials.md", ("bytes",), find_memory),
+    "useless devices": Figure("docs/exam.md", (DRAWS, COMPUTES, NOTHING), find_useless),
     "glass": Figure("docs/stereo.md", ("PSNR, dB",), find_glass),
     "leaf sizes": Figure("docs/visibility-costs.md", ("queries", "draws"), find_leaf_sizes, within=0.25),
 }

@@ -16,6 +16,7 @@ from renderer.cli.options import option
 from renderer.cli.output import note, open_working, prepare_image, show_progress, write_image
 from renderer.cli.subcommand import Subcommand
 from renderer.lab.exam import CASES, Case, ExamRow, examine, find_cases
+from renderer.lab.exam.case import NOTHING
 from renderer.lab.exam.pictures import join_pictures
 from renderer.lab.measure import format_table
 
@@ -87,9 +88,12 @@ def show_rows(rows: Sequence[ExamRow], *, markdown: bool = False) -> str:
         cells.append([str(number), first.about, first.reference, tolerance, *results])
     counts = []
     for name in backends:
-        own = [row.passed for row in rows if row.backend == name]
+        own = [row.passed for row in rows if row.backend == name and row.asks != NOTHING]
         applied = len(own) - own.count(None)
         counts.append(f"{name}: {own.count(True)} of {applied} passed, {own.count(None)} not applicable")
+    others = [row.passed for row in rows if row.backend == backends[0] and row.asks == NOTHING]
+    if others:
+        counts.append(f"that ask nothing of a device: {others.count(True)} of {len(others)} passed")
     table = format_table(header, cells, markdown=markdown)
     return f"{table}\n\n{'; '.join(counts)}"
 

@@ -9,7 +9,7 @@ import contextlib
 import dataclasses
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -263,20 +263,26 @@ class Failures:
             self.failed.append(report.nodeid)
 
 
+@contextlib.contextmanager
+def replace_gl(fault: Callable[[Any], Any]) -> Iterator[None]:
+    """Let gl be gl with a fault, and the only backend but null."""
+    known = registry._entry_points
+    real = known()["gl"].load()
+    point = SimpleNamespace(load=lambda: lambda *, validation: fault(real(validation=validation)))
+    registry._entry_points = lambda: {"gl": point, "null": known()["null"]}  # type: ignore[assignment, dict-item, return-value]
+    try:
+        yield
+    finally:
+        registry._entry_points = known
+
+
 def find_failures(fault: Callable[[Any], Any], *groups: str) -> list[str]:
     """Run groups of the kit against gl with a fault, up to the first test that fails."""
-    real = registry._entry_points()["gl"].load()
-    point = SimpleNamespace(load=lambda: lambda *, validation: fault(real(validation=validation)))
-    known = registry._entry_points
-    registry._entry_points = lambda: {"gl": point}  # type: ignore[assignment, dict-item]
     failures = Failures()
     options = ["-q", "-x", "-p", "no:cacheprovider", "-p", "rhi.conformance.plugin", "-c", os.devnull]
     files = [str(KIT / "operation" / f"test_{group}.py") for group in groups]
-    try:
-        with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
-            status = pytest.main([*options, "--rootdir", str(KIT), "--rhi-backend", "gl", *files], [failures])
-    finally:
-        registry._entry_points = known
+    with replace_gl(fault), open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
+        status = pytest.main([*options, "--rootdir", str(KIT), "--rhi-backend", "gl", *files], [failures])
     if status not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
         raise RuntimeError(f"the kit did not run: {status!r}")
     return failures.failed

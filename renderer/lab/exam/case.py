@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from rhi import Capabilities, Device
 
+DRAWS, COMPUTES, NOTHING = "draws", "computes", "no device"
+"""What cases ask of a device."""
 Picture = NDArray[Any]
 """An image (height, width, 4) uint8 of sRGB colours, or errors (height, width) of another type, shown by brightness."""
 
@@ -65,6 +67,11 @@ class Case:
     measure: Callable[[Device], Found]
     needs: tuple[str, ...] = ()
     is_long: bool = False
+
+    @property
+    def asks(self) -> str:
+        """What the case asks of a device: that it draws, or computes, or nothing."""
+        return DRAWS if "renders" in self.needs else COMPUTES if self.needs else NOTHING
 
     def find_lack(self, can: Capabilities) -> str | None:
         """Return the first capability that the case needs and a device lacks, or None."""

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cache, cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.lights.culling.cells import CellGrid, block_cell
+from renderer.lights.culling.cells import CellGrid
 from renderer.lights.culling.projections import make_grid
 from renderer.scene import Depth, Orthographic, Perspective, Projection
 from renderer.scene.arrays import Floats
-from rhi.shading import evaluate
 
 
 @dataclass(frozen=True)
@@ -132,12 +130,6 @@ class Pairs:
     centres: Floats
     radii: Floats
     distances: Floats
-
-    @cached_property
-    def cells(self) -> NDArray[Any]:
-        """The cells as shaders have them, in float64."""
-        cells: NDArray[Any] = evaluate(block_cell, self.grid, self.tiles, 1, self.near, self.far, dtype=np.float64)
-        return cells
 
     @cached_property
     def overlap(self) -> NDArray[np.bool_]:

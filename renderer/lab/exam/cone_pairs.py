@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from renderer.lights.culling.cone_tests import (
 from renderer.lights.culling.table import CONE_TESTS
 from renderer.scene.arrays import Floats
 from rhi import Device
-from rhi.shading import Shader, Storage, StorageRW, Struct, Uniform, evaluate, global_id, ivec2, uint
+from rhi.shading import Shader, Storage, StorageRW, Struct, Uniform, global_id, ivec2, uint
 
 COUNT: Final = 3_000
 _NEXT: Final = (-1e-5, 0.0, 1e-5)
@@ -48,25 +48,22 @@ class ConePairs:
     cones: Cones
     overlap: NDArray[np.bool_]
 
-    @property
-    def cells(self) -> NDArray[Any]:
-        """The cells as shaders have them, in float64."""
-        cells: NDArray[Any] = evaluate(block_cell, self.grid, self.tiles, 1, self.near, self.far, dtype=np.float64)
-        return cells
 
-
-def nearest_in_cells(cells: NDArray[Any], points: Floats) -> Floats:
-    """Find the points of cells nearest to points, by halving the range of depth."""
+def nearest_in_cells(corners: Floats, points: Floats) -> Floats:
+    """Find the points of cells nearest to points, by halving the range of depth; `corners` as `find_corners` has
+    them."""
+    near, far = corners[:, 0, 2], corners[:, 4, 2]
+    length = np.where(far > near, far - near, 1.0)
 
     def beside(z: Floats) -> Floats:
-        low = cells["low"] + cells["low_slope"] * z[:, None]
-        high = cells["high"] + cells["high_slope"] * z[:, None]
+        share = ((z - near) / length)[:, None]
+        low, high = (corners[:, one, :2] * (1.0 - share) + corners[:, one + 4, :2] * share for one in (0, 3))
         return np.column_stack([np.clip(points[:, :2], low, high), z])
 
     def square(z: Floats) -> Floats:
         return np.asarray(((beside(z) - points) ** 2).sum(1))
 
-    begin, end = cells["near"].copy(), cells["far"].copy()
+    begin, end = near.copy(), far.copy()
     for _ in range(40):
         left, right = begin + (end - begin) * 0.45, begin + (end - begin) * 0.55
         first = square(left) < square(right)
@@ -125,14 +122,13 @@ def make_cone_pairs(name: str) -> ConePairs:
     }  # fmt: skip
     cones = {name: values.astype(np.float32).astype(np.float64) for name, values in cones.items()}
     cones["axis"] /= np.linalg.norm(cones["axis"], axis=1)[:, None]
-    cells = evaluate(block_cell, grid, tiles, 1, near, far, dtype=np.float64)
     inner = cones | {"range": 0.999 * cones["range"], "cosine": np.cos(0.999 * np.arccos(cones["cosine"]))}
     points, overlap, rows = aim, np.zeros(COUNT, bool), np.arange(COUNT)
     for _ in range(40):
         found = are_in_cones(_take(cones, rows), points)
         overlap[rows[found]] = True
         rows, points = rows[~found], points[~found]
-        points = nearest_in_cells(cells[rows], nearest_in_cones(_take(inner, rows), points))
+        points = nearest_in_cells(corners[rows], nearest_in_cones(_take(inner, rows), points))
     return ConePairs(grid, tiles, near, far, cones, overlap)
 
 

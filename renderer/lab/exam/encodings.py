@@ -137,15 +137,16 @@ def list_values() -> Floats:
     return np.concatenate([*blocks, changes, places])
 
 
-def store_values(device: Device) -> Floats:
-    """Return what a device reads of the values that it has stored, (k, 4, 8)."""
-    packed = pack_values(list_values())
+def store_values(device: Device, first: int) -> Floats:
+    """Return what a device reads of the values that it has stored, (k, 4, 8). They are stored from the row `first` on,
+    so that what was read before is something else."""
+    packed = pack_values(np.roll(list_values(), first, axis=0))
     values, results = device.storage(StoredValue, packed), device.storage(StoredValue, 4 * len(packed))
     device.dispatch(device.program(EveryEncoding), -(-len(packed) // GROUP), values=values, results=results)
     read = np.ascontiguousarray(results.read()).view(np.float32)
     values.destroy()
     results.destroy()
-    return read.astype(np.float64).reshape(-1, 4, 8)
+    return np.roll(read.astype(np.float64).reshape(-1, 4, 8), -first, axis=0)
 
 
 # Each takes what was read, (k, 4, 8).
@@ -341,11 +342,11 @@ _NEEDS: Final = ("compute", "shading")
 def _case(
     number: int, about: str, reference: str, tolerance: float, unit: str, why: str, judge: Callable[[Floats], Found]
 ) -> Case:
-    return Case(number, about, reference, tolerance, unit, why, partial(_measure, judge), _NEEDS)
+    return Case(number, about, reference, tolerance, unit, why, partial(_measure, judge, number), _NEEDS)
 
 
-def _measure(judge: Callable[[Floats], Found], device: Device) -> Found:
-    return judge(store_values(device))
+def _measure(judge: Callable[[Floats], Found], first: int, device: Device) -> Found:
+    return judge(store_values(device, first))
 
 
 CASES: Final = (

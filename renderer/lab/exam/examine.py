@@ -19,6 +19,7 @@ class ExamRow:
     Attributes:
         error: None if the case doesn't apply, or could not be measured.
         passed: None if the case doesn't apply.
+        asks: what the case asks of a device: that it draws, or computes, or nothing.
         remark: what the device lacks, which statement doesn't hold, or what was raised; mostly empty.
     """
 
@@ -30,6 +31,7 @@ class ExamRow:
     unit: str
     error: float | None
     passed: bool | None
+    asks: str
     remark: str = ""
 
     def as_record(self) -> dict[str, Any]:
@@ -66,6 +68,7 @@ def _make_row(case: Case, device: Device, error: float | None, passed: bool | No
         case.unit,
         None if error is None else float(error),
         passed,
+        case.asks,
         remark,
     )
 

@@ -80,15 +80,28 @@ def draw_with(renderer: Renderer, algorithm: VisibilityAlgorithm, camera: Camera
     return renderer.render(camera, seconds)
 
 
+def show_something(frames: Iterable[NDArray[np.uint8]]) -> dict[str, bool]:
+    """Return the statement that frames (height, width, 4) show something, which those of a device that draws nothing
+    or one colour don't: three colours at least, and more than a two-thousandth of all pixels have another than most."""
+    pixels = np.concatenate([frame.reshape(-1, 4) for frame in frames])
+    counts = np.unique(pixels.astype("u1").view("<u4"), return_counts=True)[1]
+    return {"frames show something": len(counts) >= 3 and bool(counts.max() < (1.0 - 5e-4) * len(pixels))}
+
+
 class Uncut:
     """The frames of a scene without culling, drawn once, with which any number of algorithms are compared.
 
-    Its resources on the device last until the end of its `with` statement."""
+    Its resources on the device last until the end of its `with` statement.
+
+    Attributes:
+        frames: of each shot. holds: what must be true of them, or no comparison says anything.
+    """
 
     def __init__(self, device: Device, scene: Scene, shots: Shots, size: tuple[int, int] = SIZE) -> None:
         self.scene, self.shots = scene, shots
         self._renderer = Renderer(device, scene, size=size)
         self.frames = self.draw(NoCulling(scene))
+        self.holds = show_something(self.frames)
 
     def draw(self, algorithm: VisibilityAlgorithm) -> list[NDArray[np.uint8]]:
         """Return the frames that an algorithm gives."""

@@ -95,9 +95,12 @@ def test_an_unknown_case_is_refused() -> None:
 
 
 def test_the_table_has_a_column_for_each_backend_and_counts(null: rhi.Device) -> None:
-    rows = run(null, CASE, replace(CASE, number=8, needs=("shading",)), replace(CASE, number=9, tolerance=0.1))
-    text = show_rows([*rows, replace(rows[0], backend="other")])
-    assert "null: 1 of 2 passed, 1 not applicable; other: 1 of 1 passed, 0 not applicable" in text
+    computes = replace(CASE, needs=("compute",))
+    rows = run(null, computes, replace(CASE, number=8, needs=("shading",)), replace(computes, number=9, tolerance=0.1))
+    alone = run(null, replace(CASE, number=10))
+    text = show_rows([*rows, *alone, replace(rows[0], backend="other")])
+    counts = "null: 1 of 2 passed, 1 not applicable; other: 1 of 1 passed, 0 not applicable"
+    assert f"{counts}; that ask nothing of a device: 1 of 1 passed" in text
     assert "needs shading" in text
     assert "FAILED: 0.25" in text
 

@@ -1,0 +1,42 @@
+"""A device that draws nothing, or tells nothing of what it has drawn, fails the exam wherever that draws."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+import useless_devices
+
+from renderer.lab.exam import find_cases
+from renderer.lab.exam.case import COMPUTES, DRAWS, NOTHING
+
+
+@pytest.mark.nightly
+def test_useless_devices_pass_what_has_nothing_to_do_with_them() -> None:
+    run = subprocess.run([sys.executable, useless_devices.__file__], capture_output=True, text=True, check=True)
+    found = json.loads(run.stdout)
+    control = found.pop("none of these faults")
+    cases = {
+        asked: [case.number for case in find_cases([]) if case.asks == asked] for asked in (DRAWS, COMPUTES, NOTHING)
+    }
+    assert control == cases
+    assert found.pop("its draws do nothing") == {**cases, DRAWS: []}
+    assert len(found) == 4
+    for passed in found.values():
+        assert passed == {DRAWS: [], COMPUTES: [], NOTHING: cases[NOTHING]}
+
+
+def test_a_mute_device_fails_a_comparison_of_pictures() -> None:
+    """One case by day: the mute device draws the same nothing with culling and without."""
+    from faulty_backends import Faulty, replace_gl
+
+    import rhi
+    from renderer.lab.exam import examine
+
+    for device, passes in ((useless_devices.Mute, False), (Faulty, True)):
+        with replace_gl(device), rhi.create_device("gl") as opened:
+            (row,) = examine(opened, find_cases([11]))
+        assert row.passed is passes
+        assert row.error == 0.0
