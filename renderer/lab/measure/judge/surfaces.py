@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.lab.judge.rays import Floats, Hits, Rows
+from renderer.lab.measure.judge.rays import Floats, Hits, Rows
 from renderer.scene import AlphaMode, Scene, ShadingModel
 
 _ROUNDING: Final = 2.0**-16

@@ -9,8 +9,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.lab.judge.rays import Floats, TriangleTree
-from renderer.lab.judge.surfaces import Geometry, Surfaces, normalize
+from renderer.lab.measure.judge.rays import Floats, TriangleTree
+from renderer.lab.measure.judge.surfaces import Geometry, Surfaces, normalize
 from renderer.scene import Fog, Scene, ShadingModel
 
 _AWAY: Final = 1e-6
@@ -20,7 +20,7 @@ _SMOOTHEST: Final = 0.1
 """The roughness below which the metallic-roughness model counts as that."""
 
 
-class Lighting:
+class LitSurfaces:
     """The lights of a scene, and the shadows that its geometry casts."""
 
     def __init__(self, scene: Scene, geometry: Geometry, tree: TriangleTree, *, has_shadows: bool = True) -> None:

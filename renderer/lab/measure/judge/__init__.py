@@ -12,6 +12,6 @@ What it leaves out: glow, and what moves by itself (it takes the scene as it sta
 finest level: more rays a pixel take the place of mip levels.
 """
 
-from renderer.lab.judge.picture import Judge
+from renderer.lab.measure.judge.picture import Judge
 
 __all__ = ["Judge"]

@@ -6,9 +6,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from renderer.lab.judge.light import Lighting, find_thickness
-from renderer.lab.judge.rays import Floats, Hits, Rows, TriangleTree
-from renderer.lab.judge.surfaces import Geometry, encode_srgb
+from renderer.lab.measure.judge.light import LitSurfaces, find_thickness
+from renderer.lab.measure.judge.rays import Floats, Hits, Rows, TriangleTree
+from renderer.lab.measure.judge.surfaces import Geometry, encode_srgb
 from renderer.scene import Camera, Scene
 
 _CHUNK: Final = 1 << 15
@@ -31,7 +31,7 @@ class Judge:
             raise ValueError("what glows can't be judged by single rays")
         self._scene, self._geometry = scene, Geometry(scene)
         self._tree = TriangleTree(self._geometry.corners)
-        self._lighting = Lighting(scene, self._geometry, self._tree, has_shadows=has_shadows)
+        self._lighting = LitSurfaces(scene, self._geometry, self._tree, has_shadows=has_shadows)
 
     def draw(self, camera: Camera, size: tuple[int, int], rays: int = 1, every: int = 1) -> Floats:
         """Return a picture (h, w, 3) in levels of 255, not rounded.

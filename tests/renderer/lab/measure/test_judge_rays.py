@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from renderer.lab.judge.rays import TriangleTree
+from renderer.lab.measure.judge.rays import TriangleTree
 
 
 def meet_one_by_one(corners: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> dict[int, float]:

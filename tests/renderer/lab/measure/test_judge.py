@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import renderer.lab.judge
+import renderer.lab.measure.judge
 from renderer.content import BUILT_IN
-from renderer.lab.judge import Judge
-from renderer.lab.judge.light import find_thickness
-from renderer.lab.judge.picture import map_tones, unmap_tones
-from renderer.lab.judge.surfaces import decode_srgb, encode_srgb
+from renderer.lab.measure.judge import Judge
+from renderer.lab.measure.judge.light import find_thickness
+from renderer.lab.measure.judge.picture import map_tones, unmap_tones
+from renderer.lab.measure.judge.surfaces import decode_srgb, encode_srgb
 from renderer.scene import AlphaMode, Camera, Fog, Glow, Orthographic, Perspective, SceneBuilder, scaling, translation
 from tests.renderer.fog_reference import add_up
 
@@ -117,7 +117,7 @@ def test_what_glows_is_refused() -> None:
 
 
 def test_the_judge_knows_the_scene_alone() -> None:
-    folder = Path(renderer.lab.judge.__file__).parent
+    folder = Path(renderer.lab.measure.judge.__file__).parent
     known = set()
     for path in folder.glob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
@@ -125,7 +125,7 @@ def test_the_judge_knows_the_scene_alone() -> None:
                 known.add(str(node.module))
             elif isinstance(node, ast.Import):
                 known.update(one.name for one in node.names)
-    own = {name for name in known if name.startswith("renderer.lab.judge")}
+    own = {name for name in known if name.startswith("renderer.lab.measure.judge")}
     assert known - own <= {
         "__future__",
         "collections.abc",
