@@ -28,8 +28,8 @@ from renderer.content import BUILT_IN, load_scene
 from renderer.lab.comparison import Column, Frames, Record, Subject, average, compare, middle, ratio, time
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene, SceneBuilder, scaling, translation
-from renderer.scene.transforms import multiply
 from renderer.visibility import CallbackPass, ChcPlusPlus
+from rhi.math import multiply
 
 FRAMES = 60
 TARGET = 4.0

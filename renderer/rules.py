@@ -98,7 +98,6 @@ UNKNOWN_KEY: Final = Rule("scene-unknown-key", "the scene generator has no optio
 BAD_VALUE: Final = Rule("scene-bad-value", "the value of a scene's option is not allowed")
 
 # Cameras
-BAD_CAMERA: Final = Rule("camera-bad-value", "a camera's value is out of its range")
 UNKNOWN_CAMERA: Final = Rule(
     "camera-unknown-name",
     "the text names no camera of the scene",

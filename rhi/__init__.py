@@ -13,6 +13,10 @@ command.
 Drivers are loaded when a device is created, not when this package is imported.
 """
 
+from importlib import import_module as _import_module
+from typing import TYPE_CHECKING as _TYPE_CHECKING
+from typing import Any as _Any
+
 from rhi.commands.recorder import Recorder as Recorder
 from rhi.commands.stream import Command as Command
 from rhi.commands.stream import Commands as Commands
@@ -96,6 +100,7 @@ from rhi.device.resources.buffers import Buffer as Buffer
 from rhi.device.resources.buffers import StorageBuffer as StorageBuffer
 from rhi.device.resources.buffers import UniformArray as UniformArray
 from rhi.device.resources.buffers import UniformBuffer as UniformBuffer
+from rhi.device.resources.images import load_image as load_image
 from rhi.device.resources.meshes import Drawable as Drawable
 from rhi.device.resources.meshes import Mesh as Mesh
 from rhi.device.resources.programs import Program as Program
@@ -117,8 +122,18 @@ from rhi.errors import refuse as refuse
 from rhi.errors.exports import list_public as _list_public
 from rhi.errors.namesakes import warn_of_namesake as _warn_of_namesake
 
+if _TYPE_CHECKING:
+    from rhi import math as math
+
 __version__ = "0.1.0"
 
 __all__ = _list_public(globals())
+
+
+def __getattr__(name: str) -> _Any:
+    if name != "math":  # which is imported when it is asked for
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return _import_module("rhi.math")
+
 
 _warn_of_namesake("renderer", "rhi-renderer")

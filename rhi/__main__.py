@@ -19,11 +19,11 @@ from typing import Any, Final
 import numpy as np
 
 import rhi
-from rhi.accuracy import report as accuracy
 from rhi.conformance.template import write_package
 from rhi.device.registry import BackendReport
 from rhi.errors import RhiError
 from rhi.errors.readers import run_for_reader
+from rhi.testing.accuracy import report as accuracy
 from rhi.trace import cli as trace_cli
 
 _COMMANDS: Final = """\

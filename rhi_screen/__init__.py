@@ -16,7 +16,15 @@
   then is named, with what to install.
 """
 
+from rhi_screen.cameras import FlyCamera, OrbitCamera
 from rhi_screen.canvases import CANVASES, open_canvas
 from rhi_screen.screen import Screen, open_screen
+from rhi_screen.statistics import FrameCounter
+from rhi_screen.targets import ScreenTargets
+from rhi_screen.time_steps import FixedSteps
+from rhi_screen.video import VideoWriter
 
-__all__ = ["CANVASES", "Screen", "open_canvas", "open_screen"]
+__all__ = [
+    "CANVASES", "FixedSteps", "FlyCamera", "FrameCounter", "OrbitCamera", "Screen", "ScreenTargets", "VideoWriter",
+    "open_canvas", "open_screen",
+]  # fmt: skip

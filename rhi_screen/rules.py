@@ -22,3 +22,5 @@ SCREEN_IMAGE: Final = Rule(
     "screen-image", "a screen shows images of 8-bit colors", "draw or blit to an RGBA8 texture first"
 )
 SCREEN_ERRORS: Final = Rule("screen-errors", "a screen raises the errors of its draws, or logs them")
+SCREEN_WINDOW: Final = Rule("screen-window", "only a window can do this", 'canvas="window" opens one')
+VIDEO_SIZE: Final = Rule("video-size", "the images of a video have one size")

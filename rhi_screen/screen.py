@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from time import perf_counter, process_time
 from types import TracebackType
 from typing import Any, Final, Self
+from weakref import WeakSet
 
 import rhi
 from rhi.errors import refuse
 from rhi_screen.canvases import Canvas, find_loop, open_canvas
-from rhi_screen.rules import SCREEN_ERRORS, SCREEN_IMAGE
+from rhi_screen.rules import SCREEN_ERRORS, SCREEN_IMAGE, SCREEN_WINDOW
+from rhi_screen.statistics import FrameCounter
+from rhi_screen.targets import ScreenTargets
+from rhi_screen.video import VideoWriter
 
 SHOWN: Final = (rhi.Format.RGBA8, rhi.Format.RGBA8_SRGB)
 """Formats of images that every canvas shows, bit for bit."""
@@ -21,6 +27,7 @@ class Screen:
     Attributes:
         canvas: a canvas of rendercanvas: `add_event_handler`, `request_draw`, `get_pixel_ratio` and so on.
         device: the device.
+        counter: statistics of the frames that were shown.
     """
 
     def __init__(self, canvas: Canvas, device: str | rhi.Device = "gl", **options: Any) -> None:
@@ -33,6 +40,10 @@ class Screen:
             options: `rhi.create_device`'s.
         """
         self.canvas = canvas
+        self.counter = FrameCounter()
+        self._targets: WeakSet[ScreenTargets] = WeakSet()
+        self._pictures: list[Path] = []
+        self._video: VideoWriter | None = None
         open_beside = getattr(canvas, "open_device", None)
         self._owned = isinstance(device, str)
         self._beside = device == "gl" and open_beside is not None
@@ -50,6 +61,51 @@ class Screen:
         width, height = self.canvas.get_physical_size()
         return max(width, 1), max(height, 1)
 
+    @property
+    def pixel_ratio(self) -> float:
+        """Physical pixels in a logical one: 2 on a dense display. Positions of events are logical."""
+        return float(self.canvas.get_pixel_ratio())
+
+    @property
+    def is_full_screen(self) -> bool:
+        """Whether the window fills its display. Setting it changes that.
+
+        Raises:
+            ValidationError: `screen-window` for a canvas that is no window.
+        """
+        return bool(getattr(self.canvas, "is_full_screen", False))
+
+    @is_full_screen.setter
+    def is_full_screen(self, full: bool) -> None:
+        if not hasattr(self.canvas, "is_full_screen"):
+            refuse(SCREEN_WINDOW, "screen.is_full_screen", type(self.canvas).__name__, "a window")
+        self.canvas.is_full_screen = full
+
+    def targets(
+        self,
+        color: rhi.Format | Sequence[rhi.Format] = rhi.Format.RGBA8,
+        depth: rhi.Format | None = None,
+        samples: int = 1,
+    ) -> ScreenTargets:
+        """Return render targets that always have the screen's size (`ScreenTargets`); they are destroyed with it."""
+        made = ScreenTargets(self, color, depth, samples)
+        self._targets.add(made)
+        return made
+
+    def screenshot(self, path: str | Path) -> None:
+        """Write the next image that is shown to a file (`rhi.Texture.save`), and request a draw."""
+        self._pictures.append(Path(path))
+        self.canvas.request_draw()
+
+    def record(self, path: str | Path, fps: float = 30.0) -> VideoWriter:
+        """Add all images that are shown from now on to a video, a frame each, until that is closed.
+
+        Raises:
+            DeviceError: `screen-missing` without PyAV.
+        """
+        self._video = VideoWriter(path, fps)
+        return self._video
+
     def show(self, image: rhi.Texture) -> None:
         """End the device's frame and show `image`: call it in the canvas's draw function, once.
 
@@ -63,6 +119,12 @@ class Screen:
         if image.format not in SHOWN or image.kind is not rhi.TextureKind.D2 or image.samples > 1:
             allowed = " or ".join(format.name for format in SHOWN)
             refuse(SCREEN_IMAGE, "screen.show", repr(image), f"2D, one sample, {allowed}")
+        self.counter.add(perf_counter(), process_time())
+        pictures, self._pictures = self._pictures, []
+        for path in pictures:
+            image.save(path)
+        if self._video is not None and not self._video.is_closed:
+            self._video.add(image)
         if self._beside:
             self.device.present(image)
             self._context.show_frame()
@@ -116,8 +178,12 @@ class Screen:
 
     def close(self) -> None:
         """Close the device, if the screen has created it, and the canvas. A second call does nothing."""
+        if self._video is not None:
+            self._video.close()
         if self._owned:
             self.device.close()
+        for targets in () if self.device.closed else self._targets:
+            targets.destroy()
         self.canvas.close()
 
     def __enter__(self) -> Self:

@@ -85,6 +85,7 @@ class Window(BaseRenderCanvas):  # type: ignore[misc]
         self._uploads: rhi.Device | None = None
         self._bitmap: rhi.Texture | None = None
         self._cursor: Any = None
+        self._place = (0, 0, 64, 64)
         window = _open_window()
         try:
             super().__init__(*arguments, **options)
@@ -113,6 +114,25 @@ class Window(BaseRenderCanvas):  # type: ignore[misc]
         """Create a `gl` device beside the window's context, whose `present` shows an image here."""
         glfw.make_context_current(self._window)
         return rhi.create_device("gl", context="current", **options)
+
+    @property
+    def is_full_screen(self) -> bool:
+        """Whether the window fills its display. Setting it changes that; back, it has its old place and size."""
+        return self._window is not None and bool(glfw.get_window_monitor(self._window))
+
+    @is_full_screen.setter
+    def is_full_screen(self, full: bool) -> None:
+        if self._window is None or full == self.is_full_screen:
+            return
+        if full:
+            self._place = (*glfw.get_window_pos(self._window), *glfw.get_window_size(self._window))
+            monitor = glfw.get_primary_monitor()
+            mode = glfw.get_video_mode(monitor)
+            glfw.set_window_monitor(self._window, monitor, 0, 0, *mode.size, mode.refresh_rate)
+        else:
+            windowed: Any = None
+            glfw.set_window_monitor(self._window, windowed, *self._place, glfw.DONT_CARE)
+        self._on_change()
 
     # -- sizes ---------------------------------------------------------------------------------------------
 

@@ -19,8 +19,8 @@ from typing import Final
 ROOT: Final = Path(__file__).resolve().parents[1]
 
 MODULES: Final = (
-    "rhi", "rhi.shading", "rhi.testing", "rhi.testing.portability", "rhi.trace", "rhi.contract", "rhi.backends.null",
-    "rhi.conformance",
+    "rhi", "rhi.math", "rhi.shading", "rhi.testing", "rhi.testing.portability", "rhi.trace", "rhi.contract",
+    "rhi.backends.null", "rhi.conformance",
 )  # fmt: skip
 """The modules that users and ports import."""
 

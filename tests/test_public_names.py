@@ -17,12 +17,13 @@ import renderer.techniques
 import renderer.visibility
 import rhi
 import rhi.contract
+import rhi.math
 import rhi.shading
 import rhi_screen
 
 DERIVED = [rhi, rhi.contract]  # whose `__all__` follows from their imports
 MODULES = [
-    rhi, rhi.contract, rhi.shading, rhi_screen,
+    rhi, rhi.contract, rhi.math, rhi.shading, rhi_screen,
     renderer.scene, renderer.visibility, renderer.frame, renderer.techniques, renderer.lab.measure,
     renderer.lab.accuracy,
 ]  # fmt: skip

@@ -15,12 +15,11 @@ from renderer.content import shapes
 from renderer.content.specs import SEED, Generator, Option
 from renderer.content.surfaces import KINDS, paint_surface
 from renderer.scene.arrays import Floats, Rows
-from renderer.scene.camera import Camera, Perspective
 from renderer.scene.materials import TextureMap
 from renderer.scene.meshes import MeshGeometry
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
-from renderer.scene.transforms import multiply, rotation, scaling, translation
+from rhi.math import Camera, Perspective, multiply, rotation, scaling, translation
 
 ROOM: Final = 7.0
 """Width of a room in metres."""

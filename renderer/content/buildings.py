@@ -14,7 +14,7 @@ from renderer.content import shapes
 from renderer.content.textures import ROOF_UV, WINDOWS
 from renderer.scene.arrays import Floats, Rows
 from renderer.scene.meshes import MeshGeometry, join
-from renderer.scene.transforms import multiply, scaling, translation
+from rhi.math import multiply, scaling, translation
 
 LoftRing = tuple[float, float, float]
 

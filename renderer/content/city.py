@@ -20,11 +20,10 @@ from renderer.content.shapes import plane
 from renderer.content.specs import FOG, GLOW, SEED, SHADOWS, Generator, Option, add_air, cast_shadows
 from renderer.content.textures import NIGHT_WINDOWS, WINDOWS, paint_facade, paint_lit_facade, paint_street
 from renderer.scene.arrays import Floats, Rows
-from renderer.scene.camera import Camera, Perspective
 from renderer.scene.meshes import MeshGeometry
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
-from renderer.scene.transforms import multiply, rotation, scaling, translation
+from rhi.math import Camera, Perspective, multiply, rotation, scaling, translation
 
 PITCH: Final = 34.0
 """Distance in metres from the middle of one street to that of the next."""

@@ -12,7 +12,7 @@ import numpy as np
 from renderer.content import shapes
 from renderer.scene.arrays import Floats
 from renderer.scene.meshes import MeshGeometry, join
-from renderer.scene.transforms import multiply, rotation, scaling, translation
+from rhi.math import multiply, rotation, scaling, translation
 
 LAMP_REACH: Final = 1.6
 """The distance of a street lamp's head from its post, along +x."""

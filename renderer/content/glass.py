@@ -12,11 +12,10 @@ import numpy as np
 
 from renderer.content.shapes import BUILT_IN
 from renderer.content.specs import SEED, Generator, Option
-from renderer.scene.camera import Camera, Perspective
 from renderer.scene.materials import AlphaMode
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
-from renderer.scene.transforms import multiply, rotation, scaling, translation
+from rhi.math import Camera, Perspective, multiply, rotation, scaling, translation
 
 _TINTS: Final = np.array(
     [(0.10, 0.45, 0.85), (0.90, 0.18, 0.12), (0.95, 0.72, 0.10), (0.12, 0.65, 0.30), (0.60, 0.20, 0.75)]

@@ -13,11 +13,10 @@ import numpy as np
 from renderer.content.models import read_geometry
 from renderer.content.shapes import BUILT_IN
 from renderer.content.specs import SEED, Generator, Option
-from renderer.scene.camera import Camera, Perspective
 from renderer.scene.meshes import MeshGeometry
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
-from renderer.scene.transforms import multiply, rotation, scaling, translation
+from rhi.math import Camera, Perspective, multiply, rotation, scaling, translation
 
 _COLORS: Final = (
     (0.75, 0.22, 0.17), (0.88, 0.58, 0.16), (0.30, 0.56, 0.28), (0.16, 0.48, 0.60), (0.42, 0.30, 0.62),

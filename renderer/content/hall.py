@@ -19,13 +19,12 @@ from renderer.content.fountains import BOUNDS, Fountains, make_drops
 from renderer.content.specs import FOG, GLOW, SEED, SHADOWS, Generator, Option, add_air, cast_shadows
 from renderer.content.textures import paint_stripes
 from renderer.scene.arrays import Floats, Rows
-from renderer.scene.camera import Camera, Perspective
 from renderer.scene.catching_up import Recompute
 from renderer.scene.cloth import Cloths, Fabric, Gust, Sheet, Wind, make_sheet
 from renderer.scene.meshes import MeshGeometry, make_geometry
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
-from renderer.scene.transforms import multiply, rotation, scaling, translation
+from rhi.math import Camera, Perspective, multiply, rotation, scaling, translation
 
 BAY: Final = 6.0
 """Distance between columns in metres."""

@@ -20,10 +20,10 @@ from renderer.content.models import FORMATS, load_model
 from renderer.content.night import NIGHT
 from renderer.content.specs import Generator
 from renderer.content.terrain import TERRAIN
-from renderer.scene.camera import Camera
 from renderer.scene.paths import CameraPath, Shot
 from renderer.scene.scene import Scene
 from rhi.errors import refuse
+from rhi.math import Camera
 
 GENERATORS: Final[dict[str, Generator]] = {
     generator.name: generator for generator in (CITY, HALL, GRID, NIGHT, BAZAAR, GLASS, TERRAIN)

@@ -19,15 +19,14 @@ import numpy as np
 from renderer import rules
 from renderer.content.assets import share_geometry, share_image
 from renderer.scene.arrays import Floats
-from renderer.scene.camera import Perspective
 from renderer.scene.materials import ImagePixels
 from renderer.scene.meshes import MeshGeometry, join, make_geometry
 from renderer.scene.omissions import Omission
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
-from renderer.scene.transforms import is_affine, translation
 from rhi import from_srgb
 from rhi.errors import refuse
+from rhi.math import Perspective, is_affine, translation
 
 if TYPE_CHECKING:
     from renderer.content.gltf import Surroundings

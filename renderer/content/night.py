@@ -18,10 +18,9 @@ from renderer.content.furniture import CAR_LENGTH, HEADLAMP, LAMP_REACH, TAIL_LA
 from renderer.content.specs import FOG, GLOW, SEED, SHADOWS, Generator, Option, add_air, cast_shadows
 from renderer.content.textures import NIGHT_WINDOWS
 from renderer.scene.arrays import Floats, Rows
-from renderer.scene.camera import Camera, Perspective
 from renderer.scene.lights import Lights
 from renderer.scene.scene import Scene, SceneBuilder
-from renderer.scene.transforms import multiply, rotation, scaling, translation
+from rhi.math import Camera, Perspective, multiply, rotation, scaling, translation
 
 _LAMP, _WINDOW, _CAR = range(3)
 _KINDS: Final = (_LAMP, _WINDOW, _LAMP, _WINDOW, _CAR, _CAR, _CAR, _CAR, _LAMP, _WINDOW, _LAMP, _WINDOW)

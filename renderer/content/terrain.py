@@ -15,14 +15,13 @@ import numpy as np
 from renderer.content.shapes import cone, plane
 from renderer.content.specs import SEED, Generator, Option
 from renderer.scene.arrays import Floats
-from renderer.scene.camera import Camera, Perspective
 from renderer.scene.height_fields import HeightField, make_height_field
 from renderer.scene.materials import ImagePixels, make_opaque
 from renderer.scene.meshes import MeshGeometry, join
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
-from renderer.scene.transforms import multiply, rotation, scaling, translation
 from rhi import to_srgb
+from rhi.math import Camera, Perspective, multiply, rotation, scaling, translation
 
 _SIZE: Final = 4096.0
 _PEAK: Final = 760.0

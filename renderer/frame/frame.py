@@ -16,9 +16,9 @@ from renderer.frame.tones import find_light
 from renderer.frame.view import View
 from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Rows
-from renderer.scene.camera import is_parallel
 from renderer.visibility import VisibilityAlgorithm, VisibilityStatistics
 from rhi import Device, Program, Texture
+from rhi.math import is_parallel
 from rhi.shading import Precision, Shader
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.scene.arrays import Floats
-from renderer.scene.camera import Camera, Depth
+from rhi.math import Camera, Depth
 
 _MARGIN = 1e-6  # of the image: rounding to float32
 

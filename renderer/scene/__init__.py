@@ -7,13 +7,6 @@ moved = scene.update(seconds=10.0)
 
 from renderer.scene.air import Fog as Fog
 from renderer.scene.air import Glow as Glow
-from renderer.scene.camera import Camera as Camera
-from renderer.scene.camera import Depth as Depth
-from renderer.scene.camera import Frustum as Frustum
-from renderer.scene.camera import FrustumPlane as FrustumPlane
-from renderer.scene.camera import Orthographic as Orthographic
-from renderer.scene.camera import Perspective as Perspective
-from renderer.scene.camera import Projection as Projection
 from renderer.scene.catching_up import CatchUp as CatchUp
 from renderer.scene.catching_up import Leap as Leap
 from renderer.scene.catching_up import Leaping as Leaping
@@ -70,11 +63,18 @@ from renderer.scene.simulation import Moving as Moving
 from renderer.scene.simulation import ObjectSimulation as ObjectSimulation
 from renderer.scene.simulation import Simulated as Simulated
 from renderer.scene.simulation import Simulator as Simulator
-from renderer.scene.transforms import normal_matrices as normal_matrices
-from renderer.scene.transforms import relative_to as relative_to
-from renderer.scene.transforms import rotation as rotation
-from renderer.scene.transforms import scaling as scaling
-from renderer.scene.transforms import translation as translation
 from rhi.errors.exports import list_public as _list_public
+from rhi.math import Camera as Camera
+from rhi.math import Depth as Depth
+from rhi.math import Frustum as Frustum
+from rhi.math import FrustumPlane as FrustumPlane
+from rhi.math import Orthographic as Orthographic
+from rhi.math import Perspective as Perspective
+from rhi.math import Projection as Projection
+from rhi.math import normal_matrices as normal_matrices
+from rhi.math import relative_to as relative_to
+from rhi.math import rotation as rotation
+from rhi.math import scaling as scaling
+from rhi.math import translation as translation
 
 __all__ = _list_public(globals())

@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from renderer import rules
 from renderer.scene.arrays import Floats
-from renderer.scene.transforms import normal_matrices
 from rhi.errors import refuse
+from rhi.math import normal_matrices
 
 VERTEX: Final = np.dtype([("position", "<f4", 3), ("normal", "<f4", 3), ("uv", "<f4", 2)])
 """The vertex format of all meshes of the renderer: 32 bytes, tightly packed."""

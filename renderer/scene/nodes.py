@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from renderer import rules
 from renderer.scene.arrays import Floats
-from renderer.scene.transforms import is_affine, multiply
 from rhi.errors import refuse
+from rhi.math import is_affine, multiply
 
 
 class Nodes:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from renderer.scene.arrays import Floats, Rows
 from renderer.scene.meshes import Meshes
 from renderer.scene.nodes import Nodes
-from renderer.scene.transforms import transform_bounds
+from rhi.math import transform_bounds
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -19,9 +19,9 @@ from numpy.typing import ArrayLike
 
 from renderer import rules
 from renderer.scene.arrays import Floats
-from renderer.scene.camera import Camera, Depth, Orthographic, Perspective, Projection
 from renderer.scene.finite import check_finite
 from rhi.errors import RhiError, refuse
+from rhi.math import Camera, Depth, Orthographic, Perspective, Projection
 
 FRAMES_PER_SECOND: Final = 60
 FRAME_COUNT: Final = 30 * FRAMES_PER_SECOND

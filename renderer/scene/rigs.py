@@ -23,7 +23,8 @@ from numpy.typing import ArrayLike
 
 from renderer import rules
 from renderer.scene.arrays import Floats
-from renderer.scene.camera import (
+from rhi.errors import refuse
+from rhi.math import (
     Camera,
     Depth,
     Orthographic,
@@ -32,7 +33,6 @@ from renderer.scene.camera import (
     find_distance,
     is_parallel,
 )
-from rhi.errors import refuse
 
 NATURAL_DISTANCE: Final = 0.063
 """The distance of human eyes in metres, the mean of adults."""

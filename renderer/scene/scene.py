@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 from renderer import rules
 from renderer.scene.air import Fog, Glow
 from renderer.scene.arrays import Floats, Rows
-from renderer.scene.camera import Camera
 from renderer.scene.features import MaterialFeatures
 from renderer.scene.finite import FiniteArrays, check_finite
 from renderer.scene.height_fields import HeightField
@@ -46,9 +45,9 @@ from renderer.scene.simulation import (
     check_simulation,
 )
 from renderer.scene.tangents import add_tangents
-from renderer.scene.transforms import is_affine, relative_to
 from rhi import SamplerDescriptor
 from rhi.errors import refuse
+from rhi.math import Camera, is_affine, relative_to
 
 
 class Scene:

@@ -12,7 +12,7 @@ it is exact in floats where depth is coarse (1 - d for d above 1/2), so that not
 
 from __future__ import annotations
 
-from rhi.shading import Shader, Struct, Uniform, abs, function, mat3, vec2, vec3, vec4, vertex_index
+from rhi.shading import FullScreen, Struct, Uniform, abs, function, mat3, vec2, vec3, vec4
 
 
 class PixelRays(Struct):
@@ -55,14 +55,11 @@ def place_pixel(rays: PixelRays, pixel: vec2, distance: float) -> vec3:
     return rays.across @ vec3(pixel, 1.0) * width + (rays.along * distance + rays.start)
 
 
-class FullScreen(Shader):
-    """The base of shaders whose fragments are all pixels of a target: one triangle around it, at the depth of the
-    background. So a depth test tells the pixels that have a surface."""
+class BackgroundScreen(FullScreen):
+    """The base of shaders whose fragments are all pixels of a view, at the depth of its background. So a depth test
+    tells the pixels that have a surface."""
 
     rays: Uniform[PixelRays]
 
-    def vertex(self) -> vec4:
-        corner = vertex_index()
-        x = float(corner % 2) * 4.0 - 1.0
-        y = float(corner // 2) * 4.0 - 1.0
-        return vec4(x, y, self.rays.farthest, 1.0)
+    def screen_depth(self) -> float:
+        return self.rays.farthest

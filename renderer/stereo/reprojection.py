@@ -23,7 +23,7 @@ from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Pass, Target, Targ
 from renderer.frame.mirrors import MirroredValue
 from renderer.frame.passes import FARTHEST
 from renderer.scene import Camera, Depth
-from renderer.shaders.pixels import FullScreen
+from renderer.shaders.pixels import BackgroundScreen
 from renderer.stereo.words import Words
 from renderer.techniques.parts.full_screen import bind_rays, make_triangle
 from renderer.visibility.repeated import RepeatedCommands, clear, copy
@@ -124,7 +124,7 @@ class MovedDepth(Struct):
     depth: FragmentDepth
 
 
-class TakeDepth(FullScreen):
+class TakeDepth(BackgroundScreen):
     """Writes the moved depth: that of a surface is the same for both eyes."""
 
     shift: Uniform[Shift]

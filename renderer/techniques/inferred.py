@@ -27,7 +27,7 @@ from renderer import rules
 from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass, Target
 from renderer.shaders.encodings import decode_normal
 from renderer.shaders.lighting import BRIGHTEST
-from renderer.shaders.pixels import FullScreen
+from renderer.shaders.pixels import BackgroundScreen
 from renderer.shaders.structs import Object, SurfacePoint, SurfaceVarying
 from renderer.techniques.parts.finish import finish_image, forward_passes
 from renderer.techniques.parts.geometry_buffer import SurfaceReader, find_shrunk, find_surface_format
@@ -97,7 +97,7 @@ class ShrunkTexels(Struct):
     depth: FragmentDepth
 
 
-class ShrinkShader(FullScreen):
+class ShrinkShader(BackgroundScreen):
     """Copies every so many pixels. The background is put out of reach of the filter."""
 
     surface: UintTexture2D

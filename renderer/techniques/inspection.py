@@ -24,7 +24,7 @@ from renderer.frame import DEPTH_FORMAT, IMAGE_FORMAT, Frame, Needs, Pass, Targe
 from renderer.frame.passes import NEARER
 from renderer.lights.culling.cells import CellGrid, cell_index
 from renderer.shaders.lighting import in_range
-from renderer.shaders.pixels import FullScreen, distance_at, nearness_of, place_pixel
+from renderer.shaders.pixels import BackgroundScreen, distance_at, nearness_of, place_pixel
 from renderer.shaders.structs import SurfacePoint, SurfaceVarying, Vertex
 from renderer.techniques.parts.cell_lists import TILES, bind_lists, list_pass
 from renderer.techniques.parts.depth import depth_pass
@@ -117,7 +117,7 @@ class OneFragment(SceneShader):
         return vec4(1.0)
 
 
-class FragmentCounts(FullScreen):
+class FragmentCounts(BackgroundScreen):
     """Shows the number of fragments."""
 
     fragments: Texture2D
@@ -127,7 +127,7 @@ class FragmentCounts(FullScreen):
         return vec4(heat_color(count, 2.0), 1.0)
 
 
-class Distances(FullScreen):
+class Distances(BackgroundScreen):
     """Shows the distance from the eye."""
 
     depth: Texture2D
@@ -142,7 +142,7 @@ class Distances(FullScreen):
         return vec4(vec3(shade * shade), 1.0)  # about even to the eye
 
 
-class TileCounts(FullScreen):
+class TileCounts(BackgroundScreen):
     """Shows the number of lights in each tile's list."""
 
     grid: Uniform[CellGrid]
@@ -198,7 +198,7 @@ def _draw_fragments(frame: Frame) -> None:
     _draw(frame, OneFragment, "fragments", BlendFunction.ADDITIVE, switches=COVERAGE)
 
 
-def _show(frame: Frame, shader: type[FullScreen]) -> None:
+def _show(frame: Frame, shader: type[BackgroundScreen]) -> None:
     draw_full_screen(frame, shader, frame.targets["image"])
 
 

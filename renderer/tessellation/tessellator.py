@@ -14,7 +14,6 @@ import numpy as np
 from renderer.frame import Effect, Frame, Needs, Pass, SceneResources
 from renderer.scene import Camera, HeightField
 from renderer.scene.arrays import Floats
-from renderer.scene.camera import is_parallel
 from renderer.tessellation.kernels import (
     COUNTERS,
     GROUP,
@@ -32,6 +31,7 @@ from renderer.tessellation.kernels import (
 from renderer.tessellation.settings import TessellationSettings
 from renderer.visibility.repeated import RepeatedCommands
 from rhi import Device, Encoder, Readback
+from rhi.math import is_parallel
 from rhi.shading import uint
 
 _UNSEEN: Final = 8.0

@@ -15,11 +15,11 @@ from renderer.frame import Blending
 from renderer.stereo import OUTPUTS
 from renderer.techniques import TECHNIQUES, AutoTechnique
 from renderer.viewer.command_table import Parameter, ViewerCommand
-from renderer.viewer.controllers import Fly, Orbit
 from renderer.viewer.look import SHADOWS
 from renderer.viewer.stage import ViewerStage
 from renderer.visibility import list_algorithms
 from rhi.errors import refuse
+from rhi_screen.controllers import Fly, Orbit
 
 NEXT: Final = "next"
 """The word for the choice after the present one."""

@@ -14,12 +14,12 @@ from renderer import rules
 from renderer.content import load_scene
 from renderer.scene import Camera, Scene
 from renderer.settings import RenderSettings
-from renderer.viewer.gestures import Event
 from renderer.viewer.look import Look
 from renderer.viewer.viewer import Viewer
 from rhi import RhiError
 from rhi_screen import Screen, open_screen
 from rhi_screen.canvases import find_loop
+from rhi_screen.gestures import Event
 
 _LISTENING: Final = 10.0  # frames a second
 

@@ -20,8 +20,6 @@ from renderer.renderer import FrameResult, Renderer
 from renderer.scene import Camera, CameraPath, Scene
 from renderer.scene.arrays import Floats
 from renderer.stereo import fit_picture
-from renderer.viewer.controllers import Controller, Fly, Orbit, find_speed
-from renderer.viewer.counter import FrameCounter
 from renderer.viewer.look import Configurator, Look, OriginalState
 from renderer.viewer.picking import Hit, Ray, find_hit
 from renderer.viewer.reasons import explain_drawn
@@ -30,9 +28,22 @@ from renderer.visibility import NoCulling
 from renderer.visibility.boxes.volumes import find_in_view
 from rhi import Device, RhiError
 from rhi.errors import refuse
+from rhi_screen.controllers import LEAST_DISTANCE, Controller, Fly, Orbit
+from rhi_screen.statistics import FrameCounter
 
 MOST_STEP: Final = 0.25
 """Seconds by which a frame moves the camera and the scene at most, however long it took."""
+
+_DIVISIONS: Final = 25.0  # of the scene's size, which are flown through in as many seconds
+
+
+def find_speed(scene: Scene) -> float:
+    """Return a speed in metres a second that suits a scene: it crosses nine tenths of the objects in 25 seconds, so
+    that one large plane around them doesn't count."""
+    middles = 0.5 * (scene.objects.lower + scene.objects.upper)
+    low, high = np.percentile(middles, (5.0, 95.0), axis=0)
+    size = float(np.linalg.norm(high - low)) or float(np.linalg.norm(scene.bounds[1] - scene.bounds[0]))
+    return max(size / _DIVISIONS, LEAST_DISTANCE)
 
 
 class ViewerStage:

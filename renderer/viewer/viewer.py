@@ -21,7 +21,6 @@ from renderer.viewer import hot_reload
 from renderer.viewer.command_table import CommandTable, Parameter, ViewerCommand
 from renderer.viewer.commands import make_commands, parse_place, parse_seconds, switch
 from renderer.viewer.console import Console
-from renderer.viewer.gestures import Event, Gestures
 from renderer.viewer.hot_reload import SavedFiles
 from renderer.viewer.interface import InterfaceLayer, Shown
 from renderer.viewer.keys import find_line, list_keys
@@ -30,6 +29,7 @@ from renderer.viewer.server import CommandServer
 from renderer.viewer.stage import ViewerStage
 from rhi import Device, RhiError, Texture
 from rhi.errors import refuse
+from rhi_screen.gestures import Event, Gestures
 
 _NOTED: Final = 4.0  # seconds that a line is shown without the console
 _NOTES: Final = 4  # lines

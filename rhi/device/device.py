@@ -53,6 +53,7 @@ from rhi.device.resources.buffers import (
     match_layout,
     storage_dtype,
 )
+from rhi.device.resources.images import ArrayLike, as_texels, infer_format
 from rhi.device.resources.meshes import Drawable, Mesh, MeshData, VertexSource
 from rhi.device.resources.programs import Program, ProgramTable
 from rhi.device.resources.textures import Sampler, Texture
@@ -326,8 +327,8 @@ class Device(Encoder):
     @_creates
     def texture(
         self,
-        source: tuple[int, int] | NDArray[Any],
-        format: Format | CompressedFormat,
+        source: tuple[int, int] | NDArray[Any] | ArrayLike,
+        format: Format | CompressedFormat | None = None,
         *,
         kind: TextureKind = TextureKind.D2,
         layers: int | None = None,
@@ -339,13 +340,26 @@ class Device(Encoder):
 
         An array is (height, width, channels), (height, width) for one channel, or (layers, height, width,
         channels), top row first, of the format's dtype; alpha may be missing, see `Texture.write`. `levels` None means
-        all mip levels down to 1×1; they are generated from an array's texels if the format can be filtered.
+        all mip levels down to 1×1; they are generated from an array's texels if the format can be filtered. Images of
+        Pillow are arrays, too.
+
+        The format None follows from an array's dtype and channels: uint8 becomes `R8`, `RG8` or `RGBA8`, uint16 `R16`
+        to `RGBA16`, float16 and float32 `R16F` to `RGBA32F`, uint32 and int32 `R32UI` to `RGBA32I`. Colors that are lit
+        need `RGBA8_SRGB`, by name.
 
         An array for a compressed format is (rows, columns, bytes), or with layers in front: blocks of 4×4 texels. A
         device that lacks the format (`capabilities.compressed_formats`) gets them decoded, in 2 to 8 times the memory.
         """
-        compressed = format if isinstance(format, CompressedFormat) else None
         check = Arguments("device.texture", self._core.refuse)
+        if not isinstance(source, (tuple, list, np.ndarray)) and hasattr(source, "__array_interface__"):
+            source = as_texels(source)
+        if format is None and isinstance(source, np.ndarray):
+            format = infer_format(source)
+            if format is None:
+                given = f"shape {source.shape} of {source.dtype}"
+                allowed = "1 to 4 channels of uint8, uint16, float16, float32, uint32 or int32, or a format"
+                self._core.refuse(TEXTURE_DATA, "device.texture", given, allowed)
+        compressed = format if isinstance(format, CompressedFormat) else None
         format = compressed.decoded if compressed is not None else check.choice("format", format, Format)
         check.choice("kind", kind, TextureKind)
         layers = check.whole_or_none("layers", layers)

@@ -196,3 +196,12 @@ NULL_SAMPLES: Final = Rule(
     "define the answers with backend.answer_queries(...) or backend.count_samples(...)",
 )  # fmt: skip
 NULL_ANSWER: Final = Rule("null-answer", "not a number of samples")
+
+# -- images ------------------------------------------------------------------------------------------------
+
+IMAGE_FILE: Final = Rule("image-file", "the file can't be read or written as an image")
+IMAGE_LIBRARY: Final = Rule("image-library", "image files need a library", 'pip install "rhi[images]"')
+
+# -- cameras -----------------------------------------------------------------------------------------------
+
+CAMERA_VALUE: Final = Rule("camera-bad-value", "a camera's value is out of its range")

@@ -29,6 +29,7 @@ from rhi.shading.language.bindings import TextureBinding as TextureBinding
 from rhi.shading.language.bindings import Uniform as Uniform
 from rhi.shading.language.bindings import UniformRange as UniformRange
 from rhi.shading.language.builtins import Precision as Precision
+from rhi.shading.language.full_screen import FullScreen as FullScreen
 from rhi.shading.language.function import function as function
 from rhi.shading.language.function import native as native
 from rhi.shading.language.functions import *  # noqa: F403

@@ -342,7 +342,7 @@ MUTATIONS: tuple[Mutation, ...] = (
     Mutation(
         (49,),
         "up is never parallel",
-        "renderer.scene.camera",
+        "rhi.math.camera",
         "if np.linalg.norm(right) < 1e-9:",
         "if np.linalg.norm(right) < 0.0:",
     ),

@@ -117,6 +117,26 @@ def check_logged_errors(display: Display) -> None:
         assert len(draws) == 4
 
 
+def check_full_screen(display: Display) -> None:
+    with open_screen("gl", size=SIZE, update_mode="fastest") as screen:
+
+        def steps() -> Iterator[None]:
+            for full, size in ((True, (640, 480)), (True, (640, 480)), (False, SIZE)):
+                screen.is_full_screen = full
+                yield
+                assert (screen.is_full_screen, screen.size) == (full, size)
+                image = make_image(screen)
+                screen.show(image)
+                yield
+                assert shows(display, screen, image)
+
+        play(screen, steps())
+
+
+def test_a_window_fills_its_display_and_comes_back(windows: Check) -> None:
+    windows(check_full_screen)
+
+
 def test_an_error_in_a_draw_ends_the_loop_and_is_raised(windows: Check) -> None:
     windows(check_errors)
 

@@ -27,7 +27,7 @@ from renderer.content.gltf.tracks import Keys, NodeMotion, Track, extremes
 from renderer.scene.arrays import Floats, Rows
 from renderer.scene.catching_up import Recompute
 from renderer.scene.meshes import VERTEX, MeshBounds, MeshGeometry
-from renderer.scene.transforms import multiply, transform_bounds
+from rhi.math import multiply, transform_bounds
 
 _FIRST: Final = np.zeros(1, np.int64)
 _ROUNDING: Final = 2.0**-18  # of the largest coordinate: vertices are computed in float32

@@ -19,9 +19,9 @@ from typing import Any, Final
 import numpy as np
 
 from renderer.content.gltf.document import JsonObject
-from renderer.scene.camera import Depth, Orthographic, Perspective, Projection
 from renderer.scene.paths import CameraPath
 from renderer.scene.scene import Scene
+from rhi.math import Depth, Orthographic, Perspective, Projection
 
 KEY: Final = "rhi"
 PLACED: Final = "placed"

@@ -15,10 +15,9 @@ from renderer.content.gltf.document import JsonObject
 from renderer.content.gltf.extras import private
 from renderer.content.gltf.tracks import compose
 from renderer.scene.arrays import Floats
-from renderer.scene.camera import Camera, Orthographic, Perspective
 from renderer.scene.lights import Lights
 from renderer.scene.omissions import Omissions
-from renderer.scene.transforms import multiply
+from rhi.math import Camera, Orthographic, Perspective, multiply
 
 CANDELA: Final = 1.0 / np.pi
 """Intensity of a light for each candela: a white surface that faces it reflects 1 / π of what it receives in glTF, and

@@ -27,12 +27,12 @@ from renderer.content.gltf.nodes import CANDELA
 from renderer.content.gltf.primitives import ATTRIBUTES
 from renderer.content.gltf.tracks import LINEAR, NodeMotion, Track
 from renderer.scene.arrays import Floats
-from renderer.scene.camera import Camera, Depth, Orthographic, Perspective
 from renderer.scene.materials import AlphaMode, ImagePixels, ShadingModel
 from renderer.scene.omissions import Omission, Omissions
 from renderer.scene.scene import Scene
 from rhi import SamplerDescriptor
 from rhi.errors import refuse
+from rhi.math import Camera, Depth, Orthographic, Perspective
 
 FORMATS: Final = (".glb", ".gltf")
 """The extensions of the files that can be written."""

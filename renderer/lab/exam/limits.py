@@ -20,10 +20,10 @@ from renderer.renderer import Renderer
 from renderer.scene import Camera, Perspective, SceneBuilder, Stepwise, scaling, translation
 from renderer.scene.arrays import Rows
 from renderer.scene.cloth import Cloths, Gust, Wind, make_sheet
-from renderer.scene.transforms import multiply
 from renderer.techniques import TECHNIQUES
 from renderer.visibility import FrustumCulling, NoCulling, find_visible, list_algorithms, make_visibility
 from rhi import CullMode, Device, Format, create_device
+from rhi.math import multiply
 from rhi.shading import Shader, fragment_coordinate, vec4, vertex_index
 
 _YEARS: Final = 1e8

@@ -14,11 +14,11 @@ from renderer.lab.exam.case import Case, Found
 from renderer.lab.exam.scenes import make_boxes
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Depth, Perspective, Scene, SceneBuilder, StereoRig, scaling, translation
-from renderer.scene.transforms import multiply
 from renderer.stereo import Stereo
 from renderer.techniques import TECHNIQUES
 from renderer.visibility import FrustumCulling, NoCulling
 from rhi import Device
+from rhi.math import multiply
 
 SIZE: Final = (96, 54)
 TWO_EYES: Final = "two eyes"

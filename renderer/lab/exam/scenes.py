@@ -19,9 +19,9 @@ from renderer.content.shapes import box, sphere
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import Camera, Orthographic, Perspective, Scene, SceneBuilder
 from renderer.scene.arrays import Floats
-from renderer.scene.transforms import multiply, scaling, translation
 from renderer.visibility import NoCulling, VisibilityAlgorithm
 from rhi import Device
+from rhi.math import multiply, scaling, translation
 
 SIZE: Final = (97, 55)
 ORIGIN: Final = (0.0, 0.0, 0.0)

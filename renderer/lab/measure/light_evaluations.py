@@ -20,7 +20,7 @@ import numpy as np
 from renderer.frame import DEPTH_FORMAT, Frame, Needs, Pass, Target
 from renderer.renderer import Renderer
 from renderer.scene import Camera
-from renderer.shaders.pixels import FullScreen, distance_at, nearness_of
+from renderer.shaders.pixels import BackgroundScreen, distance_at, nearness_of
 from renderer.shaders.structs import Material, SurfacePoint
 from renderer.techniques import (
     Clustered,
@@ -83,7 +83,7 @@ class CountedLights(Shader):
         return vec4(color.x - thousands * _THOUSAND, thousands, 0.0, 0.0)
 
 
-class PlacedLights(CellReader, LampShader, FullScreen):
+class PlacedLights(CellReader, LampShader, BackgroundScreen):
     """Counts the lights of the list of a pixel's cell, whose place follows from its depth."""
 
     depth: Texture2D

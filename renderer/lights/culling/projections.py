@@ -9,8 +9,8 @@ import numpy as np
 from renderer import rules
 from renderer.lights.culling.cells import CellGrid
 from renderer.scene import Depth, Projection
-from renderer.scene.camera import find_distance
 from rhi.errors import refuse
+from rhi.math import find_distance
 
 _FARTHEST: Final = 1e9
 """The end, in metres, of a grid that neither a projection nor a light ends: float32 can square it."""

@@ -8,7 +8,7 @@ from typing import Any
 
 from renderer.frame import DEPTH_FORMAT, Effect, Frame, Needs, Pass
 from renderer.shaders.lighting import BRIGHTEST
-from renderer.shaders.pixels import FullScreen
+from renderer.shaders.pixels import BackgroundScreen
 from renderer.shaders.structs import SurfacePoint
 from renderer.techniques.parts.cell_lists import CLUSTERS, CellReader, bind_lists, by_cells, list_pass
 from renderer.techniques.parts.finish import finish_image
@@ -52,7 +52,7 @@ class LightingShader(VolumeShader, GeometryReader):
         return vec4(self.unblocked(light, position, surface.plane, v.light), 0.0)
 
 
-class GeometryResolve(FullScreen, GeometryReader, ShadingShader):
+class GeometryResolve(BackgroundScreen, GeometryReader, ShadingShader):
     """Makes the image from the geometry buffer, and from the light of volumes if there is any."""
 
     has_light = False

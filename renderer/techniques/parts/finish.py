@@ -5,7 +5,7 @@ from __future__ import annotations
 from renderer.frame import Blending, Effect, Frame, Needs, Pass, find_last
 from renderer.frame.tones import find_light
 from renderer.shaders.fog import through_all_fog
-from renderer.shaders.pixels import FullScreen, place_pixel
+from renderer.shaders.pixels import BackgroundScreen, place_pixel
 from renderer.techniques.parts.glow import glow_passes
 from renderer.techniques.parts.scene_shader import FinishShader
 from renderer.techniques.parts.transparency import declare_transparency, sorted_pass
@@ -20,7 +20,7 @@ class Background(Struct):
     light: vec3
 
 
-class SkyShader(FullScreen, FinishShader):
+class SkyShader(BackgroundScreen, FinishShader):
     """Draws the background as it is seen through all of the fog."""
 
     background: Uniform[Background]

@@ -20,7 +20,7 @@ BEHIND: Final = {Depth.REVERSED: DepthFunction.LESS, Depth.STANDARD: DepthFuncti
 
 
 def make_triangle(device: Device) -> Mesh:
-    """Make the mesh for a `FullScreen` shader."""
+    """Make the mesh for a `BackgroundScreen` shader."""
     return device.mesh(3, label="whole target")
 
 

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from renderer.frame import IMAGE_FORMAT, Frame, Needs, Pass, Target, find_last
-from renderer.shaders.pixels import FullScreen
+from renderer.shaders.pixels import BackgroundScreen
 from renderer.techniques.parts.variants import draw_full_screen
 from renderer.techniques.technique import Technique
 from rhi.shading import (
@@ -36,7 +36,7 @@ REACH: Final = 16
 """The pixels along an edge, each way, in which its end is looked for."""
 
 
-class Fxaa(FullScreen):
+class Fxaa(BackgroundScreen):
     """Smooths the edges of an image."""
 
     source: Texture2D

@@ -23,7 +23,7 @@ from typing import Any, Final
 
 from renderer.frame import IMAGE_FORMAT, Effect, Frame, GlowSettings, Needs, Pass, Target
 from renderer.shaders.lighting import tone_map
-from renderer.shaders.pixels import FullScreen
+from renderer.shaders.pixels import BackgroundScreen
 from renderer.techniques.parts.variants import draw_full_screen
 from rhi import (
     BlendColor,
@@ -78,7 +78,7 @@ class Share(Struct):
     share: float
 
 
-class Halved(FullScreen):
+class Halved(BackgroundScreen):
     """Makes an image of half the width and height."""
 
     precision = Precision.FAST
@@ -133,7 +133,7 @@ class TamedImage(HalvedImage):
         return 1.0 / (1.0 + dot(color, vec3(0.2126, 0.7152, 0.0722)))
 
 
-class Spreading(FullScreen):
+class Spreading(BackgroundScreen):
     """The base of shaders that read a level of half their target's size, spread by a tent."""
 
     precision = Precision.FAST

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from renderer.frame import Frame, Pass, Target
 from renderer.frame.mirrors import MirroredValue
 from renderer.shaders.encodings import material_depth
-from renderer.shaders.pixels import FullScreen
+from renderer.shaders.pixels import BackgroundScreen
 from renderer.techniques.parts.full_screen import bind_rays, make_triangle
 from renderer.techniques.parts.packed_geometry import MOST_MATERIALS
 from renderer.techniques.parts.variants import bind, find_variant
@@ -80,7 +80,7 @@ class MaterialId(Struct):
     depth: FragmentDepth
 
 
-class MaterialIds(FullScreen):
+class MaterialIds(BackgroundScreen):
     """Writes the depth that stands for the material of each pixel."""
 
     packed: UintTexture2D
@@ -169,7 +169,7 @@ class FindRectangles(Shader):
             known = chosen
 
 
-class RectangleShader(FullScreen):
+class RectangleShader(BackgroundScreen):
     """The base of shaders that are run for the pixels of materials: two triangles for each rectangle, at the depth of
     its material."""
 

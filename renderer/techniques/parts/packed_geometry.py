@@ -37,7 +37,7 @@ from renderer.shaders.encodings import (
     encode_uv,
 )
 from renderer.shaders.lighting import safe_normalize
-from renderer.shaders.pixels import FullScreen
+from renderer.shaders.pixels import BackgroundScreen
 from renderer.shaders.structs import SurfaceVarying, TextureUse
 from renderer.techniques.parts.scene_shader import MaterialShader, SceneShader
 from renderer.techniques.parts.variants import scene_pass
@@ -131,9 +131,9 @@ class PackedTextures(PackedPlain):
         return vec2(dot(use.u, uv), dot(use.v, uv))
 
 
-# Where `PackedReader` is a base, mypy finds two vertex stages of different types: that of `FullScreen`, which it has,
-# and that of `SceneShader`, from which the parts of materials are derived.
-class PackedReader(FullScreen, MaterialShader):  # type: ignore[misc]
+# Where `PackedReader` is a base, mypy finds two vertex stages of different types: that of `BackgroundScreen`, which it
+# has, and that of `SceneShader`, from which the parts of materials are derived.
+class PackedReader(BackgroundScreen, MaterialShader):  # type: ignore[misc]
     """The base of shaders that evaluate the materials of the packed geometry buffer, pixel by pixel."""
 
     packed: UintTexture2D

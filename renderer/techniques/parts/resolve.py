@@ -11,7 +11,7 @@ from typing import Final
 
 from renderer import rules
 from renderer.frame import Effect, Frame, Needs, Pass
-from renderer.shaders.pixels import FullScreen, distance_at, nearness_of, place_pixel
+from renderer.shaders.pixels import BackgroundScreen, distance_at, nearness_of, place_pixel
 from renderer.techniques.parts.scene_shader import FinishShader
 from renderer.techniques.parts.variants import draw_full_screen
 from rhi import Format, refuse
@@ -26,7 +26,7 @@ EXACT_BITS: Final = 32
 """The bits with which no picture shows that its light was added up by blending."""
 
 
-class LightSum(FullScreen, FinishShader):
+class LightSum(BackgroundScreen, FinishShader):
     """Makes the image of all light, added up in `light`."""
 
     light: Texture2D

@@ -25,7 +25,7 @@ from typing import Final
 from renderer.frame import Blending, Effect, Frame, Needs, Pass, Target
 from renderer.frame.passes import NEARER
 from renderer.shaders.lighting import BRIGHTEST
-from renderer.shaders.pixels import FullScreen
+from renderer.shaders.pixels import BackgroundScreen
 from renderer.shaders.structs import SurfaceVarying
 from renderer.techniques.parts.full_screen import Color
 from renderer.techniques.parts.scene_shader import ForwardShader
@@ -92,7 +92,7 @@ class WeightedShader(TransparentShader):
         return WeightedTexels(colors=vec4(seen.rgb * weight, seen.a), weights=weight)
 
 
-class BlendShader(FullScreen):
+class BlendShader(BackgroundScreen):
     """Puts the mean of weighted surfaces over the image."""
 
     colors: Texture2D

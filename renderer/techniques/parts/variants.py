@@ -157,8 +157,8 @@ def draw_full_screen(
     states: tuple[State, ...] = (),
     switches: Mapping[str, Any] = {},
 ) -> None:
-    """Run the variant of a `FullScreen` shader, or of one with these bases, for each pixel of the targets, in a pass of
-    its own.
+    """Run the variant of a `BackgroundScreen` shader, or of one with these bases, for each pixel of the targets, in a
+    pass of its own.
 
     Args:
         own: bindings that `find_binding` doesn't know, or that are others here.

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from renderer.scene import Camera, Depth, FrustumPlane
 from renderer.scene.arrays import Floats, Rows
-from renderer.scene.camera import is_parallel
 from renderer.visibility.boxes.volumes import RotatedBoxes
+from rhi.math import is_parallel
 
 _SHARE: Final = 2.0**-11  # of half the image: 1/256 pixel or more where half the image has 8 pixels or more
 ROUNDING: Final = 2.0**-20  # of the distance: 16 times the rounding of a float32 position

@@ -14,7 +14,6 @@ from __future__ import annotations
 from typing import Any, Final
 
 from renderer.scene import Camera, Depth, FrustumPlane
-from renderer.scene.camera import is_parallel
 from renderer.shaders import MeshPart, Object, ObjectPosition, ViewConstants, relative_position
 from renderer.visibility.boxes.bounds import ROUNDING, TOO_FAR, margin_terms, near_radius
 from renderer.visibility.boxes.cubes import BoxCamera, CubeCorner, make_cube
@@ -33,6 +32,7 @@ from rhi import (
     StorageBuffer,
     UniformBuffer,
 )
+from rhi.math import is_parallel
 from rhi.shading import (
     Shader,
     Storage,

@@ -8,7 +8,9 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -42,6 +44,7 @@ from rhi.contract.limits import (
 )
 from rhi.device.core.core import Core
 from rhi.device.resources.buffers import Buffer, StorageBuffer, check_buffer
+from rhi.device.resources.images import make_picture, write_image
 from rhi.device.resources.lifetime import Resource, drop, retire
 from rhi.device.resources.locks import Lock
 from rhi.device.resources.readbacks import Readback
@@ -208,6 +211,31 @@ class Texture(TextureBinding, Resource):
         level, where = self._region("Texture.read", level, layer, region)
         texels = self._read("Texture.read", level, where, False)
         return texels[0, :, :, 0] if self.format.components == 1 else texels[0]
+
+    def save(self, path: str | Path, level: int = 0, layer: int = 0) -> None:
+        """Write one layer to an image file, as a screen would show it; the path's ending says in what format.
+
+        Bytes are written as they are. Floats are linear light from 0 to 1, and written as sRGB; depth as grey. `R16`
+        keeps its 16 bits in a PNG. Waits for the device.
+
+        Raises:
+            ValidationError: `texture-format` for integers, `image-file` for an ending that isn't known.
+            DeviceError: `image-library` without Pillow.
+        """
+        picture = make_picture(self.format, self.read(level, layer))
+        if picture is None:
+            self.core.refuse(TEXTURE_FORMAT, "Texture.save", self.format.name, "a format of colors or depth")
+        write_image(picture, path)
+
+    def _repr_png_(self) -> bytes | None:
+        """Return the picture for a notebook; None for what `save` refuses."""
+        if self.destroyed or self.core.closed or self.samples > 1 or self.compressed is not None:
+            return None
+        picture = make_picture(self.format, self.read())
+        file = io.BytesIO()
+        if picture is not None:
+            write_image(picture, file, "png")
+        return file.getvalue() or None
 
     def read_layers(self, level: int = 0) -> NDArray[Any]:
         """Return all layers: (layers, height, width, channels). Waits for the device."""

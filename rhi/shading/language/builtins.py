@@ -53,7 +53,7 @@ class SideEffect(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class ErrorBound:
-    """The largest error of a result, in the units that `rhi.accuracy.probes` counts. By default results are exact.
+    """The largest error of a result, in the units that `rhi.testing.accuracy.probes` counts. By default they are exact.
 
     Attributes:
         glsl, exact, fast, numpy: bounds in units: on OpenGL (with Mesa's llvmpipe; OpenGL itself guarantees less), on

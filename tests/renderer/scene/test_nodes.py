@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from renderer.scene import Nodes, rotation, translation
-from renderer.scene.transforms import multiply
 from rhi.errors import ValidationError
+from rhi.math import multiply
 
 
 @st.composite

@@ -20,8 +20,8 @@ from renderer.scene import (
     translation,
 )
 from renderer.scene.meshes import compute_normals
-from renderer.scene.transforms import multiply
 from rhi.errors import ValidationError
+from rhi.math import multiply
 
 TRIANGLE = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
 

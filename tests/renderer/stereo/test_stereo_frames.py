@@ -28,12 +28,12 @@ from renderer.scene import (
     scaling,
     translation,
 )
-from renderer.scene.transforms import multiply
 from renderer.shaders import PointLight, ViewConstants
 from renderer.stereo import Stereo
 from renderer.techniques import TECHNIQUES
 from renderer.visibility import FrustumCulling, VisibilityAlgorithm, list_algorithms
 from rhi import Op
+from rhi.math import multiply
 
 SIZE: Final = (96, 54)
 RIG: Final = StereoRig(0.3, 6.0)

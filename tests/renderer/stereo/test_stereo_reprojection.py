@@ -26,9 +26,9 @@ from renderer.scene import (
     scaling,
     translation,
 )
-from renderer.scene.transforms import multiply
 from renderer.stereo import Stereo, find_holes
 from rhi import Op
+from rhi.math import multiply
 
 SIZE: Final = (96, 54)
 open_renderer = partial(open_any, size=SIZE, visibility="frustum")

@@ -18,10 +18,10 @@ from renderer.content import load_scene
 from renderer.techniques.inspection import INSPECTIONS
 from renderer.viewer import Viewer
 from renderer.viewer.commands import NEXT
-from renderer.viewer.gestures import HELD
 from renderer.viewer.keys import KEYS
 from renderer.viewer.look import LIT, PLAIN
 from rhi.backends.cl.raster.draw_lists import DrawListCache
+from rhi_screen.gestures import HELD
 
 Events = Iterator[dict[str, Any]]
 SCENE = "hall:fountains=1,columns=3,detail=4,flags=1"

@@ -18,6 +18,7 @@ from renderer.stereo import OUTPUTS
 from renderer.techniques import TECHNIQUES, AutoTechnique
 from renderer.viewer import Look, Viewer
 from renderer.viewer.keys import KEYS, list_cameras
+from renderer.viewer.stage import find_speed
 from rhi import Op
 
 SIZE = (64, 48)
@@ -452,3 +453,9 @@ def test_closing_leaves_nothing_on_the_device(null: rhi.Device, scene: Scene, cl
     gone = {command.values[0] for command in null.stream.filter(Op.DESTROY)}
     assert len(found) > 20
     assert [str(command) for command in found if command.values[0] not in gone] == []
+
+
+def test_the_speed_suits_the_scene_and_not_the_plain_around_it() -> None:
+    city, hall = (find_speed(load_scene(name)) for name in ("city:blocks=3", "hall"))
+    assert 2.0 < city < 40.0
+    assert 0.5 < hall < 10.0

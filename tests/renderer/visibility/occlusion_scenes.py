@@ -24,13 +24,13 @@ from renderer.lab.exam.scenes import make_boxes as make_boxes
 from renderer.lab.exam.scenes import walk as walk
 from renderer.renderer import FrameResult
 from renderer.scene import Camera, MeshGeometry, Orthographic, Perspective, Scene, SceneBuilder
-from renderer.scene.transforms import rotation
 from renderer.visibility.boxes.forest import Forest
 from renderer.visibility.gpu.depth_pyramid import CompareBoxes
 from renderer.visibility.gpu.occludees import DRAWN, HIDDEN, VISIBLE, MarkBoxes, MarkListedBoxes
 from renderer.visibility.gpu.reprojection import WriteDepth
 from renderer.visibility.queries.box_queries import QueryBoxShader
 from rhi.backends.null import Draw, NullBackend
+from rhi.math import rotation
 
 WAITING = ("stop_and_wait", "chc", "chc_plus_plus")
 """The algorithms that wait for answers, if they must."""

@@ -22,9 +22,9 @@ from renderer.scene import (
     scaling,
     translation,
 )
-from renderer.scene.transforms import multiply
 from renderer.visibility import FrustumCulling, NoCulling, list_algorithms, make_visibility
 from rhi import Op
+from rhi.math import multiply
 
 HALL = "hall:columns=18,rows=2,flags=10,fountains=4"
 PLACE = 32

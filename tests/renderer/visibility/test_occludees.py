@@ -11,10 +11,10 @@ import rhi
 from renderer.frame import SceneResources, View
 from renderer.lab.exam.scenes import make_views
 from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene
-from renderer.scene.camera import is_parallel
 from renderer.visibility import NoCulling
 from renderer.visibility.boxes.bounds import margin_terms, near_radius
 from renderer.visibility.gpu.occludees import HIDDEN, OUTSIDE, VISIBLE, Occludees
+from rhi.math import is_parallel
 
 CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
 

@@ -13,9 +13,9 @@ from occlusion_scenes import cameras
 from renderer.content import load_scene
 from renderer.content.shapes import box, sphere
 from renderer.scene import Camera, Scene, SceneBuilder, rotation, scaling, translation
-from renderer.scene.transforms import multiply
 from renderer.visibility.boxes.culling import find_visible
 from renderer.visibility.boxes.volumes import Containment, classify, find_rotated
+from rhi.math import multiply
 
 CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
 

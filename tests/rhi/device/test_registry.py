@@ -164,7 +164,7 @@ def test_importing_the_package_leaves_out_what_a_first_picture_does_not_need(cod
     standard library and NumPy that only errors or rare features need."""
     modules = imported(code)
     packages = {
-        "rhi.accuracy", "rhi.backends.cl", "rhi.backends.gl", "rhi.conformance", "rhi.shading.evaluation",
+        "rhi.testing.accuracy", "rhi.backends.cl", "rhi.backends.gl", "rhi.conformance", "rhi.shading.evaluation",
         "rhi.shading.lowering", "rhi.shading.numpy", "rhi.shading.opencl", "rhi.testing", "rhi.trace",
     }  # fmt: skip
     others = {

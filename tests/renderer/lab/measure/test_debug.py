@@ -24,8 +24,8 @@ from renderer.lab.measure.pictures import (
 )
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Depth, Perspective, Scene, SceneBuilder, scaling, translation
-from renderer.scene.transforms import multiply
 from renderer.visibility import FrustumCulling, StopAndWait
+from rhi.math import multiply
 
 LENS = Perspective(np.pi / 2, 1.0, near=0.1)
 PLACES = {

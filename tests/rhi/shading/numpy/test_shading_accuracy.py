@@ -10,9 +10,9 @@ import pytest
 from glsl_runner import run_glsl
 from opencl_runner import built_together, run_opencl
 
-from rhi.accuracy.probes import WORK_GROUP, all_probes, builtin_probes, count_units, worst_units
 from rhi.shading import Precision, compile_shader, opencl_kernel, run_compute
 from rhi.shading.language.builtins import BUILTINS, SideEffect
+from rhi.testing.accuracy.probes import WORK_GROUP, all_probes, builtin_probes, count_units, worst_units
 
 PROBES = all_probes()
 

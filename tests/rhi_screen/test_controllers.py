@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from renderer.content import load_scene
-from renderer.scene import Camera, Orthographic, Perspective
-from renderer.viewer.controllers import Controller, Fly, Glide, Heading, Orbit, find_speed, image_height
+from rhi.math import Camera, Orthographic, Perspective
+from rhi_screen.controllers import Controller, Fly, Glide, Heading, Orbit, image_height
 
 NONE = np.zeros(3)
 AHEAD = np.array((0.0, 0.0, -1.0))
@@ -119,9 +118,3 @@ def test_steps_of_a_millimetre_add_up_far_from_the_origin() -> None:
     before = fly.camera.position
     run(fly, AHEAD, 1.0, 60)
     assert fly.camera.position - before == pytest.approx((0.0, 0.0, -0.06), abs=1e-6)
-
-
-def test_the_speed_suits_the_scene_and_not_the_plain_around_it() -> None:
-    city, hall = (find_speed(load_scene(name)) for name in ("city:blocks=3", "hall"))
-    assert 2.0 < city < 40.0
-    assert 0.5 < hall < 10.0

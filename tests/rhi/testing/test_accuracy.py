@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rhi.accuracy import report as accuracy
-from rhi.accuracy.sample_probes import SAMPLE_PROBES
 from rhi.contract.formats import Format
 from rhi.shading.language.builtins import BUILTINS, ErrorBound
+from rhi.testing.accuracy import report as accuracy
+from rhi.testing.accuracy.sample_probes import SAMPLE_PROBES
 
 
 def test_a_row_has_the_error_the_bound_and_the_time_of_a_builtin_on_a_backend():
@@ -82,7 +82,7 @@ def test_a_bound_that_is_broken_is_marked_and_fails_the_command(monkeypatch, cap
 
 
 def probe_with(error):
-    from rhi.accuracy.probes import builtin_probes
+    from rhi.testing.accuracy.probes import builtin_probes
 
     (probe,) = builtin_probes(BUILTINS["sqrt"])
     return replace(probe, error=replace(error, defined="a >= 0"))

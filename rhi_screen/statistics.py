@@ -1,4 +1,4 @@
-"""The viewer's own counter: frames in the last second, and the time from one to the next."""
+"""Frame statistics: how many frames the last second had, the time from one to the next, and that of processors."""
 
 from __future__ import annotations
 

@@ -9,34 +9,23 @@ where a second in sixty steps does.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from math import atan2, cos, exp, hypot, pi, sin
+from math import atan2, exp, hypot, pi
 from typing import Final, Protocol
 
 import numpy as np
 
-from renderer.scene import Camera, Orthographic, Perspective, Scene
-from renderer.scene.arrays import Floats
-from renderer.scene.camera import Projection
+from rhi.math import Camera, Floats, Orthographic, Perspective, Projection, find_heading
 
 NOTCH: Final = 1.15
 """The ratio of distances by which a notch of the wheel brings nearer."""
 FAST: Final = 4.0
 """The factor of motion's speed with Shift."""
+LEAST_DISTANCE: Final = 1e-6
+"""Metres of an orbit."""
 
 _RATE: Final = 12.0  # a second: how quickly the speed approaches what the keys ask for
 _TURN: Final = 1.6  # radians a second, by keys
 _REST: Final = 1e-3  # of the full speed: below it, motion has ended
-_LEAST: Final = 1e-6  # metres of an orbit
-_DIVISIONS: Final = 25.0  # of the scene's size, which are flown through in as many seconds
-
-
-def find_speed(scene: Scene) -> float:
-    """Return a speed in metres a second that suits a scene: it crosses nine tenths of the objects in 25 seconds, so
-    that one large plane around them doesn't count."""
-    middles = 0.5 * (scene.objects.lower + scene.objects.upper)
-    low, high = np.percentile(middles, (5.0, 95.0), axis=0)
-    size = float(np.linalg.norm(high - low)) or float(np.linalg.norm(scene.bounds[1] - scene.bounds[0]))
-    return max(size / _DIVISIONS, _LEAST)
 
 
 @dataclass(slots=True)
@@ -63,8 +52,7 @@ class Heading:
     @property
     def rotation(self) -> Floats:
         """The camera's rotation (3, 3): rows are right, up, back."""
-        s, c, t, d = sin(self.yaw), cos(self.yaw), sin(self.pitch), cos(self.pitch)
-        return np.array([(c, 0.0, -s), (s * t, d, c * t), (s * d, -t, c * d)])
+        return find_heading(self.yaw, self.pitch)
 
 
 @dataclass(slots=True)
@@ -198,7 +186,7 @@ class Orbit:
         self.speed = speed
         away = camera.position - target
         self.target: Floats = np.array(target, np.float64)
-        self.distance = max(float(np.linalg.norm(away)), _LEAST)
+        self.distance = max(float(np.linalg.norm(away)), LEAST_DISTANCE)
         aimed = Camera.look_at(camera.position, target) if (away != 0.0).any() else camera
         self._heading = Heading.of(aimed)
         self._lens = camera.projection
@@ -231,7 +219,7 @@ class Orbit:
 
     def zoom(self, notches: float) -> None:
         """Go nearer by a ratio; a parallel lens shows less."""
-        self.distance = max(self.distance * NOTCH**-notches, _LEAST)
+        self.distance = max(self.distance * NOTCH**-notches, LEAST_DISTANCE)
         self._lens = zoom_lens(self._lens, notches)
 
     def advance(self, push: Floats, turn: Floats, seconds: float) -> None:

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from renderer.scene import Camera
-from renderer.viewer.controllers import FAST
-from renderer.viewer.gestures import Gestures
+from rhi.math import Camera
+from rhi_screen.controllers import FAST
+from rhi_screen.gestures import Gestures
 
 Told = list[tuple[str, float, float]]
 

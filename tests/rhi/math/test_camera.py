@@ -5,8 +5,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from renderer.scene import Camera, Depth, Frustum, FrustumPlane, Orthographic, Perspective
+import rhi
 from rhi.errors import ValidationError
+from rhi.math import (
+    Camera,
+    Depth,
+    Frustum,
+    FrustumPlane,
+    Orthographic,
+    Perspective,
+    look_at,
+    orbit,
+    orthographic,
+    perspective,
+)
 
 
 def clip_depth(lens, distance):
@@ -152,3 +164,71 @@ def test_values_at_the_edge_of_their_range_are_taken():
     Perspective(fov=3.14, near=1e-6, far=np.inf)
     Perspective(near=1.0, far=np.nextafter(1.0, 2.0))
     Orthographic(height=1e-6, near=0.0)
+
+
+# -- the functions, against points in space whose images are known -------------------------------------------------
+
+
+@given(
+    fov=st.floats(0.05, 3.0), aspect=st.floats(0.2, 5.0), near=st.floats(1e-3, 10.0), depth=st.sampled_from(list(Depth))
+)
+@settings(max_examples=40)
+def test_a_perspective_shows_the_corners_of_its_near_plane_in_those_of_the_image(fov, aspect, near, depth):
+    y = near * np.tan(fov / 2)
+    clip = perspective(fov, aspect, near, near * 50, depth) @ (aspect * y, -y, -near, 1.0)
+    nearest, farthest = (1.0, 0.0) if depth is Depth.REVERSED else (0.0, 1.0)
+    assert np.allclose(clip[:3] / clip[3], (1.0, -1.0, nearest), atol=1e-9)
+    clip = perspective(fov, aspect, near, near * 50, depth) @ (0.0, 0.0, -near * 50, 1.0)
+    assert np.allclose(clip[:3] / clip[3], (0.0, 0.0, farthest), atol=1e-9)
+
+
+def test_pixels_of_a_plane_image_begin_in_its_top_left_corner():
+    matrix = orthographic(0.0, 640.0, 480.0, 0.0)
+    assert np.allclose(matrix @ (0.0, 0.0, 0.0, 1.0), (-1.0, 1.0, 0.5, 1.0))
+    assert np.allclose(matrix @ (640.0, 480.0, 1.0, 1.0), (1.0, -1.0, 1.0, 1.0)), "+Z is nearer"
+    assert np.allclose(orthographic(-2, 4, 1, 3, 0.5, 7, Depth.STANDARD) @ (4.0, 3.0, -7.0, 1.0), 1.0)
+
+
+def test_a_lens_and_its_function_are_one():
+    assert np.array_equal(perspective(0.7, 1.5, 0.2, 90.0), Perspective(0.7, 1.5, 0.2, 90.0).matrix)
+    assert np.array_equal(orthographic(-3, 3, -2, 2, 1.0, 9.0), Orthographic(4.0, 1.5, 1.0, 9.0).matrix)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.6, -2.5])
+@pytest.mark.parametrize("pitch", [-np.pi / 2, -0.4, 0.0, 1.2, np.pi / 2])
+def test_an_orbit_sees_its_target_ahead_from_the_side_of_its_angles(yaw, pitch):
+    target = np.array((3.0, -1.0, 2.0))
+    view = orbit(target, 5.0, yaw, pitch)
+    assert np.allclose(view @ (*target, 1.0), (0.0, 0.0, -5.0, 1.0))
+    eye = target + 5.0 * np.array([np.sin(yaw) * np.cos(pitch), np.sin(pitch), np.cos(yaw) * np.cos(pitch)])
+    assert np.allclose(view @ (*eye, 1.0), (0.0, 0.0, 0.0, 1.0))
+    if abs(pitch) < 1.5:
+        assert np.allclose(view, look_at(eye, target))
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: perspective(np.pi, 1.0),
+        lambda: perspective(1.0, 1.0, near=0.0),
+        lambda: orthographic(1.0, 1.0, 0.0, 1.0),
+        lambda: orthographic(0.0, np.inf, 0.0, 1.0),
+        lambda: orthographic(0.0, 1.0, 0.0, 1.0, 2.0, 2.0),
+        lambda: orbit((0, 0, 0), 0.0),
+        lambda: look_at((1, 2, 3), (1, 2, 3)),
+    ],
+)
+def test_functions_refuse_values_out_of_range(make):
+    with pytest.raises(ValidationError, match=r"^\[camera-bad-value\]") as error:
+        make()
+    assert error.value.site.file == __file__
+
+
+def test_degrees_are_recognised():
+    with pytest.raises(ValidationError, match=r"np\.radians"):
+        perspective(60.0, 1.0)
+
+
+def test_the_module_is_there_without_an_import_of_its_own():
+    assert rhi.math.perspective is perspective
+    assert not hasattr(rhi, "maths")

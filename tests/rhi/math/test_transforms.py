@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from renderer.scene import normal_matrices, relative_to, rotation, scaling, translation
-from renderer.scene.transforms import multiply, transform_bounds
+from rhi.math import multiply, normal_matrices, relative_to, rotation, scaling, transform_bounds, translation
 
 
 def random_transforms(count, seed, scale=1.0):

@@ -8,8 +8,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from renderer.scene.arrays import Floats
-from renderer.viewer.controllers import FAST, NOTCH, Controller
+from rhi.math import Floats
+from rhi_screen.controllers import FAST, NOTCH, Controller
 
 Event = Mapping[str, Any]
 

@@ -6,12 +6,13 @@ that no caller loops over objects.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from renderer.scene.arrays import Floats
+Floats: TypeAlias = NDArray[np.float64]
+"""Coordinates, sizes and matrices in float64."""
 
 
 def translation(offset: ArrayLike) -> Floats:

@@ -1,7 +1,7 @@
 """`python -m rhi shading accuracy`: the error and the time of each built-in on each backend of this machine.
 
-- Each built-in is called on the same sample (`rhi.accuracy.probes`, and `sample_probes` for textures) and compared with
-  float64.
+- Each built-in is called on the same sample (`rhi.testing.accuracy.probes`, and `sample_probes` for textures) and
+  compared with float64.
 - Its time is the difference between a kernel that calls it many times and a kernel that only reads the same arguments.
   The two alternate and the shortest run of each counts, since other load on the machine would exceed a difference this
   small. The result is the time of a call with all cores busy; it is close to 0 for functions whose cost is hidden by
@@ -25,13 +25,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rhi
-from rhi.accuracy.probes import PASSES, WORK_GROUP, BoundName, Probe, all_probes, count_units, worst_units
-from rhi.accuracy.sample_probes import SAMPLE_PROBES, SHADERS, TURNS, SampleProbe
 from rhi.device.device import Device
 from rhi.device.resources.programs import Program
 from rhi.errors import RhiError
 from rhi.shading import Precision
 from rhi.shading.language.builtins import BUILTINS
+from rhi.testing.accuracy.probes import PASSES, WORK_GROUP, BoundName, Probe, all_probes, count_units, worst_units
+from rhi.testing.accuracy.sample_probes import SAMPLE_PROBES, SHADERS, TURNS, SampleProbe
 
 Array = NDArray[Any]
 
@@ -52,7 +52,7 @@ class BuiltinAccuracy:
 
     Attributes:
         precision: "exact" or "fast" where a shader can choose, else "".
-        median_ulp, max_ulp: errors over the sample in the units of `rhi.accuracy.probes.count_units`; of 2^-23 for
+        median_ulp, max_ulp: errors over the sample in units of `rhi.testing.accuracy.probes.count_units`; of 2^-23 for
             samples of textures.
         bound_ulp: the error bound that the table of built-ins states.
         keeps: whether the whole sample is within the bound, including OpenGL's absolute bounds.

@@ -13,10 +13,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.accuracy.probes import WORK_GROUP, with_precision
 from rhi.contract.formats import Format
 from rhi.shading import HostTexture, Precision, Shader, Storage, StorageRW, Texture2D, global_id, vec4
 from rhi.shading.language.builtins import ErrorBound
+from rhi.testing.accuracy.probes import WORK_GROUP, with_precision
 
 Array = NDArray[Any]
 

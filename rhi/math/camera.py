@@ -1,0 +1,171 @@
+"""Cameras: views and frustums, in float64.
+
+The world is right-handed, view space looks along -Z with +Y up, vectors are columns (`matrix @ vector`).
+A camera is an immutable value.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from math import cos, sin
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rhi.math.projections import Depth, Perspective, Projection, check_camera
+from rhi.math.transforms import Floats
+
+
+class FrustumPlane(IntEnum):
+    """The rows of `Frustum.planes`. FAR is missing when the projection reaches to infinity."""
+
+    LEFT = 0
+    RIGHT = 1
+    BOTTOM = 2
+    TOP = 3
+    NEAR = 4
+    FAR = 5
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Frustum:
+    """The visible volume: `planes` (5 or 6, 4) float64 in the order of `FrustumPlane`, unit normals inward.
+
+    A point p is inside a plane when `n · p + d >= 0`. Five planes when the far plane is at infinity.
+    """
+
+    planes: Floats
+
+    @classmethod
+    def from_matrix(cls, matrix: ArrayLike, depth: Depth = Depth.REVERSED) -> Frustum:
+        """Extract the planes of a clip matrix (4, 4) from its rows (Gribb and Hartmann, 2001)."""
+        x, y, z, w = np.asarray(matrix, np.float64)
+        ends = (w - z, z) if depth is Depth.REVERSED else (z, w - z)
+        rows = np.stack([w + x, w - x, w + y, w - y, *ends])
+        length = np.linalg.norm(rows[:, :3], axis=1)
+        faces = length > 0.0  # an infinite far plane has no normal
+        return cls(rows[faces] / length[faces, None])
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Camera:
+    """A position, an orientation, and a lens.
+
+    Attributes:
+        position: (3,) float64, world.
+        rotation: (3, 3) float64, world directions to view directions; rows are right, up, back.
+        projection: the lens.
+    """
+
+    position: Floats
+    rotation: Floats
+    projection: Projection
+
+    @classmethod
+    def look_at(
+        cls,
+        position: ArrayLike,
+        target: ArrayLike,
+        up: ArrayLike = (0.0, 1.0, 0.0),
+        projection: Projection | None = None,
+    ) -> Camera:
+        """Create a camera at `position` that looks at `target`; looking along `up` is allowed."""
+        eye, aim, above = (np.array(v, np.float64) for v in (position, target, up))
+        for name, value in (("position", eye), ("target", aim), ("up", above)):
+            fine = value.shape == (3,) and bool(np.isfinite(value).all())
+            check_camera(f"look_at({name}=...)", value, fine, "three finite numbers")
+        check_camera("look_at(target=...)", target, bool((eye != aim).any()), "a point other than the position")
+        check_camera("look_at(up=...)", up, bool(above.any()), "not all 0")
+        back = _normalised(eye - aim)
+        right = np.cross(_normalised(above), back)
+        if np.linalg.norm(right) < 1e-9:  # looking straight up or down: any perpendicular vector will do
+            right = np.cross(np.eye(3)[np.argmin(np.abs(back))], back)
+        right = _normalised(right)
+        return cls(eye, np.stack([right, np.cross(back, right), back]), projection or Perspective())
+
+    @property
+    def right(self) -> Floats:
+        """The unit vector (3,) to the camera's right."""
+        return np.array(self.rotation[0])
+
+    @property
+    def forward(self) -> Floats:
+        """The unit vector (3,) along which the camera looks."""
+        x, y, z = self.rotation[2]
+        return np.array([-x, -y, -z])
+
+    @property
+    def view(self) -> Floats:
+        """The matrix (4, 4) float64 from world space to view space."""
+        m = np.eye(4)
+        m[:3, :3] = self.rotation
+        m[:3, 3] = -(self.rotation @ self.position)
+        return m
+
+    @property
+    def view_projection(self) -> Floats:
+        """The matrix (4, 4) float64 from world space to clip space."""
+        return self.projection.matrix @ self.view
+
+    @property
+    def relative_view_projection(self) -> NDArray[np.float32]:
+        """The matrix (4, 4) float32 that shaders use: from world axes with the eye as origin to clip space."""
+        m = np.eye(4)
+        m[:3, :3] = self.rotation
+        return (self.projection.matrix @ m).astype(np.float32)
+
+    @property
+    def frustum(self) -> Frustum:
+        """The visible volume in world space."""
+        m = np.eye(4)
+        m[:3, :3] = self.rotation
+        planes = Frustum.from_matrix(self.projection.matrix @ m, self.projection.depth).planes
+        planes[:, 3] -= planes[:, :3] @ self.position  # after normalising: no loss far from the origin
+        return Frustum(planes)
+
+    def with_projection(self, projection: Projection) -> Camera:
+        """Return the same camera with another projection."""
+        return replace(self, projection=projection)
+
+    def with_aspect(self, aspect: float) -> Camera:
+        """Return the same camera for an image of width / height = `aspect`."""
+        return replace(self, projection=self.projection.with_aspect(aspect))
+
+
+def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 1.0, 0.0)) -> Floats:
+    """Return the (4, 4) view matrix of an eye (3,) that looks at `target` (3,); looking along `up` is allowed.
+
+    Raises:
+        ValidationError: `camera-bad-value` if the eye is the target, or for numbers that aren't finite.
+    """
+    return Camera.look_at(eye, target, up).view
+
+
+def orbit(target: ArrayLike, distance: float, yaw: float = 0.0, pitch: float = 0.0) -> Floats:
+    """Return the (4, 4) view matrix of an eye that circles a point, and looks at it.
+
+    Args:
+        target: (3,), the point.
+        distance: of the eye from it.
+        yaw: the angle of the eye around +Y, in radians; at 0 it is on the side of +Z, at pi / 2 on that of +X.
+        pitch: its angle above the point's height, from -pi / 2 to pi / 2.
+
+    Raises:
+        ValidationError: `camera-bad-value` for a distance that isn't above 0.
+    """
+    check_camera("orbit(distance=...)", distance, 0.0 < distance < np.inf, "above 0, finite")
+    turned = find_heading(yaw, -pitch)
+    return Camera(np.asarray(target, np.float64) + distance * turned[2], turned, Perspective()).view
+
+
+def find_heading(yaw: float, pitch: float) -> Floats:
+    """Return the rotation (3, 3) of a camera without roll, turned to the left by `yaw` around +Y, then upwards by
+    `pitch`, in radians: rows are right, up, back."""
+    s, c, t, d = sin(yaw), cos(yaw), sin(pitch), cos(pitch)
+    return np.array([(c, 0.0, -s), (s * t, d, c * t), (s * d, -t, c * d)])
+
+
+def _normalised(vector: Floats) -> Floats:
+    scaled = vector / np.abs(vector).max()
+    return np.asarray(scaled / np.linalg.norm(scaled))

@@ -1,0 +1,44 @@
+"""Fixed time steps: a simulation takes equal ones at any frame rate, so it behaves the same on every machine.
+
+steps = FixedSteps(120)
+def draw():
+    for _ in steps.advance():
+        before, now = now, simulate(now, steps.seconds)
+    show(before + (now - before) * steps.part)
+"""
+
+from __future__ import annotations
+
+from time import perf_counter
+
+
+class FixedSteps:
+    """Divides the time between frames into steps.
+
+    Attributes:
+        seconds: of a step.
+        most: how many steps a frame takes at most. Time beyond them is dropped: a simulation that is slower than the
+            clock slows down, instead of taking longer and longer.
+        part: the part of a step, from 0 to 1, that has passed since the last one.
+    """
+
+    def __init__(self, rate: float = 60.0, most: int = 8) -> None:
+        """`rate`: steps a second."""
+        self.seconds = 1.0 / rate
+        self.most = most
+        self.part = 0.0
+        self._time: float | None = None
+
+    def advance(self, seconds: float | None = None) -> range:
+        """Return the numbers of the steps that have passed.
+
+        Args:
+            seconds: the time since the last call; None: as a clock says, 0 the first time.
+        """
+        if seconds is None:
+            now = perf_counter()
+            seconds, self._time = 0.0 if self._time is None else now - self._time, now
+        passed = self.part + seconds / self.seconds
+        count = int(passed + 1e-9)  # 0.1 ten times is a second
+        self.part = max(passed - count, 0.0)
+        return range(min(count, self.most))

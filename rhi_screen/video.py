@@ -1,0 +1,97 @@
+"""Videos of images, by FFmpeg's libraries (PyAV, `pip install "rhi[video]"`).
+
+    with VideoWriter("turn.mp4", 30) as video:
+        for angle in angles:
+            video.add(draw(angle))
+
+The container follows from the file's name, and the codec from the container: H.264 for .mp4, VP9 for .webm.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+import rhi
+from rhi.errors import DeviceError, refuse
+from rhi_screen.rules import SCREEN_MISSING, VIDEO_SIZE
+
+
+class VideoWriter:
+    """A file that images are added to, one for each frame of the video. Use it in a `with` block, or call `close`.
+
+    Attributes:
+        path: the file. frames: how many images were added.
+    """
+
+    def __init__(self, path: str | Path, fps: float = 30.0) -> None:
+        """
+        Args:
+            path: the file; its folder is made.
+            fps: frames a second.
+
+        Raises:
+            DeviceError: `screen-missing` without PyAV.
+        """
+        try:
+            import av
+        except ImportError as error:
+            raise DeviceError(SCREEN_MISSING, "VideoWriter", "PyAV", "", 'pip install "rhi[video]"') from error
+        self.path = Path(path)
+        self.frames = 0
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        self._rate = Fraction(fps).limit_denominator(1001)
+        self._library = av
+        self._file: Any = av.open(str(self.path), "w")
+        self._stream: Any = None
+
+    def add(self, image: rhi.Texture | NDArray[np.uint8]) -> None:
+        """Add an image as the next frame.
+
+        Args:
+            image: a texture of 8-bit colors, or (height, width, 3 or 4) uint8, top row first. All have the size of the
+                first one. A last row or column that makes a size odd is left out: most codecs take even ones.
+
+        Raises:
+            ValidationError: `video-size` for an image of another size, or below 2×2.
+        """
+        texels = image.read() if isinstance(image, rhi.Texture) else image
+        height, width = (each & ~1 for each in texels.shape[:2])
+        if self._stream is None and min(width, height) > 0:
+            self._stream = self._file.add_stream(self._file.default_video_codec, rate=self._rate)
+            self._stream.width, self._stream.height, self._stream.pix_fmt = width, height, "yuv420p"
+        wanted = (self._stream.width, self._stream.height) if self._stream is not None else "at least 2×2"
+        if (width, height) != wanted:
+            refuse(VIDEO_SIZE, "VideoWriter.add", f"{texels.shape[1]}×{texels.shape[0]}", str(wanted))
+        colors = np.ascontiguousarray(texels[:height, :width, :3])
+        for packet in self._stream.encode(self._library.VideoFrame.from_ndarray(colors, format="rgb24")):
+            self._file.mux(packet)
+        self.frames += 1
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether the file is finished."""
+        return self._file is None
+
+    def close(self) -> None:
+        """Finish the file. A second call does nothing."""
+        if self._file is None:
+            return
+        if self._stream is not None:
+            for packet in self._stream.encode():
+                self._file.mux(packet)
+        self._file.close()
+        self._file = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

@@ -1,0 +1,151 @@
+"""Cameras of screens, fixed steps, statistics, screenshots and videos, on a canvas that needs no display."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rhi
+from rhi import Format, ValidationError
+
+pytest.importorskip("rendercanvas", reason="no rendercanvas: pip install rhi[viewer]")
+
+from rhi.math import Perspective, look_at
+from rhi_screen import FixedSteps, FlyCamera, FrameCounter, OrbitCamera, Screen, VideoWriter, open_screen
+
+
+@pytest.fixture
+def screen() -> Iterator[Screen]:
+    with open_screen("null", canvas="offscreen", size=(60, 40)) as opened:
+        yield opened
+
+
+def send(screen: Screen, kind: str, **more: Any) -> None:
+    event = {"event_type": kind, "x": 0.0, "y": 0.0, "button": 1, "buttons": (1,), "modifiers": (), "touches": {}}
+    screen.canvas.submit_event(event | more)
+    screen.canvas._events.flush()
+
+
+def test_an_orbit_begins_where_it_is_told_with_the_proportions_of_the_screen(screen: Screen) -> None:
+    camera = OrbitCamera(screen, (1.0, 2.0, 3.0), 7.0, yaw=0.4, pitch=-0.3, lens=Perspective(fov=0.8)).update()
+    assert np.allclose(camera.view, rhi.math.orbit((1.0, 2.0, 3.0), 7.0, 0.4, -0.3))
+    assert np.allclose(camera.projection.matrix, rhi.math.perspective(0.8, 60 / 40))
+
+
+def test_a_drag_turns_an_orbit_by_half_a_turn_for_the_height_of_the_screen(screen: Screen) -> None:
+    orbit = OrbitCamera(screen, distance=2.0, yaw=0.0, pitch=0.0)
+    send(screen, "pointer_down", x=30.0, y=20.0)
+    send(screen, "pointer_move", x=10.0, y=20.0)
+    turned = orbit.update()
+    assert np.allclose(turned.position, 2.0 * np.array([np.sin(np.pi / 2), 0.0, np.cos(np.pi / 2)]))
+    orbit.is_enabled = False
+    send(screen, "pointer_move", x=50.0, y=20.0)
+    assert np.array_equal(orbit.update().position, turned.position)
+
+
+def test_a_key_flies_ahead_as_long_as_it_is_held(screen: Screen) -> None:
+    fly = FlyCamera(screen, (0.0, 1.0, 4.0), (0.0, 1.0, 0.0), speed=2.0)
+    assert np.allclose(fly.update().view, look_at((0.0, 1.0, 4.0), (0.0, 1.0, 0.0)))
+    send(screen, "key_down", key="w")
+    for _ in range(60):
+        camera = fly.update(1 / 30)
+    assert camera.position[2] == pytest.approx(4.0 - 2.0 * (2.0 - 1 / 12), abs=1e-3), (
+        "two seconds, the first begins slowly"
+    )
+    send(screen, "key_up", key="w")
+    for _ in range(60):
+        rest = fly.update(1 / 30)
+    assert np.array_equal(fly.update(1.0).position, rest.position)
+
+
+def test_an_event_that_was_stopped_moves_no_camera_and_a_closed_one_listens_no_more(screen: Screen) -> None:
+    orbit = OrbitCamera(screen, distance=2.0)
+    begin = orbit.camera.position
+
+    def stop(event: dict[str, Any]) -> None:
+        event["stop_propagation"] = True
+
+    screen.canvas.add_event_handler(stop, "wheel", order=-1)
+    send(screen, "wheel", dx=0.0, dy=-100.0)
+    assert np.array_equal(orbit.camera.position, begin)
+    screen.canvas.remove_event_handler(stop, "wheel")
+    send(screen, "wheel", dx=0.0, dy=-100.0)
+    nearer = orbit.camera.position
+    assert np.linalg.norm(nearer) < np.linalg.norm(begin)
+    orbit.close()
+    send(screen, "wheel", dx=0.0, dy=-100.0)
+    assert np.array_equal(orbit.camera.position, nearer)
+
+
+@pytest.mark.parametrize("frames", [1, 7, 10, 100])
+def test_a_second_has_as_many_steps_in_any_number_of_frames(frames: int) -> None:
+    steps = FixedSteps(60, most=60)
+    assert sum(len(steps.advance(1 / frames)) for _ in range(frames)) == 60
+    assert steps.part == pytest.approx(0.0, abs=1e-6)
+
+
+def test_what_has_passed_of_a_step_is_its_part_and_a_slow_frame_drops_time() -> None:
+    steps = FixedSteps(10, most=3)
+    assert (list(steps.advance(0.25)), steps.part) == ([0, 1], pytest.approx(0.5))
+    assert list(steps.advance(10.0)) == [0, 1, 2]
+    assert len(steps.advance(0.1)) == 1, "the rest of ten seconds isn't made up for"
+
+
+def test_statistics_are_of_the_last_second() -> None:
+    counter = FrameCounter()
+    for number in range(200):
+        counter.add(number / 50, number / 100)
+    assert counter.rate == pytest.approx(50.0)
+    assert counter.processor == pytest.approx(0.01)
+    assert counter.frames == 200
+
+
+def test_a_shown_frame_is_counted(screen: Screen) -> None:
+    targets = screen.targets()
+    screen.canvas.request_draw(lambda: screen.show(targets.image))
+    screen.canvas.draw()
+    assert screen.counter.frames == 1
+
+
+def test_a_screenshot_is_the_next_image_that_is_shown(tmp_path: Path) -> None:
+    texels = np.random.default_rng(3).integers(0, 256, (4, 6, 4), np.uint8)
+    with open_screen("gl", canvas="offscreen", size=(6, 4)) as screen:
+        image = screen.device.texture(texels)
+        screen.canvas.request_draw(lambda: screen.show(image))
+        screen.screenshot(tmp_path / "one.png")
+        screen.canvas.draw()
+        image.write(255 - texels)
+        screen.canvas.draw()
+    assert np.array_equal(rhi.load_image(tmp_path / "one.png"), texels)
+
+
+def test_only_a_window_fills_its_display(screen: Screen) -> None:
+    assert not screen.is_full_screen
+    with pytest.raises(ValidationError, match="screen-window"):
+        screen.is_full_screen = True
+
+
+def test_a_recorded_video_has_the_frames_that_were_shown(tmp_path: Path) -> None:
+    av = pytest.importorskip("av", reason="no PyAV: pip install rhi[video]")
+    colors = [(200, 40, 40), (40, 200, 40), (40, 40, 200)]
+    with open_screen("gl", canvas="offscreen", size=(65, 48)) as screen:
+        video = screen.record(tmp_path / "videos" / "three.mp4", 25)
+        for color in colors:
+            image = screen.device.texture(np.full((48, 65, 4), (*color, 255), np.uint8))
+            screen.canvas.request_draw(lambda image=image: screen.show(image))
+            screen.canvas.draw()
+        video.close()
+        screen.canvas.draw()
+        assert video.frames == 3
+        with pytest.raises(ValidationError, match="video-size"), VideoWriter(tmp_path / "two.mp4") as two:
+            two.add(image)
+            two.add(screen.device.texture((32, 48), Format.RGBA8))
+    with av.open(str(video.path)) as file:
+        assert float(file.streams.video[0].average_rate) == 25
+        frames = [frame.to_ndarray(format="rgb24") for frame in file.decode(video=0)]
+    assert [frame.shape for frame in frames] == [(48, 64, 3)] * 3
+    assert np.abs(np.array([frame[24, 32] for frame in frames]).astype(int) - colors).max() < 12, "H.264, 4:2:0"
