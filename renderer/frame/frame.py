@@ -83,7 +83,7 @@ class Frame:
         seen = self._seen.get(self.view)
         return None if seen is None else seen.statistics
 
-    def program(self, shader: type[Shader]) -> Program[Any]:
+    def program(self, shader: type[Shader]) -> Program[...]:
         """Return the program of a technique's shader, in the precision of the frame."""
         return self.device.program(with_precision(shader, self.precision))
 

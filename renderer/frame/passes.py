@@ -153,7 +153,7 @@ class TechniquePass:
         device: Device,
         resources: SceneResources,
         view: View,
-        program: Program[Any],
+        program: Program[...],
         bindings: dict[str, Any],
         *,
         color: Texture | list[Texture] | None,

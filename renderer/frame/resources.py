@@ -184,7 +184,7 @@ class SceneResources:
         return self.scene.count_triangles(rows[~own]) + int(counts.sum()) // 3
 
     def draw_rows(
-        self, device: Device, program: Program[Any], rows: NDArray[np.int64], bindings: dict[str, Any]
+        self, device: Device, program: Program[...], rows: NDArray[np.int64], bindings: dict[str, Any]
     ) -> None:
         """Draw objects in one call, and each height field in one more."""
         if len(self.tessellated_rows):
@@ -195,7 +195,7 @@ class SceneResources:
         if len(rows):
             device.draw_many(program, self.mesh, self.draws[rows], **bindings)
 
-    def draw_tessellated(self, encoder: Encoder, program: Program[Any], row: int, bindings: dict[str, Any]) -> None:
+    def draw_tessellated(self, encoder: Encoder, program: Program[...], row: int, bindings: dict[str, Any]) -> None:
         """Draw a height field with as many triangles as the device has chosen."""
         place = int(np.searchsorted(self.tessellated_rows, row))
         draw = IndirectDraws(self.tessellated_draws, 1, place * DRAW.itemsize)

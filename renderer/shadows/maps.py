@@ -76,7 +76,7 @@ _COMPARING: Final = SamplerDescriptor(
 )
 _BIAS: Final = (0.1, 0.6)  # texels along the normal: at any angle, and times its sine
 
-BindDepth = Callable[[Frame], tuple[Program[Any], dict[str, Any]]]
+BindDepth = Callable[[Frame], tuple[Program[...], dict[str, Any]]]
 """Returns the program that draws depth of a frame's objects, and its bindings."""
 
 

@@ -182,7 +182,7 @@ def draw_pairs(frame: Frame, effect: Effect, color: Texture, *bases: type[Any]) 
     draws = resources.draws[objects]
     draws["base_instance"] = np.arange(len(objects))
     kinds = {"has_point_lights": not is_spot, "has_spot_lights": is_spot}
-    program: Program[Any] = frame.program(find_variant(frame, *bases, **kinds))
+    program: Program[...] = frame.program(find_variant(frame, *bases, **kinds))
     bindings = bind(frame, program, {"pairs": device.transient.storage(Pair, pairs)})
     with device.render_pass(color, frame.targets["depth"]), device.states(CullMode.BACK, *_ADDED):
         for number, states in resources.groups:

@@ -86,7 +86,7 @@ class CommandBuffer(Encoder):
         super().__init__(core, Timers(core, False), TransientMemory(core, arena=self._arena))
         self.label = label
         self._state = _EMPTY
-        self._programs: dict[Program[Any], RecordedProgram] = {}
+        self._programs: dict[Program[...], RecordedProgram] = {}
         self._calls: list[PreparedCall] | None = None
         self._first_change: int | None = None  # the command that sets the states of the first draw
         self._destroyed_uses: dict[Id, str] = {}
@@ -164,12 +164,12 @@ class CommandBuffer(Encoder):
         """Return the texts of everything that is still open."""
         return [scope.describe() for scope in self._recorder.scopes]
 
-    def _draw(self, program: Program[Any], mesh: Drawable, instances: int = 1, /, **bindings: Any) -> None:
+    def _draw(self, program: Program[...], mesh: Drawable, instances: int = 1, /, **bindings: Any) -> None:
         """Draw `mesh` with `program`; see `Encoder.draw`."""
         if self._state is not _RECORDING:
             self._recorder.check_open()
         try:
-            own: Program[Any] = self._programs[program]
+            own: Program[...] = self._programs[program]
         except (KeyError, TypeError):
             own = self._resolve_program(program, "commands.draw")
         check_drawable(self._recorder, mesh, "commands.draw")
@@ -258,7 +258,7 @@ class CommandBuffer(Encoder):
     def _check_texture(self, call: str, name: str, texture: Texture) -> None:
         Arguments(call, self._recorder.refuse).instance(name, texture, Texture, "a Texture")
 
-    def _resolve_program(self, program: object, call: str) -> Program[Any]:
+    def _resolve_program(self, program: object, call: str) -> Program[...]:
         core = self._recorder
         core.check_open()
         if not isinstance(program, Program):

@@ -472,7 +472,7 @@ class Device(Encoder):
     def program(self, shader: ProgramDescriptor) -> Program[...]: ...
 
     @_creates
-    def program(self, shader: Any) -> Program[Any]:
+    def program(self, shader: Any) -> Program[...]:
         """Create the program of a shader class or of a native program's descriptor; equal arguments share one.
 
         Raises:
@@ -496,7 +496,7 @@ class Device(Encoder):
 
     # -- work --------------------------------------------------------------------------------------------
 
-    def _draw(self, program: Program[Any], mesh: Drawable, instances: int = 1, /, **bindings: Any) -> None:
+    def _draw(self, program: Program[...], mesh: Drawable, instances: int = 1, /, **bindings: Any) -> None:
         """Draw `mesh` with `program`; see `Encoder.draw`."""
         if program.__class__ is not Program or program.core is not self._core:
             self._resolve_program(program, "device.draw")
@@ -507,7 +507,7 @@ class Device(Encoder):
 
     @overload
     def prepare(
-        self, program: Program[Any], mesh: Mesh | None = None, *, targets: Sequence[Texture | Format] = (),
+        self, program: Program[...], mesh: Mesh | None = None, *, targets: Sequence[Texture | Format] = (),
         states: Sequence[State] = (),
     ) -> Preparation: ...  # fmt: skip
 

@@ -277,8 +277,8 @@ class Encoder:
         core.draws += runs
 
     def _check_draws(
-        self, program: Program[Any], mesh: Drawable, draws: NDArray[Any], call: str
-    ) -> tuple[Program[Any], NDArray[Any]]:
+        self, program: Program[...], mesh: Drawable, draws: NDArray[Any], call: str
+    ) -> tuple[Program[...], NDArray[Any]]:
         """Return the program as this encoder uses it, and the array of draws as backends need it."""
         own = self._resolve_program(program, call)
         check_drawable(self._core, mesh, call)
@@ -409,7 +409,7 @@ class Encoder:
 
     # -- inside ------------------------------------------------------------------------------------------
 
-    def _resolve_program(self, program: object, call: str) -> Program[Any]:
+    def _resolve_program(self, program: object, call: str) -> Program[...]:
         """Return the program as this encoder uses it.
 
         Raises:
@@ -421,7 +421,7 @@ class Encoder:
             self._core.refuse(RESOURCE_FOREIGN, call, repr(program))
         return program
 
-    def _bind_draws(self, program: Program[Any], mesh: Drawable, bindings: dict[str, Any]) -> int:
+    def _bind_draws(self, program: Program[...], mesh: Drawable, bindings: dict[str, Any]) -> int:
         """Check and bind everything that a draw needs; return the vertex array."""
         program.check_can_draw(mesh)
         vertex_array = program.find_vertex_array(mesh)

@@ -32,7 +32,7 @@ class Immediate(Generic[S]):
                  "_program", "_rows")  # fmt: skip
 
     def __init__(
-        self, memory: TransientMemory, program: Program[Any], primitive: Primitive, bindings: dict[str, Any]
+        self, memory: TransientMemory, program: Program[...], primitive: Primitive, bindings: dict[str, Any]
     ) -> None:
         program.check_names(bindings)
         if not program.descriptor.attributes:

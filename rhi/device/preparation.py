@@ -11,7 +11,7 @@ import threading
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import cast
 
 from rhi.contract.backend import PreparesKernels
 from rhi.contract.descriptors import Stage
@@ -39,7 +39,7 @@ class DrawPlan:
         states: the states that it will be drawn with, on top of the scopes that are open now.
     """
 
-    program: Program[Any]
+    program: Program[...]
     mesh: Mesh | None = None
     targets: Sequence[Texture | Format] = ()
     states: Sequence[State] = ()

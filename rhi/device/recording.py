@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from types import CodeType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,7 +68,7 @@ class RecordingCore(Core):
         self.recording = False
         self.stream = writer.stream
         self.uses: dict[Id, ResourceUse] = {}
-        self.vertex_arrays: dict[tuple[Program[Any], MeshData], tuple[Id, VertexArrayDescriptor]] = {}
+        self.vertex_arrays: dict[tuple[Program[...], MeshData], tuple[Id, VertexArrayDescriptor]] = {}
         self.meshes: set[MeshData] = set()
         self.own_arrays = writer.vertex_arrays
         self.conditions: list[OcclusionQuery] = []
@@ -112,7 +112,7 @@ class RecordingCore(Core):
                 self.stream.assume(resource, descriptor)
 
 
-class RecordedProgram(Program[Any]):
+class RecordedProgram(Program[...]):
     """A program of the device as one command buffer uses it: its draws and bindings are recorded.
 
     Attributes:
@@ -122,7 +122,7 @@ class RecordedProgram(Program[Any]):
 
     __slots__ = ("origin", "prepared_draws")
 
-    def __init__(self, core: RecordingCore, origin: Program[Any]) -> None:
+    def __init__(self, core: RecordingCore, origin: Program[...]) -> None:
         self.core = core
         self.origin = origin
         self.id = origin.id

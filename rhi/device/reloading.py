@@ -188,7 +188,7 @@ class Reloader:
         tables = self._tables()
         edit = Edit(module, text)
         known = forget_compiled(edit)
-        built: list[tuple[ProgramTable, object, Program[Any], Id, ProgramDescriptor]] = []
+        built: list[tuple[ProgramTable, object, Program[...], Id, ProgramDescriptor]] = []
         try:
             with ExitStack() as creations:
                 for device in self.devices:

@@ -116,6 +116,9 @@ class TransientMemory:
         self._vertex_arrays: dict[_VertexArrayKey, Id] = {}
         self._layouts: set[tuple[object, ...]] = set()  # that were found to fit their program
 
+    def __repr__(self) -> str:
+        return f"TransientMemory({self.capacity} bytes)"
+
     @property
     def capacity(self) -> int:
         """Total size in bytes."""
@@ -178,7 +181,7 @@ class TransientMemory:
 
     def mesh(
         self,
-        program: Program[Any],
+        program: Program[...],
         vertices: VertexArrays | int,
         indices: NDArray[Any] | None = None,
         primitive: Primitive = Primitive.TRIANGLES,
@@ -216,7 +219,7 @@ class TransientMemory:
         return self.place_mesh(program, count, vertex_array, index_array, instance_array, primitive)
 
     def place_mesh(
-        self, program: Program[Any], vertex_count: int, vertices: NDArray[Any] | None, indices: NDArray[Any] | None,
+        self, program: Program[...], vertex_count: int, vertices: NDArray[Any] | None, indices: NDArray[Any] | None,
         instances: NDArray[Any] | None, primitive: Primitive,
     ) -> TransientMesh:  # fmt: skip
         """Upload a mesh whose arrays were checked."""
@@ -258,7 +261,7 @@ class TransientMemory:
         return memory.write(np.ascontiguousarray(array).view(np.uint8).data, array.nbytes, alignment)
 
     def _find_vertex_array(
-        self, program: Program[Any], sources: tuple[StreamSource, ...], index_buffer: Id, index_format: IndexFormat
+        self, program: Program[...], sources: tuple[StreamSource, ...], index_buffer: Id, index_format: IndexFormat
     ) -> Id:
         """Return the vertex array for a program that reads these sources, creating it if there is none."""
         core, key = self._core, (program.id, sources, index_buffer, index_format)

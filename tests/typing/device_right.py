@@ -74,6 +74,7 @@ def use(device: rhi.Device) -> None:
             device.draw(flat, mesh, tint=Tint(color=(0, 0, 0, 0)), many=many, albedo=image)
             device.draw(flat, mesh, tint={"color": (0, 0, 0, 0)}, many=many, albedo=image)
         flat.draw(mesh, 2, tint=objects[0], many=many, albedo=image.sampled(smooth))
+        flat.draw(mesh, tint=objects[1], many=many, albedo=image)
         passing = device.transient.mesh(flat, np.zeros(3, Corner.dtype))
         device.draw(flat, passing, tint=objects[1], many=many, albedo=image)
         brief = device.transient.storage(Tint, 4)

@@ -32,6 +32,7 @@ MISTAKES = [
         "flat.draw(mesh, 2, tint=objects",
         'expected "UniformRange[Tint] | Tint | dict[str, Any]"',
     ),
+    ("flat.draw(mesh, tint=objects[1], ", "flat.draw(mesh, ", 'Missing named argument "tint"'),
     ("device.render_pass(image", "device.render_pass(tint", 'Argument 1 to "render_pass"'),
     ("counted, [1], tint", "image, [1], tint", 'Argument 4 to "draw_counted"'),
     ("device.conditional(query)", "device.conditional(image)", 'Argument 1 to "conditional"'),

@@ -284,7 +284,7 @@ def time_round_trip(
 ) -> Callable[[int], None]:
     """Return a function that stores and reads the values many times, and waits for the device."""
     buffers = _make_buffers(device, values, TURNS, uniforms)
-    program: Program[Any] = device.program(shader)
+    program: Program[...] = device.program(shader)
 
     def run(_: int) -> None:
         device.dispatch(program, -(-len(values) // GROUP), **buffers)

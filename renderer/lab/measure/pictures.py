@@ -209,7 +209,7 @@ class _Marks:
 
     def __init__(self, device: Device) -> None:
         self._device = device
-        self._program: Program[Any] = device.program(MarkShader)
+        self._program: Program[...] = device.program(MarkShader)
         vertices = BUILT_IN["box"]()
         self._solid = device.mesh(
             {name: vertices.vertices[name] for name in ("position", "normal")}, vertices.indices, label="box"

@@ -23,9 +23,9 @@ def _find_shader(frame: Frame) -> type[Any]:
     return PartialDepth if Effect.MASKS in frame.needs.effects else DepthOnly
 
 
-def bind_depth(frame: Frame) -> tuple[Program[Any], dict[str, Any]]:
+def bind_depth(frame: Frame) -> tuple[Program[...], dict[str, Any]]:
     """Return the program that draws the depth of the scene's objects, of masks what they leave, and its bindings."""
-    program: Program[Any] = frame.program(find_variant(frame, _find_shader(frame), **COVERAGE))
+    program: Program[...] = frame.program(find_variant(frame, _find_shader(frame), **COVERAGE))
     return program, bind(frame, program, {})
 
 

@@ -253,7 +253,7 @@ def draw_ids(frame: Frame) -> None:
     device, targets = frame.device, frame.targets
     bindings = {"rays": bind_rays(frame), "packed": targets["packed"], "depth": targets["depth"]}
     states = CullMode.NONE, DepthTest.ON, DepthWrite.ON, DepthFunction.ALWAYS
-    program: Program[Any] = device.program(MaterialIds)
+    program: Program[...] = device.program(MaterialIds)
     with device.render_pass(None, targets["material ids"], clear_depth=1.0), device.states(*states):
         device.draw(program, frame.view.workspace(make_triangle), **bindings)
 
@@ -279,7 +279,7 @@ def draw_rectangles(
 ) -> None:
     """Make the image: run a shader for the pixels of each material, before the background."""
     device, found = frame.device, frame.view.workspace(MaterialRectangles)
-    program: Program[Any] = frame.program(find_variant(frame, shader, **switches))
+    program: Program[...] = frame.program(find_variant(frame, shader, **switches))
     bindings = bind(frame, program, {**own, "rectangles": found.rectangles})
     states = CullMode.NONE, DepthTest.ON, DepthWrite.OFF, DepthFunction.EQUAL
     ids, clear = frame.targets["material ids"], frame.background

@@ -122,7 +122,7 @@ def _images_of(frame: Frame) -> SceneImages:
     return images
 
 
-def bind(frame: Frame, program: Program[Any], own: Mapping[str, Any]) -> dict[str, Any]:
+def bind(frame: Frame, program: Program[...], own: Mapping[str, Any]) -> dict[str, Any]:
     """Return the bindings of a program: those of its `own` that it has, and what its other names stand for."""
     names = [binding.name for binding in program.descriptor.bindings]
     return {name: own[name] if name in own else find_binding(frame, name) for name in names}
@@ -139,7 +139,7 @@ def scene_pass(
 ) -> TechniquePass:
     """Return the pass that draws the scene's geometry by the variant of a shader with these bases. `options` are those
     of a `TechniquePass`."""
-    program: Program[Any] = frame.program(find_variant(frame, *bases, **switches))
+    program: Program[...] = frame.program(find_variant(frame, *bases, **switches))
     bindings, depth = bind(frame, program, own), depth or frame.targets["depth"]
     return TechniquePass(
         frame.device, frame.resources, frame.view, program, bindings, color=color, depth=depth, **options

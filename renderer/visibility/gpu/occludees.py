@@ -245,7 +245,7 @@ class Occludees:
         self.marks = device.storage(uint, count, label="marks")
         self.cube = make_cube(device)
         self._lens = device.uniform(_lens(Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, -1.0))))
-        self._find: Program[Any] = device.program(find)
+        self._find: Program[...] = device.program(find)
         self._mark = device.program(MarkBoxes)
         self._mark_listed = device.program(MarkListedBoxes)
 

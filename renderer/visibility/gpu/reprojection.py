@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -191,7 +191,7 @@ class ReprojectedDepth:
             )
         with encoder.render_pass(depth=sized.target):
             with encoder.states(CullMode.NONE, DepthTest.ON, DepthWrite.ON, DepthFunction.ALWAYS):
-                write: Program[Any] = device.program(of_direction(WriteDepth, direction))
+                write: Program[...] = device.program(of_direction(WriteDepth, direction))
                 encoder.draw(write, self._triangle, motion=self._motion, keys=sized.keys)
             yield
 

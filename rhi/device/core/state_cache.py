@@ -264,6 +264,9 @@ class StateScope(Scope):
     states: tuple[State, ...]
     before: StateVector | None
 
+    def __repr__(self) -> str:
+        return f"StateScope({', '.join(map(str, self.states))}{', open' * (self.before is not None)})"
+
     def __enter__(self) -> None:
         if self.before is not None:
             self._enter_again()

@@ -64,6 +64,9 @@ class PendingQuery(Generic[T]):
         self._fence = 0
         self.destroyed = False
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({len(self._ids) - self.emulated}, {self._state})"
+
     def __del__(self) -> None:
         if not getattr(self, "destroyed", True):  # it isn't there if creation failed
             drop(self, *self._ids)

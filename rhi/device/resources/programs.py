@@ -11,7 +11,7 @@ import keyword
 import warnings
 from collections.abc import Callable, Iterable
 from types import CodeType
-from typing import TYPE_CHECKING, Any, Final, Generic
+from typing import Any, Final, Generic, Protocol
 
 from typing_extensions import ParamSpec
 
@@ -48,6 +48,13 @@ MAX_INSTANCES: Final = (1 << 31) - 1
 _RANGES = {BindingKind.UNIFORM: UniformRange, BindingKind.STORAGE: StorageRange}
 
 
+class DrawFunction(Protocol[P]):
+    """The draw of a program: an attribute, since type checkers bind what is assigned to no method."""
+
+    def __call__(self, mesh: Drawable, instances: int = 1, /, *args: P.args, **bindings: P.kwargs) -> None:
+        """Draw `mesh` with the program's bindings as keywords."""
+
+
 class Program(Generic[P]):
     """A shader on the device; created by `device.program`.
 
@@ -78,10 +85,8 @@ class Program(Generic[P]):
     bind: Callable[[Callable[[Any], None], Any, dict[str, Any]], None]
     """Check and bind values for any call but a plain draw: `bind(check, mesh, bindings)`."""
 
-    if TYPE_CHECKING:
-
-        def draw(self, mesh: Drawable, instances: int = 1, /, *args: P.args, **bindings: P.kwargs) -> None:
-            """Draw `mesh`, like `device.draw(program, mesh, …)` but with one Python call less."""
+    draw: DrawFunction[P]
+    """Draw a mesh, like `device.draw(program, mesh, …)` but with one Python call less."""
 
     def __init__(self, core: Core, descriptor: ProgramDescriptor, declared: Iterable[str] = ()) -> None:
         _check_limits(core, descriptor)
@@ -101,7 +106,7 @@ class Program(Generic[P]):
 
     def _install_code(self, code: CodeType) -> None:
         made = make_draw_code(code, self, self.descriptor.bindings)
-        self.draw = made.draw  # type: ignore[method-assign]
+        self.draw = made.draw
         self.draw_with = made.draw_with
         self.bind = made.bind
         self.core.draw_counters[self.id] = made.collect_draw_count
@@ -394,18 +399,18 @@ class ProgramTable:
 
     def __init__(self, timeline: Timeline) -> None:
         self._timeline = timeline
-        self._programs: dict[object, Program[Any]] = {}
+        self._programs: dict[object, Program[...]] = {}
         self._shaders: dict[Id, object] = {}
 
-    def find(self, shader: object) -> Program[Any] | None:
+    def find(self, shader: object) -> Program[...] | None:
         """Return the program of a shader, None if there is none."""
         return self._programs.get(shader)
 
-    def items(self) -> list[tuple[object, Program[Any]]]:
+    def items(self) -> list[tuple[object, Program[...]]]:
         """Return all programs with what they were made of."""
         return list(self._programs.items())
 
-    def add(self, shader: object, program: Program[Any]) -> None:
+    def add(self, shader: object, program: Program[...]) -> None:
         """Keep a program until it is destroyed."""
         self._programs[shader], self._shaders[program.id] = program, shader
         self._timeline.watch(self, program.id)

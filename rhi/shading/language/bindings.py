@@ -38,6 +38,10 @@ class UniformRange(Generic[T]):
         self.type = type
         self.owner = owner
 
+    def __repr__(self) -> str:
+        place = f"bytes {self.offset} to {self.offset + self.size} of buffer {self.buffer}"
+        return f"UniformRange({getattr(self.type, '__name__', self.type)}, {place})"
+
 
 class StorageRange(Generic[T]):
     """A range of a buffer that holds `count` elements of type `T` in std430 layout; otherwise like `UniformRange`."""
@@ -51,6 +55,10 @@ class StorageRange(Generic[T]):
         self.type = type
         self.count = count
         self.owner = owner
+
+    def __repr__(self) -> str:
+        place = f"bytes {self.offset} to {self.offset + self.size} of buffer {self.buffer}"
+        return f"StorageRange({self.count} × {getattr(self.type, '__name__', self.type)}, {place})"
 
 
 class TextureBinding:
@@ -69,6 +77,9 @@ class TextureBinding:
         itself, so that it is freed with the last reference from outside."""
         return self if self._owner is None else self._owner
 
+    def __repr__(self) -> str:
+        return f"TextureBinding({self._owner!r}, sampler {self.sampler})"
+
 
 class ImageBinding:
     """A mip level of a texture, bound as an image: one layer of it, or all layers if `layer` is None."""
@@ -80,6 +91,9 @@ class ImageBinding:
         self.level = level
         self.layer = layer
         self.owner = owner
+
+    def __repr__(self) -> str:
+        return f"ImageBinding({self.owner!r}, level={self.level}, layer={self.layer})"
 
 
 class Uniform(Generic[T]):

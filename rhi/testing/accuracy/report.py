@@ -144,15 +144,15 @@ def _on_device(device: Device, probe: Probe | SampleProbe, precision: Precision)
     buffer = device.storage(uint, given.ravel())
     size = probe.evaluate(given[:1], np.float32).shape[1]
     results = device.storage(uint, SAMPLES * size)
-    once: Program[Any] = device.program(probe.shader("Once", precision))
+    once: Program[...] = device.program(probe.shader("Once", precision))
     device.dispatch(once, SAMPLES // WORK_GROUP, given=buffer, results=results)
     words = results.read().reshape(SAMPLES, size)
     sums = device.storage(uint, SAMPLES // TURNS)
     runs = []
     for variant in ("Often", "Idle"):
-        program: Program[Any] = device.program(probe.shader(variant, precision))
+        program: Program[...] = device.program(probe.shader(variant, precision))
 
-        def run(program: Program[Any] = program) -> None:
+        def run(program: Program[...] = program) -> None:
             device.dispatch(program, SAMPLES // TURNS // WORK_GROUP, given=buffer, results=sums)
             device.finish()
 
@@ -171,12 +171,12 @@ def _sample_on_device(device: Device, probe: SampleProbe, precision: Precision) 
     ):
         for level, texels in enumerate(levels):
             image.write(texels, level)
-        programs: list[Program[Any]] = [device.program(shader) for shader in SHADERS[precision]]
+        programs: list[Program[...]] = [device.program(shader) for shader in SHADERS[precision]]
         once, often, idle = programs
         device.dispatch(once, SAMPLES // WORK_GROUP, image=image, at=at, results=results)
         once_results = results.read()
 
-        def run(program: Program[Any]) -> None:
+        def run(program: Program[...]) -> None:
             device.dispatch(program, SAMPLES // TURNS // WORK_GROUP, image=image, at=at, results=results)
             device.finish()
 

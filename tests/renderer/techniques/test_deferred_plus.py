@@ -174,7 +174,7 @@ def test_a_material_is_shaded_where_it_is_seen_however_many_there_are(
     name = "draw_indirect" if multi_pass else "draw"
     draw_once = getattr(rhi.Device, name)
 
-    def counted(device: rhi.Device, program: rhi.Program[Any], *args: Any, **bindings: Any) -> None:
+    def counted(device: rhi.Device, program: rhi.Program[...], *args: Any, **bindings: Any) -> None:
         if "packed" not in bindings or "ambient" not in bindings:
             draw_once(device, program, *args, **bindings)
             return

@@ -50,7 +50,7 @@ class House:
         self.meshes = [device.mesh({"position": CORNERS}), device.mesh(self.vertices)]
         self.view = self.meshes[0].view(0, 3)
 
-    def draw_everything(self, program: rhi.Program[Any]) -> None:
+    def draw_everything(self, program: rhi.Program[...]) -> None:
         device, camera = self.device, self.camera
         vertices = np.zeros(4, [("position", "<f4", 2)])
         with device.render_pass(self.image):

@@ -36,7 +36,7 @@ SIZE = (130, 70)
 
 
 def draw(
-    device: Device, program: Program[Any], *states: Any, format: Format = Format.RGBA8,
+    device: Device, program: Program[...], *states: Any, format: Format = Format.RGBA8,
     color: tuple[float, ...] = (0.2, 0.4, 0.6, 0.5),
 ) -> NDArray[Any]:  # fmt: skip
     """Draw many small triangles and a rectangle, which use all kernels; return the picture."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pytest
@@ -61,7 +60,7 @@ class Scene:
     image: Texture
     depth: Texture
     mesh: Mesh
-    program: Program[Any]
+    program: Program[...]
 
 
 @pytest.fixture
