@@ -19,6 +19,7 @@ from renderer import rules
 from renderer.frame import Blending, GlowSettings, TextureSettings
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene, Shot, StereoRig
+from renderer.scene.files import read_json
 from renderer.shadows import ShadowSettings
 from renderer.stereo import Stereo
 from renderer.techniques import Technique, TechniqueSettings
@@ -144,7 +145,7 @@ class RenderSettings:
         """
         call = f"RenderSettings.load({str(path)!r})"
         try:
-            found = json.loads(path.read_text())
+            found = read_json(path)
             parts = {**found.get(_FORMAT, {}), **({"visibility": found["visibility"]} if "visibility" in found else {})}
             if not parts:
                 refuse(rules.BAD_SETTINGS, call, f"neither {_FORMAT} nor visibility")

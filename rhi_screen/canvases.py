@@ -49,7 +49,7 @@ class CanvasKind:
 CANVASES: Final = {
     "window": CanvasKind("rhi_screen.window", "Window"),
     "qt": CanvasKind("rendercanvas.pyside6", needs="PySide6", install=f"pip install pyside6; {INSTALL}"),
-    "page": CanvasKind("rendercanvas.http", needs="uvicorn"),
+    "page": CanvasKind("rhi_screen.page", "Page", needs="websockets"),
     "jupyter": CanvasKind("rendercanvas.jupyter", needs="jupyter_rfb", install=f"pip install jupyter_rfb; {INSTALL}"),
     "offscreen": CanvasKind("rendercanvas.offscreen"),
 }

@@ -22,7 +22,7 @@ _NOTES: Final = """\
 
 F1 shows what the keys do, F2 or ` opens the console, in which Tab completes. A script has the console's lines, and
 `wait SECONDS`. --listen takes the same lines from programs of this computer, after a first line that is printed here
-and has a token: whoever knows it can do what the console can, such as write pictures."""
+and has a token: whoever knows it can do what the console can, and write below --write-to."""
 
 
 _OPTIONS: Final = (
@@ -45,6 +45,7 @@ _OPTIONS: Final = (
     options.switch("--immediate", "don't wait for the display's refresh"),
     options.file("--script", "commands to run, a line each", "F"),
     option("--listen", "run commands from this port of the loopback address", type=options.parse_frame, metavar="PORT"),
+    options.file("--write-to", "with --listen: where alone commands write (default: the working folder)", "DIR"),
     options.count("--frames", "end after so many frames, and say how fast"),
 )  # fmt: skip
 
@@ -77,7 +78,7 @@ def _run(given: argparse.Namespace) -> None:
         stage.change(**{name: value for name, value in vars(given).items() if name in ("show", "stereo") and value})
         shown.viewer.run_script(script)
         if given.listen is not None:
-            port = shown.listen(given.listen)
+            port = shown.listen(given.listen, given.write_to)
             note(f"listening on 127.0.0.1:{port}, for connections whose first line is: {shown.viewer.greeting}")
         shown.end_after = given.frames
         shown.run()

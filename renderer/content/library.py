@@ -30,6 +30,8 @@ GENERATORS: Final[dict[str, Generator]] = {
 }
 """All scene generators by name."""
 
+_FARTHEST: Final = 1e18  # metres; squares of more aren't float32
+
 
 def load_scene(text: str) -> Scene:
     """Load the scene that `text` names: `city`, `city:blocks=8,seed=3`, or the path of a model file.
@@ -70,8 +72,8 @@ def parse_camera(text: str, scene: Scene, frame: int = 0) -> Camera:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:
         rules.refuse_name(rules.UNKNOWN_CAMERA, call, text, [*scene.paths, *scene.views])
-    if len(numbers) not in (3, 6) or not np.isfinite(numbers).all():
-        refuse(rules.UNKNOWN_CAMERA, call, text, "3 or 6 finite numbers")
+    if len(numbers) not in (3, 6) or not (np.abs(numbers) <= _FARTHEST).all():
+        refuse(rules.UNKNOWN_CAMERA, call, text, f"3 or 6 numbers from -{_FARTHEST:g} to {_FARTHEST:g}")
     lower, upper = scene.bounds
     target = np.array(numbers[3:]) if len(numbers) == 6 else 0.5 * (lower + upper)
     lens = next(iter(scene.views.values())).projection

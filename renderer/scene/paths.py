@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from renderer import rules
 from renderer.scene.arrays import Floats
+from renderer.scene.files import read_json
 from renderer.scene.finite import check_finite
 from rhi.errors import RhiError, refuse
 from rhi.math import Camera, Depth, Orthographic, Perspective, Projection
@@ -109,7 +110,7 @@ class CameraPath:
         """
         call = f"CameraPath.load({str(path)!r})"
         try:
-            held = json.loads(path.read_text())
+            held = read_json(path)
             lens = dict(held["lens"])
             projection = _LENSES[lens.pop("kind")](**lens | {"depth": Depth(lens["depth"])})
             rows = np.array(held["frames"], np.float64)

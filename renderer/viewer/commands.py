@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from math import inf
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,6 +11,7 @@ from PIL import Image
 from renderer import rules
 from renderer.content import find_path, parse_camera
 from renderer.frame import Blending
+from renderer.scene.files import parse_path
 from renderer.stereo import OUTPUTS
 from renderer.techniques import TECHNIQUES, AutoTechnique
 from renderer.viewer.command_table import Parameter, ViewerCommand
@@ -24,6 +24,8 @@ from rhi_screen.controllers import Fly, Orbit
 NEXT: Final = "next"
 """The word for the choice after the present one."""
 _SPEED: Final = 1.5  # how many times as fast a step is
+_WIDEST: Final = 1 << 20  # pixels
+_LONGEST: Final = 1e9  # seconds, or metres in one; of more, frames and metres can't be told apart
 
 
 def make_commands(stage: ViewerStage) -> Iterable[ViewerCommand]:
@@ -106,20 +108,20 @@ def _files(stage: ViewerStage) -> Iterable[ViewerCommand]:
     """The commands that read and write files."""
 
     def screenshot(path: Path | None = None) -> str:
-        path = path or find_free(stage, ".png")
+        path = stage.find_output(path or find_free(stage, ".png"))
         if path.suffix.lower() not in Image.registered_extensions():
             refuse(rules.BAD_ARGUMENT, "screenshot", path.name, "a name that ends with .png")
         path.parent.mkdir(parents=True, exist_ok=True)
         Image.fromarray(stage.picture()[:, :, :3]).save(path)
         return f"wrote {path}"
 
-    file = Parameter("FILE", Path, is_optional=True)
+    file = Parameter("FILE", parse_path, is_optional=True)
     yield ViewerCommand("screenshot", "write the picture to a file", screenshot, (file,))
 
     def record(path: Path | None = None) -> str:
         if stage.is_recording:
             return stage.end_recording()
-        path = path or find_free(stage, ".json")
+        path = stage.find_output(path or find_free(stage, ".json"))
         if path.suffix.lower() != ".json":
             refuse(rules.BAD_ARGUMENT, "record", path.name, "a name that ends with .json")
         stage.record(path)
@@ -142,7 +144,7 @@ def find_free(stage: ViewerStage, ending: str) -> Path:
     """Return a file's name that isn't taken: the scene's, with a number."""
     name = Path(stage.scene.name.partition(":")[0]).stem or "scene"
     number = 1
-    while (path := Path(f"{name}-{number:03}{ending}")).exists():
+    while (path := (stage.folder or Path()) / f"{name}-{number:03}{ending}").exists():
         number += 1
     return path
 
@@ -157,20 +159,22 @@ def parse_number(text: str) -> int:
 
 def parse_place(text: str) -> tuple[int, int]:
     """Parse `480,270` as a pixel."""
-    x, y = text.split(",")
-    return parse_number(x), parse_number(y)
+    x, y = (parse_number(number) for number in text.split(","))
+    if max(x, y) > _WIDEST:
+        raise ValueError(text)
+    return x, y
 
 
 def parse_seconds(text: str) -> float:
-    """Parse a finite number of 0 or more."""
+    """Parse a number from 0 to `_LONGEST`."""
     value = float(text)
-    if not 0.0 <= value < inf:
+    if not 0.0 <= value <= _LONGEST:
         raise ValueError(text)
     return value
 
 
 def parse_positive(text: str) -> float:
-    """Parse a finite number above 0."""
+    """Parse a number above 0, to `_LONGEST`."""
     value = parse_seconds(text)
     if not value:
         raise ValueError(text)

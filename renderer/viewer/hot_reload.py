@@ -19,6 +19,7 @@ from typing import Final
 
 from renderer import rules
 from renderer.content import load_model
+from renderer.scene.files import parse_path
 from renderer.settings import RenderSettings
 from renderer.viewer.command_table import Parameter, ViewerCommand
 from renderer.viewer.commands import switch
@@ -161,14 +162,15 @@ def make_commands(saved: SavedFiles, stage: ViewerStage) -> Iterator[ViewerComma
         saved.read_settings(path)
         return f"read {path}: {stage.look.describe()}"
 
-    yield ViewerCommand("settings", "draw with the settings of a file", settings, (Parameter("FILE.json", Path),))
+    yield ViewerCommand("settings", "draw with the settings of a file", settings, (Parameter("FILE.json", parse_path),))
 
     def save(_: str, path: Path) -> str:
         if path.suffix.lower() != ".json":
             refuse(rules.BAD_ARGUMENT, "save settings", path.name, "a name that ends with .json")
+        path = stage.find_output(path)
         stage.look.settings.save(path)
         saved.note_settings(path)
         return f"wrote {path}"
 
     what = Parameter("settings", words=lambda: ("settings",), is_closed=True)
-    yield ViewerCommand("save", "write the settings to a file", save, (what, Parameter("FILE.json", Path)))
+    yield ViewerCommand("save", "write the settings to a file", save, (what, Parameter("FILE.json", parse_path)))

@@ -119,6 +119,7 @@ class CommandServer:
             if not self._send(connection, "ok"):
                 self._drop(connection)
                 return 0
+        lines = [line for line in lines if line.strip() and not line.lstrip().startswith(b"#")]
         for number, line in enumerate(lines):
             said, is_error = self._answer(line.decode("utf-8", "replace"))
             said = f"error: {said}" if is_error else f"ok {said}".rstrip()

@@ -49,9 +49,9 @@ class ViewerScreen:
         """Run the screen's loop until its canvas is closed."""
         self.screen.run(self.draw)
 
-    def listen(self, port: int) -> int:
+    def listen(self, port: int, folder: Path | None = None) -> int:
         """Run the lines that come over a socket (`Viewer.listen`); return the port."""
-        port = self.viewer.listen(port)
+        port = self.viewer.listen(port, folder)
         self.screen.canvas.set_update_mode("ondemand", min_fps=_LISTENING)
         return port
 

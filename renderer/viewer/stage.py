@@ -54,6 +54,7 @@ class ViewerStage:
         controller: what moves the camera while nothing is replayed. counter: counts frames.
         seconds: the scene's time. is_paused: whether that stands still.
         replay: the walk-through that is shown, if any. hit, told: what was picked, and lines about it.
+        folder: below which commands write; None: wherever they are told.
     """
 
     def __init__(
@@ -79,6 +80,7 @@ class ViewerStage:
         self.hit: Hit | None = None
         self.told: list[str] = []
         self._say = say
+        self.folder: Path | None = None
         self._latest: CameraPath | None = None
         self._recorder: tuple[CameraRecorder, Path] | None = None
         self._result: FrameResult | None = None
@@ -254,6 +256,15 @@ class ViewerStage:
     def recorded(self) -> float:
         """The seconds that were recorded so far."""
         return 0.0 if self._recorder is None else self._recorder[0].seconds
+
+    def find_output(self, path: Path) -> Path:
+        """Return where a file is written: below `folder`, if there is one, and refused elsewhere."""
+        if self.folder is None:
+            return path
+        found = (self.folder / path).resolve()
+        if not found.is_relative_to(self.folder):
+            refuse(rules.BAD_ARGUMENT, "write", str(path), f"a file in {self.folder}")
+        return found
 
     def record(self, path: Path) -> None:
         """Begin to note the camera of each frame; `end_recording` writes them to `path`."""

@@ -17,6 +17,7 @@ from typing import Final
 from renderer import rules
 from renderer.layers.canvas import Font
 from renderer.scene import Camera, Scene
+from renderer.scene.files import parse_path, read_text
 from renderer.viewer import hot_reload
 from renderer.viewer.command_table import CommandTable, Parameter, ViewerCommand
 from renderer.viewer.commands import make_commands, parse_place, parse_seconds, switch
@@ -163,14 +164,15 @@ class Viewer:
             refuse(rules.BAD_ARGUMENT, "script", f"{len(self._queue) + len(lines)} lines", f"at most {_QUEUE}")
         self._queue.extendleft(reversed(lines))
 
-    def listen(self, port: int) -> int:
+    def listen(self, port: int, folder: Path | None = None) -> int:
         """Run the lines that come over a socket of this computer; return the port. Each connection begins with the
-        line `greeting`.
+        line `greeting`. From then on commands write only below `folder`, by default the working folder.
 
         Raises:
             DeviceError: `viewer-cannot-listen`.
         """
         made = CommandServer(port, self.run)
+        self.stage.folder = (folder or Path()).resolve()
         if self._server is not None:
             self._server.close()
         self._server = made
@@ -227,7 +229,7 @@ class Viewer:
 
         def script(path: Path) -> str:
             try:
-                self.run_script(path.read_text(encoding="utf-8"))
+                self.run_script(read_text(path))
             except UnicodeDecodeError:
                 refuse(rules.BAD_ARGUMENT, "script", path.name, "a file of text")
             return ""
@@ -240,7 +242,7 @@ class Viewer:
             self.is_over = True
             return ""
 
-        yield ViewerCommand("script", "run the lines of a file", script, (Parameter("FILE", Path),))
+        yield ViewerCommand("script", "run the lines of a file", script, (Parameter("FILE", parse_path),))
         yield ViewerCommand("wait", "let a script wait", wait, (Parameter("SECONDS", parse_seconds),))
         yield ViewerCommand("quit", "end the viewer", leave)
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 from renderer import rules
+from renderer.scene.files import read_json
 from rhi import refuse
 
 
@@ -65,7 +66,7 @@ class VisibilitySettings:
         """
         call = f"VisibilitySettings.load({str(path)!r})"
         try:
-            numbers = json.loads(path.read_text())["visibility"]
+            numbers = read_json(path)["visibility"]
         except (ValueError, KeyError, TypeError) as error:
             refuse(rules.BAD_SETTINGS, call, f"{type(error).__name__}: {error}")
         if not isinstance(numbers, Mapping):

@@ -123,7 +123,7 @@ def test_an_unknown_canvas_is_refused_with_all_names() -> None:
         ("window", "glfw", 'pip install "rhi[viewer]"'),
         ("offscreen", "rendercanvas", 'pip install "rhi[viewer]"'),
         ("qt", "PySide6", "pip install pyside6"),
-        ("page", "uvicorn", 'pip install "rhi[viewer]"'),
+        ("page", "websockets", 'pip install "rhi[viewer]"'),
         ("jupyter", "jupyter_rfb", "pip install jupyter_rfb"),
     ],
 )

@@ -125,6 +125,13 @@ def test_each_line_is_run_and_answered(server: CommandServer, client: socket.soc
     assert client.recv(999) == b"ok DEPTH\n"
 
 
+def test_blank_lines_and_comments_are_no_commands(server: CommandServer, client: socket.socket) -> None:
+    client.sendall(b"\n  \r\n# / HTTP/1.1\n\t# time\nping\n")
+    assert server.poll() == 1
+    assert client.recv(999) == b"ok PING\n"
+    assert RAN == ["ping"]
+
+
 def test_nothing_to_do_does_not_wait(server: CommandServer, client: socket.socket) -> None:
     assert server.poll() == 0
 
