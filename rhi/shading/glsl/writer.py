@@ -19,12 +19,25 @@ from rhi.contract.layout import (
 )
 from rhi.shading.ir import tree
 from rhi.shading.ir.tree import Expression, Operator
+from rhi.shading.language.builtins import SideEffect
 from rhi.shading.language.source import SourceSpan
 from rhi.shading.language.types import ImageType, TextureType, Type, VoidType, scalar_of
-from rhi.shading.text.writer import TextWriter, int_text
+from rhi.shading.text.writer import TextWriter, int_text, is_plain, unknown_indices
 
 _SHAPES: Final = {"2d": "2D", "2d_array": "2DArray", "3d": "3D", "cube": "Cube"}
 _PREFIX: Final = {FLOAT: "", INT: "i", UINT: "u"}
+_CONVERSIONS: Final = {
+    INT: "int rhi_to_int(float x) { return x >= 2147483648.0 ? 2147483647 : x > -2147483648.0 ? int(x) : "
+    "isnan(x) ? 0 : (-2147483647 - 1); }",
+    UINT: "uint rhi_to_uint(float x) { return x >= 4294967296.0 ? 4294967295u : x > 0.0 ? uint(x) : 0u; }",
+}
+_FIELDS: Final = {
+    "bitfield_extract": "TYPE v, int at, int bits) { uint start = min(uint(at), 32u); "
+    "return bitfieldExtract(v, int(start & 31u), int(min(uint(bits), 32u - start))); }",
+    "bitfield_insert": "TYPE v, TYPE w, int at, int bits) { uint start = min(uint(at), 32u); "
+    "return bitfieldInsert(v, w, int(start & 31u), int(min(uint(bits), 32u - start))); }",
+}
+"""Parameters and bodies of the functions for fields of bits, of which GLSL defines only those inside a word."""
 _LONGEST_LIST: Final = 32
 """Arrays of zeros up to this length are initialised with a list, longer ones in a loop."""
 
@@ -68,13 +81,56 @@ class Writer(TextWriter):
 
     def builtin(self, node: tree.BuiltinCall) -> str:
         """Return a call of a built-in."""
-        overload, arguments = node.overload, node.arguments
+        overload, arguments, name = node.overload, node.arguments, node.builtin.name
+        unknown = unknown_indices(arguments[0]) if node.builtin.effect is SideEffect.WRITE else []
+        if unknown and name.startswith("atomic_"):
+            return self.atomic(node, unknown)
         texts = [self.expression(argument) for argument in arguments]
+        if name in _FIELDS:
+            type = self.type(node.type)
+            self.helpers[f"{name} {type}"] = f"{type} rhi_{name}({_FIELDS[name].replace('TYPE', type)}"
+            return f"rhi_{name}({', '.join(texts)})"
         if overload.glsl == "transpose" and isinstance(arguments[0], tree.Construct):
             return self.columns(arguments[0])
         if not overload.glsl.isidentifier() or overload.glsl.startswith("gl_"):
             return overload.glsl.format(*texts)
         return f"{overload.glsl}({', '.join(texts)})"
+
+    def atomic(self, node: tree.BuiltinCall, unknown: list[tree.Index]) -> str:
+        """Return a call of an atomic if its indices are inside, else 0. What must be evaluated once, and where it isn't
+        inside as well, is kept in variables outside all functions."""
+        before, conditions, texts = "", [], []
+        for one in unknown:
+            index = self.expression(one.index)
+            self.kept[one] = index if is_plain(one.index) else self.outside(one.index)
+            given = index if is_plain(one.index) else f"{self.kept[one]} = {index}"
+            conditions.append(self.below(one, given))
+        for argument in node.arguments[1:]:
+            text = self.expression(argument)
+            if tree.has_effect(argument):
+                name = self.outside(argument)
+                before, text = f"{before}{name} = {text}, ", name
+            texts.append(text)
+        call = f"{node.overload.glsl}({', '.join([self.expression(node.arguments[0]), *texts])})"
+        for one in unknown:
+            del self.kept[one]
+        return f"({before}{' && '.join(conditions)} ? {call} : {self.zero(node.type)})"  # type: ignore[arg-type]
+
+    def outside(self, node: Expression) -> str:
+        """Declare a variable of an expression's type outside all functions, and return its name."""
+        name = self.globals.get((node, "kept"), "rhi_kept")
+        self.helpers[name] = f"{self.type(node.type)} {name};"
+        return name
+
+    def conversion(self, type: Type, source: Type) -> str:
+        scalar = scalar_of(type)
+        assert scalar is not None
+        name = f"rhi_to_{scalar}"
+        self.helpers[name] = _CONVERSIONS[scalar]
+        if isinstance(type, VectorType):
+            parts = ", ".join(f"{name}(x.{axis})" for axis in "xyzw"[: type.size])
+            self.helpers[f"{name}({type})"] = f"{type} {name}({source} x) {{ return {type}({parts}); }}"
+        return name
 
     def texture(self, node: tree.Read | tree.BindingRead) -> str:
         """Return a texture where a built-in reads it."""
@@ -114,7 +170,13 @@ class Writer(TextWriter):
         else:
             wrong = f"{type}(notEqual(r, {zero})) * {type}(notEqual(lessThan(r, {zero}), lessThan(b, {zero})))"
             result = f"q - {wrong}" if divide else f"r + b * {wrong}"
-        body = f"{type} q = a / b; {type} r = a - q * b; return {result};"
+        # A division by 0 is one by 1, and so is that of the least int by -1.
+        least = "a == (-2147483647 - 1)"
+        divisor = f"if (b == 0 || (b == -1 && {least})) b = 1;"
+        if not isinstance(node.type, ScalarType):
+            least = f"{type}(equal(b, {type}(-1))) * {type}(equal(a, {type}(-2147483647 - 1)))"
+            divisor = f"b += {type}(equal(b, {zero})) + 2 * {least};"
+        body = f"{divisor} {type} q = a / b; {type} r = a - q * b; return {result};"
         return self.helper(name, type, "a b", body)
 
     def float_modulo(self, node: tree.Binary, left: str, right: str) -> str:
@@ -126,13 +188,13 @@ class Writer(TextWriter):
     def store(self, target: Expression, value: str, place: SourceSpan) -> None:
         """Write the assignment of a value."""
         match target:
-            case tree.Index(base=tree.Index(base=matrix, index=row), index=column) if (
+            case tree.Index(base=tree.Index(base=matrix), index=column) if (
                 isinstance(matrix.type, MatrixType) and _is_bound(matrix) and not isinstance(column, tree.Constant)
             ):
                 # NVIDIA's compiler refuses to store through an unknown column of a matrix in memory.
-                with self.lines.braces(f"switch ({self.expression(column)})", self.file, place.line):
+                with self.lines.braces(f"switch ({self.place(target)})", self.file, place.line):
                     for i in range(matrix.type.size):
-                        element = f"{self.expression(matrix)}[{i}][{self.expression(row)}]"
+                        element = f"{self.expression(matrix)}[{i}][{self.place(target.base)}]"
                         self.line(f"case {i}: {element} = {value}; break;", place)
             case _:
                 super().store(target, value, place)

@@ -142,13 +142,17 @@ class Apply(Value):
 
 @dataclass(slots=True, eq=False)
 class Load(Value):
-    """The word at `index * scale + offset`. Lanes outside `mask` read nothing; their value is undefined."""
+    """The word at `index * scale + offset`. Lanes outside `mask` read nothing; their value is undefined.
+
+    With a `limit`, which only an affine index has, lanes whose index isn't below it read the nearest element.
+    """
 
     memory: MemoryRegion
     index: Value
     scale: int
     offset: int
     mask: Variable | None
+    limit: Value | None = None
 
 
 @dataclass(slots=True, eq=False)

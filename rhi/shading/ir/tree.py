@@ -141,10 +141,15 @@ class Swizzle(Expression):
 
 @dataclass(slots=True, eq=False)
 class Index(Expression):
-    """An element of an array, storage buffer or vector, or a row of a matrix."""
+    """An element of an array, storage buffer or vector, or a row of a matrix.
+
+    `inside`: the index is known to be inside. Otherwise a read outside gives the nearest element, and a write outside
+    is dropped; each language says so in its text.
+    """
 
     base: Expression
     index: Expression
+    inside: bool = False
 
 
 @dataclass(slots=True, eq=False)

@@ -609,6 +609,13 @@ _ROWS: Final = (
         "({0})",
         "x, declared to be the same in all active invocations; what depends only on it is computed once for all",
     ),
+    _row(
+        "unchecked",
+        "int(int);uint(uint)",
+        "({0})",
+        "an index that the author knows to be inside: `a[unchecked(i)]` isn't bounded, and undefined if it is outside",
+        lanes="a",
+    ),
     # fragments
     _row(
         "ddx",

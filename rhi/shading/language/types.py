@@ -111,6 +111,11 @@ def has_array(type: HostType) -> bool:
     return isinstance(type, ArrayType)
 
 
+def count_elements(type: Type) -> int:
+    """Return the number of elements that can be indexed, 0 if the type doesn't say it."""
+    return type.length if isinstance(type, ArrayType) else getattr(type, "size", 0)
+
+
 def scalar_of(type: Type) -> ScalarType | None:
     """Return the scalar type of a scalar's or vector's components, or None for other types."""
     if isinstance(type, ScalarType):

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from rhi.contract.layout import BOOL, INT
 from rhi.shading.ir import lanes, tree
-from rhi.shading.ir.lanes import Uniformity, Value, apply, get, number
+from rhi.shading.ir.lanes import Uniformity, Value, apply, get, literal, number
 from rhi.shading.language import rules
 from rhi.shading.language.builtins import SideEffect
 from rhi.shading.language.types import ImageType, TextureType
@@ -13,7 +13,7 @@ from rhi.shading.lowering.components import all_kinds
 from rhi.shading.lowering.context import Lowering, lowers
 from rhi.shading.lowering.expansions import convert, expansion_of, floored
 from rhi.shading.lowering.lvalues import MemoryLvalue
-from rhi.shading.lowering.memory import lvalue
+from rhi.shading.lowering.memory import guarded, lvalue
 from rhi.shading.lowering.textures import difference, lower_texture
 
 
@@ -64,10 +64,29 @@ def make_uniform(lowering: Lowering, value: Value) -> Value:
 def lower_atomic(lowering: Lowering, node: tree.BuiltinCall, needs_result: bool) -> list[Value]:
     target, *rest = node.arguments
     values = [lowering.let(value) for argument in rest for value in lowering.lower(argument)]
-    at = lvalue(lowering, target)
+    guards: list[Value] = []
+    at = lvalue(lowering, target, guards)
     assert isinstance(at, MemoryLvalue)
     (kind,) = all_kinds(at.type)
     result = lowering.variable("old", kind, lowering.own_uniformity) if needs_result else None
+    if guards:
+        kept = lowering.variable("old", kind, lowering.own_uniformity) if needs_result else None
+        if kept is not None:
+            lowering.emit(lanes.Let(lowering.line, kept, literal(0, kind)))
+        with guarded(lowering, guards):
+            emit_atomic(lowering, node, at, result, values)
+            if kept is not None and result is not None:
+                mask = lowering.scope.mask if lowering.scope.owns_mask else None
+                lowering.emit(lanes.Set(lowering.line, kept, get(result), mask))
+        return [get(kept)] if kept is not None else []
+    emit_atomic(lowering, node, at, result, values)
+    return [get(result)] if result is not None else []
+
+
+def emit_atomic(
+    lowering: Lowering, node: tree.BuiltinCall, at: MemoryLvalue, result: lanes.Variable | None, values: list[Value]
+) -> None:
+    (kind,) = all_kinds(at.type)
     lowering.emit(
         lanes.Atomic(
             lowering.line,
@@ -82,7 +101,6 @@ def lower_atomic(lowering: Lowering, node: tree.BuiltinCall, needs_result: bool)
             lowering.effect_mask(),
         )
     )
-    return [get(result)] if result is not None else []
 
 
 def lower_barrier(lowering: Lowering, waits: bool) -> None:

@@ -301,9 +301,15 @@ def _ones(count: Value) -> Value:
     return _if(apply("greater", number, _uint(31)), _uint(0xFFFFFFFF), below)
 
 
+def _field(let: LetFunction, offset: Components, count: Components) -> tuple[Value, Value]:
+    """Return where the part of a field begins that is inside a word, and as many ones as it has bits."""
+    start = let(apply("min", apply("as_uint", offset[0]), _uint(32)))
+    inside = apply("min", apply("as_uint", count[0]), _uint(32) - start)
+    return let(start & _uint(31)), let(_ones(let(inside)))
+
+
 def bitfield_extract(let: LetFunction, v: Components, offset: Components, count: Components) -> list[Value]:
-    start = let(apply("as_uint", offset[0]) & _uint(31))
-    ones, result = let(_ones(count[0])), []
+    (start, ones), result = _field(let, offset, count), []
     for part in v:
         bits = let(apply("shift_right", apply("as_uint", part), start) & ones)
         if part.kind is INT:
@@ -319,8 +325,8 @@ def bitfield_extract(let: LetFunction, v: Components, offset: Components, count:
 def bitfield_insert(
     let: LetFunction, base: Components, v: Components, offset: Components, count: Components
 ) -> list[Value]:
-    start = let(apply("as_uint", offset[0]) & _uint(31))
-    field, result = let(apply("shift_left", _ones(count[0]), start)), []
+    start, ones = _field(let, offset, count)
+    field, result = let(apply("shift_left", ones, start)), []
     for old, new in zip(base, v, strict=True):
         moved = apply("shift_left", apply("as_uint", new), start) & field
         bits = apply("as_uint", old) & apply("invert", field) | moved

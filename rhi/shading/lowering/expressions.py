@@ -6,7 +6,7 @@ from typing import Final
 
 from rhi.contract.layout import BOOL, INT, UINT, ArrayType, MatrixType, ScalarType, StructType, VectorType
 from rhi.shading.ir import lanes, tree
-from rhi.shading.ir.lanes import Get, Literal, Uniformity, Value, apply, get, literal, number
+from rhi.shading.ir.lanes import Get, Literal, Uniformity, Value, apply, get, literal
 from rhi.shading.ir.tree import Expression, Operator
 from rhi.shading.language.builtins import SideEffect
 from rhi.shading.language.shader import StorageClass
@@ -15,7 +15,7 @@ from rhi.shading.lowering.components import all_kinds, words_of
 from rhi.shading.lowering.context import Lowering, lowers
 from rhi.shading.lowering.expansions import all_of, any_of, by_component, convert, dot, floored
 from rhi.shading.lowering.lvalues import part, select_by_index
-from rhi.shading.lowering.memory import check_index, lvalue, read, region_of
+from rhi.shading.lowering.memory import choice_of, lvalue, read, region_of
 
 DEEPEST_VALUE: Final = 24
 """The most operations that nest in one expression of a text: C's compilers and Python's parser limit brackets."""
@@ -41,18 +41,14 @@ def lower_access(lowering: Lowering, node: Expression) -> list[Value]:
                 return [value for c in components for value in read(lowering, part(whole, c))]
             values = lowering.lower(base)
             return [values[c] for c in components]
-        case tree.Index(base=base, index=index):
-            return index_value(lowering, lowering.named(base), words_of(node.type), lowering.one(index))  # type: ignore[arg-type]
+        case tree.Index(base=base):
+            values, size = lowering.named(base), words_of(node.type)  # type: ignore[arg-type]
+            rows = [values[start : start + size] for start in range(0, len(values), size)]
+            row = choice_of(lowering, node)
+            if isinstance(row, Literal):
+                return rows[int(row.value)]
+            return [select_by_index(row, list(column)) for column in zip(*rows, strict=True)]
     raise TypeError(f"no lane code for {node}")
-
-
-def index_value(lowering: Lowering, values: list[Value], size: int, index: Value) -> list[Value]:
-    """Return an element of a value that isn't an lvalue; an element has `size` components."""
-    rows = [values[start : start + size] for start in range(0, len(values), size)]
-    if isinstance(index, Literal):
-        return rows[int(index.value)]
-    index = check_index(lowering, lowering.let(index), number(len(rows)))
-    return [select_by_index(index, list(column)) for column in zip(*rows, strict=True)]
 
 
 @lowers(tree.Length)
@@ -173,7 +169,8 @@ def lower_operation(lowering: Lowering, node: tree.Binary, left: list[Value]) ->
     if op in (Operator.FLOOR_DIVIDE, Operator.MODULO):
         return [floored(op is Operator.FLOOR_DIVIDE, a, b) for a, b in pairs]
     if op in (Operator.SHIFT_LEFT, Operator.SHIFT_RIGHT):
-        return [apply(op.primitive, a, convert(b, a.kind)) for a, b in pairs]
+        counts = [b if isinstance(b, Literal) else b & literal(31, b.kind) for _, b in pairs]
+        return [apply(op.primitive, a, convert(b, a.kind)) for (a, _), b in zip(pairs, counts, strict=True)]
     results = [apply(op.primitive, a, b) for a, b in pairs]
     if op is Operator.EQUAL:
         return all_of(lowering.let, results)
@@ -236,7 +233,9 @@ def is_simple(node: Expression) -> bool:
             case tree.BindingRead():
                 if node.declaration.storage_class is not StorageClass.UNIFORM or isinstance(node.type, ArrayType):
                     return False
-            case tree.Index() if isinstance(node.base.type, ArrayType | StorageType):
+            case tree.Index() if isinstance(node.base.type, ArrayType | StorageType) or (
+                isinstance(tree.root_of(node), tree.BindingRead) and not isinstance(node.index, tree.Constant)
+            ):
                 return False
             case tree.BuiltinCall() if node.builtin.effect is not SideEffect.NONE:
                 return False

@@ -49,7 +49,7 @@ class LocalLvalue:
 
 @dataclass(slots=True)
 class MemoryLvalue:
-    """A value in memory, at the word `index * scale + offset`."""
+    """A value in memory, at the word `index * scale + offset`. `limit`: as for `lanes.Load`."""
 
     type: HostType
     memory: MemoryRegion
@@ -57,6 +57,7 @@ class MemoryLvalue:
     index: Value
     scale: int
     offset: int
+    limit: Value | None = None
 
 
 @dataclass(slots=True)
@@ -92,11 +93,6 @@ def element_type(type: HostType) -> HostType:
         case VectorType(scalar=scalar):
             return scalar
     raise TypeError(f"{type} has no elements")
-
-
-def count_parts(type: HostType) -> int:
-    """Return the number of elements that can be indexed."""
-    return type.length if isinstance(type, ArrayType) else getattr(type, "size", 0)
 
 
 def member(at: Lvalue, name: str) -> Lvalue:
@@ -158,9 +154,9 @@ def element(at: Lvalue, index: Value) -> Lvalue:
 
 
 def select_by_index(index: Value, values: list[Value]) -> Value:
-    """Return `values[index]` by a chain of selects."""
+    """Return `values[index]`, or the nearest value, by a chain of selects."""
     result = values[0]
     for which, value in enumerate(values[1:], 1):
-        wanted = apply("equal", index, number(which))
+        wanted = apply("greater_equal", index, number(which))
         result = apply("select", wanted, value, result)
     return result

@@ -1,18 +1,21 @@
 """The lowering of everything that lies somewhere: reads and assignments of locals, buffers, shared memory, constants.
 
-Helper invocations read within bounds whatever their extrapolated inputs are.
+Whatever an index is, nothing outside is read or written (`bound_index`): a read gets the nearest element, a write is
+under a condition. Components of vectors and rows of matrices that are variables are chosen, which needs neither.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 
 from rhi.contract.layout import BOOL, INT, UINT, ArrayType, Layout, ScalarType, StructType, stride_of
 from rhi.shading.ir import lanes, tree
 from rhi.shading.ir.lanes import (
     AddressSpace,
     Affine,
-    ElementCount,
     Get,
     Literal,
     MemoryRegion,
@@ -26,7 +29,7 @@ from rhi.shading.ir.lanes import (
 from rhi.shading.ir.tree import Expression
 from rhi.shading.language import rules
 from rhi.shading.language.shader import Declaration, StorageClass
-from rhi.shading.language.types import StorageType
+from rhi.shading.language.types import StorageType, count_elements
 from rhi.shading.lowering.components import all_kinds, leaf_kinds, word_offsets, words_of
 from rhi.shading.lowering.context import Lowering
 from rhi.shading.lowering.expansions import convert
@@ -37,7 +40,6 @@ from rhi.shading.lowering.lvalues import (
     LvalueChoice,
     MemoryLvalue,
     Slot,
-    count_parts,
     element,
     member,
     part,
@@ -72,8 +74,12 @@ def region_of(lowering: Lowering, declaration: Declaration) -> MemoryRegion:
     return known
 
 
-def lvalue(lowering: Lowering, node: Expression) -> Lvalue | None:
-    """Return an expression as an lvalue, or None if its value has to be computed."""
+def lvalue(lowering: Lowering, node: Expression, guards: list[Value] | None = None) -> Lvalue | None:
+    """Return an expression as an lvalue, or None if its value has to be computed.
+
+    Args:
+        guards: for what is written, the list that gets the conditions under which all indices are inside.
+    """
     match node:
         case tree.Read(local=local):
             homes = lowering.frame.slots[local]
@@ -88,26 +94,101 @@ def lvalue(lowering: Lowering, node: Expression) -> Lvalue | None:
         case tree.ConstantArray(type=type):
             return MemoryLvalue(type, constant_region(lowering, node), None, number(0), 1, 0)  # type: ignore[arg-type]
         case tree.Member(base=base, name=name):
-            at = lvalue(lowering, base)
+            at = lvalue(lowering, base, guards)
             return member(at, name) if at is not None else None
         case tree.Swizzle(base=base, components=(component,)):
-            at = lvalue(lowering, base)
+            at = lvalue(lowering, base, guards)
             return part(at, component) if at is not None else None
-        case tree.Index(base=tree.BindingRead(declaration=declaration), index=index) if isinstance(
-            declaration.type, StorageType
-        ):
+        case tree.Index(base=tree.BindingRead(declaration=declaration)) if isinstance(declaration.type, StorageType):
             memory = region_of(lowering, declaration)
-            row = lowering.let(convert(lowering.one(index), INT))
-            row = check_index(lowering, row, lanes.ElementCount(INT, Uniformity.DISPATCH, memory))
-            return MemoryLvalue(declaration.type.element, memory, Layout.STD430, row, memory.stride, 0)
-        case tree.Index(base=base, index=index):
-            at = lvalue(lowering, base)
+            count = lanes.ElementCount(INT, Uniformity.DISPATCH, memory)
+            row, limit = bound_index(lowering, node, count, guards, streams=True)
+            return MemoryLvalue(declaration.type.element, memory, Layout.STD430, row, memory.stride, 0, limit)
+        case tree.Index(base=base):
+            at = lvalue(lowering, base, guards)
             if at is None:
                 return None
-            row = lowering.let(convert(lowering.one(index), INT))
-            row = check_index(lowering, row, number(count_parts(base.type)))  # type: ignore[arg-type]
-            return part(at, int(row.value)) if isinstance(row, Literal) else element(at, row)
+            if isinstance(at, MemoryLvalue) or isinstance(at.type, ArrayType):
+                count = number(count_elements(base.type))
+                row, limit = bound_index(lowering, node, count, guards, streams=is_whole(at))
+            else:
+                row, limit = choice_of(lowering, node), None
+            if isinstance(row, Literal):
+                return part(at, int(row.value))
+            at = element(settle(lowering, at), row)
+            return replace(at, limit=limit) if limit is not None else at  # type: ignore[call-arg]
     return None
+
+
+def bound_index(
+    lowering: Lowering, node: tree.Index, count: Value, guards: list[Value] | None, streams: bool = False
+) -> tuple[Value, Value | None]:
+    """Return an index as an int that is inside: below `count`, and not negative.
+
+    Where it isn't known to be, a read gets the nearest index, and a write adds a condition to `guards`. Consecutive
+    indices of a region that `streams` stay as they are, so that vectors are loaded: the second result is their limit.
+    """
+    row = lowering.let(lowering.one(node.index))
+    if lowering.checked:
+        return check_index(lowering, lowering.let(convert(row, INT)), count), None
+    if node.inside and not (lowering.has_helpers and is_unchecked(node)):
+        return lowering.let(convert(row, INT)), None
+    if guards is not None:
+        guards.append(apply("less", convert(row, UINT), convert(count, UINT)))
+        return lowering.let(convert(row, INT)), None
+    if streams and isinstance(row, Affine) and row.kind is INT:
+        return row, count
+    return nearest(lowering, row, count), None
+
+
+def nearest(lowering: Lowering, index: Value, count: Value) -> Value:
+    """Return the index of `count` elements that is nearest to an index."""
+    last = count - number(1)
+    if index.kind is UINT:
+        return lowering.let(convert(apply("min", index, convert(last, UINT)), INT))
+    return lowering.let(apply("max", apply("min", index, last), number(0)))
+
+
+def is_unchecked(node: tree.Index) -> bool:
+    """Return whether the author answers for an index, who doesn't know those of helper invocations."""
+    return isinstance(node.index, tree.BuiltinCall) and node.index.builtin.name == "unchecked"
+
+
+def is_whole(at: Lvalue) -> bool:
+    """Return whether an array is all of a work-group's shared memory of a name."""
+    if not isinstance(at, MemoryLvalue) or at.memory.space is not AddressSpace.SHARED:
+        return False
+    return isinstance(at.index, Literal) and not at.offset and words_of(at.type) == at.memory.length
+
+
+def choice_of(lowering: Lowering, node: tree.Index) -> Value:
+    """Return an index that chooses among the components of a vector, or the rows of a matrix."""
+    row, size = lowering.let(lowering.one(node.index)), number(count_elements(node.base.type))
+    if lowering.checked:
+        return check_index(lowering, lowering.let(convert(row, INT)), size)
+    if row.kind is UINT and not node.inside:
+        return nearest(lowering, row, size + number(1))  # so that what is written at `size` and above is still dropped
+    return lowering.let(convert(row, INT))
+
+
+def settle(lowering: Lowering, at: Lvalue) -> Lvalue:
+    """Return an lvalue whose index is inside, so that another can be added to it."""
+    if not isinstance(at, MemoryLvalue) or at.limit is None:
+        return at
+    return replace(at, index=nearest(lowering, at.index, at.limit), limit=None)
+
+
+@contextmanager
+def guarded(lowering: Lowering, guards: list[Value]) -> Iterator[None]:
+    """Emit the statements of this context where all indices of a written lvalue are inside."""
+    condition = lanes.TRUE
+    for guard in guards:
+        condition = guard if condition is lanes.TRUE else condition & guard
+    if condition is lanes.TRUE:
+        yield
+        return
+    with lowering.branch(lowering.let(condition, "inside")):
+        yield
 
 
 def check_index(lowering: Lowering, index: Value, limit: Value) -> Value:
@@ -147,7 +228,7 @@ def read(lowering: Lowering, at: Lvalue) -> list[Value]:
         case MemoryLvalue(type=type, layout=layout, offset=offset):
             offsets = word_offsets(type, layout)
             return [
-                load(lowering, at.memory, kind, at.index, at.scale, offset + place)
+                load(lowering, at.memory, kind, at.index, at.scale, offset + place, at.limit)
                 for kind, place in zip(all_kinds(type), offsets, strict=True)
             ]
         case LvalueChoice(index=index, choices=choices):
@@ -164,9 +245,11 @@ def read_home(lowering: Lowering, home: Slot | MemoryRegion, index: Value | None
     return lanes.Affine(variable.kind, Uniformity.VARYING, value, home.stride) if home.stride else value
 
 
-def load(lowering: Lowering, memory: MemoryRegion, kind: ScalarType, index: Value, scale: int, offset: int) -> Value:
+def load(
+    lowering: Lowering, memory: MemoryRegion, kind: ScalarType, index: Value, scale: int, offset: int,
+    limit: Value | None = None,
+) -> Value:  # fmt: skip
     """Return a word of memory. Writable memory is read here, not later where the value is used."""
-    index = clamp_index(lowering, memory, index, scale, offset)
     uniformity = index.uniformity
     match memory.space:
         case AddressSpace.PRIVATE:
@@ -178,22 +261,10 @@ def load(lowering: Lowering, memory: MemoryRegion, kind: ScalarType, index: Valu
     is_bool = kind is BOOL and memory.space is not AddressSpace.PRIVATE
     stored = UINT if is_bool else kind
     mask = lowering.scope.mask if index.uniformity > Uniformity.DISPATCH else None
-    value: Value = lanes.Load(stored, uniformity, memory, index, scale, offset, mask)
+    value: Value = lanes.Load(stored, uniformity, memory, index, scale, offset, mask, limit)
     if memory.writable:
         value = lowering.let(value, memory.name)
     return apply("not_equal", value, literal(0, UINT)) if is_bool else value
-
-
-def clamp_index(lowering: Lowering, memory: MemoryRegion, index: Value, scale: int, offset: int) -> Value:
-    """Return an index clamped to memory if helpers run, because theirs may be out of bounds."""
-    if not lowering.has_helpers or index.uniformity < Uniformity.VARYING:
-        return index
-    last: Value = number((memory.length - 1 - offset) // scale)
-    if memory.space is AddressSpace.STORAGE:  # the scale is the words of an element, or 1
-        count = ElementCount(INT, Uniformity.DISPATCH, memory)
-        whole = scale == memory.stride
-        last = count - number(1) if whole else count * number(memory.stride) - number(offset + 1)
-    return lowering.let(apply("max", apply("min", index, last), number(0)))
 
 
 # -- declaring ---------------------------------------------------------------------------------------------
@@ -278,19 +349,24 @@ def write(lowering: Lowering, at: Lvalue, values: list[Value]) -> None:
 
 
 def assign_to(lowering: Lowering, target: tree.Expression, values: list[Value]) -> None:
+    guards: list[Value] = []
     if isinstance(target, tree.Swizzle) and len(target.components) > 1:
-        whole = lvalue(lowering, target.base)
+        whole = lvalue(lowering, target.base, guards)
         assert whole is not None
         if isinstance(whole, LocalLvalue):
             homes = [whole.homes[c] for c in target.components]
             values = without_aliases(lowering, homes, values)
         values = [lowering.let(value) for value in values]
-        for component, value in zip(target.components, values, strict=True):
-            write(lowering, part(whole, component), [value])
+        with guarded(lowering, guards):
+            for component, value in zip(target.components, values, strict=True):
+                write(lowering, part(whole, component), [value])
         return
-    at = lvalue(lowering, target)
+    at = lvalue(lowering, target, guards)
     assert at is not None
-    write(lowering, at, values)
+    if guards:
+        values = [lowering.let(value) for value in values]
+    with guarded(lowering, guards):
+        write(lowering, at, values)
 
 
 def without_aliases(lowering: Lowering, homes: list[Slot | MemoryRegion], values: list[Value]) -> list[Value]:
@@ -330,7 +406,6 @@ def assign(lowering: Lowering, slot: Slot, value: Value) -> None:
 
 
 def store_private(lowering: Lowering, memory: MemoryRegion, index: Value, value: Value) -> None:
-    index = clamp_index(lowering, memory, index, 1, 0)
     key, scope = lowering.private[id(memory)]
     uniformity, blend = max(value.uniformity, index.uniformity), False
     for inner in lowering.scopes_up_to(scope):

@@ -53,6 +53,12 @@ def convert(value: Any, dtype: Any) -> Any:
     return np.asarray(value).astype(dtype)[()]
 
 
+def to_integer(value: Any, dtype: Any) -> Any:
+    """Convert floats to integers, rounding towards zero: the nearest integer, and 0 for NaN."""
+    array, limits = np.asarray(value, np.float64), np.iinfo(dtype)
+    return np.clip(np.where(array == array, array, 0), limits.min, limits.max).astype(dtype)[()]
+
+
 def as_float(value: Any, dtype: Any) -> Any:
     """Reinterpret 32 bits as a float."""
     return np.asarray(value).view(np.float32).astype(dtype)[()]
@@ -64,14 +70,22 @@ def as_integer(value: Any, dtype: Any) -> Any:
     return (array.astype(np.float32) if array.dtype.kind == "f" else array).view(dtype)[()]
 
 
+def _divisor(a: Any, b: Any) -> Any:
+    """Return `b`, or 1 where a division by it is one by 1: 0, and -1 for the least int."""
+    by_one = b == 0
+    if np.asarray(b).dtype.kind == "i":
+        by_one |= (b == -1) & (a == np.iinfo(np.int32).min)
+    return np.where(by_one, np.ones_like(b), b)[()]
+
+
 def floor_divide(a: Any, b: Any) -> Any:
-    """Return `a // b` of integers; a division by zero gives 0."""
-    return np.floor_divide(a, b)
+    """Return `a // b` of integers."""
+    return np.floor_divide(a, _divisor(a, b))
 
 
 def modulo(a: Any, b: Any) -> Any:
     """Return `a % b` of integers, with the sign of `b`."""
-    return np.remainder(a, b)
+    return np.remainder(a, _divisor(a, b))
 
 
 def bits_set(value: Any) -> Any:

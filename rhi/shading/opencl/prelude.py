@@ -193,26 +193,50 @@ _FUNCTIONS: Final[dict[str, tuple[str | Callable[[int], str], tuple[str, ...]]]]
 #UINT rhi_max(UINT x, UINT y) { return max(x, y); }""",
         (),
     ),
-    # The sign of the remainder tells whether truncation equals flooring. Division never traps: x / 0 and INT_MIN / -1
-    # divide by 1 instead.
-    "rhi_floor_divide": (
-        """SINT rhi_floor_divide(SINT a, SINT b) {
-    int d = b == 0 || (b == -1 && a == (int)0x80000000) ? 1 : b;
-    int q = a / d, r = a - q * d;
-    return r != 0 && (r < 0) != (d < 0) ? q - 1 : q;
-}
-#SUINT rhi_floor_divide(SUINT a, SUINT b) { return a / (b == 0 ? 1u : b); }
-#VINT rhi_floor_divide(VINT a, VINT b) {
-    return convert_INT(floor(convert_DOUBLE(a) / convert_DOUBLE(select(b, (INT)1, b == 0))));
-}
-#VUINT rhi_floor_divide(VUINT a, VUINT b) {
-    return convert_UINT(convert_DOUBLE(a) / convert_DOUBLE(select(b, (UINT)1, b == 0)));
+    # The nearest int, 0 for NaN. What OpenCL's conversions don't define is replaced before, and chosen after them.
+    "rhi_to_int": (
+        """INT rhi_to_int(FLOAT x) {
+    FLOAT y = x > -0x1p31f ? x : (FLOAT)-0x1p31f;
+    INT r = convert_INT(y < 0x1.fffffep30f ? y : (FLOAT)0x1.fffffep30f);
+    return SELECT(SELECT(r, (INT)0x7fffffff, x >= 0x1p31f), (INT)0, x != x);
 }""",
         (),
     ),
+    "rhi_to_uint": (
+        """UINT rhi_to_uint(FLOAT x) {
+    FLOAT y = x > 0.0f ? x : (FLOAT)0.0f;
+    UINT r = convert_UINT(y < 0x1.fffffep31f ? y : (FLOAT)0x1.fffffep31f);
+    return SELECT(r, (UINT)0xffffffffu, x >= 0x1p32f);
+}""",
+        (),
+    ),
+    # A division by 0 is one by 1, and so is that of the least int by -1.
+    "rhi_divisor": (
+        """INT rhi_divisor(INT a, INT b) {
+    return SELECT(b, (INT)1, (b == 0) | ((b == -1) & (a == (int)0x80000000)));
+}
+#UINT rhi_divisor(UINT a, UINT b) { return SELECT(b, (UINT)1, b == 0); }""",
+        (),
+    ),
+    # The sign of the remainder tells whether truncation equals flooring.
+    "rhi_floor_divide": (
+        """SINT rhi_floor_divide(SINT a, SINT b) {
+    int d = rhi_divisor(a, b);
+    int q = a / d, r = a - q * d;
+    return r != 0 && (r < 0) != (d < 0) ? q - 1 : q;
+}
+#SUINT rhi_floor_divide(SUINT a, SUINT b) { return a / rhi_divisor(a, b); }
+#VINT rhi_floor_divide(VINT a, VINT b) {
+    return convert_INT(floor(convert_DOUBLE(a) / convert_DOUBLE(rhi_divisor(a, b))));
+}
+#VUINT rhi_floor_divide(VUINT a, VUINT b) {
+    return convert_UINT(convert_DOUBLE(a) / convert_DOUBLE(rhi_divisor(a, b)));
+}""",
+        ("rhi_divisor",),
+    ),
     "rhi_modulo": (
-        """INT rhi_modulo(INT a, INT b) { return a - rhi_floor_divide(a, b) * b; }
-#UINT rhi_modulo(UINT a, UINT b) { return a - rhi_floor_divide(a, b) * b; }""",
+        """INT rhi_modulo(INT a, INT b) { b = rhi_divisor(a, b); return a - rhi_floor_divide(a, b) * b; }
+#UINT rhi_modulo(UINT a, UINT b) { b = rhi_divisor(a, b); return a - rhi_floor_divide(a, b) * b; }""",
         ("rhi_floor_divide",),
     ),
     # Half floats and back, rounding to nearest even: F. Giesen, float_to_half_fast3_rtne and half_to_float.
@@ -414,15 +438,19 @@ def gather_text(space: str, width: int) -> str:
     return f"{_HEAD}uint{width} rhi_gather({space} const uint *p, int{width} i) {{ return (uint{width})({parts}); }}"
 
 
-def load_text(name: str, space: str, width: int, stride: int, offset: int, has_steps: bool = False) -> str:
-    """Write the load of the words `first + lane * stride + offset`.
+def load_text(
+    name: str, space: str, width: int, stride: int, offset: int, scale: int = 1, has_steps: bool = False
+) -> str:
+    """Write the load of the words `first * scale + lane * stride + offset`; the elements have `scale` words.
 
-    It uses vector loads and a transpose, and loads word by word near the ends of the buffer.
+    It uses vector loads and a transpose, and loads word by word near the ends of the buffer. A lane outside gets the
+    word of the nearest element.
 
     Args:
         has_steps: whether the function gets each lane's distance from the first, since lanes may not be consecutive.
     """
-    registers = [f"*({space} const rhi_words *)(p + first + {width * k})" for k in range(stride)]
+    start = f"first * {scale}" if scale > 1 else "first"
+    registers = [f"*({space} const rhi_words *)(p + {start} + {width * k})" for k in range(stride)]
     declared = ", ".join(f"r{k} = {text}" for k, text in enumerate(registers))
     picks = [lane * stride + offset for lane in range(width)]
     parts = ", ".join(f"r{place // width}.s{HEX[place % width]}" for place in picks)
@@ -430,10 +458,11 @@ def load_text(name: str, space: str, width: int, stride: int, offset: int, has_s
     if stride > 1:
         fast = f"uint{width} {declared}; return (uint{width})({parts});"
     steps = "steps" if has_steps else "RHI_LANES"
-    slow = f"clamp(first + {steps} * {stride} + {offset}, (int{width})0, (int{width})(words - 1))"
+    inner, outer = ("", f" * {scale} + {offset}") if scale > 1 else (f" + {offset}", "")
+    slow = f"clamp(first + {steps} * {stride // scale}{inner}, (int{width})0, (int{width})(count - 1)){outer}"
     given, together = (f", int{width} steps", " && rhi_all(steps == RHI_LANES)") if has_steps else ("", "")
-    return f"""{_HEAD}uint{width} {name}({space} const uint *p, int first, int words{given}) {{
-    if (first >= 0 && first <= words - {width * stride}{together}) {{ {fast} }}
+    return f"""{_HEAD}uint{width} {name}({space} const uint *p, int first, int count{given}) {{
+    if (first >= 0 && first <= count - {width * stride // scale}{together}) {{ {fast} }}
     return rhi_gather(p, {slow});
 }}"""
 

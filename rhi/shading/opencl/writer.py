@@ -24,6 +24,7 @@ from rhi.shading.ir.lanes import (
     MemoryRegion,
     Uniformity,
     Value,
+    apply,
     number,
 )
 from rhi.shading.ir.primitives import spelling
@@ -258,16 +259,22 @@ class OpenCLWriter:
             )
         space = _SPACES[memory.space]
         if isinstance(index, Affine) and memory.space in (AddressSpace.STORAGE, AddressSpace.SHARED):
-            stride = index.stride * node.scale
+            stride, scale = index.stride * node.scale, node.scale
             if 0 < stride <= _LONGEST_STRIDE:
-                first, offset = index.base * number(node.scale), node.offset
-                if offset >= stride:
-                    first, offset = first + number(offset), 0
-                name = f"rhi_load_{space}_{stride}_{offset}"
-                self.helper(name, prelude.load_text(name, space, self.width, stride, offset, bool(self.steps)))
+                first, offset = index.base, node.offset
+                if node.limit is not None:
+                    count = self.value(node.limit)
+                else:
+                    first, scale, count = first * number(scale), 1, self.words(memory)
+                    if offset >= stride:
+                        first, offset = first + number(offset), 0
+                name = f"rhi_load_{space}_{stride}_{offset}" + (f"_of_{scale}" if scale > 1 else "")
+                self.helper(name, prelude.load_text(name, space, self.width, stride, offset, scale, bool(self.steps)))
                 steps = f", {self.steps}" if self.steps else ""
-                text = f"{name}({self.name(memory)}, {self.value(first)}, {self.words(memory)}{steps})"
+                text = f"{name}({self.name(memory)}, {self.value(first)}, {count}{steps})"
                 return self.cast(node.kind, True, text)
+        if node.limit is not None:
+            index = apply("max", apply("min", index, node.limit - number(1)), number(0))
         address = self.wide(self.address(index, node.scale, node.offset))
         if node.mask is not None:
             address = f"{address} & {self.mask(node.mask)}"

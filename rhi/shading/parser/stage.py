@@ -23,6 +23,7 @@ from rhi.shading.parser import calls as calls  # what they parse
 from rhi.shading.parser import expressions as expressions
 from rhi.shading.parser import statements as statements
 from rhi.shading.parser.context import StageParser
+from rhi.shading.parser.ranges import prove_indices
 from rhi.shading.parser.signatures import Callee, UnsizedArray
 
 PIXELS: Final = 16
@@ -40,6 +41,7 @@ def parse_stage(shader: type[Shader], stage: Stage, entry: Callee) -> tree.Stage
         types.append(parameter.type)
     parser = StageParser(shader, stage)
     function = parser.parse_entry(entry, tuple(types))
+    prove_indices(parser.finished, find_work_group(shader))
     return _collect(stage, function, parser.finished, shader)
 
 
@@ -51,7 +53,10 @@ def parse_function(function: FunctionType) -> tree.Function:
         if not isinstance(parameter.type, HostType):
             callee.source.refuse(rules.ANNOTATION, callee.source.node, f"{parameter.name}: {parameter.type}")
         types.append(parameter.type)
-    return StageParser(Shader, Stage.COMPUTE).parse_entry(callee, tuple(types))
+    parser = StageParser(Shader, Stage.COMPUTE)
+    parsed = parser.parse_entry(callee, tuple(types))
+    prove_indices(parser.finished)
+    return parsed
 
 
 # -- the resources of a stage ---------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from rhi.shading.ir.text import Lines, power_steps
 from rhi.shading.ir.tree import Expression, Operator
 from rhi.shading.language import rules
 from rhi.shading.language.source import SourceSpan, refuse_at
-from rhi.shading.language.types import TextureType, Type, VoidType, scalar_of
+from rhi.shading.language.types import StorageType, TextureType, Type, VoidType, count_elements, scalar_of
 from rhi.shading.text.names import Names
 
 _MOST_RETURNS: Final = 16
@@ -88,6 +88,10 @@ class TextWriter:
         """Return `%` of floats."""
         raise NotImplementedError
 
+    def conversion(self, type: Type, source: Type) -> str:
+        """Return the name of the function that converts floats to the nearest integers, and NaN to 0."""
+        raise NotImplementedError
+
     # -- common
 
     def __init__(self, names: Names) -> None:
@@ -98,6 +102,7 @@ class TextWriter:
         self.file = ""
         self.leaving = ""  # in a function that a `break` leaves, the name of its result
         self.tails: set[tree.Return] = set()  # its returns that no statement follows
+        self.kept: dict[tree.Index, str] = {}  # the indices of what is written, known to be inside where it is
 
     def field(self, name: str) -> str:
         """Return a struct field's name. Each struct is its own namespace, so the name only needs to be legal."""
@@ -132,6 +137,9 @@ class TextWriter:
             case tree.Select(condition=condition, then=then, otherwise=otherwise):
                 return f"({self.choice(*map(self.expression, (condition, then, otherwise)))})"
             case tree.Convert(type=type, value=value):
+                scalar = scalar_of(type)
+                if scalar_of(value.type) is FLOAT and scalar in (INT, UINT):
+                    return f"{self.conversion(type, value.type)}({self.expression(value)})"
                 return f"{self.type(type)}({self.expression(value)})"
             case tree.Construct():
                 return self.construct(node)
@@ -154,14 +162,39 @@ class TextWriter:
 
     def index(self, node: tree.Index) -> str:
         """Return an indexed element. GLSL indexes a matrix by column, Python by row."""
-        base, index = node.base, self.expression(node.index)
+        base, index = node.base, self.place(node)
         if isinstance(base, tree.Index) and isinstance(base.base.type, MatrixType):
-            return f"{self.expression(base.base)}[{index}][{self.expression(base.index)}]"
+            return f"{self.expression(base.base)}[{index}][{self.place(base)}]"
         if isinstance(base.type, MatrixType):
             if isinstance(base, tree.BuiltinCall) and base.overload.glsl == "transpose":
                 return f"{self.expression(base.arguments[0])}[{index}]"
             return f"transpose({self.expression(base)})[{index}]"
         return f"{self.expression(base)}[{index}]"
+
+    def place(self, node: tree.Index) -> str:
+        """Return the text of an index that is inside: the nearest one, unless it is known to be."""
+        known = self.kept.get(node)
+        return known if known is not None else self.nearest(node, self.expression(node.index))
+
+    def nearest(self, node: tree.Index, index: str) -> str:
+        """Return the index that is inside and nearest to an index."""
+        if node.inside:
+            return index
+        limit = self.limit(node)
+        if node.index.type is UINT:
+            return f"min({index}, {f'{int(limit) - 1}u' if limit.isdigit() else f'{self.type(UINT)}({limit} - 1)'})"
+        return f"clamp({index}, 0, {int(limit) - 1 if limit.isdigit() else f'{limit} - 1'})"
+
+    def limit(self, node: tree.Index) -> str:
+        """Return the number of elements that an index must be below, as an int."""
+        if isinstance(node.base.type, StorageType):
+            return self.length(self.expression(node.base))
+        return str(count_elements(node.base.type))
+
+    def below(self, node: tree.Index, index: str) -> str:
+        """Return the condition under which an index is inside."""
+        limit = self.limit(node)
+        return f"{self.type(UINT)}({index}) < {f'{limit}u' if limit.isdigit() else f'{self.type(UINT)}({limit})'}"
 
     def construct(self, node: tree.Construct) -> str:
         """Return a constructor. A matrix is built from columns in GLSL, so the rows given are transposed."""
@@ -194,6 +227,8 @@ class TextWriter:
         right = self.expression(node.right)
         if op in (Operator.FLOOR_DIVIDE, Operator.MODULO):
             return self.floored(node, left, right)
+        if op in (Operator.SHIFT_LEFT, Operator.SHIFT_RIGHT) and not is_constant(node.right):
+            right = f"({right} & {31 if scalar_of(node.right.type) is INT else '31u'})"
         sign = {Operator.AND: "&&", Operator.OR: "||", Operator.MATRIX_MULTIPLY: "*"}.get(op, op.sign)
         return f"({left} {sign} {right})"
 
@@ -203,9 +238,10 @@ class TextWriter:
         scalar = scalar_of(node.type)
         if scalar is FLOAT:
             return f"floor({left} / {right})" if divide else self.float_modulo(node, left, right)
-        if scalar is UINT:
-            return f"({left} {'/' if divide else '%'} {right})"
         divisor = node.right
+        if scalar is UINT:
+            right = right if is_constant(divisor) else f"max({right}, {self.type(divisor.type)}(1))"
+            return f"({left} {'/' if divide else '%'} {right})"
         if isinstance(divisor, tree.Constant) and divisor.value > 0 and int(divisor.value).bit_count() == 1:
             # A shift of a negative int is arithmetic, and a mask of two's complement is the floored remainder.
             shift = int(divisor.value).bit_length() - 1
@@ -248,13 +284,19 @@ class TextWriter:
             case tree.Declare(local=local, value=value):
                 self.declare(local, value, place)
             case tree.Assign(target=target, value=value):
-                text = self.expression(value)
-                if tree.has_effect(value) and tree.has_effect(target):
+                text, unknown = self.expression(value), unknown_indices(target)
+                if tree.has_effect(value) and (tree.has_effect(target) or unknown):
                     # Python evaluates the value first; GLSL guarantees no order.
                     name = self.names.get((node, "value"), "value")
                     self.line(f"{self.variable(self.type(value.type), name, text)};", place)
                     text = name
-                self.store(target, text, place)
+                if not unknown:
+                    self.store(target, text, place)
+                    return
+                conditions = " && ".join(self.keep_index(one, place) for one in unknown)
+                with self.lines.braces(f"if ({conditions})", self.file, place.line):
+                    self.store(target, text, place)
+                self.kept.clear()
             case tree.Evaluate(value=value):
                 self.line(f"{self.expression(value)};", place)
             case tree.If():
@@ -277,6 +319,16 @@ class TextWriter:
                     self.line("break;", place)
             case tree.Return(value=value):
                 self.line(f"return {self.expression(value)};" if value is not None else "return;", place)
+
+    def keep_index(self, node: tree.Index, place: SourceSpan) -> str:
+        """Evaluate an index of what is written here, and return the condition under which it is inside."""
+        text = self.expression(node.index)
+        if not is_plain(node.index):
+            name = self.names.get((node, "at"), "at")
+            self.line(f"{self.variable(self.type(node.index.type), name, text)};", place)
+            text = name
+        self.kept[node] = text
+        return self.below(node, text)
 
     def store(self, target: Expression, value: str, place: SourceSpan) -> None:
         """Write the assignment of a value."""
@@ -410,6 +462,35 @@ class TextWriter:
         self.leaving = ""
         if not void:
             self.line(f"return {result};", node.span)
+
+
+def unknown_indices(target: Expression) -> list[tree.Index]:
+    """Return the indices of what is written that aren't known to be inside, innermost first."""
+    found = []
+    while isinstance(target, tree.Member | tree.Swizzle | tree.Index):
+        if isinstance(target, tree.Index) and not target.inside:
+            found.append(target)
+        target = target.base
+    return found[::-1]
+
+
+def is_plain(node: Expression) -> bool:
+    """Return whether an expression is read as fast as a variable."""
+    while isinstance(node, tree.Swizzle):
+        node = node.base
+    return isinstance(node, tree.Constant | tree.Read)
+
+
+def is_constant(node: Expression) -> bool:
+    """Return whether all components are constants."""
+    match node:
+        case tree.Constant():
+            return True
+        case tree.Construct(parts=parts):
+            return all(map(is_constant, parts))
+        case tree.Convert(value=value):
+            return is_constant(value)
+    return False
 
 
 def count_returns(body: tree.Block) -> int:

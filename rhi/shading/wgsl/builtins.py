@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from typing import Final
 
+from rhi.contract.layout import INT, UINT
+
 SPELLINGS: Final = {
     "inversesqrt": "inverseSqrt",
     "faceforward": "faceForward",
     "uniform": "({0})",
+    "unchecked": "({0})",
     # The bits decide: compilers may assume that there are no NaNs.
     "isnan": "((bitcast<{bits}>({0}) & {bits}(0x7FFFFFFFu)) > {bits}(0x7F800000u))",
     "isinf": "((bitcast<{bits}>({0}) & {bits}(0x7FFFFFFFu)) == {bits}(0x7F800000u))",
@@ -46,6 +49,17 @@ SPELLINGS: Final = {
 }  # fmt: skip
 """Names of functions, and templates of calls: `{type}` is the result's type, `{bits}` the first argument's as uints.
 Built-ins that aren't here have the same name."""
+
+CONVERSIONS: Final = {
+    # Conversions take place in range, and what they replace is chosen after them. The bits tell NaN.
+    INT: "let y = clamp(x, {source}(-2147483648.0), {source}(2147483520.0));"
+    " let r = select({type}(y), {type}(2147483647), x >= {source}(2147483648.0));"
+    " return select(r, {type}(0), (bitcast<{bits}>(x) & {bits}(0x7FFFFFFFu)) > {bits}(0x7F800000u));",
+    UINT: "let y = clamp(x, {source}(0.0), {source}(4294967040.0));"
+    " let r = select({type}(y), {type}(4294967295u), x >= {source}(4294967296.0));"
+    " return select(r, {type}(0), (bitcast<{bits}>(x) & {bits}(0x7FFFFFFFu)) > {bits}(0x7F800000u));",
+}
+"""Bodies of the functions that convert floats."""
 
 BARRIER: Final = "fn rhi_barrier() { storageBarrier(); workgroupBarrier(); }"
 

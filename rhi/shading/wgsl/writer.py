@@ -34,8 +34,16 @@ from rhi.shading.language.shader import Declaration, StorageClass
 from rhi.shading.language.source import SourceSpan, refuse_at
 from rhi.shading.language.types import ImageType, StorageType, TextureType, Type, VoidType, scalar_of
 from rhi.shading.text.names import Names
-from rhi.shading.text.writer import TextWriter, int_text
-from rhi.shading.wgsl.builtins import BARRIER, INPUTS, INVERSES, OUTSIDE_FRAGMENTS, SPELLINGS, TEXTURE_CALLS
+from rhi.shading.text.writer import TextWriter, int_text, is_constant, unknown_indices
+from rhi.shading.wgsl.builtins import (
+    BARRIER,
+    CONVERSIONS,
+    INPUTS,
+    INVERSES,
+    OUTSIDE_FRAGMENTS,
+    SPELLINGS,
+    TEXTURE_CALLS,
+)
 from rhi.shading.wgsl.memory import UNIFORM, MemoryTypes
 
 SCALARS: Final = {FLOAT: "f32", INT: "i32", UINT: "u32", BOOL: "bool"}
@@ -120,8 +128,9 @@ class WgslWriter(TextWriter):
             case tree.Select(then=then, otherwise=otherwise):
                 if tree.has_effect(then) or tree.has_effect(otherwise) or not _is_selected(node.type):
                     return True
-            case tree.BuiltinCall(builtin=builtin) if builtin.name == "atomic_compare_exchange":
-                return True
+            case tree.BuiltinCall(builtin=builtin, arguments=arguments) if builtin.name.startswith("atomic_"):
+                if builtin.name == "atomic_compare_exchange" or unknown_indices(arguments[0]):
+                    return True
             case tree.Binary():
                 chain = tree.left_chain(node)
                 return self.needs_statements(chain[0].left) or any(self.needs_statements(one.right) for one in chain)
@@ -178,11 +187,11 @@ class WgslWriter(TextWriter):
                 return f"{self.path(base)}.{self.field(name)}"
             case tree.Swizzle(base=base, components=components):
                 return f"{self.path(base)}.{''.join('xyzw'[index] for index in components)}"
-            case tree.Index(base=base, index=index):
+            case tree.Index(base=base):
                 declaration = _declaration_of(node)
                 space = _space_of(declaration) if declaration is not None else "local"
                 inner = self.memory.element(base.type, space)  # type: ignore[arg-type]
-                return f"{self.path(base)}[{self.expression(index)}]{inner}"
+                return f"{self.path(base)}[{self.place(node)}]{inner}"
             case tree.BindingRead(declaration=declaration):
                 return self.globals.get(("binding", declaration.name), declaration.name)
         return super().expression(node)
@@ -198,7 +207,7 @@ class WgslWriter(TextWriter):
 
     def index(self, node: tree.Index) -> str:
         base, index = self.sequence((node.base, node.index))
-        return f"{base}[{index}]"
+        return f"{base}[{self.nearest(node, index)}]"
 
     def construct(self, node: tree.Construct) -> str:
         type, parts = node.type, self.sequence(node.parts)
@@ -245,7 +254,9 @@ class WgslWriter(TextWriter):
                 return f"{'all' if op is Operator.EQUAL else 'any'}{super().operation(node, left)}"
             case Operator.SHIFT_LEFT | Operator.SHIFT_RIGHT:
                 form = "u32" if not isinstance(node.type, VectorType) else f"vec{node.type.size}<u32>"
-                return f"({self.widened(node, node.left, left)} {op.sign} {form}({self.expression(node.right)}))"
+                count = f"{form}({self.expression(node.right)})"
+                count = count if is_constant(node.right) else f"({count} & {form}(31u))"
+                return f"({self.widened(node, node.left, left)} {op.sign} {count})"
             case Operator.BIT_AND | Operator.BIT_OR | Operator.BIT_XOR if types[0] != types[1]:
                 right = self.widened(node, node.right, self.expression(node.right))
                 return f"({self.widened(node, node.left, left)} {op.sign} {right})"
@@ -282,6 +293,9 @@ class WgslWriter(TextWriter):
             value = int(divisor.value)
             if value > 0 and value.bit_count() == 1:
                 return f"({left} >> {value.bit_length() - 1}u)"
+        if scalar_of(node.type) is UINT and not is_constant(divisor):
+            sign, right = "/" if node.operator is Operator.FLOOR_DIVIDE else "%", self.widened(node, divisor, right)
+            return f"({left} {sign} max({right}, {self.type(node.type)}(1)))"
         return super().floored(node, left, right)
 
     def integer_helper(self, node: tree.Binary, divide: bool) -> str:
@@ -289,8 +303,21 @@ class WgslWriter(TextWriter):
         one, zero = f"{type}(1)", f"{type}()"
         wrong = f"(r != {zero}) & ((r < {zero}) != (b < {zero}))"
         result = f"select(q, q - {one}, {wrong})" if divide else f"select(r, r + b, {wrong})"
-        body = f"let q = a / b; let r = a - q * b; return {result};"
+        # A division by 0 is one by 1, and so is that of the least int by -1.
+        least = f"(b == {type}(-1)) & (a == {type}(-2147483647 - 1))"
+        body = (
+            f"let d = select(b, {one}, (b == {zero}) | ({least})); let q = a / d; let r = a - q * d; return {result};"
+        )
         return self.helper("rhi_floor_divide" if divide else "rhi_modulo", type, "a b", body)
+
+    def conversion(self, type: Type, source: Type) -> str:
+        scalar, form = scalar_of(type), self.type(type)
+        assert scalar is not None
+        name = f"rhi_to_{''.join(filter(str.isalnum, form))}"
+        bits = form.replace("i32", "u32")
+        body = CONVERSIONS[scalar].format(type=form, source=self.type(source), bits=bits)
+        self.helpers[name] = f"fn {name}(x: {self.type(source)}) -> {form} {{ {body} }}"
+        return name
 
     def float_modulo(self, node: tree.Binary, left: str, right: str) -> str:
         name = self.helper("rhi_mod", self.type(node.type), "a b", "return a - b * floor(a / b);")
@@ -337,18 +364,30 @@ class WgslWriter(TextWriter):
         """Return a call of an atomic, or write a compare-exchange and return its result."""
         place, *values = node.arguments
         texts = self.sequence(values)
-        pointer = f"&{self.path(place)}"
-        if name != "atomic_compare_exchange":
-            return f"{SPELLINGS[name]}({pointer}, {', '.join(texts)})"
-        expected, value = (self.keep(values[i], texts[i], what) for i, what in enumerate(("expected", "value")))
+        unknown = unknown_indices(place)
+        if name != "atomic_compare_exchange" and not unknown:
+            return f"{SPELLINGS[name]}(&{self.path(place)}, {', '.join(texts)})"
+        texts = [self.keep(one, text, "given") for one, text in zip(values, texts, strict=True)]
         old = self.names.get((node, "old"), "old")
         self.line(f"{self.variable(self.type(node.type), old)};", node.span)
+        conditions = " && ".join(self.keep_index(one, node.span) for one in unknown)
+        with self.lines.braces(f"if ({conditions})" if unknown else "", self.file, node.span.line):
+            pointer = f"&{self.path(place)}"
+            if name == "atomic_compare_exchange":
+                self.compare_exchange(node, old, pointer, *texts)
+            else:
+                self.line(f"{old} = {SPELLINGS[name]}({pointer}, {', '.join(texts)});", node.span)
+        for one in unknown:
+            del self.kept[one]
+        return old
+
+    def compare_exchange(self, node: tree.BuiltinCall, old: str, pointer: str, expected: str, value: str) -> None:
+        """Write a loop around WGSL's compare-exchange, which may fail without a reason."""
         with self.lines.braces("loop", self.file, node.span.line):
             tried = self.names.get((node, "tried"), "tried")
             self.line(f"let {tried} = atomicCompareExchangeWeak({pointer}, {expected}, {value});", node.span)
             self.line(f"{old} = {tried}.old_value;", node.span)
             self.line(f"if ({tried}.exchanged || {old} != {expected}) {{ break; }}", node.span)
-        return old
 
     def texture(self, node: tree.Read | tree.BindingRead) -> str:
         return ", ".join(self.halves(node))

@@ -412,7 +412,7 @@ def test_a_vertex_stage_reads_buffers_whatever_the_order_of_its_vertices(indices
 
 
 def test_consecutive_vertices_are_read_with_vector_loads():
-    assert "rhi_load_global_4_0(places_," in compile_shader(Pulled).emit("opencl16", Stage.VERTEX).text
+    assert "rhi_load_global_4_0_of_4(places_," in compile_shader(Pulled).emit("opencl16", Stage.VERTEX).text
 
 
 class Value(Struct):
