@@ -48,7 +48,7 @@ STEPS: Final = (
         "compute",
         ("create_program", "bind_program", "bind_uniform", "bind_storage", "bind_image", "dispatch",
          "dispatch_indirect"),
-        ("operation · compute", "operation · language"),
+        ("operation · compute", "operation · language", "operation · outside"),
     ),
     Step(
         "draws",

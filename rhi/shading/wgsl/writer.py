@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import nullcontext
 from typing import Final, NoReturn
 
 from rhi.contract.descriptors import Stage, TextureKind
@@ -371,7 +372,8 @@ class WgslWriter(TextWriter):
         old = self.names.get((node, "old"), "old")
         self.line(f"{self.variable(self.type(node.type), old)};", node.span)
         conditions = " && ".join(self.keep_index(one, node.span) for one in unknown)
-        with self.lines.braces(f"if ({conditions})" if unknown else "", self.file, node.span.line):
+        guard = self.lines.braces(f"if ({conditions})", self.file, node.span.line) if unknown else nullcontext()
+        with guard:
             pointer = f"&{self.path(place)}"
             if name == "atomic_compare_exchange":
                 self.compare_exchange(node, old, pointer, *texts)

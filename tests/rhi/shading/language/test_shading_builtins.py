@@ -225,8 +225,9 @@ ELSEWHERE = {
     "atomic_compare_exchange", "barrier", "memory_barrier", "global_id", "local_id", "group_id",
     # what they give depends on a draw: the conformance kit
     "ddx", "ddy", "fwidth", "discard", "vertex_index", "instance_index", "draw_index", "fragment_coordinate",
-    "point_coordinate",
-    "front_facing", "primitive_index",
+    "point_coordinate", "front_facing", "primitive_index",
+    # what it promises: the kit's test_outside.py, test_shading_index_ranges.py
+    "unchecked",
 }  # fmt: skip
 
 

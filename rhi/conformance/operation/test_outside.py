@@ -1,0 +1,478 @@
+"""Indices outside and operands at the edges: `docs/shading.md` has one result for each, on every backend.
+
+What is read outside is the nearest element, what is written outside is dropped, texels outside are zeros; a division by
+0 is one by 1, shifts use five bits of the count, floats become the nearest int. Expected values are Python's integers.
+`tests/rhi/shading/numpy` runs the same shaders on NumPy.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rhi import Device, Format
+from rhi.conformance.compare import assert_same
+from rhi.conformance.shaders import Bare
+from rhi.shading import (
+    Array,
+    Image2D,
+    Shader,
+    Storage,
+    StorageRW,
+    Struct,
+    Texture2D,
+    Uniform,
+    abs,
+    array,
+    atomic_add,
+    atomic_compare_exchange,
+    barrier,
+    bitfield_extract,
+    bitfield_insert,
+    ddx,
+    fragment_coordinate,
+    global_id,
+    image,
+    ivec2,
+    ivec4,
+    mat3,
+    shared,
+    uint,
+    unchecked,
+    uvec4,
+    vec3,
+    vec4,
+    vertex_index,
+)
+
+Values = dict[str, NDArray[Any]]
+GROUP = 16
+GROUPS = 20
+N = GROUP * GROUPS
+LEAST, MOST = -(2**31), 2**31 - 1
+NUMBERS = (0, 1, -1, 2, -3, 7, 31, 32, 33, 100, -32, -99999, 65536, MOST, MOST - 1, LEAST, LEAST + 1)
+FLOATS = (0.0, 0.9, -0.9, 1.5, -2.5, 2147483520.0, 2.0**31, -(2.0**31), -2147483904.0, 3e9, 4294967040.0, 2.0**32,
+          1e30, -1e30, math.inf, -math.inf, math.nan, 1e-30, -1e-30, 16777216.0)  # fmt: skip
+
+
+def wrapped(value: int) -> int:
+    """Return an int of 32 bits."""
+    return (value + 2**31) % 2**32 - 2**31
+
+
+def divided(a: int, b: int) -> tuple[int, int]:
+    """Return `a // b` and `a % b`, by 1 instead of by 0."""
+    quotient, rest = divmod(a, b or 1)
+    return wrapped(quotient), rest
+
+
+def truncated(x: float, least: int, most: int) -> int:
+    """Return the nearest integer in the direction of 0."""
+    return 0 if x != x else int(max(least, min(most, x))) if math.isfinite(x) else (most if x > 0 else least)
+
+
+def field(value: int, at: int, bits: int) -> tuple[int, int]:
+    """Return the shift and the mask of a field of bits, of which the part inside the word counts."""
+    start = min(at % 2**32, 32)
+    return start, (1 << min(bits % 2**32, 32 - start)) - 1
+
+
+class Operators(Shader):
+    """Every operator of ints whose result drivers leave open for some operands."""
+
+    work_group = (GROUP,)
+    a: Storage[int]
+    b: Storage[int]
+    ints: StorageRW[int]
+    uints: StorageRW[uint]
+
+    def compute(self) -> None:
+        i = global_id().x
+        a = self.a[i]
+        b = self.b[i]
+        o = 16 * i
+        self.ints[o] = a // b
+        self.ints[o + 1] = a % b
+        self.ints[o + 2] = a << b
+        self.ints[o + 3] = a >> b
+        self.ints[o + 4] = a + b
+        self.ints[o + 5] = a - b
+        self.ints[o + 6] = a * b
+        self.ints[o + 7] = -a
+        self.ints[o + 8] = abs(a)
+        self.ints[o + 9] = bitfield_extract(a, b, 5)
+        self.ints[o + 10] = bitfield_extract(a, 5, b)
+        self.ints[o + 11] = bitfield_insert(a, -1, b, 5)
+        zero = self.a[0]  # a constant would be refused
+        v = ivec4(a, b, a, b) // ivec4(b, a, -1, zero)
+        w = ivec4(a, b, a, b) % ivec4(b, a, -1, zero)
+        s = ivec4(a, b, a, b) << ivec4(b, a, zero + 33, zero - 1)
+        self.ints[o + 12] = v.x ^ v.y ^ v.z ^ v.w
+        self.ints[o + 13] = w.x ^ w.y ^ w.z ^ w.w
+        self.ints[o + 14] = s.x ^ s.y ^ s.z ^ s.w
+        self.ints[o + 15] = (a // 4) ^ (b % 8)
+        x = uint(a)
+        y = uint(b)
+        self.uints[8 * i] = x // y
+        self.uints[8 * i + 1] = x % y
+        self.uints[8 * i + 2] = x << y
+        self.uints[8 * i + 3] = x >> y
+        self.uints[8 * i + 4] = bitfield_extract(x, b, 5)
+        self.uints[8 * i + 5] = bitfield_insert(x, uint(MOST), 5, b)
+        q = uvec4(x, y, x, y) // uvec4(y, x, uint(zero), uint(3))
+        self.uints[8 * i + 6] = q.x ^ q.y ^ q.z ^ q.w
+        r = uvec4(x, y, x, y) % y
+        self.uints[8 * i + 7] = r.x ^ r.y ^ r.z ^ r.w
+
+
+def operands() -> Values:
+    """Return all pairs of numbers, repeated to fill the work-groups."""
+    pairs = list(itertools.product(NUMBERS, NUMBERS))
+    a, b = np.array([pairs[i % len(pairs)] for i in range(N)], np.int32).T
+    return {"a": a, "b": b}
+
+
+def expected_operators() -> Values:
+    given, ints, uints = operands(), [], []
+    for a, b in zip(given["a"].tolist(), given["b"].tolist(), strict=True):
+        shift, x, y = b % 32, a % 2**32, b % 2**32
+        start, mask = field(a, b, 5)
+        part, top = (x >> start) & mask, (mask + 1) >> 1
+        _, low = field(a, 5, b)
+        low_part, low_top = (x >> 5) & low, (low + 1) >> 1
+        quotients = [divided(*pair) for pair in ((a, b), (b, a), (a, -1), (b, 0))]
+        ints += [
+            *divided(a, b), wrapped(a << shift), a >> shift, wrapped(a + b), wrapped(a - b), wrapped(a * b),
+            wrapped(-a), wrapped(max(a, -a)), part - 2 * (part & top) if mask else 0,
+            low_part - 2 * (low_part & low_top) if low else 0, wrapped((x & ~(mask << start)) | (mask << start)),
+            wrapped(quotients[0][0] ^ quotients[1][0] ^ quotients[2][0] ^ quotients[3][0]),
+            wrapped(quotients[0][1] ^ quotients[1][1] ^ quotients[2][1] ^ quotients[3][1]),
+            wrapped((a << shift) ^ (b << (a % 32)) ^ (a << 1) ^ (b << 31)), (a // 4) ^ (b % 8),
+        ]  # fmt: skip
+        insert = field(x, 5, b)[1]
+        rests = [divided(one, y)[1] for one in (x, y, x, y)]
+        uints += [
+            x // (y or 1), x % (y or 1), (x << shift) % 2**32, x >> shift, part,
+            (x & ~(insert << 5)) | ((MOST & insert) << 5),
+            (x // (y or 1)) ^ (y // (x or 1)) ^ x ^ (y // 3), rests[0] ^ rests[1] ^ rests[2] ^ rests[3],
+        ]  # fmt: skip
+    return {"ints": np.array(ints, np.int64), "uints": np.array(uints, np.int64)}
+
+
+class Conversions(Shader):
+    """Floats as ints, by scalars and by vectors."""
+
+    work_group = (GROUP,)
+    x: Storage[float]
+    ints: StorageRW[int]
+    uints: StorageRW[uint]
+
+    def compute(self) -> None:
+        i = global_id().x
+        x = self.x[i]
+        self.ints[i] = int(x)
+        self.uints[i] = uint(x)
+        v = ivec4(vec4(x, -x, 0.5 * x, 1.0))
+        w = uvec4(vec4(x, -x, 0.5 * x, 1.0))
+        self.ints[N + i] = v.x ^ v.y ^ v.z ^ v.w
+        self.uints[N + i] = w.x ^ w.y ^ w.z ^ w.w
+
+
+def floats() -> Values:
+    return {"x": np.resize(np.array(FLOATS, np.float32), N)}
+
+
+def expected_conversions() -> Values:
+    found: dict[str, list[int]] = {"ints": [], "uints": []}
+    given = floats()["x"].tolist()
+    for name, least, most in (("ints", LEAST, MOST), ("uints", 0, 2**32 - 1)):
+        found[name] += [truncated(x, least, most) for x in given]
+        for x in given:
+            one, other, half = (truncated(value, least, most) for value in (x, -x, 0.5 * x))
+            found[name].append(one ^ other ^ half ^ 1)
+    return {name: np.array(values, np.int64) for name, values in found.items()}
+
+
+# -- memory ------------------------------------------------------------------------------------------------
+
+
+class Part(Struct):
+    """An element of some words, with an array inside."""
+
+    weights: Array[float] = array(float, 3)
+    end: float
+
+
+class Fixed(Struct):
+    """Arrays and a matrix in uniform memory."""
+
+    numbers: Array[float] = array(float, 5)
+    turn: mat3
+
+
+TABLE = (10.0, 20.0, 30.0, 40.0, 50.0, 60.0)
+WORDS = 24
+INDICES = (0, 1, 2, -1, 3, 4, 5, 6, -2, 15, 16, 17, 23, 24, 25, 1000, 100000, -100000, 1 << 20, 1 << 28, 500000000,
+           MOST, LEAST, MOST - 16, LEAST + 16, -(1 << 28))  # fmt: skip
+"""Indices inside the memory of the shaders below, just outside, and as far as 32 bits reach."""
+
+
+class Reads(Shader):
+    """Reads of every kind of memory, at an index that only the device knows."""
+
+    work_group = (GROUP,)
+    at: Storage[int]
+    words: Storage[float]
+    parts: Storage[Part]
+    fixed: Uniform[Fixed]
+    out: StorageRW[float]
+    mine = shared(float, 8)
+
+    def compute(self) -> None:
+        i = global_id().x
+        k = self.at[i]
+        first = self.at[i - i % GROUP]
+        o = 12 * i
+        if i % GROUP < 8:
+            self.mine[i % GROUP] = float(i % GROUP) + 1.0
+        barrier()
+        self.out[o] = self.words[k]
+        self.out[o + 1] = self.words[uint(k)]
+        self.out[o + 2] = self.words[i + first]
+        self.out[o + 3] = self.parts[k].weights[k] + self.parts[k].end
+        self.out[o + 4] = self.parts[1].weights[k] + self.parts[i + first].weights[1]
+        self.out[o + 5] = self.fixed.numbers[k]
+        self.out[o + 6] = self.fixed.turn[k][k] + mat3(1, 2, 3, 4, 5, 6, 7, 8, 9)[k][uint(k)]
+        self.out[o + 7] = TABLE[k] + self.mine[k] + self.mine[i % GROUP + first]
+        table = array(float, 7)
+        for j in range(7):
+            table[j] = float(3 * j)
+        self.out[o + 8] = table[k] + table[uint(k)]
+        v = vec4(1.0, 2.0, 3.0, 4.0)
+        self.out[o + 9] = v[k] + 10.0 * v[uint(k)]
+        self.out[o + 10] = TABLE[unchecked(i % 6)] + self.words[WORDS - 1]
+        self.out[o + 11] = self.words[k] if 0 <= k < len(self.words) else -1.0
+
+
+def places() -> Values:
+    """Return the indices of the invocations, one of each for the work-groups' first."""
+    found = np.resize(np.array(INDICES, np.int32), N)
+    found[::GROUP] = np.resize(np.array(INDICES[::-1], np.int32), GROUPS)
+    return {"at": found}
+
+
+def memory() -> dict[str, Any]:
+    words = np.arange(WORDS, dtype=np.float32) + 100
+    parts = np.zeros(4, Part.dtype)
+    parts["weights"] = np.arange(12).reshape(4, 3) * 2
+    parts["end"] = (0.5, 1.5, 2.5, 3.5)
+    fixed = Fixed(numbers=[1, 3, 5, 7, 9], turn=np.arange(9).reshape(3, 3) + 1)
+    return {"words": words, "parts": parts, "fixed": fixed}
+
+
+def nearest(index: int, count: int) -> int:
+    return max(0, min(index, count - 1))
+
+
+def expected_reads() -> Values:
+    given, at = memory(), places()["at"].tolist()
+    words, weights, ends = given["words"].tolist(), given["parts"]["weights"].tolist(), given["parts"]["end"].tolist()
+    numbers, turn = [1, 3, 5, 7, 9], np.arange(9).reshape(3, 3) + 1
+    out = []
+    for i, k in enumerate(at):
+        first, whole = at[i - i % GROUP], k % 2**32
+        along, row, inner = wrapped(i + first), nearest(k, 4), nearest(k, 3)
+        mine = nearest(k, 8) + nearest(wrapped(i % GROUP + first), 8) + 2
+        out += [
+            words[nearest(k, WORDS)], words[nearest(whole, WORDS)], words[nearest(along, WORDS)],
+            weights[row][inner] + ends[row], weights[1][inner] + weights[nearest(along, 4)][1], numbers[nearest(k, 5)],
+            turn[inner][inner] + turn[inner][nearest(whole, 3)], TABLE[nearest(k, 6)] + mine,
+            3 * (nearest(k, 7) + nearest(whole, 7)), nearest(k, 4) + 1 + 10 * (nearest(whole, 4) + 1),
+            TABLE[i % 6] + words[-1], words[k] if 0 <= k < WORDS else -1,
+        ]  # fmt: skip
+    return {"out": np.array(out, np.float64)}
+
+
+class Writes(Shader):
+    """Writes to every kind of memory, at an index that only the device knows; no two meet."""
+
+    work_group = (GROUP,)
+    at: Storage[int]
+    words: StorageRW[float]
+    parts: StorageRW[Part]
+    counts: StorageRW[int]
+    out: StorageRW[float]
+    mine = shared(float, 8)
+    sums = shared(int, 8)
+
+    def compute(self) -> None:
+        i = global_id().x
+        k = self.at[i]
+        o = 6 * i
+        j = i % GROUP
+        if j < 8:
+            self.mine[j] = 0.0
+            self.sums[j] = 0
+        barrier()
+        self.words[i + self.at[0]] = float(i) + 1.0
+        self.words[WORDS - 4 - i] += 1000.0
+        self.parts[i + 2].weights[k] = float(i) + 1.0
+        self.parts[i - 1].end = 8.0
+        self.mine[j + self.at[i - j]] = float(j) + 1.0
+        self.out[o] = float(atomic_add(self.counts[k], 1) * 0)
+        self.out[o + 1] = float(atomic_compare_exchange(self.counts[k + (1 << 29)], 0, 5))
+        atomic_add(self.sums[k], 1)
+        barrier()
+        self.out[o + 2] = self.mine[j % 8] + 100.0 * float(self.sums[j % 8])
+        table = array(float, 3)
+        other = array(float, 3)
+        table[k] = 7.0
+        table[uint(k)] += 20.0
+        self.out[o + 3] = table[0] + 100.0 * table[1] + 10000.0 * table[2] + other[0] + other[1] + other[2]
+        v = vec3(0.0, 0.0, 0.0)
+        v[k] = 1.0
+        m = mat3(0.0)
+        m[k][1] = 2.0
+        self.out[o + 4] = v.x + 10.0 * v.y + 100.0 * v.z + m[0][1] * 1000.0 + m[1][1] * 10000.0 + m[2][1] * 1e5
+        self.out[o + 5] = float(len(self.words))
+
+
+def targets() -> dict[str, Any]:
+    return {
+        "words": np.zeros(WORDS, np.float32), "parts": np.zeros(4, Part.dtype), "counts": np.zeros(WORDS, np.int32),
+        "out": np.zeros(6 * N, np.float32),
+    }  # fmt: skip
+
+
+def expected_writes() -> Values:
+    at, result = places()["at"].tolist(), targets()
+    for i, k in enumerate(at):
+        for place, add in ((i + at[0], i + 1), (WORDS - 4 - i, 1000)):
+            if 0 <= place < WORDS:
+                result["words"][place] += add
+        if i + 2 < 4 and 0 <= k < 3:
+            result["parts"]["weights"][i + 2, k] = i + 1
+        if 0 <= i - 1 < 4:
+            result["parts"]["end"][i - 1] = 8
+        if 0 <= k < WORDS:
+            result["counts"][k] += 1
+    for i, k in enumerate(at):
+        j, group = i % GROUP, at[i - i % GROUP : i - i % GROUP + GROUP]
+        mine = j % 8 - group[0] if 0 <= j % 8 - group[0] < GROUP else -1
+        table = [7 + 20 if k == n else 0 for n in range(3)]
+        out = (0, 0, mine + 1 + 100 * group.count(j % 8), table[0] + 100 * table[1] + 10000 * table[2],
+               {0: 1, 1: 10, 2: 100}.get(k, 0) + {0: 2e3, 1: 2e4, 2: 2e5}.get(k, 0), WORDS)  # fmt: skip
+        result["out"][6 * i : 6 * i + 6] = out
+    return result
+
+
+CASES: dict[str, tuple[type[Shader], Callable[[], dict[str, Any]], Callable[[], Values]]] = {
+    "operators": (
+        Operators,
+        lambda: {**operands(), "ints": np.zeros(16 * N, "i4"), "uints": np.zeros(8 * N, "u4")},
+        expected_operators,
+    ),
+    "conversions": (
+        Conversions,
+        lambda: {**floats(), "ints": np.zeros(2 * N, "i4"), "uints": np.zeros(2 * N, "u4")},
+        expected_conversions,
+    ),
+    "reads": (Reads, lambda: {**places(), **memory(), "out": np.zeros(12 * N, "f4")}, expected_reads),
+    "writes": (Writes, lambda: {**places(), **targets()}, expected_writes),
+}
+"""Of each case its shader, what is bound, and the buffers' contents afterwards."""
+
+
+@pytest.mark.needs("shading", "compute")
+@pytest.mark.parametrize("case", CASES)
+def test_operands_at_the_edges_and_indices_outside_have_one_result(device: Device, case: str) -> None:
+    shader, given, expected = CASES[case]
+    guards, bound = [], {}
+    for name, value in given().items():
+        guards.append(device.storage(float, np.full(4096, -7, "f4")))  # between the buffers of the shader
+        if isinstance(value, Struct):
+            bound[name] = device.uniform(value)
+        else:
+            element = Part if name == "parts" else {"f": float, "i": int, "u": uint}[value.dtype.kind]
+            bound[name] = device.storage(element, value)
+    device.dispatch(device.program(shader), GROUPS, **bound)
+    for name, values in expected().items():
+        back = bound[name].read()
+        for part in values.dtype.names or ("",):
+            assert_same(back[part] if part else back, values[part] if part else values)
+    for guard in guards:
+        assert_same(guard.read(), -7.0)
+
+
+class Bounded(Shader):
+    """A picture whose stages read and write outside; differences of pixels let helper invocations run."""
+
+    words: Storage[float]
+    far: Storage[int]
+    seen: StorageRW[float]
+
+    def vertex(self) -> Bare:
+        n = vertex_index()
+        x = 4.0 * float(n & 1) - 1.0 if self.words[n + self.far[0]] > 0.0 else 9.0
+        return Bare(clip=vec4(x, 4.0 * float(n >> 1) - 1.0, 0.5, 1.0))
+
+    def fragment(self) -> vec4:
+        x = int(fragment_coordinate().x)
+        table = array(float, 4)
+        table[x + self.far[0]] = 50.0
+        table[x] = 2.0
+        self.seen[x + self.far[1]] = 1.0
+        self.seen[x] = 3.0
+        return vec4(self.words[x - 2], table[x + self.far[0]] + table[x], ddx(self.words[self.far[0] - x]), table[3])
+
+
+@pytest.mark.needs("shading", "draws", "max_storage_slots")
+def test_the_stages_of_a_draw_are_bounded_too(device: Device) -> None:
+    words = np.array([5, 6, 7, 8], "f4")
+    seen, far = device.storage(float, np.zeros(4, "f4")), device.storage(int, np.array([100000, 500000000], "i4"))
+    with device.texture((8, 2), Format.RGBA32F) as target:
+        with device.render_pass(target, clear=(0, 0, 0, 0)):
+            device.draw(device.program(Bounded), device.mesh(3), words=device.storage(float, words), far=far, seen=seen)
+        back = target.read()
+    for x in range(8):
+        last = 2.0 if x == 3 else 0.0
+        assert_same(back[:, x], (words[nearest(x - 2, 4)], last + (2.0 if x < 4 else 0.0), 0.0, last))
+    assert_same(seen.read(), 3.0)
+
+
+class Texels(Shader):
+    """Loads and stores of texels in and around a texture of 8 by 8, and of levels that it lacks."""
+
+    work_group = (GROUP,)
+    source: Texture2D
+    at: Storage[int]
+    target: Image2D = image(Format.RGBA32F)
+    out: StorageRW[vec4]
+
+    def compute(self) -> None:
+        i = global_id().x
+        k = self.at[i]
+        self.target.store(ivec2(k, 3), vec4(2.0))
+        self.out[2 * i] = self.source.load(ivec2(k, 3))
+        self.out[2 * i + 1] = self.source.load(ivec2(0, 0), k)
+
+
+@pytest.mark.needs("shading", "compute", "max_image_slots")
+def test_texels_outside_are_zeros_and_stores_outside_are_dropped(device: Device) -> None:
+    at = places()["at"]
+    source = device.texture(np.full((8, 8, 4), 255, "u1"), Format.RGBA8, levels=2)
+    target, out = device.texture((8, 8), Format.RGBA32F), device.storage(vec4, 2 * N)
+    device.dispatch(
+        device.program(Texels), GROUPS, source=source, at=device.storage(int, at), target=target.image(), out=out
+    )
+    back = out.read()
+    assert_same(back[0::2], ((at >= 0) & (at < 8))[:, None])
+    assert_same(back[1::2], ((at >= 0) & (at < 2))[:, None])
+    stored = np.isin(np.arange(8), at)[None, :] & (np.arange(8) == 3)[:, None]
+    assert_same(target.read(), 2.0 * stored[..., None])
