@@ -146,9 +146,7 @@ def test_choices_with_effects_are_statements_in_the_order_of_python(naga: Any) -
     assert lines[kept + 2] == "if ((i > i32(3))) {"
     assert lines[kept + 3] == "chosen = atomicAdd(&out[i32(0)], i32(1));"
     assert text.count("atomicCompareExchangeWeak") == 3
-    assert re.search(
-        r"loop \{\s+let given\w* = i32\(4\);", text
-    )  # the condition of `while` is evaluated in each turn
+    assert re.search(r"loop \{\s+let given\w* = i32\(4\);", text)  # the condition of `while` is evaluated in each turn
     naga.create_shader_module(code=text)
 
 
