@@ -215,7 +215,7 @@ class _Prover:
             case tree.Read(local=local):
                 return self.ranges.get(local)
             case tree.Length():
-                return 0, _MOST
+                return 1, _MOST  # no buffer is empty
             case tree.Index():
                 return self.index(node)
             case tree.Swizzle(base=base, components=components):
@@ -252,7 +252,6 @@ class _Prover:
         if isinstance(node.index, tree.BuiltinCall) and node.index.builtin.name == "unchecked":
             inside = True
         elif isinstance(base, tree.BindingRead) and isinstance(base.type, StorageType):
-            # No buffer is empty, so the first element is there.
             inside = low == high == 0 or (low >= 0 and base.declaration.name in self.shorter(node.index))
         else:
             inside = low >= 0 and high < count_elements(base.type)
@@ -284,8 +283,10 @@ class _Prover:
                 return min(max(a[0], b[0]), c[0]), min(max(a[1], b[1]), c[1])
             case "abs", [a] if a[0] > -(2**31):
                 return 0, max(-a[0], a[1])
-            case (("bit_count" | "find_lsb" | "find_msb"), _):
-                return -1, 32
+            case "bit_count", _:
+                return 0, 32
+            case (("find_lsb" | "find_msb"), _):
+                return -1, 31
         return None
 
     def binary(self, node: tree.Binary) -> Range | None:

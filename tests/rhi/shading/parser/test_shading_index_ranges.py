@@ -27,7 +27,7 @@ class Test(Shader):
         v = ivec4(1, 2, 3, 4)
         keep = self.pick(0) + self.mine[0] + self.a[0] + self.b[0] + v.x + TABLE_OF_8[0]
 {body}
-        self.out[0] = keep
+        atomic_add(self.out[0], keep)
 """
 KNOWN = [
     ("keep += TABLE_OF_8[7]", "keep += TABLE_OF_8[k]"),
@@ -41,7 +41,7 @@ KNOWN = [
     ("if 0 <= k < 8:\n    keep += TABLE_OF_8[k]", "if 0 <= k or k < 8:\n    keep += TABLE_OF_8[k]"),
     ("if k < 0 or k > 7:\n    return\nkeep += TABLE_OF_8[k]", "if k < 0 or k > 8:\n    return\nkeep += TABLE_OF_8[k]"),
     ("keep += TABLE_OF_8[k] if 0 <= k < 8 else 1", "keep += 1 if 0 <= k < 8 else TABLE_OF_8[k]"),
-    ("if k >= 0 and k < 8 and TABLE_OF_8[k] > 0:\n    keep += 1", "if TABLE_OF_8[k] > 0 and k >= 0 and k < 8:\n    keep += 1"),
+    ("if 0 <= k < 8 and TABLE_OF_8[k] > 0:\n    keep += 1", "if TABLE_OF_8[k] > 0 and 0 <= k < 8:\n    keep += 1"),
     ("if not (k < 0 or k >= 8):\n    keep += TABLE_OF_8[k]", "if not (k < 0 and k >= 8):\n    keep += TABLE_OF_8[k]"),
     ("j = k & 3\nkeep += TABLE_OF_8[j + 4]", "j = k & 3\nj += 1\nkeep += TABLE_OF_8[j]"),
     ("keep += self.mine[local_index()]", "keep += self.mine[local_index() + 1]"),
