@@ -393,7 +393,8 @@ CASES: dict[str, tuple[type[Shader], Callable[[], dict[str, Any]], Callable[[], 
 @pytest.mark.parametrize("case", CASES)
 def test_operands_at_the_edges_and_indices_outside_have_one_result(device: Device, case: str) -> None:
     shader, given, expected = CASES[case]
-    guards, bound = [], {}
+    guards: list[Any] = []
+    bound: dict[str, Any] = {}
     for name, value in given().items():
         guards.append(device.storage(float, np.full(4096, -7, "f4")))  # between the buffers of the shader
         if isinstance(value, Struct):

@@ -188,13 +188,13 @@ class Writer(TextWriter):
     def store(self, target: Expression, value: str, place: SourceSpan) -> None:
         """Write the assignment of a value."""
         match target:
-            case tree.Index(base=tree.Index(base=matrix), index=column) if (
+            case tree.Index(base=tree.Index(base=matrix) as row, index=column) if (
                 isinstance(matrix.type, MatrixType) and _is_bound(matrix) and not isinstance(column, tree.Constant)
             ):
                 # NVIDIA's compiler refuses to store through an unknown column of a matrix in memory.
                 with self.lines.braces(f"switch ({self.place(target)})", self.file, place.line):
                     for i in range(matrix.type.size):
-                        element = f"{self.expression(matrix)}[{i}][{self.place(target.base)}]"
+                        element = f"{self.expression(matrix)}[{i}][{self.place(row)}]"
                         self.line(f"case {i}: {element} = {value}; break;", place)
             case _:
                 super().store(target, value, place)

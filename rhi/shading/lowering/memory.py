@@ -101,8 +101,8 @@ def lvalue(lowering: Lowering, node: Expression, guards: list[Value] | None = No
             return part(at, component) if at is not None else None
         case tree.Index(base=tree.BindingRead(declaration=declaration)) if isinstance(declaration.type, StorageType):
             memory = region_of(lowering, declaration)
-            count = lanes.ElementCount(INT, Uniformity.DISPATCH, memory)
-            row, limit = bound_index(lowering, node, count, guards, streams=True)
+            elements = lanes.ElementCount(INT, Uniformity.DISPATCH, memory)
+            row, limit = bound_index(lowering, node, elements, guards, streams=True)
             return MemoryLvalue(declaration.type.element, memory, Layout.STD430, row, memory.stride, 0, limit)
         case tree.Index(base=base):
             at = lvalue(lowering, base, guards)
@@ -116,7 +116,7 @@ def lvalue(lowering: Lowering, node: Expression, guards: list[Value] | None = No
             if isinstance(row, Literal):
                 return part(at, int(row.value))
             at = element(settle(lowering, at), row)
-            return replace(at, limit=limit) if limit is not None else at  # type: ignore[call-arg]
+            return replace(at, limit=limit) if isinstance(at, MemoryLvalue) else at
     return None
 
 
@@ -181,7 +181,7 @@ def settle(lowering: Lowering, at: Lvalue) -> Lvalue:
 @contextmanager
 def guarded(lowering: Lowering, guards: list[Value]) -> Iterator[None]:
     """Emit the statements of this context where all indices of a written lvalue are inside."""
-    condition = lanes.TRUE
+    condition: Value = lanes.TRUE
     for guard in guards:
         condition = guard if condition is lanes.TRUE else condition & guard
     if condition is lanes.TRUE:

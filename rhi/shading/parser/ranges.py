@@ -217,7 +217,8 @@ class _Prover:
             case tree.Length():
                 return 1, _MOST  # no buffer is empty
             case tree.Index():
-                return self.index(node)
+                self.index(node)
+                return None
             case tree.Swizzle(base=base, components=components):
                 self.range(base)
                 return self.component(base, components[0]) if len(components) == 1 else None
