@@ -121,6 +121,7 @@ from rhi.errors import ValidationError as ValidationError
 from rhi.errors import refuse as refuse
 from rhi.errors.exports import list_public as _list_public
 from rhi.errors.namesakes import warn_of_namesake as _warn_of_namesake
+from rhi.shading.language.builtins import Precision as Precision
 
 if _TYPE_CHECKING:
     from rhi import math as math

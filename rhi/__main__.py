@@ -20,7 +20,7 @@ import numpy as np
 
 import rhi
 from rhi.conformance.template import write_package
-from rhi.device.registry import BackendReport
+from rhi.device.registry import BackendReport, default_precision
 from rhi.errors import RhiError
 from rhi.errors.readers import run_for_reader
 from rhi.testing.accuracy import report as accuracy
@@ -32,7 +32,8 @@ commands, each with --help:
   shading accuracy  measure error and time of the shading language's built-in functions
   new-backend       write a package to start a port from
 
-RHI_BACKEND=null python app.py runs a program on the backend of that name.
+RHI_BACKEND=null python app.py runs a program on the backend of that name, RHI_PRECISION=fast with the faster functions
+of OpenCL.
 """
 
 
@@ -92,6 +93,7 @@ def _as_json(reports: list[BackendReport]) -> dict[str, Any]:
         "rhi": rhi.__version__,
         "python": platform.python_version(),
         "numpy": np.__version__,
+        "precision": default_precision().value,
         "backends": [
             {
                 "name": r.name,
@@ -133,7 +135,16 @@ def _as_text(reports: list[BackendReport]) -> str:
             *(f"       passed over: {device}" for device in limits.passed_over),
             "",
         ]
-    return "\n".join([*lines, f"rhi.create_device() would choose: {_say_choice(reports)}"])
+    choice = f"rhi.create_device() would choose: {_say_choice(reports)}"
+    return "\n".join([*lines, f"precision: {_say_precision()}", choice])
+
+
+def _say_precision() -> str:
+    """Return the precision of shaders that say none themselves, and where it is from."""
+    precision = default_precision().value
+    if os.environ.get("RHI_PRECISION"):
+        return f"{precision}, as RHI_PRECISION says"
+    return f"{precision}; RHI_PRECISION=fast computes faster on OpenCL, about as exactly as OpenGL"
 
 
 def _say_choice(reports: list[BackendReport]) -> str:

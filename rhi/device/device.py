@@ -9,13 +9,14 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import wraps
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self, TypeVar, cast, overload
+from typing import TYPE_CHECKING, Any, Final, Self, TypeVar, cast, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,8 +71,14 @@ from rhi.errors.rules import (
     TEXTURE_DATA,
     TEXTURE_SIZE,
 )
-from rhi.shading import Shader, Struct, compile_shader
+from rhi.shading import Precision, Shader, Struct
 from rhi.shading.language.shader import list_bindings
+
+LOGGER: Final = logging.getLogger("rhi.device")
+SLOW_WAIT: Final = 0.25
+"""Seconds that the CPU waits for the device between two calls of `present`, after which its shaders are looked at."""
+UNTOLD_FRAMES: Final = 3
+"""How many such frames there must be: in the first ones a driver may build kernels."""
 
 P = ParamSpec("P")
 S = TypeVar("S", bound=Struct)
@@ -95,7 +102,13 @@ class Device(Encoder):
     """A device, created by `rhi.create_device`. Use it in a `with` block, or call `close`."""
 
     def __init__(
-        self, backend: Backend, *, validation: bool = False, timing: bool = False, frames_in_flight: int = 2
+        self,
+        backend: Backend,
+        *,
+        validation: bool = False,
+        timing: bool = False,
+        frames_in_flight: int = 2,
+        precision: Precision = Precision.EXACT,
     ) -> None:
         """Create a device on `backend`, which may be a `Recorder` in front of another backend.
 
@@ -107,7 +120,8 @@ class Device(Encoder):
         states = StateCache(capabilities, refusals=refusals)
         core = (ValidatingCore if validation else Core)(backend, states, refusals)
         super().__init__(core, Timers(core, timing and capabilities.timestamps), TransientMemory(core))
-        self._programs = ProgramTable(core.timeline)
+        self._programs = ProgramTable(core.timeline, precision)
+        self._frames_until_told = UNTOLD_FRAMES
         self._frames: deque[int] = deque()
         self._frames_in_flight = frames_in_flight
         core.scopes.keeps_lines = validation
@@ -192,6 +206,11 @@ class Device(Encoder):
     def capabilities(self) -> Capabilities:
         """The device's features and limits."""
         return self._core.capabilities
+
+    @property
+    def precision(self) -> Precision:
+        """The precision of shaders that say none themselves, where the platform has a choice."""
+        return self._programs.precision
 
     @property
     def backend_name(self) -> str:
@@ -489,7 +508,7 @@ class Device(Encoder):
                 program = Program(self._core, shader)
             else:
                 with self._core.refusals:
-                    descriptor = compile_shader(shader)
+                    descriptor = self._programs.compile(shader)
                 program = Program(self._core, descriptor, list_bindings(shader))
             self._programs.add(shader, program)
         return program
@@ -660,3 +679,19 @@ class Device(Encoder):
             core.timeline.wait(self._frames.popleft())
             core.timeline.collect()
         core.hand_back()
+        waited, core.timeline.waited = core.timeline.waited, 0.0
+        if waited > SLOW_WAIT and self._frames_until_told:
+            self._tell_precision(waited)
+
+    def _tell_precision(self, seconds: float) -> None:
+        """Say once, after some frames that the CPU has waited for, which shaders compute exactly what FAST computes
+        with fewer instructions. How much faster they would be isn't known without drawing the frame in both."""
+        self._frames_until_told -= 1
+        shaders = [shader for shader, _ in self._programs.items() if isinstance(shader, type)]
+        exact = {shader.__qualname__: names for shader in shaders if (names := self._programs.find_exact(shader))}
+        if exact and not self._frames_until_told:
+            shown = "; ".join(f"{name} ({', '.join(names)})" for name, names in exact.items())
+            LOGGER.warning(
+                "the CPU waited %.2f s for the device in a frame. Shaders that compute with Precision.EXACT what FAST "
+                "computes with fewer instructions: %s. RHI_PRECISION=fast shows what that saves", seconds, shown,
+            )  # fmt: skip

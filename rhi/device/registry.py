@@ -27,6 +27,7 @@ from rhi.device.device import Device
 from rhi.errors import DeviceError, RhiError, refuse
 from rhi.errors.arguments import Arguments
 from rhi.errors.rules import DEVICE_ARGUMENT, DEVICE_DRIVER, DEVICE_FORKED, DEVICE_UNKNOWN
+from rhi.shading import Precision
 
 GROUP: Final = "rhi.backends"
 PREFERENCE: Final = ("gl",)
@@ -57,6 +58,7 @@ def create_device(
     record: bool | None = None,
     timing: bool = False,
     frames_in_flight: int = 2,
+    precision: Precision | None = None,
     **options: object,
 ) -> Device:
     """Create a device on the backend `name`.
@@ -69,6 +71,8 @@ def create_device(
         record: keep every command with the line it came from (`device.stream`); None: only on the null device.
         timing: take timestamps in `device.event` blocks.
         frames_in_flight: how many frames the CPU may be ahead of the GPU.
+        precision: that of shaders which say none themselves, where a backend has a choice (OpenCL); None uses
+            `RHI_PRECISION` from the environment, `fast` or `exact`, or else EXACT.
         options: options of the named backend, which are the keyword parameters of its `create_backend`.
 
     Raises:
@@ -83,6 +87,7 @@ def create_device(
     if record is not None:
         record = check.flag("record", record)
     frames_in_flight = check.whole("frames_in_flight", frames_in_flight, 1)
+    precision = default_precision() if precision is None else check.choice("precision", precision, Precision)
     name = name or os.environ.get("RHI_BACKEND") or None
     backend = _create_named(name, validation, options) if name else _create_first(validation, options)
     if record is None:
@@ -92,9 +97,22 @@ def create_device(
         validation=validation,
         timing=timing,
         frames_in_flight=frames_in_flight,
+        precision=precision,
     )
     _devices.add(device)
     return device
+
+
+def default_precision() -> Precision:
+    """Return the precision that `RHI_PRECISION` names, or EXACT.
+
+    Raises:
+        ValidationError: `device-argument` if it names none.
+    """
+    given = os.environ.get("RHI_PRECISION") or Precision.EXACT.value
+    if given.lower() not in {each.value for each in Precision}:
+        refuse(DEVICE_ARGUMENT, "rhi.create_device", f"RHI_PRECISION={given}", "fast, exact")
+    return Precision(given.lower())
 
 
 def _note_fork() -> None:

@@ -197,8 +197,8 @@ class Reloader:
                     for shader, program in table.items():
                         if not isinstance(shader, type) or shader not in known:
                             continue
-                        descriptor = compile_shader(shader)
-                        if not is_same(descriptor, known, shader):
+                        if not is_same(compile_shader(shader), known, shader):
+                            descriptor = table.compile(shader)
                             built.append((table, shader, program, program.build(descriptor), descriptor))
         except BaseException:
             forget_compiled(edit)

@@ -70,6 +70,23 @@ def compile_shader(shader: type[Shader], *, strict: bool = False) -> ProgramDesc
     return known[0]
 
 
+def describe_in(shader: type[Shader], precision: Precision) -> ProgramDescriptor:
+    """Return what `compile_shader` does, in this precision if the shader and its bases say none themselves."""
+    exact = compile_shader(shader)
+    own = any("precision" in vars(base) for base in shader.__mro__[: shader.__mro__.index(Shader)])
+    if own or precision is shader.precision:
+        return exact
+    code = _compiled[shader][1].in_precision(precision)
+    return replace(exact, emit=code.emit, flushes_denormals=precision is Precision.FAST)
+
+
+def find_exact(shader: type[Shader]) -> list[str]:
+    """Return the functions of a compiled shader that FAST would compute with fewer instructions, in texts that were
+    written and that depend on the precision; "divide" is division."""
+    known = _compiled.get(shader)
+    return known[1].find_exact() if known is not None else []
+
+
 def forget_compiled(edit: Edit) -> Compiled:
     """Let the shaders that a module's edit may concern be compiled again; return what was known of them.
 

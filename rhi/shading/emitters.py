@@ -58,6 +58,7 @@ class ShaderCode:
         self.unused = unused
         self._texts: dict[tuple[str, Stage], StageText] = {}
         self._lane_code: dict[int, Code] = {}  # of the compute stage, by width
+        self._other: ShaderCode | None = None
 
     def emit(self, language: str, stage: Stage) -> StageText:
         """Return a stage's text in a language, writing it on first use; see `ProgramDescriptor.emit`.
@@ -76,6 +77,25 @@ class ShaderCode:
             except RecursionError:
                 raise make_depth_error(self.interface.name) from None
         return text
+
+    def in_precision(self, precision: Precision) -> ShaderCode:
+        """Return the same stages in the other precision, with texts of their own."""
+        if self._other is None:
+            own = self.interface, self.varyings
+            self._other = ShaderCode(self.stages, *own, precision, self.checked, self.unused)
+        return self._other
+
+    def find_exact(self) -> list[str]:
+        """Return the functions of stages written in OpenCL C that `Precision.FAST` computes with fewer instructions."""
+        if self.precision is Precision.FAST:
+            return []
+        found = set()
+        for stage in {stage for language, stage in self._texts if language.startswith("opencl")}:
+            found |= {builtin.name for builtin in self.stages[stage].builtins if builtin.fast}
+            nodes = (node for function in self.stages[stage].functions for node in tree.walk(function.body))
+            if any(isinstance(node, tree.Binary) and node.operator is tree.Operator.DIVIDE for node in nodes):
+                found.add("divide")
+        return sorted(found)
 
     def written(self) -> Mapping[tuple[str, Stage], StageText]:
         """Return the texts that were requested, by language and stage."""

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
+from time import perf_counter
 from typing import Final, Protocol
 from weakref import WeakSet, ref
 
@@ -55,15 +56,17 @@ class Timeline:
         refusals: raises and keeps the errors of refused calls.
         living: by id, the sizes in bytes of the resources that exist and aren't retired, but for the device's own.
         sites: by id, the lines that created them, if these are noted.
+        waited: the seconds that the CPU has waited for the GPU since the last call of `present`.
     """
 
     __slots__ = ("_backend", "_completed", "_dropped", "_holders", "_lock", "_lot", "_retired", "_waiting",
-                 "_waiting_bytes", "_watchers", "living", "refusals", "signalled", "sites")  # fmt: skip
+                 "_waiting_bytes", "_watchers", "living", "refusals", "signalled", "sites", "waited")  # fmt: skip
 
     def __init__(self, backend: Backend, refusals: RefusalLog = NO_LOG) -> None:
         self._backend = backend
         self.refusals = refusals
         self.signalled = 0
+        self.waited = 0.0  # seconds
         self._completed = 0
         self.living: dict[Id, int] = {}
         self.sites: dict[Id, CallSite] = {}
@@ -105,7 +108,9 @@ class Timeline:
             self.refusals.refuse(FENCE_VALUE, f"device.wait({value})", value, f"0 to {self.signalled}")
         if value <= self._completed or value <= self.completed:
             return True
+        began = perf_counter()
         reached = self._backend.wait(value, FOREVER if seconds is None else seconds)
+        self.waited += perf_counter() - began
         if reached:
             self._completed = max(self._completed, value)
         elif seconds is None:

@@ -40,7 +40,8 @@ from rhi.errors.rules import (
     PROGRAM_OUTPUT,
     PROGRAM_STAGE,
 )
-from rhi.shading import Struct
+from rhi.shading import Precision, Shader, Struct
+from rhi.shading.compile import describe_in, find_exact
 from rhi.shading.language.bindings import ImageBinding, StorageRange, TextureBinding, UniformRange
 
 P = ParamSpec("P")
@@ -397,10 +398,20 @@ def check_program(core: Core, program: object, call: str) -> None:
 class ProgramTable:
     """The programs of a device, by the shader class or descriptor that they were made of; destroyed ones leave it."""
 
-    def __init__(self, timeline: Timeline) -> None:
+    def __init__(self, timeline: Timeline, precision: Precision = Precision.EXACT) -> None:
+        """Make an empty table. `precision`: that of shaders which say none themselves."""
+        self.precision = precision
         self._timeline = timeline
         self._programs: dict[object, Program[...]] = {}
         self._shaders: dict[Id, object] = {}
+
+    def compile(self, shader: type[Shader]) -> ProgramDescriptor:
+        """Compile a shader in its precision, or in that of the device."""
+        return describe_in(shader, self.precision)
+
+    def find_exact(self, shader: type[Shader]) -> list[str]:
+        """Return the functions of a shader that run in `Precision.EXACT` here and have a faster form."""
+        return find_exact(shader) if self.compile(shader).flushes_denormals is False else []
 
     def find(self, shader: object) -> Program[...] | None:
         """Return the program of a shader, None if there is none."""
