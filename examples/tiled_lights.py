@@ -35,6 +35,7 @@ from rhi import (
     SamplerDescriptor,
     Wrap,
 )
+from rhi.math import look_at, orthographic, perspective
 from rhi.shading import (
     DepthTexture2D,
     Precision,
@@ -82,6 +83,7 @@ SHADOW_SIZE: Final = 2048
 SUN: Final = np.array([0.76, 0.46, 0.46])
 HAZE: Final = vec3(0.16, 0.20, 0.32)
 NEAR: Final = 0.1
+FOV: Final = 2 * np.arctan(1 / 1.7)  # vertical, in radians
 
 
 class Vertex(Struct):
@@ -283,12 +285,12 @@ class Renderer:
         device = self.device
         if self.is_queried:  # last frame's results: a cell that comes into view is drawn one frame late
             self.visible = self.queries.wait() != 0
-        from_world = perspective(self.size[0] / self.size[1]) @ look(eye, target)
+        from_world = perspective(FOV, self.size[0] / self.size[1], NEAR) @ look_at(eye, target)
         view = device.transient.uniform(
             View(
                 from_world=from_world,
                 to_world=np.linalg.inv(from_world),
-                sun_from_world=orthographic(50.0, 120.0) @ look(tuple(SUN * 60), (0.0, 0.0, 0.0)),
+                sun_from_world=orthographic(-50, 50, -50, 50, 0, 120) @ look_at(SUN * 60, (0, 0, 0)),
                 eye=eye,
                 sun=SUN / np.linalg.norm(SUN),
                 size=self.size,
@@ -375,26 +377,6 @@ def make_lamps(boxes: NDArray[np.void]) -> NDArray[np.void]:
     return lamps
 
 
-def look(eye: tuple[float, ...], target: tuple[float, ...]) -> NDArray[np.float64]:
-    """Return the matrix from world to view space, which looks along -Z."""
-    forward = np.subtract(target, eye) / np.linalg.norm(np.subtract(target, eye))
-    right = np.cross(forward, (0, 1, 0)) / np.linalg.norm(np.cross(forward, (0, 1, 0)))
-    view = np.eye(4)
-    view[:3, :3] = right, np.cross(right, forward), -forward
-    view[:3, 3] = -view[:3, :3] @ eye
-    return view
-
-
-def perspective(aspect: float, lens: float = 1.7) -> NDArray[np.float64]:
-    """Return a perspective projection with reversed depth and an infinite far plane: 1 at `NEAR`, 0 at infinity."""
-    return np.array([[lens / aspect, 0, 0, 0], [0, lens, 0, 0], [0, 0, 0, NEAR], [0, 0, -1, 0]])
-
-
-def orthographic(reach: float, far: float) -> NDArray[np.float64]:
-    """Return an orthographic projection with reversed depth: 1 at the eye, 0 at `far`."""
-    return np.array([[1 / reach, 0, 0, 0], [0, 1 / reach, 0, 0], [0, 0, 1 / far, 1], [0, 0, 0, 1]])
-
-
 def main(arguments: list[str] | None = None) -> int:
     """Render frames along a short path and write the last one to a file."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -421,9 +403,7 @@ def main(arguments: list[str] | None = None) -> int:
         for timer in device.timers:
             print(timer.format())
         if device.capabilities.renders:
-            from PIL import Image
-
-            Image.fromarray(renderer.image.read()[..., :3]).save(given.output)
+            renderer.image.save(given.output)
             print(given.output)
     return 0
 

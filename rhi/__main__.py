@@ -1,7 +1,7 @@
 """`python -m rhi` lists the backends that work on this machine, what they support, and what to install for the others.
 
-`python -m rhi trace` inspects traces, `python -m rhi shading accuracy` measures built-in functions, and
-`python -m rhi new-backend` starts a port.
+`python -m rhi trace` inspects traces, `python -m rhi shading accuracy` measures built-in functions,
+`python -m rhi new` starts a project, and `python -m rhi new-backend` a port.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import json
 import os
 import platform
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,12 +24,14 @@ from rhi.device.registry import BackendReport, default_precision
 from rhi.errors import RhiError
 from rhi.errors.readers import run_for_reader
 from rhi.testing.accuracy import report as accuracy
+from rhi.testing.projects import KINDS, write_project
 from rhi.trace import cli as trace_cli
 
 _COMMANDS: Final = """\
 commands, each with --help:
   trace             inspect recorded commands: show, replay, diff, reduce
   shading accuracy  measure error and time of the shading language's built-in functions
+  new               write a small project to start from: a game, a tool, or tests
   new-backend       write a package to start a port from
 
 RHI_BACKEND=null python app.py runs a program on the backend of that name, RHI_PRECISION=fast with the faster functions
@@ -38,13 +40,15 @@ of OpenCL.
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the report, or run `trace …`, `shading …` or `new-backend …`. Return 0 if a backend that renders works,
-    else 1."""
+    """Print the report, or run `trace …`, `shading …`, `new …` or `new-backend …`. Return 0 if a backend that renders
+    works, else 1."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     if given[:1] == ["trace"]:
         return trace_cli.main(given[1:])
     if given[:1] == ["shading"]:
         return accuracy.main(given[1:])
+    if given[:1] == ["new"]:
+        return _new(given[1:])
     if given[:1] == ["new-backend"]:
         return _new_backend(given[1:])
     parser = argparse.ArgumentParser(
@@ -61,6 +65,38 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if any(r.capabilities and r.capabilities.renders for r in reports) else 1
 
 
+def _new(arguments: Sequence[str]) -> int:
+    """Write a project to start from. Return 0, or 2 on an error."""
+    kinds = "\n".join(f"  {kind:<8}{words}" for kind, (words, _) in KINDS.items())
+    parser = argparse.ArgumentParser(
+        prog="python -m rhi new",
+        description=f"Write a small project with its tests, which need no GPU:\n\n{kinds}",
+        epilog="example:\n  python -m rhi new tool paint\n  cd paint\n  pip install --editable '.[test]'\n"
+        "  python -m pytest\n  python paint.py",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("kind", choices=KINDS, help="what to write")
+    parser.add_argument("name", metavar="NAME", help="of the project and its module, such as paint")
+    parser.add_argument("--folder", type=Path, default=Path(), help="where to write it (default: here)")
+    options = parser.parse_args(arguments)
+    return _write(lambda: write_project(options.kind, options.name, options.folder), "its README.md says how to begin")
+
+
+def _write(make: Callable[[], Path], hint: str) -> int:
+    """Write what `make` writes, and print where. Return 0, or 2 on an error."""
+    try:
+        root = make()
+    except RhiError as error:
+        print(f"error: {error.given} (allowed: {error.allowed})", file=sys.stderr)
+        return 2
+    except OSError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    print(root)
+    print(f"next: {hint.format(root=root)}", file=sys.stderr)
+    return 0
+
+
 def _new_backend(arguments: Sequence[str]) -> int:
     """Write a package to start a port from. Return 0, or 2 on an error."""
     parser = argparse.ArgumentParser(
@@ -74,18 +110,9 @@ def _new_backend(arguments: Sequence[str]) -> int:
     parser.add_argument("name", metavar="NAME", help="as in rhi.create_device(NAME)")
     parser.add_argument("--folder", type=Path, default=Path(), help="where to write it (default: here)")
     options = parser.parse_args(arguments)
-    try:
-        root = write_package(options.name, options.folder)
-    except RhiError as error:
-        print(f"error: {error.given} (allowed: {error.allowed})", file=sys.stderr)
-        return 2
-    except OSError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    print(root)
-    print(f"next: pip install --editable {root}, then let the conformance kit tell what to implement first:\n"
-          f"  pytest --pyargs rhi.conformance --rhi-backend {options.name} -q", file=sys.stderr)  # fmt: skip
-    return 0
+    hint = "pip install --editable {root}, then let the conformance kit tell what to implement first:\n"
+    hint += f"  pytest --pyargs rhi.conformance --rhi-backend {options.name} -q"
+    return _write(lambda: write_package(options.name, options.folder), hint)
 
 
 def _as_json(reports: list[BackendReport]) -> dict[str, Any]:

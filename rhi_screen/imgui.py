@@ -36,8 +36,9 @@ except ImportError as error:
     raise ImportError('rhi_screen.imgui needs imgui-bundle: pip install "rhi[imgui]"') from error
 
 import rhi
+import rhi.shading as sl
 from rhi import BlendFunction, CullMode, DepthTest, DepthWrite, Filter, Format, SamplerDescriptor
-from rhi.shading import Shader, Struct, Texture2D, Uniform, vec2, vec4
+from rhi.shading import Shader, Struct, Texture2D, Uniform, function, vec2, vec3, vec4
 from rhi_screen.screen import Screen
 
 __all__ = ["ImGui", "ImGuiRenderer"]
@@ -76,16 +77,33 @@ class WidgetCorner(Struct):
     color: vec4
 
 
-class DisplaySize(Struct):
-    """The size of the display in the units of positions."""
+class Display(Struct):
+    """The size of the display in the units of positions, and whether the texture and the image hold sRGB: then what is
+    sampled and written is linear light, while ImGui's colors are those of a screen."""
 
     size: vec2
+    from_light: int
+    to_light: int
+
+
+@function
+def encode_light(light: vec3) -> vec3:
+    """Return linear light in sRGB."""
+    curve = 1.055 * sl.pow(sl.max(light, vec3(0.0031308)), vec3(1.0 / 2.4)) - 0.055
+    return sl.mix(curve, light * 12.92, vec3(sl.step(light, vec3(0.0031308))))
+
+
+@function
+def decode_light(color: vec3) -> vec3:
+    """Return sRGB as linear light."""
+    curve = sl.pow((sl.max(color, vec3(0.04045)) + 0.055) / 1.055, vec3(2.4))
+    return sl.mix(curve, color / 12.92, vec3(sl.step(color, vec3(0.04045))))
 
 
 class Widgets(Shader):
     """Multiplies the color with the texture's."""
 
-    display: Uniform[DisplaySize]
+    display: Uniform[Display]
     atlas: Texture2D
 
     def vertex(self, v: WidgetVertex) -> WidgetCorner:
@@ -93,7 +111,13 @@ class Widgets(Shader):
         return WidgetCorner(clip=vec4(place.x * 2.0 - 1.0, 1.0 - place.y * 2.0, 0.5, 1.0), uv=v.uv, color=v.color)
 
     def fragment(self, v: WidgetCorner) -> vec4:
-        return v.color * self.atlas.sample(v.uv)
+        texel = self.atlas.sample(v.uv)
+        if self.display.from_light == 1:
+            texel = vec4(encode_light(texel.rgb), texel.a)
+        color = v.color * texel
+        if self.display.to_light == 1:
+            color = vec4(decode_light(color.rgb), color.a)
+        return color
 
 
 class ImGuiRenderer:
@@ -119,7 +143,7 @@ class ImGuiRenderer:
         self._update_textures(data)
         if data.total_idx_count:
             with self._device.event("imgui"), self._device.render_pass(image, label="imgui"):
-                self._draw(data)
+                self._draw(data, image.format is Format.RGBA8_SRGB)
         self._given.clear()
 
     def destroy(self) -> None:
@@ -148,7 +172,7 @@ class ImGuiRenderer:
                     self._own.pop(number).destroy()
                 wanted.set_status(imgui.ImTextureStatus.destroyed)
 
-    def _draw(self, data: Any) -> None:
+    def _draw(self, data: Any, to_light: bool) -> None:
         lists = list(data.cmd_lists)
         vertices = np.concatenate([_view(each.vtx_buffer, _VERTEX) for each in lists])
         indices = np.concatenate([_view(each.idx_buffer, np.dtype("u4")) for each in lists])
@@ -163,7 +187,7 @@ class ImGuiRenderer:
                 rows.append((command.get_tex_id(), start, command.elem_count, corner, clip))
             first, base = first + each.idx_buffer.size(), base + each.vtx_buffer.size()
         mesh = self._device.transient.mesh(self._program, vertices, indices)
-        display = self._device.transient.uniform(DisplaySize(size=tuple(data.display_size)))
+        size = tuple(data.display_size)
         with self._device.states(BlendFunction.ALPHA, CullMode.NONE, DepthTest.OFF, DepthWrite.OFF):
             for number, run in groupby(rows, lambda row: row[0]):
                 texture = self._own.get(number) or self._given.get(number)
@@ -171,7 +195,8 @@ class ImGuiRenderer:
                     continue
                 _, starts, counts, bases, clips = zip(*run, strict=True)
                 draws = mesh.draws(starts, counts, base_vertex=bases)
-                atlas = texture.sampled(_SMOOTH)
+                atlas, from_light = texture.sampled(_SMOOTH), texture.format is Format.RGBA8_SRGB
+                display = Display(size=size, from_light=int(from_light), to_light=int(to_light))
                 self._device.draw_clipped(self._program, mesh, draws, clips, display=display, atlas=atlas)
 
 

@@ -106,6 +106,16 @@ class Screen:
         self._video = VideoWriter(path, fps)
         return self._video
 
+    def send(self, kind: str, **fields: Any) -> None:
+        """Give the handlers an event now, as if a person had caused it: for tests, and replays.
+
+        Args:
+            kind: such as "pointer_down" or "key_down".
+            fields: those of rendercanvas's events, such as `x`, `y` in logical pixels, or `key`; others are 0 or empty.
+        """
+        rest = {"x": 0.0, "y": 0.0, "button": 0, "buttons": (), "modifiers": (), "touches": {}}
+        self.canvas._events.emit({"event_type": kind, **rest, **fields})
+
     def show(self, image: rhi.Texture) -> None:
         """End the device's frame and show `image`: call it in the canvas's draw function, once.
 

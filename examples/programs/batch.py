@@ -1,6 +1,7 @@
-"""Many pictures without a window, on all cores: each process has a device of its own and renders a share of the frames.
+"""Many pictures without a window, on all cores, and their tests: each process has a device of its own.
 
     python examples/programs/batch.py --backend cl --frames 48 --output frames
+    python -m pytest examples/programs/batch.py
 
 Processes are spawned: a forked copy of a driver's threads and contexts doesn't work.
 """
@@ -10,16 +11,14 @@ from __future__ import annotations
 import argparse
 import multiprocessing
 import os
-from collections.abc import Iterable
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
-from frame import Screen
-from numpy.typing import NDArray
 
 import rhi
-from rhi.shading import Struct, Uniform, cos, fragment_coordinate, length, sin, vec2, vec3, vec4
+from rhi.shading import FullScreen, Struct, Uniform, cos, fragment_coordinate, length, sin, vec2, vec3, vec4
 
 
 class Moment(Struct):
@@ -27,7 +26,7 @@ class Moment(Struct):
     seconds: float
 
 
-class Plasma(Screen):
+class Plasma(FullScreen):
     """Waves that move over the picture."""
 
     moment: Uniform[Moment]
@@ -43,17 +42,21 @@ class Worker:
     """A device and what it needs for one frame after the other."""
 
     def __init__(self, device: rhi.Device, size: tuple[int, int]) -> None:
-        self.device, self.size = device, size
-        self.program, self.triangle = device.program(Plasma), device.mesh(3)
+        self.device, self.program, self.triangle = device, device.program(Plasma), device.mesh(3)
         self.image = device.texture(size, rhi.Format.RGBA8)
 
     def draw(self, seconds: float) -> rhi.Texture:
         """Draw the frame at a time."""
-        moment = Moment(size=self.size, seconds=seconds)
-        with self.device.render_pass(self.image), self.device.states(rhi.CullMode.NONE):
+        moment = Moment(size=self.image.size, seconds=seconds)
+        with self.device.render_pass(self.image):
             self.device.draw(self.program, self.triangle, moment=moment)
         self.device.present(self.image)
         return self.image
+
+
+def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
+    """Draw one frame in this process."""
+    return Worker(device, size).draw(1.5)
 
 
 WORKERS: list[Worker] = []  # one in each process
@@ -64,39 +67,53 @@ def start(backend: str | None, size: tuple[int, int]) -> None:
     WORKERS.append(Worker(rhi.create_device(backend), size))
 
 
-def render_frame(seconds: float) -> NDArray[np.uint8]:
-    """Return the pixels (height, width, 4) of one frame."""
-    return WORKERS[0].draw(seconds).read()
+def save_frame(seconds: float, path: Path) -> Path:
+    """Draw the frame at a time, and write it."""
+    WORKERS[0].draw(seconds).save(path)
+    return path
 
 
-def render_frames(
-    times: Iterable[float], size: tuple[int, int], backend: str | None = None, processes: int | None = None
-) -> Iterable[NDArray[np.uint8]]:
-    """Yield the frames at these times in order, rendered by several processes."""
+def save_frames(
+    times: list[float],
+    paths: list[Path],
+    size: tuple[int, int],
+    backend: str | None = None,
+    processes: int | None = None,
+) -> Iterator[Path]:
+    """Draw the frames at these times by several processes, and yield each path in order once it is written."""
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(processes or os.cpu_count(), spawn, start, (backend, size)) as pool:
-        yield from pool.map(render_frame, times, chunksize=4)
+        yield from pool.map(save_frame, times, paths, chunksize=4)
 
 
-def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
-    """Draw one frame in this process."""
-    return Worker(device, size).draw(1.5)
+def test_a_frame_is_one_draw_and_a_second_one_creates_nothing(null_device: rhi.Device) -> None:
+    worker = Worker(null_device, (64, 48))
+    worker.draw(0.0)
+    begun = len(null_device.stream)
+    worker.draw(1.0)
+    assert len(null_device.stream.draws()) == 2
+    assert not [one for one in null_device.stream[begun:] if one.op.name.startswith("CREATE")]
+
+
+def test_the_waves_move(rhi_device: rhi.Device) -> None:  # on each of --rhi-backend
+    if rhi_device.capabilities.renders:
+        worker = Worker(rhi_device, (64, 48))
+        first, second, again = (worker.draw(seconds).read().astype(int) for seconds in (0.0, 0.5, 0.0))
+        assert np.array_equal(first, again)
+        assert np.abs(first - second).mean() > 10
 
 
 if __name__ == "__main__":
-    from PIL import Image
-
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--backend")
     parser.add_argument("--size", default="640x480", metavar="WxH")
     parser.add_argument("--frames", type=int, default=1, help="default: 1, which is saved as a picture")
     parser.add_argument("--output", type=Path, default=Path("batch"), help="a folder, or the name of the picture")
     given = parser.parse_args()
-    width, _, height = given.size.partition("x")
-    times = np.arange(given.frames) / 24 + 1.5
-    many = given.frames > 1
-    for number, pixels in enumerate(render_frames(times.tolist(), (int(width), int(height)), given.backend)):
-        path = given.output / f"{number:04}.png" if many else given.output.with_suffix(".png")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(pixels[..., :3]).save(path)
+    width, height = (int(each) for each in given.size.split("x"))
+    times, paths = np.arange(given.frames) / 24 + 1.5, [given.output.with_suffix(".png")]
+    if given.frames > 1:
+        given.output.mkdir(parents=True, exist_ok=True)
+        paths = [given.output / f"{number:04}.png" for number in range(given.frames)]
+    for path in save_frames(times.tolist(), paths, (width, height), given.backend):
         print(path)

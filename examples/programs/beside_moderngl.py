@@ -10,10 +10,10 @@ from typing import Any
 
 import moderngl
 import numpy as np
-from frame import Screen, main
 
 import rhi
-from rhi.shading import Texture2D, fragment_coordinate, length, vec2, vec4
+from rhi.shading import FullScreen, Texture2D, fragment_coordinate, length, vec2, vec4
+from rhi_screen import save_picture
 
 EGL: dict[str, Any] = {"backend": "egl", "libgl": "libEGL.so.1", "libegl": "libEGL.so.1"}
 DISC = """
@@ -64,7 +64,7 @@ class Engine:
         return np.frombuffer(data, np.uint8).reshape(size[1], size[0], 4)
 
 
-class Lens(Screen):
+class Lens(FullScreen):
     """Enlarges the middle of a picture, and darkens its corners."""
 
     picture: Texture2D
@@ -103,4 +103,4 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
 
 
 if __name__ == "__main__":
-    main(render)
+    save_picture(render)

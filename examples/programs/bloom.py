@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from frame import Screen, main
-
 import rhi
 import rhi.shading as sl
 from rhi import Filter, Format, SamplerDescriptor, Wrap
 from rhi.shading import (
+    FullScreen,
     Struct,
     Texture2D,
     Uniform,
@@ -20,6 +19,7 @@ from rhi.shading import (
     vec3,
     vec4,
 )
+from rhi_screen import save_picture
 
 RADIUS = 12
 
@@ -32,7 +32,7 @@ class Axis(Struct):
     step: vec2
 
 
-class Lamps(Screen):
+class Lamps(FullScreen):
     """Small lamps on a spiral, up to 20 times as bright as white."""
 
     window: Uniform[Window]
@@ -48,7 +48,7 @@ class Lamps(Screen):
         return vec4(color, 1.0)
 
 
-class Bright(Screen):
+class Bright(FullScreen):
     """A shader that keeps what is brighter than white."""
 
     source: Texture2D
@@ -58,7 +58,7 @@ class Bright(Screen):
         return vec4(sl.max(self.source.sample(fragment_coordinate().xy / self.window.size).rgb - 1.0, vec3(0.0)), 1.0)
 
 
-class Blur(Screen):
+class Blur(FullScreen):
     """A Gaussian of 2 RADIUS + 1 taps along one axis."""
 
     source: Texture2D
@@ -76,7 +76,7 @@ class Blur(Screen):
         return vec4(total / weights, 1.0)
 
 
-class Composite(Screen):
+class Composite(FullScreen):
     """The picture and its glow."""
 
     source: Texture2D
@@ -115,4 +115,4 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
 
 
 if __name__ == "__main__":
-    main(render)
+    save_picture(render)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from frame import main
 
 import rhi
 from rhi import BlendFunction, Primitive
 from rhi.shading import Shader, Struct, vec2, vec4
+from rhi_screen import save_picture
 
 POINTS = 600
 
@@ -57,4 +57,4 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
 
 
 if __name__ == "__main__":
-    main(render)
+    save_picture(render)

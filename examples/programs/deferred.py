@@ -6,10 +6,10 @@ A light is a cube of its range. Its back faces are drawn, where they lie behind 
 from __future__ import annotations
 
 import numpy as np
-from frame import Camera, Vertex, look_at, main, make_cube, perspective
 
 import rhi
 from rhi import BlendFunction, CullMode, DepthFunction, DepthWrite, Format
+from rhi.math import look_at, make_cube, perspective
 from rhi.shading import (
     Shader,
     Storage,
@@ -21,12 +21,23 @@ from rhi.shading import (
     instance_index,
     ivec2,
     length,
+    mat4,
     normalize,
     vec3,
     vec4,
 )
+from rhi_screen import save_picture
 
 LIGHTS = 200
+
+
+class Vertex(Struct):
+    position: vec3
+    normal: vec3
+
+
+class Camera(Struct):
+    view_projection: mat4
 
 
 class Box(Struct):
@@ -113,7 +124,7 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
     positions, normals, _, indices = make_cube()
     cube = device.mesh({"position": positions, "normal": normals}, indices)
     camera = device.uniform(
-        Camera(view_projection=perspective(50, size[0] / size[1]) @ look_at((11, 8, 13), (0, -1, 0)))
+        Camera(view_projection=perspective(np.radians(50), size[0] / size[1]) @ look_at((11, 8, 13), (0, -1, 0)))
     )
     places, stored, colors = (device.texture(size, f) for f in (Format.RGBA32F, Format.RGBA16F, Format.RGBA8))
     image, depth = device.texture(size, Format.RGBA8_SRGB), device.texture(size, Format.D32F)
@@ -135,4 +146,4 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
 
 
 if __name__ == "__main__":
-    main(render)
+    save_picture(render)

@@ -9,19 +9,41 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from frame import INTERFACE_VERTEX, Colored, Interface, Pixels, main
 
 import rhi
 from rhi import BlendFunction, CullMode, Filter, SamplerDescriptor
-from rhi.shading import Texture2D, vec4
+from rhi.shading import Shader, Struct, Texture2D, Uniform, vec2, vec4
+from rhi_screen import save_picture
 
 Color = tuple[int, int, int, int]
+VERTEX = np.dtype([("position", "f4", 2), ("uv", "f4", 2), ("color", "u1", 4)])  # 20 bytes, as ImDrawVert
 
 
-class Windows(Interface):
-    """Alpha comes from the atlas."""
+class Corner(Struct):
+    position: vec2
+    uv: vec2
+    color: vec4
 
+
+class Colored(Struct):
+    clip: vec4
+    uv: vec2
+    color: vec4
+
+
+class Pixels(Struct):
+    size: vec2
+
+
+class Windows(Shader):
+    """Positions are in pixels, from the top left corner; alpha comes from the atlas."""
+
+    screen: Uniform[Pixels]
     atlas: Texture2D
+
+    def vertex(self, v: Corner) -> Colored:
+        place = v.position / self.screen.size
+        return Colored(clip=vec4(place.x * 2.0 - 1.0, 1.0 - place.y * 2.0, 0.5, 1.0), uv=v.uv, color=v.color)
 
     def fragment(self, v: Colored) -> vec4:
         return vec4(v.color.rgb, v.color.a * self.atlas.sample(v.uv).x)
@@ -96,7 +118,7 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
     image = device.texture(size, rhi.Format.RGBA8)
     screen = device.transient.uniform(Pixels(size=size))
     indices = np.array(lists.indices, np.uint16)
-    mesh = device.transient.mesh(program, np.array(lists.vertices, INTERFACE_VERTEX), indices)
+    mesh = device.transient.mesh(program, np.array(lists.vertices, VERTEX), indices)
     firsts, counts, clips = zip(*lists.commands, strict=True)
     with (
         device.render_pass(image, clear=(0.2, 0.25, 0.3, 1)),
@@ -108,4 +130,4 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
 
 
 if __name__ == "__main__":
-    main(render)
+    save_picture(render)

@@ -10,11 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import pytest
-from frame import main, make_cube
 
 import rhi
 from rhi import BlendFunction, DepthWrite, Format, Op
+from rhi.math import make_cube
 from rhi.shading import Shader, Struct, Uniform, vec3, vec4
+from rhi_screen import save_picture
 
 
 class Vertex(Struct):
@@ -118,4 +119,4 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
 
 
 if __name__ == "__main__":
-    main(render)
+    save_picture(render)

@@ -3,24 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from frame import look_at, main, make_cube, perspective
 
 import rhi
-from rhi.shading import (
-    Shader,
-    Struct,
-    Uniform,
-    cos,
-    dot,
-    exp,
-    length,
-    mat4,
-    mix,
-    normalize,
-    sin,
-    vec3,
-    vec4,
-)
+from rhi.math import look_at, make_cube, perspective
+from rhi.shading import Shader, Struct, Uniform, cos, dot, exp, length, mat4, mix, normalize, sin, vec3, vec4
+from rhi_screen import save_picture
 
 
 class Vertex(Struct):
@@ -84,7 +71,7 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
     instances = make_instances()
     mesh = device.mesh({"position": positions, "normal": normals}, indices, instances=instances)
     eye = (20.0, 9.0, 30.0)
-    view_projection = perspective(50, size[0] / size[1]) @ look_at(eye, (0, -2, 0))
+    view_projection = perspective(np.radians(50), size[0] / size[1]) @ look_at(eye, (0, -2, 0))
     camera = device.uniform(Camera(view_projection=view_projection, eye=eye))
     image = device.texture(size, rhi.Format.RGBA8_SRGB)
     depth = device.texture(size, rhi.Format.D32F)
@@ -94,4 +81,4 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
 
 
 if __name__ == "__main__":
-    main(render)
+    save_picture(render)

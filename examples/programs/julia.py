@@ -3,19 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from frame import Screen, main
 
 import rhi
-from rhi.shading import (
-    Struct,
-    Texture2D,
-    Uniform,
-    dot,
-    fragment_coordinate,
-    log2,
-    vec2,
-    vec4,
-)
+from rhi.shading import FullScreen, Struct, Texture2D, Uniform, dot, fragment_coordinate, log2, vec2, vec4
+from rhi_screen import save_picture
 
 
 class Fractal(Struct):
@@ -24,7 +15,7 @@ class Fractal(Struct):
     zoom: float
 
 
-class Julia(Screen):
+class Julia(FullScreen):
     """Counts the steps until z² + c escapes, with a fraction, so that no bands show."""
 
     fractal: Uniform[Fractal]
@@ -63,4 +54,4 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
 
 
 if __name__ == "__main__":
-    main(render)
+    save_picture(render)

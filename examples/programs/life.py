@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from frame import Screen, main
 
 import rhi
 from rhi.shading import (
+    FullScreen,
     Shader,
     Struct,
     UintImage2D,
@@ -21,6 +21,7 @@ from rhi.shading import (
     vec2,
     vec4,
 )
+from rhi_screen import save_picture
 
 CELLS = (128, 96)
 GENERATIONS = 100
@@ -50,7 +51,7 @@ class Window(Struct):
     size: vec2
 
 
-class Enlarged(Screen):
+class Enlarged(FullScreen):
     """Each cell as a square."""
 
     window: Uniform[Window]
@@ -94,4 +95,4 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
 
 
 if __name__ == "__main__":
-    main(render)
+    save_picture(render)

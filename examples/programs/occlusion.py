@@ -6,24 +6,19 @@
 from __future__ import annotations
 
 import numpy as np
-from frame import Camera, look_at, main, make_cube, perspective
 from numpy.typing import NDArray
 
 import rhi
 from rhi import ColorWrite, CullMode, DepthWrite, Format
-from rhi.shading import (
-    Shader,
-    Storage,
-    Struct,
-    Uniform,
-    dot,
-    instance_index,
-    normalize,
-    vec3,
-    vec4,
-)
+from rhi.math import look_at, make_cube, make_sphere, perspective
+from rhi.shading import Shader, Storage, Struct, Uniform, dot, instance_index, mat4, normalize, vec3, vec4
+from rhi_screen import save_picture
 
 COUNT = 2000
+
+
+class Camera(Struct):
+    view_projection: mat4
 
 
 class Vertex(Struct):
@@ -58,16 +53,6 @@ class Placed(Shader):
         return vec4(s.color * light, 1.0)
 
 
-def make_sphere(rings: int = 24) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
-    """Return positions of a unit sphere, (n, 3), and its indices."""
-    v, u = np.mgrid[0 : rings + 1, 0 : 2 * rings + 1]
-    theta, phi = v * np.pi / rings, u * np.pi / rings
-    positions = np.stack([np.sin(theta) * np.sin(phi), np.cos(theta), np.sin(theta) * np.cos(phi)], -1)
-    corner = (v[:-1, :-1] * (2 * rings + 1) + u[:-1, :-1]).reshape(-1, 1)
-    indices = corner + np.array([0, 2 * rings + 1, 1, 1, 2 * rings + 1, 2 * rings + 2])
-    return positions.reshape(-1, 3).astype(np.float32), indices.ravel().astype(np.uint16)
-
-
 def make_places() -> NDArray[np.void]:
     """Return a wall with a gap, as the first two rows, and spheres on both sides of it."""
     rng = np.random.default_rng(4)
@@ -85,7 +70,7 @@ def draw(device: rhi.Device, size: tuple[int, int]) -> tuple[rhi.Texture, rhi.Qu
     sphere, sphere_indices = make_sphere()
     boxes, spheres = device.mesh({"position": cube}, cube_indices), device.mesh({"position": sphere}, sphere_indices)
     camera = device.uniform(
-        Camera(view_projection=perspective(50, size[0] / size[1]) @ look_at((0, 2.5, 11), (0, 1.5, 0)))
+        Camera(view_projection=perspective(np.radians(50), size[0] / size[1]) @ look_at((0, 2.5, 11), (0, 1.5, 0)))
     )
     places = device.storage(Place, make_places())
     program, queries = device.program(Placed), device.query_set(COUNT)
@@ -107,4 +92,4 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
 
 
 if __name__ == "__main__":
-    main(render)
+    save_picture(render)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from frame import Camera, Screen, look_at, main, perspective
 
 import rhi
+from rhi.math import look_at, perspective
 from rhi.shading import (
+    FullScreen,
     Shader,
     Storage,
     StorageRW,
@@ -17,15 +18,21 @@ from rhi.shading import (
     fragment_coordinate,
     global_id,
     ivec2,
+    mat4,
     vec3,
     vec4,
     vertex_index,
 )
+from rhi_screen import save_picture
 
 COUNT = 16384
 STEPS = 90
 GROUP = 64
 GRAVITY = 6.0
+
+
+class Camera(Struct):
+    view_projection: mat4
 
 
 class Particle(Struct):
@@ -83,7 +90,7 @@ class Draw(Shader):
         return vec4(s.color, 1.0)
 
 
-class ToneMap(Screen):
+class ToneMap(FullScreen):
     """Maps sums of any size to 0…1."""
 
     light: Texture2D
@@ -119,7 +126,7 @@ def simulate(device: rhi.Device) -> rhi.StorageBuffer[Particle]:
 def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
     """Move the particles, draw them, and tone-map."""
     particles = simulate(device)
-    view_projection = perspective(50, size[0] / size[1]) @ look_at((0, 3.5, 8), (0, 1.7, 0))
+    view_projection = perspective(np.radians(50), size[0] / size[1]) @ look_at((0, 3.5, 8), (0, 1.7, 0))
     camera = device.uniform(Camera(view_projection=view_projection))
     light = device.texture(size, rhi.Format.RGBA16F)
     image = device.texture(size, rhi.Format.RGBA8_SRGB)
@@ -132,4 +139,4 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
 
 
 if __name__ == "__main__":
-    main(render)
+    save_picture(render)

@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 import numpy as np
-from frame import Camera, Vertex, look_at, main, make_cube, perspective
 
 import rhi
 from rhi import Format
-from rhi.shading import (
-    Shader,
-    Storage,
-    Struct,
-    Uniform,
-    dot,
-    instance_index,
-    normalize,
-    uint,
-    vec3,
-    vec4,
-)
+from rhi.math import look_at, make_cube, perspective
+from rhi.shading import Shader, Storage, Struct, Uniform, dot, instance_index, mat4, normalize, uint, vec3, vec4
+from rhi_screen import save_picture
 
 BOXES = 300
+
+
+class Vertex(Struct):
+    position: vec3
+    normal: vec3
+
+
+class Camera(Struct):
+    view_projection: mat4
 
 
 class Box(Struct):
@@ -73,7 +72,7 @@ class Scene:
         positions, normals, _, indices = make_cube()
         self.device, self.program = device, device.program(Boxes)
         self.cube = device.mesh({"position": positions, "normal": normals}, indices)
-        self.view_projection = perspective(45, size[0] / size[1]) @ look_at((8, 7, 10), (0, 0, 0))
+        self.view_projection = perspective(np.radians(45), size[0] / size[1]) @ look_at((8, 7, 10), (0, 0, 0))
         self.camera = device.uniform(Camera(view_projection=self.view_projection))
         self.choice = device.uniform(Choice(box=-1))
         self.boxes = device.storage(Box, self.rows)
@@ -104,4 +103,4 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
 
 
 if __name__ == "__main__":
-    main(render)
+    save_picture(render)

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from frame import Screen, main
-
 import rhi
 from rhi.shading import (
+    FullScreen,
     Struct,
     Uniform,
     clamp,
@@ -21,6 +20,7 @@ from rhi.shading import (
     vec3,
     vec4,
 )
+from rhi_screen import save_picture
 
 
 class View(Struct):
@@ -46,7 +46,7 @@ def trace(origin: vec3, direction: vec3, farthest: float) -> float:
     return t
 
 
-class Spheres(Screen):
+class Spheres(FullScreen):
     """A shader of one ray for the eye and one for the shadow."""
 
     view: Uniform[View]
@@ -85,4 +85,4 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
 
 
 if __name__ == "__main__":
-    main(render)
+    save_picture(render)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from frame import Vertex, look_at, main, make_cube, perspective
 
 import rhi
 from rhi import Comparison, CullMode, Format, PolygonOffset, SamplerDescriptor, Wrap
+from rhi.math import look_at, make_cube, perspective
 from rhi.shading import (
     DepthTexture2D,
     Shader,
@@ -21,8 +21,14 @@ from rhi.shading import (
     vec3,
     vec4,
 )
+from rhi_screen import save_picture
 
 SHADOW = (1024, 1024)
+
+
+class Vertex(Struct):
+    position: vec3
+    normal: vec3
 
 
 class Box(Struct):
@@ -102,7 +108,7 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
     box = np.array([(1 / 14, 0, 0, 0), (0, 1 / 14, 0, 0), (0, 0, 1 / 60, 1.0), (0, 0, 0, 1)])  # parallel, reversed
     frame = device.uniform(
         Frame(
-            view_projection=perspective(45, size[0] / size[1]) @ look_at((14, 12, 18), (0, 1, 0)),
+            view_projection=perspective(np.radians(45), size[0] / size[1]) @ look_at((14, 12, 18), (0, 1, 0)),
             sun_projection=box @ look_at(sun * 30, (0, 0, 0)),
             sun=sun,
         )
@@ -120,4 +126,4 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
 
 
 if __name__ == "__main__":
-    main(render)
+    save_picture(render)

@@ -6,12 +6,12 @@
 from __future__ import annotations
 
 import numpy as np
-from frame import Colored, FlatVertex, main
 from numpy.typing import ArrayLike, NDArray
 
 import rhi
 from rhi import BlendFunction, CullMode, Filter, Primitive, SamplerDescriptor
-from rhi.shading import Shader, Texture2D, vec4
+from rhi.shading import Shader, Struct, Texture2D, vec2, vec4
+from rhi_screen import save_picture
 
 SPRITE = np.dtype(
     [("center", "f4", 2), ("size", "f4"), ("angle", "f4"), ("cell", "i4"), ("layer", "i4"), ("color", "f4", 4)]
@@ -19,12 +19,24 @@ SPRITE = np.dtype(
 CELLS = 4  # sprites side by side in the atlas
 
 
+class Corner(Struct):
+    position: vec2
+    uv: vec2
+    color: vec4
+
+
+class Colored(Struct):
+    clip: vec4
+    uv: vec2
+    color: vec4
+
+
 class Sprites(Shader):
     """A piece of the atlas, times a color; alpha is premultiplied."""
 
     atlas: Texture2D
 
-    def vertex(self, v: FlatVertex) -> Colored:
+    def vertex(self, v: Corner) -> Colored:
         return Colored(clip=vec4(v.position, 0.5, 1.0), uv=v.uv, color=v.color)
 
     def fragment(self, v: Colored) -> vec4:
@@ -97,4 +109,4 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
 
 
 if __name__ == "__main__":
-    main(render)
+    save_picture(render)

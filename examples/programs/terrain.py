@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from frame import look_at, main, perspective
 
 import rhi
+from rhi.math import look_at, perspective
 from rhi.shading import (
     Shader,
     Struct,
@@ -23,6 +23,7 @@ from rhi.shading import (
     vec4,
     vertex_index,
 )
+from rhi_screen import save_picture
 
 GRID = 256
 
@@ -86,7 +87,7 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
     heights = device.texture(make_heights(), rhi.Format.R32F)
     mesh = device.mesh(GRID * GRID, make_strips(), primitive=rhi.Primitive.TRIANGLE_STRIP)
     eye = (0.0, 42.0, 120.0)
-    view_projection = perspective(50, size[0] / size[1]) @ look_at(eye, (0, 5, 0))
+    view_projection = perspective(np.radians(50), size[0] / size[1]) @ look_at(eye, (0, 5, 0))
     camera = device.uniform(Camera(view_projection=view_projection, eye=eye))
     image = device.texture(size, rhi.Format.RGBA8_SRGB)
     depth = device.texture(size, rhi.Format.D32F)
@@ -96,4 +97,4 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
 
 
 if __name__ == "__main__":
-    main(render)
+    save_picture(render)

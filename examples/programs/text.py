@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from frame import main
 
 import rhi
 from renderer.layers.canvas import Canvas, Font, srgb
+from rhi_screen import save_picture
 
 VERSE = """Im Anfang war die Tat.
 Ægir, Þór & Ærø? Kerning: AVATAR, To, LT.
@@ -36,4 +36,4 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
 
 
 if __name__ == "__main__":
-    main(render)
+    save_picture(render)

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from frame import Camera, look_at, main, make_cube, perspective
 
 import rhi
-from rhi.shading import Shader, Struct, Texture2D, Uniform, dot, normalize, vec2, vec3, vec4
+from rhi.math import look_at, make_cube, perspective
+from rhi.shading import Shader, Struct, Texture2D, Uniform, dot, mat4, normalize, vec2, vec3, vec4
+from rhi_screen import save_picture
+
+
+class Camera(Struct):
+    view_projection: mat4
 
 
 class Vertex(Struct):
@@ -49,7 +54,7 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
     positions, normals, uvs, indices = make_cube()
     mesh = device.mesh({"position": positions, "normal": normals, "uv": uvs}, indices)
     albedo = device.texture(make_tiles(), rhi.Format.RGBA8_SRGB, levels=None)
-    view_projection = perspective(45, size[0] / size[1]) @ look_at((3, 2.2, 3.4), (0, 0, 0))
+    view_projection = perspective(np.radians(45), size[0] / size[1]) @ look_at((3, 2.2, 3.4), (0, 0, 0))
     camera = device.uniform(Camera(view_projection=view_projection))
     image = device.texture(size, rhi.Format.RGBA8_SRGB)
     depth = device.texture(size, rhi.Format.D32F)
@@ -59,4 +64,4 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
 
 
 if __name__ == "__main__":
-    main(render)
+    save_picture(render)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from frame import main
 
 import rhi
 from rhi.shading import Shader, Struct, vec2, vec3, vec4
+from rhi_screen import save_picture
 
 
 class Corner(Struct):
@@ -40,4 +40,4 @@ def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
 
 
 if __name__ == "__main__":
-    main(render)
+    save_picture(render)

@@ -1,4 +1,4 @@
-"""Matrices, projections and cameras in the conventions of this interface, in float64.
+"""Matrices, projections, cameras and simple shapes in the conventions of this interface, in float64.
 
     view_projection = perspective(np.radians(60), width / height) @ look_at((3, 2, 5), (0, 0, 0))
 
@@ -24,6 +24,8 @@ from rhi.math.projections import find_distance as find_distance
 from rhi.math.projections import is_parallel as is_parallel
 from rhi.math.projections import orthographic as orthographic
 from rhi.math.projections import perspective as perspective
+from rhi.math.shapes import make_cube as make_cube
+from rhi.math.shapes import make_sphere as make_sphere
 from rhi.math.transforms import Floats as Floats
 from rhi.math.transforms import is_affine as is_affine
 from rhi.math.transforms import multiply as multiply

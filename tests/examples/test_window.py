@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from screens_kit import Display
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "window.py"
+EXAMPLE = Path(__file__).parents[2] / "examples" / "orbit_viewer.py"
 FRAMES = """
 import ctypes, struct, sys, time
 from pathlib import Path

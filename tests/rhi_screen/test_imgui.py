@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import rhi
-from rhi import Op
+from rhi import Format, Op
 
 pytest.importorskip("rendercanvas", reason="no rendercanvas: pip install rhi[viewer]")
 imgui = pytest.importorskip("imgui_bundle", reason="no imgui-bundle: pip install rhi[imgui]").imgui
@@ -97,6 +97,31 @@ def test_a_texture_is_shown_texel_by_texel_and_cut_by_its_window() -> None:
         assert not seen[:, 46:, :3].any()
 
 
+@pytest.mark.parametrize("texels_are_light", [True, False])
+@pytest.mark.parametrize("image_is_light", [True, False])
+def test_colors_are_the_same_in_linear_light(texels_are_light: bool, image_is_light: bool) -> None:
+    """A texture and an image of sRGB or not: the bytes of both are those of a screen."""
+    formats = {True: Format.RGBA8_SRGB, False: Format.RGBA8}
+    with open_screen("gl", canvas="offscreen", size=SIZE) as screen:
+        gui, image = ImGui(screen), screen.targets(formats[image_is_light]).image
+        texels = np.arange(256, dtype=np.uint8).reshape(16, 16).repeat(4).reshape(16, 16, 4) | (0, 0, 0, 255)
+        texture = screen.device.texture(texels.astype(np.uint8), formats[texels_are_light])
+
+        def widgets() -> None:
+            imgui.begin("picture", None, PLAIN)
+            imgui.set_cursor_pos(imgui.ImVec2(20, 20))
+            imgui.image(gui.renderer.texture(texture), imgui.ImVec2(16, 16))
+            imgui.get_window_draw_list().add_rect_filled((60, 60), (80, 80), imgui.IM_COL32(200, 100, 50, 255))
+            imgui.end()
+
+        with screen.device.render_pass(image, clear=(0, 0, 0, 1)):
+            pass
+        show(gui, image, widgets)
+        seen = image.read().astype(int)
+        assert np.abs(seen[30:46, 30:46] - texels).max() <= 1
+        assert np.abs(seen[70, 70] - (200, 100, 50, 255)).max() <= 1
+
+
 def test_a_dense_display_has_widgets_of_as_many_more_pixels() -> None:
     sizes = []
     for ratio in (1.0, 2.0):
@@ -141,12 +166,6 @@ def test_an_error_between_widgets_is_raised_and_the_next_frame_is_whole(screen: 
     assert screen.device.stream.filter(Op.DRAW)
 
 
-def send(screen: Screen, kind: str, **more: Any) -> None:
-    event = {"event_type": kind, "x": 0.0, "y": 0.0, "button": 0, "buttons": (), "modifiers": (), "touches": {}}
-    screen.canvas.submit_event(event | more)
-    screen.canvas._events.flush()
-
-
 def test_a_click_presses_a_button_and_moves_no_camera_below_it(screen: Screen) -> None:
     gui, image = open_gui(screen)
     orbit, pressed = OrbitCamera(screen), []
@@ -158,21 +177,21 @@ def test_a_click_presses_a_button_and_moves_no_camera_below_it(screen: Screen) -
 
     show(gui, image, widgets)
     begin = orbit.camera.position
-    send(screen, "pointer_move", x=60.0, y=50.0)
+    screen.send("pointer_move", x=60.0, y=50.0)
     show(gui, image, widgets)
     assert gui.wants_pointer
-    send(screen, "pointer_down", x=60.0, y=50.0, button=1, buttons=(1,))
-    send(screen, "pointer_move", x=64.0, y=60.0, buttons=(1,))
+    screen.send("pointer_down", x=60.0, y=50.0, button=1, buttons=(1,))
+    screen.send("pointer_move", x=64.0, y=60.0, buttons=(1,))
     show(gui, image, widgets)
-    send(screen, "pointer_up", x=64.0, y=60.0, button=1)
+    screen.send("pointer_up", x=64.0, y=60.0, button=1)
     show(gui, image, widgets)
     assert sum(pressed) == 1
     assert np.array_equal(orbit.camera.position, begin)
-    send(screen, "pointer_move", x=180.0, y=140.0)
+    screen.send("pointer_move", x=180.0, y=140.0)
     show(gui, image, widgets)
     assert not gui.wants_pointer
-    send(screen, "pointer_down", x=180.0, y=140.0, button=1, buttons=(1,))
-    send(screen, "pointer_move", x=150.0, y=140.0, buttons=(1,))
+    screen.send("pointer_down", x=180.0, y=140.0, button=1, buttons=(1,))
+    screen.send("pointer_move", x=150.0, y=140.0, buttons=(1,))
     assert not np.array_equal(orbit.camera.position, begin), "beside the panel a drag turns"
 
 
@@ -187,14 +206,14 @@ def test_what_is_typed_goes_into_a_text_field(screen: Screen) -> None:
         text[0] = imgui.input_text("name", text[0])[1]
         imgui.end()
 
-    send(screen, "key_down", key="x")
+    screen.send("key_down", key="x")
     show(gui, image, widgets)
     assert gui.wants_keys
     for key in ("End", "Backspace"):
-        send(screen, "key_down", key=key)
+        screen.send("key_down", key=key)
         show(gui, image, widgets, 2)
-        send(screen, "key_up", key=key)
-    send(screen, "char", data="é")
+        screen.send("key_up", key=key)
+    screen.send("char", data="é")
     show(gui, image, widgets)
     assert text == ["aé"]
     assert keys == ["x"], "before there was a field"

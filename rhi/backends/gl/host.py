@@ -167,6 +167,9 @@ class Glx(ContextApi):
         )
         number, screen = ctypes.c_int(), ctypes.c_int()
         query(host.display, host.context, _CONFIG_ID, ctypes.byref(number))
+        if number.value <= 0:  # of a context that was made from a visual, as SDL's are, Mesa says none
+            draws = self._function("glXQueryDrawable", None, _POINTER, ctypes.c_ulong, ctypes.c_int, _POINTER)
+            draws(host.display, host.draw, _CONFIG_ID, ctypes.byref(number))
         query(host.display, host.context, 0x800C, ctypes.byref(screen))  # GLX_SCREEN
         config = self._find_config(host.display, screen.value, number.value)
         create = ctypes.CFUNCTYPE(_POINTER, _POINTER, _POINTER, _POINTER, ctypes.c_int, _POINTER)(

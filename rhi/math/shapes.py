@@ -1,0 +1,31 @@
+"""Shapes as arrays for `device.mesh`: front faces are counter-clockwise, seen from outside."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def make_cube() -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32], NDArray[np.uint16]]:
+    """Return a cube: (24, 3) positions from -1 to 1, (24, 3) normals, (24, 2) texture coordinates and 36 indices."""
+    positions, normals = np.zeros((24, 3), np.float32), np.zeros((24, 3), np.float32)
+    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], np.float32)
+    for face in range(6):
+        axis, sign = face // 2, 1 if face % 2 else -1
+        rows = slice(face * 4, face * 4 + 4)
+        normals[rows, axis] = positions[rows, axis] = sign
+        positions[rows, (axis + 1) % 3] = corners[:, 0] * sign
+        positions[rows, (axis + 2) % 3] = corners[:, 1]
+    uvs = np.tile((corners + 1) / 2, (6, 1)).astype(np.float32)
+    indices = (np.arange(6)[:, None] * 4 + (0, 1, 2, 0, 2, 3)).ravel().astype(np.uint16)
+    return positions, normals, uvs, indices
+
+
+def make_sphere(rings: int = 24) -> tuple[NDArray[np.float32], NDArray[np.uint16]]:
+    """Return a sphere: (n, 3) positions at a distance of 1, which are also its normals, and its indices."""
+    v, u = np.mgrid[0 : rings + 1, 0 : 2 * rings + 1]
+    theta, phi = v * np.pi / rings, u * np.pi / rings
+    positions = np.stack([np.sin(theta) * np.sin(phi), np.cos(theta), np.sin(theta) * np.cos(phi)], -1)
+    corner = (v[:-1, :-1] * (2 * rings + 1) + u[:-1, :-1]).reshape(-1, 1)
+    indices = corner + np.array([0, 2 * rings + 1, 1, 1, 2 * rings + 1, 2 * rings + 2])
+    return positions.reshape(-1, 3).astype(np.float32), indices.ravel().astype(np.uint16)

@@ -1,0 +1,61 @@
+"""`python -m rhi new`: what is written is named, refused in time, and passes its own checks as it is (nightly)."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from rhi.__main__ import main
+from rhi.errors import ValidationError
+from rhi.testing.projects import KINDS, write_project
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_project_has_the_name_that_it_is_given(kind: str, tmp_path: Path) -> None:
+    root = write_project(kind, "kite", tmp_path)
+    assert sorted(path.name for path in root.iterdir()) == ["README.md", "kite.py", "pyproject.toml", "test_kite.py"]
+    assert tomllib.loads((root / "pyproject.toml").read_text())["project"]["name"] == "kite"
+    assert not [path for path in root.iterdir() if "NAME" in path.read_text()]
+    assert "from kite import" in (root / "test_kite.py").read_text()
+
+
+@pytest.mark.parametrize("name", ["two words", "Kite", "class", "numpy", "json", "../kite", ""])
+def test_a_name_that_is_no_modules_or_anothers_is_refused_and_nothing_is_written(name: str, tmp_path: Path) -> None:
+    with pytest.raises(ValidationError, match="device-argument"):
+        write_project("tool", name, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_writes_a_project_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["new", "tests", "kite", "--folder", str(tmp_path)]
+    assert main(arguments) == 0
+    assert capsys.readouterr().out.strip() == str(tmp_path / "kite")
+    before = (tmp_path / "kite/kite.py").stat().st_mtime_ns
+    assert main(arguments) == 2
+    assert "exists" in capsys.readouterr().err
+    assert (tmp_path / "kite/kite.py").stat().st_mtime_ns == before
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_project_passes_its_checks_and_tests(kind: str, tmp_path: Path) -> None:
+    if kind != "tests":
+        pytest.importorskip("imgui_bundle", reason="no imgui-bundle: pip install rhi[viewer]")
+    root = write_project(kind, "kite", tmp_path)
+    environment = {**os.environ, "RHI_KERNELS": "quick"}
+    for command in (
+        ["pytest", "-q", "--rhi-backend", "gl"],
+        ["mypy", "kite.py", "test_kite.py"],
+        ["ruff", "check", "."],
+        ["ruff", "format", "--check", "."],
+    ):
+        done = subprocess.run(
+            [sys.executable, "-m", *command], cwd=root, env=environment, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+    assert "skipped" not in done.stdout
