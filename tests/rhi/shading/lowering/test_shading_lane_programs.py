@@ -41,12 +41,18 @@ class Test(Buffers):
         self.out[i] = x * 31 + y * 7 + z + table[1] + table[3]
 """
 NAMES = ("x", "y", "z")
+SCALES = ("0.25", "67108864.0", "1e30")
 numbers = itertools.count()
+
+
+def masks(count):
+    """What makes an index of `count` elements be inside, or nothing."""
+    return st.sampled_from([f" & {count - 1}", " | x - x"])  # no constant: one outside would be refused
 
 
 @st.composite
 def expressions(draw, depth=2, names=NAMES, calls=True):
-    """An int expression; shifts, divisions and remainders by constants that allow them."""
+    """An int expression; whatever operands and indices are, the result is defined (docs/shading.md)."""
     if depth == 0 or draw(st.integers(0, 3)) == 0:
         return draw(st.one_of(st.sampled_from(names), st.integers(-9, 9).map(str)))
     left = draw(expressions(depth - 1, names, calls))
@@ -55,17 +61,22 @@ def expressions(draw, depth=2, names=NAMES, calls=True):
     if form < 3:
         return f"({left} {draw(st.sampled_from('+-*&|^'))} {right})"
     if form == 3:
-        return f"({left} {draw(st.sampled_from(['//', '%']))} {draw(st.sampled_from([-7, -2, 3, 4, 5]))})"
+        divisor = right if draw(st.booleans()) else draw(st.sampled_from([-7, -2, 3, 4, 5]))
+        return f"({left} {draw(st.sampled_from(['//', '%']))} ({divisor} | x - x))"  # no constant: 0 would be refused
     if form == 4:
         return f"({left} if {draw(conditions(depth - 1, names, calls))} else {right})"
     if form == 5:
-        return f"min({left}, {right})"
+        return (
+            f"min({left}, {right})"
+            if draw(st.booleans())
+            else f"int(float(({left}) | x - x) * {draw(st.sampled_from(SCALES))})"
+        )
     if form == 6:
-        return f"({left} >> {draw(st.integers(0, 5))})"
+        return f"({left} {draw(st.sampled_from(['>>', '<<']))} ({right} | x - x))"
     if form == 7:
-        return f"self.given[({left}) & {N - 1}]"
+        return f"self.given[({left}){draw(masks(N))}]"
     if form == 8:
-        return f"table[({left}) & 3]"
+        return f"table[({left}){draw(masks(4))}]"
     return f"self.helper({left}, {right})"
 
 
@@ -90,10 +101,12 @@ def blocks(draw, depth=3, in_loop=False, result="", names=NAMES, discards=False)
         if kind < 4 or depth == 0:
             lines.append(f"{draw(st.sampled_from(names))} = {expression}")
         elif kind == 4 and not is_helper:
-            lines.append(f"table[({expression}) & 3] = {draw(st.sampled_from(names))}")
+            lines.append(f"table[({expression}){draw(masks(4))}] = {draw(st.sampled_from(names))}")
         elif kind == 5 and not is_helper:
             lines.append(draw(st.sampled_from([
                 f"atomic_add(self.sums[({expression}) & 7], x & 255)",
+                f"atomic_add(self.sums[min({expression}, 7)], x & 255)",  # places 8 and 9 have operations of their own
+                f"x += atomic_add(self.sums[max({expression}, 16)], 1)",  # outside, so 0
                 "atomic_add(self.sums[8], 1)",
                 f"atomic_max(self.sums[9], {expression})",
             ])))  # fmt: skip
