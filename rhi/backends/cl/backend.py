@@ -353,7 +353,7 @@ class ClBackend:
         """Read the arguments back, which waits: OpenCL takes the number of work-groups from the CPU."""
         self._flush()
         words = np.frombuffer(self._buffers.read(buffer, offset, _GROUPS_BYTES), np.uint32)
-        self.dispatch(*words.tolist())
+        self.dispatch(*map(min, words.tolist(), self.capabilities.max_dispatch))
 
     # -- time --------------------------------------------------------------------------------------------
 

@@ -4,7 +4,8 @@ A shader whose `checked` is true tests every index of a buffer, array, vector or
 it is used. On OpenCL its kernel, or the function of a stage that draws, has one more argument after its bindings:
 `global int *`, three words that are zero before a launch. The first fault of a launch writes there its line in the
 stage's text (`StageText.origins` leads from it to the Python line), the index, and the limit that the index must be
-below. A limit of -1 stands for values of `uniform` that differ. On NumPy the error is raised at once.
+below. A limit of -1 stands for values of `uniform` that differ, one of -2 for an endless loop. On NumPy the error
+is raised at once.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from rhi.shading.language.source import SourceSpan, show
 
 FAULT_WORDS: Final = 3
 _DIFFERENT: Final = -1
+ENDLESS: Final = -2
 
 
 def make_index_error(line: tuple[str, int], given: int, limit: int) -> ShaderError:
@@ -26,6 +28,8 @@ def make_index_error(line: tuple[str, int], given: int, limit: int) -> ShaderErr
     call, site = show(file, SourceSpan(number)), CallSite(str(file), number)
     if limit == _DIFFERENT:
         return ShaderError(rules.DIFFERENT, call, "different values", "one value", site=site)
+    if limit == ENDLESS:
+        return ShaderError(rules.ENDLESS, call, f"{given} turns", "an end", site=site)
     return ShaderError(
         rules.INDEX,
         call,

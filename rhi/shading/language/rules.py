@@ -77,12 +77,17 @@ BARRIER: Final = Rule(
 INDEX: Final = Rule(
     "shading-index",
     "an index is out of bounds (found on the device)",
-    "without `checked` this would read or write other memory",
+    "without `checked` a read gives the nearest element, and a write is dropped",
 )
 DIFFERENT: Final = Rule(
     "shading-different",
     "uniform(x) was given values that differ between invocations (found on the device)",
     "use uniform only for values that are the same in all active invocations",
+)
+ENDLESS: Final = Rule(
+    "shading-endless",
+    "a loop goes on and on (found on the device)",
+    "`for … in range(…)` has as many turns as it says; a `while` is left after these, also without `checked`",
 )
 RACE: Final = Rule(
     "shading-race",

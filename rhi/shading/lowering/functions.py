@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Final
 
 from rhi.contract.layout import BOOL, INT, ScalarType
 from rhi.shading.ir import lanes, tree
+from rhi.shading.ir.faults import ENDLESS
 from rhi.shading.ir.lanes import (
     Affine,
     Code,
@@ -289,6 +291,10 @@ def last_count(stop: Value, step: Value) -> Value:
     return apply("select", apply("greater", step, number(0)), above, below)
 
 
+MOST_TURNS: Final = 1 << 20
+"""The turns after which a `while` ends on OpenCL, whose work nobody can stop: Ctrl-C waits for it."""
+
+
 def lower_loop(
     lowering: Lowering, node: tree.Statement, test: Callable[[], Value], body: tree.Block, advance: lanes.Block
 ) -> None:
@@ -302,6 +308,11 @@ def lower_loop(
     )
     if masked:
         mask = lowering.new_mask(lowering.mask_value(), "looping")
+    turns = None
+    if lowering.width and isinstance(node, tree.While):
+        turns = lowering.variable("turns", INT, Uniformity.LANES)
+        lowering.emit(lanes.Let(lowering.line, turns, number(0)))
+        advance = [*advance, lanes.Set(lowering.line, turns, get(turns) + number(1), None)]
     scope = lowering.scope = MaskScope("loop", outer, uniformity, mask, masked, key)
     with lowering.emit_into([]) as block:
         condition = test()
@@ -322,6 +333,13 @@ def lower_loop(
             lowering.scope = MaskScope("iteration", scope, iteration_uniformity, active, True, key)
         else:
             lowering.scope = MaskScope("iteration", scope, iteration_uniformity, mask, masked, key)
+        if turns is not None:
+            with lowering.emit_into([]) as end:
+                if lowering.checked:
+                    checked = (lanes.TRUE, get(turns), number(ENDLESS), lowering.effect_mask())
+                    lowering.emit(lanes.Check(lowering.line, *checked))
+                lowering.emit(lanes.Break(lowering.line))
+            lowering.emit(lanes.If(lowering.line, apply("equal", get(turns), number(MOST_TURNS)), end, []))
         lower_block(lowering, body)
     lowering.scope = outer
     lowering.join((key, "returns"), lowering.frame.return_uniformity)

@@ -576,7 +576,7 @@ def test_a_shader_without_source_is_refused():
 TESTED_ELSEWHERE = {
     *("shading-text", "shading-spirv", "shading-language"),
     *("shading-no-source", "shading-native", "shading-struct-value", "shading-device-only"),
-    *("shading-index", "shading-different"),  # checked shaders
+    *("shading-index", "shading-different", "shading-endless"),  # checked shaders
     "shading-reload",
 }
 
