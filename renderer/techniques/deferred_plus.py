@@ -32,12 +32,12 @@ from renderer.techniques.parts.material_rectangles import (
     rectangles_pass,
 )
 from renderer.techniques.parts.packed_geometry import UNPACKED, PackedReader, can_pack, packed_pass
-from renderer.techniques.parts.scene_shader import LampShader, ShadingShader
+from renderer.techniques.parts.scene_shader import ShadingShader
 from renderer.techniques.parts.variants import FORWARD, draw_full_screen, list_lamps
 from rhi.shading import discard, fragment_coordinate, ivec2, vec4
 
 
-class PackedShading(PackedReader, CellReader, LampShader, ShadingShader):  # type: ignore[misc]  # as `PackedReader`
+class PackedShading(PackedReader, CellReader, ShadingShader):  # type: ignore[misc]  # as `PackedReader`
     """Shades the pixels of the packed geometry buffer, by the lights of clusters if there are any."""
 
     has_lamps = False
@@ -51,7 +51,7 @@ class PackedShading(PackedReader, CellReader, LampShader, ShadingShader):  # typ
         surface = self.find_surface(v, material)
         color = self.shade(surface, material)
         if self.has_lamps:
-            color += self.lamplight(surface, self.find_cell_lights(distance))
+            color += self.celllight(surface, distance)
         return self.finish(color, position)
 
 

@@ -44,7 +44,6 @@ from renderer.techniques.parts.deferred_lighting import LitByLists
 from renderer.techniques.parts.geometry_buffer import find_contents
 from renderer.techniques.parts.light_volumes import VolumeShader, VolumeVarying, draw_volumes
 from renderer.techniques.parts.resolve import LIGHT_FORMAT
-from renderer.techniques.parts.scene_shader import LampShader
 from renderer.techniques.parts.variants import FORWARD, Lighting, draw_full_screen, list_lamps, scene_pass
 from rhi import BlendFunction, DepthFunction, DepthWrite, Format, State
 from rhi.shading import Shader, Texture2D, floor, fragment_coordinate, ivec2, vec3, vec4
@@ -83,7 +82,7 @@ class CountedLights(Shader):
         return vec4(color.x - thousands * _THOUSAND, thousands, 0.0, 0.0)
 
 
-class PlacedLights(CellReader, LampShader, BackgroundScreen):
+class PlacedLights(CellReader, BackgroundScreen):
     """Counts the lights of the list of a pixel's cell, whose place follows from its depth."""
 
     depth: Texture2D
@@ -92,7 +91,7 @@ class PlacedLights(CellReader, LampShader, BackgroundScreen):
         nearness = nearness_of(self.rays, self.depth.load(ivec2(fragment_coordinate().xy)).x)
         if nearness == 0.0:
             return vec4(0.0)
-        lights = self.find_cell_lights(distance_at(self.rays, nearness))
+        lights = self.find_cell_lights(self.find_cell(distance_at(self.rays, nearness)))
         points = lights.y - lights.x if self.has_point_lights else 0
         spots = lights.z - lights.y if self.has_spot_lights else 0
         return vec4(float(points + spots))

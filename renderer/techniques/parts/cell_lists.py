@@ -20,11 +20,11 @@ from renderer.lights.culling.kernels import LightCounts
 from renderer.lights.culling.table import find_sphere_test
 from renderer.lights.culling.volumes import WORD
 from renderer.shaders.pixels import PixelRays
-from renderer.shaders.structs import SurfaceVarying
-from renderer.techniques.parts.scene_shader import ForwardShader
+from renderer.shaders.structs import SurfacePoint, SurfaceVarying
+from renderer.techniques.parts.scene_shader import ForwardShader, LampShader
 from renderer.techniques.parts.variants import Lighting, explain_lamps
 from rhi import Device, refuse
-from rhi.shading import Shader, Storage, Uniform, dot, fragment_coordinate, ivec2, ivec3, uint
+from rhi.shading import Storage, Uniform, broadcast_first, dot, fragment_coordinate, ivec2, ivec3, uint, vec3
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,8 +62,13 @@ CLUSTERS: Final = LightCells(64, 24)
 """Clusters: tiles of 64 × 64 pixels in 24 depth slices (Olsson, Billeter and Assarsson 2012)."""
 
 
-class CellReader(Shader):
-    """The base of shaders that are lit by the lights of a cell."""
+class CellReader(LampShader):
+    """The base of shaders that are lit by the lights of a cell.
+
+    Pixels that a device shades together, such as the lanes of a work-item, go through their cells, one after
+    the other (a "waterfall loop"): a list is then the same for all of them, and its lights are read once. Mostly they
+    have one cell.
+    """
 
     lean = True
     has_gaps = True
@@ -73,14 +78,28 @@ class CellReader(Shader):
     light_masks: Storage[uint]
     light_counts: Uniform[LightCounts]
 
-    def find_cell_lights(self, distance: float) -> ivec3:
-        """Return where the point lights of the pixel's cell at this distance along the view begin in the light rows,
-        where they end and the spot lights begin, and where those end.
+    def celllight(self, surface: SurfacePoint, distance: float) -> vec3:
+        """Return the light of the lamps of the pixel's cell at this distance along the view."""
+        cell = self.find_cell(distance)
+        color = vec3(0.0)
+        while True:
+            shared = broadcast_first(cell)
+            if cell == shared:
+                color = self.lamplight(surface, self.find_cell_lights(shared))
+                break
+        return color
+
+    def find_cell(self, distance: float) -> int:
+        """Return the pixel's cell at this distance along the view."""
+        return cell_index(self.grid, ivec2(fragment_coordinate().xy), distance)
+
+    def find_cell_lights(self, cell: int) -> ivec3:
+        """Return where the point lights of a cell begin in the light rows, where they end and the spot lights begin,
+        and where those end.
 
         A list for which there is no room is the cell's bits in the masks. Their places are negative, counted from the
         masks' end.
         """
-        cell = cell_index(self.grid, ivec2(fragment_coordinate().xy), distance)
         places = ivec3(self.light_rows[2 * cell], self.light_rows[2 * cell + 1], self.light_rows[2 * cell + 2])
         if places.z > len(self.light_rows):
             counts = self.light_counts
@@ -126,8 +145,8 @@ class LitByCells(CellReader, ForwardShader):
 
     rays: Uniform[PixelRays]
 
-    def find_lights(self, v: SurfaceVarying) -> ivec3:
-        return self.find_cell_lights(dot(v.position, self.rays.forward))
+    def lamplight_at(self, surface: SurfacePoint, v: SurfaceVarying) -> vec3:
+        return self.celllight(surface, dot(v.position, self.rays.forward))
 
 
 def by_cells(cells: LightLists) -> Lighting:

@@ -20,7 +20,7 @@ from renderer.techniques.parts.geometry_buffer import (
 )
 from renderer.techniques.parts.light_volumes import VolumeShader, VolumeVarying, declare_lights, draw_volumes
 from renderer.techniques.parts.resolve import EXACT_BITS, resolve_pass
-from renderer.techniques.parts.scene_shader import LampShader, ShadingShader
+from renderer.techniques.parts.scene_shader import ShadingShader
 from renderer.techniques.parts.variants import FORWARD, draw_full_screen, list_lamps
 from rhi import Format
 from rhi.shading import (
@@ -73,11 +73,11 @@ class GeometryResolve(BackgroundScreen, GeometryReader, ShadingShader):
         return min(self.light.load(pixel).rgb, BRIGHTEST) if self.has_light else vec3(0.0)
 
 
-class LitByLists(CellReader, LampShader, GeometryResolve):
+class LitByLists(CellReader, GeometryResolve):
     """Makes the image from the geometry buffer, lit by the lights of clusters."""
 
     def local_light(self, surface: SurfacePoint, pixel: ivec2, distance: float) -> vec3:
-        return self.lamplight(surface, self.find_cell_lights(distance))
+        return self.celllight(surface, distance)
 
 
 def volume_passes(needs: Needs, *, stencil: bool = False, light_bits: int = EXACT_BITS) -> tuple[Pass[Frame], ...]:

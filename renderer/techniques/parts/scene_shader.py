@@ -519,9 +519,9 @@ class ForwardShader(MaterialShader, LampShader, ShadingShader):
     def light_surface(self, surface: SurfacePoint, v: SurfaceVarying, material: Material) -> vec4:
         """Return the pixel of a surface that the fragment shows."""
         color = self.shade(surface, material)
-        color += self.lamplight(surface, self.find_lights(v))
+        color += self.lamplight_at(surface, v)
         return self.finish(color, v.position)
 
-    def find_lights(self, v: SurfaceVarying) -> ivec3:
-        """Return the ends of the lists of lamps that light the surface; see `lamplight`."""
-        return v.lights
+    def lamplight_at(self, surface: SurfacePoint, v: SurfaceVarying) -> vec3:
+        """Return the light of the lamps that reach the surface that the fragment shows."""
+        return self.lamplight(surface, v.lights)

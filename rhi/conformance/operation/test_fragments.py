@@ -27,6 +27,8 @@ from rhi.shading import (
     StorageRW,
     Texture2D,
     atomic_add,
+    broadcast_first,
+    ddx,
     discard,
     fragment_coordinate,
     global_id,
@@ -329,6 +331,40 @@ def test_a_dispatch_reads_what_fragments_wrote(device: Device) -> None:
             device.draw(device.program(Fill), mesh, out=values)
         device.dispatch(device.program(Sum), 1, values=values, total=total)
         assert_same(total.read(), 64 * 65 // 2)
+
+
+class WaterfallAtEdges(Shader):
+    """Goes through the columns that are shaded together, of which some are shaded for derivatives only."""
+
+    def vertex(self, v: Corner) -> Shade:
+        return Shade(clip=v.position, color=v.color)
+
+    def fragment(self, v: Shade) -> vec4:
+        column = int(fragment_coordinate().x)
+        found = 0.0
+        while True:
+            shared = broadcast_first(column)
+            if column == shared:
+                found = float(shared)
+                break
+        return vec4(found, ddx(found), 0.0, 1.0)
+
+
+def test_a_loop_over_what_fragments_broadcast_ends_at_the_edges_of_triangles(device: Device) -> None:
+    """Quads at edges have helper invocations, which wait for their value as well."""
+    slim = {
+        "position": np.array([[-1, -1, 0.5, 1], [0.8, -0.9, 0.5, 1], [-0.7, 0.9, 0.5, 1]], "f4"),
+        "color": np.ones((3, 4), "f4"),
+    }
+    with device.texture(SIZE, Format.RGBA32F) as image, device.mesh(slim, [0, 1, 2]) as mesh:
+        with device.render_pass(image, clear=(-1, -1, -1, -1)):
+            device.draw(device.program(WaterfallAtEdges), mesh)
+        drawn = image.read()
+    covered = drawn[..., 3] == 1
+    assert 8 < covered.sum() < 50
+    columns = np.broadcast_to(np.arange(8.0), (8, 8))
+    assert_same(drawn[covered, 0], columns[covered])
+    assert_same(drawn[covered, 1], np.ones(covered.sum()))
 
 
 class FromMemory(Shader):

@@ -33,6 +33,7 @@ from rhi.shading import (
     bitfield_extract,
     bitfield_insert,
     bitfield_reverse,
+    broadcast_first,
     ceil,
     clamp,
     cos,
@@ -578,6 +579,32 @@ def test_control_flow_is_python_s(device: Device) -> None:
         pairs = sum((a + b) % 3 == 0 for a in range(n) for b in range(a, n))
         assert_same(got[0], (divisor, odd, down, pairs))
         assert_same(got[1], (1, 4, 12, 6))
+
+
+class Waterfall(Shader):
+    """Goes through the values of the invocations that run together one after the other; some wait for nothing."""
+
+    source: Storage[int]
+    target: StorageRW[int]
+
+    def compute(self) -> None:
+        own = self.source[global_id().x]
+        if own >= 0:
+            total = 0
+            while True:
+                shared = broadcast_first(own)
+                if own == shared:
+                    for k in range(shared):
+                        total += k * shared
+                    break
+            self.target[global_id().x] = total
+
+
+def test_a_loop_over_what_invocations_broadcast_gives_each_its_own(device: Device) -> None:
+    random = np.random.default_rng(3)
+    own = np.r_[random.integers(-3, 9, 64), np.repeat([4, 7], [21, 12]), np.arange(31)].astype("i4")
+    found = run(device, Waterfall, int, own, 1)[:, 0]
+    assert_same(found, [sum(k * n for k in range(n)) if n >= 0 else 0 for n in own.tolist()])
 
 
 class Short(Shader):

@@ -616,6 +616,12 @@ _ROWS: Final = (
         "an index that the author knows to be inside: `a[unchecked(i)]` isn't bounded, and undefined if it is outside",
         lanes="a",
     ),
+    _row(
+        "broadcast_first",
+        "B(B);I(I);U(U);F(F)",
+        "({0})",
+        "x of one of the active invocations that are executed together; the device decides which are",
+    ),
     # fragments
     _row(
         "ddx",

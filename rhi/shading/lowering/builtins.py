@@ -37,8 +37,11 @@ def lower_builtin(lowering: Lowering, node: tree.BuiltinCall, needs_result: bool
         return []
     if name in ("global_id", "local_id", "group_id", "group_count", "local_index"):
         return dispatch_index(lowering, name)
-    if name == "uniform":
-        return [make_uniform(lowering, value) for value in lowering.named(node.arguments[0])]
+    if name == "uniform":  # what helpers have may differ
+        mask = lowering.effect_mask()
+        return [broadcast_first(lowering, value, mask, lowering.checked) for value in lowering.named(node.arguments[0])]
+    if name == "broadcast_first":  # helpers, too, must meet their value, or a loop that waits for it never ends
+        return [broadcast_first(lowering, value, lowering.scope.mask) for value in lowering.named(node.arguments[0])]
     try:
         expand = expansion_of(node.builtin)
     except LookupError:
@@ -46,18 +49,21 @@ def lower_builtin(lowering: Lowering, node: tree.BuiltinCall, needs_result: bool
     return expand(lowering.let, *(lowering.named(argument) for argument in node.arguments))
 
 
-def make_uniform(lowering: Lowering, value: Value) -> Value:
-    """Return the value of the first active lane for all lanes of a work-item."""
+def broadcast_first(lowering: Lowering, value: Value, mask: lanes.Variable | None, is_checked: bool = False) -> Value:
+    """Return the value of the first lane of a mask for all lanes of a work-item.
+
+    Args:
+        is_checked: whether it is a fault if a lane of the mask has another value.
+    """
     if lowering.width <= 1 or value.uniformity < Uniformity.VARYING:
         return value
     if value.kind is BOOL:
-        return apply("not_equal", make_uniform(lowering, convert(value, INT)), number(0))
-    mask = lowering.effect_mask()
+        return apply("not_equal", broadcast_first(lowering, convert(value, INT), mask, is_checked), number(0))
     active = get(mask) if mask is not None else lanes.TRUE
     first = lowering.let(lanes.Apply(value.kind, Uniformity.LANES, "uniform", (value, active)))
-    if lowering.checked:
+    if is_checked:
         wrong = lowering.let(apply("not_equal", value, first), "wrong")
-        lowering.emit(lanes.Check(lowering.line, wrong, apply("as_int", value), number(-1), lowering.effect_mask()))
+        lowering.emit(lanes.Check(lowering.line, wrong, apply("as_int", value), number(-1), mask))
     return first
 
 

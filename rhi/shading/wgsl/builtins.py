@@ -11,6 +11,7 @@ SPELLINGS: Final = {
     "faceforward": "faceForward",
     "uniform": "({0})",
     "unchecked": "({0})",
+    "broadcast_first": "({0})",
     # The bits decide: compilers may assume that there are no NaNs.
     "isnan": "((bitcast<{bits}>({0}) & {bits}(0x7FFFFFFFu)) > {bits}(0x7F800000u))",
     "isinf": "((bitcast<{bits}>({0}) & {bits}(0x7FFFFFFFu)) == {bits}(0x7F800000u))",

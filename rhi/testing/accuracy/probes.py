@@ -380,8 +380,8 @@ def builtin_probes(row: Builtin) -> Iterator[Probe]:
 
     Arguments are scalars, or where there is no such overload vectors or matrices of three.
     """
-    if row.effect is not SideEffect.NONE or len(row.stages) == 1 or row.name == "uniform":
-        return  # uniform returns its argument only where all lanes have the same
+    if row.effect is not SideEffect.NONE or len(row.stages) == 1 or row.name in ("uniform", "broadcast_first"):
+        return  # they return their argument only where all lanes have the same
     chosen: dict[tuple[ScalarType, ...], tuple[tuple[HostType, ...], HostType]] = {}
     for overload in row.overloads:
         types: tuple[Any, ...] = tuple(parameter.type for parameter in overload.parameters)

@@ -220,7 +220,7 @@ VALUES = {
 }
 ELSEWHERE = {
     # tests of their own in test_shading_values.py and test_shading_table.py
-    "uniform",
+    "uniform", "broadcast_first",
     "atomic_add", "atomic_min", "atomic_max", "atomic_and", "atomic_or", "atomic_xor", "atomic_exchange",
     "atomic_compare_exchange", "barrier", "memory_barrier", "global_id", "local_id", "group_id",
     # what they give depends on a draw: the conformance kit

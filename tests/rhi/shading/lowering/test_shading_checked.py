@@ -18,6 +18,7 @@ from rhi.shading import (
     Storage,
     StorageRW,
     array,
+    broadcast_first,
     compile_shader,
     global_id,
     opencl_kernel,
@@ -178,6 +179,17 @@ def test_uniform_of_values_that_differ_is_an_error(width):
         run_checked(Same, width, **same)
     assert caught.value.rule is rules.DIFFERENT
     assert caught.value.site.line == line_of(Same, "uniform(")
+
+
+class First(Checked):
+    def compute(self) -> None:
+        i = global_id().x
+        self.out[i] = self.a[broadcast_first(self.which[i])]
+
+
+def test_values_that_are_broadcast_may_differ(run):
+    found = run(First, **{**values(), "which": np.repeat([3, 4], 16).astype("i4")})
+    assert set(np.unique(found["out"])) <= set(values()["a"][[3, 4]].tolist())
 
 
 def test_a_shader_that_is_not_checked_is_not_a_word_longer():
