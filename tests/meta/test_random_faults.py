@@ -131,6 +131,7 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.nightly
 def test_what_no_test_notices_is_told_with_its_line_and_the_project_stays_as_it_is(
     project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -146,6 +147,7 @@ def test_what_no_test_notices_is_told_with_its_line_and_the_project_stays_as_it_
     assert (project / "thing/numbers.py").read_text() == TESTED
 
 
+@pytest.mark.nightly
 def test_a_fault_that_is_explained_is_no_survivor(
     project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -155,6 +157,7 @@ def test_a_fault_that_is_explained_is_no_survivor(
     assert capsys.readouterr().out.endswith("for a reason\n0 of 0 that can be seen are noticed; 1 can't be seen\n")
 
 
+@pytest.mark.nightly
 def test_tests_that_fail_without_a_fault_are_told(project: Path) -> None:
     (project / "tests/thing/test_numbers.py").write_text("def test_it():\n    assert False\n")
     with pytest.raises(AssertionError, match="without a fault"):

@@ -154,7 +154,10 @@ CAMERAS = {
 }
 
 
-@pytest.mark.parametrize("lens", CAMERAS)
+@pytest.mark.parametrize(
+    "lens",
+    [pytest.param(lens, marks=() if number % 3 == 0 else pytest.mark.nightly) for number, lens in enumerate(CAMERAS)],
+)
 def test_any_lens_gives_the_picture_of_forward_shading(drawing_device: rhi.Device, lens: str) -> None:
     builder = stage()
     add_random_lights(builder, 30, seed=7)

@@ -226,9 +226,9 @@ def test_pixels_differ_by_what_they_show_or_by_the_order_of_draws() -> None:
     assert Picture(other, nearer).compare(expected) == (1, 1)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.usefixtures("gl")
-@pytest.mark.parametrize("frames", ["20", pytest.param("60", marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("frames", ["20", "60"])
 def test_at_ground_level_the_counts_are_those_of_the_thesis_or_less(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, frames: str
 ) -> None:

@@ -87,10 +87,10 @@ NIGHTLY = {
 }
 
 
-BY_DAY = [(PATHS, 2, 4), (MOTIONS, 1, 2), (PROJECTIONS, 1, 3), (TURNED, 1, 2), (SIZES, 2, 4)]
+BY_DAY = [(PATHS, 2, 4), (MOTIONS, 2, 2), (PROJECTIONS, 3, 3), (TURNED, 1, 2), (SIZES, 2, 4)]
 """Situations, and of how many each algorithm has one by day, on gl and on cl: another than its neighbours. So gl has
-each situation with half of the algorithms at least, and each algorithm with each size and each depth. On cl, where only
-the device's part may differ, an algorithm has one situation of each kind, and two sizes."""
+each situation with a third of the algorithms at least, and each algorithm with each size and each depth. On cl, where
+only the device's part may differ, an algorithm has one situation of each kind, and two sizes."""
 
 
 def in_turns() -> list[object]:

@@ -103,6 +103,7 @@ def test_a_new_backend_registers_itself_when_it_is_installed(tmp_path: Path) -> 
     assert "  write create_buffer: 75 tests stop there" in output
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_new_backend_passes_mypy_strict(mypy_strict: Callable[..., tuple[str, int]], tmp_path: Path) -> None:
     right, wrong = (write_package(name, tmp_path) / f"rhi_{name}" for name in ("right", "wrong"))

@@ -125,7 +125,7 @@ def test_trials_go_along_a_walk_that_render_recorded(here: Path, monkeypatch: py
 
 
 @pytest.mark.usefixtures("gl")
-@pytest.mark.parametrize("kind", ["native", "emulated"])
+@pytest.mark.parametrize("kind", ["native", pytest.param("emulated", marks=pytest.mark.nightly)])
 def test_the_queries_that_are_asked_for_are_tuned_rendered_and_kept(
     here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
@@ -172,6 +172,7 @@ def test_any_executor_runs_the_trials(here: Path, monkeypatch: pytest.MonkeyPatc
     assert counter.ran == [try_pairs] * 5  # four, and those that decide against each other
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("gl")
 def test_processes_run_the_trials(here: Path) -> None:
     assert main([*COMMAND, "--rounds", "1", "--executor", "processes:2"]) == 0
@@ -241,7 +242,7 @@ def test_without_dask_its_executor_says_what_to_install(monkeypatch: pytest.Monk
         pass
 
 
-@pytest.mark.parametrize("executor", ["serial", "processes:1"])
+@pytest.mark.parametrize("executor", ["serial", pytest.param("processes:1", marks=pytest.mark.nightly)])
 def test_a_trial_that_is_refused_says_why(
     here: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, executor: str
 ) -> None:

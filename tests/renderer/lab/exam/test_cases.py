@@ -9,13 +9,14 @@ import pytest
 import rhi
 from renderer.lab.exam import CASES, examine
 
-BUSY = {("cl", number) for number in (4, 5, 8, 9, 15, 20, 22, 42, 43, 48, 57, 63, 68)}
+BUSY = {("cl", number) for number in (2, 4, 5, 8, 9, 15, 20, 22, 42, 43, 48, 57, 63, 64, 68)}
 """Cases that take a backend seconds: walks with all algorithms of visibility, and kernels of shadows and of culling at
 other sizes. By day they run on gl, and on cl `tests/renderer/visibility` draws walks (`test_device_culling.py`,
 `test_software_depth.py`) and random scenes (`test_hard_cases.py`) with these algorithms, and
 `tests/renderer/techniques/test_technique_pixels.py` compares the techniques of tiles and clusters under all lenses. Far
 places are subtracted by NumPy (57), spheres are tested by `test_sphere_tests.py` on cl too (22), materials are found by
-`test_deferred_plus.py` (42), and what is asked seldom or with a threshold is the CPU's choice (8, 9)."""
+`test_deferred_plus.py` (42), what is asked seldom or with a threshold is the CPU's choice (8, 9), clipping at near
+planes is the kit's (2), and `test_culled_images.py` draws images of odd sizes (64)."""
 
 
 def list_exams() -> list[object]:
