@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from inspect import signature
 from itertools import chain
 from typing import Any, Final
 
@@ -35,6 +37,14 @@ plan. `draws` are draw commands; one may draw many objects or lights. Under Open
 first frames are drawn by kernels that were built in a hurry; `kernels` says which ones cl ran in the rounds."""
 
 
+SUBJECTS: Final[dict[str, tuple[str, dict[str, Any]]]] = {name: (name, {}) for name in TECHNIQUES} | {
+    f"{name}_{way}": (name, {way: True})
+    for name in TECHNIQUES
+    for way in options.WAYS
+    if way in signature(TECHNIQUES[name]).parameters
+}
+"""What can be compared: techniques, and those with another of their ways; with their settings."""
+
 _OPTIONS: Final = (
     options.SCENE,
     *(
@@ -42,7 +52,7 @@ _OPTIONS: Final = (
                         "N,N,…")
         for what in ("objects", "lights")
     ),
-    options.some("--techniques", TECHNIQUES, "is not a technique", list(TECHNIQUES), "all"),
+    options.some("--techniques", SUBJECTS, "is not a technique", list(TECHNIQUES), "all, each in its first way"),
     options.camera(),
     options.frame("frame of a path"),
     options.rounds("times each technique is timed"),
@@ -65,7 +75,11 @@ def _measure(given: argparse.Namespace) -> Report:
         rows = compare_techniques(
             device,
             chain([scene], map(load_scene, others)),
-            {name: settings.technique.make_one(name) for name in given.techniques},
+            {
+                one: replace(settings.technique, **way).make_one(name)
+                for one in given.techniques
+                for name, way in [SUBJECTS[one]]
+            },
             given.size,
             camera=given.camera,
             frame=given.frame,

@@ -34,6 +34,7 @@ class TechniqueSettings:
         specular_channels: 1 or 3, of `light_pre_pass`.
         light_bits: 16 or 32, the bits of a channel of light that `forward_multipass`, `deferred`, `light_pre_pass` and
             `inferred` add up.
+        all_lights: whether `forward` looks at all lights of the scene for each fragment, instead of its object's list.
         stencil: whether `deferred` and `light_pre_pass` mask each light in a stencil buffer. depth_first: whether
             `clustered` draws depth before. multi_pass: whether `deferred_plus` shades each material by draws of its
             own. Pictures are the same.
@@ -48,6 +49,7 @@ class TechniqueSettings:
     stippled: bool = True
     specular_channels: int = 3
     light_bits: int = EXACT_BITS
+    all_lights: bool = False
     stencil: bool = False
     depth_first: bool = False
     multi_pass: bool = False

@@ -167,6 +167,7 @@ def test_settings_at_the_ends_of_their_ranges_are_taken(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("technique", "way"),
     [
+        ("forward", "all_lights"),
         ("deferred", "stencil"),
         ("light_pre_pass", "stencil"),
         ("clustered", "depth_first"),

@@ -534,6 +534,7 @@ _CHOSEN: Final = {
 
 NEUTRAL: Final[Mapping[str, str]] = {
     "technique.name": "pictures differ by rounding; `compare techniques`",
+    "technique.all_lights": "the same light, found without lists",
     "technique.stencil": "the same lights at the same pixels in another way",
     "technique.depth_first": "the same pixels without what is hidden",
     "technique.multi_pass": "the same pixels in another order",

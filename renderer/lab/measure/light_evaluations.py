@@ -44,7 +44,7 @@ from renderer.techniques.parts.deferred_lighting import LitByLists
 from renderer.techniques.parts.geometry_buffer import find_contents
 from renderer.techniques.parts.light_volumes import VolumeShader, VolumeVarying, draw_volumes
 from renderer.techniques.parts.resolve import LIGHT_FORMAT
-from renderer.techniques.parts.variants import FORWARD, Lighting, draw_full_screen, list_lamps, scene_pass
+from renderer.techniques.parts.variants import Lighting, draw_full_screen, list_lamps, scene_pass
 from rhi import BlendFunction, DepthFunction, DepthWrite, Format, State
 from rhi.shading import Shader, Texture2D, floor, fragment_coordinate, ivec2, vec3, vec4
 
@@ -147,7 +147,7 @@ def find_count(technique: Technique) -> Pass[Frame] | None:
     """Return the pass that counts the evaluations of a technique with lamps in view; None for an unknown technique."""
     match technique:
         case Forward(samples=1):
-            return _declare_fragments(FORWARD)
+            return _declare_fragments(technique.lighting)
         case Clustered():
             return _declare_fragments(by_cells(technique.cells))
         case ForwardPlus():

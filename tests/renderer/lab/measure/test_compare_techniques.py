@@ -53,6 +53,13 @@ def test_there_is_a_row_for_each_number_of_objects_and_lights_and_each_technique
     assert (of["deferred"]["bytes_per_pixel"], of["deferred"]["draws"]) == (36.0, 3)
 
 
+def test_other_ways_of_a_technique_are_compared_beside_the_first(capsys: pytest.CaptureFixture[str]) -> None:
+    names = "forward,forward_all_lights,deferred,deferred_stencil"
+    rows = compare(capsys, GRID, "--objects", "9", "--lights", "6", "--techniques", names, "--backend", "null")
+    assert [row["technique"] for row in rows] == names.split(",")
+    assert [row["draws"] for row in rows] == [1, 1, 3, 2 + 2 * 6]
+
+
 def test_draws_are_those_of_the_stream(null: rhi.Device) -> None:
     """A masked light is two draws, besides those of geometry and of the image."""
     techniques = {"masked": Deferred(stencil=True), "at once": Deferred()}

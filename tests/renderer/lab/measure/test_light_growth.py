@@ -77,6 +77,14 @@ def test_forward_shading_looks_at_all_lights_of_an_object_and_at_fewer_of_each_o
     assert one > some > many > 0
 
 
+def test_forward_shading_by_all_lights_looks_at_all_of_them_however_many_objects_there_are(gl: rhi.Device) -> None:
+    counts = [count(gl, wall(side, 8, 1.0), Forward(all_lights=True), EYE) for side in (1, 4, 16)]
+    pixels = 8 * SIZE[0] * SIZE[1]
+    assert counts[0] == pixels
+    assert max(counts) <= 1.05 * pixels  # sides of boxes are hidden by what is drawn later
+    assert min(counts) == pixels
+
+
 @pytest.mark.parametrize(("side", "lights"), [(1, 1), (1, 8), (4, 1), (4, 8)])
 def test_a_light_at_a_time_draws_objects_times_lights_and_volumes_are_as_many_as_lights(
     null: rhi.Device, side: int, lights: int
