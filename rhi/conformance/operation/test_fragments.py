@@ -356,7 +356,7 @@ def test_a_loop_over_what_fragments_broadcast_ends_at_the_edges_of_triangles(dev
         "position": np.array([[-1, -1, 0.5, 1], [0.8, -0.9, 0.5, 1], [-0.7, 0.9, 0.5, 1]], "f4"),
         "color": np.ones((3, 4), "f4"),
     }
-    with device.texture(SIZE, Format.RGBA32F) as image, device.mesh(slim, [0, 1, 2]) as mesh:
+    with device.texture(SIZE, Format.RGBA32F) as image, device.mesh(slim, np.arange(3)) as mesh:
         with device.render_pass(image, clear=(-1, -1, -1, -1)):
             device.draw(device.program(WaterfallAtEdges), mesh)
         drawn = image.read()

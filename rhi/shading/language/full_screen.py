@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from rhi.shading.language.functions import vertex_index
 from rhi.shading.language.shader import Shader
+from rhi.shading.language.types import LANGUAGE_NAMES
 from rhi.shading.language.vectors import vec4
+
+LANGUAGE_NAMES.add("FullScreen")
 
 
 class FullScreen(Shader):
