@@ -32,6 +32,9 @@ PROGRAMS = {
     "renderer": [["-m", "renderer", "render", "hall", "--backend", "cl", "--size", "64x36", "--output", "hall.png"]],
     "spirv": [["-m", "rhi"], ["-c", "import shutil, sys, os; sys.exit(not os.path.exists(sys.prefix + '/bin'))"]],
     "wgpu": [["-c", DRAW.format("wgpu")]],
+    "images": [["-c", "import PIL, rhi"]],
+    "video": [["-c", "import av, rhi"]],
+    "imgui": [["-c", "import imgui_bundle, rhi"]],
     "dask": [["-c", "import distributed, rhi"]],
     "test": [["-m", "pytest", "-q", "--pyargs", "rhi.conformance", "--rhi-backend", "null", "-k", "blending"]],
     "docs": [["-c", "import zensical, mkdocstrings"]],
@@ -104,7 +107,7 @@ def browser() -> Iterator[Any]:
 
 ATTACK = """\
 <script>
-const socket = new WebSocket("ws" + decodeURIComponent(location.search.slice(5)))
+const socket = new WebSocket("ws" + decodeURIComponent(location.search.slice(9)))
 socket.onopen = () => { document.title = "in" }
 socket.onerror = () => { document.title = "out" }
 </script>"""
@@ -154,5 +157,6 @@ def test_the_page_of_an_installed_viewer_is_its_users_only(browser: Any, wheel: 
         assert viewer.wait(PATIENCE) == 0
     finally:
         viewer.kill()
+        viewer.communicate()
         attacker.shutdown()
         attacker.server_close()

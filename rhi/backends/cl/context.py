@@ -249,7 +249,9 @@ def build_cached(context: cl.Context, cache: KernelCache, request: Request, stor
         with suppress(cl.Error):
             return build_again(context, stored.code, request.options)
         cache.forget(request.key)
-    with cache.writing(request.key):
+    with cache.writing(request.key) as is_safe:
+        if not is_safe:
+            return build(context, *request.write(make_mark()))
         code = cache.read_code(request.key)
         if code is None and cache.takes_code:
             with suppress(cl.Error):  # the build tells of it

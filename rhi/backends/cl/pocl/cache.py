@@ -4,7 +4,9 @@
   `RHI_CACHE` names the folder, which may be copied to other machines; without it, it lies in the user's cache.
 - PoCL trusts what it finds: a program that another process is just writing, or a damaged file, ends the process. So
   only one process at a time builds a program for the first time, and a record with the checksums of its files says that
-  they are complete. Before a program is taken from the folder, its files are checked; damaged ones are removed.
+  they are complete. Before a program is taken from the folder, its files are checked; damaged ones are removed. The
+  checksums are keyed, and the folder must be the user's own (`rhi.backends.cl.pocl.trust`).
+- Where the folder isn't, or is full, a temporary one serves this process, and a warning says why.
 - PoCL's names of folders can't be computed. So each program contains a function whose name contains its key, by which
   its folder is found (`Request.write`).
 - To find a program by its source, PoCL runs its preprocessor: 6 to 20 ms. By LLVM code it finds it in 1 to 10. So a
@@ -17,24 +19,22 @@
 
 from __future__ import annotations
 
+import atexit
 import hashlib
 import json
 import os
 import re
 import shutil
+import tempfile
 import time
-import zlib
+import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Final, NamedTuple
 
-try:
-    import fcntl
-except ImportError:  # not on Windows, where PoCL's users are few
-    fcntl = None  # type: ignore[assignment]
-
+from rhi.backends.cl.pocl import trust
 from rhi.backends.cl.pocl.declarations import GUARD, declare
 
 ENVIRONMENT: Final = "RHI_CACHE"
@@ -46,33 +46,48 @@ _COMMENT: Final = re.compile("//[^\n]*")
 _PROGRAM: Final = "program.bc"
 _CODE: Final = ".code"
 """Suffix of the files of LLVM code, each of which begins with its checksum."""
-_CHECKSUM: Final = 4  # bytes
+_CHECKSUM: Final = 32  # characters
 _BUILT: Final = "built"
 _PLACES: Final = "[A-Z][A-Z]/*"
 """Where PoCL's folders of programs lie in the folder of compiled kernels."""
 _LEFT: Final = "tempfile_*"
 """Empty files that PoCL leaves in the folder, one a process."""
 _TYPICAL: Final = 400_000  # bytes of a program whose record doesn't say
+PATIENCE: Final = 20.0
+"""Seconds that a lock is waited for: whoever holds it longer may be stopped."""
+_IMPATIENCE: Final = 0.5  # after one was waited for in vain
+_replaced: Final[dict[str, Path]] = {}
+"""The temporary folders of those that aren't used."""
 _OLD: Final = 86400.0  # seconds after which locks and unfinished records are nobody's
 
 
 def choose_folder() -> Path | None:
     """Choose the folder of compiled kernels, and tell PoCL, which reads its variable once, with its first device.
 
-    Return the folder, or None if it can't be written: the driver's own is used then.
+    Return the folder, or None if it can't be written: the driver's own is used then. One that isn't the user's own, or
+    is full, is left alone: a warning says so, and a temporary one takes its place.
     """
     wanted, given = os.environ.get(ENVIRONMENT, ""), os.environ.get(_DRIVER_ENVIRONMENT, "")
     if wanted or not given:
-        user = os.environ.get("XDG_CACHE_HOME", "") or os.path.expanduser("~/.cache")
-        given = str(Path(wanted or os.path.join(user, "rhi")).absolute() / "pocl")
-    folder = Path(given)
+        given = str(Path(wanted or trust.user_cache()).absolute() / "pocl")
+    folder = _replaced.get(given, Path(given))
     try:
-        (folder / _RECORDS).mkdir(parents=True, exist_ok=True)
+        for made in (folder.parent, folder, folder / _RECORDS):
+            made.mkdir(mode=0o700, parents=True, exist_ok=True)
+        faults = (trust.find_fault(each) for each in (folder, folder / _RECORDS))
+        fault = next(filter(None, faults), "")
     except OSError:
         return None
     if not os.access(folder, os.W_OK | os.X_OK):
         return None
-    os.environ[_DRIVER_ENVIRONMENT] = given
+    if fault:
+        instead = Path(tempfile.mkdtemp(prefix="rhi-kernels-"))
+        atexit.register(shutil.rmtree, instead, ignore_errors=True)
+        folder = _replaced[given] = instead / "pocl"
+        (folder / _RECORDS).mkdir(mode=0o700, parents=True)
+        text = f"kernels aren't kept in {given}: {fault}; they are built in {instead}, and removed at the end"
+        warnings.warn(text, RuntimeWarning, stacklevel=2)
+    os.environ[_DRIVER_ENVIRONMENT] = str(folder)
     return folder
 
 
@@ -135,6 +150,8 @@ class KernelCache:
         self._folder = folder
         self._driver = driver
         self._written: set[str] = set()
+        self._patience = PATIENCE
+        self._secret = b"" if folder is None else trust.read_key()
         self.takes_code = folder is not None
         self.declares = declares
 
@@ -159,12 +176,12 @@ class KernelCache:
         place, files, checksum, _ = _read_record(self._folder, record)
         try:
             complete = place is not None and all(
-                zlib.crc32((place / name).read_bytes()) == expected for name, expected in files.items()
+                self._sign(key, name, (place / name).read_bytes()) == expected for name, expected in files.items()
             )
         except OSError:
             complete, place = False, None
         code = self.read_code(key) if complete and checksum is not None else None
-        if not complete or (checksum is not None and (code is None or zlib.crc32(code) != checksum)):
+        if not complete or (checksum is not None and (code is None or self._sign(key, _CODE, code) != checksum)):
             self._remove(key, place)
             return None
         with suppress(OSError):
@@ -191,7 +208,7 @@ class KernelCache:
         except OSError:
             return None
         code = content[_CHECKSUM:]
-        if code and content == _seal(code):
+        if code and content == self.seal(key, code):
             return code
         with suppress(OSError):
             path.unlink()
@@ -208,7 +225,7 @@ class KernelCache:
         try:
             code = (place / _PROGRAM).read_bytes()
             if self.read_code(key) is None:  # no other process was first
-                self._write(self._code_path(key), _seal(code))
+                self._write(self._code_path(key), self.seal(key, code))
             shutil.rmtree(place)
         except OSError:
             return None
@@ -226,6 +243,13 @@ class KernelCache:
         if self._folder is not None:
             place, *_ = _read_record(self._folder, self._folder / _RECORDS / key)
             self._remove(key, place)
+
+    def seal(self, key: str, code: bytes) -> bytes:
+        """Return LLVM code behind its checksum."""
+        return self._sign(key, _CODE, code).encode() + code
+
+    def _sign(self, key: str, name: str, content: bytes) -> str:
+        return trust.sign(self._secret, content, key, name)
 
     def _code_path(self, key: str) -> Path:
         assert self._folder is not None
@@ -255,20 +279,17 @@ class KernelCache:
         return "" if self._folder is None else str(self._folder / _RECORDS / f"{key}.lock")
 
     @contextmanager
-    def writing(self, key: str) -> Iterator[None]:
-        """Keep other processes from building this program."""
-        path = self.find_lock(key)
-        if not path or fcntl is None:
-            yield
-            return
+    def writing(self, key: str) -> Iterator[bool]:
+        """Keep other processes from building this program; whether they are. They aren't if one has been about it for
+        so long that it may be stopped: then nothing may be written that it writes."""
         try:
-            lock = open(path, "wb")  # noqa: SIM115
-        except OSError:  # the folder has been removed or can't be written
-            yield
+            lock = trust.lock(self.find_lock(key), self._patience)
+        except TimeoutError:
+            self._patience = _IMPATIENCE
+            yield False
             return
-        with lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
-            yield
+        with lock or nullcontext():
+            yield True
 
     def record(self, key: str) -> None:
         """Record that a program's files are complete."""
@@ -281,14 +302,14 @@ class KernelCache:
         if place is None:
             return
         files = {
-            str(path.relative_to(place)): zlib.crc32(path.read_bytes())
+            str(path.relative_to(place)): self._sign(key, str(path.relative_to(place)), path.read_bytes())
             for path in (place / _PROGRAM, *place.glob("*/*/*.so"))
         }
         record = self._folder / _RECORDS / key
         size = sum(path.stat().st_size for path in place.rglob("*") if path.is_file()) + len(code or b"")
         described: dict[str, object] = {"folder": str(place.relative_to(self._folder)), "files": files, "bytes": size}
         if code is not None:
-            described["code"] = zlib.crc32(code)
+            described["code"] = self._sign(key, _CODE, code)
         with suppress(OSError):
             self._write(record, json.dumps(described).encode())
         self._written.add(key)
@@ -353,12 +374,7 @@ def _find_name(key: str, code: bytes | None) -> bytes:
     return f"rhi_{_BUILT}_{key}".encode() if found is None else found[0]
 
 
-def _seal(code: bytes) -> bytes:
-    """Return LLVM code behind its checksum."""
-    return zlib.crc32(code).to_bytes(_CHECKSUM, "little") + code
-
-
-def _read_record(folder: Path, record: Path) -> tuple[Path | None, dict[str, int], int | None, int]:
+def _read_record(folder: Path, record: Path) -> tuple[Path | None, dict[str, str], str | None, int]:
     """Return the folder of a record's program, the checksums of its files by their names, that of the LLVM code that it
     is made of if it is, and its bytes.
 
@@ -368,9 +384,9 @@ def _read_record(folder: Path, record: Path) -> tuple[Path | None, dict[str, int
     try:
         known = json.loads(record.read_bytes())
         name = PurePosixPath(known["folder"])
-        files = {str(path): int(checksum) for path, checksum in known["files"].items()}
+        files = {str(path): str(checksum) for path, checksum in known["files"].items()}
         code, size = known.get("code"), int(known.get("bytes", _TYPICAL))
-        checksum = None if code is None else int(code)
+        checksum = None if code is None else str(code)
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None, {}, None, 0
     if record.suffix or name.is_absolute() or ".." in name.parts or not name.match(_PLACES) or len(name.parts) != 2:

@@ -22,6 +22,7 @@ from typing import IO, Any, Final, NamedTuple
 
 _NICE: Final = 10  # frames go first
 _PATIENCE: Final = 0.02  # seconds that closing a device waits at most
+_LOCKED: Final = 20  # seconds that a lock is waited for
 
 
 class Job(NamedTuple):
@@ -108,8 +109,9 @@ def _serve(platform_name: str, version: str, index: int, jobs: IO[bytes], answer
     queue = cl.CommandQueue(context)
     while True:
         source, options, names, table, addresses, zeros, path = pickle.load(jobs)
-        lock = _lock(path)
+        lock = None
         try:
+            lock = _lock(path)
             program = cl.Program(context, *((source,) if isinstance(source, str) else (context.devices, [source])))
             program = program.build(["-w", *options]) if names else program.compile(["-w", *options])
             for name in names:
@@ -119,7 +121,7 @@ def _serve(platform_name: str, version: str, index: int, jobs: IO[bytes], answer
                 kernel = cl.Kernel(program, name)
                 kernel.set_arg(0, np.uint64(memory.ctypes.data))
                 cl.enqueue_nd_range_kernel(queue, kernel, (1,), (1,)).wait()
-        except cl.Error:
+        except (cl.Error, TimeoutError):
             pickle.dump(False, answers)
         else:
             pickle.dump(True, answers)
@@ -130,17 +132,34 @@ def _serve(platform_name: str, version: str, index: int, jobs: IO[bytes], answer
 
 
 def _lock(path: str) -> IO[bytes] | None:
-    """Lock a file; return it, or None where there are no locks."""
+    """Lock a file; return it, or None where there are no locks.
+
+    Raises:
+        TimeoutError: another process holds it for longer than `_LOCKED`; it may be stopped.
+    """
     if not path:
         return None
     try:
         import fcntl
+        import signal
 
         lock = open(path, "wb")  # noqa: SIM115
     except (ImportError, OSError):
         return None
-    fcntl.flock(lock, fcntl.LOCK_EX)
+    signal.signal(signal.SIGALRM, _give_up)
+    signal.alarm(_LOCKED)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+    except TimeoutError:
+        lock.close()
+        raise
+    finally:
+        signal.alarm(0)
     return lock
+
+
+def _give_up(*_: object) -> None:
+    raise TimeoutError
 
 
 def _main() -> None:

@@ -7,13 +7,13 @@ import os
 import shutil
 import subprocess
 import sys
-import zlib
+import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from rhi.backends.cl.pocl import cache
+from rhi.backends.cl.pocl import cache, trust
 from rhi.backends.cl.pocl.cache import KernelCache
 
 DRAW = """
@@ -120,6 +120,11 @@ def test_processes_that_begin_together_share_the_work(tmp_path: Path) -> None:
     assert draw(tmp_path) == (*pictures, 0)
 
 
+def seal(path: Path, code: bytes) -> bytes:
+    """Return code as the user's own, for the program of a file of code."""
+    return KernelCache(path.parent.parent, "driver").seal(path.stem, code)
+
+
 def cut(content: bytes) -> bytes:
     return content[:100]
 
@@ -144,14 +149,15 @@ def test_a_damaged_file_is_built_again(filled: tuple[Path, str], name: str, dama
 
 
 @pytest.mark.parametrize("damage", [
-    bytes.upper, lambda content: cache._seal(b"other"),
-    *(pytest.param(each, marks=pytest.mark.nightly) for each in (cut, empty)),
+    bytes.upper, None, *(pytest.param(each, marks=pytest.mark.nightly) for each in (cut, empty)),
 ])  # fmt: skip
-def test_damaged_or_foreign_code_is_made_again(filled: tuple[Path, str], damage: Callable[[bytes], bytes]) -> None:
+def test_damaged_or_foreign_code_is_made_again(
+    filled: tuple[Path, str], damage: Callable[[bytes], bytes] | None
+) -> None:
     """Its checksum may be right and the record's another, as that of a file from elsewhere."""
     folder, picture = filled
     _, vertices, *_ = codes(folder)
-    vertices.write_bytes(damage(vertices.read_bytes()))
+    vertices.write_bytes(seal(vertices, b"other") if damage is None else damage(vertices.read_bytes()))
     assert draw(folder) == (picture, 1)
     assert len(codes(folder)) == 4
     assert draw(folder) == (picture, 0)
@@ -161,9 +167,10 @@ def test_code_that_the_driver_refuses_is_made_again(filled: tuple[Path, str]) ->
     """Code and record agree, but it is no code."""
     folder, picture = filled
     _, vertices, *_ = codes(folder)
-    vertices.write_bytes(cache._seal(b"other"))
+    vertices.write_bytes(seal(vertices, b"other"))
     record = vertices.with_suffix("")
-    record.write_text(json.dumps(json.loads(record.read_text()) | {"code": zlib.crc32(b"other")}))
+    signed = trust.sign(trust.read_key(), b"other", record.name, ".code")
+    record.write_text(json.dumps(json.loads(record.read_text()) | {"code": signed}))
     assert draw(folder)[0] == picture
     assert len(vertices.read_bytes()) > 1000
     assert draw(folder) == (picture, 0)
@@ -254,7 +261,7 @@ def test_what_nobody_needs_any_more_is_removed_after_a_day(tmp_path: Path) -> No
     for name in old:
         os.utime(tmp_path / name, (1e9, 1e9))
     kernels = KernelCache(tmp_path, "driver")
-    (tmp_path / "rhi" / "key.code").write_bytes(cache._seal(b"code"))
+    (tmp_path / "rhi" / "key.code").write_bytes(kernels.seal("key", b"code"))
     os.utime(tmp_path / "rhi" / "key.code", (1e9, 1e9))
     kernels.record("key")
     kernels.finish()
@@ -265,9 +272,9 @@ def test_what_nobody_needs_any_more_is_removed_after_a_day(tmp_path: Path) -> No
 
 def test_code_counts_to_the_size_of_a_program_and_goes_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "rhi").mkdir()
-    (tmp_path / "rhi" / "key.code").write_bytes(cache._seal(bytes([1]) * 1000))
-    make(tmp_path, "key", 1000, 0.0)
     kernels = KernelCache(tmp_path, "driver")
+    (tmp_path / "rhi" / "key.code").write_bytes(kernels.seal("key", bytes([1]) * 1000))
+    make(tmp_path, "key", 1000, 0.0)
     for limit, left in ((2100, ["key", "key.code"]), (2000, [])):
         monkeypatch.setattr(cache, "LIMIT", limit)
         kernels.record("key")
@@ -307,6 +314,149 @@ def test_a_folder_that_cannot_be_made_leaves_the_driver_s(tmp_path: Path, monkey
     with kernels.writing("key"):
         kernels.record("key")
     kernels.finish()
+
+
+@pytest.fixture
+def environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder for kernels, beside a cache of the user's own."""
+    monkeypatch.setattr(cache, "_replaced", {})
+    monkeypatch.setattr(trust, "LEAST", 0)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "user"))
+    monkeypatch.delenv("POCL_CACHE_DIR", raising=False)
+    monkeypatch.setenv("RHI_CACHE", str(tmp_path / "kernels"))
+    return tmp_path / "kernels" / "pocl"
+
+
+def test_what_is_made_is_for_the_user_only(environment: Path, tmp_path: Path) -> None:
+    assert cache.choose_folder() == environment
+    folders = (environment.parent, environment, environment / "rhi", tmp_path / "user" / "rhi")
+    assert {folder.stat().st_mode & 0o777 for folder in folders} == {0o700}
+    assert (tmp_path / "user" / "rhi" / "key").stat().st_mode & 0o777 == 0o600
+    assert cache.choose_folder() == environment
+
+
+@pytest.mark.parametrize("place", ["", "rhi"])
+@pytest.mark.parametrize(("mode", "is_used"), [(0o755, True), (0o775, False), (0o707, False), (0o1777, False)])
+def test_a_folder_that_others_may_write_is_not_used(environment: Path, place: str, mode: int, is_used: bool) -> None:
+    (environment / "rhi").mkdir(parents=True)
+    (environment / place).chmod(mode)
+    if is_used:
+        assert cache.choose_folder() == environment
+        return
+    with pytest.warns(RuntimeWarning, match="other users may write"):
+        instead = cache.choose_folder()
+    assert instead not in (None, environment)
+    assert os.environ["POCL_CACHE_DIR"] == str(instead)
+    assert cache.choose_folder() == instead  # and says it once
+
+
+def test_a_folder_of_another_user_is_not_used(environment: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (environment / "rhi").mkdir(parents=True)
+    monkeypatch.setattr(os, "geteuid", lambda: environment.stat().st_uid + 1)
+    for path in (environment, environment / "rhi"):  # which may be root's
+        monkeypatch.setattr(path.__class__, "stat", _stat_of(12345))
+    with pytest.warns(RuntimeWarning, match="belongs to another user"):
+        assert cache.choose_folder() != environment
+
+
+def _stat_of(user: int) -> Callable[..., os.stat_result]:
+    def stat(path: Path, **_: object) -> os.stat_result:
+        found = list(os.stat(path))
+        found[4] = user
+        return os.stat_result(found)
+
+    return stat
+
+
+def test_a_full_disk_is_not_used(environment: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trust, "LEAST", 1 << 60)
+    with pytest.warns(RuntimeWarning, match=r"only [\d.]+ MB are free"):
+        assert cache.choose_folder() != environment
+
+
+def test_programs_of_another_user_are_built_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their checksums are right, but for another key: theirs, or none."""
+    folder = tmp_path / "kernels"
+    (folder / "rhi").mkdir(parents=True)
+    for key, secret in (("mine", ""), ("theirs", "stranger"), ("shipped", "program")):
+        monkeypatch.setenv("RHI_CACHE_KEY", secret)
+        make(folder, key, 10, 0.0)
+    monkeypatch.setenv("RHI_CACHE_KEY", "")
+    assert KernelCache(folder, "driver").knows("mine")
+    assert not KernelCache(folder, "driver").knows("theirs")
+    assert not (folder / "AB" / "theirs").exists()
+    monkeypatch.setenv("RHI_CACHE_KEY", "program")
+    assert KernelCache(folder, "driver").knows("shipped")
+
+
+def test_a_program_does_not_pass_for_another(tmp_path: Path) -> None:
+    (tmp_path / "rhi").mkdir()
+    make(tmp_path, "one", 10, 0.0)
+    shutil.copy(tmp_path / "rhi" / "one", tmp_path / "rhi" / "two")
+    assert KernelCache(tmp_path, "driver").knows("one")
+    assert not KernelCache(tmp_path, "driver").knows("two")
+
+
+def test_a_key_that_others_can_read_is_none(environment: Path, tmp_path: Path) -> None:
+    assert cache.choose_folder() == environment
+    (tmp_path / "user" / "rhi" / "key").chmod(0o644)
+    with pytest.warns(RuntimeWarning, match="no key can be kept"):
+        assert cache.choose_folder() != environment
+
+
+def test_a_lock_of_a_stopped_process_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And the program is built under a name of its own, so that nothing is written that the other one writes."""
+    fcntl = pytest.importorskip("fcntl")
+    (tmp_path / "rhi").mkdir()
+    monkeypatch.setattr(cache, "PATIENCE", 0.05)
+    kernels = KernelCache(tmp_path, "driver")
+    with open(kernels.find_lock("key"), "wb") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        with kernels.writing("key") as is_safe:
+            assert not is_safe
+    with kernels.writing("key") as is_safe:
+        assert is_safe
+
+
+@pytest.mark.nightly
+def test_locks_of_a_stopped_process_hold_nobody_up(filled: tuple[Path, str]) -> None:
+    fcntl = pytest.importorskip("fcntl")
+    folder, picture = filled
+    for record in (*records(folder), *codes(folder)):
+        record.unlink()
+    held = [path.open("wb") for path in (folder / "pocl" / "rhi").glob("*.lock")]
+    assert len(held) >= 3
+    for file in held:
+        fcntl.flock(file, fcntl.LOCK_EX)
+    begun = time.monotonic()
+    assert draw(folder)[0] == picture
+    assert 19.0 < time.monotonic() - begun < 120.0
+    for file in held:
+        file.close()
+    assert draw(folder)[0] == picture
+    assert draw(folder) == (picture, 0)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("left", [0, 4096, 100_000, 1_000_000])
+def test_a_full_disk_below_the_folder_means_no_cache_and_says_so(
+    drawn: tuple[Path, str], tmp_path: Path, left: int
+) -> None:
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(disk)]
+    if subprocess.run(command, capture_output=True, check=False).returncode:
+        pytest.skip("only an administrator can mount a small disk")
+    try:
+        (disk / "full").write_bytes(bytes((2 << 20) - 8192 - left))
+        process = start(disk)
+        output, errors = process.communicate(timeout=300)
+        assert process.returncode == 0, errors
+        assert output.split()[0] == drawn[1]
+        assert "kernels aren't kept" in errors
+        assert "free there" in errors
+    finally:
+        subprocess.run(["umount", "-l", str(disk)], check=True)
 
 
 def test_the_driver_s_own_variable_is_respected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,107 @@
+"""Whether the folder of compiled kernels is the user's own, and checksums that nobody else can make up.
+
+Kernels are machine code: whoever can write them, or have others' taken for them, runs code as the user. So a folder
+that belongs to somebody else, or that others may write, isn't used; and the checksums of its files are made with a key
+that only the user can read. It lies beside the default folder, in the user's cache, so that a folder from elsewhere
+doesn't bring its own. A program that ships its kernels says its key in `RHI_CACHE_KEY`, when they are made and when
+they are used.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import stat
+import tempfile
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import IO, Final
+
+try:
+    import fcntl
+except ImportError:  # not on Windows, where PoCL's users are few
+    fcntl = None  # type: ignore[assignment]
+
+ENVIRONMENT: Final = "RHI_CACHE_KEY"
+LEAST: Final = 32 << 20
+"""Bytes that must be free: PoCL fails to build where its folder is full."""
+_KEY_BYTES: Final = 32
+
+
+def user_cache() -> Path:
+    """Return the folder of all that this package caches for the user."""
+    return Path(os.environ.get("XDG_CACHE_HOME", "") or os.path.expanduser("~/.cache")) / "rhi"
+
+
+def find_fault(folder: Path) -> str:
+    """Return why a folder that exists isn't used, or "" if it is the user's own, and has room."""
+    status = folder.stat()
+    if hasattr(os, "geteuid"):
+        if status.st_uid not in (os.geteuid(), 0):
+            return "it belongs to another user"
+        if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+            return "other users may write to it"
+    free = shutil.disk_usage(folder).free
+    if free < LEAST:
+        return f"only {free / 1e6:.1f} MB are free there"
+    return "" if read_key() else f"no key can be kept in {user_cache()}"
+
+
+def read_key() -> bytes:
+    """Return the user's key, which is made if there is none; empty if it can't be kept."""
+    given = os.environ.get(ENVIRONMENT, "")
+    if given:
+        return hashlib.blake2b(given.encode(), digest_size=_KEY_BYTES).digest()
+    path = user_cache() / "key"
+    try:
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if not path.exists():
+            handle, fresh = tempfile.mkstemp(dir=path.parent)  # which only the user can read
+            with os.fdopen(handle, "wb") as file:
+                file.write(os.urandom(_KEY_BYTES))
+            with suppress(FileExistsError):  # another process was first
+                os.link(fresh, path)
+            os.unlink(fresh)
+        status, key = path.stat(), path.read_bytes()
+    except OSError:
+        return b""
+    is_own = not hasattr(os, "geteuid") or (status.st_uid == os.geteuid() and not status.st_mode & 0o077)
+    return key if is_own and len(key) == _KEY_BYTES else b""
+
+
+def sign(secret: bytes, content: bytes, *names: str) -> str:
+    """Return a content's checksum under the names that it is for."""
+    digest = hashlib.blake2b(digest_size=16, key=secret)
+    for part in (*(name.encode() for name in names), content):
+        digest.update(len(part).to_bytes(8, "little"))
+        digest.update(part)
+    return digest.hexdigest()
+
+
+def lock(path: str, patience: float) -> IO[bytes] | None:
+    """Lock a file; None where there are no locks, or it can't be written.
+
+    Raises:
+        TimeoutError: another process holds it for longer than `patience`, in seconds.
+    """
+    if not path or fcntl is None:
+        return None
+    try:
+        file = open(path, "wb")  # noqa: SIM115
+    except OSError:  # the folder has been removed or can't be written
+        return None
+    until = time.monotonic() + patience
+    while True:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return file
+        except BlockingIOError:
+            if time.monotonic() >= until:
+                file.close()
+                raise TimeoutError(f"{path} is locked") from None
+        except BaseException:
+            file.close()
+            raise
+        time.sleep(0.01)
