@@ -11,18 +11,23 @@
 
 from __future__ import annotations
 
+import atexit
 import inspect
 import os
+import sys
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
+from threading import get_ident, main_thread
+from types import FrameType
 from typing import Final
 from weakref import WeakSet
 
 from rhi.commands.recorder import Recorder
 from rhi.contract.backend import Backend, Capabilities
-from rhi.device.core.core import FORKED
+from rhi.device.core.core import ENDING, FORKED, NO_THREAD, stop_thread
 from rhi.device.device import Device
 from rhi.errors import DeviceError, RhiError, refuse
 from rhi.errors.arguments import Arguments
@@ -34,6 +39,9 @@ PREFERENCE: Final = ("gl",)
 """Backends that are tried first, in this order, if no name is given; one that doesn't render must be named."""
 
 
+_LONGEST: Final = 5.0  # seconds
+_creating: Final[set[int]] = set()  # threads that create a device
+_is_ending = False
 _devices: Final[WeakSet[Device]] = WeakSet()
 _loaded: Final[set[str]] = set()  # backends whose drivers this process has
 _forked: Final[set[str]] = set()  # those that its parent had when it was forked
@@ -89,17 +97,24 @@ def create_device(
     frames_in_flight = check.whole("frames_in_flight", frames_in_flight, 1)
     precision = default_precision() if precision is None else check.choice("precision", precision, Precision)
     name = name or os.environ.get("RHI_BACKEND") or None
-    backend = _create_named(name, validation, options) if name else _create_first(validation, options)
-    if record is None:
-        record = backend.capabilities.backend == "null"
-    device = Device(
-        Recorder(backend) if record else backend,
-        validation=validation,
-        timing=timing,
-        frames_in_flight=frames_in_flight,
-        precision=precision,
-    )
-    _devices.add(device)
+    here = get_ident()
+    _creating.add(here)
+    try:
+        backend = _create_named(name, validation, options) if name else _create_first(validation, options)
+        if record is None:
+            record = backend.capabilities.backend == "null"
+        device = Device(
+            Recorder(backend) if record else backend,
+            validation=validation,
+            timing=timing,
+            frames_in_flight=frames_in_flight,
+            precision=precision,
+        )
+        _devices.add(device)
+        if _is_ending and here != main_thread().ident:
+            stop_thread()
+    finally:
+        _creating.discard(here)
     return device
 
 
@@ -124,6 +139,48 @@ def _note_fork() -> None:
 
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_note_fork)
+
+
+def _stop_daemons() -> None:
+    """Let no daemon thread be in a driver when the interpreter ends, whose C++ code would end the process.
+
+    Their devices' next calls don't return, nor do creations. What lasts is waited for, for `_LONGEST` seconds.
+    """
+    global _is_ending
+    _is_ending = True
+    here = get_ident()
+    passes = {}
+    for device in list(_devices):
+        core = device._core
+        if not core.closed and core.thread not in (here, NO_THREAD, FORKED):
+            passes[core.thread] = core
+            core.closed, core.thread = True, ENDING
+    until = time.monotonic() + _LONGEST
+    calm = 0
+    while (passes or _creating - {here}) and calm < 2 and time.monotonic() < until:
+        frames = sys._current_frames()
+        is_busy = any(
+            _is_inside(frames.get(thread)) or (core.render_pass is not None and not _is_stopped(frames.get(thread)))
+            for thread, core in passes.items()
+        ) or any(not _is_stopped(frames.get(thread)) for thread in _creating - {here})
+        calm = 0 if is_busy else calm + 1
+        time.sleep(0.002)
+
+
+def _is_stopped(frame: FrameType | None) -> bool:
+    return frame is None or frame.f_code is stop_thread.__code__
+
+
+def _is_inside(frame: FrameType | None) -> bool:
+    """Return whether a thread executes a call of this package that hasn't been stopped."""
+    if _is_stopped(frame):
+        return False
+    while frame is not None and not str(frame.f_globals.get("__name__")).startswith("rhi."):
+        frame = frame.f_back
+    return frame is not None
+
+
+atexit.register(_stop_daemons)
 
 
 def _create_named(name: str, validation: bool, options: Mapping[str, object]) -> Backend:

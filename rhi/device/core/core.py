@@ -10,6 +10,7 @@ import dataclasses
 import itertools
 import sys
 import threading
+import time
 import weakref
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -51,6 +52,8 @@ NO_THREAD: Final = 0
 """The `Core.thread` of a device that belongs to no thread."""
 FORKED: Final = -1
 """That of a device in a process that was forked after its creation."""
+ENDING: Final = -2
+"""That of a device of a daemon thread, in a process that ends: the thread's next call doesn't return."""
 NO_TARGETS: Final[frozenset[Id]] = frozenset()
 MAX_SAMPLERS: Final = 4096
 """Number of different samplers of a device: they live as long as it does, and platforms have few."""
@@ -294,6 +297,8 @@ class Core:
     def check_open(self) -> None:
         """Refuse calls of a closed device."""
         if self.closed:
+            if self.thread == ENDING:
+                stop_thread()
             self.refuse(DEVICE_CLOSED, "device", "a closed device")
 
     check_command = check_open
@@ -566,6 +571,12 @@ def lost_pass() -> DeviceError:
     """Return the error of a render pass during which other code made another context current."""
     given = "another context, made current by other code inside a render pass; draws since then are lost"
     return DeviceError(DEVICE_CONTEXT, "device.render_pass", given)
+
+
+def stop_thread() -> None:
+    """Wait for the end of the process."""
+    while True:
+        time.sleep(3600.0)
 
 
 def name_thread(identity: int) -> str:
