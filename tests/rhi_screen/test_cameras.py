@@ -56,6 +56,21 @@ def test_a_key_flies_ahead_as_long_as_it_is_held(screen: Screen) -> None:
     assert np.array_equal(fly.update(1.0).position, rest.position)
 
 
+def test_without_a_time_a_clock_says_it_and_a_long_frame_moves_a_quarter_of_a_second(
+    screen: Screen, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = [10.0]
+    monkeypatch.setattr("rhi_screen.cameras.perf_counter", lambda: now[0])
+    ways = []
+    for gap in (0.1, 0.25, 1000.0):
+        fly = FlyCamera(screen, (0.0, 0.0, 4.0), speed=2.0)
+        screen.send("key_down", key="w")
+        now[0] += gap
+        ways.append(4.0 - fly.update().position[2])
+        fly.close()
+    assert 0.0 < ways[0] < ways[1] == ways[2]
+
+
 def test_an_event_that_was_stopped_moves_no_camera_and_a_closed_one_listens_no_more(screen: Screen) -> None:
     orbit = OrbitCamera(screen, distance=2.0)
     begin = orbit.camera.position
@@ -87,6 +102,16 @@ def test_what_has_passed_of_a_step_is_its_part_and_a_slow_frame_drops_time() -> 
     assert (list(steps.advance(0.25)), steps.part) == ([0, 1], pytest.approx(0.5))
     assert list(steps.advance(10.0)) == [0, 1, 2]
     assert len(steps.advance(0.1)) == 1, "the rest of ten seconds isn't made up for"
+
+
+def test_steps_follow_a_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    now, steps = [5.0], FixedSteps(10)
+    monkeypatch.setattr("rhi_screen.time_steps.perf_counter", lambda: now[0])
+    counts = []
+    for gap in (0.0, 0.2, 0.05, 0.05):
+        now[0] += gap
+        counts.append(len(steps.advance()))
+    assert counts == [0, 2, 0, 1]
 
 
 def test_statistics_are_of_the_last_second() -> None:

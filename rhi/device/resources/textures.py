@@ -222,6 +222,8 @@ class Texture(TextureBinding, Resource):
             ValidationError: `texture-format` for integers, `image-file` for an ending that isn't known.
             DeviceError: `image-library` without Pillow.
         """
+        if not isinstance(path, (str, Path)):
+            Arguments("Texture.save", self.core.refuse).fail("path", path, "a str or a Path")
         picture = make_picture(self.format, self.read(level, layer))
         if picture is None:
             self.core.refuse(TEXTURE_FORMAT, "Texture.save", self.format.name, "a format of colors or depth")

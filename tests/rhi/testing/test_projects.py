@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+import rhi
 from rhi.__main__ import main
 from rhi.errors import ValidationError
 from rhi.testing.projects import KINDS, write_project
@@ -47,7 +48,7 @@ def test_a_project_passes_its_checks_and_tests(kind: str, tmp_path: Path) -> Non
     if kind != "tests":
         pytest.importorskip("imgui_bundle", reason="no imgui-bundle: pip install rhi[viewer]")
     root = write_project(kind, "kite", tmp_path)
-    environment = {**os.environ, "RHI_KERNELS": "quick"}
+    environment = {**os.environ, "RHI_KERNELS": "quick", "PYTHONPATH": str(Path(rhi.__file__).parents[1])}
     for command in (
         ["pytest", "-q", "--rhi-backend", "gl"],
         ["mypy", "kite.py", "test_kite.py"],
