@@ -25,6 +25,11 @@ UNREADABLE_MODEL: Final = Rule(
     "the model file can't be read as the format that its extension names",
     "open the file in a viewer, or export it again",
 )
+MODEL_LIMIT: Final = Rule(
+    "scene-model-limit",
+    "the model file asks for more than a file may",
+    "if you trust it: load_model(..., limits=ModelLimits(...)), or file.gltf:unlimited",
+)
 EMPTY_MODEL: Final = Rule(
     "scene-empty-model",
     "the model has no triangles",

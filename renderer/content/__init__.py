@@ -9,6 +9,7 @@ from renderer.content.library import find_path as find_path
 from renderer.content.library import load_scene as load_scene
 from renderer.content.library import parse_camera as parse_camera
 from renderer.content.library import parse_shots as parse_shots
+from renderer.content.limits import ModelLimits as ModelLimits
 from renderer.content.models import add_model as add_model
 from renderer.content.models import load_model as load_model
 from renderer.content.models import save_scene as save_scene

@@ -16,6 +16,7 @@ from renderer.content.city import CITY
 from renderer.content.glass import GLASS
 from renderer.content.grid import GRID
 from renderer.content.hall import HALL
+from renderer.content.limits import ModelLimits
 from renderer.content.models import FORMATS, load_model
 from renderer.content.night import NIGHT
 from renderer.content.specs import Generator
@@ -34,7 +35,8 @@ _FARTHEST: Final = 1e18  # metres; squares of more aren't float32
 
 
 def load_scene(text: str) -> Scene:
-    """Load the scene that `text` names: `city`, `city:blocks=8,seed=3`, or the path of a model file.
+    """Load the scene that `text` names: `city`, `city:blocks=8,seed=3`, or the path of a model file,
+    with `:outside` if it may name files that aren't in its folder, and `:unlimited` if it may be of any size.
 
     Unknown names, keys and values are refused, listing what is allowed; files are refused as by `load_model`.
     """
@@ -42,10 +44,15 @@ def load_scene(text: str) -> Scene:
     if name in GENERATORS:
         generator = GENERATORS[name]
         return generator.build(**generator.parse(options))
-    if Path(text).suffix.lower() not in FORMATS and not Path(text).is_file():
+    if not any(Path(one).suffix.lower() in FORMATS or Path(one).is_file() for one in (text, name)):
         known = [*GENERATORS, *(f"a file{end}" for end in FORMATS)]
         rules.refuse_name(rules.UNKNOWN_SCENE, f"load_scene({text!r})", name, known)
-    return load_model(text)
+    path, limits = text, None
+    if not Path(text).is_file() and (parsed := ModelLimits.parse(options)) is not None:
+        path, limits = name, parsed
+    scene = load_model(path, limits)
+    scene.name = text
+    return scene
 
 
 def find_path(text: str, scene: Scene) -> CameraPath:

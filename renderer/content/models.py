@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -18,6 +19,7 @@ import numpy as np
 
 from renderer import rules
 from renderer.content.assets import share_geometry, share_image
+from renderer.content.limits import Budget, ModelLimits
 from renderer.scene.arrays import Floats
 from renderer.scene.materials import ImagePixels
 from renderer.scene.meshes import MeshGeometry, join, make_geometry
@@ -25,7 +27,7 @@ from renderer.scene.omissions import Omission
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
 from rhi import from_srgb
-from rhi.errors import refuse
+from rhi.errors import RhiError, refuse
 from rhi.math import Perspective, is_affine, translation
 
 if TYPE_CHECKING:
@@ -49,15 +51,16 @@ class _FileNode:
     mesh: str | None
 
 
-def load_model(path: str | Path) -> Scene:
+def load_model(path: str | Path, limits: ModelLimits | None = None) -> Scene:
     """Load the scene in a model file, and add fitting camera paths, and a sun if it has no light. Its name is the path.
 
-    `Scene.omissions` lists what the file has and the scene hasn't. Refused as by `add_model`.
+    `Scene.omissions` lists what the file has and the scene hasn't. `limits`: what the file may ask for. Refused as by
+    `add_model`.
     """
     path = str(path)
     builder = SceneBuilder(path)
     builder.background = (0.30, 0.36, 0.44)
-    surroundings = _add(builder, path)
+    surroundings = _add(builder, path, limits)
     if surroundings is not None:
         builder.background, builder.haze = surroundings.background, surroundings.haze
         builder.lights.sky, builder.lights.ground = surroundings.sky, surroundings.ground
@@ -72,14 +75,14 @@ def load_model(path: str | Path) -> Scene:
     return scene
 
 
-def add_model(builder: SceneBuilder, path: str | Path) -> None:
+def add_model(builder: SceneBuilder, path: str | Path, limits: ModelLimits | None = None) -> None:
     """Add everything in a model file to a scene under construction. An image or a mesh that is there already, from
     whichever file, is added once.
 
     Refused, naming the file: `scene-missing-file`, `scene-unknown-format`, `scene-unreadable-model`,
-    `scene-empty-model`, `scene-bad-vertices`, `scene-bad-transform`.
+    `scene-empty-model`, `scene-bad-vertices`, `scene-bad-transform`, `scene-model-limit`.
     """
-    _add(builder, str(path))
+    _add(builder, str(path), limits)
 
 
 def save_scene(scene: Scene, path: str | Path) -> tuple[Omission, ...]:
@@ -96,24 +99,26 @@ def save_scene(scene: Scene, path: str | Path) -> tuple[Omission, ...]:
     return write_gltf(scene, path)
 
 
-def _add(builder: SceneBuilder, path: str) -> Surroundings | None:
+def _add(builder: SceneBuilder, path: str, limits: ModelLimits | None) -> Surroundings | None:
     """Add everything in a model file; return the surroundings of a scene that was saved."""
     _check_file(path)
+    budget = Budget(path, limits or ModelLimits())
     surroundings = None
     if Path(path).suffix.lower() in _GLTF:
         from renderer.content.gltf import add_gltf
 
-        surroundings = add_gltf(builder, path)
+        surroundings = add_gltf(builder, path, budget)
     else:
-        _add_by_trimesh(builder, path)
+        _add_by_trimesh(builder, path, budget)
     return surroundings
 
 
-def _add_by_trimesh(builder: SceneBuilder, path: str) -> None:
-    meshes, nodes, files = _read(path)
+def _add_by_trimesh(builder: SceneBuilder, path: str, budget: Budget) -> None:
+    meshes, nodes, files = _read(path, budget)
     builder.files += files
     ids: dict[str, tuple[int, int, Floats]] = {}
     for name, mesh in meshes.items():
+        budget.spend("vertices", len(mesh.vertices) + 3 * len(mesh.faces))
         geometry, centre = _convert(path, mesh)
         ids[name] = (builder.add_mesh(share_geometry(geometry), name), _add_material(builder, mesh), centre)
     rows: list[int] = []
@@ -138,15 +143,21 @@ def read_geometry(path: str) -> MeshGeometry:
     return join(parts)
 
 
-def _read(path: str) -> tuple[dict[str, Any], list[_FileNode], list[Path]]:
+def _read(path: str, budget: Budget) -> tuple[dict[str, Any], list[_FileNode], list[Path]]:
     """Read the file's triangle meshes by name, its nodes, parents before children, and which files that took."""
     file, call = Path(path), f"load_model({path!r})"
     with _quiet():
         import trimesh
 
         try:
-            noted = _make_resolver(file)
-            loaded = trimesh.load_scene(str(file), process=False, resolver=noted)
+            noted = _make_resolver(file, budget)
+            content = BytesIO(budget.read(file))
+            kind = file.suffix.lower().lstrip(".")
+            loaded = trimesh.load_scene(content, file_type=kind, process=False, resolver=noted)
+            if noted.refusal is not None:
+                raise noted.refusal
+        except RhiError:
+            raise
         except Exception as error:
             refuse(rules.UNREADABLE_MODEL, call, f"{path}: {type(error).__name__}: {error}")
         meshes = {
@@ -163,7 +174,7 @@ def _read(path: str) -> tuple[dict[str, Any], list[_FileNode], list[Path]]:
     return meshes, nodes, noted.files
 
 
-def _make_resolver(file: Path) -> Any:
+def _make_resolver(file: Path, budget: Budget) -> Any:
     """Return trimesh's reader of materials and images beside a file, which notes in `files` what it looks for."""
     from trimesh.resolvers import FilePathResolver
 
@@ -171,11 +182,21 @@ def _make_resolver(file: Path) -> Any:
         def __init__(self, source: str) -> None:
             super().__init__(source)
             self.files = [Path(source)]
+            self.refusal: RhiError | None = None
 
         def get(self, name: str) -> Any:
             beside = [Path(self.parent) / one for one in (name.strip().lstrip("/"), Path(name).name)]
-            self.files += [path for path in beside if path.is_file()][:1] or beside[:1]
-            return super().get(name)
+            chosen = ([path for path in beside if path.is_file()] or beside)[0]
+            self.files.append(chosen)
+            if not budget.allows(chosen):
+                raise FileNotFoundError(f"{name} isn't in the folder of {file}")
+            try:
+                content = budget.read(chosen)
+                budget.spend_image(content)
+            except RhiError as error:  # which trimesh goes on after
+                self.refusal = error
+                raise
+            return content
 
     return Noting(str(file))
 
@@ -186,7 +207,9 @@ def _check_file(path: str) -> None:
         refuse(rules.MISSING_FILE, call, path, tip=f"relative paths are resolved in {Path.cwd()}")
     if file.suffix.lower() not in FORMATS:
         refuse(rules.UNKNOWN_FORMAT, call, file.suffix or file.name, ", ".join(FORMATS))
-    if file.is_file() and not file.stat().st_size:
+    if not file.is_file():
+        refuse(rules.UNREADABLE_MODEL, call, f"{path} isn't a regular file")
+    if not file.stat().st_size:
         refuse(rules.EMPTY_MODEL, call, f"{path}, 0 bytes")
 
 

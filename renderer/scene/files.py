@@ -16,6 +16,8 @@ from typing import Any, Final
 TEXT_BYTES: Final = 64 << 20
 """The most bytes of a file of settings, of cameras or of commands."""
 
+_UNKNOWN: Final = 1 << 20  # bytes that are read of a file that doesn't say how many it has
+
 
 def read_file(path: str | Path, most: int) -> bytes:
     """Return the bytes of a regular file.
@@ -29,7 +31,7 @@ def read_file(path: str | Path, most: int) -> bytes:
         status = os.fstat(handle)
         if not stat.S_ISREG(status.st_mode):
             raise OSError(errno.EINVAL, "it isn't a regular file", str(path))
-        content = b"" if status.st_size > most else file.read(most + 1)
+        content = b"" if status.st_size > most else file.read(min(most, status.st_size or _UNKNOWN) + 1)
         if max(status.st_size, len(content)) > most:  # it grows, or its size isn't known
             raise OSError(errno.EFBIG, f"it has more than {most:,} bytes", str(path))
         return content

@@ -18,7 +18,7 @@ from traceback import extract_tb
 from typing import Final
 
 from renderer import rules
-from renderer.content import load_model
+from renderer.content import load_scene
 from renderer.scene.files import parse_path
 from renderer.settings import RenderSettings
 from renderer.viewer.command_table import Parameter, ViewerCommand
@@ -127,7 +127,7 @@ class SavedFiles:
             reloader.watch(self._settings, reload=self._read_saved_settings)
 
     def _read_scene(self, path: Path) -> None:
-        self._stage.exchange(load_model(self._stage.scene.name))
+        self._stage.exchange(load_scene(self._stage.scene.name))
         self._watch_files()  # which may be others now
         self._say(f"read {path.name} again", False)
 

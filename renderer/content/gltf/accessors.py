@@ -24,7 +24,6 @@ _COMPONENTS: Final[dict[int, np.dtype[Any]]] = {
     5126: np.dtype("<f4"),
 }
 _SIZES: Final = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
-_MOST_ZEROS: Final = 2**24  # elements of an accessor without bytes: what a few characters of JSON may allocate
 
 
 class Accessors:
@@ -90,10 +89,9 @@ class Accessors:
         if view >= 0:
             stride = self.file.views[view].whole("byteStride", 0, 0, 252)
             found = self._elements(fields, view, fields.whole("byteOffset", 0), count, dtype, size, stride)
-        elif count <= _MOST_ZEROS:
-            found = np.zeros((count, size), dtype)
         else:
-            fields.refuse("count", count, f"1 to {_MOST_ZEROS:,} without a bufferView")
+            self.file.budget.spend_zeros(count)
+            found = np.zeros((count, size), dtype)
         return self._replaced(fields, found) if "sparse" in fields else found
 
     def _elements(

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from renderer import rules
 from renderer.content.gltf.document import JsonObject
-from rhi.errors import refuse
+from renderer.content.limits import Budget
+from rhi.errors import RhiError, refuse
 
 EXTENSIONS: Final = {
     "EXT_texture_webp": "texture",
@@ -43,17 +44,19 @@ class GltfFile:
 
     Attributes:
         path: the path as the user gave it.
+        budget: what the file may still ask for.
         root: the document.
         files: those that were read or looked for so far, this one first.
     """
 
-    def __init__(self, path: str) -> None:
+    def __init__(self, path: str, budget: Budget | None = None) -> None:
         self.path = path
+        self.budget = budget or Budget(path)
         self.files = [Path(path)]
         self._folder = Path(path).parent
         self._buffers: dict[int, ByteArray] = {}
         self._binary: ByteArray | None = None
-        content = _read_bytes(path)
+        content = _read_bytes(path, self.budget)
         text = content.tobytes() if content[:4].tobytes() != MAGIC else self._split(content)
         try:
             parsed = json.loads(text.decode("utf-8-sig"))
@@ -109,8 +112,13 @@ class GltfFile:
         if file is None:
             fields.refuse("uri", uri, "a file's name, or data:…;base64,…")
         self.files.append(file)  # also if it is missing: it may be saved later
+        if not self.budget.allows(file):
+            allowed = f"a file in {self._folder.resolve()}, unless ModelLimits(outside=True) or {self.path}:outside"
+            fields.refuse("uri", uri, allowed)
         try:
-            content = np.fromfile(file, np.uint8)
+            content = np.frombuffer(self.budget.read(file), np.uint8)
+        except RhiError:
+            raise
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or str(error)
             fields.refuse("uri", f"{uri}: {reason}", f"a file in {self._folder.resolve()}")
@@ -164,11 +172,13 @@ class GltfFile:
         return held
 
 
-def _read_bytes(path: str) -> ByteArray:
+def _read_bytes(path: str, budget: Budget) -> ByteArray:
     try:
-        return np.fromfile(path, np.uint8)
-    except OSError as error:
-        _refuse(path, error.strerror or str(error))
+        return np.frombuffer(budget.read(path), np.uint8)
+    except RhiError:
+        raise
+    except (OSError, ValueError) as error:
+        _refuse(path, getattr(error, "strerror", None) or str(error))
 
 
 def _refuse(path: str, given: str, allowed: str = "") -> NoReturn:

@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from renderer import rules
 from renderer.content.assets import decode_images
 from renderer.content.gltf.container import EXTENSIONS, GltfFile
 from renderer.content.gltf.document import JsonObject
@@ -154,8 +155,9 @@ class Materials:
             try:
                 view = fields.index("bufferView", len(self._file.views))
                 contents[number] = self._file.view(view) if view >= 0 else self._file.read(fields)
+                self._file.budget.spend_image(contents[number].tobytes())
             except RhiError as error:
-                if "bufferView" in fields:
+                if "bufferView" in fields or error.rule is rules.MODEL_LIMIT:
                     raise
                 self.omissions.add(f"an image that can't be read ({error.given})", fields.where)
         for number, pixels in zip(contents, decode_images(contents.values()), strict=True):

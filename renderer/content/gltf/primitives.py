@@ -100,7 +100,9 @@ class Primitives:
         for name, column in columns.items():
             if len(column) != count:
                 attributes.refuse(name, f"{len(column)} vertices", f"{count}, as many as positions")
-        corners = _list_triangles(self._corners(primitive, count), mode)
+        used = self._corners(primitive, count)
+        self.accessors.file.budget.spend("vertices", count + len(used))
+        corners = _list_triangles(used, mode)
         if not len(corners):
             self.omissions.add("primitives without a triangle", primitive.where)
             return None

@@ -40,20 +40,21 @@ from renderer.content.gltf.nodes import (
 )
 from renderer.content.gltf.primitives import Primitives
 from renderer.content.gltf.tracks import WEIGHTS, Track
+from renderer.content.limits import Budget
 from renderer.scene.arrays import Floats
 from renderer.scene.meshes import MeshGeometry
 from renderer.scene.scene import SceneBuilder
 from rhi.errors import refuse
 
 
-def add_gltf(builder: SceneBuilder, path: str) -> Surroundings | None:
+def add_gltf(builder: SceneBuilder, path: str, budget: Budget | None = None) -> Surroundings | None:
     """Add everything in a glTF file to a scene under construction; return the surroundings of a scene that
     `save_scene` has written, or None.
 
     Cameras become views, named after their nodes. Refused, naming the file: `scene-unreadable-model`,
     `scene-empty-model`, `scene-bad-vertices`.
     """
-    file = GltfFile(path)
+    file = GltfFile(path, budget)
     reader = _GltfReader(builder, file)
     before = builder.object_count
     reader.add_all()

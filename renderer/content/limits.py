@@ -1,0 +1,110 @@
+"""What a model file may ask for: files that a stranger wrote shouldn't fill memory, wait for ever, or read others.
+
+Limits are generous, and said by `load_model(…, limits=…)`, or in a scene's text: `model.gltf:outside`,
+`model.gltf:unlimited`. They are counted while the file is read, before memory is taken.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from io import BytesIO
+from math import inf
+from pathlib import Path
+from typing import Final
+
+from renderer import rules
+from renderer.scene.files import read_file
+from rhi.errors import refuse
+
+_ZEROS: Final = 1 << 20
+_ZEROS_PER_BYTE: Final = 16
+_IMAGE_PART: Final = 8
+
+
+@dataclass(frozen=True, slots=True)
+class ModelLimits:
+    """What a model file may ask for.
+
+    Attributes:
+        bytes: of the file, and of all that it names.
+        pixels: of all its images together; a single one has at most an eighth.
+        vertices: and indices, of all its meshes together.
+        seconds: until it is read.
+        outside: whether it may name files that aren't in its folder.
+    """
+
+    bytes: float = 4 << 30
+    pixels: float = 1 << 29
+    vertices: float = 1 << 25
+    seconds: float = 600.0
+    outside: bool = False
+
+    @classmethod
+    def parse(cls, words: str) -> ModelLimits | None:
+        """Return what a scene's text says of a model file: `outside`, `unlimited` or both; None for other words."""
+        chosen = set(words.split(","))
+        if not chosen <= {"outside", "unlimited"}:
+            return None
+        limits = cls(inf, inf, inf, inf) if "unlimited" in chosen else cls()
+        return replace(limits, outside="outside" in chosen)
+
+
+@dataclass(slots=True)
+class Budget:
+    """What is left of the limits of a file that is being read."""
+
+    path: str
+    limits: ModelLimits = field(default_factory=ModelLimits)
+    begun: float = field(default_factory=time.monotonic)
+    spent: dict[str, int] = field(default_factory=dict)
+
+    def spend(self, kind: str, amount: int, most: float | None = None) -> None:
+        """Count `amount` of a kind: a field of the limits, or what has at most `most`.
+
+        Raises:
+            ValidationError: `scene-model-limit`: it is too much, or has taken too long.
+        """
+        whole = self.spent[kind] = self.spent.get(kind, 0) + amount
+        most = getattr(self.limits, kind) if most is None else most
+        if whole > most:
+            self._refuse(f"{whole:,} {kind}", f"{most:,.0f}")
+        if time.monotonic() - self.begun > self.limits.seconds:
+            self._refuse(f"more than {self.limits.seconds:g} s", f"{self.limits.seconds:g} s")
+
+    def spend_zeros(self, count: int) -> None:
+        """Count elements of which the file has no bytes: no more than its size suggests."""
+        self.spend("vertices", 0)
+        most = inf if self.limits.vertices == inf else _ZEROS + _ZEROS_PER_BYTE * self.spent.get("bytes", 0)
+        self.spend("elements without bytes", count, most)
+
+    def spend_image(self, content: bytes) -> None:
+        """Count the pixels of an encoded image, which is decoded only then."""
+        from PIL import Image
+
+        try:
+            with Image.open(BytesIO(content)) as image:
+                pixels = image.width * image.height
+        except Exception:  # whatever a broken file leads pillow to; decoding says what is wrong
+            return
+        if pixels > self.limits.pixels / _IMAGE_PART:
+            self._refuse(f"an image of {pixels:,} pixels", f"{self.limits.pixels / _IMAGE_PART:,.0f}")
+        self.spend("pixels", pixels)
+
+    def read(self, file: str | Path) -> bytes:
+        """Return the bytes of a regular file, and count them.
+
+        Raises:
+            OSError, ValueError: as of `read_file`.
+        """
+        left = min(self.limits.bytes, 1 << 62) - self.spent.get("bytes", 0)
+        content = read_file(file, int(max(left, 0)))
+        self.spend("bytes", len(content))
+        return content
+
+    def allows(self, file: Path) -> bool:
+        """Return whether a file may be read: if it isn't in the folder of this one, only if that was asked for."""
+        return self.limits.outside or file.resolve().is_relative_to(Path(self.path).parent.resolve())
+
+    def _refuse(self, given: str, allowed: str) -> None:
+        refuse(rules.MODEL_LIMIT, f"load_model({self.path!r})", f"{self.path}: {given}", f"at most {allowed}")
