@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 from frames import make_boxes
 from hypothesis import given
 from hypothesis import strategies as st
 
+from renderer.content import load_scene
 from renderer.scene import Camera, Orthographic, Perspective, Projection
 from renderer.scene.arrays import Floats
 from renderer.shadows import ShadowSettings
@@ -20,6 +23,7 @@ from renderer.shadows.cascades import (
     fit_cascades,
 )
 from renderer.shadows.casters import SceneCasters
+from renderer.shadows.needed import _find_depth
 
 SUN = np.array((-0.55, -0.62, -0.50)) / np.linalg.norm((-0.55, -0.62, -0.50))
 LENS = Perspective(fov=1.0, near=0.2)
@@ -108,6 +112,18 @@ def test_parallel_views_have_cascades_where_the_scene_is() -> None:
     for one in cascades:
         low = camera.position + camera.forward * 64.0 - one.camera.position
         assert 0.0 < low @ one.camera.forward < one.length
+
+
+def test_the_depths_of_a_parallel_view_are_those_of_the_scene_in_whole_steps() -> None:
+    scene = load_scene("hall:columns=6")
+    lower, upper = scene.bounds
+    corners = np.array(list(product(*zip(lower, upper, strict=True))))
+    for direction in ((1.0, 0.0, 0.0), (0.3, -0.8, 0.2)):
+        camera = look(np.array((3.0, 5.0, 7.0)), np.array(direction))
+        true = (corners - camera.position) @ camera.forward
+        low, high = _find_depth(scene, camera)
+        assert true.min() - 16.0 < low <= true.min()
+        assert true.max() <= high < true.max() + 16.0
 
 
 def test_a_map_of_one_texel_holds_its_slice() -> None:

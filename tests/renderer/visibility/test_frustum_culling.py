@@ -67,6 +67,12 @@ def test_batches_are_ascending_and_statistics_count_them(hall):
     assert statistics.plane_tests > 0
 
 
+def test_an_object_that_is_alone_in_view_is_a_batch():
+    scene = load_scene("grid:count=1")
+    statistics = FrustumCulling(scene).render(next(iter(scene.views.values())), CallbackPass(lambda rows: None))
+    assert (statistics.visible, statistics.batches) == (1, 1)
+
+
 def test_nothing_in_view_draws_nothing(hall):
     batches = []
     away = Camera.look_at((0.0, 1000.0, 0.0), (0.0, 2000.0, 0.0))

@@ -15,6 +15,7 @@ from null_kit import Camera, Kit
 
 import rhi
 from rhi import Device, Format, Op, SamplerDescriptor
+from rhi.backends.null import NullBackend
 from rhi.device.core import core
 from rhi.device.core.timeline import MAX_WAITING, MAX_WAITING_BYTES
 from rhi.device.queries.timers import MAX_EVENTS
@@ -173,6 +174,23 @@ def test_without_a_fence_destroyed_resources_are_released_in_two_lots(
         make(null_device).destroy()
         highest = max(highest, len(null_device._core.timeline._retired))
     assert most <= highest <= 2 * most
+
+
+def test_a_program_that_never_asks_for_fences_lets_the_backend_forget_them(
+    null_device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[int] = []
+    backend, timeline = null_device.backend_as(NullBackend), null_device._core.timeline
+    completed = backend.completed
+
+    def ask() -> int:
+        asked.append(timeline.signalled)
+        return completed()
+
+    monkeypatch.setattr(backend, "completed", ask)
+    for _ in range(3 * MAX_WAITING):
+        null_device.signal()
+    assert asked == [MAX_WAITING, 2 * MAX_WAITING, 3 * MAX_WAITING]
 
 
 def test_a_few_destroyed_resources_cause_no_signal(kit: Kit) -> None:

@@ -384,6 +384,7 @@ DISTURBANCES: dict[str, Callable[[Any], object]] = {
     "pixels that are skipped": lambda gl: (gl.PixelStorei(0x0CF4, 1), gl.PixelStorei(0x0D04, 1)),
     "rows of pixels": lambda gl: (gl.PixelStorei(0x0CF2, 7), gl.PixelStorei(0x0D02, 7)),
     "alignment": lambda gl: (gl.PixelStorei(0x0CF5, 8), gl.PixelStorei(0x0D05, 8)),
+    "bytes in another order": lambda gl: (gl.PixelStorei(0x0CF0, 1), gl.PixelStorei(0x0D00, 1)),
     "pixel buffer": lambda gl: gl.BindBuffer(0x88EC, gl.create(gl.CreateBuffers)),
     "label": lambda gl: gl.PushDebugGroup(0x824A, 0, -1, b"foreign"),
     "query": lambda gl: gl.BeginQuery(0x8914, gl.create(gl.CreateQueries, 0x8914)),
@@ -393,8 +394,8 @@ SWITCHES = (
     0x8C36, 0x8C89, 0x8D69, 0x8DB9, 0x8E51, 0x8F9D,
 )  # fmt: skip
 NUMBERS = (
-    0x0B40, 0x0B45, 0x0B46, 0x0B72, 0x0B74, 0x0B92, 0x0B93, 0x0B97, 0x0C23, 0x0CF2, 0x0CF4, 0x0CF5, 0x0D02, 0x0D04,
-    0x0D05, 0x826D, 0x88EF, 0x8CA6, 0x8E4F, 0x935C, 0x935D,
+    0x0B40, 0x0B45, 0x0B46, 0x0B72, 0x0B74, 0x0B92, 0x0B93, 0x0B97, 0x0C23, 0x0CF0, 0x0CF2, 0x0CF4, 0x0CF5, 0x0D00,
+    0x0D02, 0x0D04, 0x0D05, 0x826D, 0x88EF, 0x8CA6, 0x8E4F, 0x935C, 0x935D,
 )  # fmt: skip
 """Polygon mode, face, winding, depth mask and comparison, stencil, color mask, transfers, labels, framebuffer, …"""
 

@@ -55,6 +55,14 @@ def test_a_mesh_without_attributes_has_vertices(recording: Device, count: int) -
     recording.mesh(1).destroy()
 
 
+def test_a_buffer_of_vertices_was_not_destroyed(recording: Device) -> None:
+    buffer = recording.buffer(rectangle())
+    recording.mesh(buffer).destroy()
+    buffer.destroy()
+    with refuses(rules.RESOURCE_DESTROYED, recording):
+        recording.mesh(buffer)
+
+
 def test_a_buffer_of_vertices_has_fields(recording: Device) -> None:
     with recording.buffer(np.zeros(12, "f4")) as buffer, refuses(rules.MESH_DATA, recording):
         recording.mesh(buffer)
