@@ -179,7 +179,7 @@ class TextureUse(Struct):
     """
 
     u: vec3
-    array: int
+    array: int  # type: ignore[assignment]  # hides Struct.array
     v: vec3
     layer: float
     uv_set: int

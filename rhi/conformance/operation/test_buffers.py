@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rhi import Access, BufferUsage, Device
+from rhi import Access, BufferUsage, Device, ValidationError
 from rhi.conformance.compare import assert_same
+from rhi.shading import Array, Struct, array, mat3, uvec2, vec3
 
 POINT = np.dtype([("position", "<f4", (3,)), ("color", "u1", (4,)), ("id", "<u2"), ("pad", "<u2")])
 
@@ -262,3 +263,66 @@ def test_uploads_and_creations_are_counted(device: Device) -> None:
     after = device.statistics
     assert after.creations - before.creations == 1
     assert after.upload_bytes - before.upload_bytes == 120
+
+
+class Glow(Struct):
+    """A field."""
+
+    color: vec3
+    reach: float
+
+
+class Scene(Struct):
+    """One field of each kind, with neighbours in the same 16 bytes."""
+
+    power: float
+    ids: uvec2
+    place: vec3
+    time: float
+    turn: mat3
+    weights: Array[float] = array(float, 3)
+    glow: Glow
+    count: int
+
+
+def test_fields_of_a_uniform_are_written_alone(device: Device) -> None:
+    first: dict[str, Any] = {
+        "power": 1.0, "ids": (2, 3), "place": (4, 5, 6), "time": 7.0, "turn": np.arange(9.0).reshape(3, 3),
+        "weights": [1, 2, 3], "glow": Glow(color=(8, 9, 10), reach=11), "count": -12,
+    }  # fmt: skip
+    second: dict[str, Any] = {
+        "power": 2.5, "ids": (7, 8), "place": (-4, -5, -6), "time": 3, "turn": np.eye(3),
+        "weights": [4, 5, 6], "glow": Glow(color=(1, 0, 1), reach=2), "count": 99,
+    }  # fmt: skip
+    with device.uniform(Scene(**first)) as scene:
+        for name in first:
+            scene.write(Scene(**first))
+            scene.write(**{name: second[name]})
+            wanted = Scene(**(first | {name: second[name]})).to_bytes()
+            assert scene.owner.read().tobytes() == wanted, name
+        scene.write(Scene(**first))
+        scene.write(time=3, count=99)
+        wanted = Scene(**(first | {"time": 3, "count": 99})).to_bytes()
+        assert scene.owner.read().tobytes() == wanted
+        for wrong in ({"time": 4, "tiem": 5}, {"time": 4, "place": (1, 2)}):
+            with pytest.raises(ValidationError) as refusal:
+                scene.write(**wrong)
+            assert refusal.value.rule.id == "shading-struct-value"
+        with pytest.raises(ValidationError):
+            scene.write(Scene(**first), time=4)
+        assert scene.owner.read().tobytes() == wanted
+    with device.uniform(0.5) as single, pytest.raises(ValidationError):
+        single.write(value=1.0)
+
+
+def test_rows_of_a_struct_have_its_fields_as_attributes(device: Device) -> None:
+    glows = Glow.array(4)
+    glows.reach[:] = [1, 2, 3, 4]
+    glows.color[1:3] = (5, 6, 7)
+    glows[0].color = (8, 9, 10)
+    with device.storage(Glow, glows) as storage:
+        glows.reach[2] = 9
+        storage.write(glows[2:3], 2)
+        back = storage.read()
+    assert_same(back["color"], [(8, 9, 10), (5, 6, 7), (5, 6, 7), (0, 0, 0)])
+    assert_same(back["reach"], [1, 2, 9, 4])

@@ -252,9 +252,24 @@ class UniformBuffer(UniformRange[T], Resource):
     def __repr__(self) -> str:
         return f"UniformBuffer({self.owner.label!r}, {_name(self.type)})"
 
-    def write(self, value: T) -> None:
-        """Replace the constants, ordered after the draws before."""
+    def write(self, value: T | None = None, /, **fields: Any) -> None:
+        """Replace the constants, or some fields of a struct (`sun.write(power=3)`), ordered after the draws before.
+
+        Raises:
+            ValidationError: `layout-mismatch` for a value of another type, `shading-struct-value` for a field that the
+                struct doesn't have or that doesn't take its value; then nothing is written.
+        """
         core, call = self.owner.core, "UniformBuffer.write"
+        if fields:
+            if value is not None or not issubclass(self.type, Struct):  # type: ignore[arg-type]
+                given = f"{', '.join(fields)} beside a value" if value is not None else ", ".join(fields)
+                core.refuse(LAYOUT_MISMATCH, call, given, f"a {_name(self.type)}, or fields of a struct")
+            with core.refusals:
+                parts = [self.type.pack_field(name, part) for name, part in fields.items()]  # type: ignore[attr-defined]
+            self.owner._check(call)
+            for offset, data in parts:
+                self.owner._upload_bytes(data, offset)
+            return
         with core.refusals:
             layout, constants = as_constants(Arguments(call, rule=LAYOUT_MISMATCH), value)
             if layout is int and self.type in (float, uint):  # as an int is converted in a field of a struct

@@ -118,7 +118,7 @@ class Struct:
                     annotation = eval(annotation, module, names)
                 except NameError as error:
                     _refuse_field(cls, name, annotation, suggest_name(error.name or "", [*names, *module]))
-            if hasattr(Struct, name) or name.startswith("_"):
+            if (hasattr(Struct, name) and name != "array") or name.startswith("_"):
                 _refuse_field(cls, name, "a name that Struct itself uses", "choose another name")
             default = cls.__dict__.get(name)
             type = value_type(annotation, default)
@@ -186,6 +186,32 @@ class Struct:
         numbers: list[Any] = []
         _flatten(self.shading_type, self, numbers)
         return _packer(self.shading_type, layout).pack(*numbers)
+
+    @classmethod
+    def pack_field(cls, name: str, value: Any) -> tuple[int, bytes]:
+        """Return where a field begins in a uniform block, in bytes, and its bytes there for a value.
+
+        Raises:
+            ValidationError: `shading-struct-value`: there is no such field, or the value doesn't match its type.
+        """
+        field = cls.shading_type.field(name)
+        if field is None:
+            names = [field.name for field in cls.shading_type.fields]
+            call, given = f"{cls.__name__}({name}=…)", "a field that the struct doesn't have"
+            refuse(rules.STRUCT_VALUE, call, given, ", ".join(names), suggest(name, names))
+        numbers: list[Any] = []
+        _flatten(field.type, _convert_field(cls.__name__, field, value), numbers)
+        data = _packer(StructType(name, (field,)), Layout.STD140).pack(*numbers)
+        offset: int = cls.uniform_dtype.fields[name][1]  # type: ignore[index]
+        return offset, data[: place(field.type, Layout.STD140).size]
+
+    @classmethod
+    def array(cls, count: int) -> np.recarray[Any, Any]:
+        """Return `count` zeroed values as an array of `dtype` whose fields are attributes: `lights.power[:] = 2`.
+
+        A field that is called like an attribute of arrays, such as `size`, is `lights["size"]`.
+        """
+        return np.zeros(count, cls.dtype).view(np.recarray)
 
     def __eq__(self, other: object) -> bool:
         return type(other) is type(self) and all(
