@@ -9,6 +9,7 @@ from rhi.contract.backend import Backend as Backend
 from rhi.contract.backend import Capabilities as Capabilities
 from rhi.contract.backend import ClipsDraws as ClipsDraws
 from rhi.contract.backend import DatesTimestamps as DatesTimestamps
+from rhi.contract.backend import FillsBuffers as FillsBuffers
 from rhi.contract.backend import HoldsContext as HoldsContext
 from rhi.contract.backend import PreparedQueries as PreparedQueries
 from rhi.contract.backend import PreparesDraws as PreparesDraws

@@ -305,6 +305,13 @@ class PreparesQueries(Protocol):
         destroyed."""
 
 
+class FillsBuffers(Protocol):
+    """Optional part of the contract: buffers that begin with their contents instead of zeros that a write replaces."""
+
+    def create_filled_buffer(self, buffer: BufferId, descriptor: BufferDescriptor, data: BytesLike) -> None:
+        """Create a STATIC buffer with these contents, which are as long as it is."""
+
+
 class Backend(Protocol):
     """The methods that a platform implements. Sizes and offsets are in bytes unless stated otherwise.
 

@@ -289,9 +289,7 @@ class Device(Encoder):
             check.fail("source", source, "a number of elements, or an array")
         if wanted is not None and array.dtype != wanted:
             self._core.refuse(BUFFER_DTYPE, check.call, str(array.dtype), str(wanted))
-        buffer = Buffer(self._core, array.size, array.dtype, usage, label)
-        buffer.write(array)
-        return buffer
+        return Buffer(self._core, array.size, array.dtype, usage, label, array)
 
     @overload
     def uniform(self, value: NDArray[Any], *, label: str = "") -> UniformBuffer[Any]: ...
@@ -338,10 +336,7 @@ class Device(Encoder):
                 check.fail("source", source, "a number of elements, an array, or a Buffer")
             count = array.size // int(np.prod(dtype.shape, initial=1))
         name = label or f"{getattr(element, '__name__', element)}[]"
-        storage: StorageBuffer[T] = StorageBuffer(Buffer(core, count, dtype, label=name), element, dtype)
-        if array is not None:
-            storage.write(array)
-        return storage
+        return StorageBuffer(Buffer(core, count, dtype, label=name, contents=array), element, dtype)
 
     @_creates
     def texture(

@@ -316,6 +316,11 @@ class GlBackend:
         self._buffers.create(buffer, descriptor)
         self._destroyers[buffer] = self._buffers.destroy
 
+    def create_filled_buffer(self, buffer: Id, descriptor: BufferDescriptor, data: BytesLike) -> None:
+        """See `rhi.contract.backend.FillsBuffers`."""
+        self._buffers.create(buffer, descriptor, data)
+        self._destroyers[buffer] = self._buffers.destroy
+
     def create_texture(self, texture: Id, descriptor: TextureDescriptor) -> None:
         self._textures.create(texture, descriptor)
         self._destroyers[texture] = self._destroy_texture

@@ -62,20 +62,27 @@ class Buffers:
         self._mappings: dict[Id, memoryview] = {}
         self._readable: dict[Id, memoryview] = {}
         self._cleared: set[Id] = set()
+        self._names: set[int] = set()  # GL's, of buffers that moderngl didn't make and doesn't delete
         self._stored: set[Id] = set()  # that were bound as storage, so that shaders may write them
         self._watchers: dict[Id, Callable[[Id], None]] = {}
 
-    def create(self, buffer: Id, descriptor: BufferDescriptor) -> None:
+    def create(self, buffer: Id, descriptor: BufferDescriptor, data: BytesLike | None = None) -> None:
+        """Create a buffer of zeros, or a STATIC one of `data`."""
         drain_errors(self._gl)
         call, flags = f"device.buffer(size={descriptor.size})", _MAP_FLAGS.get(descriptor.usage)
-        try:
-            zeros = np.zeros(descriptor.size, np.uint8)  # pages that don't exist before the driver reads them
+        try:  # zeros are pages that don't exist before the driver reads them
+            contents = np.zeros(descriptor.size if data is None else 0, np.uint8)
         except MemoryError as failure:
             raise DeviceError(DEVICE_MEMORY, call, str(failure)) from None
-        created, mapping = (self._create_static(zeros), None) if flags is None else self._create_mapped(zeros, flags)
+        if data is not None:
+            contents = np.frombuffer(memoryview(data), np.uint8)
+        if flags is None:
+            created, mapping = self._create_static(contents), None
+        else:
+            created, mapping = self._create_mapped(contents, flags)
         error = find_error(self._gl, call)
         if error is not None:
-            created.release()
+            self._release(created)
             raise error
         if mapping is not None:
             readable = descriptor.usage is BufferUsage.READBACK
@@ -96,11 +103,14 @@ class Buffers:
         bind = self.bind_storage[buffer] = self.objects[buffer].mglo.bind_to_storage_buffer
         bind(slot, offset, size)
 
-    def _create_static(self, zeros: NDArray[np.uint8]) -> moderngl.Buffer:
+    def _create_static(self, contents: NDArray[np.uint8]) -> moderngl.Buffer:
         if self._keeps_order:
-            return self._context.buffer(zeros)
-        created = self._context.buffer(reserve=len(zeros))
-        self._renew(created, zeros, enums.DYNAMIC_DRAW)
+            return self._context.buffer(contents)
+        if len(contents) <= _MODERNGL_MAX_SIZE:  # memory that moderngl reserves would be made and thrown away
+            created = self._wrap(self._gl.create(self._gl.CreateBuffers), len(contents))
+        else:
+            created = self._context.buffer(reserve=len(contents))
+        self._renew(created, contents, enums.DYNAMIC_DRAW)
         return created
 
     def _renew(self, buffer: moderngl.Buffer, data: NDArray[Any], hint: int) -> None:
@@ -116,7 +126,7 @@ class Buffers:
         name = gl.create(gl.CreateBuffers)
         gl.NamedBufferStorage(name, size, zeros.ctypes.data_as(ctypes.c_void_p), flags)
         address = gl.MapNamedBufferRange(name, 0, size, flags)
-        created = self._context.external_buffer(name, min(size, _MODERNGL_MAX_SIZE))
+        created = self._wrap(name, min(size, _MODERNGL_MAX_SIZE))
         if not address:
             return created, None
         return created, memoryview((ctypes.c_char * size).from_address(address)).cast("B")
@@ -142,7 +152,19 @@ class Buffers:
         self._readable.pop(buffer, None)
         self._cleared.discard(buffer)
         self._hints.pop(buffer, None)
-        self.objects.pop(buffer).release()
+        self._release(self.objects.pop(buffer))
+
+    def _wrap(self, name: int, size: int) -> moderngl.Buffer:
+        """Return a buffer of GL as one of moderngl, which will not delete it."""
+        self._names.add(name)
+        return self._context.external_buffer(name, size)
+
+    def _release(self, created: moderngl.Buffer) -> None:
+        name = created.glo
+        created.release()
+        if name in self._names:
+            self._names.discard(name)
+            self._gl.delete(self._gl.DeleteBuffers, name)
 
     def write(self, buffer: Id, offset: int, data: BytesLike) -> None:
         mapping = self._mappings.get(buffer)

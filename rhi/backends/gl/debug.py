@@ -17,6 +17,7 @@ from typing import Any, Final
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import Buffer as BytesLike
 
 from rhi.backends.gl import enums
 from rhi.backends.gl.backend import GlBackend
@@ -24,7 +25,7 @@ from rhi.backends.gl.entry_points import DEBUG_CALLBACK, EntryPoints
 from rhi.backends.gl.errors import NAMES, drain_errors
 from rhi.backends.gl.host import SharedContext
 from rhi.contract.backend import Backend, PreparedQueries
-from rhi.contract.descriptors import Id, Primitive
+from rhi.contract.descriptors import BufferDescriptor, Id, Primitive
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_DEBUG
 
@@ -85,6 +86,9 @@ class DebugGlBackend(GlBackend):
         base_instance: int,
     ) -> Callable[[int], object]:  # fmt: skip
         return lambda instances: self.draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
+
+    def create_filled_buffer(self, buffer: Id, descriptor: BufferDescriptor, data: BytesLike) -> None:
+        self.check(super().create_filled_buffer, "create_filled_buffer", buffer, descriptor, data)
 
     def prepare_queries(self, queries: Sequence[Id]) -> PreparedQueries:
         return _CheckedQueries(super().prepare_queries(queries), self)

@@ -87,6 +87,7 @@ class EntryPoints:
 
     # buffers
     CreateBuffers: Callable[[Int, Reference], None]
+    DeleteBuffers: Callable[[Int, Reference], None]
     BindBuffer: Callable[[Int, Int], None]
     BufferData: Callable[[Int, Size, Reference, Int], None]
     NamedBufferStorage: Callable[[Int, Size, Reference, Int], None]

@@ -7,12 +7,13 @@
 
 from __future__ import annotations
 
-from functools import cache
-from typing import Any, Generic, TypeVar
+from functools import cache, partial
+from typing import Any, Generic, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rhi.contract.backend import FillsBuffers
 from rhi.contract.descriptors import Access, BufferDescriptor, BufferUsage
 from rhi.contract.layout import (
     FLOAT,
@@ -65,7 +66,9 @@ class Buffer(Resource):
         dtype: np.dtype[Any],
         usage: BufferUsage = BufferUsage.STATIC,
         label: str = "",
+        contents: NDArray[Any] | None = None,
     ) -> None:
+        """Create a buffer of zeros, or of an array's elements, which are of `dtype`."""
         check = Arguments("device.buffer", core.refuse)
         check.choice("usage", usage, BufferUsage)
         check.text("label", label)
@@ -85,9 +88,18 @@ class Buffer(Resource):
         self.size = size
         self.label = label
         self.id = core.create_id()
-        core.create(core.backend.create_buffer, self.id, BufferDescriptor(size, usage, label), size)
+        backend, descriptor = core.backend, BufferDescriptor(size, usage, label)
+        if contents is not None and usage is BufferUsage.STATIC and hasattr(backend, "create_filled_buffer"):
+            fill = partial(cast("FillsBuffers", backend).create_filled_buffer, data=_bytes_of(contents))
+            core.create(fill, self.id, descriptor, size)
+            core.upload_bytes += size
+            contents = None
+        else:
+            core.create(backend.create_buffer, self.id, descriptor, size)
         self.destroyed = False
         self.bind_uniform = core.prepare_uniform(self.id)
+        if contents is not None:
+            self._upload(contents, 0)
 
     def __del__(self) -> None:
         if not getattr(self, "destroyed", True):  # it isn't there if creation failed
@@ -214,7 +226,7 @@ class Buffer(Resource):
 
     def _upload(self, array: NDArray[Any], first: int) -> None:
         if array.size:
-            self._upload_bytes(array.reshape(-1).view(np.uint8).data, first * self.dtype.itemsize)
+            self._upload_bytes(_bytes_of(array), first * self.dtype.itemsize)
 
     def _upload_bytes(self, data: bytes | memoryview, offset: int) -> None:
         self.core.upload_bytes += len(data)
@@ -389,6 +401,10 @@ class StorageBuffer(StorageRange[T], Resource):
                 f"a buffer of {self.dtype}, or its own methods",
             )
         return self.owner
+
+
+def _bytes_of(array: NDArray[Any]) -> memoryview:
+    return np.ascontiguousarray(array).reshape(-1).view(np.uint8).data
 
 
 def check_buffer(check: Arguments, name: str, buffer: Buffer | StorageBuffer[Any]) -> Buffer:

@@ -92,9 +92,8 @@ class MeshData:
     def _buffer(self, source: NDArray[Any] | Buffer, label: str) -> Buffer:
         if isinstance(source, Buffer):
             return source
-        buffer = Buffer(self.core, len(source), source.dtype, label=label.strip())
+        buffer = Buffer(self.core, len(source), source.dtype, label=label.strip(), contents=source)
         self.owned.append(buffer)
-        buffer.write(source)
         return buffer
 
     def create_vertex_array(self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]) -> Id:
@@ -599,7 +598,11 @@ def check_finite(core: Core, vertices: NDArray[Any], rule: Rule, call: str) -> N
     """Refuse a structured array that contains NaN or infinity."""
     for name in vertices.dtype.names or ():
         values = vertices[name]
-        if values.dtype.kind == "f" and not np.isfinite(values).all():
+        if values.dtype.kind != "f" or not values.size:
+            continue
+        with np.errstate(invalid="ignore"):
+            ends = values.min(), values.max()  # both are NaN if any number is
+        if not np.isfinite(ends).all():
             bad = int(np.flatnonzero(~np.isfinite(values).reshape(len(values), -1).all(1))[0])
             core.refuse(rule, call, f"{name}[{bad}] = {values[bad]}", "finite numbers")
 
@@ -619,7 +622,10 @@ def _interleave(core: Core, arrays: Mapping[str, NDArray[Any]], rule: Rule, call
         (name, np.float32 if values.dtype == np.float64 else values.dtype, values.shape[1:])
         for name, values in columns.items()
     ]
-    rows = np.zeros(lengths.pop(), types)
+    if len(columns) == 1 and values.size:  # its memory is that of the rows
+        (values,) = columns.values()
+        return np.ascontiguousarray(values, types[0][1]).reshape(len(values), -1).view(types).reshape(len(values))
+    rows = np.empty(lengths.pop(), types)
     for name, values in columns.items():
         rows[name] = values
     return rows
@@ -657,6 +663,8 @@ def match_indices(core: Core, source: NDArray[Any], vertices: int, call: str) ->
         core.refuse(MESH_INDEX, call, f"shape {array.shape} of {array.dtype}", "integers, one or more")
     array = array.reshape(-1)
     code = array.dtype if array.dtype in (np.dtype("u2"), np.dtype("u4")) else np.dtype("u4")
+    if array.max() < vertices and (array.dtype.kind == "u" or array.min() >= 0):
+        return np.ascontiguousarray(array, code)
     restart = np.iinfo(code).max
     inside = (array >= 0) & (array < vertices)
     if array.dtype == code:

@@ -6,6 +6,7 @@ import array
 from collections.abc import Iterator
 
 import numpy as np
+import psutil
 import pytest
 from gl_kit import SIZE, GlKit
 
@@ -16,6 +17,7 @@ from rhi.backends.gl.quads import expand_indices
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
 from rhi.contract.descriptors import (
+    BufferDescriptor,
     BufferUsage,
     DepthAttachment,
     PassDescriptor,
@@ -150,3 +152,28 @@ def test_an_image_is_bound_whole_or_as_one_layer_the_first_included(gl_kit: GlKi
     backend.bind_image(0, image, 0, layer)
     assert backend.gl.get_integer(IMAGE_BINDING_LAYERED, 0) == layered
     assert backend.gl.get_integer(IMAGE_BINDING_LAYER, 0) == max(layer, 0)
+
+
+@pytest.mark.parametrize("usage", list(BufferUsage), ids=lambda usage: usage.value)
+def test_a_destroyed_buffer_gives_its_memory_back(gl_kit: GlKit, usage: BufferUsage) -> None:
+    """moderngl doesn't delete buffers that it didn't make. The C heap may keep 64 MiB (`rhi.backends.gl.llvmpipe`)."""
+    size, process = 24 << 20, psutil.Process()
+
+    def make_and_destroy(count: int) -> int:
+        for _ in range(count):
+            buffer = gl_kit.new_id()
+            gl_kit.backend.create_buffer(buffer, BufferDescriptor(size, usage))
+            gl_kit.backend.destroy(buffer)
+        return process.memory_info().rss
+
+    before = make_and_destroy(2)
+    assert make_and_destroy(12) - before < 6 * size
+
+
+def test_a_buffer_begins_with_its_contents(gl_kit: GlKit) -> None:
+    data = np.random.default_rng(1).bytes(1 << 16)
+    buffer = gl_kit.new_id()
+    gl_kit.backend.create_filled_buffer(buffer, BufferDescriptor(len(data), label="filled"), memoryview(data))
+    assert gl_kit.backend.read_buffer(buffer, 0, len(data)) == data
+    gl_kit.backend.write_buffer(buffer, 8, b"12345678")
+    assert gl_kit.backend.read_buffer(buffer, 0, 24) == data[:8] + b"12345678" + data[16:24]
