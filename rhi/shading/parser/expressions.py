@@ -270,6 +270,12 @@ def cast(parser: FunctionParser, value: Expression, type: ScalarType | VectorTyp
         return value
     if isinstance(value, Constant) and isinstance(type, ScalarType):
         number = value.value
+        if isinstance(number, float) and type in (INT, UINT):
+            least, most = (0, 2**32 - 1) if type is UINT else (-(2**31), 2**31 - 1)
+            if not least - 1 < number < most + 1:
+                if not parser.untaken:
+                    parser.refuse(rules.OUT_OF_RANGE, span, str(number), f"{least} to {most}")
+                number = 0
         if type is UINT:
             return Constant(UINT, span, int(number) & 0xFFFFFFFF)
         converted = {BOOL: bool, INT: int, FLOAT: float}[type](number)

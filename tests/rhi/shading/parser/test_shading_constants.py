@@ -294,3 +294,23 @@ def test_tips_name_only_what_exists():
             assert called in LANGUAGE_NAMES | python, f"{name}: {called}"
         for method in re.findall(r"self\.\w+\.(\w+)\(", tip):
             assert method in methods, f"{name}: {method}"
+
+
+# -- conversions
+
+
+@pytest.mark.parametrize(
+    ("kind", "inside", "outside"),
+    [
+        ("int", [2147483647.9, -2147483648.9, -0.9], [2147483648.0, -2147483649.0, float("inf"), float("nan")]),
+        ("uint", [4294967295.9, -0.9], [4294967296.0, -1.0, float("-inf"), float("nan")]),
+    ],
+)
+def test_a_constant_that_no_int_holds_is_refused_though_a_variable_would_give_the_nearest(kind, inside, outside):
+    for value in inside:
+        compile_shader(shader(f"self.out[0] = float({kind}(VALUE))", VALUE=value))
+    for value in outside:
+        error = refusal_of(f"float({kind}(VALUE))", VALUE=value)
+        assert error.rule.id == "shading-out-of-range"
+        assert str(value) in error.given
+        compile_shader(shader("x = 1.0", "if False:", f"    x = float({kind}(VALUE))", "self.out[0] = x", VALUE=value))
