@@ -37,12 +37,13 @@ def create_backend(*, validation: bool = False, context: HostContext | None = No
         from rhi.backends.gl.host import open_shared_context
 
         opened, shared = open_shared_context(context)
+    from rhi.backends.gl.backend import GlBackend, release_dropped
+
+    release_dropped()
     if validation:
         from rhi.backends.gl.debug import DebugGlBackend
 
         return DebugGlBackend(opened, shared)
-    from rhi.backends.gl.backend import GlBackend
-
     return GlBackend(opened, shared)
 
 

@@ -15,12 +15,14 @@
 from __future__ import annotations
 
 import ctypes
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from threading import get_ident
 from typing import Any, Final
+from weakref import finalize
 
 import moderngl
 import numpy as np
@@ -78,6 +80,18 @@ _UNUSED_FEATURES: Final = (
 
 _holders: dict[int, GlBackend] = {}
 """By thread, the backend that made its context current there last."""
+_dropped: Final[deque[tuple[moderngl.Context, Callable[[], int | None], int | None]]] = deque()
+"""Contexts, with the query of what is current and its answer for them, of devices that were collected without
+being closed: a finalizer runs anywhere, and touches no driver."""
+
+
+def release_dropped() -> None:
+    """Release the contexts of devices that were dropped unclosed."""
+    while _dropped:
+        context, find_current, handle = _dropped.popleft()
+        if find_current() == handle:
+            context.mglo.__exit__()  # a current context would survive its release
+        context.release()
 
 
 class GlBackend:
@@ -133,6 +147,11 @@ class GlBackend:
         self._bind_storage = self._buffers.bind_storage
         self._bind_texture, self._texture_names = gl.BindTextureUnit, self._textures.names
         self._bind_sampler, self._sampler_names = gl.BindSampler, self._samplers.names
+        self._drop = (
+            finalize(self, _dropped.append, (context, self._find_current, self._handle)) if shared is None else None
+        )
+        if self._drop is not None:
+            self._drop.atexit = False
 
     @property
     def capabilities(self) -> Capabilities:
@@ -153,6 +172,8 @@ class GlBackend:
         if self._shared is not None and self._find_current() == self._shared.host.context:
             self._host_framebuffer.destroy()
         self.context.release()  # releases all its objects too
+        if self._drop is not None:
+            self._drop.detach()
 
     # -- the context on its thread -------------------------------------------------------------------------
 
