@@ -19,10 +19,9 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
 from threading import get_ident, main_thread
 from types import FrameType
-from typing import Final
+from typing import TYPE_CHECKING, Final
 from weakref import WeakSet
 
 from rhi.commands.recorder import Recorder
@@ -33,6 +32,9 @@ from rhi.errors import DeviceError, RhiError, refuse
 from rhi.errors.arguments import Arguments
 from rhi.errors.rules import DEVICE_ARGUMENT, DEVICE_DRIVER, DEVICE_FORKED, DEVICE_UNKNOWN
 from rhi.shading import Precision
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 GROUP: Final = "rhi.backends"
 PREFERENCE: Final = ("gl",)
@@ -49,6 +51,8 @@ _forked: Final[set[str]] = set()  # those that its parent had when it was forked
 
 @cache
 def _entry_points() -> dict[str, EntryPoint]:
+    from importlib.metadata import entry_points  # a seventh of the time in which this package is imported
+
     return {point.name: point for point in entry_points(group=GROUP)}
 
 
@@ -208,6 +212,8 @@ def find_function(name: str) -> Callable[..., Backend]:
     """
     point = _entry_points().get(name)
     if ":" in name:
+        from importlib.metadata import EntryPoint
+
         point = EntryPoint(name, name, GROUP)
     if point is None:
         from difflib import get_close_matches  # which only errors need

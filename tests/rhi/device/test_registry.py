@@ -195,3 +195,23 @@ with rhi.create_device(NAME) as device:
     assert "rhi.shading.numpy" not in modules
     assert ("rhi.shading.lowering" in modules) == (name == "cl")
     assert {"pyopencl.array", "mako", "rhi.backends.cl.raster.compiler"} & modules == set()
+
+
+@pytest.mark.parametrize(("name", "other", "own"), [("gl", "pyopencl", "moderngl"), ("cl", "moderngl", "pyopencl")])
+def test_a_device_needs_and_imports_the_package_of_its_own_driver(name: str, other: str, own: str) -> None:
+    """As after `pip install --no-deps rhi`: the other backend's package isn't there."""
+    if name not in [each.name for each in rhi.report() if each.usable]:
+        pytest.skip(f"{name} doesn't work here")
+    program = f"""
+import sys
+sys.modules[{other!r}] = None
+import rhi
+drivers = {{"moderngl", "pyopencl", "wgpu", "PIL", "watchfiles", "matplotlib", "importlib.metadata"}}
+print(sorted(drivers & {{name for name, module in sys.modules.items() if module is not None}}))
+rhi.create_device({name!r}).close()
+print(sorted(drivers & {{name for name, module in sys.modules.items() if module is not None}}))
+print([(each.name, each.usable) for each in rhi.report() if each.name in ("gl", "cl")])
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    usable = [("gl", name == "gl"), ("cl", name == "cl")]
+    assert done.stdout.splitlines() == ["[]", str(sorted(["importlib.metadata", own])), str(usable)]
