@@ -163,3 +163,22 @@ def test_masks_hide_nothing_behind_their_holes(gl: rhi.Device, name: str) -> Non
     camera = scene.views["front"].with_aspect(SIZE[0] / SIZE[1])
     images = [draw(gl, scene, camera=camera, visibility=one, frames=3, size=SIZE) for one in ("none", name)]
     assert np.array_equal(*images)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_images_at_the_second_coordinates_are_filtered_by_their_changes(drawing_device: rhi.Device, axis: int) -> None:
+    """Stripes far narrower than pixels are grey, whichever way the second coordinates change; the first don't."""
+    builder = SceneBuilder("stripes")
+    builder.lights.sky = builder.lights.ground = (0.5, 0.5, 0.5)
+    stripes = np.full((16, 16, 4), 255, np.uint8)
+    stripes[(slice(None, None, 2),) if axis else (slice(None), slice(None, None, 2))] = (0, 0, 0, 255)
+    positions = np.array([(-2, -2, 0), (2, -2, 0), (2, 2, 0), (-2, 2, 0)], float)
+    fast = np.zeros((4, 2))
+    fast[:, axis] = 100.0 * positions[:, axis]
+    geometry = make_geometry(positions, [0, 1, 2, 0, 2, 3], uv=np.zeros((4, 2)), uv2=fast)
+    material = builder.add_material(texture=TextureMap(builder.add_image(stripes), uv_set=1))
+    builder.add_objects(builder.add_node(), builder.add_mesh(geometry), material)
+    builder.views["front"] = Camera.look_at((0, 0, 3), (0, 0, 0))
+    drawn = look(drawing_device, builder)[..., :3]
+    assert np.ptp(drawn) <= 2
+    assert 60 < drawn.mean() < 200
