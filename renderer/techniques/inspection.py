@@ -6,7 +6,8 @@
   black 0, blue 1 to 7, cyan to 15, green to 31, yellow to 63, red to 127, white 128 and more.
 - `overdraw`: the number of fragments that were drawn to each pixel, one on top of the other, in the same colours: black
   0, blue 1, cyan 2 and 3, green to 7, yellow to 15, red to 31, white 32 and more.
-- `tiles`: the number of lights in the list of each tile of `forward_plus`, in the colours of `lights`.
+- `tiles`, `clusters`: the number of lights in the list of each tile of `forward_plus`, or of the cluster of `clustered`
+  that each surface is in, in the colours of `lights`, with lines between tiles. They are those of the settings.
 - `tessellation`: the lit scene, and the edges of the triangles of its height fields, or of all if it has none.
 - `volumes`: the lit scene, and the volumes of its lights, each in a colour of its own, in front of what they reach.
 
@@ -26,7 +27,7 @@ from renderer.lights.culling.cells import CellGrid, cell_index
 from renderer.shaders.lighting import in_range
 from renderer.shaders.pixels import BackgroundScreen, distance_at, nearness_of, place_pixel
 from renderer.shaders.structs import SurfacePoint, SurfaceVarying, Vertex
-from renderer.techniques.parts.cell_lists import TILES, bind_lists, list_pass
+from renderer.techniques.parts.cell_lists import CLUSTERS, TILES, LightCells, bind_lists, list_pass
 from renderer.techniques.parts.depth import depth_pass
 from renderer.techniques.parts.finish import forward_passes
 from renderer.techniques.parts.light_volumes import VolumeShader, VolumeVarying, draw_volumes
@@ -51,6 +52,8 @@ from rhi.shading import (
     vec4,
 )
 
+CELLS: Final = {"tiles": TILES, "clusters": CLUSTERS}
+"""The cells of the pictures that show some, settings of techniques by the same names."""
 _DECADES: Final = 13.28771  # log2 of 10,000: from 0.1 m to 1 km
 
 
@@ -142,15 +145,23 @@ class Distances(BackgroundScreen):
         return vec4(vec3(shade * shade), 1.0)  # about even to the eye
 
 
-class TileCounts(BackgroundScreen):
-    """Shows the number of lights in each tile's list."""
+class CellCounts(BackgroundScreen):
+    """Shows the number of lights in the list of each surface's cell. With one slice, a cell has a tile's background as
+    well."""
 
     grid: Uniform[CellGrid]
     light_rows: Storage[int]
+    depth: Texture2D
 
     def fragment(self) -> vec4:
         pixel = ivec2(fragment_coordinate().xy)
-        cell = cell_index(self.grid, pixel, 0.0)
+        distance = 0.0
+        if self.grid.count.z > 1:
+            nearness = nearness_of(self.rays, self.depth.load(pixel).x)
+            if nearness == 0.0:
+                return vec4(0.0, 0.0, 0.0, 1.0)
+            distance = distance_at(self.rays, nearness)
+        cell = cell_index(self.grid, pixel, distance)
         color = heat_color(float(self.light_rows[2 * cell + 2] - self.light_rows[2 * cell]), 8.0)
         if pixel.x % self.grid.tile == 0 or pixel.y % self.grid.tile == 0:
             color = mix(color, vec3(0.2), 0.5)
@@ -168,9 +179,10 @@ class VolumeColors(VolumeShader):
 class Inspection:
     """Draws one of `INSPECTIONS` instead of the lit scene."""
 
-    def __init__(self, shown: str) -> None:
-        """Choose one of `INSPECTIONS`."""
+    def __init__(self, shown: str, cells: LightCells | None = None) -> None:
+        """Choose one of `INSPECTIONS`; for `tiles` and `clusters` also the cells, if they aren't `CELLS`."""
         self.name = shown
+        self.cells = cells or CELLS.get(shown, TILES)
 
     @property
     def is_lit(self) -> bool:
@@ -179,7 +191,7 @@ class Inspection:
 
     def declare(self, needs: Needs) -> tuple[Pass[Frame], ...]:
         """Return the passes of the picture."""
-        return INSPECTIONS[self.name](needs)
+        return INSPECTIONS[self.name](needs, self.cells)
 
 
 def _draw(
@@ -225,16 +237,18 @@ _PLAIN: Final[dict[str, tuple[Pass[Frame], ...]]] = {
 }
 
 
-def _declare_plain(name: str, needs: Needs) -> tuple[Pass[Frame], ...]:
+def _declare_plain(name: str, needs: Needs, cells: LightCells) -> tuple[Pass[Frame], ...]:
     return _PLAIN[name]
 
 
-def _declare_tiles(needs: Needs) -> tuple[Pass[Frame], ...]:
+def _declare_cells(needs: Needs, cells: LightCells) -> tuple[Pass[Frame], ...]:
     depth = depth_pass("finds the nearest surfaces")
     if not list_lamps(needs):
-        return depth, Pass("tiles", _clear_image, "no light is in view", writes=(_IMAGE,))
-    lists = list_pass(needs, TILES, depth="depth")
-    return depth, lists, Pass("tiles", _show_tiles, _BECAUSE, reads=("light lists",), writes=(_IMAGE,))
+        return depth, Pass("cells", _clear_image, "no light is in view", writes=(_IMAGE,))
+    # As the techniques that have them: tiles end at surfaces, clusters are made without.
+    lists = list_pass(needs, cells, depth="depth" if cells.slices == 1 else None)
+    show = partial(_show_cells, cells=cells)
+    return depth, lists, Pass("cells", show, _BECAUSE, reads=("light lists", "depth"), writes=(_IMAGE,))
 
 
 def _clear_image(frame: Frame) -> None:
@@ -242,11 +256,11 @@ def _clear_image(frame: Frame) -> None:
         pass
 
 
-def _show_tiles(frame: Frame) -> None:
-    draw_full_screen(frame, TileCounts, frame.targets["image"], bind_lists(frame, TILES))
+def _show_cells(frame: Frame, *, cells: LightCells) -> None:
+    draw_full_screen(frame, CellCounts, frame.targets["image"], bind_lists(frame, cells))
 
 
-def _declare_volumes(needs: Needs) -> tuple[Pass[Frame], ...]:
+def _declare_volumes(needs: Needs, cells: LightCells) -> tuple[Pass[Frame], ...]:
     passes = forward_passes(needs)
     if not list_lamps(needs):
         return passes
@@ -262,7 +276,7 @@ def _show_volumes(frame: Frame) -> None:
         draw_volumes(frame, effect, VolumeColors, ["image"], clears=False, states=states)
 
 
-def _declare_edges(needs: Needs) -> tuple[Pass[Frame], ...]:
+def _declare_edges(needs: Needs, cells: LightCells) -> tuple[Pass[Frame], ...]:
     passes = forward_passes(needs)
     last, depth = find_last(passes, "image"), find_last(passes, "depth")
     changes = {last: "image with edges", depth: "depth with edges"}
@@ -282,12 +296,12 @@ def _draw_edges(frame: Frame) -> None:
         frame.draw_visible(edges)
 
 
-INSPECTIONS: Final[dict[str, Callable[[Needs], tuple[Pass[Frame], ...]]]] = {
+INSPECTIONS: Final[dict[str, Callable[[Needs, LightCells], tuple[Pass[Frame], ...]]]] = {
     **{name: partial(_declare_plain, name) for name in _PLAIN},
     "tessellation": _declare_edges,
-    "tiles": _declare_tiles,
+    **dict.fromkeys(CELLS, _declare_cells),
     "volumes": _declare_volumes,
 }
-"""The passes of each picture, by what a frame needs."""
+"""The passes of each picture, by what a frame needs and the cells of lights."""
 
 _LIT: Final = ("tessellation", "volumes")

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from frames import draw, find_eye, make_boxes, open_renderer, read_colors
 from numpy.typing import NDArray
+from PIL import Image
 
 import rhi
 from renderer.cli import main
 from renderer.scene import Camera, Scene, scaling, translation
 from renderer.techniques.inspection import INSPECTIONS, Inspection, heat_color
-from renderer.techniques.parts.cell_lists import TILES
+from renderer.techniques.parts.cell_lists import TILES, LightCells
 from rhi.shading import evaluate
 
 SIZE = (32, 24)
@@ -92,6 +93,42 @@ def test_tiles_have_the_colours_of_their_lists(gl: rhi.Device) -> None:
             assert (inside == expected[counts[row, column]]).all()
     rows = 16 * np.arange(3)
     assert not (picture[rows, 1:16] == picture[rows + 1, 1:16]).all(-1).any()  # a line between tiles
+
+
+@pytest.mark.usefixtures("gl")
+@pytest.mark.parametrize(("shown", "tile"), [("tiles", 8), ("clusters", 4)])
+def test_cells_are_those_of_the_settings(shown: str, tile: int, tmp_path: Any) -> None:
+    settings, output = tmp_path / "s.json", tmp_path / "shown.png"
+    settings.write_text('{"rendering": {"technique": {"tiles": {"tile": 8}, "clusters": {"tile": 4}}}}')
+    command = ["render", "grid:count=1", "--size", "64x48", "--backend", "gl", "--show", shown]
+    assert main([*command, "--settings", str(settings), "--output", str(output)]) == 0
+    picture = np.asarray(Image.open(output).convert("RGB"), int)
+    edges = (picture[:, 1:] != picture[:, :-1]).any(-1).any(0)  # between the column and the one to its right
+    assert edges[tile - 1 :: tile].sum() >= 4
+    inside = np.ones(63, bool)
+    inside[tile - 1 :: tile] = inside[::tile] = False
+    assert not edges[inside].any() or shown == "clusters"
+
+
+def test_clusters_have_the_colours_of_their_lists(gl: rhi.Device) -> None:
+    scene, cells = tower(9), LightCells(16, 8)
+    with open_renderer(gl, scene, Inspection("clusters", cells), size=(64, 48)) as renderer:
+        result = renderer.render(find_eye(scene))
+        picture, depth = read_colors(result), result.targets["depth"].read()
+        grid = renderer.view.workspace(cells)
+        lists = grid.read()
+    assert (picture[depth == 0] == 0).all()
+    counts = (lists.ends - lists.begins).reshape(8, 3, 4)
+    inside = np.ones((48, 64), bool)
+    inside[::16], inside[:, ::16] = False, False
+    rows, columns = np.nonzero(inside & (depth > 0))
+    possible = counts[:, rows // 16, columns // 16]
+    shown = picture[rows, columns]
+    for color, low, high in (((0, 0, 0), 0, 0), (BLUE, 1, 7), (CYAN, 8, 15)):
+        is_color = (shown == color).all(-1)
+        fits = ((possible >= low) & (possible <= high)).any(0)
+        assert fits[is_color].all()
+    assert (shown == CYAN).all(-1).any()
 
 
 def test_tiles_without_lights_are_black(gl: rhi.Device) -> None:
