@@ -22,6 +22,8 @@ from rhi.shading import Shader, vec4
 pytestmark = pytest.mark.needs("draws", "shading")
 
 DEPTH_BOUND: Final = 2e-5
+DISTANCE_BOUND: Final = 5e-6
+"""2^-9 of a depth for a texel by a rounding of 1/512 texel, and a few roundings of float32."""
 WEIGHT_BOUND: Final = 1e-6
 """Float32's rounding of what is interpolated with weights of 0 to 1."""
 SIZE: Final = (64, 64)
@@ -221,3 +223,41 @@ def test_a_triangle_has_the_same_depth_under_any_scissor(device: Device, family:
             assert set(np.unique(counts)) <= {0.0, 2.0}, triangle.tolist()
             seen += int((counts == 2).sum())
     assert seen > 30
+
+
+def tilt_sheet(degrees: float, distance: float, cells: int = 24) -> tuple[Floats, Floats]:
+    """Return the clip positions (n, 4) of the triangles of a sheet that a lens of 90° with reversed depth sees from a
+    height, turned by an angle from facing the eye; and the inverse distances (h, w) at the middles of its pixels."""
+    tilt, along = np.radians(degrees), np.linspace(-0.7, 0.7, cells + 1)
+    x, y = np.meshgrid(along, along)
+    points = np.stack([x, y * np.cos(tilt), 1.0 + y * np.sin(tilt), np.ones_like(x)], axis=2) * distance
+    first = (np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)).reshape(-1)
+    corner = np.stack([first, first + 1, first + cells + 2, first, first + cells + 2, first + cells + 1], axis=1)
+    places = points.reshape(-1, 4)[corner.reshape(-1)]
+    clip = np.stack([places[:, 0], places[:, 1], np.full(len(places), 0.5), places[:, 2]], axis=1)
+    up = 1.0 - (np.arange(SIZE[1]) + 0.5) / SIZE[1] * 2.0  # a ray is (x, up, 1): it meets the sheet at this distance
+    inverse = (np.cos(tilt) - up * np.sin(tilt)) / (distance * np.cos(tilt))
+    return clip, np.repeat(inverse[:, None], SIZE[0], axis=1)
+
+
+@pytest.mark.parametrize("distance", [1.0, 1e3, 1e6])
+@pytest.mark.parametrize("degrees", [60.0, 80.0])
+def test_small_triangles_of_a_tilted_sheet_have_the_distance_of_the_sheet(
+    device: Device, degrees: float, distance: float
+) -> None:
+    """Within a share of the distance that doesn't grow with it: what two surfaces must be apart to be told apart."""
+    clip, inverse = tilt_sheet(degrees, distance)
+    with (
+        device.texture(SIZE, Format.R32F) as image,
+        device.texture(SIZE, Format.D32F) as depth,
+        device.mesh(corners(clip)) as mesh,
+    ):
+        with (
+            device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.0),
+            device.states(CullMode.NONE, DepthFunction.GREATER),
+        ):
+            device.draw(device.program(FlatColored), mesh)
+        found = depth.read().astype(np.float64)
+    drawn = found > 0.0
+    assert drawn.sum() > 100
+    assert np.abs(found[drawn] / (0.5 * inverse[drawn]) - 1.0).max() < DISTANCE_BOUND

@@ -17,8 +17,10 @@
 // lose 2^-23 times as much, and each block computes its weights in float64 (triangles.cl).
 #define BLOCK_REACH 4  // texels that blocks and samples reach beyond the box
 #define THIN_SWING 64.0f
-// Slope of depth per texel beyond which the rounding of a corner would change depth by more than about 2^-18.
+// Slope of depth per texel beyond which the rounding of a corner would change depth by more than about 2^-18, and in the
+// depth itself: of reversed depth, which is the inverse of the distance, 2^-18 of the distance.
 #define STEEP 0x1p-9f
+#define RELATIVELY_STEEP 0x1p-9f
 
 FIND_DRAW(find_draw_of_primitives, primitive_group)
 
@@ -591,7 +593,8 @@ SINGLE set_up(ulong address) {
             float16 depth = z[0] + rise1 * weight1 + rise2 * weight2;
             // Where the rounding of corners would be visible, planes come from the corners as they are. Beside triangles thinner
             // than a subtexel, planes are far off.
-            int16 tilts = wide | (fabs(depth_x) + fabs(depth_y) > STEEP), blurred = area <= convert_float16(extent);
+            float16 least = fmin(fmin(fabs(z[0]), fabs(z[1])), fabs(z[2]));
+            int16 tilts = wide | (fabs(depth_x) + fabs(depth_y) > fmin(STEEP, RELATIVELY_STEEP * least)), blurred = area <= convert_float16(extent);
             float16 width = convert_float16(right - left + BLOCK_REACH), height = convert_float16(bottom - top + BLOCK_REACH);
             float16 swing1 = fabs(weight1_x) * width + fabs(weight1_y) * height;
             float16 swing2 = fabs(weight2_x) * width + fabs(weight2_y) * height;
