@@ -1,17 +1,24 @@
-"""The bench: renderers of one scene with different settings, and the truth that their pictures are judged by."""
+"""The bench: renderers of one scene with different settings, and the truth that their pictures are judged by.
+
+The judge looks at some thousand pixels of a picture, spread evenly: a mean needs no more, and so it takes about as
+long for each size.
+"""
 
 from __future__ import annotations
 
 from contextlib import ExitStack
-from typing import Self
+from hashlib import sha256
+from typing import Final, Self
 
 import numpy as np
 
 from renderer.lab.accuracy.float64 import decode_levels, encode_levels
+from renderer.lab.measure.judge import Judge
 from renderer.renderer import FrameResult, Renderer
-from renderer.scene import Scene, Shot, StereoRig
+from renderer.scene import Camera, Scene, Shot, StereoRig
 from renderer.scene.arrays import Floats
 from renderer.settings import RenderSettings
+from renderer.stereo import fit_picture
 from rhi import Device
 
 
@@ -20,13 +27,15 @@ class Bench:
 
     def __init__(
         self, device: Device, scene: Scene, size: tuple[int, int], truth: RenderSettings, scale: int = 1,
-        rig: StereoRig | None = None,
+        rig: StereoRig | None = None, rays: int = 0,
     ) -> None:  # fmt: skip
-        """`truth` and `scale`: the settings of what is true, and how many times as wide and high its picture is."""
+        """`truth` and `scale`: the settings of what is true, and how many times as wide and high its picture is. With
+        `rays` along each side of a pixel, the judge draws it instead."""
         self.device, self.scene, self._size, self._rig = device, scene, size, rig
         self._truth, self._scale = limit_anisotropy(truth, device), scale
         self._opened = ExitStack()
         self._true: Renderer | None = None
+        self._rays = rays
 
     def __enter__(self) -> Self:
         return self
@@ -50,9 +59,52 @@ class Bench:
         self.device.finish()
 
     def find_true(self, shot: Shot) -> Floats:
-        """Return the true picture of a shot, of the size of all others."""
+        """Return the true picture of a shot, of the size of all others; NaN where the judge doesn't look."""
+        if self._rays:
+            return self._judge(shot)
         assert self._true is not None
         return shrink_picture(read_picture(self._truth.render(self._true, shot)), self._scale)
+
+    def _judge(self, shot: Shot) -> Floats:
+        """Return what the judge sees of a shot, of two eyes the second one. It isn't drawn twice in a process."""
+        camera, size = self._truth.aim(shot.camera), self._size
+        if self._rig is not None:
+            camera = self._rig.place_eyes(camera.with_aspect(size[0] / size[1]))[1]
+            size = fit_picture("side_by_side", size)
+        if self.scene.simulated:
+            self.scene.update(shot.seconds)
+        key = _describe_view(self.scene, camera, size, self._rays)
+        if key not in _JUDGED:
+            every = max(1, round(np.sqrt(size[0] * size[1] / _LOOKED_AT)))
+            _JUDGED[key] = Judge(self.scene).draw(camera, size, self._rays, every)
+        return _JUDGED[key]
+
+
+_LOOKED_AT: Final = 6000
+"""About how many pixels of a picture the judge looks at."""
+_JUDGED: Final[dict[str, Floats]] = {}
+"""What the judge has seen in this process, by all that it depends on."""
+
+
+def _describe_view(scene: Scene, camera: Camera, size: tuple[int, int], rays: int) -> str:
+    """Return a hash of all that a picture of the judge depends on."""
+    lights, meshes, objects = scene.lights, scene.meshes, scene.objects
+    arrays = (
+        scene.materials, scene.textures, scene.nodes.world, meshes.vertices, meshes.indices, objects.node, objects.mesh,
+        objects.material, objects.casts_shadow, lights.directional, lights.point, lights.spot, *scene.images,
+        camera.position, camera.rotation,
+    )  # fmt: skip
+    air = lights.sky, lights.ground, scene.background, scene.haze, scene.fog
+    others = (*air, scene.samplers, camera.projection, size, rays)
+    found = sha256(repr(others).encode())
+    for array in arrays:
+        found.update(np.ascontiguousarray(array).tobytes())
+    return found.hexdigest()
+
+
+def can_judge(scene: Scene) -> bool:
+    """Return whether rays can follow all that a scene shows: it doesn't glow, and no meshes are simulated."""
+    return scene.glow is None and not any(len(one.objects) for one in scene.simulated)
 
 
 def limit_anisotropy(settings: RenderSettings, device: Device) -> RenderSettings:

@@ -42,6 +42,8 @@ _VERSION: Final = 3
 
 _FLOAT64_FRAMES: Final = 12
 """The number of frames that take as long as a picture in float64."""
+_JUDGED_FRAMES: Final = 200
+"""The number of frames that take as long as the judge's picture."""
 _MAPS: Final = 2
 """The factor by which frames take longer whose shadow maps are drawn, too."""
 
@@ -74,6 +76,7 @@ class SweepJob:
         views, rounds = (len(self.share.take(range(count))) for count in (situation.views, situation.rounds))
         frames = len(knob.values) * (knob.remembers + views + 1 + rounds)
         judged = views * (knob.truth.scale**2 + _FLOAT64_FRAMES * (knob.truth.is_float64 or knob.unit is Unit.LIGHTS))
+        judged = views * _JUDGED_FRAMES if knob.truth.rays else judged
         return (frames + judged) * (_MAPS if knob.demand is Demand.SHADOWS else 1.0)
 
     def run(self) -> KnobSample:

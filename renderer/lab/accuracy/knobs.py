@@ -9,7 +9,7 @@ table, the choice of settings and the tests find it there.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import partial
 from typing import Any, Final
@@ -65,6 +65,8 @@ class Truth:
     Attributes:
         name: what it is, in a few words. changes: settings that its picture has instead of the value's.
         scale: how many times as wide and high its picture is, from whose light the mean of each pixel is taken.
+        rays: along each side of a pixel by which the judge draws it; 0 if a renderer does. `changes` and `scale` are
+            then what a renderer has that comes nearest: combined knobs, which are compared in many views, have that.
         is_float64: whether it is computed in float64 from the triangles that were drawn.
     """
 
@@ -72,6 +74,7 @@ class Truth:
     changes: Mapping[str, Any] = field(default_factory=dict)
     scale: int = 1
     is_float64: bool = False
+    rays: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,20 +127,23 @@ def _same(*values: Any) -> dict[str, Any]:
 
 
 FLOAT64: Final = Truth("float64", is_float64=True)
-SUPER_SAMPLED: Final = Truth(
-    "16 samples a pixel, the mean of their light",
-    {
+TRACED: Final = Truth("rays in float64, 16 a pixel", rays=4)
+SUPER_SAMPLED: Final = replace(
+    TRACED,
+    changes={
         "technique.samples": 1,
         "technique.fxaa": False,
         "textures": TextureSettings(anisotropy=16.0),
     },
     scale=4,
 )
-FORWARD: Final = Truth("forward shading", {"technique.name": "forward"})
+FORWARD: Final = replace(TRACED, changes={"technique.name": "forward"})
 EVERYTHING: Final = Truth("no culling", {"algorithm": "none"})
-FINE_MAPS: Final = Truth(
-    "maps of 6 × 2048 texels for the sun, up to 2048 for lamps",
-    {
+CENTRED: Final = Truth("a ray in float64 through the middle of each pixel", rays=1)
+"""Of what decides where shadows lie: with one sample a pixel, coarse maps blur edges as more samples would."""
+FINE_MAPS: Final = replace(
+    CENTRED,
+    changes={
         "shadows.largest_atlas": 8192,
         "shadows.cascade_size": 2048,
         "shadows.cascades": 6,
@@ -149,13 +155,14 @@ FINE_MAPS: Final = Truth(
 )
 IN_RANGE: Final = Truth("the lights that reach each pixel, in float64")
 SEEN: Final = Truth("the objects of which a pixel is seen")
-FAR_SHADOWS: Final = Truth("shadows up to 1 km, with as fine maps", {**FINE_MAPS.changes, "shadows.distance": 1000.0})
-SORTED: Final = Truth("sorted by distance", {"blending": Blending.SORTED})
+FILTERED: Final = replace(FINE_MAPS, name=TRACED.name, rays=4)
+FAR_SHADOWS: Final = replace(FINE_MAPS, changes={**FINE_MAPS.changes, "shadows.distance": 1000.0})
+SORTED: Final = replace(TRACED, changes={"blending": Blending.SORTED})
 FAR_GLOW: Final = Truth("all scattered light, spread over 8 levels", {"glow": GlowSettings(levels=8)})
-FINEST: Final = Truth("all triangles of the ground in view", {"tessellation.edge_pixels": 0.01})
+FINEST: Final = replace(TRACED, changes={"tessellation.edge_pixels": 0.01})
 EACH_FRAME: Final = Truth("motion in each frame", {"animation_step": 0.0})
 DISTANCES: Final = Truth("the distances in float64")
-SECOND_EYE: Final = Truth("the second eye drawn", {"reprojects": False})
+SECOND_EYE: Final = replace(TRACED, changes={"reprojects": False})
 VECTORS: Final = Truth("the vectors in float64")
 
 _FORWARD: Final = {"technique.name": "forward", "algorithm": "frustum"}
@@ -261,6 +268,7 @@ KNOBS: Final[dict[str, Knob]] = {
             "shadows.filter",
             _same(ShadowFilter.HARD, ShadowFilter.HARDWARE, ShadowFilter.POISSON, ShadowFilter.SMOOTH),
             "no steps, and no noise that moves with the eye",
+            truth=FILTERED,
             exception="the truth has sharp edges, and a filter trades steps for blur: of these the eye sees steps",
         ),
         _shadows(

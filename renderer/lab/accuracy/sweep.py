@@ -31,7 +31,7 @@ from PIL import Image
 
 import rhi
 from renderer.content import find_path, load_scene, parse_camera
-from renderer.lab.accuracy.bench import Bench, read_picture
+from renderer.lab.accuracy.bench import Bench, can_judge, read_picture
 from renderer.lab.accuracy.float64 import ExactPicture, shade_exactly
 from renderer.lab.accuracy.knobs import Demand, Knob, Unit, find_knob
 from renderer.lab.measure.alternate import Measurement, alternate
@@ -259,8 +259,10 @@ def prepare_scene(scene: Scene, knob: Knob) -> str | None:
     """Give a scene what the knob needs if it can be given: shadows, glow. Return what it lacks, None for nothing."""
     if knob.unit is Unit.OVERDRAW and scene.height_fields:
         return "the scene has a ground, of which each view has other triangles"
-    if knob.truth.is_float64:
+    if knob.truth.is_float64 or knob.truth.rays:
         scene.glow = None  # pixels are compared with their own light
+    if knob.truth.rays and not can_judge(scene):
+        return "the scene has simulated meshes, which rays don't follow"
     match knob.demand:
         case Demand.SHADOWS:
             scene.lights.cast_shadows()
@@ -373,13 +375,14 @@ class KnobBench(Bench):
         if knob.demand is Demand.STEREO:
             width, height = situation.size
             rig = find_rig(scene, best.aim(self._timed[0].camera).with_aspect(width / height))
-        super().__init__(device, scene, situation.size, best.change_all(knob.truth.changes), knob.truth.scale, rig)
+        super().__init__(device, scene, situation.size, best.change_all(knob.truth.changes), knob.truth.scale, rig,
+                         knob.truth.rays)  # fmt: skip
         with ExitStack() as self._opened:  # closed if one of them can't be opened
             self._renderers = {value: self.open(settings) for value, settings in self._settings.items()}
             if knob.unit is Unit.OVERDRAW:
                 self._exact = ExactVisibility(device, scene, situation.size)
                 self._opened.callback(self._exact.destroy)
-            elif knob.unit is Unit.LEVELS and not knob.truth.is_float64:
+            elif knob.unit is Unit.LEVELS and not knob.truth.is_float64 and not knob.truth.rays:
                 known = [value for value, settings in self._settings.items() if settings == self._truth]
                 if known and knob.truth.scale == 1:
                     self._true = self._renderers[known[0]]
@@ -432,12 +435,12 @@ class KnobBench(Bench):
 
     def _compare_pictures(self, view: Shot) -> Iterator[tuple[str, tuple[Floats, tuple[Floats, Floats] | None]]]:
         # The truth is read before values are drawn: it may be the renderer of one of them.
-        if self._true is None:
+        if self._knob.truth.is_float64:
             exact = self._shade(view)
             true, counts = exact.levels, exact.objects >= 0
         else:
             true = self.find_true(view)
-            counts = np.ones(true.shape[:2], bool)
+            counts = np.isfinite(true[..., 0])
         for value, renderer in self._renderers.items():
             if renderer is self._true and self._knob.remembers:
                 yield value, (np.zeros(true.shape[:2]), None)  # drawn already: another time would be another frame

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from typing import Final
 
 from renderer import rules
-from renderer.lab.exam import encodings, inputs, lights, limits, places, plans, shadows, stereo, visibility
+from renderer.lab.exam import absolute, encodings, inputs, lights, limits, places, plans, shadows, stereo, visibility
 from renderer.lab.exam.case import Case
 from rhi import refuse
 
-_SUBJECTS: Final = (visibility, lights, encodings, places, stereo, shadows, plans, inputs, limits)
+_SUBJECTS: Final = (visibility, lights, encodings, places, stereo, shadows, plans, inputs, limits, absolute)
 CASES: Final[dict[int, Case]] = {
     case.number: case
     for case in sorted((case for subject in _SUBJECTS for case in subject.CASES), key=lambda case: case.number)

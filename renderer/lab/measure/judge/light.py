@@ -68,7 +68,9 @@ class LitSurfaces:
     def _are_dark(self, position: Floats, plane: Floats, to_light: Floats, distance: Floats) -> NDArray[np.bool_]:
         start = _AWAY + 1e-13 * np.abs(position).max(axis=1)
         origins = position + plane * start[:, None]
-        return self._tree.are_blocked(origins, to_light, distance - start, self._geometry.stop_light)
+        return self._tree.are_blocked(
+            origins, to_light, distance - start, lambda hits: self._geometry.stop_light(hits, to_light)
+        )
 
     def _reflect_surroundings(self, seen: Surfaces) -> Floats:
         """Return the light of the sky and the ground, scattered and mirrored."""

@@ -33,13 +33,17 @@ class Judge:
         self._tree = TriangleTree(self._geometry.corners)
         self._lighting = LitSurfaces(scene, self._geometry, self._tree, has_shadows=has_shadows)
 
-    def draw(self, camera: Camera, size: tuple[int, int], rays: int = 1, every: int = 1) -> Floats:
+    def draw(
+        self, camera: Camera, size: tuple[int, int], rays: int = 1, every: int = 1,
+        at: tuple[float, float] = (0.5, 0.5),
+    ) -> Floats:  # fmt: skip
         """Return a picture (h, w, 3) in levels of 255, not rounded.
 
         Args:
             camera: a perspective or a parallel one; its aspect is that of `size` (width, height).
-            rays: along each side of a pixel: one through its middle, or so many squared, each at random in its part.
+            rays: along each side of a pixel: one, or so many squared, each at random in its part.
             every: of how many pixels along each axis one is looked at; the others are NaN.
+            at: where in a pixel a single ray is, from its top left corner.
         """
         width, height = size
         x, y = (some.reshape(-1) for some in np.meshgrid(*(np.arange(side)[every // 2 :: every] for side in size)))
@@ -48,7 +52,7 @@ class Judge:
         rng = np.random.default_rng(0)
         for row in range(rays):
             for column in range(rays):
-                part = rng.uniform(size=places.shape) if rays > 1 else 0.5
+                part = rng.uniform(size=places.shape) if rays > 1 else at
                 light += self.see(camera, size, places + (np.array([column, row]) + part) / rays)
         picture = np.full((height, width, 3), np.nan)
         picture[y, x] = 255.0 * encode_srgb(light / rays**2)

@@ -77,9 +77,12 @@ class Geometry:
         self._is_masked = materials["alpha_mode"] == AlphaMode.MASK
         self._casts = objects.casts_shadow & ~self.is_glass
 
-    def stop_light(self, hits: Hits) -> NDArray[np.bool_]:
-        """Return at which hits a shadow is cast: glass casts none, and masks only where they are left."""
-        stops = self._casts[self.objects[hits.triangle]]
+    def stop_light(self, hits: Hits, to_light: Floats) -> NDArray[np.bool_]:
+        """Return at which hits of rays towards a light a shadow is cast. Glass casts none, and masks only where there
+        is something; what has one side stops light that falls on its front, so a lamp may be inside of what shines."""
+        rows = self.objects[hits.triangle]
+        front = np.einsum("ij,ij->i", self._planes[hits.triangle], to_light[hits.ray]) > 0.0
+        stops = self._casts[rows] & (front | self._two_sided[rows])
         return np.asarray(stops & ~self._find_holes(hits, stops))
 
     def are_seen(self, hits: Hits, directions: Floats) -> NDArray[np.bool_]:

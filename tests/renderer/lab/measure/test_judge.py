@@ -69,6 +69,15 @@ def test_the_sun_casts_the_shadow_of_a_box_where_it_must_lie() -> None:
     assert Judge(scene, has_shadows=False).see(camera, (64, 64), places)[:, 0].min() > 0.0
 
 
+def test_a_lamp_inside_a_closed_object_shines_and_one_behind_it_does_not() -> None:
+    for height, lit in ((2.0, True), (4.0, False)):
+        builder = make_floor()
+        builder.add_objects(builder.add_node(translation((0, 2.0, 0))), builder.add_mesh(BUILT_IN["box"]()),
+                            builder.add_material())  # fmt: skip
+        builder.lights.add_point((0.0, height, 0.0), 90.0, intensity=30.0, casts_shadow=True)
+        assert bool(see_light(builder, (0, 1, 3), (0, 0, 0.2))[0] > 1e-6) is lit
+
+
 def test_panes_cover_what_is_behind_them_from_back_to_front() -> None:
     builder = make_floor(emissive=(0.2, 0.2, 0.2), base_color=(0, 0, 0))
     mesh = builder.add_mesh(BUILT_IN["box"]())
