@@ -116,7 +116,9 @@ def perspective(
     Args:
         fov: the vertical field of view, in radians.
         aspect: width / height of the image.
-        near, far: distances of the planes; `far` may be infinite.
+        near: the distance of the near plane.
+        far: that of the far plane; it may be infinite.
+        depth: the direction of clip depth.
 
     Raises:
         ValidationError: `camera-bad-value` for a value out of its range.
@@ -138,8 +140,13 @@ def orthographic(
     `orthographic(0, width, height, 0)` is for 2D: positions in pixels from the top left corner.
 
     Args:
-        left, right, bottom, top: the edges of the image in view space; two opposite ones may change sides.
-        near, far: distances of the planes; they may be negative.
+        left: the edge of the image in view space; two opposite edges may change sides.
+        right: the edge across.
+        bottom: the lower edge.
+        top: the upper edge.
+        near: the distance of the near plane; it may be negative.
+        far: that of the far plane.
+        depth: the direction of clip depth.
 
     Raises:
         ValidationError: `camera-bad-value` for values that aren't finite, and edges or planes in one place.
