@@ -80,7 +80,7 @@ def parse_camera(text: str, scene: Scene, frame: int = 0) -> Camera:
     except ValueError:
         rules.refuse_name(rules.UNKNOWN_CAMERA, call, text, [*scene.paths, *scene.views])
     if len(numbers) not in (3, 6) or not (np.abs(numbers) <= _FARTHEST).all():
-        refuse(rules.UNKNOWN_CAMERA, call, text, f"3 or 6 numbers from -{_FARTHEST:g} to {_FARTHEST:g}")
+        refuse(rules.UNKNOWN_CAMERA, call, text, f"3 or 6 finite numbers, none beyond {_FARTHEST:g}")
     lower, upper = scene.bounds
     target = np.array(numbers[3:]) if len(numbers) == 6 else 0.5 * (lower + upper)
     lens = next(iter(scene.views.values())).projection
