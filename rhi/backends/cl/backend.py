@@ -7,9 +7,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from functools import wraps
+from operator import le
 from typing import Any, Concatenate, Final, ParamSpec, TypeVar
 
 import numpy as np
@@ -49,6 +51,8 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 _GROUPS_BYTES: Final = 12
+_MOST_GROUPS: Final = 1 << 31
+"""PoCL counts the groups of a dispatch in 32 bits, and ends the process if that overflows."""
 
 
 def _reports_errors_as(
@@ -353,7 +357,10 @@ class ClBackend:
         """Read the arguments back, which waits: OpenCL takes the number of work-groups from the CPU."""
         self._flush()
         words = np.frombuffer(self._buffers.read(buffer, offset, _GROUPS_BYTES), np.uint32)
-        self.dispatch(*map(min, words.tolist(), self.capabilities.max_dispatch))
+        groups = words.tolist()
+        is_allowed = all(map(le, groups, self.capabilities.max_dispatch))
+        if is_allowed and math.prod(groups) < _MOST_GROUPS:  # as in WebGPU, another dispatch does nothing
+            self.dispatch(*groups)
 
     # -- time --------------------------------------------------------------------------------------------
 

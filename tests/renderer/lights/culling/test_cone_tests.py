@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from shader_cells import evaluate_cells
 
 from renderer.lab.exam.cell_pairs import LENSES
 from renderer.lab.exam.cone_pairs import ANGLES, ConePairs, make_cone_pairs
@@ -37,7 +38,9 @@ def make_cone(angle: float, apex: tuple[float, float, float] = (0, 0, 0)) -> Con
 
 def overlaps_sphere_first(pairs: ConePairs) -> np.ndarray:
     sphere = evaluate(bounding_sphere, pairs.cones, dtype=np.float64)
-    return evaluate(overlaps_exactly, pairs.cells, sphere[:, :3], sphere[:, 3] * (1 + 1e-12), dtype=np.float64)
+    return evaluate(
+        overlaps_exactly, evaluate_cells(pairs), sphere[:, :3], sphere[:, 3] * (1 + 1e-12), dtype=np.float64
+    )
 
 
 def test_the_sphere_around_a_cone_overlaps_what_the_cone_overlaps(pairs: ConePairs) -> None:
@@ -46,14 +49,14 @@ def test_the_sphere_around_a_cone_overlaps_what_the_cone_overlaps(pairs: ConePai
 
 @pytest.mark.parametrize("name", CONE_TESTS)
 def test_no_cone_that_overlaps_is_dropped_in_float64(pairs: ConePairs, name: str) -> None:
-    kept = evaluate(CONE_TESTS[name].function, pairs.cells, pairs.cones, 1e-12, dtype=np.float64)
+    kept = evaluate(CONE_TESTS[name].function, evaluate_cells(pairs), pairs.cones, 1e-12, dtype=np.float64)
     assert not (pairs.overlap & ~kept).any()
 
 
 def test_cone_tests_differ_by_what_they_keep(pairs: ConePairs) -> None:
     around = overlaps_sphere_first(pairs)
     kept = {
-        name: int((around & evaluate(test.function, pairs.cells, pairs.cones, 0.0, dtype=np.float64)).sum())
+        name: int((around & evaluate(test.function, evaluate_cells(pairs), pairs.cones, 0.0, dtype=np.float64)).sum())
         for name, test in CONE_TESTS.items()
     }
     assert kept["tight"] < kept["planes"] < kept["sphere"]

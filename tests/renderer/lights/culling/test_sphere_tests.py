@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from shader_cells import evaluate_cells
 
 import rhi
 from renderer.lab.exam.cell_pairs import LENSES, Pairs, make_pairs
@@ -28,14 +29,14 @@ def pairs(request: pytest.FixtureRequest) -> Pairs:
 
 def test_corners_are_those_of_the_inverse_projection(pairs: Pairs) -> None:
     for index in range(8):
-        ours = evaluate(corner, pairs.cells, index, dtype=np.float64)
+        ours = evaluate(corner, evaluate_cells(pairs), index, dtype=np.float64)
         assert np.allclose(ours, pairs.corners[:, index], rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", SPHERE_TESTS)
 def test_no_pair_that_overlaps_is_dropped_in_float64(pairs: Pairs, name: str) -> None:
     test = SPHERE_TESTS[name]
-    kept = evaluate(test.function, pairs.cells, pairs.centres, pairs.radii, dtype=np.float64)
+    kept = evaluate(test.function, evaluate_cells(pairs), pairs.centres, pairs.radii, dtype=np.float64)
     certain = np.abs(pairs.distances - pairs.radii) > 1e-9 * (1.0 + np.abs(pairs.centres).sum(1))
     assert not (pairs.overlap & ~kept & certain).any()
     assert 0.2 < pairs.overlap.mean() < 0.8
@@ -88,5 +89,5 @@ def test_no_pair_of_a_hundred_thousand_is_dropped(device: rhi.Device, lens: str)
     for name, kept in run(device, many).items():
         assert not (many.overlap & ~kept).any(), name
         test = SPHERE_TESTS[name].function
-        exact = evaluate(test, many.cells, many.centres, many.radii * (1 + 1e-9) + 1e-9, dtype=np.float64)
+        exact = evaluate(test, evaluate_cells(many), many.centres, many.radii * (1 + 1e-9) + 1e-9, dtype=np.float64)
         assert not (many.overlap & ~exact).any(), name
