@@ -115,7 +115,19 @@ def test_atomics_of_all_work_groups_are_counted(cl_kit: ClKit) -> None:
     assert cl_kit.words(words, 1) == [32 * 1001]
 
 
-@pytest.mark.parametrize(("groups", "count"), [((3, 2, 2), 12), ((0, 1, 1), 0), ((1, 0, 1), 0), ((1, 1, 1), 1)])
+@pytest.mark.parametrize(
+    ("groups", "count"),
+    [
+        ((3, 2, 2), 12),
+        ((0, 1, 1), 0),
+        ((1, 0, 1), 0),
+        ((1, 1, 1), 1),
+        ((65535, 1, 1), 65535),
+        ((65536, 1, 1), 0),  # more than a device has: as in WebGPU, nothing
+        ((1, 0xFFFFFFFF, 1), 0),
+        ((65535, 65535, 65535), 0),  # where PoCL's number of groups would overflow and end the process
+    ],
+)
 def test_an_indirect_dispatch_takes_its_groups_from_what_was_written_before_it(
     cl_kit: ClKit, groups: tuple[int, int, int], count: int
 ) -> None:
