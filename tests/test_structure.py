@@ -238,6 +238,13 @@ def test_the_root_of_rhi_has_at_most_a_dozen_packages_and_modules() -> None:
     assert len(rooms) <= 12
 
 
+def test_no_two_files_of_tests_have_one_name() -> None:
+    """They are imported by their names alone, so pytest would refuse the second one."""
+    names = [path.name for path in (ROOT / "tests").rglob("test_*.py")]
+    assert sorted(name for name in set(names) if names.count(name) > 1) == []
+    assert len(names) > 100
+
+
 def test_the_example_of_a_port_imports_the_contract_and_the_language_only() -> None:
     for path in sorted((ROOT / "examples/numpy_backend/rhi_numpy").glob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
