@@ -82,10 +82,10 @@ def draw_with(renderer: Renderer, algorithm: VisibilityAlgorithm, camera: Camera
 
 def show_something(frames: Iterable[NDArray[np.uint8]]) -> dict[str, bool]:
     """Return the statement that frames (height, width, 4) show something, which those of a device that draws nothing
-    or one colour don't: three colours at least, and more than a two-thousandth of all pixels have another than most."""
+    or one colour don't: two colours at least, and more than a two-thousandth of all pixels have another than most."""
     pixels = np.concatenate([frame.reshape(-1, 4) for frame in frames])
     counts = np.unique(pixels.astype("u1").view("<u4"), return_counts=True)[1]
-    return {"frames show something": len(counts) >= 3 and bool(counts.max() < (1.0 - 5e-4) * len(pixels))}
+    return {"frames show something": len(counts) >= 2 and bool(counts.max() < (1.0 - 5e-4) * len(pixels))}
 
 
 class Uncut:
