@@ -26,7 +26,7 @@ from renderer.scene import CameraPath, Scene
 from renderer.settings import RenderSettings
 from renderer.stereo import Stereo, find_holes
 from renderer.techniques import AutoTechnique, Forward, Technique, Watched
-from renderer.techniques.inspection import CELLS, INSPECTIONS, Inspection
+from renderer.techniques.inspection import INSPECTIONS, Inspection
 from renderer.techniques.light_indexed import count_overflowing
 from rhi.trace import save
 
@@ -142,7 +142,7 @@ def _run(given: argparse.Namespace) -> None:
 def _make_shown(given: argparse.Namespace, settings: RenderSettings, scene: Scene, device: rhi.Device) -> Technique:
     """Return the technique that draws what `--show` names. Buffers are those of a technique that doesn't change."""
     if given.show in INSPECTIONS:
-        return Inspection(given.show, getattr(settings.technique, given.show) if given.show in CELLS else None)
+        return Inspection(given.show, settings.technique.find_cells(given.show))
     technique = settings.technique
     if given.show is None:
         return technique.make(scene, device)

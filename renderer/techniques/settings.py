@@ -68,6 +68,10 @@ class TechniqueSettings:
         check_channels(self.specular_channels, "TechniqueSettings")
         check_bits(self.light_bits, "TechniqueSettings")
 
+    def find_cells(self, name: str) -> LightCells | None:
+        """Return the cells of lights that the setting of this name has; None for all but `tiles` and `clusters`."""
+        return {"tiles": self.tiles, "clusters": self.clusters}.get(name)
+
     def make(self, scene: Scene, device: Device) -> Technique:
         """Return the technique for a scene and a device."""
         if self.samples == 1 and self.name == AutoTechnique.name:

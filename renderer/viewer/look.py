@@ -22,7 +22,7 @@ from renderer.scene import Camera, Scene
 from renderer.settings import RenderSettings
 from renderer.stereo import Stereo, find_rig
 from renderer.techniques import AutoTechnique, Forward, Technique, TechniqueSettings, Watched
-from renderer.techniques.inspection import CELLS, INSPECTIONS, Inspection
+from renderer.techniques.inspection import INSPECTIONS, Inspection
 from renderer.techniques.watched import list_contents
 from renderer.visibility import VisibilityAlgorithm, check_algorithm, make_visibility
 from rhi import Device
@@ -237,7 +237,7 @@ class Configurator:
     def _make_technique(self, look: Look) -> Technique:
         plain = self._make_plain(look)  # which refuses samples that it lacks, also where a picture hides that
         if look.show in INSPECTIONS:
-            return Inspection(look.show, getattr(look.settings.technique, look.show) if look.show in CELLS else None)
+            return Inspection(look.show, look.settings.technique.find_cells(look.show))
         return plain if look.show == LIT else Watched(plain, look.show)
 
 
