@@ -19,7 +19,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self, TypeVar, cast, overload
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from typing_extensions import ParamSpec
 
 from rhi.commands.recorder import Recorder
@@ -54,7 +54,7 @@ from rhi.device.resources.buffers import (
     match_layout,
     storage_dtype,
 )
-from rhi.device.resources.images import ArrayLike, as_texels, infer_format
+from rhi.device.resources.images import ImageLike, as_texels, infer_format
 from rhi.device.resources.meshes import Drawable, Mesh, MeshData, VertexSource
 from rhi.device.resources.programs import Program, ProgramTable
 from rhi.device.resources.textures import Sampler, Texture
@@ -312,12 +312,13 @@ class Device(Encoder):
         return UniformArray(self._core, struct, count, label)
 
     @_creates
-    def storage(self, element: type[T], source: int | NDArray[Any] | Buffer, *, label: str = "") -> StorageBuffer[T]:
+    def storage(self, element: type[T], source: int | ArrayLike | Buffer, *, label: str = "") -> StorageBuffer[T]:
         """Create an array for `Storage[T]` and `StorageRW[T]`: a number of zeroed elements, a copy of an array, or a
         view of a buffer. An array of vectors of three components may be (n, 3): memory has a fourth, which is 0.
 
         Raises:
-            ValidationError: `layout-mismatch` if the array's dtype is not the element's std430 dtype.
+            ValidationError: `layout-mismatch` if the array's dtype is not a struct's std430 dtype, or if numbers don't
+                fit: whole ones are never rounded, floats never become whole.
         """
         core = self._core
         check = Arguments("device.storage", core.refuse)
@@ -341,7 +342,7 @@ class Device(Encoder):
     @_creates
     def texture(
         self,
-        source: tuple[int, int] | NDArray[Any] | ArrayLike,
+        source: tuple[int, int] | NDArray[Any] | ImageLike,
         format: Format | CompressedFormat | None = None,
         *,
         kind: TextureKind = TextureKind.D2,
@@ -456,7 +457,7 @@ class Device(Encoder):
     def mesh(
         self,
         vertices: VertexSource | int,
-        indices: NDArray[Any] | Buffer | None = None,
+        indices: ArrayLike | Buffer | None = None,
         *,
         instances: VertexSource | None = None,
         primitive: Primitive = Primitive.TRIANGLES,

@@ -11,7 +11,7 @@ from collections.abc import Collection, Mapping
 from typing import Any, Final, NamedTuple, NoReturn, TypeAlias, TypeVar, cast, overload
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from typing_extensions import Buffer as BytesLike
 
 from rhi.contract.descriptors import Attribute, Id, Primitive, VertexArrayDescriptor
@@ -40,7 +40,7 @@ T = TypeVar("T")
 MAX_LAYOUTS: Final = 1024
 """Pairs of a program and a layout of vertices that are kept from frame to frame."""
 
-VertexArrays: TypeAlias = NDArray[Any] | Mapping[str, NDArray[Any]]
+VertexArrays: TypeAlias = NDArray[Any] | Mapping[str, ArrayLike]
 """Vertices or instances: a structured array, or arrays by attribute name."""
 
 _VertexArrayKey: TypeAlias = tuple[Id, tuple[StreamSource, ...], Id, IndexFormat]
@@ -159,13 +159,13 @@ class TransientMemory:
             self._owner_generation = self._constants.generation
         return UniformRange(self._constants.buffer, offset, size, kind, self._owner)
 
-    def storage(self, element: type[T], source: int | NDArray[Any]) -> StorageRange[T]:
+    def storage(self, element: type[T], source: int | ArrayLike) -> StorageRange[T]:
         """Upload an array that the draws and dispatches of this frame read as `Storage[T]`; see `Device.storage`.
 
         Shaders can't write it: it can't be bound as `StorageRW[T]`.
 
         Raises:
-            ValidationError: `layout-mismatch` if the array's dtype is not the element's std430 dtype.
+            ValidationError: `layout-mismatch`, as there.
         """
         core = self._core
         core.check_command()
@@ -183,7 +183,7 @@ class TransientMemory:
         self,
         program: Program[...],
         vertices: VertexArrays | int,
-        indices: NDArray[Any] | None = None,
+        indices: ArrayLike | None = None,
         primitive: Primitive = Primitive.TRIANGLES,
         *,
         instances: VertexArrays | None = None,

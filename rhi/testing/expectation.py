@@ -70,7 +70,7 @@ class Expectation:
         """Select draws, indirect ones included, with these arguments of `Backend.draw` or `draw_indirect`.
 
         Args:
-            program: the program, its id or its shader's name.
+            program: the program, its id, its shader's class or the name of that.
             arguments: values to compare for equality; use `pytest.approx` for a tolerance.
         """
         return self._work(DRAWS, program, arguments)
@@ -126,7 +126,8 @@ class Expectation:
 
     def _work(self, ops: Collection[Op], program: object, arguments: dict[str, object]) -> Expectation:
         narrowed = self.commands(*ops, **arguments)
-        return narrowed if program is None else narrowed._and(UsesProgram(program))
+        wanted = program.__name__ if isinstance(program, type) else program
+        return narrowed if program is None else narrowed._and(UsesProgram(wanted))
 
     def _and(self, condition: Condition) -> Expectation:
         return Expectation(self._commands, (*self._conditions, condition))

@@ -11,7 +11,7 @@ from functools import cache, partial
 from typing import Any, Generic, TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rhi.contract.backend import FillsBuffers
 from rhi.contract.descriptors import Access, BufferDescriptor, BufferUsage
@@ -374,9 +374,8 @@ class StorageBuffer(StorageRange[T], Resource):
         """Begin to read elements, as `read` does, and return their future at once."""
         return self._typed().read_async(first, count)
 
-    def write(self, rows: NDArray[Any], first: int = 0) -> None:
-        """Replace elements from `first` on; `layout-mismatch` if the dtype is not `dtype`. Vectors of three components
-        may be (n, 3): they are padded."""
+    def write(self, rows: ArrayLike, first: int = 0) -> None:
+        """Replace elements from `first` on, by what `Device.storage` takes; `layout-mismatch` for anything else."""
         call = "StorageBuffer.write"
         self._typed().write(match_layout(self.owner.core, rows, self.dtype, call, self.type), first)
 
@@ -423,7 +422,7 @@ def storage_dtype(check: Arguments, element: Any) -> np.dtype[Any]:
 
 
 def as_storage(
-    check: Arguments, core: Core, element: Any, source: int | NDArray[Any], dtype: np.dtype[Any], most: int
+    check: Arguments, core: Core, element: Any, source: int | ArrayLike, dtype: np.dtype[Any], most: int
 ) -> NDArray[Any]:
     """Return the first contents of storage of these elements, 1 to `most` bytes: a number of zeros, or an array."""
     count = as_whole(source)
@@ -466,15 +465,16 @@ def aligned_dtype(dtype: np.dtype[Any], alignment: int) -> np.dtype[Any]:
     )
 
 
-def match_layout(
-    core: Core, array: NDArray[Any], expected: np.dtype[Any], call: str, element: Any = None
-) -> NDArray[Any]:
+def match_layout(core: Core, array: ArrayLike, expected: np.dtype[Any], call: str, element: Any = None) -> NDArray[Any]:
     """Return an array as one of the expected dtype; refuse another layout, showing both side by side.
 
-    Vectors of three components take the place of four: if these are the `element`s, (n, 3) becomes (n, 4).
+    Numbers outside of structs are converted: whole ones exactly or not at all, floats rounded as a mesh's are. Vectors
+    of three components take the place of four: if these are the `element`s, (n, 3) becomes (n, 4).
     """
     given = Arguments(call, core.refuse).array("array", array)
     base, shape = expected.subdtype or (expected, ())
+    if base.names is None and (given.dtype.kind in "iu" or given.dtype.kind == base.kind == "f"):
+        given = _convert(core, given, base, call)
     if shape == (4,) and given.shape[-1:] == (3,) and given.dtype == base and element in _VECTORS_OF_3:
         given = np.concatenate([given, np.zeros_like(given[..., :1])], axis=-1)
     if not accepts(base, given.dtype):
@@ -487,6 +487,21 @@ def match_layout(
             LAYOUT_MISMATCH, call, f"shape {given.shape} of {given.dtype}", allowed, "give an array of this shape"
         )
     return given if given.dtype == base else np.ascontiguousarray(given).view(base)
+
+
+def _convert(core: Core, numbers: NDArray[Any], wanted: np.dtype[Any], call: str) -> NDArray[Any]:
+    """Return numbers as another dtype; refuse those that it doesn't hold."""
+    if numbers.dtype == wanted:
+        return numbers
+    with np.errstate(invalid="ignore", over="ignore"):
+        converted = numbers.astype(wanted)
+        if numbers.dtype.kind == "f":
+            fits = np.isfinite(converted) | ~np.isfinite(numbers)
+        else:  # back and forth is exact, unless the sign was lost on the way
+            fits = (converted.astype(numbers.dtype) == numbers) & ((converted < 0) == (numbers < 0))
+    if not fits.all():
+        core.refuse(LAYOUT_MISMATCH, call, f"{numbers[~fits][0]} of {numbers.dtype}", f"what {wanted} holds", "")
+    return converted
 
 
 def as_constants(check: Arguments, value: Any) -> tuple[Any, Struct]:
@@ -510,7 +525,7 @@ def as_constants(check: Arguments, value: Any) -> tuple[Any, Struct]:
         elif array.shape == (len(array), len(array)) and scalar is FLOAT:
             kind = CLASSES.get(len(array))
     if kind is None or not is_host_shareable(value_type_of(kind)):
-        allowed = "a struct, e.g. Tint(scale=(1, 1, 1)), a number, 2 to 4 numbers, or a matrix of 2×2 to 4×4 floats"
+        allowed = "a struct, e.g. Tint(scale=(1, 1, 1)), a number, or an array: 2 to 4 numbers, or 2×2 to 4×4 floats"
         check.fail("value", value, allowed)
     return kind, _wrapper(kind)(value=value)
 

@@ -29,7 +29,7 @@ _INFERRED: Final = {
 }
 
 
-class ArrayLike(Protocol):
+class ImageLike(Protocol):
     """What NumPy reads as an array: an array, an image of Pillow, and others."""
 
     @property

@@ -39,7 +39,7 @@ from rhi.errors import Rule
 from rhi.errors.arguments import Arguments, as_whole
 from rhi.errors.rules import DRAW_ARRAY, MESH_ATTRIBUTE, MESH_DATA, MESH_INDEX, MESH_RANGE
 
-VertexSource: TypeAlias = NDArray[Any] | Mapping[str, NDArray[Any]] | Buffer
+VertexSource: TypeAlias = NDArray[Any] | Mapping[str, ArrayLike] | Buffer
 """Vertices: a structured array, arrays by attribute name, or a buffer with a structured dtype.
 (`device.mesh` also accepts a number of vertices without attributes.)"""
 
@@ -53,7 +53,7 @@ class MeshData:
                  "instances", "label", "owned", "vertex_arrays", "vertex_count", "vertices", "views")  # fmt: skip
 
     def __init__(
-        self, core: Core, vertices: VertexSource | int, indices: NDArray[Any] | Buffer | None,
+        self, core: Core, vertices: VertexSource | int, indices: ArrayLike | Buffer | None,
         instances: VertexSource | None, label: str,
     ) -> None:  # fmt: skip
         call = "device.mesh"
@@ -607,7 +607,7 @@ def check_finite(core: Core, vertices: NDArray[Any], rule: Rule, call: str) -> N
             core.refuse(rule, call, f"{name}[{bad}] = {values[bad]}", "finite numbers")
 
 
-def _interleave(core: Core, arrays: Mapping[str, NDArray[Any]], rule: Rule, call: str) -> NDArray[Any]:
+def _interleave(core: Core, arrays: Mapping[str, ArrayLike], rule: Rule, call: str) -> NDArray[Any]:
     check = Arguments(call, core.refuse, rule)
     columns = {check.text("attribute", name): check.array(name, values) for name, values in arrays.items()}
     lengths = {len(values) if values.ndim else 0 for values in columns.values()}
@@ -638,7 +638,7 @@ def _length(source: NDArray[Any] | Buffer | None) -> int:
 
 
 def _index_source(
-    core: Core, source: NDArray[Any] | Buffer | None, vertices: int, call: str
+    core: Core, source: ArrayLike | Buffer | None, vertices: int, call: str
 ) -> NDArray[Any] | Buffer | None:
     if source is None:
         return None
@@ -652,7 +652,7 @@ def _index_source(
     return match_indices(core, source, vertices, call)
 
 
-def match_indices(core: Core, source: NDArray[Any], vertices: int, call: str) -> NDArray[Any]:
+def match_indices(core: Core, source: ArrayLike, vertices: int, call: str) -> NDArray[Any]:
     """Return indices of any integer dtype as (n,) uint16 or uint32.
 
     Raises:

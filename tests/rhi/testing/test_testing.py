@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
-from testing_kit import House, Light
+from testing_kit import House, Light, Shadow
 
 import rhi
 from rhi import CullMode, DepthBias, DepthFunction, DepthWrite, Op
@@ -49,8 +49,8 @@ def test_a_wrong_number_fails(frame, verdict: str, number: int) -> None:
     assert message.startswith(f"expected {verdict.replace('_', ' ')} {number}: draws of program 'Shadow'\nfound 2")
 
 
-def test_a_program_is_known_by_object_id_and_name(frame, house) -> None:
-    for program in (house.shadow, house.shadow.id, "Shadow"):
+def test_a_program_is_known_by_object_id_class_and_name(frame, house) -> None:
+    for program in (house.shadow, house.shadow.id, Shadow, "Shadow"):
         expect(frame).draws(program=program).exactly(2)
     for program in (house.lit, house.lit.id, "Lit"):
         expect(frame).draws(program=program).exactly(1)

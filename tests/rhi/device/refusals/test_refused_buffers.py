@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -13,7 +14,7 @@ from rhi.conformance.compare import assert_same
 from rhi.conformance.shaders import Corner
 from rhi.conformance.validation.refusal import refuses
 from rhi.errors import rules
-from rhi.shading import Struct, uint, vec3, vec4
+from rhi.shading import Struct, ivec2, uint, vec3, vec4
 
 U4 = np.dtype("u4")
 
@@ -149,6 +150,30 @@ def test_storage_of_numbers_wants_their_type(recording: Device) -> None:
         recording.storage(uint, np.zeros(4, "f4"))
     recording.storage(uint, np.zeros(4, "u4")).destroy()
     recording.storage(vec4, np.zeros((4, 4), "f4")).destroy()
+
+
+HOLDS = [  # what is stored as given, then what isn't, both next to the bound
+    (int, [-(2**31), 2**31 - 1], [0, 2**31], "2147483648 of int64"),
+    (int, [-(2**31)], [-(2**31) - 1], "-2147483649 of int64"),
+    (uint, [0, 2**32 - 1], [-1], "-1 of int64"),
+    (uint, np.array([0, 127], "i1"), np.array([1, -1], "i1"), "-1 of int8"),
+    (int, np.array([2**31 - 1], "u8"), np.array([2**64 - 1], "u8"), "18446744073709551615 of uint64"),
+    (float, [2**24], [2**24 + 1], "16777217 of int64"),
+    (float, [0.5, -math.inf, math.inf], [1e300], "1e+300 of float64"),
+    (ivec2, [(1, 2), (3, 4)], [(1, 2), (3, 2**40)], "1099511627776 of int64"),
+]
+
+
+@pytest.mark.parametrize(("element", "kept", "refused", "given"), HOLDS)
+def test_storage_of_numbers_takes_what_it_holds(recording: Device, element, kept, refused, given: str) -> None:
+    with recording.storage(element, kept) as storage:
+        assert (storage.read() == np.asarray(kept)).all()
+        for call in (lambda: recording.storage(element, refused), lambda: storage.write(refused)):
+            with refuses(rules.LAYOUT_MISMATCH, recording) as refusal:
+                call()
+            assert refusal.error.given == given
+        storage.write(kept)
+        assert (storage.read() == np.asarray(kept)).all()
 
 
 def test_storage_needs_room(recording: Device) -> None:
