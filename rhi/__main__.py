@@ -159,6 +159,7 @@ def _as_text(reports: list[BackendReport]) -> str:
             f"       textures to {limits.max_texture_size}, {limits.max_color_targets} targets, "
             f"{'/'.join(map(str, limits.sample_counts))} samples, work-groups to {limits.max_work_group_invocations}",
             f"       lacks: {', '.join(lacking) or 'nothing'}",
+            *(f"       left out: {what}" for what in limits.left_out),
             *(f"       passed over: {device}" for device in limits.passed_over),
             "",
         ]

@@ -1,4 +1,4 @@
-"""For all tests: hypothesis profiles, mypy as tests run it, and a virtual X server.
+"""For all tests: hypothesis profiles, mypy as tests run it, a virtual X server, and anisotropy on llvmpipe.
 
 - `repeatable`, the default: property tests take the same examples in each run, and have no deadline.
 - `exploring`: new examples. `nightly`: new ones, and 20 times as many; `./test.sh --nightly` uses it.
@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import shutil
 import subprocess
 import sys
@@ -27,6 +28,8 @@ settings.register_profile(
 settings.register_profile("exploring", settings.get_profile("repeatable"), derandomize=False)
 settings.register_profile("nightly", settings.get_profile("exploring"))
 settings.load_profile("repeatable")
+
+os.environ.setdefault("RHI_SLOW_ANISOTROPY", "1")  # no pixel of the tests takes long
 
 NIGHTLY_FACTOR = 20
 COLLECTED_AFTER = (10_000, 10, 50)

@@ -78,6 +78,8 @@ class Capabilities:
     max_work_group: tuple[int, int, int] = (1024, 1024, 64)
     max_work_group_invocations: int = 1024
     max_dispatch: tuple[int, int, int] = (65535, 65535, 65535)
+    max_dispatch_groups: int = (1 << 32) - 1
+    """The most work-groups of a dispatch in all: drivers count them in 32 bits, and some run the remainder."""
     max_shared_bytes: int = 32768
     max_anisotropy: float = 1.0
     max_point_size: float = 1.0
@@ -159,6 +161,8 @@ class Capabilities:
     """Formats whose images can't be loaded from by a program that also stores to them."""
     unstorable_formats: frozenset[Format] = frozenset()
     """Formats that images can't have."""
+    left_out: tuple[str, ...] = ()
+    """What the driver has, but this device doesn't because of a fault of the driver, each with the reason."""
     passed_over: tuple[str, ...] = ()
     """Devices that were tried before this one, each with the reason why it can't be used."""
 

@@ -9,6 +9,7 @@ they are replayed with those of one.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from math import prod
 from typing import Any, Final, NamedTuple
 
 from rhi.contract.backend import Capabilities
@@ -421,6 +422,8 @@ def dispatch_faults(groups: Sequence[int | None], shown: str, limits: Capabiliti
     fits = len(groups) == 3 and all(n is not None and 0 <= n <= m for n, m in zip(groups, most, strict=True))
     if not fits:
         yield Fault(DISPATCH_SIZE, shown, f"1 to 3 whole numbers from 0 to {most}")
+    if prod(n or 0 for n in groups) > limits.max_dispatch_groups:
+        yield Fault(DISPATCH_SIZE, shown, f"at most {limits.max_dispatch_groups} in all")
 
 
 def query_faults(kind: QueryKind, limits: Capabilities) -> Faults:

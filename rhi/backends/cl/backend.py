@@ -7,11 +7,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from functools import wraps
-from operator import le
 from typing import Any, Concatenate, Final, ParamSpec, TypeVar
 
 import numpy as np
@@ -45,14 +43,13 @@ from rhi.contract.descriptors import (
     VertexArrayDescriptor,
 )
 from rhi.contract.formats import Format
+from rhi.contract.limits import dispatch_faults
 from rhi.contract.states import StateChange
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
 _GROUPS_BYTES: Final = 12
-_MOST_GROUPS: Final = 1 << 31
-"""PoCL counts the groups of a dispatch in 32 bits, and ends the process if that overflows."""
 
 
 def _reports_errors_as(
@@ -358,8 +355,7 @@ class ClBackend:
         self._flush()
         words = np.frombuffer(self._buffers.read(buffer, offset, _GROUPS_BYTES), np.uint32)
         groups = words.tolist()
-        is_allowed = all(map(le, groups, self.capabilities.max_dispatch))
-        if is_allowed and math.prod(groups) < _MOST_GROUPS:  # as in WebGPU, another dispatch does nothing
+        if not any(dispatch_faults(groups, "", self.capabilities)):  # as in WebGPU, another dispatch does nothing
             self.dispatch(*groups)
 
     # -- time --------------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ _MAX_POINT_SIZE: Final = 1024.0  # MAX_POINT_SIZE in kernels/polygon.cl
 _MAX_LINE_WIDTH: Final = 256.0
 MAX_STORAGE_SLOTS: Final = 16  # kernels find buffers by address, so any number would do
 _MAX_ANISOTROPY: Final = 16.0
+_MOST_GROUPS: Final = (1 << 31) - 1  # PoCL counts the groups of a dispatch, and ends the process if that overflows
 _MAX_TEXTURE_SIZE: Final = 8192  # the largest window position that kernels represent, see kernels/common.cl
 
 
@@ -29,6 +30,7 @@ def query_capabilities(context: ClContext, draws: bool) -> Capabilities:
         max_uniform_bytes=min(_MAX_UNIFORM_BYTES, int(device.max_mem_alloc_size)),
         max_storage_bytes=min((1 << 32) - 1, int(device.max_mem_alloc_size)),
         max_work_group=(x, y, z),
+        max_dispatch_groups=_MOST_GROUPS,
         max_work_group_invocations=int(device.max_work_group_size),
         max_shared_bytes=int(device.local_mem_size),
         uniform_alignment=grain,

@@ -12,6 +12,7 @@ from rhi.backends.gl.formats import PIXEL_FORMATS
 from rhi.backends.gl.platform_states import DepthClamp
 from rhi.contract.backend import SAMPLE_COUNTS, Capabilities
 from rhi.contract.blocks import CompressedFormat
+from rhi.contract.driver_faults import limit_anisotropy
 from rhi.contract.formats import COLOR_FORMATS, Format
 from rhi.contract.states import MAX_TARGETS
 
@@ -36,10 +37,15 @@ def query_capabilities(gl: EntryPoints, version: int, extensions: Container[str]
     groups = [gl.get_integer(enums.MAX_COMPUTE_WORK_GROUP_SIZE, axis) for axis in range(3)]
     dispatches = [gl.get_integer(enums.MAX_COMPUTE_WORK_GROUP_COUNT, axis) for axis in range(3)]
     device = gl.GetString(enums.RENDERER).decode()
+    driver = "OpenGL " + gl.GetString(enums.VERSION).decode()
+    has_anisotropy = has("GL_EXT_texture_filter_anisotropic")
+    anisotropy, left_out = limit_anisotropy(
+        device, driver, gl.get_float(enums.MAX_TEXTURE_MAX_ANISOTROPY) if has_anisotropy else 1.0
+    )
     return Capabilities(
         backend="gl",
         device=device,
-        driver="OpenGL " + gl.GetString(enums.VERSION).decode(),
+        driver=driver,
         max_texture_size=gl.get_integer(enums.MAX_TEXTURE_SIZE),
         max_texture_layers=smallest(enums.MAX_ARRAY_TEXTURE_LAYERS, enums.MAX_3D_TEXTURE_SIZE),
         max_color_targets=min(smallest(enums.MAX_DRAW_BUFFERS, enums.MAX_COLOR_ATTACHMENTS), MAX_TARGETS),
@@ -64,9 +70,8 @@ def query_capabilities(gl: EntryPoints, version: int, extensions: Container[str]
         max_work_group_invocations=gl.get_integer(enums.MAX_COMPUTE_WORK_GROUP_INVOCATIONS),
         max_dispatch=(dispatches[0], dispatches[1], dispatches[2]),
         max_shared_bytes=gl.get_integer(enums.MAX_COMPUTE_SHARED_MEMORY_SIZE),
-        max_anisotropy=(
-            gl.get_float(enums.MAX_TEXTURE_MAX_ANISOTROPY) if has("GL_EXT_texture_filter_anisotropic") else 1.0
-        ),
+        max_anisotropy=anisotropy,
+        left_out=left_out,
         uniform_alignment=gl.get_integer(enums.UNIFORM_BUFFER_OFFSET_ALIGNMENT),
         storage_alignment=gl.get_integer(enums.SHADER_STORAGE_BUFFER_OFFSET_ALIGNMENT),
         indirect_count="GL_ARB_indirect_parameters" in extensions,

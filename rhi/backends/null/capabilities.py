@@ -78,8 +78,8 @@ PROFILES: Final[Mapping[str, Capabilities]] = {
     ),
     "opencl-cpu": replace(
         _device("opencl-cpu"), sample_counts=(1,), max_uniform_bytes=1 << 16, max_work_group=(4096, 4096, 4096),
-        max_work_group_invocations=4096, uniform_alignment=128, storage_alignment=128, sample_counter=True,
-        conditional_rendering=False, alpha_to_coverage=False,
+        max_work_group_invocations=4096, max_dispatch_groups=(1 << 31) - 1, uniform_alignment=128,
+        storage_alignment=128, sample_counter=True, conditional_rendering=False, alpha_to_coverage=False,
     ),
 }  # fmt: skip
 """Capabilities by profile name. `everything` is the default of a null device."""

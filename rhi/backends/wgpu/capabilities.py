@@ -14,6 +14,7 @@ from rhi.backends.wgpu.textures import Textures
 from rhi.contract.backend import SAMPLE_COUNTS, Capabilities
 from rhi.contract.blocks import CompressedFormat
 from rhi.contract.descriptors import TextureDescriptor, TextureKind
+from rhi.contract.driver_faults import limit_anisotropy
 from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, ChannelKind, Format
 from rhi.contract.states import MAX_TARGETS
 
@@ -41,10 +42,12 @@ def query_capabilities(host: Host, textures: Textures) -> Capabilities:
     single = frozenset(format for format in targets if not formats.is_target(format, 4))
     many = [format for format in targets if format not in single]
     stage = "per-shader-stage"
+    driver = f"{info['backend_type']} {info['description']}, wgpu {wgpu.__version__}".replace("  ", " ")
+    anisotropy, left_out = limit_anisotropy(info["device"], driver, _ANISOTROPY)
     return Capabilities(
         backend="wgpu",
         device=info["device"],
-        driver=f"{info['backend_type']} {info['description']}, wgpu {wgpu.__version__}".replace("  ", " "),
+        driver=driver,
         max_texture_size=limits["max-texture-dimension-2d"],
         max_texture_layers=min(limits["max-texture-array-layers"], limits["max-texture-dimension-3d"]),
         max_color_targets=min(limits["max-color-attachments"], MAX_TARGETS),
@@ -67,7 +70,8 @@ def query_capabilities(host: Host, textures: Textures) -> Capabilities:
         max_work_group_invocations=limits["max-compute-invocations-per-workgroup"],
         max_dispatch=(limits["max-compute-workgroups-per-dimension"],) * 3,
         max_shared_bytes=limits["max-compute-workgroup-storage-size"],
-        max_anisotropy=_ANISOTROPY,
+        max_anisotropy=anisotropy,
+        left_out=left_out,
         uniform_alignment=max(_SMALLEST_ALIGNMENT, limits["min-uniform-buffer-offset-alignment"]),
         storage_alignment=max(_SMALLEST_ALIGNMENT, limits["min-storage-buffer-offset-alignment"]),
         copy_alignment=4,

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import rhi
 from rhi import (
     AlphaTest,
     Device,
@@ -237,6 +238,17 @@ def test_groups_are_no_more_than_the_device_says(recording: Device, axis: int) -
     groups[axis] = recording.capabilities.max_dispatch[axis] + 1
     with recording.storage(uint, 1) as total, refuses(rules.DISPATCH_SIZE, recording):
         recording.dispatch(recording.program(Count), groups, total=total)
+
+
+@pytest.mark.needs("compute")
+def test_groups_are_no_more_in_all_than_the_device_says(recording: Device) -> None:
+    """Drivers that count them in 32 bits end the process, or run what is left: of 2³² groups none. That the most are
+    taken is shown by a null device with the same limits, which doesn't execute them for hours."""
+    rows = recording.capabilities.max_dispatch_groups >> 16
+    with rhi.create_device("null", profile=recording.capabilities) as null, null.storage(uint, 1) as total:
+        null.dispatch(null.program(Count), (1 << 15, rows, 2), total=total)
+    with recording.storage(uint, 1) as total, refuses(rules.DISPATCH_SIZE, recording):
+        recording.dispatch(recording.program(Count), (1 << 15, rows // 2 + 1, 4), total=total)
 
 
 @pytest.mark.needs("draws")

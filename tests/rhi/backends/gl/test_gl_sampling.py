@@ -1,11 +1,19 @@
-"""What llvmpipe does otherwise when it samples: known faults, of which a test fails when they have gone."""
+"""What llvmpipe does otherwise when it samples: known faults, of which a test fails when they have gone.
+
+One of them is avoided: devices have no anisotropy there.
+"""
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 import numpy as np
+import pytest
 
 import rhi
 from rhi import Format, SamplerDescriptor
+from rhi.__main__ import main
+from rhi.contract.driver_faults import limit_anisotropy
 from rhi.shading import Shader, Texture2D, vec2, vec4, vertex_index
 
 
@@ -22,7 +30,8 @@ class SampledByGradients(Shader):
         return self.source.sample_grad(vec2(0.5, 0.5), vec2(1.0, 0.0), vec2(0.0, 1.0))
 
 
-def test_llvmpipe_ignores_gradients_where_filtering_is_anisotropic() -> None:
+def test_llvmpipe_ignores_gradients_where_filtering_is_anisotropic(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RHI_SLOW_ANISOTROPY", "1")
     read = []
     with rhi.create_device("gl") as gl:
         is_faulty = "llvmpipe" in gl.capabilities.device
@@ -37,3 +46,49 @@ def test_llvmpipe_ignores_gradients_where_filtering_is_anisotropic() -> None:
             read.append(float(image.read()[1, 1, 0]))
     assert read[0] == 3.0  # one texel for the whole texture
     assert read[1] == (0.0 if is_faulty else 3.0)  # coordinates don't change from pixel to pixel
+
+
+@pytest.mark.parametrize("backend", ["gl", "wgpu"])
+def test_a_device_has_no_anisotropy_where_it_may_never_end_unless_it_is_asked_for(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], backend: str
+) -> None:
+    pytest.importorskip({"gl": "moderngl"}.get(backend, backend))
+    asked, plain = [_find_capabilities(monkeypatch, backend, value) for value in ("1", None)]
+    hangs = "llvmpipe" in plain["device"] and "Mesa 22.3" in plain["driver"]
+    assert {name for name, value in plain.items() if value != asked[name]} == (
+        {"max_anisotropy", "left_out"} if hangs else set()
+    )
+    assert asked["max_anisotropy"] == 16.0
+    assert asked["left_out"] == ()
+    main([])
+    assert capsys.readouterr().out.count("left out: anisotropy: llvmpipe of Mesa 22.3 may take minutes") >= hangs
+
+
+def _find_capabilities(monkeypatch: pytest.MonkeyPatch, backend: str, value: str | None) -> dict[str, object]:
+    if value is None:
+        monkeypatch.delenv("RHI_SLOW_ANISOTROPY", raising=False)
+    else:
+        monkeypatch.setenv("RHI_SLOW_ANISOTROPY", value)
+    with rhi.create_device(backend) as device:
+        return asdict(device.capabilities)
+
+
+@pytest.mark.parametrize(
+    ("device", "driver", "most"),
+    [
+        ("llvmpipe (LLVM 15.0.6, 256 bits)", "OpenGL 4.5 (Core Profile) Mesa 22.3.6", 1.0),
+        ("llvmpipe (LLVM 15.0.6, 256 bits)", "Vulkan Mesa 22.3.0 (LLVM 15.0.6), wgpu 0.32.0", 1.0),
+        ("llvmpipe (LLVM 19.1.7, 256 bits)", "OpenGL 4.5 (Core Profile) Mesa 22.30.1", 16.0),
+        ("llvmpipe (LLVM 14.0.6, 256 bits)", "OpenGL 4.5 (Core Profile) Mesa 22.2.9", 16.0),
+        ("Mesa Intel(R) UHD Graphics", "OpenGL 4.6 (Core Profile) Mesa 22.3.6", 16.0),
+    ],
+)
+def test_the_driver_is_known_by_name_and_version(
+    monkeypatch: pytest.MonkeyPatch, device: str, driver: str, most: float
+) -> None:
+    for value, expected in (("", most), ("0", most), ("1", 16.0)):
+        monkeypatch.setenv("RHI_SLOW_ANISOTROPY", value)
+        found, reasons = limit_anisotropy(device, driver, 16.0)
+        assert found == expected
+        assert len(reasons) == (found < 16.0)
+    assert limit_anisotropy(device, driver, 1.0) == (1.0, ())  # a driver without it has lost nothing

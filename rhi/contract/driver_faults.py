@@ -1,0 +1,23 @@
+"""What a device leaves out because of a fault of its driver, which is known by name and version."""
+
+from __future__ import annotations
+
+import os
+import re
+from typing import Final
+
+_WALKS: Final = re.compile(r"Mesa 22\.3\b")
+_OPT_IN: Final = "RHI_SLOW_ANISOTROPY"
+_REASON: Final = (
+    f"anisotropy: llvmpipe of Mesa 22.3 may take minutes for a pixel; {_OPT_IN}=1 allows it (docs/backends-gl.md)"
+)
+
+
+def limit_anisotropy(device: str, driver: str, most: float) -> tuple[float, tuple[str, ...]]:
+    """Return the anisotropy that a driver may be asked for, out of `most`, and why if that is less.
+
+    llvmpipe walks over all texels below a pixel, of the last level if the pixel covers the texture more than once: its
+    time has no bound, and nothing in a sampler's state sets one.
+    """
+    walks = most > 1.0 and "llvmpipe" in device and _WALKS.search(driver) is not None
+    return (1.0, (_REASON,)) if walks and os.environ.get(_OPT_IN, "0") in ("", "0") else (most, ())
