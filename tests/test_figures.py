@@ -39,8 +39,12 @@ def test_ratios_of_times_are_printed_old_and_new() -> None:
     assert line.split() == ["sums", "4,", "5", "ms", "1.01", "1.50"]
 
 
-@pytest.mark.parametrize("rows", [{"1, 2": ["3"]}, {"1, 2": ["3"], "4, 5": ["9"], "6": ["6"]}])
-def test_a_table_with_other_rows_is_an_error(rows: dict[str, list[str]]) -> None:
+def test_rows_that_are_not_found_stay_as_they_are() -> None:
+    assert replace_cells(PAGE, "sums", ["sum"], {"4, 5": ["9"]}) == PAGE.replace("| 8 |", "| 9 |")
+
+
+@pytest.mark.parametrize("rows", [{}, {"1, 2": ["3"], "4, 5": ["9"], "6": ["6"]}])
+def test_a_table_that_lacks_a_row_or_all_of_them_is_an_error(rows: dict[str, list[str]]) -> None:
     with pytest.raises(ValueError, match="the page has rows"):
         replace_cells(PAGE, "sums", ["sum"], rows)
 
