@@ -24,11 +24,13 @@ from rhi.backends.gl.backend import GlBackend
 from rhi.backends.gl.entry_points import DEBUG_CALLBACK, EntryPoints
 from rhi.backends.gl.errors import NAMES, drain_errors
 from rhi.backends.gl.host import SharedContext
+from rhi.backends.gl.turns import LoopTests
 from rhi.contract.backend import Backend, PreparedQueries
 from rhi.contract.descriptors import BufferDescriptor, Id, Primitive
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_DEBUG
 
+_WAITING: Final = frozenset({"read_buffer", "read_texture", "completed", "wait"})  # where the GPU has finished mostly
 _FATAL: Final = (enums.DEBUG_TYPE_ERROR, enums.DEBUG_TYPE_UNDEFINED_BEHAVIOR)
 
 
@@ -77,6 +79,10 @@ class DebugGlBackend(GlBackend):
     def __init__(self, context: moderngl.Context, shared: SharedContext | None = None) -> None:
         super().__init__(context, shared)
         self._debug = DebugOutput(self.gl)
+        self._loops: LoopTests | None = None
+        if shared is None and "llvmpipe" in self.capabilities.device:
+            self._loops = LoopTests(context, self.gl)
+            self._programs.instrument = self._loops.add
 
     def prepare_uniform(self, buffer: Id) -> Callable[[int, int, int], object]:
         return lambda slot, offset, size: self.bind_uniform(slot, buffer, offset, size)
@@ -117,6 +123,9 @@ class DebugGlBackend(GlBackend):
         if message:
             shown = ", ".join(map(_show, arguments))
             raise DeviceError(DEVICE_DEBUG, f"{name}({shown})", message)
+        error = self._loops.take() if self._loops is not None and name in _WAITING else None
+        if error is not None:
+            raise error
         return result
 
 

@@ -89,6 +89,7 @@ class EntryPoints:
     CreateBuffers: Callable[[Int, Reference], None]
     DeleteBuffers: Callable[[Int, Reference], None]
     BindBuffer: Callable[[Int, Int], None]
+    BindBufferBase: Callable[[Int, Int, Int], None]
     BufferData: Callable[[Int, Size, Reference, Int], None]
     NamedBufferStorage: Callable[[Int, Size, Reference, Int], None]
     MapNamedBufferRange: Callable[[Int, Size, Size, Int], Address]

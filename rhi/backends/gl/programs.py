@@ -196,7 +196,11 @@ class _ProgramVariants:
 
 
 class Programs:
-    """The programs of one context."""
+    """The programs of one context.
+
+    Attributes:
+        instrument: changes the text of each stage before it is compiled.
+    """
 
     def __init__(
         self, context: moderngl.Context, gl: EntryPoints, arrays: VertexArrays,
@@ -207,6 +211,7 @@ class Programs:
         self._gl = gl
         self._arrays = arrays
         self._finish = finish
+        self.instrument: Callable[[StageText], StageText] = lambda source: source
         self._programs: dict[Id, _ProgramVariants] = {}
 
     def __getitem__(self, program: Id) -> LinkedProgram:
@@ -242,9 +247,9 @@ class Programs:
     def _link(self, descriptor: ProgramDescriptor, fragment: StageText | None = None) -> LinkedProgram:
         """Compile and link a program. `fragment` replaces the source of its fragment stage."""
         self._arrays.check_context()
-        sources = {stage: descriptor.emit("glsl", stage) for stage in descriptor.stages}
+        sources = {stage: self.instrument(descriptor.emit("glsl", stage)) for stage in descriptor.stages}
         if fragment is not None:
-            sources[Stage.FRAGMENT] = fragment
+            sources[Stage.FRAGMENT] = self.instrument(fragment)
         if Stage.VERTEX in sources:
             sources[Stage.VERTEX] = _extend_main(sources[Stage.VERTEX], "gl_Position.y = -gl_Position.y;")
         # As bytes, because moderngl strips and preprocesses text, which would change its line numbers.

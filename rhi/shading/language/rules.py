@@ -87,7 +87,7 @@ DIFFERENT: Final = Rule(
 ENDLESS: Final = Rule(
     "shading-endless",
     "a loop goes on and on (found on the device)",
-    "`for … in range(…)` has as many turns as it says; a `while` is left after these, also without `checked`",
+    "`for … in range(…)` has all its turns but on llvmpipe, which ends any loop; a `while` ends also if not `checked`",
 )
 RACE: Final = Rule(
     "shading-race",

@@ -5,7 +5,7 @@ One of them is avoided: devices have no anisotropy there.
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -53,42 +53,32 @@ def test_a_device_has_no_anisotropy_where_it_may_never_end_unless_it_is_asked_fo
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], backend: str
 ) -> None:
     pytest.importorskip({"gl": "moderngl"}.get(backend, backend))
-    asked, plain = [_find_capabilities(monkeypatch, backend, value) for value in ("1", None)]
-    hangs = "llvmpipe" in plain["device"] and "Mesa 22.3" in plain["driver"]
-    assert {name for name, value in plain.items() if value != asked[name]} == (
-        {"max_anisotropy", "left_out"} if hangs else set()
-    )
-    assert asked["max_anisotropy"] == 16.0
-    assert asked["left_out"] == ()
+    found = []
+    for value in ("1", "0"):
+        monkeypatch.setenv("RHI_SLOW_ANISOTROPY", value)
+        with rhi.create_device(backend) as device:
+            found.append(device.capabilities)
+    asked, plain = found
+    assert (asked.max_anisotropy, asked.left_out) == (16.0, ())
+    hangs = "llvmpipe" in plain.device and "Mesa 22.3" in plain.driver
+    assert replace(plain, max_anisotropy=16.0, left_out=()) == asked
+    assert (plain.max_anisotropy, len(plain.left_out)) == ((1.0, 1) if hangs else (16.0, 0))
     main([])
     assert capsys.readouterr().out.count("left out: anisotropy: llvmpipe of Mesa 22.3 may take minutes") >= hangs
-
-
-def _find_capabilities(monkeypatch: pytest.MonkeyPatch, backend: str, value: str | None) -> dict[str, object]:
-    if value is None:
-        monkeypatch.delenv("RHI_SLOW_ANISOTROPY", raising=False)
-    else:
-        monkeypatch.setenv("RHI_SLOW_ANISOTROPY", value)
-    with rhi.create_device(backend) as device:
-        return asdict(device.capabilities)
 
 
 @pytest.mark.parametrize(
     ("device", "driver", "most"),
     [
         ("llvmpipe (LLVM 15.0.6, 256 bits)", "OpenGL 4.5 (Core Profile) Mesa 22.3.6", 1.0),
-        ("llvmpipe (LLVM 15.0.6, 256 bits)", "Vulkan Mesa 22.3.0 (LLVM 15.0.6), wgpu 0.32.0", 1.0),
-        ("llvmpipe (LLVM 19.1.7, 256 bits)", "OpenGL 4.5 (Core Profile) Mesa 22.30.1", 16.0),
-        ("llvmpipe (LLVM 14.0.6, 256 bits)", "OpenGL 4.5 (Core Profile) Mesa 22.2.9", 16.0),
+        ("llvmpipe (LLVM 15.0.6, 256 bits)", "OpenGL 4.5 (Core Profile) Mesa 22.30.1", 16.0),
+        ("llvmpipe (LLVM 14.0.6, 256 bits)", "Vulkan Mesa 22.2.9 (LLVM 14.0.6), wgpu 0.32.0", 16.0),
         ("Mesa Intel(R) UHD Graphics", "OpenGL 4.6 (Core Profile) Mesa 22.3.6", 16.0),
     ],
 )
 def test_the_driver_is_known_by_name_and_version(
     monkeypatch: pytest.MonkeyPatch, device: str, driver: str, most: float
 ) -> None:
-    for value, expected in (("", most), ("0", most), ("1", 16.0)):
-        monkeypatch.setenv("RHI_SLOW_ANISOTROPY", value)
-        found, reasons = limit_anisotropy(device, driver, 16.0)
-        assert found == expected
-        assert len(reasons) == (found < 16.0)
+    monkeypatch.delenv("RHI_SLOW_ANISOTROPY", raising=False)
+    assert limit_anisotropy(device, driver, 16.0)[0] == most
     assert limit_anisotropy(device, driver, 1.0) == (1.0, ())  # a driver without it has lost nothing
