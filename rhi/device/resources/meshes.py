@@ -43,6 +43,7 @@ VertexSource: TypeAlias = NDArray[Any] | Mapping[str, ArrayLike] | Buffer
 """Vertices: a structured array, arrays by attribute name, or a buffer with a structured dtype.
 (`device.mesh` also accepts a number of vertices without attributes.)"""
 
+_CACHED: Final = 1 << 16  # words that are read twice from a core's cache
 _FORMATS: Final = {(f.code, f.components, f.normalized): f for f in VertexFormat}
 
 
@@ -596,6 +597,8 @@ def as_structured(core: Core, source: VertexSource, rule: Rule, call: str, least
 
 def check_finite(core: Core, vertices: NDArray[Any], rule: Rule, call: str) -> None:
     """Refuse a structured array that contains NaN or infinity."""
+    if _has_finite_words(vertices):
+        return
     for name in vertices.dtype.names or ():
         values = vertices[name]
         if values.dtype.kind != "f" or not values.size:
@@ -605,6 +608,21 @@ def check_finite(core: Core, vertices: NDArray[Any], rule: Rule, call: str) -> N
         if not np.isfinite(ends).all():
             bad = int(np.flatnonzero(~np.isfinite(values).reshape(len(values), -1).all(1))[0])
             core.refuse(rule, call, f"{name}[{bad}] = {values[bad]}", "finite numbers")
+
+
+def _has_finite_words(vertices: NDArray[Any]) -> bool:
+    """Return whether all words of an array are finite as floats, a tenth of the work of looking at each field.
+
+    Nothing follows if they aren't, since bytes and integers may look like NaN.
+    """
+    fields: Any = vertices.dtype.fields or {}
+    floats = [(kind.base, at) for kind, at, *_ in fields.values() if kind.base.kind == "f"]
+    has_words = vertices.dtype.itemsize % 4 == 0 and vertices.flags.c_contiguous and vertices.size
+    if not has_words or any(base != np.float32 or at % 4 for base, at in floats):
+        return False
+    words = vertices.view(np.float32)
+    blocks = (words[i : i + _CACHED] for i in range(0, words.size, _CACHED))
+    return all(-np.inf < block.min() and block.max() < np.inf for block in blocks)
 
 
 def _interleave(core: Core, arrays: Mapping[str, ArrayLike], rule: Rule, call: str) -> NDArray[Any]:

@@ -48,6 +48,29 @@ def test_vertices_are_finite(recording: Device, value: float) -> None:
     recording.mesh(rectangle()).destroy()
 
 
+PACKED = np.dtype([("tag", "u1"), ("position", "f4", 3), ("tint", "u1", 3)])  # floats between words
+HALVES = np.dtype([("position", "f2", 2)])
+DOUBLES = np.dtype([("weight", "f8"), ("position", "f4", 3), ("tint", "u1", 4)])
+
+
+@pytest.mark.parametrize("layout", [PACKED, HALVES, DOUBLES, Corner.dtype], ids=["packed", "half", "double", "plain"])
+@pytest.mark.parametrize(("step", "others"), [(1, 0), (1, 0xFF), (2, 0)])
+def test_vertices_are_finite_in_any_layout(recording: Device, layout: np.dtype[Any], step: int, others: int) -> None:
+    rows = np.zeros(60_000, layout)
+    rows.view("u1")[:] = others  # what isn't a float may look like NaN, and isn't
+    for name in layout.names or ():
+        if layout[name].base.kind == "f":
+            rows[name] = 1.5
+    recording.mesh(rows[::step]).destroy()
+    for name in [name for name in layout.names or () if layout[name].base.kind == "f"]:
+        for row, value in ((0, np.nan), (-step, -np.inf)):  # in the first of the blocks, in the last
+            rows[name][row] = value
+            with refuses(rules.MESH_DATA, recording) as refusal:
+                recording.mesh(rows[::step])
+            assert f"{name}[{len(rows[::step]) - 1 if row else 0}]" in refusal.error.given
+            rows[name][row] = 1.5
+
+
 @pytest.mark.parametrize("count", [0, -1])
 def test_a_mesh_without_attributes_has_vertices(recording: Device, count: int) -> None:
     with refuses(rules.MESH_DATA, recording):
