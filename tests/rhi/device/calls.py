@@ -199,6 +199,8 @@ natural = whole(0)
 ROWS: Final = np.zeros(6, Corner.dtype)
 DRAWS: Final = array(rhi.DRAW_UNINDEXED)
 MANY: Final = either(natural, array("i8"), lambda house, value: array("f8")(house, value) and not len(value))
+ROW: Final = array("f4", "f8", "i8")
+UNENDING: Final = lambda house, value: isinstance(value, float) and not math.isfinite(value)  # noqa: E731
 WORD, BYTE, TARGET, PORTION = whole(-(2**31), 2**32 - 1), whole(0, 255), whole(0, 7), number(0, 1)
 CONSTANTS: Final = either(instance(Struct, float, np.number), whole(-(2**31), 2**31 - 1), array("f8"))
 
@@ -214,7 +216,7 @@ KINDS: Final[dict[str, tuple[Any, Takes]]] = {
     "float": (0.5, number()),
     "str": ("name", text),
     "None": (None, lambda house, value: value is None),
-    "NDArray": (np.arange(6, dtype="u2"), array("i8")),
+    **dict.fromkeys(("NDArray", "ArrayLike"), (np.arange(6, dtype="u2"), array("i8"))),
     "Sequence": ((), empty),
     "Clear": ((0, 0, 0, 1), optional(either(array("f8", "i8", "f4"), instance(tuple)))),
     "Region": (rhi.Region(0, 0, 1, 1), instance(rhi.Region)),
@@ -289,7 +291,7 @@ EXCEPTIONS: Final[dict[str, tuple[Any, Any]]] = {
     **each("Device.prepare.targets", (Format.RGBA8,)),
     **each("Device.program.shader", Colored, nothing),
     **each("Device.query_set.size", 2, whole(0, 1 << 20)),
-    **each("Device.storage.source", 4, either(natural, own(rhi.Buffer), array("f4"))),
+    **each("Device.storage.source", 4, either(natural, own(rhi.Buffer), ROW)),
     **each("Device.texture.source", (4, 4), nothing),
     **each("Device.uniform_array.struct", Tint, lambda house, value: value is Tint),
     **each("Device.wait.seconds", 0.01, optional(number(0))),
@@ -297,12 +299,12 @@ EXCEPTIONS: Final[dict[str, tuple[Any, Any]]] = {
     **each("TransientMemory.mesh.instances", None, optional(nothing)),
     **each("TransientMemory.mesh.program", of("plain")),
     **each("TransientMemory.mesh.vertices", ROWS, nothing),
-    **each("TransientMemory.storage.source", 4, either(natural, array("f4"))),
+    **each("TransientMemory.storage.source", 4, either(natural, ROW)),
     **each("Buffer.copy_to.target", of("other")),
     **each("Buffer.write.data", np.zeros(4, "u4"), array("u4")),
     **each("UniformBuffer.write.value", Tint(color=(1, 1, 1, 1)), instance(Tint)),
     **each("UniformArray.write.rows", lambda house: np.zeros(2, house.tints.dtype), nothing),
-    **each("StorageBuffer.write.rows", np.zeros(4, "f4"), either(array("f4"), instance(np.float32))),
+    **each("StorageBuffer.write.rows", np.zeros(4, "f4"), either(ROW, number(), UNENDING)),
     **each("Texture.copy_to.target", of("copy")),
     **each("Texture.image.layer", 0),
     **each("Texture.save.path", f"{tempfile.gettempdir()}/rhi_calls.png", nothing),
