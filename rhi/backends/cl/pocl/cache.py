@@ -317,12 +317,8 @@ class KernelCache:
     def _search(self, name: bytes, code: bytes | None = None) -> Path | None:
         """Return the driver's folder of the program that has a function of this name and isn't `code` itself."""
         assert self._folder is not None
-        places: list[tuple[float, Path]] = []
-        for place in self._folder.glob(_PLACES):
-            with suppress(OSError):
-                places.append((place.stat().st_mtime, place))
         # Nearly always it was written just now. Older ones were left by a process that ended before it recorded them.
-        for _, place in sorted(places, reverse=True):
+        for place in (place for upper in _list_newest(self._folder) for place in _list_newest(upper)):
             with suppress(OSError):
                 content = (place / _PROGRAM).read_bytes()
                 if name in content and content != code:
@@ -363,6 +359,17 @@ class KernelCache:
                     path.unlink()
 
 
+def _list_newest(folder: Path) -> list[Path]:
+    """Return the folders in a folder, those first to which something was added last."""
+    found: list[tuple[float, str]] = []
+    with suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
+            with suppress(OSError):
+                if entry.is_dir() and entry.name != _RECORDS:
+                    found.append((entry.stat().st_mtime, entry.path))
+    return [Path(path) for _, path in sorted(found, reverse=True)]
+
+
 def make_mark() -> str:
     """Return a mark that no other program has, in no process."""
     return os.urandom(8).hex()
@@ -381,6 +388,8 @@ def _read_record(folder: Path, record: Path) -> tuple[Path | None, dict[str, str
     The folder is None for a record that is damaged or unfinished, or that names another place than PoCL's folders: what
     it names may be removed, and records can come from elsewhere.
     """
+    if record.suffix:  # code, which isn't read, or a lock
+        return None, {}, None, 0
     try:
         known = json.loads(record.read_bytes())
         name = PurePosixPath(known["folder"])
@@ -389,6 +398,6 @@ def _read_record(folder: Path, record: Path) -> tuple[Path | None, dict[str, str
         checksum = None if code is None else str(code)
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None, {}, None, 0
-    if record.suffix or name.is_absolute() or ".." in name.parts or not name.match(_PLACES) or len(name.parts) != 2:
+    if name.is_absolute() or ".." in name.parts or not name.match(_PLACES) or len(name.parts) != 2:
         return None, {}, None, 0
     return folder / name, files, checksum, size
