@@ -42,7 +42,4 @@ echo "[test] pytest: tests, and the conformance kit on gl, cl and null, on all c
 cores=$(nproc)
 workers=$((cores > 2 ? cores : 2))
 all=(tests --pyargs rhi.conformance --rhi-backend gl --rhi-backend cl --rhi-backend null)
-if [ ! -d tests/__pycache__ ]; then  # one process compiles the tests of a fresh clone, not each of those that share them
-    .venv/bin/python -m pytest --collect-only -qq "${all[@]}" >/dev/null || true
-fi
 exec .venv/bin/python -m pytest -n "$workers" --dist loadfile --durations 15 "${options[@]}" "${all[@]}"

@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Generator, Iterator
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import pytest
@@ -36,14 +37,30 @@ COLLECTED_AFTER = (10_000, 10, 50)
 """Thresholds of the garbage collector. With Python's own, tests full of Python spend a quarter of their time there."""
 
 
-def pytest_itemcollected(item: pytest.Item) -> None:
-    """In the profile `nightly`, let a property test take many times the examples that it says.
+def read_nights(path: Path) -> dict[str, list[str]]:
+    """Return by the names of tests, from this folder on, the patterns of their parameters of which a file leaves all
+    tests to the night: lines `path::test[pattern]`, without a pattern for all of them, and lines of comment."""
+    nights: dict[str, list[str]] = {}
+    for line in path.read_text().splitlines():
+        if line and not line.startswith("#"):
+            name, _, pattern = line.partition("[")
+            nights.setdefault(name, []).append(pattern.removesuffix("]") or "*")
+    return nights
 
-    Tests that are marked nightly say their own number.
-    """
-    test = getattr(item, "obj", None)
-    if item.get_closest_marker("nightly") is not None:
+
+NIGHTS = read_nights(Path(__file__).with_name("nights.txt"))
+
+
+def pytest_itemcollected(item: pytest.Item) -> None:
+    """Mark what `nights.txt` leaves to the night. In the profile `nightly`, let a property test take many times the
+    examples that it says; tests that mark themselves nightly say their own number."""
+    is_own = item.get_closest_marker("nightly") is not None
+    name, _, parameters = item.nodeid.removeprefix("tests/").partition("[")
+    if any(fnmatchcase(parameters.removesuffix("]"), pattern) for pattern in NIGHTS.get(name, ())):
+        item.add_marker(pytest.mark.nightly)
+    if is_own:
         return
+    test = getattr(item, "obj", None)
     if getattr(test, "is_hypothesis_test", False) and settings.get_current_profile_name() == "nightly":
         test = getattr(test, "__func__", test)
         if not hasattr(test, "said"):  # a function is shared by its parametrisations
@@ -66,16 +83,6 @@ def pytest_collection() -> Generator[None, object, object]:
         gc.freeze()
         gc.set_threshold(*COLLECTED_AFTER)
         gc.enable()
-
-
-@pytest.fixture(scope="module")
-def quick_collections() -> None:
-    """Let garbage collections pass over all that is older than a module which asks for many.
-
-    After thousands of tests one takes 0.7 s, most of it for shaders' syntax trees.
-    """
-    gc.collect()
-    gc.freeze()
 
 
 @pytest.fixture(scope="session")

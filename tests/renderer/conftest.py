@@ -13,14 +13,6 @@ from renderer.content import load_scene
 from renderer.scene import Scene
 
 
-def pytest_itemcollected(item: pytest.Item) -> None:
-    """Leave to the nightly run what is marked `cl_nightly`, where it is run on cl: kernels that no other test needs."""
-    if isinstance(item, pytest.Function) and item.get_closest_marker("cl_nightly") is not None:
-        parameters = item.callspec.params
-        if "cl" in (parameters.get("drawing_device"), parameters.get("device")):
-            item.add_marker(pytest.mark.nightly)
-
-
 @contextmanager
 def open_device(name: str, **options: Any) -> Iterator[rhi.Device]:
     """Create a device of a backend; the test is skipped where there is none."""

@@ -15,6 +15,7 @@ from rhi.conformance.shaders import Colored, Tint, Tinted
 from rhi.conformance.shapes import rectangle
 from rhi.shading import vec4
 
+pytestmark = pytest.mark.usefixtures("quick_collections")
 MADE: dict[str, Callable[[Device], Any]] = {
     "texture": lambda device: device.texture((4, 4), Format.RGBA8),
     "buffer": lambda device: device.buffer(np.zeros(4)),

@@ -88,7 +88,6 @@ def check_variant(filter: ShadowFilter) -> Any:
     return type("FilterCheck", (FILTERS[filter], FilterCheck), {"__module__": __name__})
 
 
-@pytest.mark.cl_nightly
 @pytest.mark.parametrize("filter", ShadowFilter)
 def test_filters_are_those_of_a_numpy_reference(drawing_device: rhi.Device, filter: ShadowFilter) -> None:
     """Compare 4,096 random points, in a tile and at its edges, with the reference."""
@@ -240,12 +239,10 @@ RIGHT_HALF = np.repeat(np.array([(255, 255, 255, 0), (255, 255, 255, 255)], np.u
 CUT = {"alpha_mode": AlphaMode.MASK, "alpha_cutoff": 0.5, "texture": RIGHT_HALF}
 
 
-@pytest.mark.cl_nightly  # by day `test_shadows_are_the_same_on_each_device`, and the kit's tests of discarding
 def test_a_mask_casts_the_shadow_of_what_it_leaves(drawing_device: rhi.Device) -> None:
     assert find_shadow(drawing_device, leaf_scene(**CUT)) == (False, True)
 
 
-@pytest.mark.cl_nightly
 def test_an_opaque_material_casts_the_shadow_of_its_whole_surface(drawing_device: rhi.Device) -> None:
     assert find_shadow(drawing_device, leaf_scene(texture=RIGHT_HALF)) == (True, True)
 

@@ -305,7 +305,6 @@ def mapped(scale: float, *, unlike: bool = False, uniform: bool = False) -> Scen
     return builder.build()
 
 
-@pytest.mark.cl_nightly  # by day `test_normals_that_are_not_filtered_are_those_of_forward_shading`
 @pytest.mark.parametrize("scale", [1.0, 1.7])
 def test_maps_are_evaluated_as_in_forward_shading(drawing_device: rhi.Device, scale: float) -> None:
     """On llvmpipe, textures are filtered to 8 bits. So what is stored with an error may make a normal of a map that is
@@ -377,7 +376,6 @@ def odd_squares() -> Scene:
     return builder.build()
 
 
-@pytest.mark.cl_nightly
 def test_odd_squares_are_those_of_forward_shading(drawing_device: rhi.Device) -> None:
     scene, images = odd_squares(), []
     camera = Camera.look_at((0, 0, 6.5), (0, 0, 0)).with_aspect(1.0)

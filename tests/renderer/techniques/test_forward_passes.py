@@ -50,7 +50,6 @@ def lamps(points: int, spots: int = 0, *, haze: float = 0.0, mirrored: bool = Fa
 SCENES = ("city:blocks=6", "hall:columns=6,flags=2", "grid:count=9")
 
 
-@pytest.mark.cl_nightly  # by day `test_any_lens_gives_the_picture_of_forward_shading` has these techniques on cl
 @pytest.mark.parametrize("technique", [*TECHNIQUES, lambda: Forward(all_lights=True)])
 @pytest.mark.parametrize("text", SCENES)
 def test_a_scene_looks_as_in_one_pass(

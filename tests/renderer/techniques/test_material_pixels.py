@@ -25,7 +25,6 @@ SIZE = (120, 90)
 NEAREST = SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, None)
 
 
-@pytest.mark.cl_nightly
 @pytest.mark.parametrize("lamps", [True, False])
 def test_all_techniques_draw_the_same_materials(drawing_device: rhi.Device, lamps: bool) -> None:
     scene = build_materials(lamps=lamps)

@@ -122,7 +122,6 @@ def check_all(
     return expected
 
 
-@pytest.mark.cl_nightly  # by day cl draws other random lights, under all lenses
 @pytest.mark.parametrize(
     ("textured", "seed"),
     [

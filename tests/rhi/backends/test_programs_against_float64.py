@@ -56,12 +56,12 @@ from rhi.conformance.programs.steps import (
 )
 from rhi.contract.formats import DEPTH_FORMATS
 
-PROGRAMS = 12
+PROGRAMS = 6
 """Programs of a theme."""
 
 THEMES = [
     pytest.param(range(3), id="few"),
-    pytest.param(range(100, 250), id="many", marks=pytest.mark.nightly),
+    pytest.param(range(100, 400), id="many", marks=pytest.mark.nightly),
 ]
 ALL_FORMATS = Capabilities("", "", "")
 

@@ -9,26 +9,14 @@ import pytest
 import rhi
 from renderer.lab.exam import CASES, examine
 
-LATE = (2, 4, 5, 8, 9, 15, 20, 22, 42, 43, 48, 57, 63, 64, 68, 69, 70, 71, 72, 74, 75)
-BUSY = {("cl", number) for number in LATE}
-"""Cases that take a backend seconds: walks with all algorithms of visibility, and kernels of shadows and of culling at
-other sizes. By day they run on gl, and on cl `tests/renderer/visibility` draws walks (`test_device_culling.py`,
-`test_software_depth.py`) and random scenes (`test_hard_cases.py`) with these algorithms, and
-`tests/renderer/techniques/test_technique_pixels.py` compares the techniques of tiles and clusters under all lenses. Far
-places are subtracted by NumPy (57), spheres are tested by `test_sphere_tests.py` on cl too (22), materials are found by
-`test_deferred_plus.py` (42), what is asked seldom or with a threshold is the CPU's choice (8, 9), clipping at near
-planes is the kit's (2), `test_culled_images.py` draws images of odd sizes (64), and
-the judge's pictures are those of gl (69 to 75)."""
-
 
 def list_exams() -> list[object]:
     """Each case on gl and cl, and on the null device those that need nothing of a device."""
-    pairs = [(name, number) for name in ("gl", "cl", "null") for number in CASES]
-    nightly = [pair in BUSY or CASES[pair[1]].is_long for pair in pairs]
     return [
-        pytest.param(*pair, marks=pytest.mark.nightly if late else ())
-        for pair, late in zip(pairs, nightly, strict=True)
-        if pair[0] != "null" or not CASES[pair[1]].needs
+        pytest.param(name, number, marks=pytest.mark.nightly if case.is_long else ())
+        for name in ("gl", "cl", "null")
+        for number, case in CASES.items()
+        if name != "null" or not case.needs
     ]
 
 

@@ -131,10 +131,10 @@ def test_atomics_of_all_work_groups_are_counted(cl_kit: ClKit) -> None:
 def test_an_indirect_dispatch_takes_its_groups_from_what_was_written_before_it(
     cl_kit: ClKit, groups: tuple[int, int, int], count: int
 ) -> None:
-    text = f"kernel void write(global uint *words, int count) {{ vstore3((uint3){groups}, 0, words + 1); }}"
+    text = "kernel void write(global uint *words, int count) { vstore3(vload3(0, words + 5), 0, words + 1); }"
     writer, counter = cl_kit.program(describe_program(text)), cl_kit.program(describe_program(COUNT))
-    arguments, words = cl_kit.buffer(np.full(5, 9, "u4")), cl_kit.buffer(bytes(4))
-    cl_kit.backend.bind_storage(0, arguments, 0, 20)
+    arguments, words = cl_kit.buffer(np.array([9] * 5 + [*groups], "u4")), cl_kit.buffer(bytes(4))
+    cl_kit.backend.bind_storage(0, arguments, 0, 32)
     cl_kit.dispatch(writer)
     cl_kit.backend.bind_program(counter)
     cl_kit.backend.bind_storage(0, words, 0, 4)
