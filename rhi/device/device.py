@@ -129,8 +129,11 @@ class Device(Encoder):
     # -- life --------------------------------------------------------------------------------------------
 
     def __enter__(self) -> Self:
-        """Call `make_current`; the device is closed at the end of the block."""
-        self.make_current()
+        """Close the device at the end of the block. One that no thread owns becomes this one's (`make_current`)."""
+        if self._core.thread == NO_THREAD:
+            self.make_current()
+        self._core.check_open()
+        self._core.check_thread()
         return self
 
     def __exit__(

@@ -115,6 +115,7 @@ def create_device(
             precision=precision,
         )
         _devices.add(device)
+        device._core.hand_back()  # to other code whose context was current
         if _is_ending and here != main_thread().ident:
             stop_thread()
     finally:

@@ -122,6 +122,7 @@ def check_full_screen(display: Display) -> None:
 
         def steps() -> Iterator[None]:
             for full, size in ((True, (640, 480)), (True, (640, 480)), (False, SIZE)):
+                screen.device.present()  # the window's context is current, and may have the old size from then on
                 screen.is_full_screen = full
                 yield
                 assert (screen.is_full_screen, screen.size) == (full, size)

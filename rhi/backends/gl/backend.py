@@ -271,9 +271,11 @@ class GlBackend:
         self.release_current()
         if self._find_current() == self._shared.host.context:  # else its window is closed
             gl.WaitSync(drawn, 0, enums.TIMEOUT_IGNORED)
+            place = self._shared.api, self._shared.host
             if image is not None:
-                window = self._shared.api.measure(self._shared.host)
-                self._host_framebuffer.show(image.name, image.descriptor.size, window)
+                self._host_framebuffer.show(image.name, image.descriptor.size, *place)
+            else:
+                self._host_framebuffer.note_idle(*place)
             gl.DeleteSync(drawn)
 
     # -- textures of other code ----------------------------------------------------------------------------

@@ -85,6 +85,10 @@ class ContextApi(ABC):
         """Return the (width, height) in pixels of what a place draws to; 0 for nothing."""
 
     @abstractmethod
+    def swap(self, place: Place) -> None:
+        """Show what was drawn in the window that is current."""
+
+    @abstractmethod
     def find_address(self, name: str) -> int:
         """Return the address of a function of GL."""
 
@@ -135,6 +139,9 @@ class Egl(ContextApi):
         query(place.display, place.draw, 0x3057, ctypes.byref(width))
         query(place.display, place.draw, 0x3056, ctypes.byref(height))
         return width.value, height.value
+
+    def swap(self, place: Place) -> None:
+        self._function("eglSwapBuffers", _UNSIGNED, _POINTER, _POINTER)(place.display, place.draw)
 
     def find_address(self, name: str) -> int:
         return self._function("eglGetProcAddress", _POINTER, ctypes.c_char_p)(name.encode()) or 0
@@ -210,19 +217,23 @@ class Glx(ContextApi):
         query(place.display, place.draw, 0x801E, ctypes.byref(height))
         return width.value, height.value
 
+    def swap(self, place: Place) -> None:
+        self._function("glXSwapBuffers", None, _POINTER, ctypes.c_ulong)(place.display, place.draw)
+
     def find_address(self, name: str) -> int:
         return self._function("glXGetProcAddressARB", _POINTER, ctypes.c_char_p)(name.encode()) or 0
 
 
 class SharedContext:
     """The device's context, as moderngl uses contexts: entered, it is current; left, the host's is, or none on a thread
-    where the host's never was.
+    where the host's never was. When it is left for the first time, what was current `before` it was made is.
     """
 
-    def __init__(self, api: ContextApi, host: Place, own: Place) -> None:
+    def __init__(self, api: ContextApi, host: Place, own: Place, before: Place) -> None:
         self.api = api
         self.host = host
         self._own = own
+        self._before: Place | None = before
         self._thread = get_ident()
 
     @property
@@ -243,7 +254,8 @@ class SharedContext:
         self.api.make_current(self._own)
 
     def __exit__(self, *_: object) -> None:
-        if not (self.returns and self.api.make_current(self.host)):
+        place, self._before = self._before or self.host, None
+        if not (self.returns and self.api.make_current(place)):
             self.api.make_current(Place(0, self._own.display, 0, 0))  # none
 
     def release(self) -> None:
@@ -252,12 +264,14 @@ class SharedContext:
 
 
 def open_shared_context(host: HostContext) -> tuple[moderngl.Context, SharedContext]:
-    """Create a context that shares objects with the host's, and make it current.
+    """Create a context that shares objects with the host's, and make it current until it is left. If that fails, what
+    was current is.
 
     Raises:
         ValidationError: `device-argument` if `host` is nothing of that kind.
         DeviceError: `device-driver` if there is no current context, or none of OpenGL 4.5 can share with it.
     """
+    current = _find_current()
     if isinstance(host, moderngl.Context):
         host.mglo.__enter__()
     elif host != "current":
@@ -267,14 +281,16 @@ def open_shared_context(host: HostContext) -> tuple[moderngl.Context, SharedCont
         tip = "make the window's context current first, e.g. glfw.make_context_current(window)"
         raise DeviceError(DEVICE_DRIVER, _CALL, "no OpenGL context is current", "one made by EGL or GLX", tip)
     api, place = found
+    before = current[1] if current is not None else Place(0, place.display, 0, 0)
     own = api.share(place)
     if own is None or not api.make_current(own):
         api.make_current(place)
         version = _describe_version(api)
+        api.make_current(before)
         tip = "the host's own context may be of any version from 3.2"
         given = f"a context ({version}) whose driver shares none of OpenGL 4.5 with it"
         raise DeviceError(DEVICE_DRIVER, _CALL, given, "a driver for OpenGL 4.5", tip)
-    shared = SharedContext(api, place, own)
+    shared = SharedContext(api, place, own, before)
     settings: Any = {"context": shared}
     return moderngl.create_context(100 * _MAJOR + 10 * _MINOR, **settings), shared
 
@@ -301,16 +317,24 @@ class HostFramebuffer:
     of its own, to the viewport there.
 
     A picture is copied bit for bit, its top row uppermost, and scaled if the place has another size.
+
+    Mesa gives a window's back buffer the size that the window has as its context becomes current, until buffers are
+    swapped. So if it was current without a picture (`note_idle`) and the window was resized since, they are.
     """
 
     def __init__(self, gl: EntryPoints) -> None:
         self._gl = gl
         self._framebuffer = 0
+        self._idle: tuple[int, int] | None = None
 
-    def show(self, texture: int, size: tuple[int, int], window: tuple[int, int]) -> None:
-        """Copy the texture of this name and (width, height); `window`: the window's size now, which the viewport may
-        not have yet."""
-        gl = self._gl
+    def note_idle(self, api: ContextApi, host: Place) -> None:
+        """Note that the host's context is current without a picture from the device."""
+        self._idle = api.measure(host)
+
+    def show(self, texture: int, size: tuple[int, int], api: ContextApi, host: Place) -> None:
+        """Copy the texture of this name and (width, height) to a place that is current."""
+        gl, window, idle = self._gl, api.measure(host), self._idle  # the viewport may not have the window's size yet
+        self._idle = None
         read = gl.get_integer(enums.READ_FRAMEBUFFER_BINDING)
         switched = [each for each in (enums.SCISSOR_TEST, enums.FRAMEBUFFER_SRGB) if gl.IsEnabled(each)]
         area = (ctypes.c_int * 4)()
@@ -318,6 +342,8 @@ class HostFramebuffer:
             gl.GetIntegerv(enums.VIEWPORT, area)
         else:
             area[2:] = list(window)
+            if idle not in (None, window):
+                api.swap(host)
         x, y, width, height = area
         if not self._framebuffer:
             self._framebuffer = gl.create(gl.GenFramebuffers)

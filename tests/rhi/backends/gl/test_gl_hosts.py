@@ -143,8 +143,11 @@ def test_the_devices_states_are_not_the_hosts(host: Host, device: Device) -> Non
 
 def test_the_hosts_context_is_current_after_a_frame_and_when_the_device_lets_go(host: Host) -> None:
     device = rhi.create_device("gl", context=host.context)
-    assert not host.is_current
-    device.present()
+    for _ in range(2):
+        assert host.is_current
+        device.buffer(4)
+        assert not host.is_current
+        device.present()
     assert host.is_current
     device.buffer(4)
     assert not host.is_current
@@ -154,6 +157,31 @@ def test_the_hosts_context_is_current_after_a_frame_and_when_the_device_lets_go(
     assert not host.is_current
     device.close()
     assert host.is_current
+
+
+@pytest.mark.parametrize("works", [True, False], ids=["created", "refused"])
+@pytest.mark.parametrize("current", ["the host's", "a neighbour's", "none"])
+def test_what_was_current_before_a_device_was_created_is_current_again(
+    host: Host, monkeypatch: pytest.MonkeyPatch, current: str, works: bool
+) -> None:
+    neighbour = Host() if current == "a neighbour's" else host
+    if current == "none":
+        host.context.mglo.__exit__()
+    before = Egl().find_current()
+    assert (before is None) == (current == "none")
+    if not works:
+        monkeypatch.setattr(Egl, "share", lambda self, place: None)
+        with pytest.raises(DeviceError, match="device-driver"):
+            rhi.create_device("gl", context=host.context)
+        assert Egl().find_current() == before
+        return
+    with rhi.create_device("gl", context=host.context) as device:
+        assert Egl().find_current() == before
+        device.present(device.texture(ramp(), Format.RGBA8))
+        assert host.is_current
+        np.testing.assert_array_equal(host.picture(), ramp())
+    if neighbour is not host:
+        neighbour.context.release()
 
 
 def test_a_texture_of_the_host_is_read_and_drawn_to(host: Host, device: Device) -> None:
@@ -338,6 +366,7 @@ from rhi.backends.gl.host import Glx
 host = moderngl.create_context(standalone=True)
 there = Glx().find_current()
 with rhi.create_device("gl", context=host) as device:
+    assert Glx().find_current() == there, "and after the device was created"
     texels = np.arange(16, dtype=np.uint8).reshape(2, 2, 4)
     texture = device.texture(texels, rhi.Format.RGBA8)
     name = device.native_texture(texture)
@@ -359,14 +388,6 @@ def test_a_context_of_x11_without_a_window_shares_with_a_device(display: Display
         check=False,
     )
     assert (done.stdout, done.returncode) == ("True\n", 0), done.stderr[-2000:]
-
-
-def test_a_host_that_nothing_shares_with_stays_current(host: Host, monkeypatch: pytest.MonkeyPatch) -> None:
-    before = Egl().find_current()
-    monkeypatch.setattr(Egl, "share", lambda self, place: None)
-    with pytest.raises(DeviceError, match="device-driver"):
-        rhi.create_device("gl", context=host.context)
-    assert Egl().find_current() == before
 
 
 @pytest.mark.nightly
