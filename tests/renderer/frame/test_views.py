@@ -71,26 +71,7 @@ class DepthFirst:
         )  # fmt: skip
 
 
-TWICE = {
-    "none": True,
-    "frustum": False,
-    "chc_plus_plus": False,
-    "conditional": True,
-    "depth_pyramid": False,
-    "two_pass": True,
-}
-"""Algorithms, and whether cl draws with them by day: with conditions of the device, and with lists of the device."""
-
-
-@pytest.mark.parametrize(
-    ("drawing_device", "name"),
-    [
-        pytest.param(device, name, marks=pytest.mark.nightly if device == "cl" and not on_cl else ())
-        for device in ("gl", "cl")
-        for name, on_cl in TWICE.items()
-    ],
-    indirect=["drawing_device"],
-)
+@pytest.mark.parametrize("name", ["none", "frustum", "chc_plus_plus", "conditional", "depth_pyramid", "two_pass"])
 def test_two_passes_of_a_view_draw_the_same_picture_as_one(drawing_device: rhi.Device, city: Scene, name: str) -> None:
     if name not in list_algorithms(drawing_device):
         pytest.skip(f"this device can't run {name}")

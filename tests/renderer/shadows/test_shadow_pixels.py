@@ -528,14 +528,7 @@ def test_normal_maps_bring_no_acne_at_any_slope(gl: rhi.Device) -> None:
             assert np.abs(shown[1] - shown[0]).max() <= 1, degrees
 
 
-DIFFERENT = ("forward", "forward_multipass", "deferred", "light_pre_pass", "deferred_plus")
-"""Techniques that keep normals in different ways; the others have the shaders of these."""
-
-
-@pytest.mark.parametrize(
-    "technique",
-    [one if one in DIFFERENT else pytest.param(one, marks=pytest.mark.nightly) for one in TECHNIQUES],
-)
+@pytest.mark.parametrize("technique", TECHNIQUES)
 def test_normal_maps_bring_no_acne_with_any_technique_and_light(gl: rhi.Device, technique: str) -> None:
     scene = make_bumps(75.0)
     scene.lights.directional["intensity"] = 0.3

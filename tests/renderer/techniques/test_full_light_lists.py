@@ -43,20 +43,8 @@ def grids(monkeypatch: pytest.MonkeyPatch) -> list[LightGrid]:
     return found
 
 
-LAMPS_OF_FULL_CELLS = [(300, 0), (0, 300), (170, 170)]
-"""Points and spots. By day cl has both kinds at once: lists are made by kind, and gl shows each kind alone."""
-
-
 @pytest.mark.parametrize("name", BY_LISTS)
-@pytest.mark.parametrize(
-    ("device", "points", "spots"),
-    [
-        pytest.param(name, *lamps, marks=pytest.mark.nightly if name == "cl" and 0 in lamps else ())
-        for name in ("gl", "cl")
-        for lamps in LAMPS_OF_FULL_CELLS
-    ],
-    indirect=["device"],
-)
+@pytest.mark.parametrize(("points", "spots"), [(300, 0), (0, 300), (170, 170)])
 def test_the_first_picture_is_the_same_as_with_room_for_all(
     device: rhi.Device, grids: list[LightGrid], name: str, points: int, spots: int
 ) -> None:

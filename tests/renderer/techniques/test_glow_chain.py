@@ -69,8 +69,8 @@ def make_lights(height: int, width: int) -> Floats:
         ((1, 1), {}),
         ((1, 20), {"levels": 12}),
         ((16, 2), {"levels": 1}),
-        pytest.param((37, 53), {"tames_sparks": True}, marks=pytest.mark.nightly),
-        pytest.param((135, 240), {}, marks=pytest.mark.nightly),
+        ((37, 53), {"tames_sparks": True}),
+        ((135, 240), {}),
     ],
 )
 def test_glow_is_within_a_level_of_float64(

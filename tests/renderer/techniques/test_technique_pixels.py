@@ -58,8 +58,6 @@ TECHNIQUES: dict[str, Callable[[], Technique]] = {
     "deferred plus": DeferredPlus,
     "deferred plus, a pass for each material": lambda: DeferredPlus(multi_pass=True),
 }
-MORE = [(True, 0), (False, 1), (True, 1), (False, 2), (True, 2)]
-"""Whether lights are on textured surfaces, and the seeds of the lights: random scenes for the nightly run."""
 EYE = Camera.look_at((0, 3, 9), (0, 0.5, 0))
 
 
@@ -122,13 +120,8 @@ def check_all(
     return expected
 
 
-@pytest.mark.parametrize(
-    ("textured", "seed"),
-    [
-        (False, 0),
-        *(pytest.param(textured, seed, marks=pytest.mark.nightly) for textured, seed in MORE),
-    ],
-)
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("textured", [False, True])
 def test_random_lights_give_the_picture_of_forward_shading(
     drawing_device: rhi.Device, seed: int, textured: bool
 ) -> None:
@@ -153,10 +146,7 @@ CAMERAS = {
 }
 
 
-@pytest.mark.parametrize(
-    "lens",
-    [pytest.param(lens, marks=() if number % 3 == 0 else pytest.mark.nightly) for number, lens in enumerate(CAMERAS)],
-)
+@pytest.mark.parametrize("lens", CAMERAS)
 def test_any_lens_gives_the_picture_of_forward_shading(drawing_device: rhi.Device, lens: str) -> None:
     builder = stage()
     add_random_lights(builder, 30, seed=7)

@@ -70,21 +70,8 @@ def count(device: rhi.Device, scene: Scene, name: str) -> tuple[list[set[int]], 
     return drawn, queries
 
 
-def list_copies() -> list[object]:
-    """All devices, algorithms and walls. By day, an algorithm has one of the two walls on cl and the other on gl, in
-    turns; on gl both, if it doesn't run on cl, or asks as on gl, one question at a time (stop-and-wait)."""
-    walls, alike = [*WALLS], ("none", "frustum", "stop_and_wait")
-    by_day = {
-        (backend, name): walls if backend == "gl" and name in alike else [walls[(number + (backend == "gl")) % 2]]
-        for backend in ("gl", "cl") for number, name in enumerate(NAMES) if backend == "gl" or name != "stop_and_wait"
-    }  # fmt: skip
-    return [
-        pytest.param(backend, name, wall, marks=() if wall in by_day.get((backend, name), ()) else pytest.mark.nightly)
-        for backend in ("gl", "cl") for name in NAMES for wall in walls
-    ]  # fmt: skip
-
-
-@pytest.mark.parametrize(("device", "name", "wall"), list_copies(), indirect=["device"])
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("wall", WALLS)
 def test_a_moving_copy_of_a_scene_draws_the_same_objects_with_about_as_many_queries(
     device: rhi.Device, monkeypatch: pytest.MonkeyPatch, name: str, wall: str
 ) -> None:

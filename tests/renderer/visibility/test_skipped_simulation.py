@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 
 import pytest
@@ -23,11 +22,7 @@ def hall() -> Scene:
     return load_scene(HALL)
 
 
-@pytest.mark.parametrize(("drawing_device", "name"), [
-    # Those that wait ask alike on both; what runs on the device is tried on both.
-    pytest.param(backend, name, marks=pytest.mark.nightly if backend == "cl" and name in WAITING else ())
-    for backend, name in itertools.product(("gl", "cl"), (name for name in ALGORITHMS if name != "none"))
-], indirect=["drawing_device"])  # fmt: skip
+@pytest.mark.parametrize("name", [name for name in ALGORITHMS if name != "none"])
 def test_skipped_fountains_come_back_as_if_they_had_been_simulated(
     drawing_device: rhi.Device, hall: Scene, name: str
 ) -> None:

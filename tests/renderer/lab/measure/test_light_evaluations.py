@@ -27,12 +27,6 @@ SIZE = (64, 48)
 PIXELS = SIZE[0] * SIZE[1]
 SHRUNK = 39 * 29  # 0.6 of each side, rounded up
 COUNTED = [name for name, make in TECHNIQUES.items() if find_count(make()) is not None]
-CASES = [
-    *(("gl", name) for name in COUNTED),
-    ("cl", "forward"),
-    *(pytest.param("cl", name, marks=pytest.mark.nightly) for name in COUNTED if name != "forward"),
-]
-"""All techniques whose evaluations can be counted, on gl and cl; their kernels take long to build."""
 
 
 def walls(*distances: float, points: int = 0, spots: int = 0, reach: float = 100.0) -> Scene:
@@ -59,7 +53,7 @@ def test_the_techniques_of_the_papers_can_be_counted() -> None:
     assert {"forward_plus", "clustered", "tiled_deferred", "clustered_deferred", "deferred_plus"} <= set(COUNTED)
 
 
-@pytest.mark.parametrize(("drawing_device", "name"), CASES, indirect=["drawing_device"])
+@pytest.mark.parametrize("name", COUNTED)
 def test_each_pixel_looks_at_each_light_that_reaches_all_of_them(drawing_device: rhi.Device, name: str) -> None:
     pixels = SHRUNK if name == "inferred" else PIXELS
     assert count(drawing_device, walls(5.0, points=3), TECHNIQUES[name]()) == 3 * pixels

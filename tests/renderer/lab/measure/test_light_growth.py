@@ -46,15 +46,7 @@ def cities() -> dict[int, Scene]:
 
 
 @pytest.mark.parametrize(
-    "name",
-    [
-        "forward",
-        "clustered_deferred",
-        *(
-            pytest.param(name, marks=pytest.mark.nightly)
-            for name in ("deferred", "forward_plus", "clustered", "tiled_deferred")
-        ),
-    ],
+    "name", ["forward", "clustered_deferred", "deferred", "forward_plus", "clustered", "tiled_deferred"]
 )
 def test_more_lights_of_the_same_density_cost_what_is_visible_of_them(
     gl: rhi.Device, cities: dict[int, Scene], name: str

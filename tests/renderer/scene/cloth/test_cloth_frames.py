@@ -162,9 +162,6 @@ def test_each_simulator_has_cloths_of_its_own(null: rhi.Device) -> None:
         assert count_dispatches(null) == 1  # its vertices were the other one's
 
 
-@pytest.mark.parametrize(  # on cl it takes seconds to compile what draws them; test_cloth_steps has its vertices
-    "drawing_device", ["gl", pytest.param("cl", marks=pytest.mark.nightly)], indirect=True
-)
 def test_pictures_are_those_of_cloths_on_numpy(drawing_device: rhi.Device) -> None:
     """The same scene, whose simulation is hidden from the device, is uploaded."""
     scene, plain = make_scene(2), make_scene(2)

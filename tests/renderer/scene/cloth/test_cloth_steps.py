@@ -123,9 +123,6 @@ def test_any_frame_costs_a_bounded_number_of_steps_and_shows_its_time() -> None:
     assert np.isfinite(simulator.find_vertices(1)["position"]).all()
 
 
-@pytest.mark.parametrize(  # a thousand steps, in which gl does what cl does
-    "device", [pytest.param("gl", marks=pytest.mark.nightly), "cl"], indirect=True
-)
 def test_a_cloth_that_leaps_is_soon_where_it_would_be(device: rhi.Device) -> None:
     stepped, leapt = (Cloths(2, make_banner(4), DRAUGHT, seed=3) for _ in range(2))
     there = advance_on(device, stepped, 1, 300)
