@@ -1,9 +1,10 @@
-"""Costs that fog and glow add to a frame: processor time and time, as ratios to the same frame without them.
+"""Costs that effects add to a frame: processor time and time, as ratios to the same frame without them.
 
 The frames with nothing, fog, glow and both take turns in one process, of the same view, after all shaders are built.
-Figures are medians over the rounds.
+So do those of a box on the ground, with and without an object behind the eye that has an effect (`--behind`), after the
+shaders have become those of what is in view. Figures are medians over the rounds.
 
-    python benchmarks/effects.py [--backend gl] [--size 960x540] [--technique forward] [--rounds 15] [--json]
+    python benchmarks/effects.py [--behind] [--backend gl] [--size 960x540] [--technique forward] [--rounds 15] [--json]
 """
 
 from __future__ import annotations
@@ -11,13 +12,18 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from contextlib import ExitStack
-from typing import Final
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
 
 import rhi
 from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
-from renderer.content import load_scene, parse_camera
+from renderer.content import BUILT_IN, load_scene, parse_camera
+from renderer.frame.seen import PATIENCE
 from renderer.lab.comparison import Frames, Record, Subject, compare, interval, ratio, time
+from renderer.scene import AlphaMode, Camera, Glow, Scene, SceneBuilder, make_height_field, translation
 from renderer.settings import RenderSettings
 from renderer.techniques import TECHNIQUES
 
@@ -28,15 +34,59 @@ COLUMNS = {
 }  # fmt: skip
 
 
+BEHIND: Final = ("nothing", "images", "normal map", "mask", "metal", "all of these", "glow", "terrain")
+
 OPTIONS: Final = (
     options.BACKEND,
+    options.switch("--behind", "effects behind the eye instead"),
     options.size(),
     options.choice("--technique", "how the scene is drawn", TECHNIQUES, "forward"),
     options.rounds("rounds", 15),
 )
 
 
+def make_behind(name: str) -> Scene:
+    """Make a box on the ground in the sun, and something with an effect 200 m behind the eye."""
+    builder = SceneBuilder(name)
+    builder.lights.add_directional((0.8, -1.0, 0.3))
+    mesh, is_all = builder.add_mesh(BUILT_IN["box"]()), name == "all of these"
+    placed: list[tuple[NDArray[np.float64], Any]] = [(np.diag([7.0, 0.3, 5.0, 1.0]), {"base_color": (0.6, 0.6, 0.6)})]
+    placed += [(translation((-0.9, 0.6, -0.5)), {"base_color": (0.6, 0.5, 0.4)})]
+    image = builder.add_image(np.full((64, 64, 4), (128, 128, 255, 255), np.uint8))
+    features: dict[str, Any] = {
+        "images": {"texture": image},
+        "normal map": {"normal_texture": image},
+        "mask": {"texture": image, "alpha_mode": AlphaMode.MASK, "double_sided": True},
+        "metal": {"metallic": 1.0, "roughness": 0.3, "metallic_roughness_texture": image},
+        "glow": {"emission": 2.5, "base_color": (1.0, 1.0, 1.0)},
+    }
+    placed += [
+        (translation((0, 1, 200)), one) for kind, one in features.items() if name == kind or (is_all and kind != "glow")
+    ]
+    for place, material in placed:
+        builder.add_objects(builder.add_node(place), mesh, builder.add_material(**material))
+    if name == "terrain":
+        field = builder.add_height_field(make_height_field(np.sin(np.indices((33, 33)).sum(0) / 4.0), 16.0))
+        builder.add_objects(builder.add_node(translation((0, 0, 200))), field, builder.add_material())
+    builder.glow = Glow(0.1) if name == "glow" else None
+    return builder.build()
+
+
+def measure_behind(given: argparse.Namespace) -> Iterator[Record]:
+    settings = RenderSettings().change_all({"technique.name": given.technique, "algorithm": "frustum"})
+    with rhi.create_device(given.backend) as device, ExitStack() as opened:
+        subjects = []
+        for name in BEHIND:
+            renderer = opened.enter_context(settings.open(device, make_behind(name), given.size))
+            eyes = [Camera.look_at((0.3 + 0.001 * step, 1.2, 1.5), (-0.6, 0.2, -0.6)) for step in range(16)]
+            subjects.append(Subject({"behind the eye": name}, Frames(renderer, *eyes)))
+        yield from compare(subjects, COLUMNS, range(given.rounds), warm_ups=PATIENCE + 2)
+
+
 def measure(given: argparse.Namespace) -> Iterator[Record]:
+    if given.behind:
+        yield from measure_behind(given)
+        return
     settings = RenderSettings().change_all({"technique.name": given.technique, "algorithm": "frustum"})
     with rhi.create_device(given.backend) as device:
         for text, (view, frame) in VIEWS.items():

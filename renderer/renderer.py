@@ -28,6 +28,7 @@ from renderer.frame import (
     Needs,
     Plan,
     SceneResources,
+    SeenFeatures,
     Targets,
     TextureSettings,
     View,
@@ -166,6 +167,7 @@ class Renderer:
             visibility = make_visibility("auto", scene, device)
             self._own.append(visibility)
         self._plans: dict[tuple[object, ...], Plan[Frame]] = {}
+        self._seen = SeenFeatures(scene)
         self._planned: Technique | None = None
         self._drawn: Plan[Frame] | None = None  # the plan of the last frame
         self._size = size
@@ -328,7 +330,7 @@ class Renderer:
         eyes = [self._view] if pair is None or pair.stereo.is_reprojected else [self._view, pair.view]
         resources.update(*(eye.camera for eye in eyes))
         resources.expect(around, expected)
-        needs = self._find_needs(around)
+        needs = self._find_needs(around, self._seen.settle(around))
         plan = self._plan(needs)
         if plan is not self._drawn:
             self._drawn = plan
@@ -393,9 +395,9 @@ class Renderer:
         needs = self._find_needs(camera)
         return needs, self._plan(needs)
 
-    def _find_needs(self, camera: Camera) -> Needs:
+    def _find_needs(self, camera: Camera, seen: frozenset[str] | None = None) -> Needs:
         reaches = self._resources.reaching
-        return find_needs(self.scene, camera, reaches=reaches, blending=self.blending, glow=self.glow)
+        return find_needs(self.scene, camera, reaches=reaches, blending=self.blending, glow=self.glow, seen=seen)
 
     def _plan(self, needs: Needs) -> Plan[Frame]:
         """Return the plan of a frame with these needs; it is made once."""

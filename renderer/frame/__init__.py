@@ -24,6 +24,7 @@ from renderer.frame.plan import Target as Target
 from renderer.frame.plan import find_last as find_last
 from renderer.frame.plan import make_plan as make_plan
 from renderer.frame.resources import SceneResources as SceneResources
+from renderer.frame.seen import SeenFeatures as SeenFeatures
 from renderer.frame.targets import DEPTH_FORMAT as DEPTH_FORMAT
 from renderer.frame.targets import IMAGE_FORMAT as IMAGE_FORMAT
 from renderer.frame.targets import Targets as Targets

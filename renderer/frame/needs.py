@@ -6,7 +6,7 @@ comes with the reason why it is needed or not.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from operator import attrgetter
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from renderer import rules
 from renderer.frame.plan import Target
+from renderer.frame.seen import SeenFeatures
 from renderer.frame.targets import IMAGE_FORMAT
 from renderer.lights.in_view import find_lights_in_view
 from renderer.scene import Camera, Scene
@@ -148,7 +149,8 @@ class Needs:
         effects: those that are needed. counts: of each effect, how many of its causes the scene has.
         material_count: the number of materials.
         in_view: the rows of the point and of the spot lights whose light may reach something in view; as their shadows,
-            the rows of those of them that cast some, none if no object does; and of the transparent objects in view.
+            the rows of those of them that cast some, none if no object does; and of the transparent objects and of the
+            height fields in view, or that cast shadows.
         blending: how transparent objects are put together. glow: how glow is made.
         has_glow: whether the scene has glow, whatever shines in it.
     """
@@ -179,7 +181,7 @@ class Needs:
     @property
     def has_both_models(self) -> bool:
         """Whether some materials are of the metallic-roughness model, and others of the specular one."""
-        return 0 < self.counts[Effect.METALS] < self.material_count
+        return Effect.METALS in self.effects and self.counts[Effect.METALS] < self.material_count
 
     @property
     def has_planes(self) -> bool:
@@ -208,9 +210,9 @@ class Needs:
             return f"the scene has no {noun}"
         nouns = f"{count} {plural if count > 1 else noun}"
         if effect not in self.in_view:
-            return f"the scene has {nouns}"
+            return f"the scene has {nouns}" if effect in self.effects else f"the scene has {nouns}, none in view"
         seen = len(self.in_view[effect])
-        if effect is Effect.TRANSPARENCY:
+        if effect in (Effect.TRANSPARENCY, Effect.HEIGHT_FIELDS):
             return f"{seen or 'none'} of {nouns} {'is' if seen == 1 else 'are'} in view"
         if count == 1 and not seen:
             return f"the only {noun} doesn't reach what is in view"
@@ -221,7 +223,10 @@ class Needs:
             return "the scene has no glow"
         if not count:
             return "no object emits more light than a white surface reflects"
-        return f"{count} {'objects emit' if count > 1 else 'object emits'} more light than a white surface reflects"
+        seen = "" if Effect.GLOW in self.effects else ", out of view"
+        return (
+            f"{count} {'objects emit' if count > 1 else 'object emits'} more light than a white surface reflects{seen}"
+        )
 
 
 def find_needs(
@@ -231,27 +236,31 @@ def find_needs(
     reaches: tuple[bool, bool] = (True, True),
     blending: Blending = Blending.SORTED,
     glow: GlowSettings = EXACT_GLOW,
+    seen: Collection[str] | None = None,
 ) -> Needs:
     """Find what `scene` needs as `camera` sees it.
 
     Args:
         reaches: whether any point light reaches an object, and whether any spot light does.
         blending: how transparent surfaces are to be put together. glow: how glow is to be made.
+        seen: the features of surfaces that shaders have (`SeenFeatures`); by default those that are in view.
     """
     lights = scene.lights
     planes = camera.frustum.planes if len(lights.point) or len(lights.spot) else np.zeros((0, 4))
     none = np.zeros(0, np.int64)
     transparent = scene.find_transparent()
+    fields = np.array([*scene.height_fields], np.int64)
     in_view: dict[Effect, Rows] = {Effect.TRANSPARENCY: find_in_view(scene, camera, transparent)}
+    features = scene.count_features()
     counts = {
         Effect.DIRECTIONAL_LIGHTS: len(lights.directional),
         Effect.HAZE: int(scene.haze > 0.0),
         Effect.FOG: int(scene.fog is not None),
-        Effect.GLOW: 0 if scene.glow is None else scene.count_glowing(),
+        Effect.GLOW: 0 if scene.glow is None else len(scene.find_glowing()),
         Effect.TRANSPARENCY: len(transparent),
-        Effect.HEIGHT_FIELDS: len(scene.height_fields),
+        Effect.HEIGHT_FIELDS: len(fields),
         Effect.SUN_SHADOWS: _count_casting(scene, lights.directional),
-        **{Effect(name): count for name, count in scene.count_features().items()},
+        **{Effect(name): count for name, count in features.items()},
     }
     for (effect, kind), reached in zip(LAMPS.items(), reaches, strict=True):
         some = kind.find_rows(lights)
@@ -260,7 +269,13 @@ def find_needs(
         rows = find_lights_in_view(planes, some["position"], ranges) if reached else none
         in_view[effect] = rows
         in_view[kind.shadows] = rows[some["casts_shadow"][rows]] if counts[kind.shadows] else none
+    in_view[Effect.HEIGHT_FIELDS] = fields
+    if len(fields):
+        casts = scene.objects.casts_shadow[fields] & any(counts[effect] for effect in SHADOW_EFFECTS)
+        in_view[Effect.HEIGHT_FIELDS] = np.union1d(fields[casts], find_in_view(scene, camera, fields))
+    seen = SeenFeatures(scene).find(camera) if seen is None else seen
     hidden = {effect for effect, rows in in_view.items() if not len(rows)}
+    hidden |= {Effect(name) for name in (*features, "glow") if name not in seen and name != "vertex colors"}
     effects = frozenset(effect for effect, count in counts.items() if count and effect not in hidden)
     return Needs(effects, counts, len(scene.materials), in_view, blending, glow, scene.glow is not None)
 

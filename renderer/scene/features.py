@@ -65,6 +65,15 @@ class MaterialFeatures:
         """A number (k,) for each material: those with the same one have the same features."""
         return np.unique(self._flags, axis=0, return_inverse=True)[1].reshape(-1)
 
+    def find_flags(self) -> dict[str, NDArray[np.bool_]]:
+        """Return which of the materials (k,) have each of the features of `counts`."""
+        rows = np.stack([self._known[name] for name in TEXTURES], axis=1)
+        reads, textures = rows >= 0, self._textures
+        flags = dict(zip(_FEATURES, self._flags.T, strict=True)) | {"images": self._known["texture"] >= 0}
+        for name, has in (("second uvs", textures["uv_set"] > 0), ("texture transforms", self._is_transformed)):
+            flags[name] = (reads & np.append(has, False)[rows]).any(axis=1)
+        return flags
+
     def refresh(self, materials: NDArray[Any]) -> None:
         """Bring the counts up to date with `materials` (k,)."""
         if len(materials) != len(self._known):  # another array in its place

@@ -114,7 +114,7 @@ class Scene:
         self._last_material = int(objects.material.max(initial=-1))
         self._has_colors = "color" in (meshes.vertices.dtype.names or ())
         self._transparent: tuple[int, Rows] = (-1, np.zeros(0, np.int64))  # as of a version of the materials
-        self._glowing = (-1, 0)  # the same
+        self._glowing: tuple[int, Rows] = (-1, np.zeros(0, np.int64))  # the same
         self._simulator = self.make_simulator()
         self.update()
         if not self.views:
@@ -211,14 +211,21 @@ class Scene:
             self._transparent = self.material_version, rows
         return self._transparent[1]
 
-    def count_glowing(self) -> int:
-        """Return the number of objects whose materials may emit more light than a white surface reflects of light of
+    def find_featured(self) -> dict[str, Rows]:
+        """Return the rows of the objects that have each feature of `count_features` by their materials, and as `glow`
+        those of `find_glowing`."""
+        flags, material = self._features.find_flags(), self.objects.material
+        featured = {name: np.flatnonzero(has[material]) for name, has in flags.items() if has.any()}
+        return featured | {"glow": self.find_glowing()}
+
+    def find_glowing(self) -> Rows:
+        """Return the rows of the objects whose materials may emit more light than a white surface reflects of light of
         strength 1, as of the last `refresh`."""
         if self._glowing[0] != self.material_version:
             materials = self.materials
             emitted = materials["base_color"][:, :3] * materials["emission"][:, None] + materials["emissive"]
             glows = (emitted > 1.0).any(axis=1)
-            self._glowing = self.material_version, int(np.count_nonzero(glows[self.objects.material]))
+            self._glowing = self.material_version, np.flatnonzero(glows[self.objects.material])
         return self._glowing[1]
 
     def relative_transforms(self, eye: ArrayLike, objects: NDArray[np.int64] | None = None) -> NDArray[np.float32]:

@@ -275,7 +275,7 @@ def prepare_scene(scene: Scene, knob: Knob) -> str | None:
             has = len(scene.lights.point) + len(scene.lights.spot)
         case Demand.GLOW:
             scene.glow = scene.glow or Glow()
-            has = scene.count_glowing()
+            has = len(scene.find_glowing())
         case Demand.MOTION:
             has = len(scene.simulated)
         case Demand.HEIGHT_FIELDS:

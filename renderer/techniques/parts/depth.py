@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 from renderer.frame import DEPTH_FORMAT, Effect, Frame, Pass, Target
 from renderer.shaders.depth import DepthOnly
@@ -10,6 +10,16 @@ from renderer.shaders.structs import SurfaceVarying
 from renderer.techniques.parts.scene_shader import SceneShader
 from renderer.techniques.parts.variants import COVERAGE, bind, find_variant, scene_pass
 from rhi import Program
+
+_READ: Final = (
+    Effect.IMAGES,
+    Effect.MASKS,
+    Effect.VERTEX_COLORS,
+    Effect.SECOND_UVS,
+    Effect.TEXTURE_TRANSFORMS,
+    Effect.MIXED_COORDINATES,
+)
+"""What decides which part of a surface a mask leaves."""
 
 
 class PartialDepth(SceneShader):
@@ -19,13 +29,13 @@ class PartialDepth(SceneShader):
         self.cut(v)
 
 
-def _find_shader(frame: Frame) -> type[Any]:
-    return PartialDepth if Effect.MASKS in frame.needs.effects else DepthOnly
-
-
 def bind_depth(frame: Frame) -> tuple[Program[...], dict[str, Any]]:
-    """Return the program that draws the depth of the scene's objects, of masks what they leave, and its bindings."""
-    program: Program[...] = frame.program(find_variant(frame, _find_shader(frame), **COVERAGE))
+    """Return the program that draws the depth of any of the scene's objects, of masks what they leave, and its
+    bindings: what casts a shadow may be out of view."""
+    counts = frame.needs.counts
+    switches = {f"has_{effect.name.lower()}": counts[effect] > 0 for effect in _READ}
+    shader = PartialDepth if counts[Effect.MASKS] else DepthOnly
+    program: Program[...] = frame.program(find_variant(frame, shader, **switches, **COVERAGE))
     return program, bind(frame, program, {})
 
 
@@ -36,4 +46,5 @@ def depth_pass(because: str) -> Pass[Frame]:
 
 def draw_depth(frame: Frame) -> None:
     """Draw the depth of the visible objects to `depth`."""
-    frame.draw_visible(scene_pass(frame, _find_shader(frame), color=None, switches=COVERAGE))
+    shader = PartialDepth if Effect.MASKS in frame.needs.effects else DepthOnly
+    frame.draw_visible(scene_pass(frame, shader, color=None, switches=COVERAGE))

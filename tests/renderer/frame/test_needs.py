@@ -28,7 +28,6 @@ CHANGES: dict[Effect, Callable[[SceneBuilder], object]] = {
     Effect.DIRECTIONAL_LIGHTS: lambda b: b.lights.add_directional((0, -1, 0)),
     Effect.POINT_LIGHTS: lambda b: b.lights.add_point((0, 2, 0), 4.0),
     Effect.SPOT_LIGHTS: lambda b: b.lights.add_spot((0, 2, 0), (0, -1, 0), 4.0, 0.3, 0.5),
-    Effect.IMAGES: lambda b: b.add_material(texture=b.add_image(np.zeros((4, 4, 4), np.uint8))),
     Effect.HAZE: lambda b: setattr(b, "haze", 0.1),
 }
 
