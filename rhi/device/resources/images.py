@@ -58,7 +58,7 @@ def load_image(source: str | Path | bytes | BinaryIO) -> NDArray[Any]:
             return as_texels(ImageOps.exif_transpose(image))
     except (OSError, ValueError, SyntaxError, UnidentifiedImageError, library.DecompressionBombError) as error:
         given = f"{len(source)} bytes" if isinstance(source, bytes) else str(source)
-        refuse(IMAGE_FILE, call, f"{given}: {error}", "an image file")
+        refuse(IMAGE_FILE, call, f"{given}: {error}", "what Pillow reads, such as PNG, JPEG, WebP and DDS; not KTX2")
 
 
 def as_texels(source: Any) -> NDArray[Any]:
