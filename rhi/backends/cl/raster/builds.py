@@ -1,8 +1,9 @@
 """Builds of the kernels that draw: quickly at first, optimised later by other processes.
 
-- An optimised kernel takes PoCL up to ten times as long as one that isn't, and draws 1.5 to 4.5 times as fast. So a
-  kernel is at first compiled without optimisation, unless the optimised one is in the cache on disk. When it has been
-  given `HOT` work-items, it is optimised in the background and replaced by the result. Both compute the same bits.
+- An optimised kernel takes PoCL up to ten times as long as one that isn't, and draws 1.2 to 2.5 times as fast. So a
+  kernel is at first compiled without optimisation, unless the optimised one is in the cache on disk. When its launches
+  have taken `HOT` seconds, it is optimised in the background and replaced by the result. Both compute the same bits.
+- The kernel that has taken most time is optimised first.
 - PoCL compiles one kernel at a time per process, and no kernel can be launched while it generates machine code. So
   other processes optimise kernels into the cache (`compiler.py`), from which a thread takes them.
 - `Kernel.optimise` begins that before the kernel is hot.
@@ -16,11 +17,10 @@ from __future__ import annotations
 
 import logging
 import os
-import queue
 import threading
 from collections.abc import Sequence
 from concurrent.futures import Future
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pyopencl as cl
@@ -42,9 +42,8 @@ if TYPE_CHECKING:
     from rhi.backends.cl.raster.compiler import Compiler
 
 LOGGER: Final = logging.getLogger("rhi.kernels")
-HOT: Final = 2000
-"""Work-items after which a kernel is optimised: tiles of 64×64 texels, or a thousand vertices each. Up to here the time
-lost is of the order of what optimising takes."""
+HOT: Final = 0.02
+"""Seconds of a kernel's launches after which it is optimised: one frame that is slow, or many that aren't."""
 _MOST_COMPILERS: Final = 4
 _ARGUMENTS: Final = (np.uint64,)
 """The types of the arguments of kernels that draw: the address of a batch table."""
@@ -57,22 +56,24 @@ class Optimisation:
         request: their source code.
         program: None until they are built.
         done: the end of the build, with or without success; None until it begins.
+        heat: seconds that launches of the kernels to be replaced have taken.
     """
 
-    __slots__ = ("_builds", "_heat", "done", "program", "request")
+    __slots__ = ("_builds", "done", "heat", "program", "request")
 
     def __init__(self, request: Request, builds: Builds) -> None:
         self.request = request
         self.program: HeldProgram | None = None
         self.done: Future[None] | None = None
         self._builds = builds
-        self._heat = 0
+        self.heat = 0.0
 
-    def warm(self, items: int) -> None:
-        """Count the work-items that the kernels to be replaced were given; begin when they are hot."""
+    def warm(self, items: int, seconds: float) -> None:
+        """Count the work-items that the kernels to be replaced are given, and the time of those before; begin when they
+        are hot."""
         self._builds.quick_work += items
-        self._heat += items
-        if self._heat >= HOT and self.done is None:
+        self.heat += seconds
+        if self.heat >= HOT and self.done is None:
             self.begin()
 
     def begin(self) -> Future[None]:
@@ -85,12 +86,14 @@ class Optimisation:
 class Kernel:
     """A kernel that draws. Its only argument is the address of a batch table."""
 
-    __slots__ = ("_name", "_optimisation", "_program")
+    __slots__ = ("_items", "_name", "_optimisation", "_program", "_timed")
 
     def __init__(self, program: HeldProgram, name: str, optimisation: Optimisation | None = None) -> None:
         """`optimisation`: what is going to replace the kernel, if anything."""
         self._name = name
         self._optimisation = optimisation
+        self._timed: tuple[cl.Event, int] | None = None  # a launch, and its work-items
+        self._items = 0  # of all launches since then
         self._take(program)
 
     def _take(self, program: HeldProgram) -> None:
@@ -112,13 +115,27 @@ class Kernel:
         if optimisation is not None:
             if optimisation.program is not None:
                 self._take(optimisation.program)
-                self._optimisation = None
+                self._optimisation = self._timed = optimisation = None
             else:
-                optimisation.warm(items)
+                optimisation.warm(items, self._take_time())
         kernel = self._program.find(self._name)
         kernel.set_args(batch)  # with the argument's type set, 20 times as fast as `set_arg`
         event: cl.Event = cl.enqueue_nd_range_kernel(queue, kernel, (items,), (1,))
+        if optimisation is not None:
+            self._timed, self._items = self._timed or (event, items), self._items + items
         return event
+
+    def _take_time(self) -> float:
+        """Return the seconds of the launches so far, as soon as the first of them has ended: the others are given as
+        many for each work-item. The next launch is then the first."""
+        if self._timed is None:
+            return 0.0
+        event, items = self._timed
+        status: Any = event.get_info(cl.event_info.COMMAND_EXECUTION_STATUS)
+        if status > 0:  # it hasn't ended
+            return 0.0
+        share, self._timed, self._items = self._items / items, None, 0
+        return 0.0 if status else 1e-9 * (event.profile.end - event.profile.start) * share
 
 
 class Builds:
@@ -135,10 +152,11 @@ class Builds:
         mode = os.environ.get(KERNELS_ENVIRONMENT, "")
         self.is_quick = context.cache.works and context.shares_memory and mode != "optimised"
         self._optimises = mode != "quick"
-        self._jobs: queue.SimpleQueue[tuple[Optimisation, Future[None]] | None] = queue.SimpleQueue()
+        self._jobs: list[tuple[Optimisation, Future[None]]] = []
         self._compilers: list[Compiler] = []
         self._threads: list[threading.Thread] = []
         self._lock = threading.Lock()
+        self._changed = threading.Condition(self._lock)  # there is a job, or the device is closed
         self._begun = self._done = 0
         self._waiting = 0
         self._closed = False
@@ -190,8 +208,7 @@ class Builds:
             self._closed = True
             for compiler in self._compilers:
                 compiler.stop()
-        for _ in self._threads:
-            self._jobs.put(None)
+            self._changed.notify_all()
         for thread in self._threads:
             thread.join()
         for compiler in self._compilers:
@@ -217,16 +234,28 @@ class Builds:
                 except RuntimeError:  # no more threads, or Python is shutting down
                     pass
             alone = not self._threads
+            if not alone:
+                self._jobs.append((optimisation, done))
+                self._changed.notify()
         if alone:
             done.set_result(None)
-        else:
-            self._jobs.put((optimisation, done))
         return done
+
+    def _find_job(self) -> tuple[Optimisation, Future[None]] | None:
+        """Return the job whose kernels have taken most time, as soon as there is one; None when the device is closed
+        and there is none left."""
+        with self._changed:
+            while not self._jobs and not self._closed:
+                self._changed.wait()
+            if not self._jobs:
+                return None
+            hottest = max(range(len(self._jobs)), key=lambda place: self._jobs[place][0].heat)
+            return self._jobs.pop(hottest)
 
     def _work(self) -> None:
         """Optimise kernels until the device is closed."""
         compiler: Compiler | None = None
-        while (job := self._jobs.get()) is not None:
+        while (job := self._find_job()) is not None:
             optimisation, done = job
             try:
                 if compiler is None:

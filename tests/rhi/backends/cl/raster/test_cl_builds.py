@@ -9,6 +9,7 @@ import subprocess
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import Future
 from contextlib import nullcontext
 from types import SimpleNamespace
 from typing import Any
@@ -188,6 +189,55 @@ def test_hot_kernels_are_optimised_and_draw_the_same(
     done, begun = caplog.records[-1].args  # type: ignore[misc]
     assert done == begun
     assert begun >= 6
+
+
+def test_heat_is_the_time_of_launches(monkeypatch: pytest.MonkeyPatch, device: Device) -> None:
+    events: list[Any] = []
+    enqueue = builds.cl.enqueue_nd_range_kernel
+
+    def note(queue: Any, kernel: Any, *given: Any) -> Any:
+        event = enqueue(queue, kernel, *given)
+        events.extend([event] if kernel.function_name == "raster" else [])
+        return event
+
+    monkeypatch.setattr(builds.cl, "enqueue_nd_range_kernel", note)
+    monkeypatch.setattr(builds, "HOT", float("inf"))
+    program = device.program(Colored)
+    for _ in range(4):
+        draw(device, program)  # and read, so that each launch has ended before the next
+    (raster,) = device.backend_as(ClBackend)._rasteriser._programs[program.id]._raster.values()
+    assert raster._optimisation is not None
+    taken = [1e-9 * (event.profile.end - event.profile.start) for event in events]
+    assert raster._optimisation.heat == pytest.approx(sum(taken[:-1]))  # the last hasn't been looked at
+    assert raster._optimisation.heat > 0
+
+
+def test_of_launches_in_flight_one_is_timed_and_stands_for_all() -> None:
+    event = SimpleNamespace(status=3, profile=SimpleNamespace(start=1_000, end=4_000))
+    event.get_info = lambda _: event.status
+    program, other = SimpleNamespace(find=lambda name: SimpleNamespace(set_args=lambda batch: None)), object()
+    seconds: list[float] = []
+    optimisation = SimpleNamespace(program=None, warm=lambda items, more: seconds.append(more))
+    kernel = builds.Kernel(program, "raster", optimisation)  # type: ignore[arg-type]
+    with pytest.MonkeyPatch.context() as patch:
+        launches = iter([event, other, other, event])
+        patch.setattr(builds.cl, "enqueue_nd_range_kernel", lambda *given: next(launches))
+        for items in (10, 20, 30):
+            kernel.launch(None, 0, items)
+        event.status = 0
+        kernel.launch(None, 0, 10)
+        assert seconds == pytest.approx([0, 0, 0, 3e-6 * 6])
+        event.status = -5  # that launch failed
+        assert kernel._take_time() == 0
+        assert kernel._timed is None
+
+
+def test_the_kernels_that_took_most_time_are_optimised_first(device: Device) -> None:
+    made, request = find_builds(device), find_builds(device).request("", ())
+    jobs = [builds.Optimisation(request, made) for _ in range(3)]
+    made._jobs += [(job, Future()) for job in jobs]
+    jobs[0].heat, jobs[1].heat, jobs[2].heat = 0.5, 2.0, 1.0  # they get warm while they wait
+    assert [made._find_job()[0] for _ in jobs] == [jobs[1], jobs[2], jobs[0]]  # type: ignore[index]
 
 
 def test_kernels_that_are_not_hot_stay_as_they_are(device: Device) -> None:
