@@ -80,10 +80,14 @@ CANDIDATES: Final[tuple[str, ...]] = (
 )
 """The algorithms that `auto` tries, in this order. Each is the fastest for some scene, view and device; no other
 is."""
+_CL_CANDIDATES: Final = "frustum", "none", "depth_pyramid"
+"""Those on cl, whose rasteriser drops instances that are hidden: what asks for the sake of that costs more than it
+spares. It seems to pay only while kernels are quick ones. Last, since it builds kernels, comes what culls on the device."""
 
 
 def _make_auto(scene: Scene, device: Device, settings: VisibilitySettings) -> AutoCulling:
-    names = CANDIDATES if device.capabilities.renders else ("frustum",)
+    can = device.capabilities
+    names = (_CL_CANDIDATES if can.backend == "cl" else CANDIDATES) if can.renders else ("frustum",)
     able = [name for name in names if find_obstacle(name, device) is None]
     return AutoCulling(scene, device, {name: partial(make_visibility, name, scene, device, settings) for name in able})
 
