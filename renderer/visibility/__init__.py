@@ -82,7 +82,7 @@ CANDIDATES: Final[tuple[str, ...]] = (
 is."""
 _CL_CANDIDATES: Final = "frustum", "none", "depth_pyramid"
 """Those on cl, whose rasteriser drops instances that are hidden: what asks for the sake of that costs more than it
-spares. It seems to pay only while kernels are quick ones. Last, since it builds kernels, comes what culls on the device."""
+spares once kernels are optimised. Last, since it builds kernels, comes what culls on the device."""
 
 
 def _make_auto(scene: Scene, device: Device, settings: VisibilitySettings) -> AutoCulling:
