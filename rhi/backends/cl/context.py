@@ -248,7 +248,7 @@ def build_cached(context: cl.Context, cache: KernelCache, request: Request, stor
         return build(context, *request.write())
     if stored is not None:
         with suppress(cl.Error):
-            return build_again(context, stored.code, request.options)
+            return build_again(context, cache.make_binary(request) or stored.code, request.options)
         cache.forget(request.key)
     with cache.writing(request.key) as is_safe:
         if not is_safe:
@@ -257,7 +257,9 @@ def build_cached(context: cl.Context, cache: KernelCache, request: Request, stor
         if code is None and cache.takes_code:
             with suppress(cl.Error):  # the build tells of it
                 mark = make_mark()
-                compile_only(context, *request.write(mark))
+                compiled = compile_only(context, *request.write(mark))
+                binaries: Any = compiled.get_info(cl.program_info.BINARIES)  # nothing is generated: it isn't linked
+                cache.keep_header(binaries[0])
                 code = cache.keep_code(request.key, mark)
         try:
             program = build_again(context, code, request.options) if code else None
@@ -270,11 +272,12 @@ def build_cached(context: cl.Context, cache: KernelCache, request: Request, stor
     return program
 
 
-def compile_only(context: cl.Context, source: str, options: Sequence[str]) -> None:
+def compile_only(context: cl.Context, source: str, options: Sequence[str]) -> cl.Program:
     """Compile a program, which isn't linked. Warnings are suppressed."""
     with warnings.catch_warnings():  # pyopencl's own, too, which has no cache for that
         warnings.simplefilter("ignore")
-        cl.Program(context, source).compile([SILENT, *options])
+        compiled: cl.Program = cl.Program(context, source).compile([SILENT, *options])
+        return compiled
 
 
 def build(context: cl.Context, source: str, options: Sequence[str]) -> cl.Program:

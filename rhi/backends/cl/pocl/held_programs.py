@@ -40,12 +40,25 @@ class HeldProgram:
         builds: how often it was built; kernels of an earlier build have lost their arguments.
     """
 
-    __slots__ = ("__weakref__", "_build", "_kernels", "_owner", "_program", "_types", "builds", "last_used")
+    __slots__ = (
+        "__weakref__",
+        "_build",
+        "_is_whole",
+        "_kernels",
+        "_owner",
+        "_program",
+        "_types",
+        "builds",
+        "last_used",
+    )
 
     def __init__(
-        self, owner: HeldPrograms, program: cl.Program, build: Callable[[], cl.Program], types: Sequence[type] | None
-    ) -> None:
-        """`build`: builds it again. `types`: those of each kernel's arguments, if they are scalars."""
+        self, owner: HeldPrograms, program: cl.Program, build: Callable[[bool], cl.Program],
+        types: Sequence[type] | None,
+    ) -> None:  # fmt: skip
+        """`build`: builds it again, if told so with LLVM code. `types`: those of each kernel's arguments, if they are
+        scalars."""
+        self._is_whole = False
         self._owner = owner
         self._program: cl.Program | None = program
         self._build = build
@@ -77,13 +90,19 @@ class HeldProgram:
 
     def _make(self, name: str) -> cl.Kernel:
         if self._program is None:
-            self._program = self._build()
+            self._program = self._build(self._is_whole)
             self.builds += 1
         kernel = cl.Kernel(self._program, name)
         if self._types is not None:
             kernel.set_scalar_arg_dtypes(list(self._types))
         self._kernels[name] = kernel
         return kernel
+
+    def complete(self) -> None:
+        """Have LLVM code, for launches that there is no machine code of (`rhi.backends.cl.pocl.binaries`)."""
+        if not self._is_whole:
+            self._is_whole = True
+            self.release()
 
     def release(self) -> None:
         """Release its memory. Launches that were enqueued keep what they need."""
@@ -122,8 +141,9 @@ class HeldPrograms:
         packed = zlib.compress(request.source.encode(), _PACKING)
         rest = replace(request, source="")
 
-        def build_again() -> cl.Program:
-            return build(replace(rest, source=zlib.decompress(packed).decode()))
+        def build_again(whole: bool) -> cl.Program:
+            kernels = () if whole else rest.kernels
+            return build(replace(rest, source=zlib.decompress(packed).decode(), kernels=kernels))
 
         made = HeldProgram(self, program, build_again, types)
         with self._lock:

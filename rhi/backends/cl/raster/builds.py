@@ -34,6 +34,7 @@ from rhi.backends.cl.context import (
     build_again,
     build_cached,
 )
+from rhi.backends.cl.pocl.binaries import LARGE_GRID
 from rhi.backends.cl.pocl.cache import Request, make_mark
 from rhi.backends.cl.raster.tables import BATCH_STRUCT
 
@@ -118,6 +119,8 @@ class Kernel:
                 self._optimisation = self._timed = optimisation = None
             else:
                 optimisation.warm(items, self._take_time())
+        if items >= LARGE_GRID:
+            self._program.complete()
         kernel = self._program.find(self._name)
         kernel.set_args(batch)  # with the argument's type set, 20 times as fast as `set_arg`
         event: cl.Event = cl.enqueue_nd_range_kernel(queue, kernel, (items,), (1,))
@@ -298,7 +301,8 @@ class Builds:
             compile_kernels(*cache.choose(request), request.kernels)
             cache.record(request.key)
         if cache.knows(request.key, request.kernels):
-            program = build_again(self._context.context, *cache.choose(request))
+            code, options = cache.choose(request)
+            program = build_again(self._context.context, cache.make_binary(request) or code, options)
             optimisation.program = self._context.hold(program, request, _ARGUMENTS)
 
     def _count(self, begun: int, done: int) -> None:

@@ -254,6 +254,17 @@ def test_from_the_disk_nothing_is_told(
     assert not caplog.records
 
 
+@pytest.mark.parametrize("limit", [builds.LARGE_GRID, 1])
+def test_launches_that_there_is_no_machine_code_of_are_compiled(
+    monkeypatch: pytest.MonkeyPatch, expected: NDArray[Any], optimised_kernels: None, limit: int
+) -> None:
+    monkeypatch.setattr(builds, "LARGE_GRID", limit)
+    with rhi.create_device("cl") as device:
+        np.testing.assert_array_equal(draw(device, device.program(Colored)), expected)
+        used = [one for one in find_builds(device)._context.programs.list_held() if one._types]
+        assert {one._is_whole for one in used} == {limit == 1}
+
+
 @pytest.mark.parametrize("error", [OSError("no more processes"), MemoryError(), EOFError()])
 def test_without_another_process_the_kernels_at_hand_remain(
     monkeypatch: pytest.MonkeyPatch, device: Device, expected: NDArray[Any], error: Exception

@@ -1,0 +1,54 @@
+"""Binaries of PoCL 3.1's format (version 9) that name kernels and contain no code.
+
+- PoCL makes a program of such a binary without LLVM: it reads which kernels there are and what they take, and finds
+  their machine code in the folder that the binary names. It ends the process if machine code isn't there, so this is
+  for programs whose machine code was just checked, launched as it was compiled for (`SMALL_GRID`).
+- All binaries begin with the same mark, the same number of the device and the same version, which are taken from one
+  that the driver has written.
+- Integers have the least significant byte first; a text is its length in 4 bytes, then its characters.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from typing import Final
+
+SMALL_GRID: Final = "1-1-1-goffs0-smallgrid"
+"""The folder of a kernel's machine code for work-groups of one item, of which there are fewer than `LARGE_GRID`."""
+LARGE_GRID: Final = 65535
+_HEADER: Final = 20  # bytes: "poclbin" and a zero, the device's number, the version
+_VERSION: Final = 9
+_EXECUTABLE: Final = 4 << 32
+_ARGUMENT: Final = struct.pack("<IIQII", 0x11A3, 0x119E, 0, 0, 8)
+"""No image, private memory, no qualifier, a scalar of 8 bytes."""
+_ALL_KNOWN: Final = 0x1F  # of an argument: qualifiers, type, name
+
+
+def find_header(binary: bytes) -> bytes:
+    """Return what all binaries of a device begin with, given one of them."""
+    return binary[:_HEADER]
+
+
+def name_folder(key: str) -> str:
+    """Return the folder of a binary's machine code. PoCL's own names have letters up to P."""
+    return f"RH/{key.upper():_<37}"
+
+
+def write(header: bytes, folder: str, kernels: Sequence[str]) -> bytes | None:
+    """Return a binary of kernels with one argument, an address; None for a driver of another version."""
+    if len(header) != _HEADER or header[-4:] != struct.pack("<I", _VERSION):
+        return None
+    files = _write_text("/rhi") + _write_text("-")  # PoCL refuses binaries without files
+    parts = [header, struct.pack("<IQI", len(kernels), _EXECUTABLE, 1), folder.encode(), b"\0"]
+    parts += struct.pack("<Q", len(files)), files
+    for kernel in kernels:
+        argument = _ARGUMENT + _write_text("address") + _write_text("ulong")
+        rest = _write_text(kernel) + struct.pack("<IIQQQ", 1, 0, 1, 1, 1) + _write_text("")
+        rest += struct.pack("<Q", _ALL_KNOWN) + argument
+        parts += struct.pack("<QQI", 20 + len(rest), 0, len(argument)), rest
+    return b"".join(parts)
+
+
+def _write_text(text: str) -> bytes:
+    return struct.pack("<I", len(text)) + text.encode()
