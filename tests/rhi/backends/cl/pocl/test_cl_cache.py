@@ -135,6 +135,15 @@ def test_programs_with_machine_code_are_made_without_llvm_code(
     assert finish_counting(start(folder)) == (picture, 0, 0, bare)
 
 
+def test_machine_code_is_used_only_where_it_was_checked(filled: tuple[Path, str]) -> None:
+    folder, picture = filled
+    assert draw(folder) == (picture, 0)
+    (link,) = (folder / "pocl" / "RH").rglob("raster.so")
+    link.unlink()
+    link.write_bytes(b"foreign")
+    assert finish_counting(start(folder)) == (picture, 0, 0, 1)
+
+
 def test_processes_that_begin_together_share_the_work(tmp_path: Path) -> None:
     pictures = {finish(process)[0] for process in [start(tmp_path) for _ in range(3)]}
     assert len(pictures) == 1
@@ -160,7 +169,7 @@ def empty(content: bytes) -> bytes:
 ])  # fmt: skip
 def test_a_damaged_file_is_built_again(filled: tuple[Path, str], name: str, damage: Callable[[bytes], bytes]) -> None:
     folder, picture = filled
-    (kernel,) = folder.rglob("transform.so")  # the vertices', the smallest of the three programs
+    (kernel,) = folder.rglob("raster.so")
     assert draw(folder) == (picture, 0)  # links to what is damaged
     damaged = list(kernel.parents[2].rglob(name))
     assert damaged
