@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import itertools
 import threading
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -117,11 +116,9 @@ USES: dict[str, Callable[[Device, dict[str, Any]], object]] = {
 }
 
 
-@pytest.mark.parametrize(("device", "take_over", "use"), [
-    # A recorder passes each call on, so it needs one kind of another context.
-    pytest.param(route, kind, use, marks=pytest.mark.nightly if route == "recorded" and kind != "no context" else ())
-    for route, kind, use in itertools.product(("direct", "recorded"), TAKE_OVER, USES)
-], indirect=["device", "take_over"])  # fmt: skip
+@pytest.mark.parametrize("use", USES)
+@pytest.mark.parametrize("take_over", TAKE_OVER, indirect=True)
+@pytest.mark.parametrize("device", ["direct", "recorded"], indirect=True)
 def test_each_call_finds_its_context_again(device: Device, take_over: Callable[[], None], use: str) -> None:
     texture = device.texture(np.full((4, 4, 4), 5, "u1"), Format.RGBA8, levels=None)
     resources = {"buffer": device.buffer(np.array([1, 2, 3, 4])), "zeros": device.buffer(32), "texture": texture}

@@ -104,14 +104,7 @@ def test_a_new_combination_of_states_and_formats_builds_nothing(device: Device, 
     assert find_builds(device).built == built
 
 
-@pytest.mark.parametrize(
-    "states",
-    [
-        pytest.param(states, marks=() if name in ("blended", "farthest") else pytest.mark.nightly)
-        for name, states in STATES.items()
-    ],
-    ids=STATES,
-)
+@pytest.mark.parametrize("states", STATES.values(), ids=STATES)
 def test_quick_and_optimised_kernels_draw_the_same_bits(
     monkeypatch: pytest.MonkeyPatch, states: tuple[Any, ...]
 ) -> None:

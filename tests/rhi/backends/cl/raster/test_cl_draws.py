@@ -463,19 +463,10 @@ def test_edges_across_the_largest_targets_are_exact(device: Device, size: tuple[
 
 
 FLOAT, FIXED = (Format.D32F, Format.D32FS8), (Format.D24, Format.D24S8)
-TWO_FUNCTIONS = (DepthFunction.LESS, DepthFunction.GREATER_EQUAL)
 
 
-@pytest.mark.parametrize(
-    ("function", "depth_format"),
-    [
-        *(pytest.param(each, FLOAT, id=f"{each.name}-float") for each in DepthFunction),
-        *(
-            pytest.param(each, FIXED, id=f"{each.name}-24", marks=() if each in TWO_FUNCTIONS else pytest.mark.nightly)
-            for each in DepthFunction
-        ),
-    ],
-)
+@pytest.mark.parametrize("depth_format", [FLOAT, FIXED], ids=["float", "24"])
+@pytest.mark.parametrize("function", DepthFunction, ids=lambda function: function.name)
 def test_what_lies_behind_a_tile_s_bounds_is_what_the_test_drops(
     device: Device, function: DepthFunction, depth_format: tuple[Format, Format]
 ) -> None:
