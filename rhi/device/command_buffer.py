@@ -170,7 +170,7 @@ class CommandBuffer(Encoder):
             self._recorder.check_open()
         try:
             own: Program[...] = self._programs[program]
-        except (KeyError, TypeError):
+        except (KeyError, TypeError, ValueError):  # a memoryview's hash may raise the last one
             own = self._resolve_program(program, "commands.draw")
         check_drawable(self._recorder, mesh, "commands.draw")
         own.draw_with(mesh, instances, bindings)

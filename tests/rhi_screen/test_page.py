@@ -46,7 +46,7 @@ def show(visit: Visit, **options: Any) -> Shown:
     async def go() -> None:
         try:
             await asyncio.wait_for(visit(canvas), 20)
-        except Exception as error:
+        except BaseException as error:  # pytest's own is none of Exception
             errors.append(error)
         canvas.close()
 

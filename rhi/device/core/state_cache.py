@@ -131,7 +131,7 @@ class StateCache:
         """Return the vector that a scope of these states would set, after the same checks, and their number."""
         try:
             return self.wanted.after.get(states) or self._derive(states)
-        except TypeError:  # an unhashable object, which can't be a state
+        except (TypeError, ValueError):  # an unhashable object, which can't be a state
             self._validate(states)
             raise
 
@@ -275,7 +275,7 @@ class StateScope(Scope):
         before = cache.wanted
         try:
             step = before.after[states]
-        except (KeyError, TypeError):
+        except (KeyError, TypeError, ValueError):
             step = None
         target, count = step or cache.derive(states)
         scopes = cache.scopes

@@ -257,7 +257,8 @@ class Program(Generic[P]):
             return None
         with self.core.refusals:
             if issubclass(type, Struct):
-                return type(**value).to_bytes() if isinstance(value, dict) else None
+                is_named = isinstance(value, dict) and all(isinstance(name, str) for name in value)
+                return type(**value).to_bytes() if is_named else None
             return pack_single(type, value)
 
     def take_uniform(self, index: int, value: Any) -> Any:

@@ -69,7 +69,7 @@ def value_type(annotation: Any, default: object = None) -> HostType | None:
     try:
         if annotation in _SCALARS:
             return _SCALARS[annotation]
-    except TypeError:  # not hashable
+    except (TypeError, ValueError):  # not hashable; a memoryview raises the latter
         return None
     named = getattr(annotation, "shading_type", None) if isinstance(annotation, type) else None
     return named if isinstance(named, HostType) else None

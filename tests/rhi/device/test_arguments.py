@@ -22,7 +22,8 @@ PLAIN: dict[str, Any] = {
     "[]": [], "[1.5]": [1.5], "[[1], [1, 2]]": [[1], [1, 2]], "{}": {}, "b'x'": b"x", "1j": 1j, "a class": int,
     "a function": len, "float32": np.float32(0.5), "int64": np.int64(-7), "bool_": np.bool_(True),
     "array of objects": np.array([object()]), "array of text": np.array(["x"]), "array of nan": np.full(4, np.nan),
-    "array of bools": np.ones(2, bool), "array of 2**70": np.array([2**70]), "range": range(3),
+    "array of bools": np.ones(2, bool), "array of 2**70": np.array([2**70]), "range": range(3), "{1: 2}": {1: 2},
+    "what has no hash": memoryview(np.full(2, 0.5)),
 }  # fmt: skip
 
 
