@@ -4,7 +4,9 @@ Each line that comes is run, and answered by a line: `ok` or `error:`, and what 
 
 It is bound to the loopback address, which every user of this computer and every page in a browser can reach. So a
 connection must begin with the greeting, a line with a random token that only the user has seen; with any other line it
-is closed, and nothing is answered. Connections that don't greet make room for new ones.
+is closed, and nothing is answered. Connections that don't greet make room for new ones. Of those that have greeted, the
+one that has been silent for longest makes room for another that greets: nobody is locked out, and no stranger closes
+one.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from rhi.errors import DeviceError
 
 ADDRESS: Final = "127.0.0.1"
 _LONGEST: Final = 4096  # bytes of a line
-_MOST: Final = 8  # connections
+_MOST: Final = 8  # connections that have greeted, and others
 
 Answer = Callable[[str], tuple[str, bool]]
 """Runs a line, and returns what there is to say and whether it is an error."""
@@ -73,7 +75,7 @@ class CommandServer:
         for key, _ in self._selector.select(0):
             if key.fileobj is self._socket:
                 self._accept()
-            else:
+            elif key.fd in self._connections:  # it may have made room just now
                 count += self._receive(self._connections[key.fd])
         return count
 
@@ -89,15 +91,16 @@ class CommandServer:
             made, _ = self._socket.accept()
         except OSError:  # it has gone again
             return
-        if len(self._connections) == _MOST:
-            idle = next((each for each in self._connections.values() if not each.has_greeted), None)
-            if idle is None:
-                made.close()
-                return
-            self._drop(idle)
+        self._make_room(has_greeted=False)
         made.setblocking(False)
         self._connections[made.fileno()] = Connection(made)
         self._selector.register(made, selectors.EVENT_READ)
+
+    def _make_room(self, has_greeted: bool) -> None:
+        """Close the connection of a kind that has been silent for longest, if there are as many as there may be."""
+        held = [each for each in self._connections.values() if each.has_greeted == has_greeted]
+        if len(held) == _MOST:
+            self._drop(held[0])
 
     def _receive(self, connection: Connection) -> int:
         try:
@@ -109,11 +112,14 @@ class CommandServer:
         if not data:
             self._drop(connection)
             return 0
+        number = connection.socket.fileno()
+        self._connections[number] = self._connections.pop(number)  # the first one has been silent for longest
         *lines, connection.begun = (connection.begun + data).split(b"\n")
         if lines and not connection.has_greeted:
             if not hmac.compare_digest(lines[0].rstrip(b"\r"), self.greeting.encode()):
                 self._drop(connection)
                 return 0
+            self._make_room(has_greeted=True)
             connection.has_greeted = True
             lines = lines[1:]
             if not self._send(connection, "ok"):

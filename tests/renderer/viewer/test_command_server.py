@@ -152,17 +152,30 @@ def test_a_line_without_an_end_is_cut_off(server: CommandServer, client: socket.
     assert RAN == []
 
 
-def test_too_many_connections_are_refused(server: CommandServer) -> None:
+def test_of_nine_clients_the_one_that_was_silent_for_longest_makes_room(server: CommandServer) -> None:
     clients = [connect(server) for _ in range(8)]
-    with connect(server, "") as ninth:
-        assert is_closed(ninth)
-    clients[0].close()
+    clients[0].sendall(b"ping\n")
     server.poll()
-    with connect(server) as another:
-        another.sendall(b"ping\n")
+    strangers = [connect(server, "") for _ in range(9)]  # close none of them
+    clients.append(connect(server))
+    for number, client in enumerate(clients):
+        if number == 1:
+            assert is_closed(client)
+            continue
+        client.sendall(b"time\n")
         server.poll()
-        assert another.recv(99) == b"ok PING\n"
-    for one in clients:
+        assert receive(client, 2 - bool(number)).endswith(b"ok TIME\n")
+    for one in (*clients, *strangers):
+        one.close()
+
+
+def test_one_that_makes_room_may_be_about_to_speak(server: CommandServer) -> None:
+    idle = [connect(server, "") for _ in range(8)]
+    idle[0].sendall(server.greeting.encode() + b"\n")
+    with socket.create_connection((ADDRESS, server.port)):
+        server.poll()
+        assert is_closed(idle[0])
+    for one in idle:
         one.close()
 
 
