@@ -159,7 +159,7 @@ class Page(BaseRenderCanvas):  # type: ignore[misc]  # rendercanvas has no types
             async for message in connection:
                 try:
                     self._take(client, json.loads(message))
-                except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+                except Exception as error:  # whatever a stranger's words lead to
                     _log.warning("closed a page that sent no event: %r", error)
                     return
         except ConnectionClosed:

@@ -74,7 +74,6 @@ class Budget:
 
     def spend_zeros(self, count: int) -> None:
         """Count elements of which the file has no bytes: no more than its size suggests."""
-        self.spend("vertices", 0)
         most = inf if self.limits.vertices == inf else _ZEROS + _ZEROS_PER_BYTE * self.spent.get("bytes", 0)
         self.spend("elements without bytes", count, most)
 

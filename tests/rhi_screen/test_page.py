@@ -110,6 +110,9 @@ def test_the_address_shows_the_picture_in_the_size_and_with_the_title() -> None:
         assert "width:24.0px; height:10.0px" in text
         for name in ("renderview.js", "renderview-client.js", "renderview.css"):
             assert (await fetch(page, f"/{token_of(page)}/{name}"))[0] == 200
+        assert (await fetch(page, f"/{token_of(page)}/__init__.py"))[0] == 404
+        for header in ("Cache-Control: no-store", "Referrer-Policy: no-referrer", "X-Frame-Options: DENY"):
+            assert header in text
         await asyncio.sleep(0.1)  # a frame was asked for before anybody looked
         async with enter(page) as client:
             assert json.loads(await client.recv()) == {"type": "title", "value": "a <b>"}
@@ -118,6 +121,7 @@ def test_the_address_shows_the_picture_in_the_size_and_with_the_title() -> None:
             await client.send(json.dumps(RESIZE))
             while picture.shape[:2] != (20, 30):
                 picture = await take_picture(client, 9)
+            await client.send(json.dumps(KEY | {"type": "unknown"}))  # is passed over
             await client.send(json.dumps(KEY))
             while not seen_keys:
                 await asyncio.sleep(0.01)
@@ -177,9 +181,12 @@ def test_one_client_at_a_time_unless_more_are_asked_for() -> None:
             with pytest.raises(InvalidStatus, match="409"):
                 async with enter(page):
                     pass
+            await page._attend(None)  # one that was admitted at the same time
             await take_picture(first, 1)
         async with enter(page) as next_one:
             await take_picture(next_one, 1)
+        page.close()
+        await page._attend(None)
 
     async def visit_both(page: Any) -> None:
         async with enter(page) as first, enter(page) as second:
@@ -205,13 +212,18 @@ def test_one_client_at_a_time_unless_more_are_asked_for() -> None:
         '{"type": []}',
         json.dumps(RESIZE | {"pwidth": 1 << 20}),
         json.dumps(RESIZE | {"pwidth": -1}),
+        json.dumps(RESIZE | {"pheight": 1 << 20}),
+        json.dumps(RESIZE | {"pheight": -1}),
         json.dumps(RESIZE | {"ratio": 1e-9}),
+        json.dumps(RESIZE | {"ratio": 1e9}),
         json.dumps(RESIZE | {"pheight": 1e400}),
         '{"type": "key_down"}',
         json.dumps(KEY | {"key": "x" * (1 << 17)}),
     ],
 )
-def test_what_is_no_event_closes_the_connection_and_the_loop_goes_on(message: str) -> None:
+def test_what_is_no_event_closes_the_connection_and_the_loop_goes_on(
+    message: str, caplog: pytest.LogCaptureFixture
+) -> None:
     async def visit(page: Any) -> None:
         async with enter(page) as client:
             await client.send(message)
@@ -222,3 +234,22 @@ def test_what_is_no_event_closes_the_connection_and_the_loop_goes_on(message: st
             await take_picture(client, 1)
 
     assert show(visit).sizes[-1] == SIZE
+    assert ("closed a page that sent no event" in caplog.text) == (len(message) < 1 << 16)
+
+
+def test_no_more_than_two_frames_are_sent_that_a_page_has_not_shown() -> None:
+    """Whatever it says that it has: it can't have shown more than it was sent."""
+
+    async def visit(page: Any) -> None:
+        async with enter(page) as client:
+            await client.send(json.dumps({"type": "_framefeedback", "index": 10**9, "timestamp": 1.0}))
+            for width in range(10, 20):
+                await client.send(json.dumps(RESIZE | {"pwidth": width}))
+                await asyncio.sleep(0.02)
+            with pytest.raises(asyncio.TimeoutError):
+                while True:
+                    told.append(await asyncio.wait_for(client.recv(), 0.5))
+        assert len([each for each in told if isinstance(each, bytes)]) in (2, 3)  # one may precede what it said
+
+    told: list[str | bytes] = []
+    show(visit)

@@ -64,6 +64,9 @@ def test_a_few_characters_of_json_do_not_take_gigabytes(tmp_path: Path, count: i
 def test_neither_do_many_accessors_of_a_few_elements_each(tmp_path: Path) -> None:
     zeros = [{"type": "VEC3", "componentType": 5126, "count": 1 << 17} for _ in range(9)]
     assert refused(lambda: load_model(write(tmp_path, accessors=zeros, meshes=9))).rule.id == "scene-model-limit"
+    budget = Budget("a.gltf", spent={"bytes": 1 << 20})
+    budget.spend_zeros((1 << 20) + 16 * (1 << 20))  # as many as a large file has bytes for
+    assert refused(lambda: budget.spend_zeros(1)).rule.id == "scene-model-limit"
     few = write(tmp_path, accessors=[zeros[0] | {"count": 30}] * 9, meshes=9)
     assert len(load_model(few).objects) == 9
 
@@ -77,6 +80,8 @@ def test_bytes_vertices_and_seconds_are_counted(tmp_path: Path) -> None:
         error = refused(lambda name=name, least=least: load_model(path, ModelLimits(**{name: least})))  # type: ignore[misc]
         assert error.rule.id in ("scene-model-limit", "scene-unreadable-model")
         assert f"{least:,}" in error.allowed or "bytes" in error.given
+    with pytest.raises(OSError, match="more than 9 bytes"):  # before they are read
+        Budget("a.gltf", ModelLimits(bytes=9)).read(path)
     error = refused(lambda: load_model(path, ModelLimits(seconds=0.0)))
     assert (error.rule.id, error.allowed) == ("scene-model-limit", "at most 0 s")
     assert len(load_scene(f"{path}:unlimited").objects) == 1
@@ -159,6 +164,12 @@ def test_a_material_of_an_obj_elsewhere_is_not_read(tmp_path: Path) -> None:
     (inside / "a.obj").write_text(f"mtllib ../m.mtl\n{triangle}")
     (inside / "b.obj").write_text(f"mtllib m.mtl\n{triangle}")
     assert [image[0, 0, 0] for image in load_model(inside / "b.obj").images] == [255]
-    assert refused(lambda: load_model(inside / "b.obj", ModelLimits(pixels=4))).rule.id == "scene-model-limit"
+    for limits in (ModelLimits(pixels=4), ModelLimits(vertices=5), ModelLimits(bytes=len(triangle))):
+        error = refused(lambda limits=limits: load_model(inside / "b.obj", limits))  # type: ignore[misc]
+        assert error.rule.id in ("scene-model-limit", "scene-unreadable-model")
+    assert len(load_model(inside / "b.obj", ModelLimits(vertices=6)).objects) == 1
+    (inside / "red.png").unlink()
+    os.mkfifo(inside / "red.png")
+    load_model(inside / "b.obj")  # doesn't wait
     (inside / "m.mtl").unlink()
     assert [image[0, 0, 0] for image in load_model(inside / "a.obj").images] != [255]
