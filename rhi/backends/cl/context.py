@@ -49,6 +49,7 @@ SILENT: Final = "-w"
 """Build option: no warnings, which PoCL would count on standard error and pyopencl repeat."""
 PAGE: Final = 4096
 """Alignment in bytes of host memory that drivers use in place."""
+_COMPILERS: Final = 128 << 20  # bytes of address space
 _INCLUDED: Final = str(Path(cl.__file__).parent)
 """The place of pyopencl's headers, which it gives the driver with each program. The driver's own keys depend on it."""
 NOTHING: Final = np.zeros(0, np.uint8)
@@ -99,6 +100,7 @@ class ClContext:
         return self.programs.add(program, request, self._build, types)
 
     def _build(self, request: Request) -> cl.Program:
+        np.empty(_COMPILERS, np.uint8)  # without so much, LLVM ends the process; this is a MemoryError
         return build_cached(self.context, self.cache, request, self.cache.find(request.key))
 
 

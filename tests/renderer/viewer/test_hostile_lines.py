@@ -11,6 +11,7 @@ import pytest
 
 import rhi
 from renderer.content import load_scene
+from renderer.scene.files import parse_path, read_file
 from renderer.viewer import Viewer
 
 HUGE = "9" * 3000
@@ -106,3 +107,20 @@ def test_while_it_listens_commands_write_below_one_folder_only(
     assert [path.name for path in outside.iterdir()] == ["before.json"]
     assert [path.name for path in folder.glob("*.png")] == []
     viewer.stage.folder = None
+
+
+def test_a_file_is_read_up_to_what_is_allowed(tmp_path: Path) -> None:
+    large = tmp_path / "large"
+    with large.open("wb") as file:
+        file.truncate((1 << 40) + 1)  # takes no room; as much memory there isn't
+    with pytest.raises(OSError, match="more than 1,099,511,627,776 bytes"):
+        read_file(large, 1 << 40)
+    unknown = Path("/proc/self/maps")  # which says 0
+    if unknown.exists():
+        with pytest.raises(OSError, match="more than 9 bytes"):
+            read_file(unknown, 9)
+        assert len(read_file(unknown, 1 << 20)) > 9
+    for text in ("", "a\0b"):
+        with pytest.raises(ValueError, match=text):
+            parse_path(text)
+    assert parse_path("a") == Path("a")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -13,15 +15,17 @@ pytestmark = [
 ]
 
 PROGRAM = """
-import resource, sys
+import itertools, resource, sys
 import numpy as np
 import rhi
-from rhi.conformance.shaders import FlatColored
+from rhi.conformance.shaders import Count, FlatColored
 from rhi.conformance.shapes import rectangle
 
-backend, kind = sys.argv[1:]
+backend, kind, room = sys.argv[1:]
 device = rhi.create_device(backend)
 image, mesh, program = device.texture((16, 16), rhi.Format.RGBA8), device.mesh(rectangle()), device.program(FlatColored)
+
+sizes = itertools.count(1)
 
 def draw():
     with device.render_pass(image, clear=(0, 0, 0, 0)):
@@ -37,12 +41,23 @@ def make():
         made = device.texture((2048, 2048), rhi.Format.RGBA8)
         made.write(np.zeros((2048, 2048, 4), np.uint8))
         return made
+    if kind == "records":
+        with device.record() as commands, commands.render_pass(image):
+            for _ in range(20000):
+                commands.draw(program, mesh)
+        device.submit(commands)
+        return device.buffer(4), commands
+    if kind == "shaders":
+        size = {"work_group": (next(sizes),)}
+        with device.storage(rhi.shading.uint, 1) as total:
+            device.dispatch(device.program(type("Counts", (Count,), size)), 1, total=total)
+            return device.buffer(total.read().nbytes + (16 << 20))
     made = device.texture((1024, 1024), rhi.Format.RGBA32F)
     return made, made.read()
 
 wanted = draw()
 used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
-resource.setrlimit(resource.RLIMIT_AS, (used + (400 << 20),) * 2)
+resource.setrlimit(resource.RLIMIT_AS, (used + (int(room) << 20),) * 2)
 made = []
 try:
     while True:
@@ -60,8 +75,28 @@ print(told)
 """
 
 
-@pytest.mark.parametrize("kind", ["buffers", "textures", "writes", "reads"])
-def test_where_the_address_space_ends_a_creation_is_refused_and_the_device_goes_on(kind: str) -> None:
-    done = subprocess.run([sys.executable, "-c", PROGRAM, "cl", kind], capture_output=True, text=True, timeout=300)
+@pytest.mark.parametrize(
+    ("kind", "room"),
+    [
+        ("buffers", 400),
+        ("textures", 400),
+        ("writes", 400),
+        ("reads", 400),
+        ("records", 200),
+        ("shaders", 100),
+        ("shaders", 200),
+    ],
+)
+def test_where_the_address_space_ends_a_creation_is_refused_and_the_device_goes_on(
+    kind: str, room: int, tmp_path: Path
+) -> None:
+    environment = {**os.environ, "RHI_CACHE": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, "cl", kind, str(room)],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        env=environment,
+    )
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.strip() in ("device-out-of-memory", "MemoryError")
