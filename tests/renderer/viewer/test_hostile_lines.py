@@ -119,8 +119,6 @@ def test_a_file_is_read_up_to_what_is_allowed(tmp_path: Path) -> None:
     if unknown.exists():
         with pytest.raises(OSError, match="more than 9 bytes"):
             read_file(unknown, 9)
-        assert len(read_file(unknown, 1 << 20)) > 9
     for text in ("", "a\0b"):
-        with pytest.raises(ValueError, match=text):
+        with pytest.raises(ValueError, match=f"^{text}$"):
             parse_path(text)
-    assert parse_path("a") == Path("a")
