@@ -445,6 +445,6 @@ def _read_record(folder: Path, record: Path) -> tuple[Path | None, dict[str, str
         checksum = None if code is None else str(code)
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None, {}, None, 0
-    if name.is_absolute() or ".." in name.parts or not name.match(_PLACES) or len(name.parts) != 2:
+    if ".." in name.parts or not name.match(_PLACES) or len(name.parts) != 2:
         return None, {}, None, 0
     return folder / name, files, checksum, size

@@ -137,27 +137,24 @@ def test_a_clear_is_four_finite_numbers_per_target(recording: Device, clear: Any
         recording.render_pass(image, clear=np.zeros((1, 4), np.float32))
 
 
-@pytest.mark.parametrize("value", [-0.001, 1.001, float("nan")])
-def test_a_depth_clear_is_0_to_1(recording: Device, value: float) -> None:
-    with recording.texture(SIZE, Format.D32F) as depth:
+@pytest.mark.parametrize(
+    ("format", "clear", "wrong", "least", "most"),
+    [(Format.D32F, "clear_depth", each, 0.0, 1.0) for each in (-0.001, 1.001, float("nan"))]
+    + [(Format.D24S8, "clear_stencil", each, 0, 255) for each in (-1, 256)],
+)
+def test_a_clear_of_depth_is_0_to_1_and_of_stencil_a_byte(
+    recording: Device, format: Format, clear: str, wrong: float, least: float, most: float
+) -> None:
+    with recording.texture(SIZE, format) as depth:
         with refuses(rules.PASS_CLEAR, recording):
-            recording.render_pass(depth=depth, clear_depth=value)
-        for fitting in (0.0, 1.0):
-            recording.render_pass(depth=depth, clear_depth=fitting)
+            recording.render_pass(depth=depth, **{clear: wrong})  # type: ignore[arg-type]
+        for fitting in (least, most):
+            recording.render_pass(depth=depth, **{clear: fitting})  # type: ignore[arg-type]
 
 
 def test_a_depth_clear_needs_a_depth_target(recording: Device) -> None:
     with recording.texture(SIZE, Format.R8) as image, refuses(rules.PASS_CLEAR, recording):
         recording.render_pass(image, clear_depth=0.0)
-
-
-@pytest.mark.parametrize("value", [-1, 256])
-def test_a_stencil_clear_is_a_byte(recording: Device, value: int) -> None:
-    with recording.texture(SIZE, Format.D24S8) as depth:
-        with refuses(rules.PASS_CLEAR, recording):
-            recording.render_pass(depth=depth, clear_stencil=value)
-        for fitting in (0, 255):
-            recording.render_pass(depth=depth, clear_stencil=fitting)
 
 
 def test_a_stencil_clear_needs_stencil(recording: Device) -> None:

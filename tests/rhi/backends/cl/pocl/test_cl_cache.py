@@ -240,18 +240,21 @@ def test_a_damaged_record_is_made_again(filled: tuple[Path, str]) -> None:
     assert draw(folder) == (picture, 0)
 
 
-@pytest.mark.parametrize("place", ["", ".", "..", "AB", "AB/..", "../mine", "AB/key/more", "{outside}"])
+@pytest.mark.parametrize(
+    "place", ["", ".", "..", "AB", "AB/..", "../mine", "AB/key/more", "x/AB/key", "ab/key", "{outside}"]
+)
 def test_a_record_that_names_another_place_removes_nothing_there(tmp_path: Path, place: str) -> None:
     """Records may come from elsewhere, and what they name may be removed."""
     folder, outside = tmp_path / "kernels", tmp_path / "mine"
-    for each in (folder / "rhi", folder / "AB" / "key", outside):
-        each.mkdir(parents=True)
+    folders = [outside, folder, *(folder / each for each in ("rhi", "AB/key", "x/AB/key", "ab/key"))]
+    for each in folders:
+        each.mkdir(parents=True, exist_ok=True)
         (each / "kept").write_bytes(b"kept")
     record = folder / "rhi" / "evil"
     record.write_text(json.dumps({"folder": place.format(outside=outside), "files": {"kept": 0}}))
     assert not KernelCache(folder, "driver").knows("evil")
     assert not record.exists()
-    for each in (folder / "rhi", folder / "AB" / "key", outside):
+    for each in folders:
         assert (each / "kept").read_bytes() == b"kept"
 
 
@@ -287,9 +290,13 @@ def test_what_nobody_needs_any_more_is_removed_after_a_day(tmp_path: Path) -> No
     """Code and locks without records, and the empty files that PoCL leaves."""
     (tmp_path / "rhi").mkdir()
     make(tmp_path, "key", 10, 0.0)
-    old, new = ("rhi/key.code", "rhi/gone.code", "rhi/gone.lock", "tempfile_a", "tempfile_full"), ("tempfile_b",)
+    old, new = (
+        ("rhi/key.code", "rhi/key.1.2", "rhi/gone.code", "rhi/gone.lock", "tempfile_a", "tempfile_full"),
+        ("tempfile_b",),
+    )
     for name in (*old, *new):
-        (tmp_path / name).write_bytes(b"full" if name == "tempfile_full" else b"")
+        unfinished = (tmp_path / "rhi" / "key").read_bytes()
+        (tmp_path / name).write_bytes({"tempfile_full": b"full", "rhi/key.1.2": unfinished}.get(name, b""))
     for name in old:
         os.utime(tmp_path / name, (1e9, 1e9))
     kernels = KernelCache(tmp_path, "driver")
@@ -427,13 +434,22 @@ def test_a_program_does_not_pass_for_another(tmp_path: Path) -> None:
     shutil.copy(tmp_path / "rhi" / "one", tmp_path / "rhi" / "two")
     assert KernelCache(tmp_path, "driver").knows("one")
     assert not KernelCache(tmp_path, "driver").knows("two")
+    assert trust.sign(b"key", b"bc", "a") != trust.sign(b"key", b"c", "ab")
 
 
-def test_a_key_that_others_can_read_is_none(environment: Path, tmp_path: Path) -> None:
+def test_a_key_that_others_can_read_is_none(environment: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert cache.choose_folder() == environment
-    (tmp_path / "user" / "rhi" / "key").chmod(0o644)
+    key = tmp_path / "user" / "rhi" / "key"
+    with monkeypatch.context() as another:
+        another.setattr(os, "geteuid", lambda: key.stat().st_uid + 1)
+        assert trust.read_key() == b""
+    assert trust.read_key() == key.read_bytes()
+    key.chmod(0o644)
     with pytest.warns(RuntimeWarning, match="no key can be kept"):
         assert cache.choose_folder() != environment
+    key.chmod(0o600)
+    key.write_bytes(b"short")
+    assert trust.read_key() == b""
 
 
 def test_a_lock_of_a_stopped_process_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

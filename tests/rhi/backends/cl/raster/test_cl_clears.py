@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-import rhi
 from rhi import (
     BlendFunction,
     ColorWrite,
@@ -30,12 +29,6 @@ from rhi.errors import DeviceError
 
 SIZE = (150, 70)
 RED = (1, 0, 0, 1)
-
-
-@pytest.fixture
-def device() -> Iterator[Device]:
-    with rhi.create_device("cl") as device:
-        yield device
 
 
 @pytest.fixture

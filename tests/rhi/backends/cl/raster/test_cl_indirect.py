@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import rhi
 from rhi import Buffer, Device, Format, IndirectDraws, Mesh
 from rhi.backends.cl.memory import buffers
 from rhi.backends.cl.memory.buffers import Buffers
@@ -17,12 +14,6 @@ from rhi.conformance.shapes import rectangle
 from rhi.contract.descriptors import Id
 
 COLUMNS = np.concatenate([rectangle(-1 + i / 4, -1, -1 + (i + 1) / 4, 1) for i in range(8)])
-
-
-@pytest.fixture
-def device() -> Iterator[Device]:
-    with rhi.create_device("cl") as device:
-        yield device
 
 
 @pytest.fixture
