@@ -26,6 +26,8 @@ from rhi.backends.gl.backend import GlBackend
 
 SIZE = (1280, 720)
 POINTS = 4096
+SPRITE = np.dtype([("position", "f4", 3), ("tint", "u1", 4)])
+SIDES = np.array([(0, 0, 0), (0.005, 0, 0), (0.005, 0.005, 0), (0, 0.005, 0)], "f4")
 
 
 class Place(sl.Struct):
@@ -88,6 +90,10 @@ def list_frames(device: rhi.Device, triangles: int) -> dict[str, tuple[Callable[
     written = device.buffer(np.zeros(len(rows), rows.dtype))
     points = np.random.default_rng(1).random((POINTS, 4), np.float32)
     storage, dots = device.storage(sl.vec4, points), device.mesh(POINTS, primitive=Primitive.POINTS)
+    sprites = np.random.default_rng(1).uniform(-1, 1, (10_000, 1, 3)).astype("f4")
+    quads = (np.arange(10_000)[:, None] * 4 + (0, 1, 2, 0, 2, 3)).ravel().astype("u4")
+    sent = context.buffer(reserve=40_000 * SPRITE.itemsize)
+    bare_sprites = context.vertex_array(white, [(sent, "3f 4x1", "position")], context.buffer(quads))
     step, show = device.program(Step), device.program(Show)
     bare_step = context.compute_shader(STEP)
     bare_dots = context.vertex_array(context.program(vertex_shader=SHOWN, fragment_shader=WHITE), [])
@@ -160,6 +166,16 @@ def list_frames(device: rhi.Device, triangles: int) -> dict[str, tuple[Callable[
         vertices.write(grid[: len(brief)])
         bare.render(vertices=3)
 
+    def build() -> np.ndarray:
+        rows = np.zeros((10_000, 4), SPRITE)
+        rows["position"], rows["tint"] = sprites + SIDES, 255
+        return rows.ravel()
+
+    def upload_sprites() -> None:
+        sent.orphan()
+        sent.write(build())
+        bare_sprites.render()
+
     def write() -> None:
         written.write(rows)
         device.finish()
@@ -172,6 +188,10 @@ def list_frames(device: rhi.Device, triangles: int) -> dict[str, tuple[Callable[
         "transient mesh": (
             bare_frame(upload),
             frame(lambda: device.draw(plain, device.transient.mesh(plain, brief).view(0, 3))),
+        ),
+        "10,000 sprites built": (
+            bare_frame(upload_sprites),
+            frame(lambda: device.draw(plain, device.transient.mesh(plain, build(), quads))),
         ),
         "image read": (
             bare_frame(lambda: bare.render(vertices=3), lambda: np.frombuffer(target.read(components=4), "u1")),

@@ -129,17 +129,11 @@ class ManyLights(Shader):
         self.out[i] = vec4(color, 1.0)
 
 
-class TiledLights(Shader):
+class TiledLights(ManyLights):
     """Shades every pixel with the lights listed for its tile. A tile is a work-group."""
 
-    work_group = (16, 16)
-    precision = Precision.FAST
-    frame: Uniform[Frame]
-    lights: Storage[Light]
     counts: Storage[int]
     lists: Storage[int]
-    normals: Storage[vec4]
-    out: StorageRW[vec4]
 
     def compute(self) -> None:
         place = global_id()
