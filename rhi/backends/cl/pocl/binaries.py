@@ -2,7 +2,7 @@
 
 - PoCL makes a program of such a binary without LLVM: it reads which kernels there are and what they take, and finds
   their machine code in the folder that the binary names. It ends the process if machine code isn't there, so this is
-  for programs whose machine code was just checked, launched as it was compiled for (`SMALL_GRID`).
+  for kernels whose machine code was just checked, launched as it was compiled for (`SMALL_GRID`).
 - All binaries begin with the same mark, the same number of the device and the same version, which are taken from one
   that the driver has written.
 - Integers have the least significant byte first; a text is its length in 4 bytes, then its characters.

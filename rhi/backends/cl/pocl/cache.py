@@ -257,25 +257,27 @@ class KernelCache:
         return self._folder / _RECORDS / (hashlib.sha256(self._driver.encode()).hexdigest()[:24] + _HEADER)
 
     def make_binary(self, request: Request) -> bytes | None:
-        """Return a binary of a program that was just found, whose kernels take an address and are launched with
-        work-groups of one item; None if there isn't machine code of all of them, or the driver isn't known."""
+        """Return a binary of those kernels of a program that was just found of which there is machine code. Kernels
+        take an address, and are launched with work-groups of one item. None if there is none, or the driver isn't
+        known."""
         if self._folder is None or not request.kernels or (header := self._read_header()) is None:
             return None
         place, *_ = _read_record(self._folder, self._folder / _RECORDS / request.key)
-        codes = [Path(kernel, binaries.SMALL_GRID, f"{kernel}.so") for kernel in request.kernels]
-        if place is None or not all((place / code).is_file() for code in codes):
+        codes = {kernel: Path(kernel, binaries.SMALL_GRID, f"{kernel}.so") for kernel in request.kernels}
+        built = [kernel for kernel, code in codes.items() if place is not None and (place / code).is_file()]
+        if place is None or not built:
             return None
         name = binaries.name_folder(request.key)
         try:
-            for code in codes:
-                link, target = self._folder / name / code, place / code
+            for kernel in built:
+                link, target = self._folder / name / codes[kernel], place / codes[kernel]
                 link.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
                 if not link.exists() or not link.samefile(target):  # it was built again
                     link.unlink(missing_ok=True)
                     link.hardlink_to(target)
         except OSError:  # no links there, or another process makes them just now
             return None
-        return binaries.write(header, name, request.kernels)
+        return binaries.write(header, name, built)
 
     def drop_code(self, key: str) -> None:
         """Remove LLVM code that the driver doesn't take."""

@@ -92,7 +92,13 @@ class HeldProgram:
         if self._program is None:
             self._program = self._build(self._is_whole)
             self.builds += 1
-        kernel = cl.Kernel(self._program, name)
+        try:
+            kernel = cl.Kernel(self._program, name)
+        except cl.Error:  # there is no machine code of it
+            if self._is_whole:
+                raise
+            self.complete()
+            return self._make(name)
         if self._types is not None:
             kernel.set_scalar_arg_dtypes(list(self._types))
         self._kernels[name] = kernel

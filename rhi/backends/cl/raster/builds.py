@@ -99,7 +99,6 @@ class Kernel:
 
     def _take(self, program: HeldProgram) -> None:
         self._program = program
-        program.find(self._name)
 
     @property
     def is_quick(self) -> bool:

@@ -6,12 +6,14 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+import pyopencl as cl
 import pytest
 
 import rhi
 from rhi import Device, Format
 from rhi.backends.cl.backend import ClBackend
 from rhi.backends.cl.pocl import held_programs
+from rhi.backends.cl.pocl.cache import Request
 from rhi.backends.cl.pocl.held_programs import HeldPrograms
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
@@ -144,3 +146,24 @@ def test_programs_that_are_destroyed_are_forgotten(device: Device) -> None:
     wait(device, 1)
     device.finish()
     assert len(held(device)._programs) == before
+
+
+def test_a_kernel_without_machine_code_has_its_program_built_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    def make(program: tuple[str, ...], name: str) -> str:
+        if name not in program:
+            raise cl.LogicError("clCreateKernel failed: INVALID_KERNEL_NAME")
+        return name
+
+    request, whole = Request("key", (), "source", ("draw", "rare"), False, True), []
+
+    def build(wanted: Request) -> tuple[str, ...]:
+        whole.append(not wanted.kernels)
+        return ("draw", "rare") if whole[-1] else ("draw",)
+
+    monkeypatch.setattr(held_programs.cl, "Kernel", make)
+    program = HeldPrograms(releases=True).add(("draw",), request, build)  # type: ignore[arg-type]
+    assert (program.find("draw"), whole) == ("draw", [])
+    assert (program.find("rare"), program.find("draw"), whole, program.builds) == ("rare", "draw", [True], 2)
+    with pytest.raises(cl.Error, match="INVALID_KERNEL_NAME"):
+        program.find("unknown")
+    assert whole == [True]
