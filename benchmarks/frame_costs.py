@@ -161,20 +161,15 @@ def list_frames(device: rhi.Device, triangles: int) -> dict[str, tuple[Callable[
             bare_dots.render(moderngl.POINTS, vertices=POINTS)
         context.finish()
 
-    def upload() -> None:
-        vertices.orphan()
-        vertices.write(grid[: len(brief)])
-        bare.render(vertices=3)
+    def upload(buffer: moderngl.Buffer, rows: np.ndarray, array: moderngl.VertexArray, count: int = -1) -> None:
+        buffer.orphan()
+        buffer.write(rows)
+        array.render(vertices=count)
 
     def build() -> np.ndarray:
         rows = np.zeros((10_000, 4), SPRITE)
         rows["position"], rows["tint"] = sprites + SIDES, 255
         return rows.ravel()
-
-    def upload_sprites() -> None:
-        sent.orphan()
-        sent.write(build())
-        bare_sprites.render()
 
     def write() -> None:
         written.write(rows)
@@ -186,11 +181,11 @@ def list_frames(device: rhi.Device, triangles: int) -> dict[str, tuple[Callable[
         "mesh drawn": (bare_frame(bare.render), frame(lambda: device.draw(plain, mesh))),
         "vertices written": (bare_frame(lambda: vertices.write(grid)), frame(lambda: None, write)),
         "transient mesh": (
-            bare_frame(upload),
+            bare_frame(lambda: upload(vertices, grid[: len(brief)], bare, 3)),
             frame(lambda: device.draw(plain, device.transient.mesh(plain, brief).view(0, 3))),
         ),
         "10,000 sprites built": (
-            bare_frame(upload_sprites),
+            bare_frame(lambda: upload(sent, build(), bare_sprites)),
             frame(lambda: device.draw(plain, device.transient.mesh(plain, build(), quads))),
         ),
         "image read": (

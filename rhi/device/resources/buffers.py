@@ -473,7 +473,8 @@ def match_layout(core: Core, array: ArrayLike, expected: np.dtype[Any], call: st
     """
     given = Arguments(call, core.refuse).array("array", array)
     base, shape = expected.subdtype or (expected, ())
-    if base.names is None and (given.dtype.kind in "iu" or given.dtype.kind == base.kind == "f"):
+    kind = given.dtype.kind
+    if base.names is None and given.dtype != base and (kind in "iu" or kind == base.kind == "f"):
         given = _convert(core, given, base, call)
     if shape == (4,) and given.shape[-1:] == (3,) and given.dtype == base and element in _VECTORS_OF_3:
         given = np.concatenate([given, np.zeros_like(given[..., :1])], axis=-1)
@@ -491,8 +492,6 @@ def match_layout(core: Core, array: ArrayLike, expected: np.dtype[Any], call: st
 
 def _convert(core: Core, numbers: NDArray[Any], wanted: np.dtype[Any], call: str) -> NDArray[Any]:
     """Return numbers as another dtype; refuse those that it doesn't hold."""
-    if numbers.dtype == wanted:
-        return numbers
     with np.errstate(invalid="ignore", over="ignore"):
         converted = numbers.astype(wanted)
         if numbers.dtype.kind == "f":

@@ -58,11 +58,11 @@ DOUBLES = np.dtype([("weight", "f8"), ("position", "f4", 3), ("tint", "u1", 4)])
 def test_vertices_are_finite_in_any_layout(recording: Device, layout: np.dtype[Any], step: int, others: int) -> None:
     rows = np.zeros(60_000, layout)
     rows.view("u1")[:] = others  # what isn't a float may look like NaN, and isn't
-    for name in layout.names or ():
-        if layout[name].base.kind == "f":
-            rows[name] = 1.5
+    floats = [name for name in layout.names or () if layout[name].base.kind == "f"]
+    for name in floats:
+        rows[name] = 1.5
     recording.mesh(rows[::step]).destroy()
-    for name in [name for name in layout.names or () if layout[name].base.kind == "f"]:
+    for name in floats:
         for row, value in ((0, np.nan), (-step, -np.inf)):  # in the first of the blocks, in the last
             rows[name][row] = value
             with refuses(rules.MESH_DATA, recording) as refusal:
