@@ -320,6 +320,21 @@ def test_code_counts_to_the_size_of_a_program_and_goes_with_it(tmp_path: Path, m
         assert sorted(path.name for path in (tmp_path / "rhi").iterdir()) == left
 
 
+def test_a_program_is_found_by_its_name_however_many_are_newer(tmp_path: Path) -> None:
+    (tmp_path / "rhi").mkdir()
+    known = KernelCache(tmp_path, "driver")
+    for age, (place, key) in enumerate(
+        (("AB/newest", "b"), ("CD/beside", "c"), ("CD/wanted", "a"), ("EF/oldest", "d"))
+    ):
+        folder = tmp_path / place
+        folder.mkdir(parents=True)
+        (folder / "program.bc").write_bytes(f"rhi_built_{key}".encode())
+        for path in (folder, folder.parent):
+            os.utime(path, (1e9 - age, 1e9 - age))
+    known.record("a")
+    assert json.loads((tmp_path / "rhi" / "a").read_bytes())["folder"] == "CD/wanted"
+
+
 def test_another_driver_source_or_option_is_another_program(tmp_path: Path) -> None:
     mine, other = KernelCache(tmp_path, "driver 1"), KernelCache(tmp_path, "driver 2")
     requests = [mine.request("a", ()), mine.request("b", ()), mine.request("a", ["-w"]), other.request("a", ())]
