@@ -67,18 +67,13 @@ def test_a_device_has_no_anisotropy_where_it_may_never_end_unless_it_is_asked_fo
     assert capsys.readouterr().out.count("left out: anisotropy: llvmpipe of Mesa 22.3 may take minutes") >= hangs
 
 
-@pytest.mark.parametrize(
-    ("device", "driver", "most"),
-    [
+def test_the_driver_is_known_by_name_and_version(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("RHI_SLOW_ANISOTROPY", raising=False)
+    for device, driver, most in (
         ("llvmpipe (LLVM 15.0.6, 256 bits)", "OpenGL 4.5 (Core Profile) Mesa 22.3.6", 1.0),
         ("llvmpipe (LLVM 15.0.6, 256 bits)", "OpenGL 4.5 (Core Profile) Mesa 22.30.1", 16.0),
         ("llvmpipe (LLVM 14.0.6, 256 bits)", "Vulkan Mesa 22.2.9 (LLVM 14.0.6), wgpu 0.32.0", 16.0),
         ("Mesa Intel(R) UHD Graphics", "OpenGL 4.6 (Core Profile) Mesa 22.3.6", 16.0),
-    ],
-)
-def test_the_driver_is_known_by_name_and_version(
-    monkeypatch: pytest.MonkeyPatch, device: str, driver: str, most: float
-) -> None:
-    monkeypatch.delenv("RHI_SLOW_ANISOTROPY", raising=False)
-    assert limit_anisotropy(device, driver, 16.0)[0] == most
-    assert limit_anisotropy(device, driver, 1.0) == (1.0, ())  # a driver without it has lost nothing
+    ):
+        assert limit_anisotropy(device, driver, 16.0)[0] == most
+        assert limit_anisotropy(device, driver, 1.0) == (1.0, ())  # a driver without it has lost nothing

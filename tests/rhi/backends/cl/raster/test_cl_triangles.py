@@ -28,6 +28,15 @@ def test_thousands_of_triangles_are_those_of_float64(device: Device, family: Fam
         assert result.weight_beyond <= 1e-6
 
 
+@pytest.mark.parametrize("scale", [1e-34, 1e30])
+@pytest.mark.parametrize("family", [exam.of_all_magnitudes, exam.through_the_near_plane])
+def test_the_magnitude_of_w_changes_nothing(device: Device, family: Family, scale: float) -> None:
+    result = examine(device, lambda rng, count: family(rng, count) * scale, 3)
+    assert not result.wrong.any()
+    assert result.depth_error <= 2e-5
+    assert result.weight_error <= 1e-3
+
+
 def draw(device: Device, rows: np.ndarray, format: Format, *states: rhi.State) -> np.ndarray:
     """Return the depth that triangles leave; the largest one passes."""
     with device.texture(SIZE, format) as depth, device.mesh(rows) as mesh:
