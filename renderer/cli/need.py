@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -37,7 +38,7 @@ _NOTES: Final = """\
 A ladder of scenes, each of which has one effect more than the one before. Counts are those of a null device, so no
 GPU is needed, and are the same everywhere. With --backend, times of the processor are measured in alternation, too,
 with 95 % intervals: what an effect adds, and the time of a frame from which it was removed as a multiple of that of
-one that never had it.
+one that never had it. The exit code is 1 if an effect costs something where it isn't, or leaves something behind.
 With --output DIR, the page need.md and the picture images/need.png are written to DIR."""
 
 _PAGE: Final = Path(__file__).with_name("need_page.md")
@@ -74,6 +75,10 @@ def _run(given: argparse.Namespace) -> None:
     else:
         tables = show_added(rows, markdown=given.markdown), show_removed(rows, markdown=given.markdown)
         print("\n\n".join(tables))
+    faults = [f"{row.name}: {fault}" for row in rows for fault in row.faults]
+    if faults:
+        note("\n".join(faults))
+        sys.exit(1)
 
 
 def _write_page(folder: Path, rows: Sequence[RungRow], backends: Sequence[str], rounds: int) -> None:

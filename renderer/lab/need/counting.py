@@ -24,11 +24,26 @@ from renderer.renderer import Renderer
 from renderer.techniques import Forward
 from renderer.visibility import make_visibility
 from rhi import Commands, Op
-from rhi.testing import frames
+from rhi.testing import assert_free, frames
 from rhi.trace import Differences, diff
 
 SIZE: Final = (320, 180)
 """The size of the ladder's pictures."""
+
+POOLS: Final = frozenset(
+    (
+        "draw arguments",
+        "readback",
+        "transient constants",
+        "PixelRays",
+        "Haze",
+        "FogConstants",
+        "Background",
+        "Share",
+        "SunTable",
+    )
+)
+"""What may stay for what comes next: rings of the device, and constants of less than a kilobyte."""
 
 _WARM: Final = 3
 """Frames before the one that is counted: in the first ones resources are made, and states are set back."""
@@ -102,15 +117,15 @@ class Ascent:
     """A renderer of the scene of the first rungs."""
 
     def __init__(
-        self, device: rhi.Device, count: int, size: tuple[int, int] = SIZE, *, is_complete: bool = True
+        self, device: rhi.Device, count: int, size: tuple[int, int] = SIZE, *, without: int | None = None
     ) -> None:
-        """Switch on what the first `count` rungs have; without the last one if it isn't to be `complete`."""
+        """Switch on what the first `count` rungs have, but for the number of one to be `without`."""
         self.scene, self._rows = build_scene(count)
         self._count, self.frame = count, 0
         visibility = make_visibility("frustum", self.scene, device)
         self.renderer = Renderer(device, self.scene, technique=Forward(), visibility=visibility, size=size)
         for number in range(count):
-            self.switch(number, is_on=is_complete or number < count - 1)
+            self.switch(number, is_on=number != without)
 
     def switch(self, number: int, *, is_on: bool) -> None:
         """Switch the effect of a rung on or off, if that can be done at run time."""
@@ -206,21 +221,21 @@ def watch_calls(called: Calls) -> Iterator[None]:
             gc.enable()
 
 
-def open_without(device: rhi.Device, number: int) -> Ascent:
+def open_without(device: rhi.Device, number: int, count: int | None = None) -> Ascent:
     """Open a renderer of the scene of a rung that never had its effect; of the scene before it if that is a part of the
-    scene."""
+    scene. With a `count`, the scene has this many rungs."""
     if LADDER[number].switch is None:
         return Ascent(device, number)
-    return Ascent(device, number + 1, is_complete=False)
+    return Ascent(device, count or number + 1, without=number)
 
 
-def remove(device: rhi.Device, number: int) -> Ascent:
-    """Draw the scene of a rung, and remove the effect.
+def remove(device: rhi.Device, number: int, count: int | None = None) -> Ascent:
+    """Draw the scene of a rung, or of a `count` of them, and remove the effect.
 
     What can be switched is switched off in the renderer that has drawn it. What is a part of the scene is left out of
     another one on the same device, after the renderer of the one with it was destroyed.
     """
-    ascent = Ascent(device, number + 1)
+    ascent = Ascent(device, count or number + 1)
     ascent.render(_WARM)
     if LADDER[number].switch is not None:
         ascent.switch(number, is_on=False)
@@ -231,12 +246,13 @@ def remove(device: rhi.Device, number: int) -> Ascent:
     return ascent
 
 
-def remove_rung(number: int) -> tuple[CountedFrame, CountedFrame]:
-    """Count a frame of a scene that never had the effect of a rung, and one of a scene from which it was removed."""
+def remove_rung(number: int, count: int | None = None) -> tuple[CountedFrame, CountedFrame]:
+    """Count a frame of a scene that never had the effect of a rung, and one of a scene from which it was removed. Both
+    have the first `count` rungs, by default those up to this one."""
     with rhi.create_device("null") as one, rhi.create_device("null") as other:
-        never = open_without(one, number)
+        never = open_without(one, number, count)
         never.render(2 * _WARM)
-        removed = remove(other, number)
+        removed = remove(other, number, count)
         removed.render(_WARM)
         return count_frame(never), count_frame(removed)
 
@@ -254,3 +270,22 @@ def compare(never: CountedFrame, removed: CountedFrame) -> tuple[Left, Differenc
             held[name] += sign * size
     kept = {name: size for name, size in held.items() if size}
     return Left(len(differences), calls[True], calls[False], kept), differences
+
+
+def find_faults(number: int, never: CountedFrame, removed: CountedFrame) -> list[str]:
+    """Say what an effect costs a scene that never had it, and what is left of it once it is removed, without a
+    cause."""
+    rung, left, faults = LADDER[number], compare(never, removed)[0], []
+    if rung.footprint is not None:
+        for frames_of, one in (("a scene that never had it", never), ("a scene from which it was removed", removed)):
+            try:
+                assert_free(rung.footprint, one.commands)
+            except AssertionError as error:
+                faults.append(f"{frames_of} has commands of it: {str(error).splitlines()[0]}")
+    told = {
+        "commands differ": left.differences,
+        "calls differ": left.calls,
+        "calls of its modules": count_calls(number, removed),
+    }
+    faults += [f"once it is removed, {count} {what}" for what, count in told.items() if count]
+    return faults + [f"once it is removed, {name} is still held" for name in sorted(left.held.keys() - POOLS)]

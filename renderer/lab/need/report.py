@@ -9,7 +9,7 @@ from typing import Final
 import rhi
 from renderer.lab.measure import format_table
 from renderer.lab.measure.alternate import Interval
-from renderer.lab.need.counting import FrameCosts, Left, compare, count_rung, remove_rung
+from renderer.lab.need.counting import FrameCosts, Left, compare, count_rung, find_faults, remove_rung
 from renderer.lab.need.ladder import LADDER
 from renderer.lab.need.timing import RungTime, time_removal, time_rungs
 
@@ -25,6 +25,7 @@ class RungRow:
         costs: of a frame with all rungs up to this one. added: of each number, how much this one adds.
         passes: the names of those that the rung adds. replaced: of those that it doesn't have any more.
         left: what is left once the effect is removed; None for the first rung.
+        faults: what the effect costs where it isn't, or leaves behind, without a cause.
         times: by backend, milliseconds of the processor. ratios: by backend, the time of a frame from which the effect
             was removed as a multiple of one that never had it.
     """
@@ -36,6 +37,7 @@ class RungRow:
     passes: tuple[str, ...]
     replaced: tuple[str, ...]
     left: Left | None
+    faults: tuple[str, ...] = ()
     times: dict[str, RungTime] = field(default_factory=dict)
     ratios: dict[str, Interval] = field(default_factory=dict)
 
@@ -53,6 +55,7 @@ def count_need(numbers: Iterable[int]) -> list[RungRow]:
             if each >= 0 and each not in counted:
                 counted[each] = count_rung(each).costs
         costs, before = counted[number], counted.get(number - 1)
+        both = remove_rung(number) if number else None
         numbers_of = [one.name for one in fields(FrameCosts) if one.name != "passes"]
         old = before.passes if before is not None else ()
         rows.append(
@@ -63,7 +66,8 @@ def count_need(numbers: Iterable[int]) -> list[RungRow]:
                 {name: getattr(costs, name) - getattr(before, name, 0) for name in numbers_of},
                 tuple(dict.fromkeys(name for name in costs.passes if name not in old)),
                 tuple(dict.fromkeys(name for name in old if name not in costs.passes)),
-                compare(*remove_rung(number))[0] if number else None,
+                compare(*both)[0] if both else None,
+                tuple(find_faults(number, *both)) if both else (),
             )
         )
     return rows

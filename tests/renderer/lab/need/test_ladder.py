@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import gc
 from collections import Counter
+from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import pytest
 
 import rhi
+from renderer.frame import Effect, Needs, find_needs
 from renderer.lab.need import LADDER, Ascent, compare, count_need, count_rung, find_rungs, remove_rung
-from renderer.lab.need.counting import CountedFrame, count_calls, count_frame, watch_calls
+from renderer.lab.need.counting import POOLS, CountedFrame, count_calls, count_frame, find_faults, watch_calls
 from rhi import Op
 from rhi.testing import assert_free, assert_same, expect
 
 NAMES = [rung.name for rung in LADDER]
-POOLS = {
-    "draw arguments", "readback", "transient constants", "PixelRays", "Haze", "FogConstants", "Background", "Share",
-    "SunTable",
-}  # fmt: skip
-"""What stays for what may come next: rings of the device, and constants of less than a kilobyte."""
 
 
 @cache
@@ -42,12 +40,45 @@ def test_a_frame_without_an_effect_is_that_of_a_scene_that_never_had_it(name: st
     number = NAMES.index(name)
     never, removed = remove(number)
     assert_same(never.commands, removed.commands, what=f"frames that never had {name} and that have it no more")
+    assert find_faults(number, never, removed) == []
     left, _ = compare(never, removed)
-    assert left.calls == 0, (never.called - removed.called, removed.called - never.called)
     made = removed.commands.stream.filter(Op.CREATE_PROGRAM)
     assert left.device_calls <= 4 * len(made)  # two for each program that was compiled, twice a frame
-    assert count_calls(number, removed) == 0, "functions of the effect's modules still run"
+
+
+LATER = [rung.name for rung in LADDER if rung.switch is not None and rung.name not in ("msaa", "overlay")]
+SWITCHED = [name for name in LATER if name != "fxaa"]
+"""What is switched at run time by itself: several samples take the place of FXAA, and the overlay shows what was drawn
+in frames before."""
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(
+    ("name", "other"), [(one, two) for one in SWITCHED for two in LATER if NAMES.index(one) < NAMES.index(two)]
+)
+def test_an_effect_that_is_removed_beside_a_later_one_leaves_nothing_behind(name: str, other: str) -> None:
+    """A later effect may have parts of the footprint, so the two frames are compared alone; shadow maps that are left
+    may lie elsewhere in their atlas."""
+    number = NAMES.index(name)
+    never, removed = remove_rung(number, NAMES.index(other) + 1)
+    left, _ = compare(never, removed)
+    assert Counter(one.op for one in never.commands) == Counter(one.op for one in removed.commands)
+    assert left.calls == 0, (never.called - removed.called, removed.called - never.called)
     assert set(left.held) <= POOLS, left.held
+
+
+def test_haze_that_is_drawn_without_being_asked_for_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    def find_more(*given: Any, **options: Any) -> Needs:
+        needs = find_needs(*given, **options)
+        return replace(needs, effects=needs.effects | {Effect.HAZE})
+
+    monkeypatch.setattr("renderer.renderer.find_needs", find_more)
+    number = NAMES.index("haze")
+    faults = find_faults(number, *remove_rung(number))
+    assert [fault.partition(":")[0] for fault in faults] == [
+        "a scene that never had it has commands of it",
+        "a scene from which it was removed has commands of it",
+    ]
 
 
 @pytest.mark.parametrize("name", [NAMES[-1], "fxaa"])
