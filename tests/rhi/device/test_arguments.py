@@ -72,6 +72,42 @@ def test_a_wrong_argument_is_refused_by_a_rule(street: tuple[House, dict[str, An
     assert not faults, "\n".join(faults)
 
 
+ODD: dict[str, Any] = {
+    "a NUL": "a\0b", "a surrogate": "\ud800", "0-d": np.array(3), "empty": np.zeros((0, 4), "f4"), "2**31": 1 << 31,
+    "strided": np.zeros((8, 8), "f4")[::2, ::-1], "big endian": np.zeros(4, ">f4"), "complex": np.zeros(4, "c16"),
+    "dates": np.array(["2020-01-01"], "M8[D]"), "masked": np.ma.masked_array([1.0, 2.0], [True, False]),
+    "a generator": (i for i in range(3)), "a set": {1, 2}, "-0.0": -0.0, "2**63 - 1": (1 << 63) - 1, "...": ...,
+    "2**64 - 1": np.uint64(2**64 - 1), "(2**40, 1)": (2**40, 1), "a slice": slice(0, 2),
+    "{'position': [1]}": {"position": [1]},
+}  # fmt: skip
+"""Values that are wrong in a way of their own."""
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", range(4))
+def test_several_wrong_arguments_at_once_are_refused_by_a_rule(street: tuple[House, dict[str, Any]], seed: int) -> None:
+    house, random = street[0], np.random.default_rng(seed)
+    odd = [*(street[1] | ODD).items()]
+    odd += [(f"[{name}]", [value]) for name, value in odd]
+    faults = []
+    for name, sample in SAMPLES.items():
+        if not all(getattr(house.device.capabilities, need) for need in sample.needs):
+            continue
+        for _ in range(12 if len(sample.parameters) else 0):
+            house.mesh.vertices.write(rectangle())  # type: ignore[union-attr]
+            count = random.integers(1, min(len(sample.parameters), 3) + 1)
+            chosen = random.choice([*sample.parameters], count, replace=False).tolist()
+            given = {parameter: odd[random.integers(len(odd))] for parameter in chosen}
+            try:
+                run(house, sample, given_arguments(house, sample) | {one: value for one, (_, value) in given.items()})
+            except rhi.RhiError:
+                continue
+            except BaseException as error:
+                faults.append(f"{name}, { {one: shown for one, (shown, _) in given.items()} }: {error!r}")
+    check_drawing(house)
+    assert not faults, "\n".join(faults)
+
+
 def as_numpy(value: Any) -> Any:
     """Return a number or flag as NumPy's own type; None for anything else."""
     if isinstance(value, bool):
