@@ -130,10 +130,11 @@ class StateCache:
     def derive(self, states: tuple[State, ...]) -> tuple[StateVector, int]:
         """Return the vector that a scope of these states would set, after the same checks, and their number."""
         try:
-            return self.wanted.after.get(states) or self._derive(states)
+            known = self.wanted.after.get(states)
         except (TypeError, ValueError):  # an unhashable object, which can't be a state
             self._validate(states)
             raise
+        return known or self._derive(states)
 
     def flush(self) -> tuple[StateChange, ...]:
         """Return the changes from the hardware states to the wanted ones, which then count as sent."""

@@ -164,7 +164,8 @@ def test_what_a_scene_lacks_is_not_bound(
     if kind == "spot" or every:
         builder.lights.add_spot((0, 5, 0), (0, -1, 0), 9.0, 0.3, 0.5)
     if kind == "texture" or every:
-        builder.add_material(texture=builder.add_image(np.zeros((4, 4, 4), np.uint8)))
+        material = builder.add_material(texture=builder.add_image(np.zeros((4, 4, 4), np.uint8)))
+        builder.add_objects(builder.add_node(np.eye(4)), 0, material)
     if kind == "haze" or every:
         builder.haze = 0.1
     stream = record(null, builder.build())
