@@ -78,7 +78,8 @@ def measure_backend(backend: str, queries: int, rounds: int) -> Iterator[Record]
     with rhi.create_device(backend) as device:
         flat, image = device.program(Flat), device.texture((256, 256), Format.RGBA8)
         box = device.mesh({"position": np.array([[-1, -1], [1, -1], [0, 1]], np.float32) / 16})
-        made = {kind: [device.occlusion_query(emulated=kind == "emulated") for _ in range(queries)] for kind in KINDS}
+        kinds = KINDS if device.capabilities.sample_counter else KINDS[:1]
+        made = {kind: [device.occlusion_query(emulated=kind == "emulated") for _ in range(queries)] for kind in kinds}
 
         def ask(kind: str, waits: bool, _: int = 0) -> list[int]:
             samples = []
@@ -90,11 +91,11 @@ def measure_backend(backend: str, queries: int, rounds: int) -> Iterator[Record]
                         samples.append(query.wait())
             return samples or [query.wait() for query in made[kind]]
 
-        assert ask("native", False) == ask("emulated", True)
+        assert ask(kinds[0], False) == ask(kinds[-1], True)
         subjects = [
             Subject({"backend": backend, "read": read, "queries": kind}, partial(ask, kind, waits), device=device)
             for read, waits in (("together", False), ("one by one", True))
-            for kind in KINDS
+            for kind in kinds
         ]
         columns = {"microseconds": time(1e6 / queries, 2), "ratio": ratio()}
         yield from compare(subjects, columns, range(rounds), within=("read",))

@@ -53,13 +53,16 @@ class IndexList:
     __slots__ = ("_in_flight", "_memory", "address")
 
     def __init__(self, in_flight: InFlight, indices: NDArray[np.uint32]) -> None:
+        self._memory: NDArray[np.uint8] | None = None  # until there is some
         self._in_flight = in_flight
         with translate_errors("device.draw", f"{len(indices)} indices"):
-            self._memory = allocate_pages(indices.nbytes + _SLACK, indices)
-        self.address: int = self._memory.ctypes.data
+            memory = allocate_pages(indices.nbytes + _SLACK, indices)
+        self._memory = memory
+        self.address: int = memory.ctypes.data
 
     def __del__(self) -> None:
-        self._in_flight.add(self._memory)
+        if self._memory is not None:
+            self._in_flight.add(self._memory)
 
 
 class _UploadPage:

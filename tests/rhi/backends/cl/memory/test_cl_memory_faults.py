@@ -3,6 +3,7 @@ leaves nothing half-made, and the device continues."""
 
 from __future__ import annotations
 
+import gc
 import sys
 from collections.abc import Callable
 from functools import partial
@@ -27,6 +28,7 @@ from rhi import (
 )
 from rhi.backends.cl import context
 from rhi.backends.cl.memory import planes, pools
+from rhi.backends.cl.memory.in_flight import InFlight
 from rhi.backends.cl.raster import queries
 from rhi.conformance.shaders import Colored, Corner
 from rhi.conformance.shapes import corners, rectangle
@@ -326,3 +328,20 @@ def test_what_is_too_large_is_refused_and_the_device_goes_on(
         assert caught.value.site.file == __file__
         for given, wanted in zip(work(device), expected, strict=True):
             np.testing.assert_array_equal(given, wanted)
+
+
+@pytest.mark.filterwarnings("error::pytest.PytestUnraisableExceptionWarning")
+def test_indices_for_which_there_is_no_memory_leave_nothing_to_collect(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: Any) -> None:
+        raise MemoryError
+
+    in_flight, indices = InFlight(), np.zeros(3, np.uint32)
+    with monkeypatch.context() as patched:
+        patched.setattr(pools, "allocate_pages", fail)
+        with pytest.raises(DeviceError):
+            pools.IndexList(in_flight, indices)
+    gc.collect()
+    assert in_flight.take() == []
+    pools.IndexList(in_flight, indices)
+    gc.collect()
+    assert len(in_flight.take()) == 1
