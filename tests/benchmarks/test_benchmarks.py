@@ -35,6 +35,7 @@ OWN: Final[dict[str, tuple[str, ...]]] = {
     "accuracy_scaling": ("--backend", "null", "--knob", "fxaa"),
     "memory": ("--backend", "null"),
     "occlusion": (*ON_CL["occlusion"], "--scene", "city:blocks=4"),
+    "startup": ("--only", "import,triangle,states"),
     "techniques": (*ON_CL["techniques"], "--scenes", "grid:4"),
     "thesis_tables": ("ground",),
     "two_pass": ("--scene", "city:blocks=4"),
