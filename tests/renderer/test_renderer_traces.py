@@ -55,7 +55,8 @@ def test_the_command_line_records_on_one_backend_and_replays_on_another(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    shared = ["render", "city:blocks=4", "--size", "80x60", "--frames", "3", "--camera", "ground"]
+    ways = ["--technique", "forward", "--visibility", "frustum"]  # what is automatic follows from time
+    shared = ["render", "city:blocks=4", "--size", "80x60", "--frames", "3", "--camera", "ground", *ways]
     assert cli.main([*shared, "--backend", "null", "--trace", "new/city.zip"]) == 0
     assert cli.main([*shared, "--backend", "gl", "--output", "direct.png"]) == 0
     assert rhi_main(["trace", "replay", "new/city.zip", "--backend", "gl", "--trust", "--output", "replayed.png"]) == 0
