@@ -101,7 +101,10 @@ def test_a_fault_in_the_masks_is_found(fault, tmp_path, run, monkeypatch):
     @program_settings(400)  # up to the first that finds it
     @given(source=programs())
     def all_agree(source):
-        check(source, tmp_path, run)
+        try:
+            check(source, tmp_path, run)
+        except ValueError as error:  # NumPy has no branch for lanes that part
+            raise AssertionError("NumPy") from error
 
     fault(monkeypatch)
     with pytest.raises(AssertionError, match=r"one lane|16 lanes|NumPy"):

@@ -16,10 +16,24 @@ from numpy.typing import NDArray
 
 from rhi import Buffer, Device, Format, IndirectDraws, Mesh, Primitive, ShaderError
 from rhi.conformance.compare import assert_same
+from rhi.conformance.shaders import Bare
 from rhi.conformance.shapes import centers
 from rhi.conformance.validation.refusal import refuses
 from rhi.errors.rules import MESH_RANGE
-from rhi.shading import Flat, Shader, Struct, instance_index, vec2, vec4
+from rhi.shading import (
+    Flat,
+    Shader,
+    Storage,
+    StorageRW,
+    Struct,
+    array,
+    ddx,
+    fragment_coordinate,
+    instance_index,
+    vec2,
+    vec4,
+    vertex_index,
+)  # fmt: skip
 
 pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
 
@@ -255,3 +269,39 @@ def test_a_checked_shader_says_that_an_index_is_beyond(device: Device, indexed: 
         assert found.site is not None
         assert found.site.file == __file__
     assert_same(show(device, lambda: device.draw(program, indexed.view(0, 2))), OWN * (OWN <= 2))
+
+
+class Bounded(Shader):
+    """A picture whose stages read and write outside; differences of pixels let helper invocations run."""
+
+    words: Storage[float]
+    far: Storage[int]
+    seen: StorageRW[float]
+
+    def vertex(self) -> Bare:
+        n = vertex_index()
+        x = 4.0 * float(n & 1) - 1.0 if self.words[n + self.far[0]] > 0.0 else 9.0
+        return Bare(clip=vec4(x, 4.0 * float(n >> 1) - 1.0, 0.5, 1.0))
+
+    def fragment(self) -> vec4:
+        x = int(fragment_coordinate().x)
+        table = array(float, 4)
+        table[x + self.far[0]] = 50.0
+        table[x] = 2.0
+        self.seen[x + self.far[1]] = 1.0
+        self.seen[x] = 3.0
+        return vec4(self.words[x - 2], table[x + self.far[0]] + table[x], ddx(self.words[self.far[0] - x]), table[3])
+
+
+@pytest.mark.needs("max_storage_slots")
+def test_the_stages_of_a_draw_are_bounded_too(device: Device) -> None:
+    words = np.array([5, 6, 7, 8], "f4")
+    seen, far = device.storage(float, np.zeros(4, "f4")), device.storage(int, np.array([100000, 500000000], "i4"))
+    with device.texture((8, 2), Format.RGBA32F) as target:
+        with device.render_pass(target, clear=(0, 0, 0, 0)):
+            device.draw(device.program(Bounded), device.mesh(3), words=device.storage(float, words), far=far, seen=seen)
+        back = target.read()
+    for x in range(8):
+        last = 2.0 if x == 3 else 0.0
+        assert_same(back[:, x], (words[np.clip(x - 2, 0, 3)], last + (2.0 if x < 4 else 0.0), 0.0, last))
+    assert_same(seen.read(), 3.0)

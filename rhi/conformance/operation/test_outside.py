@@ -1,8 +1,8 @@
 """Indices outside and operands at the edges: `docs/shading.md` has one result for each, on every backend.
 
-What is read outside is the nearest element, what is written outside is dropped, texels outside are zeros; a division by
-0 is one by 1, shifts use five bits of the count, floats become the nearest int. Expected values are Python's integers.
-`tests/rhi/shading/numpy` runs the same shaders on NumPy.
+What is read outside is the nearest element, what is written outside is dropped; a division by 0 is one by 1, shifts use
+five bits of the count, floats become the nearest int. Expected values are Python's integers. The stages of a draw are
+in `test_draw_bounds`, texels outside in `test_sampling`. `tests/rhi/shading/numpy` runs the same shaders on NumPy.
 """
 
 from __future__ import annotations
@@ -16,17 +16,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rhi import Device, Format
+from rhi import Device
 from rhi.conformance.compare import assert_same
-from rhi.conformance.shaders import Bare
 from rhi.shading import (
     Array,
-    Image2D,
     Shader,
     Storage,
     StorageRW,
     Struct,
-    Texture2D,
     Uniform,
     abs,
     array,
@@ -35,11 +32,7 @@ from rhi.shading import (
     barrier,
     bitfield_extract,
     bitfield_insert,
-    ddx,
-    fragment_coordinate,
     global_id,
-    image,
-    ivec2,
     ivec4,
     mat3,
     shared,
@@ -48,7 +41,6 @@ from rhi.shading import (
     uvec4,
     vec3,
     vec4,
-    vertex_index,
 )
 
 Values = dict[str, NDArray[Any]]
@@ -409,71 +401,3 @@ def test_operands_at_the_edges_and_indices_outside_have_one_result(device: Devic
             assert_same(back[part] if part else back, values[part] if part else values)
     for guard in guards:
         assert_same(guard.read(), -7.0)
-
-
-class Bounded(Shader):
-    """A picture whose stages read and write outside; differences of pixels let helper invocations run."""
-
-    words: Storage[float]
-    far: Storage[int]
-    seen: StorageRW[float]
-
-    def vertex(self) -> Bare:
-        n = vertex_index()
-        x = 4.0 * float(n & 1) - 1.0 if self.words[n + self.far[0]] > 0.0 else 9.0
-        return Bare(clip=vec4(x, 4.0 * float(n >> 1) - 1.0, 0.5, 1.0))
-
-    def fragment(self) -> vec4:
-        x = int(fragment_coordinate().x)
-        table = array(float, 4)
-        table[x + self.far[0]] = 50.0
-        table[x] = 2.0
-        self.seen[x + self.far[1]] = 1.0
-        self.seen[x] = 3.0
-        return vec4(self.words[x - 2], table[x + self.far[0]] + table[x], ddx(self.words[self.far[0] - x]), table[3])
-
-
-@pytest.mark.needs("shading", "draws", "max_storage_slots")
-def test_the_stages_of_a_draw_are_bounded_too(device: Device) -> None:
-    words = np.array([5, 6, 7, 8], "f4")
-    seen, far = device.storage(float, np.zeros(4, "f4")), device.storage(int, np.array([100000, 500000000], "i4"))
-    with device.texture((8, 2), Format.RGBA32F) as target:
-        with device.render_pass(target, clear=(0, 0, 0, 0)):
-            device.draw(device.program(Bounded), device.mesh(3), words=device.storage(float, words), far=far, seen=seen)
-        back = target.read()
-    for x in range(8):
-        last = 2.0 if x == 3 else 0.0
-        assert_same(back[:, x], (words[nearest(x - 2, 4)], last + (2.0 if x < 4 else 0.0), 0.0, last))
-    assert_same(seen.read(), 3.0)
-
-
-class Texels(Shader):
-    """Loads and stores of texels in and around a texture of 8 by 8, and of levels that it lacks."""
-
-    work_group = (GROUP,)
-    source: Texture2D
-    at: Storage[int]
-    target: Image2D = image(Format.RGBA32F)
-    out: StorageRW[vec4]
-
-    def compute(self) -> None:
-        i = global_id().x
-        k = self.at[i]
-        self.target.store(ivec2(k, 3), vec4(2.0))
-        self.out[2 * i] = self.source.load(ivec2(k, 3))
-        self.out[2 * i + 1] = self.source.load(ivec2(0, 0), k)
-
-
-@pytest.mark.needs("shading", "compute", "max_image_slots")
-def test_texels_outside_are_zeros_and_stores_outside_are_dropped(device: Device) -> None:
-    at = places()["at"]
-    source = device.texture(np.full((8, 8, 4), 255, "u1"), Format.RGBA8, levels=2)
-    target, out = device.texture((8, 8), Format.RGBA32F), device.storage(vec4, 2 * N)
-    device.dispatch(
-        device.program(Texels), GROUPS, source=source, at=device.storage(int, at), target=target.image(), out=out
-    )
-    back = out.read()
-    assert_same(back[0::2], ((at >= 0) & (at < 8))[:, None])
-    assert_same(back[1::2], ((at >= 0) & (at < 2))[:, None])
-    stored = np.isin(np.arange(8), at)[None, :] & (np.arange(8) == 3)[:, None]
-    assert_same(target.read(), 2.0 * stored[..., None])

@@ -755,3 +755,35 @@ def test_beyond_a_shadow_map_its_border_is_compared(device: Device) -> None:
             pass
         back = sampled(device, Compared, depth.sampled(sampler), [(0.5, 0.5, 0.5), (1.5, 0.5, 0.5), (0.5, -0.5, 0.5)])
     assert_same(back[:, 0], (0, 1, 1))
+
+
+class Texels(Shader):
+    """Loads and stores of texels in and around a texture of 8 by 8, and of levels that it lacks."""
+
+    work_group = (16,)
+    source: Texture2D
+    at: Storage[int]
+    target: Image2D = image(Format.RGBA32F)
+    out: StorageRW[vec4]
+
+    def compute(self) -> None:
+        i = global_id().x
+        k = self.at[i]
+        self.target.store(ivec2(k, 3), vec4(2.0))
+        self.out[2 * i] = self.source.load(ivec2(k, 3))
+        self.out[2 * i + 1] = self.source.load(ivec2(0, 0), k)
+
+
+@pytest.mark.needs("max_image_slots")
+def test_texels_outside_are_zeros_and_stores_outside_are_dropped(device: Device) -> None:
+    at = np.resize(np.array([0, 1, 7, 8, -1, 2, 3, 100, -(2**31), 2**31 - 1, 65536, -9], np.int32), 64)
+    source = device.texture(np.full((8, 8, 4), 255, "u1"), Format.RGBA8, levels=2)
+    target, out = device.texture((8, 8), Format.RGBA32F), device.storage(vec4, 2 * len(at))
+    device.dispatch(
+        device.program(Texels), len(at) // 16, source=source, at=device.storage(int, at), target=target.image(), out=out
+    )
+    back = out.read()
+    assert_same(back[0::2], ((at >= 0) & (at < 8))[:, None])
+    assert_same(back[1::2], ((at >= 0) & (at < 2))[:, None])
+    stored = np.isin(np.arange(8), at)[None, :] & (np.arange(8) == 3)[:, None]
+    assert_same(target.read(), 2.0 * stored[..., None])
