@@ -72,8 +72,7 @@ def make_behind(name: str) -> Scene:
     return builder.build()
 
 
-def measure_behind(given: argparse.Namespace) -> Iterator[Record]:
-    settings = RenderSettings().change_all({"technique.name": given.technique, "algorithm": "frustum"})
+def measure_behind(given: argparse.Namespace, settings: RenderSettings) -> Iterator[Record]:
     with rhi.create_device(given.backend) as device, ExitStack() as opened:
         subjects = []
         for name in BEHIND:
@@ -84,10 +83,10 @@ def measure_behind(given: argparse.Namespace) -> Iterator[Record]:
 
 
 def measure(given: argparse.Namespace) -> Iterator[Record]:
-    if given.behind:
-        yield from measure_behind(given)
-        return
     settings = RenderSettings().change_all({"technique.name": given.technique, "algorithm": "frustum"})
+    if given.behind:
+        yield from measure_behind(given, settings)
+        return
     with rhi.create_device(given.backend) as device:
         for text, (view, frame) in VIEWS.items():
             with ExitStack() as opened:

@@ -272,10 +272,10 @@ def compare(never: CountedFrame, removed: CountedFrame) -> tuple[Left, Differenc
     return Left(len(differences), calls[True], calls[False], kept), differences
 
 
-def find_faults(number: int, never: CountedFrame, removed: CountedFrame) -> list[str]:
-    """Say what an effect costs a scene that never had it, and what is left of it once it is removed, without a
+def find_faults(number: int, never: CountedFrame, removed: CountedFrame, left: Left) -> list[str]:
+    """Say what an effect costs a scene that never had it, and what is `left` of it once it is removed, without a
     cause."""
-    rung, left, faults = LADDER[number], compare(never, removed)[0], []
+    rung, faults = LADDER[number], []
     if rung.footprint is not None:
         for frames_of, one in (("a scene that never had it", never), ("a scene from which it was removed", removed)):
             try:

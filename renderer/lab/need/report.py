@@ -55,7 +55,12 @@ def count_need(numbers: Iterable[int]) -> list[RungRow]:
             if each >= 0 and each not in counted:
                 counted[each] = count_rung(each).costs
         costs, before = counted[number], counted.get(number - 1)
-        both = remove_rung(number) if number else None
+        left: Left | None = None
+        faults: list[str] = []
+        if number:
+            never, removed = remove_rung(number)
+            left = compare(never, removed)[0]
+            faults = find_faults(number, never, removed, left)
         numbers_of = [one.name for one in fields(FrameCosts) if one.name != "passes"]
         old = before.passes if before is not None else ()
         rows.append(
@@ -66,8 +71,8 @@ def count_need(numbers: Iterable[int]) -> list[RungRow]:
                 {name: getattr(costs, name) - getattr(before, name, 0) for name in numbers_of},
                 tuple(dict.fromkeys(name for name in costs.passes if name not in old)),
                 tuple(dict.fromkeys(name for name in old if name not in costs.passes)),
-                compare(*both)[0] if both else None,
-                tuple(find_faults(number, *both)) if both else (),
+                left,
+                tuple(faults),
             )
         )
     return rows

@@ -2,24 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any
 
 from renderer.frame import DEPTH_FORMAT, Effect, Frame, Pass, Target
 from renderer.shaders.depth import DepthOnly
 from renderer.shaders.structs import SurfaceVarying
 from renderer.techniques.parts.scene_shader import SceneShader
-from renderer.techniques.parts.variants import COVERAGE, bind, find_variant, scene_pass
+from renderer.techniques.parts.variants import COVERAGE, SWITCHES, bind, find_variant, scene_pass
 from rhi import Program
-
-_READ: Final = (
-    Effect.IMAGES,
-    Effect.MASKS,
-    Effect.VERTEX_COLORS,
-    Effect.SECOND_UVS,
-    Effect.TEXTURE_TRANSFORMS,
-    Effect.MIXED_COORDINATES,
-)
-"""What decides which part of a surface a mask leaves."""
 
 
 class PartialDepth(SceneShader):
@@ -33,9 +23,9 @@ def bind_depth(frame: Frame) -> tuple[Program[...], dict[str, Any]]:
     """Return the program that draws the depth of any of the scene's objects, of masks what they leave, and its
     bindings: what casts a shadow may be out of view."""
     counts = frame.needs.counts
-    switches = {f"has_{effect.name.lower()}": counts[effect] > 0 for effect in _READ}
+    switches = {**{SWITCHES[effect]: count > 0 for effect, count in counts.items()}, **COVERAGE}
     shader = PartialDepth if counts[Effect.MASKS] else DepthOnly
-    program: Program[...] = frame.program(find_variant(frame, shader, **switches, **COVERAGE))
+    program: Program[...] = frame.program(find_variant(frame, shader, **switches))
     return program, bind(frame, program, {})
 
 

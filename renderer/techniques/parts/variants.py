@@ -56,7 +56,8 @@ def explain_lamps(needs: Needs) -> str:
 
 FORWARD: Final = Lighting()
 """Lights surfaces by the lists of their objects."""
-_SWITCHES: Final = {effect: f"has_{effect.name.lower()}" for effect in Effect}
+SWITCHES: Final = {effect: f"has_{effect.name.lower()}" for effect in Effect}
+"""The switch of shaders that each effect turns on."""
 COVERAGE: Final[Mapping[str, bool]] = {"has_normal_maps": False, "has_two_sides": False}
 """Switches of shaders that draw where surfaces are, and nothing else of them."""
 
@@ -70,7 +71,7 @@ def combine(bases: tuple[type[Any], ...], constants: tuple[tuple[str, Any], ...]
 def find_variant(frame: Frame, *bases: type[Any], **fixed: Any) -> type[Any]:
     """Return the shader with these bases for what the frame needs; switches that are `fixed` don't depend on it."""
     needs, images = frame.needs, frame.resources.images
-    switches: dict[str, Any] = {name: effect in needs.effects for effect, name in _SWITCHES.items()}
+    switches: dict[str, Any] = {name: effect in needs.effects for effect, name in SWITCHES.items()}
     switches |= {"has_sun": needs.has_sun, "has_both_models": needs.has_both_models, "has_planes": needs.has_planes}
     if images is not None:
         arrays = {"image_arrays": len(images.colors), "map_arrays": len(images.data)}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,8 +25,8 @@ BEHIND, BEFORE = (0.0, 0.0, 60.0), (3.0, 0.0, -2.0)
 AWAY = Camera.look_at((0, 0, 10), (0, 0, 60))
 
 
-def add_box(builder: SceneBuilder, place: tuple[float, float, float], **material: object) -> None:
-    row = builder.add_material(**material)  # type: ignore[arg-type]
+def add_box(builder: SceneBuilder, place: tuple[float, float, float], **material: Any) -> None:
+    row = builder.add_material(**material)
     builder.add_objects(builder.add_node(translation(place)), builder.add_mesh(BUILT_IN["box"]()), row)
 
 
@@ -33,7 +34,7 @@ def add_image(builder: SceneBuilder) -> int:
     return builder.add_image(np.full((4, 4, 4), (128, 128, 255, 255), np.uint8))
 
 
-MATERIALS: dict[str, Callable[[SceneBuilder], dict[str, object]]] = {
+MATERIALS: dict[str, Callable[[SceneBuilder], dict[str, Any]]] = {
     "images": lambda b: {"texture": add_image(b)},
     "emission": lambda b: {"emission": 0.5},
     "metals": lambda b: {"metallic": 1.0},

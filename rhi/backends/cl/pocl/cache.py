@@ -213,8 +213,8 @@ class KernelCache:
             content = path.read_bytes()
         except OSError:
             return None
-        code = content[_CHECKSUM:]
-        if code and content == self.seal(key, code):
+        code = self._unseal(key, content)
+        if code is not None:
             return code
         with suppress(OSError):
             path.unlink()
@@ -242,15 +242,13 @@ class KernelCache:
         if self._folder is not None and self._read_header() is None:
             header = binaries.find_header(binary)
             with suppress(OSError):
-                self._write(self._header_path(), self._sign("", _HEADER, header).encode() + header)
+                self._write(self._header_path(), self.seal("", header, _HEADER))
 
     def _read_header(self) -> bytes | None:
         try:
-            content = self._header_path().read_bytes()
+            return self._unseal("", self._header_path().read_bytes(), _HEADER)
         except OSError:
             return None
-        header = content[_CHECKSUM:]
-        return header if content == self._sign("", _HEADER, header).encode() + header else None
 
     def _header_path(self) -> Path:
         assert self._folder is not None
@@ -292,9 +290,14 @@ class KernelCache:
             place, *_ = _read_record(self._folder, self._folder / _RECORDS / key)
             self._remove(key, place)
 
-    def seal(self, key: str, code: bytes) -> bytes:
-        """Return LLVM code behind its checksum."""
-        return self._sign(key, _CODE, code).encode() + code
+    def seal(self, key: str, content: bytes, name: str = _CODE) -> bytes:
+        """Return LLVM code, or what else is kept under this name, behind its checksum."""
+        return self._sign(key, name, content).encode() + content
+
+    def _unseal(self, key: str, sealed: bytes, name: str = _CODE) -> bytes | None:
+        """Return what was sealed; None if it is empty or damaged."""
+        content = sealed[_CHECKSUM:]
+        return content if content and sealed == self.seal(key, content, name) else None
 
     def _sign(self, key: str, name: str, content: bytes) -> str:
         return trust.sign(self._secret, content, key, name)

@@ -40,8 +40,8 @@ def test_a_frame_without_an_effect_is_that_of_a_scene_that_never_had_it(name: st
     number = NAMES.index(name)
     never, removed = remove(number)
     assert_same(never.commands, removed.commands, what=f"frames that never had {name} and that have it no more")
-    assert find_faults(number, never, removed) == []
     left, _ = compare(never, removed)
+    assert find_faults(number, never, removed, left) == []
     made = removed.commands.stream.filter(Op.CREATE_PROGRAM)
     assert left.device_calls <= 4 * len(made)  # two for each program that was compiled, twice a frame
 
@@ -74,7 +74,8 @@ def test_haze_that_is_drawn_without_being_asked_for_is_a_fault(monkeypatch: pyte
 
     monkeypatch.setattr("renderer.renderer.find_needs", find_more)
     number = NAMES.index("haze")
-    faults = find_faults(number, *remove_rung(number))
+    never, removed = remove_rung(number)
+    faults = find_faults(number, never, removed, compare(never, removed)[0])
     assert [fault.partition(":")[0] for fault in faults] == [
         "a scene that never had it has commands of it",
         "a scene from which it was removed has commands of it",
