@@ -17,7 +17,8 @@
   format that names its kernels and contains no code (`rhi.backends.cl.pocl.binaries`): 1.8 ms instead of 11, and 0.3 MB
   of memory instead of 2.4. Its folder is one of our own with links to the machine code, because PoCL reads LLVM code
   from a folder that has some.
-- When a device is closed that has written any, the programs used least recently are removed beyond `LIMIT` bytes.
+- When a device is closed that has written any, the programs used least recently are removed beyond `LIMIT` bytes, and
+  after a day those without a record.
 - Other drivers have no such folder. pyopencl caches their kernels.
 """
 
@@ -398,6 +399,12 @@ class KernelCache:
                     found.append((used, size, record, place))
                 elif used < time.time() - _OLD and not (record.suffix == _CODE and record.with_suffix("").exists()):
                     record.unlink()
+        known = {place for *_, place in found}
+        known.update(folder / binaries.name_folder(record.name) for _, _, record, _ in found)
+        for place in folder.glob(_PLACES):  # of programs that nobody finds: processes ended before they recorded them
+            with suppress(OSError):
+                if place not in known and place.stat().st_mtime < time.time() - _OLD:
+                    shutil.rmtree(place, ignore_errors=True)
         total = sum(size for _, size, _, _ in found)
         for _, size, record, place in sorted(found):
             if total <= LIMIT:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from rhi.backends.cl.pocl import cache, trust
+from rhi.backends.cl.pocl import binaries, cache, trust
 from rhi.backends.cl.pocl.cache import KernelCache
 
 DRAW = """
@@ -286,9 +286,14 @@ def test_the_programs_used_least_recently_are_removed_beyond_the_limit(
 
 
 def test_what_nobody_needs_any_more_is_removed_after_a_day(tmp_path: Path) -> None:
-    """Code and locks without records, and the empty files that PoCL leaves."""
+    """Code, locks and programs without records, and the empty files that PoCL leaves."""
     (tmp_path / "rhi").mkdir()
     make(tmp_path, "key", 10, 0.0)
+    kept = {"AB/key", "AB/new", binaries.name_folder("key")}
+    for name in (*kept, "AB/gone", binaries.name_folder("gone")):
+        (tmp_path / name).mkdir(parents=True, exist_ok=True)
+        if name != "AB/new":
+            os.utime(tmp_path / name, (1e9, 1e9))
     old, new = (
         ("rhi/key.code", "rhi/key.1.2", "rhi/gone.code", "rhi/gone.lock", "tempfile_a", "tempfile_full"),
         ("tempfile_b",),
@@ -303,7 +308,8 @@ def test_what_nobody_needs_any_more_is_removed_after_a_day(tmp_path: Path) -> No
     os.utime(tmp_path / "rhi" / "key.code", (1e9, 1e9))
     kernels.record("key")
     kernels.finish()
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["AB", "rhi", "tempfile_b", "tempfile_full"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["AB", "RH", "rhi", "tempfile_b", "tempfile_full"]
+    assert {str(path.relative_to(tmp_path)) for path in tmp_path.glob("[A-Z][A-Z]/*")} == kept
     assert sorted(path.name for path in (tmp_path / "rhi").iterdir()) == ["key", "key.code"]
     assert kernels.find("key") == (b"code", frozenset())
 
