@@ -67,9 +67,10 @@ class Bench:
 
     def _judge(self, shot: Shot) -> Floats:
         """Return what the judge sees of a shot, of two eyes the second one. It isn't drawn twice in a process."""
-        camera, size = self._truth.aim(shot.camera), self._size
+        size = self._size
+        camera = self._truth.aim(shot.camera).with_aspect(size[0] / size[1])
         if self._rig is not None:
-            camera = self._rig.place_eyes(camera.with_aspect(size[0] / size[1]))[1]
+            camera = self._rig.place_eyes(camera)[1]  # which is squeezed in a picture of half the width
             size = fit_picture("side_by_side", size)
         if self.scene.simulated:
             self.scene.update(shot.seconds)

@@ -140,7 +140,7 @@ SUPER_SAMPLED: Final = replace(
 FORWARD: Final = replace(TRACED, changes={"technique.name": "forward"})
 EVERYTHING: Final = Truth("no culling", {"algorithm": "none"})
 CENTRED: Final = Truth("a ray in float64 through the middle of each pixel", rays=1)
-"""Of what decides where shadows lie: with one sample a pixel, coarse maps blur edges as more samples would."""
+"""Of what moves edges: with one sample a pixel, coarse maps and moved pixels blur edges as more samples would."""
 FINE_MAPS: Final = replace(
     CENTRED,
     changes={
@@ -162,7 +162,7 @@ FAR_GLOW: Final = Truth("all scattered light, spread over 8 levels", {"glow": Gl
 FINEST: Final = replace(TRACED, changes={"tessellation.edge_pixels": 0.01})
 EACH_FRAME: Final = Truth("motion in each frame", {"animation_step": 0.0})
 DISTANCES: Final = Truth("the distances in float64")
-SECOND_EYE: Final = replace(TRACED, changes={"reprojects": False})
+SECOND_EYE: Final = replace(CENTRED, changes={"reprojects": False})
 VECTORS: Final = Truth("the vectors in float64")
 
 _FORWARD: Final = {"technique.name": "forward", "algorithm": "frustum"}

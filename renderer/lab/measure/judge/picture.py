@@ -40,7 +40,8 @@ class Judge:
         """Return a picture (h, w, 3) in levels of 255, not rounded.
 
         Args:
-            camera: a perspective or a parallel one; its aspect is that of `size` (width, height).
+            camera: a perspective or a parallel one, or an eye's.
+            size: width and height.
             rays: along each side of a pixel: one, or so many squared, each at random in its part.
             every: of how many pixels along each axis one is looked at; the others are NaN.
             at: where in a pixel a single ray is, from its top left corner.
@@ -162,7 +163,7 @@ def aim(camera: Camera, size: tuple[int, int], places: Floats) -> tuple[Floats, 
     lens: Any = camera.projection
     skew, lens = getattr(lens, "skew", 0.0), getattr(lens, "lens", lens)
     right, up, back = camera.rotation
-    x = (places[:, 0] / size[0] * 2.0 - 1.0)[:, None] * (size[0] / size[1])
+    x = (places[:, 0] / size[0] * 2.0 - 1.0)[:, None] * lens.aspect
     y = (1.0 - places[:, 1] / size[1] * 2.0)[:, None]
     origins = np.broadcast_to(camera.position, (len(places), 3))
     if hasattr(lens, "fov"):

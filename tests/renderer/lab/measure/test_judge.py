@@ -14,7 +14,18 @@ from renderer.lab.measure.judge import Judge
 from renderer.lab.measure.judge.light import find_thickness
 from renderer.lab.measure.judge.picture import map_tones, unmap_tones
 from renderer.lab.measure.judge.surfaces import decode_srgb, encode_srgb
-from renderer.scene import AlphaMode, Camera, Fog, Glow, Orthographic, Perspective, SceneBuilder, scaling, translation
+from renderer.scene import (
+    AlphaMode,
+    Camera,
+    Fog,
+    Glow,
+    Orthographic,
+    Perspective,
+    SceneBuilder,
+    StereoRig,
+    scaling,
+    translation,
+)
 from tests.renderer.fog_reference import add_up
 
 LENS = Perspective(fov=1.0, aspect=1.0)
@@ -53,6 +64,16 @@ def test_a_spot_fades_between_its_angles(angle: float, share: float) -> None:
     x = np.tan(angle)
     light = see_light(builder, (x, 2, 0.5), (x, 0, 0))[0]
     assert light == pytest.approx(share * np.cos(angle) ** 3, abs=2e-3)
+
+
+def test_an_eye_whose_picture_is_squeezed_sees_as_far_to_the_sides_as_one_whose_is_not() -> None:
+    builder = make_floor()
+    builder.lights.add_point((0, 3, 4), 1e6, (1, 1, 0.5), intensity=50.0)
+    camera = Camera.look_at((3, 2, 0), (0, 0, 0), projection=Perspective(fov=1.0, aspect=2.0))
+    eye, judge = StereoRig(0.1, 2.0).place_eyes(camera)[1], Judge(builder.build())
+    whole, squeezed = judge.see(eye, (16, 8), np.array([(2.0, 6.0)])), judge.see(eye, (8, 8), np.array([(1.0, 6.0)]))
+    assert whole.max() > 0.1
+    assert squeezed == pytest.approx(whole, rel=1e-12)
 
 
 def test_the_sun_casts_the_shadow_of_a_box_where_it_must_lie() -> None:
