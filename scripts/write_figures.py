@@ -231,7 +231,7 @@ FIGURES: Final = {
         "docs/visibility-tables.md",
         ("triangles", "draws", "queries", "software states", "hardware states"),
         find_counts,
-        within=0.1,
+        within=0.15,  # CHC++ asks when answers come
     ),
     "frames before": Figure(
         "docs/visibility-tables.md",

@@ -234,8 +234,8 @@ class _Machine:
             above, below = self._levels[number, level - 1], self._levels[number, level]
             value = decode(image.format, Interval(above.low, above.high), self._rules)
             mean = Interval(*(_box(end, below.low.shape[:3]) for end in (value.low, value.high)))
-            size = np.where(np.isfinite(mean.size), mean.size, 0.0)
-            error = 2.0**-21 * size
+            size = _box(np.where(np.isfinite(value.size), value.size, 0.0), below.low.shape[:3])
+            error = 2.0**-21 * size  # of what is added: the mean may be near 0
             stored = encode(image.format, mean.widen(error), self._rules)
             if image.format.kind is not ChannelKind.FLOAT:
                 most = reference.largest(image.format)

@@ -273,8 +273,10 @@ class Lowering:
         if inclusive and scope is not None:
             yield scope
 
-    def new_mask(self, value: Value, name: str) -> Variable:
-        mask = self.variable(name, BOOL, value.uniformity if not self.width else Uniformity.VARYING)
+    def new_mask(self, value: Value, name: str, uniformity: Uniformity = Uniformity.DISPATCH) -> Variable:
+        """Return a new mask that begins as `value`, and varies as it does and as what narrows it later."""
+        uniformity = Uniformity.VARYING if self.width else max(uniformity, value.uniformity)
+        mask = self.variable(name, BOOL, uniformity)
         self.emit(lanes.Let(self.line, mask, value))
         return mask
 

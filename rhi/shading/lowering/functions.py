@@ -132,7 +132,7 @@ def inline(
     results: list[Value] = []
     with lowering.emit_into([]) as block:
         if masked:
-            lowering.scope.mask = lowering.new_mask(lowering.mask_value(), "inside")
+            lowering.scope.mask = lowering.new_mask(lowering.mask_value(), "inside", uniformity)
             lowering.scope.owns_mask = True
         frame.inlined_call = InlinedCall(line, f"{function.name}_{lowering.count}", block)
         lowering.count += 1
@@ -307,7 +307,7 @@ def lower_loop(
         lowering.frame.return_uniformity, lowering.known_uniformity((key, "returns"))
     )
     if masked:
-        mask = lowering.new_mask(lowering.mask_value(), "looping")
+        mask = lowering.new_mask(lowering.mask_value(), "looping", uniformity)
     turns = None
     if lowering.width and isinstance(node, tree.While):
         turns = lowering.variable("turns", INT, Uniformity.LANES)
@@ -329,7 +329,7 @@ def lower_loop(
         if not masked and mask is not None and not lowering.branches(lowering.known_uniformity((key, "returns"))):
             lowering.emit(lanes.Break(lowering.line, mask))
         if not lowering.branches(iteration_uniformity):
-            active = lowering.new_mask(lowering.mask_value(), "iteration")
+            active = lowering.new_mask(lowering.mask_value(), "iteration", iteration_uniformity)
             lowering.scope = MaskScope("iteration", scope, iteration_uniformity, active, True, key)
         else:
             lowering.scope = MaskScope("iteration", scope, iteration_uniformity, mask, masked, key)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import struct
+from dataclasses import replace
 from typing import Final
 
 from rhi.contract.descriptors import Binding, BindingKind, StageText, TextureKind
@@ -42,6 +43,8 @@ _SPACES: Final = {
     AddressSpace.PRIVATE: "private",
     AddressSpace.CONSTANT: "constant",
 }
+_WRAPPING: Final = {"add", "subtract", "multiply", "negate"}
+"""The operations whose ints wrap. Those of C don't: compilers take `y + x < y` for `x < 0`. Unsigned ones do."""
 _LONGEST_STRIDE: Final = 8
 _LARGEST_POWER: Final = 64
 """The largest exponent for which multiplications are faster than a logarithm, and more exact: one rounding each."""
@@ -170,8 +173,8 @@ class OpenCLWriter:
             case Affine(kind=kind, base=base, stride=stride):
                 steps = self.steps or "RHI_LANES"
                 steps = steps if stride == 1 else f"{steps} * {stride}"
-                steps = f"as_uint{self.width}({steps})" if kind is UINT else steps
-                return f"({self.value(base)} + {steps})"
+                text = f"({self.unsigned(base, self.value(base))} + as_uint{self.width}({steps}))"
+                return self.cast(kind, True, text)
             case lanes.ElementCount(memory=memory):
                 return f"{self.name(memory)}_count"
             case lanes.Input(index=lanes.DispatchIndex.ITEM):
@@ -214,7 +217,17 @@ class OpenCLWriter:
         row, vector = spelling(node.operation, self.precision), self.is_vector(node)
         texts = [self.wide(one, vector and (not row.infix or one.kind is BOOL)) for one in node.arguments]
         template = row.vector if vector and row.vector else row.opencl
-        return template.format(*texts, type=self.type(node.kind, vector))
+        wraps = node.kind is INT and node.operation in _WRAPPING
+        if wraps:
+            texts = [self.unsigned(one, text) for one, text in zip(node.arguments, texts, strict=True)]
+        text = template.format(*texts, type=self.type(node.kind, vector))
+        return self.cast(INT, vector, text) if wraps else text
+
+    def unsigned(self, node: Value, text: str) -> str:
+        """Return the text of an int as that of an unsigned one with the same bits."""
+        if isinstance(node, Literal):
+            return self.literal(replace(node, kind=UINT))
+        return f"as_{self.type(UINT, self.is_vector(node))}({text})"
 
     def whole_power(self, base: Value, exponent: int) -> str:
         """Return a power by repeated squaring, from the exponent's highest bit down."""

@@ -210,7 +210,7 @@ def test_ten_thousand_frames_of_random_input_keep_no_frame(
     # A program that is used for the first time stays, with its resources, at some thousand blocks. Where none is new,
     # nothing of the 500 frames between two checkpoints may stay.
     pairs = [(before, after) for before, after in pairwise(seen) if before.programs == after.programs]
-    assert len(pairs) >= 5
+    assert len(pairs) >= 3  # which algorithms are tried, and so when programs are new, follows from time
     blocks = [after.blocks - before.blocks for before, after in pairs]
     assert statistics.median(blocks) < 500 * BLOCKS_A_FRAME[backend], blocks
     resources = [after.resources - before.resources for before, after in pairs]

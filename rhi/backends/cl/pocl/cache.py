@@ -57,6 +57,8 @@ _CHECKSUM: Final = 32  # characters
 _BUILT: Final = "built"
 _PLACES: Final = "[A-Z][A-Z]/*"
 """Where PoCL's folders of programs lie in the folder of compiled kernels."""
+_USED: Final = "last_accessed"
+"""An empty file that PoCL touches whenever it builds a program that it has."""
 _LEFT: Final = "tempfile_*"
 """Empty files that PoCL leaves in the folder, one a process."""
 _TYPICAL: Final = 400_000  # bytes of a program whose record doesn't say
@@ -402,8 +404,9 @@ class KernelCache:
         known = {place for *_, place in found}
         known.update(folder / binaries.name_folder(record.name) for _, _, record, _ in found)
         for place in folder.glob(_PLACES):  # of programs that nobody finds: processes ended before they recorded them
+            used = place / _USED if (place / _USED).exists() else place
             with suppress(OSError):
-                if place not in known and place.stat().st_mtime < time.time() - _OLD:
+                if place not in known and used.stat().st_mtime < time.time() - _OLD:
                     shutil.rmtree(place, ignore_errors=True)
         total = sum(size for _, size, _, _ in found)
         for _, size, record, place in sorted(found):

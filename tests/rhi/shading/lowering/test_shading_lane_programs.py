@@ -209,6 +209,28 @@ def test_programs_mean_the_same_in_every_language(tmp_path, run):
     check_together(sources, tmp_path, run)
 
 
+@pytest.mark.parametrize(
+    ("helper", "body"),
+    [
+        pytest.param(
+            "return 1 if y + x < y else 0",
+            "z = self.helper(min(-5, x << 28), min(-5, self.given[0] << 28))",
+            id="ints wrap",
+        ),
+        pytest.param("return 1 if -x < 1 else 0", "z = self.helper(min(-5, x << 28), y)", id="negated"),
+        pytest.param(
+            "if x < y:\n            return y\n        return x",
+            "while z < 4 and x < 9:\n            z += 1\n            x += atomic_add(self.sums[self.helper(64, 9)], 1)",
+            id="a function with an early return, in a loop that lanes leave one by one",
+        ),
+    ],
+)
+def test_a_program_that_once_differed_means_the_same_in_every_language(helper, body, tmp_path, run):
+    source = HEADER.format(helper=f"        {helper}", body=f"        {body}")
+    assert helper in source
+    check(source, tmp_path, run)
+
+
 @pytest.mark.nightly
 @pytest.mark.parametrize("piece", range(20))
 def test_two_thousand_programs_mean_the_same_in_every_language(piece, tmp_path, run):

@@ -289,9 +289,11 @@ def test_what_nobody_needs_any_more_is_removed_after_a_day(tmp_path: Path) -> No
     """Code, locks and programs without records, and the empty files that PoCL leaves."""
     (tmp_path / "rhi").mkdir()
     make(tmp_path, "key", 10, 0.0)
-    kept = {"AB/key", "AB/new", binaries.name_folder("key")}
+    kept = {"AB/key", "AB/new", "AB/used", binaries.name_folder("key")}
     for name in (*kept, "AB/gone", binaries.name_folder("gone")):
         (tmp_path / name).mkdir(parents=True, exist_ok=True)
+        if name == "AB/used":
+            (tmp_path / name / "last_accessed").touch()
         if name != "AB/new":
             os.utime(tmp_path / name, (1e9, 1e9))
     old, new = (
