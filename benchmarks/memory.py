@@ -181,7 +181,8 @@ class Repetitions:
         self.numbers.read(0, 1)
 
     def drop(self, number: int, kind: str) -> None:
-        DROPPED[kind](self.device)
+        """Drop one; at first as many as may wait for the GPU at a time, whose memory the C library keeps."""
+        _ = [DROPPED[kind](self.device) for _ in range(1 if number else 600)]
 
 
 ROWS: dict[str, tuple[int, Callable[[Repetitions, int], None]]] = {
