@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import random
 import re
+from contextlib import suppress
 from dataclasses import fields
 from math import inf
 from pathlib import Path
@@ -131,6 +133,41 @@ def test_a_value_of_another_kind_is_refused_by_name(part: type[Any], name: str) 
     for other in others:
         with pytest.raises(rhi.ValidationError, match=re.escape(f"{part.__name__}({name}=")):
             part(**{name: other})
+
+
+STRANGE = (None, True, "", "forward", -1, 0, 1, 3, 1e-300, 1e300, 2**70, inf, float("nan"), [], [1, 2], {}, {"a": 1})
+
+
+def mutate(rng: random.Random, value: Any) -> Any:
+    """Return plain settings of which one is another, missing or named otherwise."""
+    if not isinstance(value, dict) or not value or rng.random() < 0.1:
+        return rng.choice(STRANGE)
+    name = rng.choice(list(value))
+    others = {one: it for one, it in value.items() if one != name}
+    way = rng.random()
+    return others if way < 0.1 else {**others, f"{name}s" if way < 0.2 else name: mutate(rng, value[name])}
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", range(10))
+def test_a_mutated_file_is_refused_by_a_rule_or_draws_a_frame(seed: int, tmp_path: Path, null: rhi.Device) -> None:
+    OTHERS.save(tmp_path / "s.json")
+    text, scene, rng, drawn = (
+        (tmp_path / "s.json").read_text(),
+        load_scene("grid:count=4,lights=2"),
+        random.Random(seed),
+        0,
+    )
+    for _ in range(300):
+        made = json.dumps(mutate(rng, json.loads(text)))
+        cut = rng.randrange(len(made)) if rng.random() < 0.1 else len(made)
+        (tmp_path / "s.json").write_text(made[:cut])
+        with suppress(rhi.RhiError):
+            settings = RenderSettings.load(tmp_path / "s.json")
+            with settings.open(null, scene, (32, 24)) as renderer:
+                renderer.render(settings.aim(next(iter(scene.views.values()))))
+                drawn += 1
+    assert 30 < drawn < 290  # some are as good as others, and most of what isn't is refused
 
 
 def test_numbers_of_numpy_become_python_s_own() -> None:
