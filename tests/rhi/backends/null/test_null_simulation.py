@@ -469,6 +469,10 @@ def test_primitives_are_counted_by_their_kind(primitive, vertices, count):
     assert count_primitives(primitive, vertices) == count
 
 
+def test_work_costs_by_default_what_the_page_says():
+    assert CostModel().nanoseconds(CommandWork(Op.DRAW, 1000, 2000, 3000, 1, 4000)) == 20 + 500 + 100 + 60 + 100 + 400
+
+
 def test_the_model_is_linear_and_replaceable():
     model = CostModel(command=1, vertex=2, pixel=3, byte=4, state_change=5, invocation=6)
     assert model.nanoseconds(CommandWork(Op.DRAW, 10, 10, 10, 10, 10)) == 201
