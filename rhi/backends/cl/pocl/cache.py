@@ -404,9 +404,9 @@ class KernelCache:
         known = {place for *_, place in found}
         known.update(folder / binaries.name_folder(record.name) for _, _, record, _ in found)
         for place in folder.glob(_PLACES):  # of programs that nobody finds: processes ended before they recorded them
-            used = place / _USED if (place / _USED).exists() else place
+            touched = place / _USED if (place / _USED).exists() else place
             with suppress(OSError):
-                if place not in known and used.stat().st_mtime < time.time() - _OLD:
+                if place not in known and touched.stat().st_mtime < time.time() - _OLD:
                     shutil.rmtree(place, ignore_errors=True)
         total = sum(size for _, size, _, _ in found)
         for _, size, record, place in sorted(found):
