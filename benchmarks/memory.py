@@ -11,6 +11,7 @@ once and isn't growth.
 from __future__ import annotations
 
 import argparse
+import ctypes
 import gc
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -181,8 +182,7 @@ class Repetitions:
         self.numbers.read(0, 1)
 
     def drop(self, number: int, kind: str) -> None:
-        """Drop one; at first as many as may wait for the GPU at a time, whose memory the C library keeps."""
-        _ = [DROPPED[kind](self.device) for _ in range(1 if number else 600)]
+        DROPPED[kind](self.device)
 
 
 ROWS: dict[str, tuple[int, Callable[[Repetitions, int], None]]] = {
@@ -203,7 +203,8 @@ ROWS: dict[str, tuple[int, Callable[[Repetitions, int], None]]] = {
 
 
 def resident_bytes() -> int:
-    """Return the resident memory of this process."""
+    """Return the resident memory of this process, without what the C library keeps of memory that was freed."""
+    ctypes.CDLL(None).malloc_trim(0)
     lines = Path("/proc/self/smaps_rollup").read_text().splitlines()
     return 1024 * next(int(line.split()[1]) for line in lines if line.startswith("Rss:"))
 
