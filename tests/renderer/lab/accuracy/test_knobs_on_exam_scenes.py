@@ -32,7 +32,18 @@ SCENES: dict[str, tuple[Callable[[], Scene], Callable[[Scene], Shots]]] = {
 """The exam's scenes at its usual size, and those that its scenes lack: lamps, motion, glass and a ground."""
 ALIKE = {Unit.LEVELS: 5e-3}
 """What counts as staying: of pictures half a level in a hundredth of the pixels."""
+FACETS = "maps with texels larger than a ball's facets cast no shadow there; finer ones shade facets at grazing angles"
 EXCEPTIONS: Mapping[tuple[str, str], str] = {
+    **{
+        (knob, title): FACETS
+        for knob in ("shadow_size", "shadow_cascades")
+        for title in (
+            "spheres that touch the near plane, to an ulp",
+            "slit of a pixel",
+            "what was seen is behind the camera",
+            "a parallel projection whose near plane cuts boxes",
+        )
+    },
     ("light_test", "teleports"): "planes leave out lights beside large clusters that vertices keep; hybrid asks both",
     ("light_test", "glass"): "the same",
     ("depth", "a parallel projection whose near plane cuts boxes"): (
