@@ -11,7 +11,6 @@ once and isn't growth.
 from __future__ import annotations
 
 import argparse
-import ctypes
 import gc
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -27,6 +26,7 @@ from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
 from renderer.lab.comparison import Record
 from rhi import Format, Primitive, Scissor
+from rhi.backends.cl.pocl.held_programs import hand_back
 from rhi.shading import Shader, StorageRW, Struct, Uniform, global_id, vec2, vec4
 
 
@@ -204,7 +204,7 @@ ROWS: dict[str, tuple[int, Callable[[Repetitions, int], None]]] = {
 
 def resident_bytes() -> int:
     """Return the resident memory of this process, without what the C library keeps of memory that was freed."""
-    ctypes.CDLL(None).malloc_trim(0)
+    hand_back()
     lines = Path("/proc/self/smaps_rollup").read_text().splitlines()
     return 1024 * next(int(line.split()[1]) for line in lines if line.startswith("Rss:"))
 

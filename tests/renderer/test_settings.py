@@ -152,12 +152,8 @@ def mutate(rng: random.Random, value: Any) -> Any:
 @pytest.mark.parametrize("seed", range(10))
 def test_a_mutated_file_is_refused_by_a_rule_or_draws_a_frame(seed: int, tmp_path: Path, null: rhi.Device) -> None:
     OTHERS.save(tmp_path / "s.json")
-    text, scene, rng, drawn = (
-        (tmp_path / "s.json").read_text(),
-        load_scene("grid:count=4,lights=2"),
-        random.Random(seed),
-        0,
-    )
+    text, scene = (tmp_path / "s.json").read_text(), load_scene("grid:count=4,lights=2")
+    rng, drawn = random.Random(seed), 0
     for _ in range(300):
         made = json.dumps(mutate(rng, json.loads(text)))
         cut = rng.randrange(len(made)) if rng.random() < 0.1 else len(made)

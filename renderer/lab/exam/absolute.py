@@ -60,7 +60,7 @@ class Judged:
 
 def judge(scene: Scene, camera: Camera, size: tuple[int, int] = SIZE) -> Judged:
     """Return what the judge sees of a scene."""
-    seen = Judge(scene)
+    seen, camera = Judge(scene), camera.with_aspect(size[0] / size[1])
     levels = [seen.draw(camera, size)]
     for x in (-_BESIDE, _BESIDE):
         for y in (-_BESIDE, _BESIDE):

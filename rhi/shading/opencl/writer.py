@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 import struct
-from dataclasses import replace
 from typing import Final
 
 from rhi.contract.descriptors import Binding, BindingKind, StageText, TextureKind
@@ -173,7 +172,7 @@ class OpenCLWriter:
             case Affine(kind=kind, base=base, stride=stride):
                 steps = self.steps or "RHI_LANES"
                 steps = steps if stride == 1 else f"{steps} * {stride}"
-                text = f"({self.unsigned(base, self.value(base))} + as_uint{self.width}({steps}))"
+                text = f"({self.bits(base, False)} + as_uint{self.width}({steps}))"
                 return self.cast(kind, True, text)
             case lanes.ElementCount(memory=memory):
                 return f"{self.name(memory)}_count"
@@ -215,19 +214,12 @@ class OpenCLWriter:
             if isinstance(exponent, Literal) and exponent.value in range(1, _LARGEST_POWER + 1):
                 return self.whole_power(base, int(exponent.value))
         row, vector = spelling(node.operation, self.precision), self.is_vector(node)
-        texts = [self.wide(one, vector and (not row.infix or one.kind is BOOL)) for one in node.arguments]
         template = row.vector if vector and row.vector else row.opencl
-        wraps = node.kind is INT and node.operation in _WRAPPING
-        if wraps:
-            texts = [self.unsigned(one, text) for one, text in zip(node.arguments, texts, strict=True)]
-        text = template.format(*texts, type=self.type(node.kind, vector))
-        return self.cast(INT, vector, text) if wraps else text
-
-    def unsigned(self, node: Value, text: str) -> str:
-        """Return the text of an int as that of an unsigned one with the same bits."""
-        if isinstance(node, Literal):
-            return self.literal(replace(node, kind=UINT))
-        return f"as_{self.type(UINT, self.is_vector(node))}({text})"
+        if node.kind is INT and node.operation in _WRAPPING:
+            words = [self.bits(one, self.is_vector(one)) for one in node.arguments]
+            return self.cast(INT, vector, template.format(*words))
+        texts = [self.wide(one, vector and (not row.infix or one.kind is BOOL)) for one in node.arguments]
+        return template.format(*texts, type=self.type(node.kind, vector))
 
     def whole_power(self, base: Value, exponent: int) -> str:
         """Return a power by repeated squaring, from the exponent's highest bit down."""

@@ -403,10 +403,10 @@ class KernelCache:
                     record.unlink()
         known = {place for *_, place in found}
         known.update(folder / binaries.name_folder(record.name) for _, _, record, _ in found)
-        for place in folder.glob(_PLACES):  # of programs that nobody finds: processes ended before they recorded them
+        for place in set(folder.glob(_PLACES)) - known:  # nobody finds these: processes ended before they recorded them
             touched = place / _USED if (place / _USED).exists() else place
             with suppress(OSError):
-                if place not in known and touched.stat().st_mtime < time.time() - _OLD:
+                if touched.stat().st_mtime < time.time() - _OLD:
                     shutil.rmtree(place, ignore_errors=True)
         total = sum(size for _, size, _, _ in found)
         for _, size, record, place in sorted(found):
