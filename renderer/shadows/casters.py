@@ -137,9 +137,30 @@ def turn_boxes(scene: Scene, rows: Rows, axes: Floats) -> tuple[Floats, Floats]:
     return middle - half, middle + half
 
 
-def find_shading(scene: Scene, rows: Rows, light: Any, cameras: Sequence[Camera]) -> Rows:
-    """Return those of the objects `rows` whose shadows, of a point or spot light, may be in one of the views."""
-    objects, position, reach = scene.objects, light["position"], float(light["range"])
-    boxes = find_shadow_boxes(objects.lower[rows], objects.upper[rows], position, reach)
-    seen = [classify(camera.frustum.planes, *boxes) != Containment.OUTSIDE for camera in cameras]
-    return rows.take(np.flatnonzero(np.any(seen, axis=0)))
+def find_moving(
+    scene: Scene,
+    positions: Floats,
+    ranges: Floats,
+    planes: Sequence[Floats],
+    casters: Sequence[Rows],
+    cameras: Sequence[Camera],
+) -> tuple[list[Rows], NDArray[np.bool_]]:
+    """Return the casters that may move in each map of some lamps, and (m,) whether any of them shades what is in view.
+
+    Args:
+        positions, ranges: (l, 3) and (l,) of the lamps. planes: of each lamp the planes (k, p, 4) of its k maps.
+        casters: those in reach of each lamp. cameras: of the views.
+    """
+    counts, sizes, rows = [len(some) for some in casters], [len(maps) for maps in planes], np.concatenate(casters)
+    lower, upper = scene.objects.lower[rows], scene.objects.upper[rows]
+    shadows = find_shadow_boxes(lower, upper, np.repeat(positions, counts, axis=0), np.repeat(ranges, counts))
+    shades = np.any([classify(camera.frustum.planes, *shadows) != Containment.OUTSIDE for camera in cameras], axis=0)
+    # Each caster is tested against each map of its lamp.
+    maps, first = np.repeat(sizes, counts), np.repeat(np.cumsum(sizes) - sizes, counts)
+    caster = np.repeat(np.arange(len(rows)), maps)
+    of = np.arange(len(caster)) + np.repeat(first - (np.cumsum(maps) - maps), maps)
+    inside = classify(np.concatenate(planes)[of], lower[caster], upper[caster]) != Containment.OUTSIDE
+    of, caster = of[inside], caster[inside]
+    ends = np.cumsum(np.bincount(of, minlength=sum(sizes)))
+    shown = np.split(rows[caster[np.argsort(of, kind="stable")]], ends[:-1])
+    return shown, np.bincount(of, shades[caster], sum(sizes)) > 0.0

@@ -102,29 +102,30 @@ def choose_width(wanted: float, held: int | None, smallest: int, largest: int) -
 
 
 def shrink(widths: dict[Any, int], counts: dict[Any, int], room: int, smallest: int) -> dict[Any, int]:
-    """Return widths of maps whose squares are at most `room` together: the largest are halved first.
+    """Return widths of maps whose squares are at most `room` together: the largest are halved first, and of these the
+    last.
 
     Args:
         widths, counts: the width of each light's maps, and how many there are.
     """
     chosen = dict(widths)
-    while sum(counts[key] * width**2 for key, width in chosen.items()) > room:
-        largest = max(chosen.values())
-        if largest <= smallest:
-            break
-        for key, width in chosen.items():
-            if width == largest:
-                chosen[key] = width // 2
+    area = sum(counts[key] * width**2 for key, width in chosen.items())
+    while area > room and (largest := max(chosen.values())) > smallest:
+        for key in reversed(widths):
+            if area > room and chosen[key] == largest:
+                chosen[key] = largest // 2
+                area -= 3 * counts[key] * chosen[key] ** 2
     return chosen
 
 
-def find_shadow_boxes(lower: Floats, upper: Floats, position: Floats, reach: float) -> tuple[Floats, Floats]:
-    """Return the boxes (k, 3) around the shadows that what is in boxes casts, of a light at `position` (3,).
+def find_shadow_boxes(lower: Floats, upper: Floats, position: Floats, reach: Floats) -> tuple[Floats, Floats]:
+    """Return the boxes (k, 3) around the shadows that what is in boxes casts, each of a light at `position` (k, 3) with
+    `reach` (k,).
 
     What is farther from the light by a factor lies in the box that is scaled by that factor from the light. Where the
     light is in a box, its shadow may be anywhere in reach.
     """
-    low, high = position - reach, position + reach
+    low, high = position - reach[:, None], position + reach[:, None]
     nearest = np.linalg.norm(position - np.clip(position, lower, upper), axis=1)
     with np.errstate(divide="ignore"):
         factor = np.maximum(reach / nearest, 1.0)[:, None]

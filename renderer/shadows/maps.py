@@ -22,6 +22,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from renderer.frame import LAMPS, SHADOW_EFFECTS, Effect, Frame, Needs, Pass
 from renderer.frame.mirrors import MirroredValue, split_doubles
@@ -35,9 +36,8 @@ from renderer.shadows.needed import SUN, MapKey, NeededMaps, WantedMap
 from renderer.shadows.receiver import (
     DARK,
     MOST_CASCADES,
-    MOST_LAMP_MAPS,
     NO_MAPS,
-    SLOTS_WIDE,
+    TABLE_WIDTH,
     LampTable,
     SunMap,
     SunTable,
@@ -157,7 +157,7 @@ class ShadowMaps:
         self._kept: Texture | None = None  # the second texture
         self._triangle = device.mesh(3, label="shadow tile")
         self._lamp_table: MirroredValue[LampTable] | None = None
-        self._slot_texture: Texture | None = None
+        self._lamp_textures: dict[str, Texture] = {}  # slots and maps, by what binds them
         self._placements = 0  # how often a tile was given to a map
         self._written: tuple[object, ...] = ()  # what the table of lamps was written from
         self._frame = 0
@@ -192,8 +192,8 @@ class ShadowMaps:
                 return self._sun_tables[self._eye].buffer
             case "lamps":
                 return self._lamp_table.buffer if self._lamp_table is not None else None
-            case "lamp_slots":
-                return self._slot_texture
+            case "lamp_slots" | "lamp_maps":
+                return self._lamp_textures.get(name)
             case "shadow_compare":
                 return self.atlas.sampled(_COMPARING)
         return self.atlas
@@ -273,25 +273,36 @@ class ShadowMaps:
         if written == self._written:
             return
         self._written = written
-        slots = np.full((-(-(points + spots) // SLOTS_WIDE), SLOTS_WIDE), NO_MAPS, np.int32)
+        slots = np.full(points + spots, NO_MAPS, np.int32)
         first = {"point": 0, "spot": points}
         for kind, row in self._needed.dark:
-            slots.reshape(-1)[first[kind] + row] = DARK
+            slots[first[kind] + row] = DARK
         maps: list[tuple[Camera, Tile, float]] = []
         for kind, row, faces, keys in lamps:
-            slots.reshape(-1)[first[kind] + row] = 2 * len(maps) + (len(keys) > 1)
+            slots[first[kind] + row] = 2 * len(maps) + (len(keys) > 1)
             for camera, key in zip(faces.cameras, keys, strict=True):
                 maps.append((camera, _NO_TILE if key is None else self._maps[key].tile, faces.scale))
-        table = _make_lamp_table(maps, self.settings.bias, points)
+        bias = self.settings.bias
+        table = LampTable(bias=(bias * _BIAS[0], bias * _BIAS[1], bias), points=points)
         if self._lamp_table is None:
             self._lamp_table = MirroredValue(self._device, table)
         self._lamp_table.write(table)
-        if self._slot_texture is None or self._slot_texture.size != slots.shape[::-1]:
-            if self._slot_texture is not None:
-                self._slot_texture.destroy()
-            self._slot_texture = self._device.texture(slots, Format.R32I, label="shadow slots")
-        else:
-            self._slot_texture.write(slots)
+        self._write_table("lamp_slots", slots, Format.R32I)
+        self._write_table("lamp_maps", _describe_maps(maps), Format.RGBA32F)
+
+    def _write_table(self, name: str, rows: NDArray[Any], form: Format) -> None:
+        """Write the rows (n,) or (n, 4) of a table to its texture, which grows by rows of texels."""
+        height = max(-(-len(rows) // TABLE_WIDTH), 1)
+        texels = np.zeros((height * TABLE_WIDTH, *rows.shape[1:]), rows.dtype)
+        texels[: len(rows)] = rows
+        texels = texels.reshape(height, TABLE_WIDTH, *rows.shape[1:])
+        texture = self._lamp_textures.get(name)
+        if texture is not None and texture.size == (TABLE_WIDTH, height):
+            texture.write(texels)
+            return
+        if texture is not None:
+            texture.destroy()
+        self._lamp_textures[name] = self._device.texture(texels, form, label=name.replace("_", " "))
 
     def _forget_lights(self, scene: Scene) -> bool:
         """Forget the maps of lights that cast no shadows any more, and return whether there were any."""
@@ -479,9 +490,10 @@ class ShadowMaps:
         """Destroy what tells shaders of the maps of lamps."""
         if self._lamp_table is not None:
             self._lamp_table.destroy()
-        if self._slot_texture is not None:
-            self._slot_texture.destroy()
-        self._lamp_table = self._slot_texture = None
+        for texture in self._lamp_textures.values():
+            texture.destroy()
+        self._lamp_textures.clear()
+        self._lamp_table = None
         self._written = ()
 
     def release(self) -> None:
@@ -537,7 +549,8 @@ def describe_state(scene: Scene, rows: Rows, tessellations: int = 0) -> bytes:
         return b""
     objects = scene.objects
     seconds = np.float64(scene.seconds).tobytes() if objects.simulated[rows].any() else b""
-    chosen = np.int64(tessellations).tobytes() if np.isin(list(scene.height_fields), rows).any() else b""
+    fields = list(scene.height_fields)
+    chosen = np.int64(tessellations).tobytes() if fields and np.isin(fields, rows).any() else b""
     return rows.tobytes() + scene.nodes.world[objects.node[rows]].tobytes() + seconds + chosen
 
 
@@ -553,12 +566,16 @@ def _make_table(maps: list[SunMap], bias: float) -> SunTable:
     return SunTable(maps=filled, bias=(bias * _BIAS[0], bias * _BIAS[1], bias), count=len(maps))
 
 
-def _make_lamp_table(maps: list[tuple[Camera, Tile, float]], bias: float, points: int) -> LampTable:
-    turns, tiles = np.zeros((MOST_LAMP_MAPS, 4)), np.zeros((MOST_LAMP_MAPS, 4))
-    for i, (camera, tile, scale) in enumerate(maps):
-        turns[i] = turn_into_quaternion(camera.rotation)
-        tiles[i] = (tile.x + 0.5 * tile.size, tile.y + 0.5 * tile.size, 0.5 * tile.size, scale)
-    return LampTable(turns=turns, tiles=tiles, bias=(bias * _BIAS[0], bias * _BIAS[1], bias), points=points)
+def _describe_maps(maps: list[tuple[Camera, Tile, float]]) -> NDArray[np.float32]:
+    """Return what shaders read of maps, (2 n, 4): see `ShadowReceiver`."""
+    rows = [
+        (
+            turn_into_quaternion(camera.rotation),
+            (tile.x + 0.5 * tile.size, tile.y + 0.5 * tile.size, 0.5 * tile.size, scale),
+        )
+        for camera, tile, scale in maps
+    ]
+    return np.array(rows, np.float32).reshape(-1, 4)
 
 
 def _view_constants(camera: Camera) -> ViewConstants:

@@ -18,11 +18,11 @@ from renderer.frame import Effect, Needs
 from renderer.frame.resources import SceneResources
 from renderer.lights.lists import list_lights
 from renderer.scene import Camera, Scene
-from renderer.scene.arrays import Rows
+from renderer.scene.arrays import Floats, Rows
 from renderer.shadows.cascades import Cascade, fit_cascades
-from renderer.shadows.casters import Casters, SceneCasters, find_shading, turn_boxes
+from renderer.shadows.casters import Casters, SceneCasters, find_moving, turn_boxes
 from renderer.shadows.lamps import aim_maps, choose_width, find_scale, find_widths, is_cube, shrink
-from renderer.shadows.receiver import MOST_CASCADES, MOST_LAMP_MAPS
+from renderer.shadows.receiver import MOST_CASCADES
 from renderer.shadows.settings import ShadowSettings
 from renderer.visibility.boxes.volumes import find_in_view
 
@@ -61,12 +61,13 @@ class WantedMap:
 
 @dataclass(eq=False, slots=True)
 class LampMaps:
-    """The maps of a lamp, each `width` texels wide: their cameras, and what is wanted of each without the casters that
-    may move. They hold as long as `key` is the same."""
+    """The maps of a lamp, each `width` texels wide: their cameras, the planes (m, p, 4) of what they see, and what is
+    wanted of each without the casters that may move. They hold as long as `key` is the same."""
 
     key: tuple[object, ...]
     width: int
     cameras: list[Camera]
+    planes: Floats
     wanted: list[WantedMap]
     scale: float
 
@@ -168,37 +169,57 @@ class NeededMaps:
                     self.skipped.append(((kind, row, -1), reason))
         suns = sum(key is not None for _, _, key in self.suns)
         room = settings.largest_atlas**2 - suns * settings.cascade_size**2
-        wanted: list[WantedMap] = []
+        lamps = [(lamp, self._aim(scene, lamp, width)) for lamp, width in self._choose_widths(found, room)]
+        listed = [faces.wanted for _, faces in lamps]
+        if movers := [i for i, (lamp, _) in enumerate(lamps) if len(lamp.casters.moving)]:
+            shown, shades = find_moving(
+                scene,
+                np.array([lamps[i][0].light["position"] for i in movers]),
+                np.array([lamps[i][0].light["range"] for i in movers], np.float64),
+                [lamps[i][1].planes for i in movers],
+                [lamps[i][0].casters.moving for i in movers],
+                cameras,
+            )
+            maps = iter(zip(shown, shades.tolist(), strict=True))
+            for i in movers:
+                listed[i] = [_add_moving(one, *next(maps)) for one in listed[i]]
         self.lamps = []
-        for lamp, width in self._choose_widths(found, room):
-            wanted += self._list_faces(scene, lamp, width, cameras)
-        return wanted
+        for (lamp, faces), maps_of_lamp in zip(lamps, listed, strict=True):
+            keys = [one.key if len(one.casters) else None for one in maps_of_lamp]
+            if any(keys):
+                self.lamps.append((lamp.kind, lamp.row, faces, keys))
+        every = [one for maps_of_lamp in listed for one in maps_of_lamp]
+        self.skipped += [(one.key, "no caster is in it") for one in every if not len(one.casters)]
+        return [one for one in every if len(one.casters)]
 
     def _choose_widths(self, lamps: list[WantedLamp], room: int) -> list[tuple[WantedLamp, int]]:
         """Return the lamps that get maps, and how wide these are. The most visible lamps come first."""
         settings, chosen = self._settings, dict[int, int]()
         self.dark = []
-        lamps = sorted(lamps, key=lambda lamp: -lamp.width)
+        faces = [self._faces.get((lamp.kind, lamp.row)) for lamp in lamps]
+        held = [0 if one is None else one.width for one in faces]
+        # By half an octave: lamps that are about as visible don't exchange their widths as the eye moves.
+        octaves = [round(2.0 * np.log2(max(lamp.width, 1.0))) for lamp in lamps]
+        order = sorted(range(len(lamps)), key=lambda i: (-octaves[i], -held[i]))
+        lamps = [lamps[i] for i in order]
         counts = {i: 6 if is_cube(lamp.light) else 1 for i, lamp in enumerate(lamps)}
         maps = 0
         for i, lamp in enumerate(lamps):
             maps += counts[i]
-            if maps > MOST_LAMP_MAPS or maps * settings.smallest**2 > room:
+            if maps * settings.smallest**2 > room:
                 self.skipped.append(
                     ((lamp.kind, lamp.row, -1), "there is no room left for its maps: it lights nothing")
                 )
                 self.dark.append((lamp.kind, lamp.row))
                 maps -= counts[i]
                 continue
-            faces = self._faces.get((lamp.kind, lamp.row))
-            held = None if faces is None else faces.width
-            chosen[i] = choose_width(lamp.width, held, settings.smallest, settings.largest)
+            chosen[i] = choose_width(lamp.width, held[order[i]], settings.smallest, settings.largest)
         chosen = shrink(chosen, counts, room, settings.smallest)
         return [(lamps[i], width) for i, width in chosen.items()]
 
-    def _list_faces(self, scene: Scene, lamp: WantedLamp, width: int, cameras: Sequence[Camera]) -> list[WantedMap]:
-        """Return the maps of a lamp that have a caster."""
-        name, (still, moving) = (lamp.kind, lamp.row), (lamp.casters.still, lamp.casters.moving)
+    def _aim(self, scene: Scene, lamp: WantedLamp, width: int) -> LampMaps:
+        """Return the maps of a lamp."""
+        name, still = (lamp.kind, lamp.row), lamp.casters.still
         key = (lamp.light.tobytes(), width, still.tobytes())
         faces = self._faces.get(name)
         if faces is None or faces.key != key:
@@ -208,31 +229,20 @@ class NeededMaps:
                     (*name, part if len(aimed) > 1 else -1),
                     camera,
                     width,
-                    Casters(find_in_view(scene, camera, still), moving[:0]),
+                    Casters(find_in_view(scene, camera, still), still[:0]),
                 )
                 for part, camera in enumerate(aimed)
             ]
-            faces = self._faces[name] = LampMaps(key, width, aimed, maps, find_scale(lamp.light, width))
-        listed = faces.wanted
-        if len(moving):
-            shading = find_shading(scene, moving, lamp.light, cameras)
-            listed = [_add_moving(one, find_in_view(scene, one.camera, moving), shading) for one in listed]
-        wanted = [one for one in listed if len(one.casters)]
-        if len(wanted) < len(listed):
-            for one in listed:
-                if not len(one.casters):
-                    self.skipped.append((one.key, "no caster is in it"))
-        if wanted:
-            self.lamps.append((lamp.kind, lamp.row, faces, [one.key if len(one.casters) else None for one in listed]))
-        return wanted
+            planes = np.stack([camera.frustum.planes for camera in aimed])
+            faces = self._faces[name] = LampMaps(key, width, aimed, planes, maps, find_scale(lamp.light, width))
+        return faces
 
 
-def _add_moving(wanted: WantedMap, moving: Rows, shading: Rows) -> WantedMap:
-    """Return a map with casters that may move, of which those in `shading` shade something visible."""
+def _add_moving(wanted: WantedMap, moving: Rows, shades: bool) -> WantedMap:
+    """Return a map with casters that may move, which may shade something visible if it says so."""
     if not len(moving):
         return wanted
-    is_quiet = not np.isin(moving, shading).any()
-    return replace(wanted, casters=Casters(wanted.casters.still, moving), is_quiet=bool(is_quiet))
+    return replace(wanted, casters=Casters(wanted.casters.still, moving), is_quiet=not shades)
 
 
 def _find_depth(scene: Scene, camera: Camera) -> tuple[float, float]:

@@ -3,7 +3,8 @@
 A shader that lights surfaces hands the light of each lamp to `unblocked_sun`, `unblocked_point` or `unblocked_spot`,
 which return what arrives. `ShadowReceiver` returns all of it; the classes below each add the shadows of one kind of
 light, and one of the filters reads the maps. So a technique has shadows by one call for each light, whichever maps
-there are. Tables of maps are uniform blocks: forward shading needs the eight storage buffers that a program may have.
+there are. The table of the sun's maps is a uniform block, and those of lamps, of which there may be thousands, are
+textures: forward shading needs the eight storage buffers that a program may have.
 
 **Bias.** A texel holds the depth of a surface at its middle, and is compared with a point elsewhere in it, whose
 depth differs by tan θ times the distance. So a point isn't compared with its own depth, but with that of its
@@ -63,16 +64,13 @@ from rhi.shading import (
 MOST_CASCADES: Final = 8
 """The number of maps of all directional lights together."""
 
-MOST_LAMP_MAPS: Final = 510
-"""The number of maps of all lamps together: their table has the 16 KiB that each uniform block may have."""
-
 NO_MAPS: Final = -1
 DARK: Final = -2
 """The slots of lamps without maps: those that nothing blocks, and those for whose maps there is no room. The latter
 light nothing, so that no wall is lit through."""
 
-SLOTS_WIDE: Final = 64
-"""The width of the texture of slots."""
+TABLE_WIDTH: Final = 64
+"""The width of the textures of slots and of maps in texels."""
 
 _STEEPEST: Final = 0.005
 """The cosine of the steepest slope that a plane is followed to: 89.7°."""
@@ -141,14 +139,8 @@ def cube_face(v: vec3) -> int:
 
 
 class LampTable(Struct):
-    """The maps of point and spot lights: for each the rotation from the world to its right, up and back, as a
-    quaternion, and its tile: its middle and half its width in texels, and the texels in a unit of the tangent.
+    """What all maps of lamps have in common. Spot lights are numbered after the `points` point lights."""
 
-    The width of a face without casters is 0. Spot lights are numbered after the `points` point lights.
-    """
-
-    turns: Array[vec4] = array(vec4, MOST_LAMP_MAPS)
-    tiles: Array[vec4] = array(vec4, MOST_LAMP_MAPS)
     bias: vec3
     points: int
 
@@ -240,7 +232,9 @@ class ShadowReceiver(ShadowReader):
     don't bend. Without shadows nothing blocks light; with any, a filter is combined with it.
 
     `lamp_slots` has for each lamp twice the number of its first map, and 1 more if its maps are the faces of a cube;
-    `NO_MAPS` or `DARK` without maps.
+    `NO_MAPS` or `DARK` without maps. `lamp_maps` has two texels for each map: the rotation from the world to its right,
+    up and back, as a quaternion, and its tile: its middle and half its width in texels, and the texels in a unit of the
+    tangent. The width of a face without casters is 0.
     """
 
     has_sun_shadows = False
@@ -250,6 +244,7 @@ class ShadowReceiver(ShadowReader):
     suns: Uniform[SunTable]
     lamps: Uniform[LampTable]
     lamp_slots: IntTexture2D
+    lamp_maps: Texture2D
     point_lights: Storage[PointLight]
     spot_lights: Storage[SpotLight]
 
@@ -301,6 +296,10 @@ class ShadowReceiver(ShadowReader):
             share = self.find_lit_share(at, 1.0 + place.z / deep, slope, tile.xy, tile.z)
         return light * mix(share, 1.0, smoothstep(0.9, 1.0, edge))
 
+    def lamp_map(self, texel: int) -> vec4:
+        """Return a texel of `lamp_maps`."""
+        return self.lamp_maps.load(ivec2(texel % TABLE_WIDTH, texel // TABLE_WIDTH))
+
     def past_casters(self, light: vec3, away: vec3, reach: float, normal: vec3, number: int) -> vec3:
         """Return what arrives of a lamp's light at a surface.
 
@@ -309,10 +308,10 @@ class ShadowReceiver(ShadowReader):
         """
         if light.x + light.y + light.z <= 0.0:
             return light
-        slot = self.lamp_slots.load(ivec2(number % SLOTS_WIDE, number // SLOTS_WIDE)).x
+        slot = self.lamp_slots.load(ivec2(number % TABLE_WIDTH, number // TABLE_WIDTH)).x
         if slot < 0:
             return light if slot == NO_MAPS else vec3(0.0)
-        map = slot // 2
+        first = 2 * (slot // 2)
         is_cube = slot % 2 == 1
         distance = max(length(away), 1e-20)
         facing = dot(normal, away) / distance
@@ -321,15 +320,15 @@ class ShadowReceiver(ShadowReader):
         sine = sqrt(max(1.0 - facing * facing, 0.0))
         depth = max(max(abs(away.x), abs(away.y)), abs(away.z))
         if not is_cube:
-            depth = -turn(self.lamps.turns[map], away).z
-        texel = max(depth, 0.0) / self.lamps.tiles[map].w
+            depth = -turn(self.lamp_map(first), away).z
+        texel = max(depth, 0.0) / self.lamp_map(first + 1).w
         moved = away + normal * (texel * (self.lamps.bias.x + self.lamps.bias.y * sine))
         if is_cube:
-            map += cube_face(moved)
-        tile = self.lamps.tiles[map]
+            first += 2 * cube_face(moved)
+        tile = self.lamp_map(first + 1)
         if tile.z <= 0.0:
             return light
-        rotation = self.lamps.turns[map]
+        rotation = self.lamp_map(first)
         place = turn(rotation, moved)
         near = reach * NEAR
         nearness = 1.0 / max(-place.z, near)

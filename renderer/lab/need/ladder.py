@@ -267,7 +267,7 @@ LADDER: Final = (
     Rung(
         "lamp shadows",
         "both lamps cast shadows",
-        Footprint("lamp shadows", bindings=("lamps", "lamp_slots"), resources=("LampTable", "shadow slots")),
+        Footprint("lamp shadows", bindings=("lamps", "lamp_*"), resources=("LampTable", "lamp slots", "lamp maps")),
         switch=_switch_lamp_shadows,
     ),
     Rung(

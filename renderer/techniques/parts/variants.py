@@ -100,7 +100,7 @@ SOURCES: Final[dict[str, Callable[[Frame], Any]]] = {
     "haze": bind_haze,
 }
 """The sources of what shaders bind by these names."""
-_SHADOWS: Final = ("suns", "lamps", "lamp_slots", "shadow_compare", "shadow_atlas")
+_SHADOWS: Final = ("suns", "lamps", "lamp_slots", "lamp_maps", "shadow_compare", "shadow_atlas")
 _IMAGES: Final = {f"{kind}_{i}" if i else kind: (kind, i) for kind in ("images", "maps") for i in range(MOST_ARRAYS)}
 
 

@@ -36,16 +36,20 @@ class Containment(IntEnum):
 
 def classify(planes: Floats, lower: Floats, upper: Floats) -> NDArray[np.uint8]:
     """Return (n,) of `Containment`: the positions of boxes (n, 3) relative to `planes` (p, 4) with unit normals
-    inward."""
-    normals, offsets = planes[:, :3], planes[:, 3]
-    before = (0.5 * lower + 0.5 * upper) @ normals.T + offsets
-    reach = (0.5 * upper - 0.5 * lower) @ np.abs(normals).T
+    inward, or each relative to planes of its own (n, p, 4)."""
+    normals, offsets = planes[..., :3], planes[..., 3]
+    before = _project(normals, 0.5 * lower + 0.5 * upper) + offsets
+    reach = _project(np.abs(normals), 0.5 * upper - 0.5 * lower)
     scale = np.maximum(np.abs(lower), np.abs(upper)).sum(axis=1)
     margin = _MARGIN * (scale[:, None] + reach + np.abs(offsets))
     inside = (before - reach >= margin).all(axis=1)
     outside = (before + reach < -margin).any(axis=1)
     side = np.where(inside, Containment.INSIDE, Containment.CROSSING)
     return np.where(outside, Containment.OUTSIDE, side).astype(np.uint8)
+
+
+def _project(normals: Floats, vectors: Floats) -> Floats:
+    return vectors @ normals.T if normals.ndim == 2 else (normals @ vectors[:, :, None])[..., 0]
 
 
 def find_in_view(scene: Scene, camera: Camera, rows: Rows) -> Rows:

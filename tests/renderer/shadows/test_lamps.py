@@ -95,6 +95,9 @@ def test_the_largest_maps_are_halved_until_all_have_room() -> None:
     widths, counts = {"a": 512, "b": 512, "c": 64}, {"a": 6, "b": 1, "c": 6}
     assert shrink(widths, counts, 1 << 24, 16) == widths
     assert shrink(widths, counts, 1 << 20, 16) == {"a": 256, "b": 256, "c": 64}
+    room = 6 * 512**2 + 256**2 + 6 * 64**2
+    assert shrink(widths, counts, room, 16) == {"a": 512, "b": 256, "c": 64}  # the last of the largest
+    assert shrink(widths, counts, room - 1, 16) == {"a": 256, "b": 256, "c": 64}
     assert shrink(widths, counts, 1, 16) == {"a": 16, "b": 16, "c": 16}
 
 
@@ -104,7 +107,7 @@ def test_shadow_boxes_hold_the_shadows_within_reach(seed: int) -> None:
     lower = random.uniform(-4, 4, (1, 3))
     upper = lower + random.uniform(0, 3, (1, 3))
     light, reach = random.uniform(-4, 4, 3), 8.0
-    low, high = find_shadow_boxes(lower, upper, light, reach)
+    low, high = find_shadow_boxes(lower, upper, light[None], np.array([reach]))
     for place in random.uniform(lower[0], upper[0], (20, 3)):
         behind = light + (place - light) * random.uniform(1.0, 5.0)
         if np.linalg.norm(behind - light) < reach:

@@ -221,18 +221,18 @@ def test_a_lamp_without_a_caster_in_range_has_no_map(null: rhi.Device) -> None:
         assert {key[1] for key in renderer.shadows.tiles} == {0}
 
 
-def test_more_maps_than_the_table_holds_leave_out_the_least_visible_lamps(null: rhi.Device) -> None:
+@pytest.mark.parametrize(("atlas", "dark"), [(512, 0), (256, 100 - 256 // 6)])
+def test_lamps_have_maps_as_long_as_there_is_room_for_the_smallest(null: rhi.Device, atlas: int, dark: int) -> None:
     builder = stage(casts=False)
     places = np.random.default_rng(1).uniform((-4, -1, -4), (4, 7, 4), (100, 3))
     builder.lights.add_points(places, 9.0, casts_shadow=True)
     with make_renderer(null, builder.build()) as renderer:
+        renderer.shadows.settings = replace(SMALL, largest=128, largest_atlas=atlas)
         draw(renderer)
         reasons = [r.because for r in renderer.shadows.reports if r.name.count("face") == 0]
-        assert (
-            reasons.count("there is no room left for its maps: it lights nothing")
-            == renderer.shadows.dark_lamps
-            == 100 - 510 // 6
-        )
+        assert reasons.count("there is no room left for its maps: it lights nothing") == dark
+        assert renderer.shadows.dark_lamps == dark
+        assert len({key[1] for key in renderer.shadows.tiles}) == 100 - dark
 
 
 def test_lamps_share_what_room_there_is(null: rhi.Device) -> None:
@@ -242,8 +242,11 @@ def test_lamps_share_what_room_there_is(null: rhi.Device) -> None:
         renderer.shadows.settings = replace(SMALL, largest=128, largest_atlas=256)
         draw(renderer)
         assert renderer.shadows.atlas.size == (256, 256)
-        sizes = {tile.size for key, tile in renderer.shadows.tiles.items() if key[0] == "point"}
-        assert max(sizes) <= 16
+        sizes = {key: tile.size for key, tile in renderer.shadows.tiles.items() if key[0] == "point"}
+        assert set(sizes.values()) == {16, 32}  # only as many are halved as have to be
+        for step in range(1, 9):  # and those that are remain the same
+            draw(renderer, replace(EYE, position=EYE.position + (0.05 * step, 0.0, 0.0)))
+            assert {key: renderer.shadows.tiles[key].size for key in sizes} == sizes
 
 
 def test_two_eyes_share_maps_that_are_drawn_once(null: rhi.Device) -> None:

@@ -384,14 +384,14 @@ def is_between(places: NDArray[np.float64], lamp: NDArray[np.float64], block: tu
 
 @pytest.mark.parametrize("number", [0, 63, 64, 130])
 def test_each_of_many_lamps_has_its_own_shadows(gl: rhi.Device, number: int) -> None:
-    """One of 131 shines, and has maps; those before it and after it are dark."""
+    """One of 131 shines; the others have maps as well, 786 in all, and are too dim to be seen."""
     shown = []
     for casts in (False, True):
         builder = lamp_scene(block=(0.0, -1.0, 0.0))
         for each in range(131):
             is_lit = each == number
             place = (-0.6, 1.5, -0.4) if is_lit else (3.0, 3.0, 3.0)
-            builder.lights.add_point(place, 12.0, intensity=6.0 if is_lit else 0.0, casts_shadow=casts and is_lit)
+            builder.lights.add_point(place, 12.0, intensity=6.0 if is_lit else 1e-6, casts_shadow=casts)
         shown.append(render_lamps(gl, builder.build(), Camera.look_at((0, 3, 3), (0, -3, 0)), LAMPS)[..., 0])
     assert not (shown[1] > shown[0]).any()
     assert (shown[1] < shown[0] - 8).mean() > 0.03
