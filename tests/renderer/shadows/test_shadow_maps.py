@@ -245,7 +245,7 @@ def test_lamps_share_what_room_there_is(null: rhi.Device) -> None:
         sizes = {key: tile.size for key, tile in renderer.shadows.tiles.items() if key[0] == "point"}
         assert set(sizes.values()) == {16, 32}  # only as many are halved as have to be
         for step in range(1, 9):  # and those that are remain the same
-            draw(renderer, replace(EYE, position=EYE.position + (0.05 * step, 0.0, 0.0)))
+            draw(renderer, replace(EYE, position=EYE.position + np.array((0.05 * step, 0.0, 0.0))))
             assert {key: renderer.shadows.tiles[key].size for key in sizes} == sizes
 
 
