@@ -70,6 +70,20 @@ STATIC_NODE: Final = Rule(
     "a static node can't be moved",
     "add the node, or one of its ancestors, with dynamic=True",
 )
+FIXED_MESH: Final = Rule(
+    "scene-fixed-mesh",
+    "a mesh can be replaced where bounds follow a node, by one that is neither simulated nor a height field",
+    "give the object a dynamic node that isn't animated within bounds",
+)
+NO_TANGENTS: Final = Rule(
+    "scene-no-tangents",
+    "a material with a normal map needs a mesh with tangents",
+    "build the scene with an object of this mesh and this material: then the mesh gets them",
+)
+NO_ROOM: Final = Rule(
+    "scene-no-room", "all objects that were reserved are in use", "reserve more of them before the scene is built"
+)
+REMOVED_OBJECT: Final = Rule("scene-removed-object", "a handle of an object that was removed names nothing")
 SHARED_MESH: Final = Rule(
     "scene-shared-mesh",
     "a simulated object needs a simulation and a mesh of its own",

@@ -108,7 +108,7 @@ class SceneResources:
         self._held = np.zeros(len(scene.objects))  # by object, the state of the vertices on the device
         self._device = device
         self._material_version = -1  # that of the materials on the device
-        meshes, objects = scene.meshes, scene.objects
+        objects = scene.objects
         computed = [one.objects for one in scene.simulated if isinstance(one.simulation, DeformingOnDevice)]
         self._is_computed: NDArray[np.bool_] | None = None  # by object, whether the device computes its vertices
         self._computing: dict[Simulator, list[DeformingOnDevice]] = {}  # what holds memory on the device
@@ -118,13 +118,7 @@ class SceneResources:
             self._made.callback(self._release_all)
         self.mesh: Mesh = self._make_mesh(device, scene)
         self.tessellations = 0
-        ranges = meshes.ranges[objects.mesh]
-        self.draws: NDArray[Any] = self.mesh.draws(
-            ranges["first_index"],
-            ranges["index_count"],
-            base_vertex=ranges["base_vertex"],
-            base_instance=np.arange(len(objects)),
-        )
+        self.draws = self._make_draws()
         self.tessellated_rows: NDArray[np.int64] = np.array(sorted(scene.height_fields), np.int64)
         has_images = len(scene.textures) > 0
         self.images = self._keep(SceneImages(device, scene, textures)) if has_images else None
@@ -142,17 +136,27 @@ class SceneResources:
         self._reaching = (False, False)  # whether any point light is on a list, and any spot light
         self.ambient = keep(MirroredValue(device, _ambient(scene)))
         self._rows: NDArray[Any] = np.zeros(len(objects), shaders.Object.dtype)
-        self._rows["material"] = objects.material
         self._places: NDArray[Any] = np.zeros(len(objects), shaders.ObjectPosition.dtype)
         self._places["mesh"] = objects.mesh
         self.mirrored: NDArray[np.bool_] = np.zeros(len(objects), bool)
         self.transparent_rows: NDArray[np.int64] = np.zeros(0, np.int64)
         self.is_transparent: NDArray[np.bool_] = np.zeros(len(objects), bool)
         self._has_two_sides: NDArray[np.bool_] = np.zeros(len(objects), bool)
+        self._shown: NDArray[np.bool_] = np.zeros(len(objects), bool)
         self.group: NDArray[np.int32] = np.zeros(len(objects), np.int32)
         self.groups: tuple[tuple[int, tuple[State, ...]], ...] = ((0, DRAW_GROUPS[0]),)
         self._follow_materials()
         self._transform(np.arange(len(objects)))
+
+    def _make_draws(self) -> NDArray[Any]:
+        """Return the draw of each object."""
+        ranges = self.scene.meshes.ranges[self.scene.objects.mesh]
+        return self.mesh.draws(
+            ranges["first_index"],
+            ranges["index_count"],
+            base_vertex=ranges["base_vertex"],
+            base_instance=np.arange(len(ranges)),
+        )
 
     def _make_mesh(self, device: Device, scene: Scene) -> Mesh:
         """Make the mesh of all meshes. Indices of height fields are written on the device, and so are vertices of some
@@ -347,13 +351,14 @@ class SceneResources:
         scene = self.scene
         following = scene.objects.following_rows  # others that move are simulated before they are drawn
         self._transform(following)
-        self.objects.write(self._rows, None if self._list_lights() else following)
         self.directional.write(scene.lights.directional)
-        has_changed = self._material_version != scene.material_version
-        if has_changed:
+        has_others = False
+        if self._material_version != scene.material_version:
             self._material_version = scene.material_version
             self.materials.write(scene.materials)
-        self.places.write(self._places, None if has_changed and self._follow_materials() else following)
+            has_others = self._follow_materials()
+        self.objects.write(self._rows, None if self._list_lights() or has_others else following)
+        self.places.write(self._places, None if has_others else following)
         self._lamps.update(scene.lights, self._reaching, [eye.position for eye in eyes])
         self.look_from(0)
         self.ambient.write(_ambient(scene))
@@ -363,18 +368,36 @@ class SceneResources:
         self.point, self.spot = self._lamps.find(eye)
 
     def _follow_materials(self) -> bool:
-        """Find the objects that are transparent and those with two sides, and return whether they are others than
-        before."""
-        scene = self.scene
-        rows, two_sided = scene.find_transparent(), scene.materials["double_sided"][scene.objects.material] != 0
-        if np.array_equal(rows, self.transparent_rows) and np.array_equal(two_sided, self._has_two_sides):
+        """Find the objects that are shown, transparent, with two sides, and their meshes and materials, and return
+        whether they are others than before."""
+        scene, objects = self.scene, self.scene.objects
+        rows, two_sided = scene.find_transparent(), scene.materials["double_sided"][objects.material] != 0
+        has_others = not np.array_equal(objects.mesh, self._places["mesh"])
+        if has_others:
+            self._places["mesh"] = objects.mesh
+            self.draws = self._make_draws()
+        if not has_others and all(
+            np.array_equal(new, old)
+            for new, old in (
+                (rows, self.transparent_rows),
+                (two_sided, self._has_two_sides),
+                (objects.shown, self._shown),
+                (objects.material, self._rows["material"]),
+            )
+        ):
             return False
-        self.transparent_rows, self._has_two_sides = rows, two_sided
+        self._rows["material"] = objects.material
+        self.transparent_rows, self._has_two_sides, self._shown = rows, two_sided, objects.shown.copy()
         self.is_transparent[:] = False
         self.is_transparent[rows] = True
         self._group_all()
-        self._places["draw_list"] = np.where(self.is_transparent, -1, self.group)
+        self._places["draw_list"] = self._find_lists(slice(None))
         return True
+
+    def _find_lists(self, rows: slice | NDArray[np.int64]) -> NDArray[np.int32]:
+        """Return on which of the device's lists the objects `rows` are; -1 for none."""
+        is_listed = self._shown[rows] & ~self.is_transparent[rows]
+        return np.where(is_listed, self.group[rows], -1).astype(np.int32)
 
     def _group_all(self) -> None:
         """Divide the objects into groups."""
@@ -398,7 +421,7 @@ class SceneResources:
             self._group_all()
         place = self._places[rows]
         place["high"], place["low"] = split_doubles(world[:, :3, 3])
-        place["draw_list"] = np.where(self.is_transparent[rows], -1, self.group[rows])
+        place["draw_list"] = self._find_lists(rows)
         self._places[rows] = place
 
     def _list_lights(self) -> bool:

@@ -52,6 +52,7 @@ from renderer.scene.rigs import NATURAL_DISTANCE as NATURAL_DISTANCE
 from renderer.scene.rigs import Skewed as Skewed
 from renderer.scene.rigs import StereoRig as StereoRig
 from renderer.scene.rigs import measure_parallax as measure_parallax
+from renderer.scene.scene import ObjectHandle as ObjectHandle
 from renderer.scene.scene import Scene as Scene
 from renderer.scene.scene import SceneBuilder as SceneBuilder
 from renderer.scene.simulation import Advanced as Advanced

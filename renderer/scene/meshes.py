@@ -195,6 +195,7 @@ class Meshes:
         ranges: (m,) of `RANGE`.
         lower, upper: (m, 3) float64, local bounds.
         names: the names of the meshes, m of them.
+        with_tangents: the meshes that had tangents, which normal maps need; others have the same for all vertices.
     """
 
     def __init__(
@@ -206,6 +207,7 @@ class Meshes:
         """`bounds` that aren't None replace those of the geometries, for meshes that change."""
         count = len(geometries)
         attributes: frozenset[str] = frozenset().union(*(g.attributes for g in geometries))
+        self.with_tangents = frozenset(i for i, g in enumerate(geometries) if "tangent" in g.attributes)
         geometries = [g.with_attributes(attributes) for g in geometries]
         fixed = bounds or [None] * count
         self.vertices: NDArray[Any] = np.concatenate([g.vertices for g in geometries] or [np.empty(0, VERTEX)])

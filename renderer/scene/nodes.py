@@ -30,6 +30,7 @@ class Nodes:
         world: (n, 4, 4) float64, transforms from node to world; read-only, updated by `update`.
         dynamic: (n,) bool, whether a node may move.
         level_starts: (levels + 1,) int64; level l is the rows level_starts[l] to level_starts[l + 1].
+        hidden: (n,) bool, whether a node or one above it is hidden, as of the last `update`; read-only.
         rows: (n,) int64, the row of each id in the order in which the constructor was given them.
         names: the name of each row; may be empty.
         writer: the simulator that has last set transforms; None if something else has.
@@ -59,6 +60,9 @@ class Nodes:
         self._local: Floats = matrices[order].copy()
         self._world: Floats = self._local.copy()
         self._dirty: NDArray[np.bool_] = np.ones(count, bool)
+        self._hides: NDArray[np.bool_] = np.zeros(count, bool)  # by themselves
+        self._hidden: NDArray[np.bool_] = np.zeros(count, bool)
+        self._has_hidden = False  # or shown, since the last update
         self.writer: object = None
         for start, end in self._levels():
             if start:
@@ -80,6 +84,11 @@ class Nodes:
         """The transforms from node to world as of the last update, (n, 4, 4) float64."""
         return _read_only(self._world)
 
+    @property
+    def hidden(self) -> NDArray[np.bool_]:
+        """Whether each node or one above it is hidden as of the last update, (n,) bool."""
+        return _read_only(self._hidden)
+
     def find(self, name: str) -> int:
         """Return the row of the first node with this name."""
         if name not in self.names:
@@ -88,10 +97,8 @@ class Nodes:
 
     def set_local(self, rows: ArrayLike, local: ArrayLike) -> None:
         """Set the local transforms (k, 4, 4) or (4, 4) of the dynamic `rows` (k,); `update` applies them."""
-        chosen = np.atleast_1d(np.asarray(rows, np.int64))
+        chosen = self._check_rows("set_local", rows)
         matrices = np.asarray(local, np.float64)
-        if chosen.size and (chosen.min() < 0 or chosen.max() >= len(self)):
-            refuse(rules.BAD_INDEX, "set_local(rows=...)", chosen, f"0 to {len(self) - 1}")
         if matrices.shape not in ((4, 4), (len(chosen), 4, 4)) or not is_affine(matrices):
             refuse(rules.BAD_TRANSFORM, "set_local(local=...)", f"shape {matrices.shape}", "(k, 4, 4)")
         static = chosen[~self.dynamic[chosen]]
@@ -100,6 +107,30 @@ class Nodes:
         self._local[chosen] = matrices
         self._dirty[chosen] = True
         self.writer = None
+
+    def hide(self, rows: ArrayLike) -> None:
+        """Hide what is at the nodes `rows` (k,), static or not, and below them; `update` applies it."""
+        self._hides[self._check_rows("hide", rows)] = self._has_hidden = True
+
+    def show(self, rows: ArrayLike) -> None:
+        """Show what `hide` has hidden at the nodes `rows` (k,). What is below a hidden node stays hidden."""
+        self._hides[self._check_rows("show", rows)] = False
+        self._has_hidden = True
+
+    def _check_rows(self, call: str, rows: ArrayLike) -> NDArray[np.int64]:
+        chosen = np.atleast_1d(np.asarray(rows, np.int64))
+        if chosen.size and (chosen.min() < 0 or chosen.max() >= len(self)):
+            refuse(rules.BAD_INDEX, f"{call}(rows=...)", chosen, f"0 to {len(self) - 1}")
+        return chosen
+
+    def update_hidden(self) -> bool:
+        """Update which nodes are hidden, and return whether others may be than before."""
+        has_changed, self._has_hidden = self._has_hidden, False
+        if has_changed:
+            self._hidden = self._hides.copy()
+            for start, end in self._levels()[1:]:
+                self._hidden[start:end] |= self._hidden[self.parents[start:end]]
+        return has_changed
 
     def update(self) -> NDArray[np.bool_]:
         """Update the world transforms; return which rows changed, (n,) bool."""

@@ -42,6 +42,7 @@ class Objects:
         node, mesh, material: (n,) int32, rows of nodes, meshes and materials.
         lower, upper: (n, 3) float64, world bounds, kept up to date by `Scene.update`.
         dynamic: (n,) bool, whether the object's node can move.
+        shown: (n,) bool, whether the object's node isn't hidden, kept up to date by `Scene.update`.
         casts_shadow: (n,) bool, whether the object casts shadows.
         simulated: (n,) bool, whether the object is simulated where it is drawn, and only there. Its vertices and its
             transform may be those of an earlier time; its bounds hold at all times.
@@ -57,6 +58,7 @@ class Objects:
     lower: Floats
     upper: Floats
     dynamic: NDArray[np.bool_]
+    shown: NDArray[np.bool_]
     casts_shadow: NDArray[np.bool_]
     simulated: NDArray[np.bool_]
     boxes: Boxes
@@ -68,6 +70,10 @@ class Objects:
 
     def __len__(self) -> int:
         return len(self.node)
+
+    def find_shown(self, rows: Rows) -> Rows:
+        """Return those of the objects `rows` (k,) that are shown; the same array if all objects of the scene are."""
+        return rows if self.shown.all() else rows[self.shown[rows]]
 
     def refresh_bounds(self, nodes: Nodes, rows: Rows) -> None:
         """Compute the world bounds of `rows` (k,) again."""
@@ -122,6 +128,7 @@ def make_objects(
         lower=np.zeros((len(node), 3)),
         upper=np.zeros((len(node), 3)),
         dynamic=dynamic,
+        shown=np.ones(len(node), bool),
         casts_shadow=casts_shadow != 0,
         simulated=simulated,
         boxes=boxes,

@@ -1,15 +1,16 @@
 """The scene: nodes, objects, meshes, materials, images, lights and cameras, all as arrays.
 
-A `SceneBuilder` collects and checks the parts, one by one or as arrays, and `build` makes a `Scene` of them. The set
-of parts is then fixed: transforms of dynamic nodes, lights and materials may change, but nothing can be added or
-removed. An object is a mesh with a material at a node. `Scene.update` is the only call that a frame needs.
+A `SceneBuilder` collects and checks the parts, one by one or as arrays, and `build` makes a `Scene` of them. The
+arrays then keep their sizes: transforms of dynamic nodes, lights and materials may change, nodes may be hidden, objects
+may get other meshes and materials, and objects that were reserved come and go. An object is a mesh with a material at a
+node. `Scene.update` is the only call that a frame needs.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -45,9 +46,16 @@ from renderer.scene.simulation import (
     check_simulation,
 )
 from renderer.scene.tangents import add_tangents
-from rhi import SamplerDescriptor
+from rhi import FixedStack, SamplerDescriptor
 from rhi.errors import refuse
 from rhi.math import Camera, is_affine, relative_to
+
+
+class ObjectHandle(NamedTuple):
+    """A handle of an object that `Scene.add_object` has added: its row, and how often that was used before."""
+
+    row: int
+    generation: int
 
 
 class Scene:
@@ -89,6 +97,7 @@ class Scene:
         height_fields: Mapping[int, HeightField] | None = None,
         fog: Fog | None = None,
         glow: Glow | None = None,
+        reserved: Rows | None = None,
     ) -> None:
         self.name = name
         self.simulated = simulated
@@ -111,7 +120,13 @@ class Scene:
         self.seconds = 0.0
         self._finite = FiniteArrays()
         self._features = MaterialFeatures(materials, self.textures, samplers)
-        self._last_material = int(objects.material.max(initial=-1))
+        self._edits = 0  # how often other objects were shown, or objects got other meshes or materials
+        spare = [] if reserved is None else reserved.tolist()
+        self._spare: FixedStack[int] = FixedStack(max(len(spare), 1))
+        for row in reversed(spare):
+            self._spare.push(row)
+        self._generations = dict.fromkeys(spare, 0)  # how often each of these was removed
+        nodes.hide(objects.node[spare])
         self._has_colors = "color" in (meshes.vertices.dtype.names or ())
         self._transparent: tuple[int, Rows] = (-1, np.zeros(0, np.int64))  # as of a version of the materials
         self._glowing: tuple[int, Rows] = (-1, np.zeros(0, np.int64))  # the same
@@ -139,11 +154,15 @@ class Scene:
         Raises:
             ValidationError `scene-bad-index`: `materials` was replaced by fewer than objects have.
         """
-        if len(self.materials) <= self._last_material:
-            given, allowed = f"{len(self.materials)} materials", f"at least {self._last_material + 1}"
+        last = int(self.objects.material.max(initial=-1))
+        if len(self.materials) <= last:
+            given, allowed = f"{len(self.materials)} materials", f"at least {last + 1}"
             refuse(rules.BAD_INDEX, "Scene.refresh", given, allowed)
         self._features.refresh(self.materials)
         moved = self.nodes.update()
+        if self.nodes.update_hidden():
+            self.objects.shown[:] = ~self.nodes.hidden[self.objects.node]
+            self._edits += 1
         if not moved.any():
             return np.zeros(0, np.int64)
         boxes = self.objects.boxes.node
@@ -155,10 +174,84 @@ class Scene:
         `refresh`."""
         return {**self._features.counts, "vertex colors": len(self.meshes) if self._has_colors else 0}
 
+    def replace(self, rows: ArrayLike, *, mesh: ArrayLike | None = None, material: ArrayLike | None = None) -> None:
+        """Give the objects `rows` (k,) other meshes or materials, (k,) or one for all, by their ids.
+
+        Raises:
+            ValidationError: `scene-bad-index`; `scene-fixed-mesh` where bounds don't follow a node; `scene-no-tangents`
+                for a normal map on a mesh that was built without one.
+        """
+        objects, chosen = self.objects, np.atleast_1d(np.asarray(rows, np.int64))
+
+        def check(name: str, given: ArrayLike, limit: int) -> Rows:
+            ids = np.broadcast_to(np.asarray(given, np.int64), chosen.shape)
+            if ids.size and (ids.min() < 0 or ids.max() >= limit):
+                refuse(rules.BAD_INDEX, f"replace({name}=...)", given, f"0 to {limit - 1}")
+            return ids
+
+        check("rows", chosen, len(objects))
+        meshes = check("mesh", objects.mesh[chosen] if mesh is None else mesh, len(self.meshes))
+        materials = check("material", objects.material[chosen] if material is None else material, len(self.materials))
+        if mesh is not None:
+            changing = [*self.height_fields, *(int(row) for one in self.simulated for row in one.objects)]
+            own = objects.mesh[np.array(changing, np.int64)]
+            anchor = objects.boxes.node[chosen]
+            is_fixed = np.isin(objects.mesh[chosen], own) | (anchor < 0) | ~self.nodes.dynamic[anchor]
+            if (is_fixed | np.isin(meshes, own)).any():
+                refuse(rules.FIXED_MESH, "replace(mesh=...)", f"objects {rows!r}, meshes {mesh!r}")
+        mapped = set(meshes[self.materials["normal_texture"][materials] >= 0].tolist())
+        if not mapped <= self.meshes.with_tangents:
+            refuse(rules.NO_TANGENTS, "replace", f"meshes {sorted(mapped - self.meshes.with_tangents)}")
+        objects.mesh[chosen], objects.material[chosen] = meshes, materials
+        if mesh is not None:
+            objects.boxes.lower[chosen], objects.boxes.upper[chosen] = (
+                self.meshes.lower[meshes],
+                self.meshes.upper[meshes],
+            )
+            objects.refresh_bounds(self.nodes, chosen)
+        self._edits += 1
+
+    def add_object(self, mesh: int, material: int, local: ArrayLike | None = None) -> ObjectHandle:
+        """Show one of the reserved objects with a mesh and a material, by their ids, and return its handle.
+
+        Args:
+            local: its transform (4, 4), by default the identity.
+
+        Raises:
+            ValidationError: `scene-no-room`, or what `replace` and `Nodes.set_local` refuse; nothing is added then.
+        """
+        if not self._spare:
+            refuse(rules.NO_ROOM, "add_object", f"{len(self._generations)} objects in use")
+        row = self._spare.top
+        node = self.objects.node[row]
+        self.nodes.set_local(node, np.eye(4) if local is None else local)
+        self.replace(row, mesh=mesh, material=material)
+        self.nodes.show(node)
+        self._spare.pop()
+        return ObjectHandle(row, self._generations[row])
+
+    def remove_object(self, handle: ObjectHandle) -> None:
+        """Remove an object that `add_object` has added. Its handle names nothing from then on."""
+        row = self.find_row(handle)
+        self.nodes.hide(self.objects.node[row])
+        self._generations[row] += 1
+        self._spare.push(row)
+
+    def find_row(self, handle: ObjectHandle) -> int:
+        """Return the row of an object that `add_object` has added; `objects.node` has its node, which may be moved.
+
+        Raises:
+            ValidationError: `scene-removed-object`.
+        """
+        if self._generations.get(handle.row) != handle.generation:
+            refuse(rules.REMOVED_OBJECT, "find_row", handle)
+        return handle.row
+
     @property
     def material_version(self) -> int:
-        """A number that grows when a `refresh` finds that materials have changed."""
-        return self._features.version
+        """A number that grows when a `refresh` finds that materials have changed, or that objects are hidden or shown,
+        and when objects get other meshes or materials."""
+        return self._features.version + self._edits
 
     @property
     def material_kinds(self) -> Rows:
@@ -190,8 +283,9 @@ class Scene:
 
     @property
     def bounds(self) -> tuple[Floats, Floats]:
-        """The lower and the upper corner (3,) of the bounds of all objects."""
-        return self.objects.lower.min(0), self.objects.upper.max(0)
+        """The lower and the upper corner (3,) of the bounds of all objects that are shown, of all if none is."""
+        shown = self.objects.shown if self.objects.shown.any() else slice(None)
+        return self.objects.lower[shown].min(0), self.objects.upper[shown].max(0)
 
     @property
     def triangle_count(self) -> int:
@@ -203,19 +297,21 @@ class Scene:
         return int(self.meshes.triangle_counts[self.objects.mesh[objects]].sum())
 
     def find_transparent(self) -> Rows:
-        """Return the rows of the objects whose materials are blended with what is behind them, as of the last
-        `refresh`."""
+        """Return the rows of the objects that are shown and whose materials are blended with what is behind them, as of
+        the last `refresh`."""
         if self._transparent[0] != self.material_version:
             blended = self.materials["alpha_mode"] == AlphaMode.BLEND
             rows = np.flatnonzero(blended[self.objects.material]) if blended.any() else np.zeros(0, np.int64)
-            self._transparent = self.material_version, rows
+            self._transparent = self.material_version, self.objects.find_shown(rows)
         return self._transparent[1]
 
     def find_featured(self) -> dict[str, Rows]:
         """Return the rows of the objects that have each feature of `count_features` by their materials, and as `glow`
         those of `find_glowing`."""
         flags, material = self._features.find_flags(), self.objects.material
-        featured = {name: np.flatnonzero(has[material]) for name, has in flags.items() if has.any()}
+        featured = {
+            name: self.objects.find_shown(np.flatnonzero(has[material])) for name, has in flags.items() if has.any()
+        }
         return featured | {"glow": self.find_glowing()}
 
     def find_glowing(self) -> Rows:
@@ -225,7 +321,7 @@ class Scene:
             materials = self.materials
             emitted = materials["base_color"][:, :3] * materials["emission"][:, None] + materials["emissive"]
             glows = (emitted > 1.0).any(axis=1)
-            self._glowing = self.material_version, np.flatnonzero(glows[self.objects.material])
+            self._glowing = self.material_version, self.objects.find_shown(np.flatnonzero(glows[self.objects.material]))
         return self._glowing[1]
 
     def relative_transforms(self, eye: ArrayLike, objects: NDArray[np.int64] | None = None) -> NDArray[np.float32]:
@@ -273,6 +369,7 @@ class SceneBuilder:
         self._node_names: list[str] = []
         self._objects: list[NDArray[np.int64]] = []
         self._object_count = 0
+        self._reserved: list[NDArray[np.int64]] = []
         self._simulated: list[Simulated] = []
         self._animated: list[tuple[NDArray[np.int64], ObjectSimulation, tuple[Floats, Floats] | None]] = []
 
@@ -383,6 +480,11 @@ class SceneBuilder:
         first = self._object_count
         self._object_count += len(columns[0])
         return np.arange(first, self._object_count)
+
+    def reserve(self, count: int, mesh: int, material: int, casts_shadow: bool = True) -> None:
+        """Reserve so many objects for `Scene.add_object`; they are hidden until then, with this mesh and material."""
+        nodes = self.add_nodes(np.broadcast_to(np.eye(4), (count, 4, 4)), dynamic=True)
+        self._reserved.append(self.add_objects(nodes, mesh, material, casts_shadow))
 
     def animate(
         self,
@@ -501,6 +603,7 @@ class SceneBuilder:
             height_fields=self._find_height_fields(table[:, 1]),
             fog=self.fog,
             glow=self.glow,
+            reserved=np.concatenate([np.zeros(0, np.int64), *self._reserved]),
         )
 
     def _complete_vertices(

@@ -44,7 +44,7 @@ class SceneCasters:
 
     def __init__(self, scene: Scene) -> None:
         objects = scene.objects
-        may_move, casts = objects.dynamic | objects.simulated, objects.casts_shadow.copy()
+        may_move, casts = objects.dynamic | objects.simulated, objects.casts_shadow & objects.shown
         may_move[list(scene.height_fields)] = True  # their triangles do
         self.coverage = find_coverage(scene)
         self.is_masked: NDArray[np.bool_] = (scene.materials["alpha_mode"] == AlphaMode.MASK)[objects.material]

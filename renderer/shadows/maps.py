@@ -30,7 +30,7 @@ from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Rows
 from renderer.shaders.depth import DepthOnly
 from renderer.shaders.structs import ViewConstants
-from renderer.shadows.casters import find_coverage
+from renderer.shadows.casters import SceneCasters, find_coverage
 from renderer.shadows.lamps import turn_into_quaternion
 from renderer.shadows.needed import SUN, MapKey, NeededMaps, WantedMap
 from renderer.shadows.receiver import (
@@ -457,11 +457,15 @@ class ShadowMaps:
         self._reported.append((key, state, because, wanted))
 
     def _has_other_coverage(self, scene: Scene) -> bool:
-        """Return whether materials cover something else than what the maps show."""
+        """Return whether materials cover something else than what the maps show. Objects that are hidden or shown, or
+        that have other meshes or materials, are casters of those maps only that they are in."""
         if self._material_version == scene.material_version:
             return False
         self._material_version = scene.material_version
-        return self._needed is None or self._needed.casters.coverage != find_coverage(scene)
+        if self._needed is None or self._needed.casters.coverage != find_coverage(scene):
+            return True
+        self._needed.casters = SceneCasters(scene)
+        return False
 
     def _reset(self, scene: Scene) -> None:
         """Begin anew with a scene and the settings."""
@@ -551,7 +555,8 @@ def describe_state(scene: Scene, rows: Rows, tessellations: int = 0) -> bytes:
     seconds = np.float64(scene.seconds).tobytes() if objects.simulated[rows].any() else b""
     fields = list(scene.height_fields)
     chosen = np.int64(tessellations).tobytes() if fields and np.isin(fields, rows).any() else b""
-    return rows.tobytes() + scene.nodes.world[objects.node[rows]].tobytes() + seconds + chosen
+    look = np.stack([rows, objects.mesh[rows], objects.material[rows]])
+    return look.tobytes() + scene.nodes.world[objects.node[rows]].tobytes() + seconds + chosen
 
 
 _NO_TILE: Final = Tile(0, 0, 0)

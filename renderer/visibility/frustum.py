@@ -7,7 +7,6 @@ from typing import Final
 import numpy as np
 
 from renderer.scene import Camera, Scene
-from renderer.scene.arrays import Rows
 from renderer.visibility.algorithm import VisibilityStatistics
 from renderer.visibility.boxes.culling import Culler, CullingCounts, find_visible
 from renderer.visibility.boxes.hierarchy import build_by_area
@@ -22,16 +21,17 @@ class NoCulling:
 
     def __init__(self, scene: Scene, *_: object) -> None:
         """Neither a device nor settings are needed."""
-        self._rows: Rows = np.arange(len(scene.objects))
+        self._objects, self._rows = scene.objects, np.arange(len(scene.objects))
 
     @staticmethod
     def find_obstacle(_: Device) -> None:
         """Find none: every device can run it."""
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
-        """Draw every object."""
-        scene_pass.draw_alone(self._rows)
-        return VisibilityStatistics(len(self._rows), len(self._rows), by_frustum=True)
+        """Draw every object that is shown."""
+        rows = self._objects.find_shown(self._rows)
+        scene_pass.draw_alone(rows)
+        return VisibilityStatistics(len(self._rows), len(rows), by_frustum=True)
 
     def destroy(self) -> None:
         """Do nothing: there are no resources on the device."""
@@ -70,6 +70,7 @@ class FrustumCulling:
             shown = find_visible(planes, objects.lower[moving], objects.upper[moving])
             visible = np.sort(np.concatenate([visible, moving[shown]]))
             counts = counts + CullingCounts(0, len(moving), len(moving) * len(planes))
+        visible = objects.find_shown(visible)
         if len(visible):
             scene_pass.draw_alone(visible)
         return VisibilityStatistics(

@@ -60,7 +60,7 @@ def run(name: str, *arguments: str) -> str:
 
 
 def test_each_file_is_a_program_that_the_nightly_test_runs_or_shared_by_them() -> None:
-    assert {"recording", "lanes", "draw_cost"} <= set(PROGRAMS)
+    assert {"recording", "memory", "draw_cost"} <= set(PROGRAMS)
     assert sorted(FILES.keys() - set(PROGRAMS)) == ["scenes"]  # what several of them draw
     assert set(OWN) <= set(PROGRAMS)
 

@@ -110,6 +110,9 @@ class Forest:
         boxes = see_boxes(camera, lower, upper, rotated, self._leaf_of[rotated.rows])
         status = find_visible(camera.frustum.planes, lower, upper).astype(np.uint8)
         status[boxes.near & (status == INSIDE)] = NEAR
+        if not self._objects.shown.all():  # what has nothing below it that is shown counts as outside
+            shown = np.concatenate([[0], np.cumsum(self._objects.shown[self.order])])
+            status[shown[self.first + self.count] == shown[self.first]] = OUTSIDE
         self.status = status.tobytes()
         self._in_view[:] = status[self._leaf_of] != OUTSIDE
 

@@ -53,7 +53,8 @@ def _project(normals: Floats, vectors: Floats) -> Floats:
 
 
 def find_in_view(scene: Scene, camera: Camera, rows: Rows) -> Rows:
-    """Return those of the objects `rows` (k,) whose bounds are not outside the view."""
+    """Return those of the objects `rows` (k,) that are shown and whose bounds are not outside the view."""
+    rows = scene.objects.find_shown(rows)
     if not len(rows):
         return rows
     side = classify(camera.frustum.planes, scene.objects.lower[rows], scene.objects.upper[rows])

@@ -55,7 +55,7 @@ class Geometry:
         self._scene = scene
         meshes, objects = scene.meshes, scene.objects
         triangles, rows = [], []
-        for row in range(len(objects)):
+        for row in np.flatnonzero(objects.shown).tolist():
             first, count, base = (int(value) for value in meshes.ranges[objects.mesh[row]])
             field = scene.height_fields.get(row)
             indices = meshes.indices[first : first + count].reshape(-1, 3) if field is None else _divide(field.heights)

@@ -1,0 +1,258 @@
+"""Objects that come and go while a scene runs: it looks as one that is built anew, and costs as much."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from frames import SIZE, open_renderer, read_colors
+from numpy.typing import NDArray
+
+import rhi
+from renderer.content import BUILT_IN
+from renderer.frame import Effect
+from renderer.renderer import FrameResult, Renderer
+from renderer.scene import AlphaMode, Camera, ObjectHandle, Scene, SceneBuilder, rotation, scaling, translation
+from renderer.shadows import ShadowSettings
+from renderer.techniques import TECHNIQUES
+from renderer.visibility import ALGORITHMS, find_obstacle
+from rhi import ValidationError
+
+EYE = Camera.look_at((0.0, 5.0, 11.0), (0.0, 0.5, 0.0)).with_aspect(SIZE[0] / SIZE[1])
+SHADOWS = ShadowSettings(cascades=1, cascade_size=128, largest=64, far_size=0)
+SPARE = 12
+
+
+def begin() -> SceneBuilder:
+    """Return a floor, meshes 1 and 2 and materials 1 to 4, and lights that cast shadows."""
+    builder = SceneBuilder("edited")
+    for name in ("box", "torus", "sphere"):
+        builder.add_mesh(BUILT_IN[name]())
+    builder.add_material(base_color=(0.6, 0.6, 0.6))
+    builder.add_material(base_color=(0.9, 0.2, 0.1))
+    builder.add_material(base_color=(0.1, 0.3, 0.9), double_sided=True)
+    builder.add_material(base_color=(0.2, 0.8, 0.2, 0.5), alpha_mode=AlphaMode.BLEND)
+    builder.add_material(base_color=(0.9, 0.8, 0.1), emission=1.5)
+    builder.lights.add_directional((-0.4, -1.0, -0.3), intensity=0.5, casts_shadow=True)
+    builder.lights.add_point((2.0, 3.0, 1.0), 8.0, intensity=4.0, casts_shadow=True)
+    builder.lights.add_spot((-3.0, 4.0, 1.0), (0.4, -1.0, 0.0), 9.0, 0.4, 0.7, intensity=5.0, casts_shadow=True)
+    builder.add_objects(builder.add_node(translation((0, -0.6, 0)) @ scaling((12, 1, 12))), 0, 0)
+    return builder
+
+
+def make_edited(glass: int = 3) -> Scene:
+    """Return a scene with static objects 1 to 3, two of them below a node, and `SPARE` that are reserved."""
+    builder = begin()
+    group = builder.add_node(name="group")
+    for number, parent in enumerate((-1, group, group)):
+        node = builder.add_node(translation((3.0 * number - 3.0, 0.4, -2.0)), parent)
+        builder.add_objects(node, 1 + number % 2, (1, 2, glass)[number])
+    builder.reserve(SPARE, 1, 1)
+    return builder.build()
+
+
+def build_anew(scene: Scene) -> Scene:
+    """Return a scene that has what another one shows, and no more."""
+    builder, objects = begin(), scene.objects
+    for row in np.flatnonzero(objects.shown).tolist()[1:]:
+        node = builder.add_node(scene.nodes.world[objects.node[row]], dynamic=bool(objects.dynamic[row]))
+        builder.add_objects(node, int(objects.mesh[row]), int(objects.material[row]))
+    return builder.build()
+
+
+class Editor:
+    """Edits a scene at random."""
+
+    def __init__(self, scene: Scene, seed: int, glass: int = 3) -> None:
+        self.scene, self.random = scene, np.random.default_rng(seed)
+        self.materials = 1, 2, glass, 4
+        self.handles: list[ObjectHandle] = []
+        self.fixed = [*scene.objects.node[1:4].tolist(), scene.nodes.find("group")]
+
+    def place(self) -> NDArray[np.float64]:
+        turn = rotation(self.random.normal(size=3), self.random.uniform(0, 6))
+        size = self.random.uniform(0.3, 1.2, 3) * self.random.choice([-1.0, 1.0], 3)
+        return translation(self.random.uniform((-4, 0, -4), (4, 2, 4))) @ turn @ scaling(size)
+
+    def edit(self) -> None:
+        scene, random = self.scene, self.random
+        mesh, material = int(random.integers(1, 3)), int(random.choice(self.materials))
+        kind = random.integers(6)
+        if kind < 2 and len(self.handles) < SPARE:
+            self.handles.append(scene.add_object(mesh, material, self.place()))
+        elif kind == 2 and self.handles:
+            scene.remove_object(self.handles.pop(int(random.integers(len(self.handles)))))
+        elif kind == 3:
+            change = scene.nodes.hide if random.integers(2) else scene.nodes.show
+            change(random.choice(self.fixed))
+        elif kind == 4 and self.handles:
+            row = scene.find_row(self.handles[int(random.integers(len(self.handles)))])
+            scene.nodes.set_local(scene.objects.node[row], self.place())
+        elif kind == 5 and self.handles:
+            row = scene.find_row(self.handles[int(random.integers(len(self.handles)))])
+            scene.replace(row, mesh=mesh, material=material)
+
+
+def draw(renderer: Renderer) -> FrameResult:
+    renderer.shadows.settings = SHADOWS
+    renderer.render(EYE)
+    return renderer.render(EYE)
+
+
+def compare(device: rhi.Device, technique: str, algorithm: str, edits: int, *, every: int, seed: int = 1) -> None:
+    """Edit a scene, and compare it with one that is built anew: its picture, and what is drawn without queries."""
+    glass = 1 if technique == "inferred" else 3  # which stipples glass by the rows of objects
+    scene = make_edited(glass)
+    editor = Editor(scene, seed, glass)
+    with open_renderer(device, scene, TECHNIQUES[technique](), visibility=algorithm) as renderer:
+        for number in range(edits):
+            editor.edit()
+            if number % every:
+                continue
+            frame = draw(renderer)
+            new = build_anew(scene)
+            with open_renderer(device, new, TECHNIQUES[technique](), visibility=algorithm) as other:
+                expected = draw(other)
+                if device.capabilities.renders:
+                    difference = np.abs(read_colors(frame).astype(int) - read_colors(expected))
+                    assert difference.max() <= 1, (number, difference.max(), (difference > 1).sum())
+                if algorithm in ("none", "frustum"):
+                    assert frame.statistics.draws == expected.statistics.draws, number
+                    assert frame.statistics.triangles == expected.statistics.triangles, number
+                    assert renderer.shadows.casters_drawn == other.shadows.casters_drawn == 0
+                    wanted = sorted((each.name, each.casters) for each in other.shadows.reports)
+                    assert sorted((each.name, each.casters) for each in renderer.shadows.reports) == wanted
+
+
+@pytest.mark.parametrize("technique", ["forward", "clustered", "deferred_plus"])
+def test_an_edited_scene_looks_as_one_that_is_built_anew(drawing_device: rhi.Device, technique: str) -> None:
+    compare(drawing_device, technique, "frustum", 40, every=4)
+
+
+@pytest.mark.parametrize("algorithm", [name for name in ALGORITHMS if name != "auto"])
+def test_each_algorithm_follows_edits(gl: rhi.Device, algorithm: str) -> None:
+    if (obstacle := find_obstacle(algorithm, gl)) is not None:
+        pytest.skip(obstacle)
+    compare(gl, "forward", algorithm, 40, every=8, seed=2)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("technique", sorted(TECHNIQUES))
+def test_two_thousand_edits_look_and_cost_as_a_scene_that_is_built_anew(
+    drawing_device: rhi.Device, technique: str
+) -> None:
+    compare(drawing_device, technique, "frustum", 2000, every=50, seed=3)
+
+
+@pytest.mark.parametrize("algorithm", ["none", "frustum"])
+def test_an_edited_scene_costs_as_much_as_one_that_is_built_anew(null: rhi.Device, algorithm: str) -> None:
+    compare(null, "forward", algorithm, 2000, every=50, seed=4)
+
+
+def test_a_hidden_object_needs_nothing(null: rhi.Device) -> None:
+    """Neither effects nor shadow maps: the floor is all that receives shadows, glass all that is blended."""
+    builder = begin()
+    glass = builder.add_node(translation((0, 1, 0)))
+    builder.add_objects(glass, 2, 3)
+    scene = builder.build()
+    with open_renderer(null, scene) as renderer:
+        for hidden, effects, drawn in (((), True, 2), ((glass,), False, 1), ((0, glass), False, 0)):
+            scene.nodes.show([0, glass])
+            scene.nodes.hide(hidden)
+            frame = draw(renderer)
+            assert (Effect.TRANSPARENCY in frame.frames[0].needs.effects) == effects
+            assert frame.statistics.draws == drawn
+            skipped = {each.because for each in renderer.shadows.reports if each.state == "skipped"}
+            assert ("it reaches nothing visible" in skipped) == (drawn == 0)
+
+
+def test_an_edit_uploads_the_rows_that_it_changes(null: rhi.Device) -> None:
+    builder = begin()
+    nodes = builder.add_nodes(translation(np.random.default_rng(1).uniform(-4, 4, (5000, 3))), dynamic=True)
+    builder.add_objects(nodes, 1, 1)
+    for lights in (builder.lights.directional, builder.lights.point, builder.lights.spot):
+        lights["casts_shadow"] = False
+    scene = builder.build()
+    with open_renderer(null, scene, visibility="none") as renderer:
+        before = draw(renderer).statistics.upload_bytes
+        scene.replace(17, material=0)
+        assert renderer.render(EYE).statistics.upload_bytes == before + 112  # a row of `objects`
+        scene.nodes.hide(scene.objects.node[40])
+        renderer.render(EYE)
+        assert renderer.render(EYE).statistics.upload_bytes == before
+
+
+def test_a_hidden_node_hides_what_is_below_it_until_it_is_shown() -> None:
+    scene = make_edited()
+    nodes, node = scene.nodes, scene.objects.node
+    for change, rows, shown in (
+        (nodes.hide, nodes.find("group"), [0, 1]),
+        (nodes.hide, node[2], [0, 1]),
+        (nodes.show, nodes.find("group"), [0, 1, 3]),
+        (nodes.hide, node[:2], [3]),
+        (nodes.show, node[:4], [0, 1, 2, 3]),
+    ):
+        change(rows)
+        scene.update()
+        assert np.flatnonzero(scene.objects.shown).tolist() == shown
+    with pytest.raises(ValidationError, match="scene-bad-index"):
+        nodes.hide(len(nodes))
+
+
+def test_bounds_follow_a_mesh_that_is_replaced() -> None:
+    scene = make_edited()
+    row = scene.find_row(scene.add_object(1, 1))
+    scene.replace(row, mesh=2)
+    assert scene.objects.upper[row] == pytest.approx([0.5, 0.5, 0.5])
+    scene.replace(row, mesh=1)
+    assert scene.objects.upper[row] == pytest.approx([0.5, 0.125, 0.5])
+
+
+@pytest.mark.parametrize(
+    ("rule", "rows", "given"),
+    [
+        ("scene-bad-index", 99, {"mesh": 1}),
+        ("scene-bad-index", 4, {"mesh": 3}),
+        ("scene-bad-index", 4, {"mesh": 1, "material": 9}),
+        ("scene-fixed-mesh", [4, 1], {"mesh": 1}),
+    ],
+)
+def test_what_cannot_be_replaced_is_refused_and_nothing_changes(rule: str, rows: int, given: dict[str, int]) -> None:
+    scene = make_edited()
+    before = scene.objects.mesh.copy(), scene.objects.material.copy(), scene.material_version
+    with pytest.raises(ValidationError, match=rule):
+        scene.replace(rows, **given)
+    assert all(map(np.array_equal, before, (scene.objects.mesh, scene.objects.material, scene.material_version)))
+    scene.replace([1, 4], material=2)  # the control
+    assert scene.objects.material[[1, 4]].tolist() == [2, 2]
+
+
+def test_a_normal_map_needs_a_mesh_that_was_built_with_one() -> None:
+    builder = begin()
+    image = np.full((2, 2, 4), 128, np.uint8)
+    mapped = builder.add_material(normal_texture=builder.add_image(image))
+    builder.add_objects(builder.add_node(), 2, mapped)
+    builder.reserve(1, 1, 0)
+    scene = builder.build()
+    with pytest.raises(ValidationError, match="scene-no-tangents"):
+        scene.add_object(1, mapped)
+    assert scene.objects.material[scene.find_row(scene.add_object(2, mapped))] == mapped
+
+
+def test_a_handle_names_its_object_until_that_is_removed() -> None:
+    scene = make_edited()
+    handles = [scene.add_object(1, 1) for _ in range(SPARE)]
+    assert len({scene.find_row(each) for each in handles}) == SPARE
+    with pytest.raises(ValidationError, match="scene-no-room"):
+        scene.add_object(1, 1)
+    scene.remove_object(handles[3])
+    with pytest.raises(ValidationError, match="scene-removed-object"):
+        scene.remove_object(handles[3])
+    with pytest.raises(ValidationError, match="scene-bad-transform"):
+        scene.add_object(1, 1, np.zeros((4, 4)))
+    again = scene.add_object(2, 1)
+    assert again.row == handles[3].row
+    with pytest.raises(ValidationError, match="scene-removed-object"):
+        scene.find_row(handles[3])
+    assert scene.find_row(again) == again.row
+    with pytest.raises(ValidationError, match="scene-removed-object"):
+        scene.find_row(ObjectHandle(0, 0))  # one that wasn't reserved
