@@ -210,7 +210,7 @@ def test_an_answer_comes_without_waiting_for_it(device: Device, query: Occlusion
 
 
 def test_polling_does_not_block(device: Device, query: OcclusionQuery) -> None:
-    """The work of the query grows until more than 10 polls find it unfinished. A poll that waits never does, although
+    """The work of the query grows until several polls find it unfinished. If polls wait only one of them can, although
     the fence was unfinished before. A device that executes commands at once can't fail this test."""
     with device.texture((1024, 1024), Format.RGBA8) as image, device.mesh(rectangle()) as mesh:
         program = device.program(Colored)
@@ -223,7 +223,7 @@ def test_polling_does_not_block(device: Device, query: OcclusionQuery) -> None:
             while not query.is_finished:
                 polls += 1
             assert query.visible_samples == instances * 1024 * 1024
-            if polls > 10:
+            if polls > 3:
                 break
         else:
             assert not unfinished, f"{polls} polls during {instances} full screens: each of them blocked"

@@ -164,6 +164,19 @@ def test_profiles_are_named_as_they_are_asked_for():
         assert profile.device == ("null" if name == "everything" else name)
 
 
+@pytest.mark.parametrize(
+    ("feature", "expected"),
+    [
+        ("shading", set()),
+        ("indirect_count", {"everything"}),
+        ("depth_bias_clamp", {"everything", "webgpu"}),
+        ("blend_per_target", {"everything", "gl-4.5", "webgpu"}),
+    ],
+)
+def test_profiles_have_what_such_devices_have(feature: str, expected: set[str]):
+    assert {name for name, profile in PROFILES.items() if getattr(profile, feature)} == expected
+
+
 @pytest.mark.parametrize("profile", ["gl-3.4", 33, None])
 def test_an_unknown_profile_is_refused_with_those_there_are(profile):
     with pytest.raises(ValidationError) as caught:

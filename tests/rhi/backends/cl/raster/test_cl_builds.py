@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import Future
 from contextlib import nullcontext
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -352,3 +353,15 @@ def test_a_text_that_the_driver_refuses_is_told_of_by_the_draw_that_needs_it(
         assert str(caught.value.site) == "bad.py:20"
         assert image.read().min() == 255  # the good draw
         assert draw(device, good).any()
+
+
+def test_a_lock_that_is_held_leaves_no_alarm_behind(tmp_path: Path) -> None:
+    """It would end the compiler in the middle of a kernel."""
+    before = signal.getsignal(signal.SIGALRM)
+    try:
+        lock = compiler._lock(str(tmp_path / "lock"))
+        assert lock is not None
+        assert signal.alarm(0) == 0
+        lock.close()
+    finally:
+        signal.signal(signal.SIGALRM, before)
