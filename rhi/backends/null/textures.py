@@ -56,6 +56,12 @@ def _box(region: Region) -> tuple[slice, slice, slice]:
     )
 
 
+def _fill(layer: NDArray[np.generic], texel: NDArray[np.generic]) -> None:
+    """Write a texel all over a layer (height, width, channels)."""
+    layer[0] = texel
+    layer[1:] = layer[0]  # row by row: NumPy repeats a few bytes much more slowly than a row
+
+
 class Textures:
     """The textures and samplers of a device, by id."""
 
@@ -133,13 +139,13 @@ class Textures:
         texture = self.textures[attachment.texture]
         format = texture.descriptor.format
         values = np.array(attachment.clear, np.float64)[: format.channels]
-        texture.levels[attachment.level][attachment.layer] = encode(format, values)
+        _fill(texture.levels[attachment.level][attachment.layer], encode(format, values))
 
     def _clear_depth(self, attachment: DepthAttachment) -> None:
         texture = self.textures[attachment.texture]
         level, layer = attachment.level, attachment.layer
         if attachment.clear is not None:
             value = np.array([attachment.clear], np.float64)
-            texture.levels[level][layer] = encode(texture.descriptor.format, value)
+            _fill(texture.levels[level][layer], encode(texture.descriptor.format, value))
         if attachment.clear_stencil is not None and texture.stencil:
             texture.stencil[level][layer] = attachment.clear_stencil & 0xFF
