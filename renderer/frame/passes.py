@@ -252,8 +252,8 @@ class TechniquePass:
         self._draw_runs(rows)
 
     def draw_as_ordered(self, rows: NDArray[np.int64]) -> None:
-        """Draw the objects `rows` (k,) in this order in the open pass. None of them is transparent, and all were simulated
-        in this frame. Neighbours of one group are drawn in one call."""
+        """Draw the objects `rows` (k,) in this order in the open pass: none is transparent, and all were simulated in
+        this frame. Neighbours of one group are drawn in one call."""
         self._draw_runs(rows)
 
     def _draw_runs(self, rows: NDArray[np.int64]) -> None:

@@ -1,9 +1,9 @@
 """The node hierarchy as arrays, sorted by depth and updated level by level.
 
-Rows are sorted by level, so the parents of a level precede it, and its world transforms are one multiplication of
-stacks of matrices. Only rows that moved, or whose parent moved, are multiplied; a level without such rows is skipped.
-A row is static unless it or an ancestor was declared dynamic, and a static row can't move. So hierarchies over static
-objects are built once.
+Rows are sorted by level when they are made, and stay when a node gets another parent; then an order of rows is sorted
+again. The parents of a level precede it, and its world transforms are one multiplication of stacks of matrices. Only
+rows that moved, or whose parent moved, are multiplied; a level without such rows is skipped. A row is static unless it
+or an ancestor was declared dynamic, and a static row can't move. So hierarchies over static objects are built once.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ class Nodes:
         local: (n, 4, 4) float64, transforms from node to parent; read-only, changed by `set_local`.
         world: (n, 4, 4) float64, transforms from node to world; read-only, updated by `update`.
         dynamic: (n,) bool, whether a node may move.
-        level_starts: (levels + 1,) int64; level l is the rows level_starts[l] to level_starts[l + 1].
+        order: (n,) int64, the rows level after level.
+        level_starts: (levels + 1,) int64; level l is the entries level_starts[l] to level_starts[l + 1] of `order`.
         hidden: (n,) bool, whether a node or one above it is hidden, as of the last `update`; read-only.
         rows: (n,) int64, the row of each id in the order in which the constructor was given them.
         names: the name of each row; may be empty.
@@ -52,9 +53,7 @@ class Nodes:
         order = np.argsort(depth, kind="stable")
         self.rows: NDArray[np.int64] = np.empty(count, np.int64)
         self.rows[order] = np.arange(count)
-        self.parents: NDArray[np.int32] = np.where(given < 0, -1, self.rows[given])[order].astype(np.int32)
-        levels = int(depth.max()) + 1 if count else 0
-        self.level_starts: NDArray[np.int64] = np.searchsorted(depth[order], np.arange(levels + 1))
+        self._hang(np.where(given < 0, -1, self.rows[given])[order])
         self.dynamic: NDArray[np.bool_] = moves[order]
         self.names: tuple[str, ...] = tuple(names[i] for i in order) if names else ("",) * count
         self._local: Floats = matrices[order].copy()
@@ -64,10 +63,9 @@ class Nodes:
         self._hidden: NDArray[np.bool_] = np.zeros(count, bool)
         self._has_hidden = False  # or shown, since the last update
         self.writer: object = None
-        for start, end in self._levels():
-            if start:
-                self.dynamic[start:end] |= self.dynamic[self.parents[start:end]]
-        for array in (self.parents, self.dynamic, self.rows):
+        for level in self._levels()[1:]:
+            self.dynamic[level] |= self.dynamic[self.parents[level]]
+        for array in (self.dynamic, self.rows):
             array.flags.writeable = False
         self.update()
 
@@ -101,12 +99,39 @@ class Nodes:
         matrices = np.asarray(local, np.float64)
         if matrices.shape not in ((4, 4), (len(chosen), 4, 4)) or not is_affine(matrices):
             refuse(rules.BAD_TRANSFORM, "set_local(local=...)", f"shape {matrices.shape}", "(k, 4, 4)")
-        static = chosen[~self.dynamic[chosen]]
-        if static.size:
-            refuse(rules.STATIC_NODE, "set_local(rows=...)", f"row {static[0]} {self.names[static[0]]!r}")
+        self._check_dynamic("set_local", chosen)
         self._local[chosen] = matrices
         self._dirty[chosen] = True
         self.writer = None
+
+    def set_parent(self, row: int, parent: int) -> None:
+        """Hang a dynamic node, with all that is below it, on another one, -1 for none. It keeps its local transform."""
+        self._check_dynamic("set_parent", self._check_rows("set_parent", row))
+        above = parent
+        while 0 <= above < len(self) and above != row:
+            above = int(self.parents[above])
+        if above != -1:
+            allowed = f"-1, or a row of 0 to {len(self) - 1} that isn't below row {row}"
+            refuse(rules.BAD_INDEX, "set_parent(parent=...)", parent, allowed)
+        parents = self.parents.astype(np.int64)
+        parents[row] = parent
+        self._hang(parents)
+        self._dirty[row] = self._has_hidden = True
+        self.writer = None
+
+    def _hang(self, parents: NDArray[np.int64]) -> None:
+        """Set the parents of all rows, and sort these by their depth."""
+        depth = _depths(parents)
+        self.order: NDArray[np.int64] = np.argsort(depth, kind="stable")
+        levels = int(depth.max()) + 1 if len(depth) else 0
+        self.level_starts: NDArray[np.int64] = np.searchsorted(depth[self.order], np.arange(levels + 1))
+        self.parents: NDArray[np.int32] = parents.astype(np.int32)
+        self.parents.flags.writeable = False
+
+    def _check_dynamic(self, call: str, chosen: NDArray[np.int64]) -> None:
+        static = chosen[~self.dynamic[chosen]]
+        if static.size:
+            refuse(rules.STATIC_NODE, f"{call}(rows=...)", f"row {static[0]} {self.names[static[0]]!r}")
 
     def hide(self, rows: ArrayLike) -> None:
         """Hide what is at the nodes `rows` (k,), static or not, and below them; `update` applies it."""
@@ -128,30 +153,27 @@ class Nodes:
         has_changed, self._has_hidden = self._has_hidden, False
         if has_changed:
             self._hidden = self._hides.copy()
-            for start, end in self._levels()[1:]:
-                self._hidden[start:end] |= self._hidden[self.parents[start:end]]
+            for level in self._levels()[1:]:
+                self._hidden[level] |= self._hidden[self.parents[level]]
         return has_changed
 
     def update(self) -> NDArray[np.bool_]:
         """Update the world transforms; return which rows changed, (n,) bool."""
         changed = self._dirty
-        for start, end in self._levels():
-            level = changed[start:end]
-            if start:
-                level |= changed[self.parents[start:end]]
-            if not level.any():
-                continue
-            moved = np.flatnonzero(level) + start
-            if start:
+        for number, level in enumerate(self._levels()):
+            if number:
+                changed[level] |= changed[self.parents[level]]
+            moved = level[changed[level]]
+            if number and len(moved):
                 self._world[moved] = multiply(self._world[self.parents[moved]], self._local[moved])
-            else:
+            elif len(moved):
                 self._world[moved] = self._local[moved]
         self._dirty = np.zeros(len(self), bool)
         return changed
 
-    def _levels(self) -> list[tuple[int, int]]:
-        starts = self.level_starts.tolist()
-        return list(pairwise(starts))
+    def _levels(self) -> list[NDArray[np.int64]]:
+        """Return the rows of each level."""
+        return [self.order[start:end] for start, end in pairwise(self.level_starts.tolist())]
 
 
 def _depths(parents: NDArray[np.int64]) -> NDArray[np.int64]:

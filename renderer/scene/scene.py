@@ -126,7 +126,6 @@ class Scene:
         for row in reversed(spare):
             self._spare.push(row)
         self._generations = dict.fromkeys(spare, 0)  # how often each of these was removed
-        nodes.hide(objects.node[spare])
         self._has_colors = "color" in (meshes.vertices.dtype.names or ())
         self._transparent: tuple[int, Rows] = (-1, np.zeros(0, np.int64))  # as of a version of the materials
         self._glowing: tuple[int, Rows] = (-1, np.zeros(0, np.int64))  # the same
@@ -370,6 +369,7 @@ class SceneBuilder:
         self._objects: list[NDArray[np.int64]] = []
         self._object_count = 0
         self._reserved: list[NDArray[np.int64]] = []
+        self._hidden: list[NDArray[np.int64]] = [np.zeros(0, np.int64)]
         self._simulated: list[Simulated] = []
         self._animated: list[tuple[NDArray[np.int64], ObjectSimulation, tuple[Floats, Floats] | None]] = []
 
@@ -485,6 +485,14 @@ class SceneBuilder:
         """Reserve so many objects for `Scene.add_object`; they are hidden until then, with this mesh and material."""
         nodes = self.add_nodes(np.broadcast_to(np.eye(4), (count, 4, 4)), dynamic=True)
         self._reserved.append(self.add_objects(nodes, mesh, material, casts_shadow))
+        self.hide(nodes)
+
+    def hide(self, nodes: ArrayLike) -> None:
+        """Hide what is at the nodes (k,), given by their ids, and below them, until `Nodes.show` shows it."""
+        ids = np.atleast_1d(np.asarray(nodes, np.int64))
+        if ids.size and (ids.min() < 0 or ids.max() >= len(self._node_names)):
+            refuse(rules.BAD_INDEX, "hide(nodes=...)", ids, f"0 to {len(self._node_names) - 1}")
+        self._hidden.append(ids)
 
     def animate(
         self,
@@ -557,6 +565,7 @@ class SceneBuilder:
             np.concatenate(self._dynamic),
             self._node_names,
         )
+        nodes.hide(nodes.rows[np.concatenate(self._hidden)])
         table = np.concatenate(self._objects)
         self._check_simulated(table[:, 1])
         materials, textures = np.array(self._materials, MATERIAL), self._textures.make()

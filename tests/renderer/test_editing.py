@@ -42,7 +42,7 @@ def begin() -> SceneBuilder:
 def make_edited(glass: int = 3) -> Scene:
     """Return a scene with static objects 1 to 3, two of them below a node, and `SPARE` that are reserved."""
     builder = begin()
-    group = builder.add_node(name="group")
+    group = builder.add_node(translation((0.3, 0.2, -0.1)), name="group")
     for number, parent in enumerate((-1, group, group)):
         node = builder.add_node(translation((3.0 * number - 3.0, 0.4, -2.0)), parent)
         builder.add_objects(node, 1 + number % 2, (1, 2, glass)[number])
@@ -76,7 +76,7 @@ class Editor:
     def edit(self) -> None:
         scene, random = self.scene, self.random
         mesh, material = int(random.integers(1, 3)), int(random.choice(self.materials))
-        kind = random.integers(6)
+        kind = random.integers(7)
         if kind < 2 and len(self.handles) < SPARE:
             self.handles.append(scene.add_object(mesh, material, self.place()))
         elif kind == 2 and self.handles:
@@ -90,6 +90,9 @@ class Editor:
         elif kind == 5 and self.handles:
             row = scene.find_row(self.handles[int(random.integers(len(self.handles)))])
             scene.replace(row, mesh=mesh, material=material)
+        elif kind == 6 and self.handles:
+            row = scene.find_row(self.handles[int(random.integers(len(self.handles)))])
+            scene.nodes.set_parent(int(scene.objects.node[row]), int(random.choice([-1, self.fixed[-1]])))
 
 
 def draw(renderer: Renderer) -> FrameResult:

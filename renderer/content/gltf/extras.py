@@ -3,8 +3,8 @@
 Other programs ignore it, or carry it along. `save_scene` writes it and the reader reads it; both use the names here. It
 never says twice what glTF says, so that a file that another program has changed is read as it was changed.
 
-- of the scene: background, haze, ambient light, camera paths; which nodes may move, the order of the objects, which
-  objects cast no shadow.
+- of the scene: background, haze, ambient light, camera paths; which nodes may move or are hidden, the order of the
+  objects, which objects cast no shadow.
 - of a material of the specular model: its four parameters, and emission as a multiple of the base colour. What glTF can
   say is written beside it as a likeness for other programs.
 - of a light: whether it casts a shadow. Of a node: that it only holds a light or a camera, and is none of the scene's.

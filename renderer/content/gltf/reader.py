@@ -157,7 +157,8 @@ class _GltfReader:
         """Add nodes, objects and their animations."""
         skeletons = read_skins(self._root, self._accessors, tree)
         deformed: list[tuple[int, DeformedMesh]] = []  # objects, and how they change
-        dynamic = frozenset(self._private.indices("dynamic", self._root.length("nodes")))
+        count = self._root.length("nodes")
+        dynamic, hidden = (frozenset(self._private.indices(name, count)) for name in ("dynamic", "hidden"))
         ids: list[int] = []
         objects: list[tuple[int, int, int]] = []
         bounds: dict[int, tuple[Floats, Floats]] = {}
@@ -171,6 +172,7 @@ class _GltfReader:
             name = node.fields.text("name", "")
             is_dynamic = is_animated or node.number in dynamic
             ids.append(self._builder.add_node(node.local, above, dynamic=is_dynamic, name=name))
+            self._builder.hide(ids[-1] if node.number in hidden else [])
             mesh = node.fields.index("mesh", len(self._meshes))
             for part in self._meshes[mesh] if mesh >= 0 else ():
                 change = self._read_deformed(node, part, tracks, skeletons)

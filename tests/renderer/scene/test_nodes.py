@@ -114,3 +114,43 @@ def test_transforms_cannot_be_written_past_the_checks():
     nodes = Nodes([-1], np.eye(4)[None], dynamic=True)
     with pytest.raises(ValueError, match="read-only"):
         nodes.local[0, 0, 0] = 2.0
+
+
+@given(st.integers(0, 10_000))
+def test_nodes_with_other_parents_are_those_that_are_made_so(seed: int) -> None:
+    random, count = np.random.default_rng(seed), 12
+    parents = np.array([random.integers(-1, row) if row else -1 for row in range(count)])
+    local = translation(random.normal(size=(count, 3)))
+    nodes = Nodes(parents, local, dynamic=True)
+    above = nodes.parents.tolist()
+    hidden = int(random.integers(count))
+    nodes.hide(hidden)
+    for _ in range(6):
+        row, parent = int(random.integers(count)), int(random.integers(-1, count))
+        at = parent
+        while at not in (-1, row):
+            at = above[at]
+        if at == row:  # below itself
+            with pytest.raises(ValidationError, match="scene-bad-index"):
+                nodes.set_parent(row, parent)
+        else:
+            nodes.set_parent(row, parent)
+            above[row] = parent
+        assert nodes.parents.tolist() == above
+        nodes.update()
+        nodes.update_hidden()
+    for row in range(count):
+        place, at, is_hidden = np.zeros(3), row, False
+        while at >= 0:
+            place, is_hidden = place + nodes.local[at, :3, 3], is_hidden or at == hidden
+            at = above[at]
+        assert np.allclose(nodes.world[row, :3, 3], place)
+        assert nodes.hidden[row] == is_hidden
+
+
+def test_a_static_node_keeps_its_parent() -> None:
+    nodes = Nodes([-1, -1], np.tile(np.eye(4), (2, 1, 1)), dynamic=[False, True], names=["wall", "door"])
+    with pytest.raises(ValidationError, match="wall"):
+        nodes.set_parent(0, 1)
+    nodes.set_parent(1, 0)
+    assert nodes.parents.tolist() == [-1, 0]
