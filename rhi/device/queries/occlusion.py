@@ -349,7 +349,8 @@ class Conditional(Scope):
 
     def __init__(self, core: Core, query: OcclusionQuery, inverted: bool) -> None:
         call = "device.conditional"
-        core.require(call, condition_faults(core.capabilities))
+        if not core.capabilities.conditional_rendering:  # conditions are frequent, and this asks less
+            core.require(call, condition_faults(core.capabilities))
         if query.__class__ is not OcclusionQuery or inverted.__class__ is not bool:
             check = Arguments(call, core.refuse)
             check.instance("query", query, OcclusionQuery, "an OcclusionQuery from device.occlusion_query()")
