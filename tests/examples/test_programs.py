@@ -6,7 +6,7 @@ import ast
 import importlib
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -140,17 +140,6 @@ def test_particles_fall_as_on_the_cpu(devices: list[rhi.Device]) -> None:
     for device in devices:
         moved_rows = particles.simulate(device).read()
         assert np.abs(moved_rows["place"] - place)[steady].max() < 1e-4
-
-
-@pytest.mark.slow
-def test_all_examples_pass_mypy_strict(mypy_strict: Callable[..., tuple[str, int]], monkeypatch: Any) -> None:
-    """In one run, since each one reads what it knows of rhi anew."""
-    monkeypatch.setenv("MYPYPATH", str(FOLDER))
-    examples = FOLDER.parent
-    programs = (FOLDER / f"{name}.py" for name in PROGRAMS)
-    others = examples / "orbit_viewer.py", examples / "tiled_lights.py"
-    out, status = mypy_strict(*programs, *others, examples / "numpy_backend" / "rhi_numpy")
-    assert status == 0, out
 
 
 def test_a_click_finds_the_box_that_is_nearest_along_its_ray(devices: list[rhi.Device]) -> None:

@@ -213,7 +213,7 @@ def test_all_65536_materials_are_those_of_forward_shading(gl: rhi.Device) -> Non
     random, parts = np.random.default_rng(12), vars(scatter(1, images=False))
     materials = np.repeat(parts["materials"], MOST_MATERIALS)
     materials["base_color"][:, :3] = random.uniform(0.1, 1.0, (MOST_MATERIALS, 3))
-    parts = {name: parts[name] for name in signature(Scene).parameters} | {"materials": materials}
+    parts = {name: parts[name] for name in signature(Scene).parameters if name in parts} | {"materials": materials}
     scene = Scene(**parts)
     rows = scene.objects.material
     rows[:] = random.integers(0, MOST_MATERIALS, len(rows))
