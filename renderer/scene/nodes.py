@@ -111,8 +111,7 @@ class Nodes:
         while 0 <= above < len(self) and above != row:
             above = int(self.parents[above])
         if above != -1:
-            allowed = f"-1, or a row of 0 to {len(self) - 1} that isn't below row {row}"
-            refuse(rules.BAD_INDEX, "set_parent(parent=...)", parent, allowed)
+            refuse(rules.BAD_INDEX, "set_parent(parent=...)", parent, f"-1, or a row that isn't below row {row}")
         parents = self.parents.astype(np.int64)
         parents[row] = parent
         self._hang(parents)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,6 +13,7 @@ from renderer import rules
 from renderer.content import find_path, parse_camera
 from renderer.frame import Blending
 from renderer.scene.files import parse_path
+from renderer.settings import RenderSettings, from_plain, to_plain
 from renderer.stereo import OUTPUTS
 from renderer.techniques import TECHNIQUES, AutoTechnique
 from renderer.viewer.command_table import Parameter, ViewerCommand
@@ -49,6 +51,34 @@ def _looks(stage: ViewerStage) -> Iterable[ViewerCommand]:
     yield _entry(stage, "fxaa", "smooth edges")
     yield _entry(stage, "overlay", "draw times, counters and the culling over the picture")
     yield _entry(stage, "particles", "draw the drops of fountains as particles")
+
+    def assign(path: str, word: str | None = None) -> str:
+        settings = stage.look.settings
+        if word is not None:
+            try:
+                value = json.loads(word)
+            except (ValueError, RecursionError):  # a word
+                value = word
+            for name in reversed(path.split(".")):
+                value = {name: value}
+            try:
+                settings = from_plain(RenderSettings, value, f"set {path}", settings)
+            except ValueError as error:  # of a choice
+                refuse(rules.BAD_ARGUMENT, f"set {path}", word, str(error))
+            stage.change(settings=settings)
+        return f"{path} {to_plain(settings.get(path))}"
+
+    paths = Parameter("SETTING", words=lambda: _list_paths(to_plain(stage.look.settings)), is_closed=True)
+    yield ViewerCommand("set", "set any setting, or say it", assign, (paths, Parameter("VALUE", is_optional=True)))
+
+
+def _list_paths(plain: Mapping[str, Any], above: str = "") -> Iterator[str]:
+    """Yield the paths of the settings in a mapping."""
+    for name, value in plain.items():
+        if isinstance(value, Mapping):
+            yield from _list_paths(value, f"{above}{name}.")
+        else:
+            yield above + name
 
 
 def _cameras(stage: ViewerStage) -> Iterable[ViewerCommand]:

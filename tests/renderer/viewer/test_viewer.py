@@ -306,6 +306,38 @@ def test_a_script_that_runs_itself_ends_nothing(viewer: Viewer, draw: Callable[.
     assert any("at most 10000" in line for line, _ in viewer.console.lines) or viewer.is_moving
 
 
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("set technique.tiles.tile 32", "technique.tiles.tile 32"),
+        ("set shadows.filter poisson", "shadows.filter poisson"),
+        ("set shadows.back_faces true", "shadows.back_faces True"),
+        ("set textures.mip nearest", "textures.mip nearest"),
+    ],
+)
+def test_any_setting_is_said_and_set(viewer: Viewer, line: str, said: str) -> None:
+    assert viewer.run(line) == (said, False)
+    viewer.draw()
+    assert viewer.run(line.rpartition(" ")[0]) == (said, False)
+
+
+@pytest.mark.parametrize(
+    ("line", "near"),
+    [
+        ("set shadows.filters hard", "shadows.filter"),
+        ("set shadows.filter soft", "soft"),
+        ("set shadows.cascades 99", "1 to 8"),
+        ("set shadows.cascades " + "[" * 3000, "int"),
+    ],
+)
+def test_a_setting_that_is_refused_changes_nothing(viewer: Viewer, line: str, near: str) -> None:
+    before = viewer.stage.look
+    said, is_error = viewer.run(line)
+    assert is_error
+    assert near in said
+    assert viewer.stage.look == before
+
+
 # -- the console ---------------------------------------------------------------------------------------------------
 
 
