@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from statistics import median
 from typing import Any, Final
 
 from PIL import Image
@@ -12,6 +13,7 @@ from PIL import Image
 from renderer import rules
 from renderer.content import find_path, parse_camera
 from renderer.frame import Blending
+from renderer.lab.measure.capture import write_frames
 from renderer.scene.files import parse_path
 from renderer.settings import RenderSettings, from_plain, to_plain
 from renderer.stereo import OUTPUTS
@@ -27,6 +29,7 @@ NEXT: Final = "next"
 """The word for the choice after the present one."""
 _SPEED: Final = 1.5  # how many times as fast a step is
 _WIDEST: Final = 1 << 20  # pixels
+_CAPTURED: Final = 60  # frames, which nothing else is shown meanwhile
 _LONGEST: Final = 1e9  # seconds, or metres in one; of more, frames and metres can't be told apart
 
 
@@ -157,6 +160,17 @@ def _files(stage: ViewerStage) -> Iterable[ViewerCommand]:
         stage.record(path)
         return f"recording to {path}"
 
+    def capture(path: Path | None = None, frames: int = _CAPTURED) -> str:
+        path = stage.find_output(path or find_free(stage, ".csv"))
+        if path.suffix.lower() != ".csv":
+            refuse(rules.BAD_ARGUMENT, "capture", path.name, "a name that ends with .csv")
+        captured = stage.capture(frames)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_frames(path, captured)
+        return f"wrote {path}: {median(one.milliseconds for one in captured):.1f} ms a frame"
+
+    number = Parameter("FRAMES", parse_frames, is_optional=True)
+    yield ViewerCommand("capture", "write the times of frames and of their passes to a file", capture, (file, number))
     yield ViewerCommand("record", "begin to record the camera, or end it", record, (file,))
     yield ViewerCommand("status", "say how fast frames are, and what draws them", lambda: describe_status(stage))
 
@@ -183,6 +197,14 @@ def parse_number(text: str) -> int:
     """Parse a whole number of 0 or more."""
     value = int(text)
     if value < 0:
+        raise ValueError(text)
+    return value
+
+
+def parse_frames(text: str) -> int:
+    """Parse a whole number from 1 to `_CAPTURED`."""
+    value = parse_number(text)
+    if not 1 <= value <= _CAPTURED:
         raise ValueError(text)
     return value
 

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from renderer import rules
 from renderer.frame import Layer
+from renderer.lab.measure.capture import CapturedFrame, capture_frames
 from renderer.renderer import FrameResult, Renderer
-from renderer.scene import Camera, CameraPath, Scene
+from renderer.scene import FRAMES_PER_SECOND, Camera, CameraPath, Scene, Shot
 from renderer.scene.arrays import Floats
 from renderer.stereo import fit_picture
 from renderer.viewer.look import Configurator, Look, OriginalState
@@ -312,6 +313,11 @@ class ViewerStage:
                 self._say(self.end_recording(), False)
         self.counter.add(now, process_time())
         return self._render(camera)
+
+    def capture(self, frames: int) -> list[CapturedFrame]:
+        """Draw frames from where the camera is and from the scene's time on, and return their times."""
+        camera, first = self.look.settings.aim(self.camera), round(self.seconds * FRAMES_PER_SECOND)
+        return list(capture_frames(self.renderer, [Shot(first + number, camera) for number in range(frames)]))
 
     def picture(self) -> NDArray[np.uint8]:
         """Draw the latest frame again without the layers, and return its pixels (height, width, 4), sRGB.

@@ -232,6 +232,8 @@ def test_shadows_are_those_of_the_scene_again(null: rhi.Device, clock: Clock) ->
         ("script missing.txt", "No such file"),
         ("screenshot x.png", "viewer-no-picture"),
         ("screenshot x.tiff2", "ends with .png"),
+        ("capture x.txt", "ends with .csv"),
+        ("capture x.csv 61", "FRAMES"),
         ("record walk.csv", "ends with .json"),
     ],
 )
@@ -336,6 +338,18 @@ def test_a_setting_that_is_refused_changes_nothing(viewer: Viewer, line: str, ne
     assert is_error
     assert near in said
     assert viewer.stage.look == before
+
+
+def test_times_of_frames_and_passes_are_captured(viewer: Viewer, tmp_path: Path, draw: Callable[..., None]) -> None:
+    draw()
+    said, is_error = viewer.run(f"capture {tmp_path}/times.csv 3")
+    assert not is_error
+    assert "ms a frame" in said
+    head, *rows = (tmp_path / "times.csv").read_text().splitlines()
+    assert head.startswith("frame,ms,")
+    assert "forward cpu ms" in head
+    assert [row.split(",")[0] for row in rows] == ["1", "2", "3"]
+    draw()
 
 
 # -- the console ---------------------------------------------------------------------------------------------------
