@@ -68,7 +68,7 @@ def find_walk(algorithm: VisibilityAlgorithm, scene: Scene, camera: Camera, draw
     if walk is not None:
         return walk
     lower, upper = scene.objects.lower, scene.objects.upper
-    inside = find_visible(camera.frustum.planes, lower, upper)
+    inside = find_visible(camera.frustum.planes, lower, upper) & scene.objects.shown
     seen = np.full(len(lower), WalkOutcome.UNDECIDED, np.uint8)
     if drawn is not None:
         seen[:] = WalkOutcome.HIDDEN

@@ -15,8 +15,8 @@ _FACES: Final = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 
 
 
 def find_depth_range(scene: Scene, camera: Camera) -> tuple[float, float] | None:
-    """Return the least and the greatest distance along the view at which `camera` sees the box of an object, None if it
-    sees none.
+    """Return the least and the greatest distance along the view at which `camera` sees the box of an object that is
+    shown, None if it sees none.
 
     The nearest part of a box is that inside the frustum: a street begins where it enters the picture, not under the
     camera. Boxes that hold the camera are left out, since they don't tell how far their objects are.
@@ -25,7 +25,7 @@ def find_depth_range(scene: Scene, camera: Camera) -> tuple[float, float] | None
     side = classify(planes, scene.objects.lower, scene.objects.upper)
     lower, upper = scene.objects.lower - camera.position, scene.objects.upper - camera.position
     holds = ((lower <= 0.0) & (upper >= 0.0)).all(axis=1)
-    rows = np.flatnonzero((side != Containment.OUTSIDE) & ~holds)
+    rows = np.flatnonzero((side != Containment.OUTSIDE) & ~holds & scene.objects.shown)
     if not len(rows):
         return None
     relative = planes.copy()

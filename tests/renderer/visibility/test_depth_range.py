@@ -64,3 +64,11 @@ def test_the_range_is_that_of_the_samples_in_view(lens: Perspective | Orthograph
     assert near <= least
     assert near > 0.5 * least
     assert greatest <= far <= 40.0 * (1.0 + 1e-9)
+
+
+def test_what_is_hidden_has_no_range() -> None:
+    scene, camera = make_boxes([(0, 0, -30)], [(2, 2, 2)]), look((0.0, 0.0, 0.0), (0.0, 0.0, -1.0), near=0.1)
+    assert find_depth_range(scene, camera) is not None
+    scene.nodes.hide(scene.objects.node[0])
+    scene.update()
+    assert find_depth_range(scene, camera) is None
