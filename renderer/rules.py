@@ -70,6 +70,7 @@ STATIC_NODE: Final = Rule(
     "a static node can't be moved",
     "add the node, or one of its ancestors, with dynamic=True",
 )
+BOUND_NODE: Final = Rule("scene-bound-node", "what is animated within bounds keeps its parents, down to the objects")
 FIXED_MESH: Final = Rule(
     "scene-fixed-mesh",
     "a mesh can be replaced where bounds follow a node, by one that is neither simulated nor a height field",

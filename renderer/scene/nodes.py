@@ -32,6 +32,7 @@ class Nodes:
         order: (n,) int64, the rows level after level.
         level_starts: (levels + 1,) int64; level l is the entries level_starts[l] to level_starts[l + 1] of `order`.
         hidden: (n,) bool, whether a node or one above it is hidden, as of the last `update`; read-only.
+        bound: (n,) bool, whether a node keeps its parent: bounds that hold at all times are in the space above it.
         rows: (n,) int64, the row of each id in the order in which the constructor was given them.
         names: the name of each row; may be empty.
         writer: the simulator that has last set transforms; None if something else has.
@@ -59,6 +60,7 @@ class Nodes:
         self._local: Floats = matrices[order].copy()
         self._world: Floats = self._local.copy()
         self._dirty: NDArray[np.bool_] = np.ones(count, bool)
+        self.bound: NDArray[np.bool_] = np.zeros(count, bool)
         self._hides: NDArray[np.bool_] = np.zeros(count, bool)  # by themselves
         self._hidden: NDArray[np.bool_] = np.zeros(count, bool)
         self._has_hidden = False  # or shown, since the last update
@@ -107,6 +109,8 @@ class Nodes:
     def set_parent(self, row: int, parent: int) -> None:
         """Hang a dynamic node, with all that is below it, on another one, -1 for none. It keeps its local transform."""
         self._check_dynamic("set_parent", self._check_rows("set_parent", row))
+        if self.bound[row]:
+            refuse(rules.BOUND_NODE, "set_parent(row=...)", row)
         above = parent
         while 0 <= above < len(self) and above != row:
             above = int(self.parents[above])

@@ -117,6 +117,11 @@ def make_objects(
     boxes = Boxes(node.astype(np.int64), meshes.lower[mesh], meshes.upper[mesh])
     boxes.node[declared] = anchor[declared]
     boxes.lower[declared], boxes.upper[declared] = lower[nearest[declared]], upper[nearest[declared]]
+    at, end = node[declared], anchor[declared]
+    while len(at):  # one level upwards, to what is in the space of the anchor
+        nodes.bound[at] = True
+        above = nodes.parents[at].astype(np.int64)
+        at, end = above[above != end], end[above != end]
 
     dynamic, simulated = nodes.dynamic[node], np.zeros(len(node), bool)
     simulated[deformed] = simulated[declared] = True

@@ -203,10 +203,8 @@ class Scene:
             refuse(rules.NO_TANGENTS, "replace", f"meshes {sorted(mapped - self.meshes.with_tangents)}")
         objects.mesh[chosen], objects.material[chosen] = meshes, materials
         if mesh is not None:
-            objects.boxes.lower[chosen], objects.boxes.upper[chosen] = (
-                self.meshes.lower[meshes],
-                self.meshes.upper[meshes],
-            )
+            boxes, given = objects.boxes, self.meshes
+            boxes.lower[chosen], boxes.upper[chosen] = given.lower[meshes], given.upper[meshes]
             objects.refresh_bounds(self.nodes, chosen)
         self._edits += 1
 
@@ -225,6 +223,8 @@ class Scene:
         node = self.objects.node[row]
         self.nodes.set_local(node, np.eye(4) if local is None else local)
         self.replace(row, mesh=mesh, material=material)
+        if self.nodes.parents[node] >= 0:  # that of an object that was removed
+            self.nodes.set_parent(node, -1)
         self.nodes.show(node)
         self._spare.pop()
         return ObjectHandle(row, self._generations[row])

@@ -40,13 +40,14 @@ class SceneCasters:
         still, moving: the rows of objects that cast shadows: those that can't move, and those that may.
         is_masked: (n,) bool, whether an object's material is a mask.
         coverage: bytes that change when what materials cover does (`find_coverage`).
+        looks: bytes that change when objects are hidden or shown, or have other materials (`find_looks`).
     """
 
     def __init__(self, scene: Scene) -> None:
         objects = scene.objects
         may_move, casts = objects.dynamic | objects.simulated, objects.casts_shadow & objects.shown
         may_move[list(scene.height_fields)] = True  # their triangles do
-        self.coverage = find_coverage(scene)
+        self.coverage, self.looks = find_coverage(scene), find_looks(scene)
         self.is_masked: NDArray[np.bool_] = (scene.materials["alpha_mode"] == AlphaMode.MASK)[objects.material]
         casts[scene.find_transparent()] = False
         self.still: Rows = np.flatnonzero(casts & ~may_move)
@@ -75,6 +76,11 @@ class SceneCasters:
         if row not in self._turned or self._turned[row][0] != key:
             self._turned[row] = key, turn_boxes(self._scene, self.still, axes)
         return LightBoxes(self, self._turned[row][1], turn_boxes(self._scene, self.moving, axes))
+
+
+def find_looks(scene: Scene) -> bytes:
+    """Return bytes that change when objects are hidden or shown, or have other materials."""
+    return scene.objects.shown.tobytes() + scene.objects.material.tobytes()
 
 
 def find_coverage(scene: Scene) -> bytes:

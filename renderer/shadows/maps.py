@@ -30,7 +30,7 @@ from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Rows
 from renderer.shaders.depth import DepthOnly
 from renderer.shaders.structs import ViewConstants
-from renderer.shadows.casters import SceneCasters, find_coverage
+from renderer.shadows.casters import SceneCasters, find_coverage, find_looks
 from renderer.shadows.lamps import turn_into_quaternion
 from renderer.shadows.needed import SUN, MapKey, NeededMaps, WantedMap
 from renderer.shadows.receiver import (
@@ -458,7 +458,8 @@ class ShadowMaps:
         self._material_version = scene.material_version
         if self._needed is None or self._needed.casters.coverage != find_coverage(scene):
             return True
-        self._needed.casters = SceneCasters(scene)
+        if self._needed.casters.looks != find_looks(scene):
+            self._needed.casters = SceneCasters(scene)
         return False
 
     def _reset(self, scene: Scene) -> None:

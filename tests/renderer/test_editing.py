@@ -241,12 +241,25 @@ def test_a_normal_map_needs_a_mesh_that_was_built_with_one() -> None:
     assert scene.objects.material[scene.find_row(scene.add_object(2, mapped))] == mapped
 
 
+def test_what_is_animated_within_bounds_keeps_its_parents_and_others_do_not() -> None:
+    builder = begin()
+    base, moved, below = (builder.add_node(dynamic=True, parent=parent) for parent in (-1, 1, 2))
+    builder.add_objects(below, 1, 1)
+    builder.animate([moved], lambda seconds: translation([(0, seconds % 1.0, 0)]), ((-1, -1, -1), (1, 2, 1)))
+    nodes = builder.build().nodes
+    for node in (moved, below):
+        with pytest.raises(ValidationError, match="scene-bound-node"):
+            nodes.set_parent(int(nodes.rows[node]), -1)
+    nodes.set_parent(int(nodes.rows[base]), 0)
+
+
 def test_a_handle_names_its_object_until_that_is_removed() -> None:
     scene = make_edited()
     handles = [scene.add_object(1, 1) for _ in range(SPARE)]
     assert len({scene.find_row(each) for each in handles}) == SPARE
     with pytest.raises(ValidationError, match="scene-no-room"):
         scene.add_object(1, 1)
+    scene.nodes.set_parent(scene.objects.node[handles[3].row], scene.nodes.find("group"))
     scene.remove_object(handles[3])
     with pytest.raises(ValidationError, match="scene-removed-object"):
         scene.remove_object(handles[3])
@@ -254,6 +267,7 @@ def test_a_handle_names_its_object_until_that_is_removed() -> None:
         scene.add_object(1, 1, np.zeros((4, 4)))
     again = scene.add_object(2, 1)
     assert again.row == handles[3].row
+    assert scene.nodes.parents[scene.objects.node[again.row]] == -1
     with pytest.raises(ValidationError, match="scene-removed-object"):
         scene.find_row(handles[3])
     assert scene.find_row(again) == again.row
