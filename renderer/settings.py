@@ -71,6 +71,10 @@ class RenderSettings:
             value = getattr(value, name)
         return value
 
+    def list_paths(self) -> list[str]:
+        """Return the paths of all settings that aren't objects of settings themselves."""
+        return list(_list_paths(self))
+
     def change(self, path: str, value: Any) -> Self:
         """Return settings of which one is another, by its path."""
         changed: Self = _change(self, path.split("."), value)
@@ -159,6 +163,15 @@ class RenderSettings:
 
 _FORMAT: Final = "rendering"
 """The part of a file that has all settings but those of `visibility`, which files of `tune` have, too."""
+
+
+def _list_paths(part: Any, above: str = "") -> Iterator[str]:
+    for one in fields(part):
+        value, path = getattr(part, one.name), f"{above}{one.name}"
+        if is_dataclass(value):
+            yield from _list_paths(value, f"{path}.")
+        else:
+            yield path
 
 
 def _change(part: Any, names: list[str], value: Any) -> Any:

@@ -1,11 +1,25 @@
-"""The types of the two kinds of arrays that are used throughout the renderer."""
+"""The types of the two kinds of arrays that are used throughout the renderer, and ids that are checked."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from renderer import rules
+from rhi.errors import refuse
 from rhi.math import Floats as Floats
 
 Rows = NDArray[np.int64]
 """Row numbers: of objects, nodes, boxes or members, as the signature says."""
+
+
+def read_ids(call: str, given: ArrayLike, count: int) -> Rows:
+    """Return ids (k,), or rows, of which there are `count`; a single one is (1,).
+
+    Raises:
+        ValidationError: `scene-bad-index`, in the name of `call`.
+    """
+    ids = np.atleast_1d(np.asarray(given, np.int64))
+    if ids.size and (ids.min() < 0 or ids.max() >= count):
+        refuse(rules.BAD_INDEX, call, ids, f"0 to {count - 1}")
+    return ids

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from renderer import rules
-from renderer.scene.arrays import Floats
+from renderer.scene.arrays import Floats, read_ids
 from rhi.errors import refuse
 from rhi.math import is_affine, multiply
 
@@ -97,7 +97,7 @@ class Nodes:
 
     def set_local(self, rows: ArrayLike, local: ArrayLike) -> None:
         """Set the local transforms (k, 4, 4) or (4, 4) of the dynamic `rows` (k,); `update` applies them."""
-        chosen = self._check_rows("set_local", rows)
+        chosen = read_ids("set_local(rows=...)", rows, len(self))
         matrices = np.asarray(local, np.float64)
         if matrices.shape not in ((4, 4), (len(chosen), 4, 4)) or not is_affine(matrices):
             refuse(rules.BAD_TRANSFORM, "set_local(local=...)", f"shape {matrices.shape}", "(k, 4, 4)")
@@ -108,7 +108,7 @@ class Nodes:
 
     def set_parent(self, row: int, parent: int) -> None:
         """Hang a dynamic node, with all that is below it, on another one, -1 for none. It keeps its local transform."""
-        self._check_dynamic("set_parent", self._check_rows("set_parent", row))
+        self._check_dynamic("set_parent", read_ids("set_parent(row=...)", row, len(self)))
         if self.bound[row]:
             refuse(rules.BOUND_NODE, "set_parent(row=...)", row)
         above = parent
@@ -138,18 +138,12 @@ class Nodes:
 
     def hide(self, rows: ArrayLike) -> None:
         """Hide what is at the nodes `rows` (k,), static or not, and below them; `update` applies it."""
-        self._hides[self._check_rows("hide", rows)] = self._has_hidden = True
+        self._hides[read_ids("hide(rows=...)", rows, len(self))] = self._has_hidden = True
 
     def show(self, rows: ArrayLike) -> None:
         """Show what `hide` has hidden at the nodes `rows` (k,). What is below a hidden node stays hidden."""
-        self._hides[self._check_rows("show", rows)] = False
+        self._hides[read_ids("show(rows=...)", rows, len(self))] = False
         self._has_hidden = True
-
-    def _check_rows(self, call: str, rows: ArrayLike) -> NDArray[np.int64]:
-        chosen = np.atleast_1d(np.asarray(rows, np.int64))
-        if chosen.size and (chosen.min() < 0 or chosen.max() >= len(self)):
-            refuse(rules.BAD_INDEX, f"{call}(rows=...)", chosen, f"0 to {len(self) - 1}")
-        return chosen
 
     def update_hidden(self) -> bool:
         """Update which nodes are hidden, and return whether others may be than before."""
@@ -162,8 +156,8 @@ class Nodes:
 
     def update(self) -> NDArray[np.bool_]:
         """Update the world transforms; return which rows changed, (n,) bool."""
-        changed = self._dirty
-        for number, level in enumerate(self._levels()):
+        changed, self._dirty = self._dirty, np.zeros(len(self), bool)
+        for number, level in enumerate(self._levels() if changed.any() else ()):
             if number:
                 changed[level] |= changed[self.parents[level]]
             moved = level[changed[level]]
@@ -171,7 +165,6 @@ class Nodes:
                 self._world[moved] = multiply(self._world[self.parents[moved]], self._local[moved])
             elif len(moved):
                 self._world[moved] = self._local[moved]
-        self._dirty = np.zeros(len(self), bool)
         return changed
 
     def _levels(self) -> list[NDArray[np.int64]]:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from renderer import rules
 from renderer.scene.air import Fog, Glow
-from renderer.scene.arrays import Floats, Rows
+from renderer.scene.arrays import Floats, Rows, read_ids
 from renderer.scene.features import MaterialFeatures
 from renderer.scene.finite import FiniteArrays, check_finite
 from renderer.scene.height_fields import HeightField
@@ -120,6 +120,7 @@ class Scene:
         self.seconds = 0.0
         self._finite = FiniteArrays()
         self._features = MaterialFeatures(materials, self.textures, samplers)
+        self._last_material = int(objects.material.max(initial=-1))
         self._edits = 0  # how often other objects were shown, or objects got other meshes or materials
         spare = [] if reserved is None else reserved.tolist()
         self._spare: FixedStack[int] = FixedStack(max(len(spare), 1))
@@ -153,9 +154,8 @@ class Scene:
         Raises:
             ValidationError `scene-bad-index`: `materials` was replaced by fewer than objects have.
         """
-        last = int(self.objects.material.max(initial=-1))
-        if len(self.materials) <= last:
-            given, allowed = f"{len(self.materials)} materials", f"at least {last + 1}"
+        if len(self.materials) <= self._last_material:
+            given, allowed = f"{len(self.materials)} materials", f"at least {self._last_material + 1}"
             refuse(rules.BAD_INDEX, "Scene.refresh", given, allowed)
         self._features.refresh(self.materials)
         moved = self.nodes.update()
@@ -180,17 +180,15 @@ class Scene:
             ValidationError: `scene-bad-index`; `scene-fixed-mesh` where bounds don't follow a node; `scene-no-tangents`
                 for a normal map on a mesh that was built without one.
         """
-        objects, chosen = self.objects, np.atleast_1d(np.asarray(rows, np.int64))
-
-        def check(name: str, given: ArrayLike, limit: int) -> Rows:
-            ids = np.broadcast_to(np.asarray(given, np.int64), chosen.shape)
-            if ids.size and (ids.min() < 0 or ids.max() >= limit):
-                refuse(rules.BAD_INDEX, f"replace({name}=...)", given, f"0 to {limit - 1}")
-            return ids
-
-        check("rows", chosen, len(objects))
-        meshes = check("mesh", objects.mesh[chosen] if mesh is None else mesh, len(self.meshes))
-        materials = check("material", objects.material[chosen] if material is None else material, len(self.materials))
+        objects = self.objects
+        chosen = read_ids("replace(rows=...)", rows, len(objects))
+        meshes, materials = (
+            np.broadcast_to(read_ids(f"replace({name}=...)", old[chosen] if new is None else new, limit), chosen.shape)
+            for name, old, new, limit in (
+                ("mesh", objects.mesh, mesh, len(self.meshes)),
+                ("material", objects.material, material, len(self.materials)),
+            )
+        )
         if mesh is not None:
             changing = [*self.height_fields, *(int(row) for one in self.simulated for row in one.objects)]
             own = objects.mesh[np.array(changing, np.int64)]
@@ -202,6 +200,7 @@ class Scene:
         if not mapped <= self.meshes.with_tangents:
             refuse(rules.NO_TANGENTS, "replace", f"meshes {sorted(mapped - self.meshes.with_tangents)}")
         objects.mesh[chosen], objects.material[chosen] = meshes, materials
+        self._last_material = int(objects.material.max())
         if mesh is not None:
             boxes, given = objects.boxes, self.meshes
             boxes.lower[chosen], boxes.upper[chosen] = given.lower[meshes], given.upper[meshes]
@@ -471,11 +470,11 @@ class SceneBuilder:
         They cast shadows of the lights that do, unless `casts_shadow` is False: a ground, below which nothing is seen,
         costs shadow maps time.
         """
-        columns = np.broadcast_arrays(*(np.atleast_1d(np.asarray(v, np.int64)) for v in (nodes, meshes, materials)))
-        limits = (len(self._node_names), len(self._geometries), len(self._materials))
-        for name, column, limit in zip(("nodes", "meshes", "materials"), columns, limits, strict=True):
-            if column.size and (column.min() < 0 or column.max() >= limit):
-                refuse(rules.BAD_INDEX, f"add_objects({name}=...)", column, f"0 to {limit - 1}")
+        columns = np.broadcast_arrays(
+            read_ids("add_objects(nodes=...)", nodes, len(self._node_names)),
+            read_ids("add_objects(meshes=...)", meshes, len(self._geometries)),
+            read_ids("add_objects(materials=...)", materials, len(self._materials)),
+        )
         self._objects.append(np.stack([*columns, np.full_like(columns[0], casts_shadow)], axis=1))
         first = self._object_count
         self._object_count += len(columns[0])
@@ -489,10 +488,7 @@ class SceneBuilder:
 
     def hide(self, nodes: ArrayLike) -> None:
         """Hide what is at the nodes (k,), given by their ids, and below them, until `Nodes.show` shows it."""
-        ids = np.atleast_1d(np.asarray(nodes, np.int64))
-        if ids.size and (ids.min() < 0 or ids.max() >= len(self._node_names)):
-            refuse(rules.BAD_INDEX, "hide(nodes=...)", ids, f"0 to {len(self._node_names) - 1}")
-        self._hidden.append(ids)
+        self._hidden.append(read_ids("hide(nodes=...)", nodes, len(self._node_names)))
 
     def animate(
         self,
@@ -510,9 +506,7 @@ class SceneBuilder:
                 that isn't animated. So an object that isn't drawn needn't be animated. Without bounds, the nodes are
                 animated in every frame, and the bounds of objects follow.
         """
-        rows = np.atleast_1d(np.asarray(nodes, np.int64))
-        if rows.size and (rows.min() < 0 or rows.max() >= len(self._node_names)):
-            refuse(rules.BAD_INDEX, "animate(nodes=...)", rows, f"0 to {len(self._node_names) - 1}")
+        rows = read_ids("animate(nodes=...)", nodes, len(self._node_names))
         simulation: object = motion
         if callable(motion) and not hasattr(motion, "catch_up"):
             simulation = FunctionOfTime(motion)
@@ -525,9 +519,7 @@ class SceneBuilder:
         Each object has a mesh of its own, added with bounds that hold at all times. The simulation begins at the
         scene's time 0, with the vertices of the meshes.
         """
-        rows = np.atleast_1d(np.asarray(objects, np.int64))
-        if rows.size and (rows.min() < 0 or rows.max() >= self._object_count):
-            refuse(rules.BAD_INDEX, "simulate(objects=...)", rows, f"0 to {self._object_count - 1}")
+        rows = read_ids("simulate(objects=...)", objects, self._object_count)
         check_simulation("simulate(simulation=...)", simulation, "vertices")
         self._simulated.append(Simulated(simulation, rows))
 

@@ -206,7 +206,7 @@ class ShadowMaps:
         """
         resources = frame.resources
         scene = resources.scene
-        if self._scene is not scene or self._used_settings != self.settings or self._has_other_coverage(scene):
+        if self._scene is not scene or self._used_settings != self.settings or self._follow_materials(scene):
             self._reset(scene)
         assert self._needed is not None
         self.casters_drawn = 0
@@ -450,9 +450,9 @@ class ShadowMaps:
     def _report(self, key: MapKey, state: str, because: str, wanted: WantedMap | None = None) -> None:
         self._reported.append((key, state, because, wanted))
 
-    def _has_other_coverage(self, scene: Scene) -> bool:
-        """Return whether materials cover something else than what the maps show. Objects that are hidden or shown, or
-        that have other meshes or materials, are casters of those maps only that they are in."""
+    def _follow_materials(self, scene: Scene) -> bool:
+        """Find the casters again where objects are hidden or shown, or have other materials, and return whether all
+        maps have to be drawn again, since materials cover something else than what they show."""
         if self._material_version == scene.material_version:
             return False
         self._material_version = scene.material_version

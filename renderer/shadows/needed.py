@@ -24,7 +24,7 @@ from renderer.shadows.casters import Casters, SceneCasters, find_moving, turn_bo
 from renderer.shadows.lamps import aim_maps, choose_width, find_scale, find_widths, is_cube, shrink
 from renderer.shadows.receiver import MOST_CASCADES
 from renderer.shadows.settings import ShadowSettings
-from renderer.visibility.boxes.volumes import find_in_view
+from renderer.visibility.boxes.volumes import find_inside
 
 SUN: Final = "directional"
 """The kind of directional lights."""
@@ -224,16 +224,16 @@ class NeededMaps:
         faces = self._faces.get(name)
         if faces is None or faces.key != key:
             aimed = aim_maps(lamp.light, width)
+            planes = np.stack([camera.frustum.planes for camera in aimed])
             maps = [
                 WantedMap.make(
                     (*name, part if len(aimed) > 1 else -1),
                     camera,
                     width,
-                    Casters(find_in_view(scene, camera, still), still[:0]),
+                    Casters(find_inside(scene, planes[part], still), still[:0]),
                 )
                 for part, camera in enumerate(aimed)
             ]
-            planes = np.stack([camera.frustum.planes for camera in aimed])
             faces = self._faces[name] = LampMaps(key, width, aimed, planes, maps, find_scale(lamp.light, width))
         return faces
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from statistics import median
 from typing import Any, Final
@@ -71,17 +71,8 @@ def _looks(stage: ViewerStage) -> Iterable[ViewerCommand]:
             stage.change(settings=settings)
         return f"{path} {to_plain(settings.get(path))}"
 
-    paths = Parameter("SETTING", words=lambda: _list_paths(to_plain(stage.look.settings)), is_closed=True)
+    paths = Parameter("SETTING", words=stage.look.settings.list_paths, is_closed=True)
     yield ViewerCommand("set", "set any setting, or say it", assign, (paths, Parameter("VALUE", is_optional=True)))
-
-
-def _list_paths(plain: Mapping[str, Any], above: str = "") -> Iterator[str]:
-    """Yield the paths of the settings in a mapping."""
-    for name, value in plain.items():
-        if isinstance(value, Mapping):
-            yield from _list_paths(value, f"{above}{name}.")
-        else:
-            yield above + name
 
 
 def _cameras(stage: ViewerStage) -> Iterable[ViewerCommand]:
@@ -154,16 +145,12 @@ def _files(stage: ViewerStage) -> Iterable[ViewerCommand]:
     def record(path: Path | None = None) -> str:
         if stage.is_recording:
             return stage.end_recording()
-        path = stage.find_output(path or find_free(stage, ".json"))
-        if path.suffix.lower() != ".json":
-            refuse(rules.BAD_ARGUMENT, "record", path.name, "a name that ends with .json")
+        path = find_file(stage, "record", path, ".json")
         stage.record(path)
         return f"recording to {path}"
 
     def capture(path: Path | None = None, frames: int = _CAPTURED) -> str:
-        path = stage.find_output(path or find_free(stage, ".csv"))
-        if path.suffix.lower() != ".csv":
-            refuse(rules.BAD_ARGUMENT, "capture", path.name, "a name that ends with .csv")
+        path = find_file(stage, "capture", path, ".csv")
         captured = stage.capture(frames)
         path.parent.mkdir(parents=True, exist_ok=True)
         write_frames(path, captured)
@@ -182,6 +169,14 @@ def describe_status(stage: ViewerStage) -> str:
     device, worked = stage.renderer.device.backend_name, f"{1e3 * stage.counter.processor:.1f} ms of processors"
     rate = f"{stage.counter.describe()}, {worked} a frame"
     return f"{rate}, {stage.look.describe()} on {device}, camera {place}, {stage.seconds:.2f} s"
+
+
+def find_file(stage: ViewerStage, call: str, path: Path | None, ending: str) -> Path:
+    """Return where a command writes a file, which must have this ending; without a path to a free name."""
+    path = stage.find_output(path or find_free(stage, ending))
+    if path.suffix.lower() != ending:
+        refuse(rules.BAD_ARGUMENT, call, path.name, f"a name that ends with {ending}")
+    return path
 
 
 def find_free(stage: ViewerStage, ending: str) -> Path:

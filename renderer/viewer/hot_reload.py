@@ -22,10 +22,9 @@ from renderer.content import load_scene
 from renderer.scene.files import parse_path
 from renderer.settings import RenderSettings
 from renderer.viewer.command_table import Parameter, ViewerCommand
-from renderer.viewer.commands import switch
+from renderer.viewer.commands import find_file, switch
 from renderer.viewer.stage import ViewerStage
 from rhi import Reloader, RhiError, ShaderError
-from rhi.errors import refuse
 
 LOGGER: Final = logging.getLogger("rhi.reload")
 
@@ -165,9 +164,7 @@ def make_commands(saved: SavedFiles, stage: ViewerStage) -> Iterator[ViewerComma
     yield ViewerCommand("settings", "draw with the settings of a file", settings, (Parameter("FILE.json", parse_path),))
 
     def save(_: str, path: Path) -> str:
-        if path.suffix.lower() != ".json":
-            refuse(rules.BAD_ARGUMENT, "save settings", path.name, "a name that ends with .json")
-        path = stage.find_output(path)
+        path = find_file(stage, "save settings", path, ".json")
         stage.look.settings.save(path)
         saved.note_settings(path)
         return f"wrote {path}"

@@ -73,6 +73,9 @@ class Editor:
         size = self.random.uniform(0.3, 1.2, 3) * self.random.choice([-1.0, 1.0], 3)
         return translation(self.random.uniform((-4, 0, -4), (4, 2, 4))) @ turn @ scaling(size)
 
+    def pick(self) -> int:
+        return self.scene.find_row(self.handles[int(self.random.integers(len(self.handles)))])
+
     def edit(self) -> None:
         scene, random = self.scene, self.random
         mesh, material = int(random.integers(1, 3)), int(random.choice(self.materials))
@@ -85,13 +88,13 @@ class Editor:
             change = scene.nodes.hide if random.integers(2) else scene.nodes.show
             change(random.choice(self.fixed))
         elif kind == 4 and self.handles:
-            row = scene.find_row(self.handles[int(random.integers(len(self.handles)))])
+            row = self.pick()
             scene.nodes.set_local(scene.objects.node[row], self.place())
         elif kind == 5 and self.handles:
-            row = scene.find_row(self.handles[int(random.integers(len(self.handles)))])
+            row = self.pick()
             scene.replace(row, mesh=mesh, material=material)
         elif kind == 6 and self.handles:
-            row = scene.find_row(self.handles[int(random.integers(len(self.handles)))])
+            row = self.pick()
             scene.nodes.set_parent(int(scene.objects.node[row]), int(random.choice([-1, self.fixed[-1]])))
 
 

@@ -172,7 +172,8 @@ class _GltfReader:
             name = node.fields.text("name", "")
             is_dynamic = is_animated or node.number in dynamic
             ids.append(self._builder.add_node(node.local, above, dynamic=is_dynamic, name=name))
-            self._builder.hide(ids[-1] if node.number in hidden else [])
+            if node.number in hidden:
+                self._builder.hide(ids[-1])
             mesh = node.fields.index("mesh", len(self._meshes))
             for part in self._meshes[mesh] if mesh >= 0 else ():
                 change = self._read_deformed(node, part, tracks, skeletons)

@@ -54,10 +54,13 @@ def _project(normals: Floats, vectors: Floats) -> Floats:
 
 def find_in_view(scene: Scene, camera: Camera, rows: Rows) -> Rows:
     """Return those of the objects `rows` (k,) that are shown and whose bounds are not outside the view."""
+    return find_inside(scene, camera.frustum.planes, rows) if len(rows) else rows
+
+
+def find_inside(scene: Scene, planes: Floats, rows: Rows) -> Rows:
+    """Return those of the objects `rows` (k,) that are shown and whose bounds are not outside of `planes` (p, 4)."""
     rows = scene.objects.find_shown(rows)
-    if not len(rows):
-        return rows
-    side = classify(camera.frustum.planes, scene.objects.lower[rows], scene.objects.upper[rows])
+    side = classify(planes, scene.objects.lower[rows], scene.objects.upper[rows])
     return np.asarray(rows.take(np.flatnonzero(side != Containment.OUTSIDE)))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import fields, is_dataclass
+from dataclasses import fields
 from typing import Any
 
 import pytest
@@ -25,22 +25,12 @@ SETTABLE = [knob for knob in KNOBS.values() if knob.path]
 DEFAULTS = {one.name: one.default for one in fields(TechniqueSettings)}
 
 
-def list_leaves(settings: Any, path: str = "") -> Iterator[str]:
-    """Yield the paths of all settings that aren't objects of settings themselves."""
-    for one in fields(settings):
-        value, name = getattr(settings, one.name), f"{path}{one.name}"
-        if is_dataclass(value):
-            yield from list_leaves(value, f"{name}.")
-        else:
-            yield name
-
-
 def covers(path: str, leaf: str) -> bool:
     return leaf == path or leaf.startswith(f"{path}.")
 
 
 def test_each_setting_is_a_knob_or_has_a_reason_not_to_be_one() -> None:
-    leaves = list(list_leaves(RenderSettings()))
+    leaves = RenderSettings().list_paths()
     knobs = [knob.path for knob in SETTABLE]
     assert [leaf for leaf in leaves if leaf not in NEUTRAL and not any(covers(path, leaf) for path in knobs)] == []
     assert [path for path in knobs if not any(covers(path, leaf) for leaf in leaves)] == []
