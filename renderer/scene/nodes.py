@@ -31,6 +31,7 @@ class Nodes:
         dynamic: (n,) bool, whether a node may move.
         order: (n,) int64, the rows level after level.
         level_starts: (levels + 1,) int64; level l is the entries level_starts[l] to level_starts[l + 1] of `order`.
+        hides: (n,) bool, whether a node is hidden by itself; changed by `hide` and `show`.
         hidden: (n,) bool, whether a node or one above it is hidden, as of the last `update`; read-only.
         bound: (n,) bool, whether a node keeps its parent: bounds that hold at all times are in the space above it.
         rows: (n,) int64, the row of each id in the order in which the constructor was given them.
@@ -61,7 +62,7 @@ class Nodes:
         self._world: Floats = self._local.copy()
         self._dirty: NDArray[np.bool_] = np.ones(count, bool)
         self.bound: NDArray[np.bool_] = np.zeros(count, bool)
-        self._hides: NDArray[np.bool_] = np.zeros(count, bool)  # by themselves
+        self.hides: NDArray[np.bool_] = np.zeros(count, bool)
         self._hidden: NDArray[np.bool_] = np.zeros(count, bool)
         self._has_hidden = False  # or shown, since the last update
         self.writer: object = None
@@ -138,18 +139,18 @@ class Nodes:
 
     def hide(self, rows: ArrayLike) -> None:
         """Hide what is at the nodes `rows` (k,), static or not, and below them; `update` applies it."""
-        self._hides[read_ids("hide(rows=...)", rows, len(self))] = self._has_hidden = True
+        self.hides[read_ids("hide(rows=...)", rows, len(self))] = self._has_hidden = True
 
     def show(self, rows: ArrayLike) -> None:
         """Show what `hide` has hidden at the nodes `rows` (k,). What is below a hidden node stays hidden."""
-        self._hides[read_ids("show(rows=...)", rows, len(self))] = False
+        self.hides[read_ids("show(rows=...)", rows, len(self))] = False
         self._has_hidden = True
 
     def update_hidden(self) -> bool:
         """Update which nodes are hidden, and return whether others may be than before."""
         has_changed, self._has_hidden = self._has_hidden, False
         if has_changed:
-            self._hidden = self._hides.copy()
+            self._hidden = self.hides.copy()
             for level in self._levels()[1:]:
                 self._hidden[level] |= self._hidden[self.parents[level]]
         return has_changed

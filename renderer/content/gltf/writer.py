@@ -286,7 +286,7 @@ class _GltfWriter:
         self._lists["nodes"] = made
         lists = {
             "dynamic": np.flatnonzero(nodes.dynamic),
-            "hidden": np.flatnonzero(nodes.hidden),
+            "hidden": np.flatnonzero(nodes.hides),
             "objects": order if (np.diff(order) < 0).any() else order[:0],
             "shadowless": np.flatnonzero(~objects.casts_shadow),
         }

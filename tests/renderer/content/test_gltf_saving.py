@@ -93,6 +93,18 @@ def test_saving_what_was_loaded_changes_no_byte(tmp_path):
     assert name in two  # scenes are named after what they were made from
 
 
+def test_what_is_below_a_hidden_node_is_shown_with_it_after_loading(tmp_path):
+    builder, mesh = SceneBuilder("hidden"), make_geometry(TRIANGLE, [0, 1, 2])
+    below = builder.add_node(parent=builder.add_node())
+    builder.add_objects(below, builder.add_mesh(mesh), builder.add_material())
+    builder.hide(0)
+    loaded, _ = save_and_load(builder.build(), tmp_path)
+    assert not loaded.objects.shown.any()
+    loaded.nodes.show(0)
+    loaded.update()
+    assert loaded.objects.shown.all()
+
+
 def test_a_difference_is_found(tmp_path):
     scene = load_scene("grid:count=4")
     loaded, _ = save_and_load(scene, tmp_path)
