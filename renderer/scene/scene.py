@@ -182,14 +182,11 @@ class Scene:
         """
         objects = self.objects
         chosen = read_ids("replace(rows=...)", rows, len(objects))
-        meshes, materials = (
-            np.broadcast_to(read_ids(f"replace({name}=...)", old[chosen] if new is None else new, limit), chosen.shape)
-            for name, old, new, limit in (
-                ("mesh", objects.mesh, mesh, len(self.meshes)),
-                ("material", objects.material, material, len(self.materials)),
-            )
-        )
+        meshes, materials = (column[chosen].astype(np.int64) for column in (objects.mesh, objects.material))
+        if material is not None:
+            materials = np.broadcast_to(read_ids("replace(material=...)", material, len(self.materials)), chosen.shape)
         if mesh is not None:
+            meshes = np.broadcast_to(read_ids("replace(mesh=...)", mesh, len(self.meshes)), chosen.shape)
             changing = [*self.height_fields, *(int(row) for one in self.simulated for row in one.objects)]
             own = objects.mesh[np.array(changing, np.int64)]
             anchor = objects.boxes.node[chosen]
