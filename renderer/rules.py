@@ -100,6 +100,7 @@ BAD_SIMULATION: Final = Rule(
     "scene-bad-simulation",
     "a simulation has a policy of catching up, the methods that the policy calls, and one for its result",
 )
+BAD_CLIP: Final = Rule("scene-bad-clip", "the weight of a clip and the length of a fade are 0 or more, and finite")
 LEFT_BOUNDS: Final = Rule(
     "scene-left-bounds",
     "a simulated object left the bounds that were declared to hold at all times",

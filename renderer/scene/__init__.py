@@ -14,6 +14,7 @@ from renderer.scene.catching_up import Recompute as Recompute
 from renderer.scene.catching_up import Stepped as Stepped
 from renderer.scene.catching_up import Stepwise as Stepwise
 from renderer.scene.catching_up import Timed as Timed
+from renderer.scene.clips import Clip as Clip
 from renderer.scene.height_fields import HeightField as HeightField
 from renderer.scene.height_fields import make_height_field as make_height_field
 from renderer.scene.lights import DIRECTIONAL as DIRECTIONAL
@@ -64,6 +65,7 @@ from renderer.scene.simulation import Moving as Moving
 from renderer.scene.simulation import ObjectSimulation as ObjectSimulation
 from renderer.scene.simulation import Simulated as Simulated
 from renderer.scene.simulation import Simulator as Simulator
+from renderer.scene.simulation import Steered as Steered
 from rhi.errors.exports import list_public as _list_public
 from rhi.math import Camera as Camera
 from rhi.math import Depth as Depth

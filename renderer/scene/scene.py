@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from renderer import rules
 from renderer.scene.air import Fog, Glow
 from renderer.scene.arrays import Floats, Rows, read_ids
+from renderer.scene.clips import Clip, Clips, make_clips
 from renderer.scene.features import MaterialFeatures
 from renderer.scene.finite import FiniteArrays, check_finite
 from renderer.scene.height_fields import HeightField
@@ -71,6 +73,7 @@ class Scene:
         fog, glow: what is in the air and in the eye, None for nothing; they may be exchanged between frames.
         simulated: the simulations in their initial state, and what they change; a renderer's `Simulator` runs copies.
         seconds: the time of the last update or frame.
+        clips: the animations of models by name, which can be played, sought and blended.
         views: named cameras, the first of which is the default. paths: named camera paths.
         omissions: what the file that it was loaded from has and the scene hasn't.
         files: those that `load_model` has read it from or looked for, and would again; none of other scenes.
@@ -91,6 +94,7 @@ class Scene:
         background: tuple[float, float, float] = (0.02, 0.02, 0.03),
         haze: float = 0.0,
         simulated: tuple[Simulated, ...] = (),
+        clips: Mapping[str, Clip] = MappingProxyType({}),
         textures: NDArray[Any] | None = None,
         samplers: tuple[SamplerDescriptor, ...] = (),
         omissions: tuple[Omission, ...] = (),
@@ -101,6 +105,7 @@ class Scene:
     ) -> None:
         self.name = name
         self.simulated = simulated
+        self.clips = clips
         self.background = background
         self.haze = haze
         self.fog, self.glow = fog, glow
@@ -366,6 +371,7 @@ class SceneBuilder:
         self._object_count = 0
         self._reserved: list[NDArray[np.int64]] = []
         self._hidden: list[NDArray[np.int64]] = [np.zeros(0, np.int64)]
+        self.clips = Clips()
         self._simulated: list[Simulated] = []
         self._animated: list[tuple[NDArray[np.int64], ObjectSimulation, tuple[Floats, Floats] | None]] = []
 
@@ -555,6 +561,7 @@ class SceneBuilder:
             self._node_names,
         )
         nodes.hide(nodes.rows[np.concatenate(self._hidden)])
+        clips = make_clips(self.clips, nodes.rows)
         table = np.concatenate(self._objects)
         self._check_simulated(table[:, 1])
         materials, textures = np.array(self._materials, MATERIAL), self._textures.make()
@@ -595,6 +602,7 @@ class SceneBuilder:
             self.background,
             self.haze,
             simulated,
+            clips,
             textures,
             tuple(self._textures.samplers),
             omissions=tuple(self.omissions),

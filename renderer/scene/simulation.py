@@ -92,6 +92,20 @@ class Moving(Protocol):
         ...
 
 
+@runtime_checkable
+class Steered(Protocol):
+    """A `Timed` simulation whose function of the time changes.
+
+    Attributes:
+        version: another number than before when it has changed; its members are then computed again.
+    """
+
+    @property
+    def version(self) -> int:
+        """The number, 0 before the first change."""
+        ...
+
+
 class FunctionOfTime:
     """A simulation of nodes whose transforms (k, 4, 4) a function computes from seconds, all at once."""
 
@@ -326,6 +340,8 @@ class Simulator:
         self._reached: Floats = np.array(begins, np.float64)[self._which]  # by slot: its step or its time
         self._states: Floats = self._reached.copy()
         self._posed: Floats = np.full(len(self._which), np.nan)  # the states that the nodes have
+        self._steered = {number for number, one in enumerate(self.simulations) if isinstance(one, Steered)}
+        self._versions = [0] * len(self.simulations)
 
     def _list_slots(self, rows: Rows) -> Rows:
         """Return all slots of the objects `rows`; one may be listed several times."""
@@ -363,6 +379,10 @@ class Simulator:
         simulation: Any = self.simulations[number]
         policy = simulation.catch_up
         target = policy.target(simulation, self.seconds)
+        version = simulation.version if number in self._steered else 0
+        if version != self._versions[number]:
+            self._versions[number] = version
+            self._reached[self._first[number] : self._first[number + 1]] = np.nan
         behind = slots[self._reached[slots] != target]
         if not len(behind):
             return
@@ -374,9 +394,10 @@ class Simulator:
         self.late += int((reached != target).sum())
         changed = reached != self._reached[behind]
         self._reached[behind] = reached
-        # A leap's result depends on where it began, so the step's number doesn't identify it.
-        inexact = isinstance(policy, Leap)
-        self._states[behind[changed]] = -next(_STATES) if inexact else reached[changed]
+        # A leap's result depends on where it began, so the step's number doesn't identify it; nor does the time what
+        # another function gave.
+        is_known = not (isinstance(policy, Leap) or version)
+        self._states[behind[changed]] = reached[changed] if is_known else -next(_STATES)
 
 
 def _list_slots(nodes: Nodes, objects: Objects, by_node: Rows, by_object: Rows) -> tuple[Rows, Rows]:

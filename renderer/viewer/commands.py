@@ -30,6 +30,7 @@ NEXT: Final = "next"
 _SPEED: Final = 1.5  # how many times as fast a step is
 _WIDEST: Final = 1 << 20  # pixels
 _CAPTURED: Final = 60  # frames, which nothing else is shown meanwhile
+_FADE: Final = 0.3  # seconds from one clip to another
 _LONGEST: Final = 1e9  # seconds, or metres in one; of more, frames and metres can't be told apart
 
 
@@ -126,6 +127,16 @@ def _cameras(stage: ViewerStage) -> Iterable[ViewerCommand]:
 
     yield ViewerCommand("time", "set the scene's time", time, (Parameter("SECONDS", parse_seconds, is_optional=True),))
     yield _pause(stage)
+
+    def clip(name: str | None = None) -> str:
+        clips = stage.scene.clips
+        if name is not None:
+            clips[name].play(stage.seconds, fade=0.0 if stage.is_paused else _FADE, alone=True)
+        played = [one.name for one in clips.values() if one.find_weight(stage.seconds + _FADE)]
+        return f"plays {', '.join(played) or 'no clip'}"
+
+    names = Parameter("CLIP", words=lambda: stage.scene.clips, is_closed=True, is_optional=True)
+    yield ViewerCommand("clip", "play a clip instead of what moves the same, or say what is played", clip, (names,))
 
 
 def _files(stage: ViewerStage) -> Iterable[ViewerCommand]:

@@ -1,7 +1,8 @@
-"""Animations of a glTF file as tracks, and the motion of the nodes that they move.
+"""Animations of a glTF file as clips of tracks, and the motion of the nodes that they move.
 
-All animations of a file are played together, each from its beginning when it has ended, as long as no other one before
-it moves the same part of the same node: many exporters write an animation for each object. Others are left out.
+All animations of a file are played together, each from its beginning when it has ended, unless an earlier one that is
+played moves the same part of the same node: many exporters write an animation for each object. Others wait until
+someone plays them (`renderer.scene.clips`).
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from renderer.content.gltf.tracks import (
     Track,
 )
 from renderer.scene.arrays import Floats, Rows
+from renderer.scene.clips import Clips
 from renderer.scene.omissions import Omissions
 
 TARGETS: Final = {"translation": TRANSLATION, "rotation": ROTATION, "scale": SCALE, "weights": WEIGHTS}
@@ -33,17 +35,21 @@ KINDS: Final = {"LINEAR": LINEAR, "STEP": STEP, "CUBICSPLINE": CUBIC}
 _LARGEST: Final = 1e30  # of a key: products of a few don't overflow
 
 
-def read_tracks(root: JsonObject, accessors: Accessors, omissions: Omissions) -> dict[tuple[int, int], Track]:
-    """Return the tracks of all animations that can be played together, by the node's number and the target."""
-    tracks: dict[tuple[int, int], Track] = {}
+Tracks = dict[tuple[int, int], list[Track]]
+"""The tracks of a file by the number of their node and their target."""
+
+
+def read_tracks(root: JsonObject, accessors: Accessors, omissions: Omissions, clips: Clips) -> Tracks:
+    """Add the animations to `clips`, and return their tracks."""
+    tracks: Tracks = {}
+    played: set[tuple[int, int]] = set()
     count = root.length("nodes")
-    for animation in root.children("animations"):
-        played = set(tracks)
+    for order, animation in enumerate(root.children("animations")):
         samplers = animation.children("samplers")
         channels = animation.children("channels")
         used = [channel.index("sampler", len(samplers), needed=True) for channel in channels]
         times = {n: accessors.times(samplers[n].index("input", len(accessors), needed=True)) for n in set(used)}
-        period = float(max((held[-1] for held in times.values()), default=0.0))
+        moved: dict[tuple[int, int], Track] = {}
         for channel, number in zip(channels, used, strict=True):
             target = channel.child("target")
             if "node" not in target:
@@ -55,29 +61,33 @@ def read_tracks(root: JsonObject, accessors: Accessors, omissions: Omissions) ->
                 omissions.add(f"animations of {path!r}", channel.where)
                 continue
             key = (node, TARGETS[path])
-            if key in played:
-                omissions.add("animations of what an earlier one moves", animation.where)
-            elif key in tracks:
+            if key in moved:
                 channel.refuse("target", f"{path} of nodes[{node}] again", "each once in an animation")
-            else:
-                tracks[key] = _read_track(samplers[number], accessors, TARGETS[path], times[number], period)
+            moved[key] = _read_track(samplers[number], accessors, TARGETS[path], times[number], len(clips))
+        duration = float(max((held[-1] for held in times.values()), default=0.0))
+        name = animation.text("name", "") or f"animation {order}"
+        is_played = played.isdisjoint(moved)
+        clips.add(name, duration, is_played=is_played)
+        played |= moved.keys() if is_played else set()
+        for key, track in moved.items():
+            tracks.setdefault(key, []).append(track)
     return tracks
 
 
 def make_motion(
-    nodes: list[GltfNode], tracks: dict[tuple[int, int], Track], omissions: Omissions
+    nodes: list[GltfNode], tracks: Tracks, omissions: Omissions, clips: Clips
 ) -> tuple[Rows, NodeMotion] | None:
     """Return the rows of the animated nodes and their motion, or None if none is animated."""
     row_of = {node.number: row for row, node in enumerate(nodes)}
     chosen: dict[int, list[Track]] = {}
-    for (number, target), track in tracks.items():
+    for (number, target), several in tracks.items():
         if target == WEIGHTS or number not in row_of:
             continue
         row = row_of[number]
         if nodes[row].parts is None:
             omissions.add("animations of nodes with a matrix", nodes[row].fields.where)
         else:
-            chosen.setdefault(row, []).append(track)
+            chosen.setdefault(row, []).extend(several)
     if not chosen:
         return None
     rows = sorted(chosen)
@@ -85,10 +95,10 @@ def make_motion(
     rest = tuple(np.array([part[at] for part in parts]) for at in range(3))
     owners = np.repeat(np.arange(len(rows)), [len(chosen[row]) for row in rows])
     listed = [track for row in rows for track in chosen[row]]
-    return np.array(rows), NodeMotion(listed, owners, (rest[0], rest[1], rest[2]))
+    return np.array(rows), NodeMotion(listed, owners, (rest[0], rest[1], rest[2]), clips)
 
 
-def _read_track(sampler: JsonObject, accessors: Accessors, target: int, times: Floats, period: float) -> Track:
+def _read_track(sampler: JsonObject, accessors: Accessors, target: int, times: Floats, clip: int) -> Track:
     kind = KINDS[sampler.choice("interpolation", KINDS, "LINEAR")]
     number = sampler.index("output", len(accessors), needed=True)
     types = {ROTATION: "VEC4", WEIGHTS: "SCALAR"}.get(target, "VEC3")
@@ -101,4 +111,4 @@ def _read_track(sampler: JsonObject, accessors: Accessors, target: int, times: F
     if len(values) != keys * parts * max(per_key, 1):
         accessors.fields[number].refuse("count", len(values), f"{keys * parts}, for {keys} keys")
     size = per_key if target == WEIGHTS else values.shape[1]
-    return Track(target, kind, times, values.reshape((keys, 3, size) if kind == CUBIC else (keys, size)), period)
+    return Track(target, kind, times, values.reshape((keys, 3, size) if kind == CUBIC else (keys, size)), clip)

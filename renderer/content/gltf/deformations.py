@@ -23,9 +23,10 @@ from renderer.content.gltf.accessors import Accessors
 from renderer.content.gltf.document import JsonObject
 from renderer.content.gltf.nodes import GltfNode
 from renderer.content.gltf.primitives import PrimitiveMesh
-from renderer.content.gltf.tracks import Keys, NodeMotion, Track, extremes
+from renderer.content.gltf.tracks import NodeMotion, PropertyTracks, Track
 from renderer.scene.arrays import Floats, Rows
 from renderer.scene.catching_up import Recompute
+from renderer.scene.clips import Clips
 from renderer.scene.meshes import VERTEX, MeshBounds, MeshGeometry
 from rhi.math import multiply, transform_bounds
 
@@ -127,7 +128,7 @@ class Skeleton:
         self._moving: Rows = np.flatnonzero(tree.member[rows] >= 0)
         self._members: Rows = tree.member[rows][self._moving]
         self._motion = tree.motion
-        self._seconds = np.nan
+        self._computed = (np.nan, 0)  # for a time and a version of the clips
         self._found: Floats = binds
 
     @property
@@ -137,7 +138,8 @@ class Skeleton:
 
     def matrices(self, seconds: float) -> Floats:
         """Return the matrices (j, 4, 4) of all joints at a time."""
-        if seconds == self._seconds:
+        wanted = (seconds, 0 if self._motion is None else self._motion.version)
+        if wanted == self._computed:
             return self._found
         if self._motion is not None and self.moves:
             self._motion.set_time(self._members, seconds)
@@ -146,7 +148,7 @@ class Skeleton:
         worlds[-1] = np.eye(4)
         for row, parent in enumerate(self._parents):
             worlds[row] = multiply(worlds[parent], self._locals[row])
-        self._found, self._seconds = multiply(worlds[self._joint_at], self.binds), seconds
+        self._found, self._computed = multiply(worlds[self._joint_at], self.binds), wanted
         return self._found
 
 
@@ -156,17 +158,14 @@ class DeformedMesh:
 
     Attributes:
         geometry: the mesh as it stands in the file.
-        offsets: (t, v, 3) of positions and of normals; `weights` (t,) if no track changes them.
-        track: that of the weights, or None. keys: its keys, to be evaluated.
+        offsets: (t, v, 3) of positions and of normals. weights: theirs, with their tracks.
         joints, shares: (v, 4), the joints of each vertex and their weights, which add up to 1; None without a skin.
     """
 
     geometry: MeshGeometry
     offsets: NDArray[np.float32]
     turns: NDArray[np.float32]
-    weights: Floats
-    track: Track | None
-    keys: Keys | None
+    weights: PropertyTracks
     skeleton: Skeleton | None
     joints: Rows | None
     shares: Floats | None
@@ -174,15 +173,15 @@ class DeformedMesh:
     @property
     def is_animated(self) -> bool:
         """Whether it changes with time."""
-        return self.track is not None or (self.skeleton is not None and self.skeleton.moves)
+        return bool(self.weights.list_tracks(0)) or (self.skeleton is not None and self.skeleton.moves)
 
     def vertices(self, seconds: float) -> NDArray[Any]:
         """Return the vertices (v,) of `VERTEX` at a time."""
         made = np.zeros(len(self.geometry.vertices), VERTEX)
         for name in VERTEX.names or ():
             made[name] = self.geometry.vertices[name]
-        if len(self.weights):
-            weights = self.weights if self.keys is None else self.keys.at(_FIRST, seconds)[0]
+        if len(self.offsets):
+            weights = self.weights.at(_FIRST, seconds)[0]
             made["position"] += np.tensordot(weights, self.offsets, 1)
             made["normal"] += np.tensordot(weights, self.turns, 1)
         if self.skeleton is not None and self.joints is not None and self.shares is not None:
@@ -197,7 +196,7 @@ class DeformedMesh:
     def bounds(self) -> MeshBounds:
         """Return a box that holds all vertices at all times."""
         position = self.geometry.vertices["position"].astype(np.float64)
-        least, most = (self.weights, self.weights) if self.track is None else extremes(self.track)
+        least, most = self.weights.find_extremes(0)
         ends = np.stack([least[:, None, None] * self.offsets, most[:, None, None] * self.offsets])
         low, high = position + ends.min(0).sum(0), position + ends.max(0).sum(0)
         boxes: list[MeshBounds] = []
@@ -220,12 +219,17 @@ class Deformations:
 
     catch_up: Final = Recompute()
 
-    def __init__(self, meshes: Sequence[DeformedMesh]) -> None:
-        self.meshes = tuple(meshes)
+    def __init__(self, meshes: Sequence[DeformedMesh], clips: Clips) -> None:
+        self.meshes, self._clips = tuple(meshes), clips
         self._seconds = np.zeros(len(meshes))
 
+    @property
+    def version(self) -> int:
+        """That of the clips."""
+        return self._clips.version
+
     def __deepcopy__(self, memo: object) -> Deformations:
-        """Return a copy with times of its own; the meshes never change."""
+        """Return a copy with times of its own; the meshes never change, and the clips are the scene's."""
         made = copy(self)
         made._seconds = self._seconds.copy()
         return made
@@ -267,18 +271,19 @@ def read_deformed(
     mesh: PrimitiveMesh,
     accessors: Accessors,
     weights: Floats,
-    track: Track | None,
+    tracks: Sequence[Track],
+    clips: Clips,
     skeleton: Skeleton | None,
 ) -> DeformedMesh:
     """Return a primitive as it is deformed at a node.
 
     Args:
         weights: those of the targets (t,), as the node or the mesh has them.
-        track: that of the weights, or None.
+        tracks: those of the weights, of `clips`.
         skeleton: that of the node's skin, or None.
     """
     targets = primitive.children("targets")
-    if len(weights) not in (0, len(targets)) or (track is not None and track.values.shape[-1] != len(targets)):
+    if {len(weights), *(track.values.shape[-1] for track in tracks)} - {len(targets)}:
         primitive.refuse("targets", f"{len(targets)} targets", "as many as weights")
     offsets = np.zeros((len(targets), len(mesh.rows), 3), np.float32)
     turns = np.zeros_like(offsets)
@@ -290,10 +295,9 @@ def read_deformed(
                 if len(held) <= int(mesh.rows.max()) or not (np.abs(held) <= 1e30).all():
                     target.refuse(name, f"{len(held)} offsets", "a finite one for each vertex")
                 changed[number] = held[mesh.rows]
-    given = weights if len(weights) else np.zeros(len(targets))
-    keys = None if track is None else Keys([track], len(given))
+    moved = PropertyTracks(tracks, np.zeros(len(tracks), np.int64), weights[None], clips)
     joints, shares = (None, None) if skeleton is None else _read_joints(primitive, mesh, accessors, skeleton)
-    return DeformedMesh(mesh.geometry, offsets, turns, given, track, keys, skeleton, joints, shares)
+    return DeformedMesh(mesh.geometry, offsets, turns, moved, skeleton, joints, shares)
 
 
 def _read_joints(

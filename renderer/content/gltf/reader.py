@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from renderer import rules
 from renderer.content.assets import share_geometry
 from renderer.content.gltf.accessors import Accessors
-from renderer.content.gltf.animations import make_motion, read_tracks
+from renderer.content.gltf.animations import Tracks, make_motion, read_tracks
 from renderer.content.gltf.container import EXTENSIONS, NOTED_IN_USE, GltfFile
 from renderer.content.gltf.deformations import (
     Deformations,
@@ -39,7 +39,7 @@ from renderer.content.gltf.nodes import (
     read_camera,
 )
 from renderer.content.gltf.primitives import Primitives
-from renderer.content.gltf.tracks import WEIGHTS, Track
+from renderer.content.gltf.tracks import ROTATION, SCALE, TRANSLATION, WEIGHTS
 from renderer.content.limits import Budget
 from renderer.scene.arrays import Floats
 from renderer.scene.meshes import MeshGeometry
@@ -97,9 +97,9 @@ class _GltfReader:
                 self._omissions.add(name, "extensionsUsed")
         self._add_meshes()
         nodes = list_nodes(self._root, self._omissions)
-        tracks = read_tracks(self._root, self._accessors, self._omissions)
+        tracks = read_tracks(self._root, self._accessors, self._omissions, self._builder.clips)
         worlds = find_worlds(nodes)
-        tree = NodeTree.make(nodes, make_motion(nodes, tracks, self._omissions))
+        tree = NodeTree.make(nodes, make_motion(nodes, tracks, self._omissions, self._builder.clips))
         self._add_nodes(tree, tracks)
         self._add_cameras(nodes, worlds, tree.moves)
         self._add_lights(nodes, worlds, tree.moves)
@@ -153,7 +153,7 @@ class _GltfReader:
                     found.append(_GltfPart(mesh, primitive, mesh_id, ids[material] if material >= 0 else -1))
             self._meshes.append(found)
 
-    def _add_nodes(self, tree: NodeTree, tracks: dict[tuple[int, int], Track]) -> None:
+    def _add_nodes(self, tree: NodeTree, tracks: Tracks) -> None:
         """Add nodes, objects and their animations."""
         skeletons = read_skins(self._root, self._accessors, tree)
         deformed: list[tuple[int, DeformedMesh]] = []  # objects, and how they change
@@ -194,17 +194,22 @@ class _GltfReader:
         before = self._builder.object_count
         self._add_objects([(ids[at], geometry, material) for at, geometry, material in objects])
         if deformed:
-            changes = Deformations([change for _, change in deformed])
+            changes = Deformations([change for _, change in deformed], self._builder.clips)
             self._builder.simulate([before + number for number, _ in deformed], changes)
         if tree.motion is not None:
             rows = np.flatnonzero(tree.member >= 0)
             self._builder.animate(np.array(ids)[rows], tree.motion, tree.find_bounds(contents))
+        for row, node in enumerate(tree.nodes):
+            targets = (TRANSLATION, ROTATION, SCALE, WEIGHTS) if ids[row] >= 0 else ()
+            moving = {track.clip for target in targets for track in tracks.get((node.number, target), ())}
+            for clip in moving:
+                self._builder.clips.nodes[clip].append(ids[row])
 
     def _read_deformed(
         self,
         node: GltfNode,
         part: _GltfPart,
-        tracks: dict[tuple[int, int], Track],
+        tracks: Tracks,
         skeletons: list[Skeleton | None],
     ) -> DeformedMesh | None:
         """Return how a part of a mesh is deformed at a node, or None if it isn't."""
@@ -218,11 +223,11 @@ class _GltfReader:
             return None
         held = node.fields if "weights" in node.fields else part.holder
         weights = held.reals("weights", count) if "weights" in held else np.zeros(count)
-        track = tracks.get((node.number, WEIGHTS)) if count else None
+        moved = tracks.get((node.number, WEIGHTS), []) if count else []
         shape = self._primitives.read(part.primitive)
-        if shape is None or (skeleton is None and track is None and not weights.any()):
+        if shape is None or (skeleton is None and not moved and not weights.any()):
             return None
-        return read_deformed(part.primitive, shape, self._accessors, weights, track, skeleton)
+        return read_deformed(part.primitive, shape, self._accessors, weights, moved, self._builder.clips, skeleton)
 
     def _add_deformed(self, change: DeformedMesh, name: str) -> int:
         """Add the mesh of a deformed object as it is at the beginning."""

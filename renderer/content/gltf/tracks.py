@@ -1,9 +1,9 @@
 """Animations of nodes: keys on tracks, evaluated all at once, and how far they move what hangs on them.
 
-A track animates the translation, the rotation or the scale of one node. The keys of all tracks lie in one array in
-which each track begins after the end of the one before, so that one binary search finds the keys of every track.
-Between two keys a track is constant, linear (rotations follow the great circle) or a cubic Hermite curve, as in glTF.
-Each animation begins again at its end.
+A track animates the translation, the rotation or the scale of one node in a clip. The keys of all tracks lie in one
+array in which each track begins after the end of the one before, so that one binary search finds the keys of every
+track. Between two keys a track is constant, linear (rotations follow the great circle) or a cubic Hermite curve, as in
+glTF. What several clips move is the mean by their weights; of rotations, that of quaternions on the same side.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from renderer.scene.arrays import Floats, Rows
 from renderer.scene.catching_up import Recompute
+from renderer.scene.clips import Clips
 
 STEP, LINEAR, CUBIC = range(3)
 """The ways of interpolating between two keys."""
@@ -28,6 +29,7 @@ TRANSLATION, ROTATION, SCALE, WEIGHTS = range(4)
 _ARC: Final = np.pi / 32.0  # a turn is divided into parts of at most this angle, whose error is bounded
 _PIECES: Final = 8  # into which a segment of a cubic rotation is divided
 _WIDEST: Final = np.cos(1.0)  # of the half angle between quaternions that are still treated as one direction
+_BLENDED: Final = np.cos(0.24 * np.pi)  # the same where signs are chosen: any two in the cone have the same
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -39,14 +41,14 @@ class Track:
         kind: STEP, LINEAR or CUBIC.
         times: (k,) seconds, ascending.
         values: (k, size); of a cubic track (k, 3, size): the tangent before each key, its value, the tangent after it.
-        period: the length in seconds of the animation that it belongs to.
+        clip: the row of the clip that it belongs to.
     """
 
     target: int
     kind: int
     times: Floats
     values: Floats
-    period: float
+    clip: int
 
     @property
     def keys(self) -> Floats:
@@ -54,39 +56,76 @@ class Track:
         return self.values[:, 1] if self.kind == CUBIC else self.values
 
 
-class Keys:
-    """The keys of many tracks whose values have the same size; quaternions are x, y, z, w."""
+class PropertyTracks:
+    """A property of k owners and its tracks, each owner's together; quaternions are x, y, z, w.
 
-    def __init__(self, tracks: Sequence[Track], size: int) -> None:
+    Attributes:
+        rest: (k, size), the values where no clip is played.
+    """
+
+    def __init__(self, tracks: Sequence[Track], owners: Rows, rest: Floats, clips: Clips) -> None:
+        order = np.argsort(owners, kind="stable")
+        self._tracks = tracks = [tracks[number] for number in order.tolist()]
+        self.rest, self._clips = rest, clips
+        self._firsts = np.searchsorted(owners[order], np.arange(len(rest) + 1))  # the tracks of each owner
+        self._is_single = bool((np.diff(self._firsts) <= 1).all())
         counts = np.array([len(track.times) for track in tracks], np.int64)
         self._ends = np.cumsum(counts)
         self._starts = self._ends - counts
         begins = np.array([track.times[0] for track in tracks])
         lengths = np.array([track.times[-1] for track in tracks]) - begins
         self._kind = np.array([track.kind for track in tracks])
-        self._turns = np.array([track.target == ROTATION for track in tracks])
-        self._period = np.array([track.period for track in tracks])
+        self._turns = any(track.target == ROTATION for track in tracks)
+        self._clip = np.array([track.clip for track in tracks], np.int64)
         self._begin, self._end = begins, begins + lengths
         shift = np.concatenate([[0.0], np.cumsum(lengths + 1.0)])[: len(tracks)] - begins
         self._times = np.concatenate([np.zeros(0), *(track.times for track in tracks)])
         self._search = self._times + np.repeat(shift, counts)
         self._shift = shift
         keys = [_unit(t.keys) if t.target == ROTATION and t.kind != CUBIC else t.keys for t in tracks]
-        self._values = np.concatenate([np.zeros((0, size)), *keys])
+        none = np.zeros((0, rest.shape[1]))
+        self._values = np.concatenate([none, *keys])
         self._before, self._after = (
-            np.concatenate(
-                [
-                    np.zeros((0, size)),
-                    *(t.values[:, side] if t.kind == CUBIC else 0.0 * t.values for t in tracks),
-                ]
-            )
+            np.concatenate([none, *(t.values[:, side] if t.kind == CUBIC else 0.0 * t.values for t in tracks)])
             for side in (0, 2)
         )
 
-    def at(self, tracks: Rows, seconds: float) -> Floats:
-        """Return the values (j, size) of `tracks` (j,) at a time."""
-        period = self._period[tracks]
-        local = np.where(period > 0.0, np.mod(seconds, np.where(period > 0.0, period, 1.0)), 0.0)
+    def at(self, owners: Rows, seconds: float) -> Floats:
+        """Return the values (j, size) of `owners` (j,) at the scene's time."""
+        values = self.rest[owners]
+        if not self._tracks:
+            return values
+        first = self._firsts[owners]
+        counts = self._firsts[owners + 1] - first
+        if self._is_single:
+            place = np.flatnonzero(counts)
+            rows = first[place]
+        else:
+            place = np.repeat(np.arange(len(owners)), counts)
+            rows = np.arange(len(place)) + np.repeat(first - np.cumsum(counts) + counts, counts)
+        times, weights = (of_clips[self._clip[rows]] for of_clips in self._clips.evaluate(seconds))
+        played = weights > 0.0
+        if not played.all():
+            rows, place, times, weights = rows[played], place[played], times[played], weights[played]
+        found = self._find_values(rows, times)
+        starts = None if self._is_single else np.flatnonzero(np.diff(place, prepend=-1))
+        if starts is None or len(starts) == len(rows):  # one for each
+            values[place] = found
+            return values
+        counts = np.diff(starts, append=len(rows))
+        if self._turns:
+            first = np.repeat(starts, counts)
+            found *= np.where((found * found[first]).sum(1) < 0.0, -1.0, 1.0)[:, None]
+        share = weights / np.repeat(np.add.reduceat(weights, starts), counts)
+        blended = np.add.reduceat(share[:, None] * found, starts)
+        several = counts > 1
+        if self._turns:
+            blended[several] = _unit(blended[several])
+        values[place[starts]] = blended
+        return values
+
+    def _find_values(self, tracks: Rows, local: Floats) -> Floats:
+        """Return the values (j, size) of `tracks` (j,), each at a time `local` (j,) of its clip."""
         local = np.clip(local, self._begin[tracks], self._end[tracks])
         first = np.searchsorted(self._search, local + self._shift[tracks], "right") - 1
         first = np.clip(first, self._starts[tracks], self._ends[tracks] - 1)
@@ -94,19 +133,33 @@ class Keys:
         length = self._times[second] - self._times[first]
         share = np.clip((local - self._times[first]) / np.where(length > 0.0, length, 1.0), 0.0, 1.0)[:, None]
         a, b = self._values[first], self._values[second]
-        kind, turns = self._kind[tracks], self._turns[tracks]
+        kind = self._kind[tracks]
         linear = (1.0 - share) * a + share * b
         found: Floats = np.where((kind == STEP)[:, None], np.where(share < 1.0, a, b), linear)
-        if (great := turns & (kind == LINEAR)).any():
+        if self._turns and (great := kind == LINEAR).any():
             found[great] = slerp(a[great], b[great], share[great, 0])
         if (cubic := kind == CUBIC).any():
-            found[cubic] = _hermite(
+            curve = _hermite(
                 a[cubic], self._after[first[cubic]], b[cubic], self._before[second[cubic]], share[cubic],
                 length[cubic, None],
             )  # fmt: skip
-        if (curved := turns & (kind == CUBIC)).any():
-            found[curved] = _unit(found[curved])
+            found[cubic] = _unit(curve) if self._turns else curve
         return found
+
+    def list_tracks(self, owner: int) -> list[Track]:
+        """Return the tracks of an owner."""
+        return self._tracks[self._firsts[owner] : self._firsts[owner + 1]]
+
+    def find_extremes(self, owner: int) -> tuple[Floats, Floats]:
+        """Return bounds (size,) of the values that an owner ever has, unless they are rotations: those of keys and
+        control points, and the rest."""
+        points = [self.rest[owner][None]]
+        for track in self.list_tracks(owner):
+            points.append(track.keys)
+            if track.kind == CUBIC:
+                points.append(_controls(track).reshape(-1, points[0].shape[1]))
+        held = np.concatenate(points)
+        return held.min(0), held.max(0)
 
 
 class NodeMotion:
@@ -114,35 +167,38 @@ class NodeMotion:
 
     Attributes:
         tracks: all tracks. owners: (t,) the member that each animates.
-        rest: the translations (k, 3), rotations (k, 4) and scales (k, 3) of what has no track.
+        rest: the translations (k, 3), rotations (k, 4) and scales (k, 3) where no clip is played.
     """
 
     catch_up: Final = Recompute()
 
-    def __init__(self, tracks: Sequence[Track], owners: Rows, rest: tuple[Floats, Floats, Floats]) -> None:
-        self.tracks, self.owners = tuple(tracks), owners
-        self.rest = rest
+    def __init__(
+        self, tracks: Sequence[Track], owners: Rows, rest: tuple[Floats, Floats, Floats], clips: Clips
+    ) -> None:
+        self.tracks, self.owners, self.rest, self._clips = tuple(tracks), owners, rest, clips
         self._now = tuple(values.copy() for values in rest)
-        self._track_of = np.full((3, len(rest[0])), -1, np.int64)  # by target and member
-        by_size = {size: [n for n, t in enumerate(tracks) if t.values.shape[-1] == size] for size in (3, 4)}
-        self._keys = {size: Keys([tracks[n] for n in numbers], size) for size, numbers in by_size.items()}
-        for numbers in by_size.values():
-            for row, number in enumerate(numbers):
-                self._track_of[tracks[number].target, owners[number]] = row
+        targets = np.array([track.target for track in tracks])
+        self._properties = [
+            PropertyTracks([tracks[row] for row in rows.tolist()], owners[rows], rest[target], clips)
+            for target in (TRANSLATION, ROTATION, SCALE)
+            for rows in (np.flatnonzero(targets == target),)
+        ]
+
+    @property
+    def version(self) -> int:
+        """That of the clips."""
+        return self._clips.version
 
     def __deepcopy__(self, memo: object) -> NodeMotion:
-        """Return a copy with a state of its own; the keys never change."""
+        """Return a copy with a state of its own; the keys never change, and the clips are the scene's."""
         made = copy(self)
         made._now = tuple(values.copy() for values in self._now)
         return made
 
     def set_time(self, members: Rows, seconds: float) -> None:
         """Compute the parts of the transforms of `members` (j,) at a time."""
-        for target, size in ((TRANSLATION, 3), (ROTATION, 4), (SCALE, 3)):
-            rows = self._track_of[target, members]
-            moved = rows >= 0
-            if moved.any():
-                self._now[target][members[moved]] = self._keys[size].at(rows[moved], seconds)
+        for values, part in zip(self._now, self._properties, strict=True):
+            values[members] = part.at(members, seconds)
 
     def transforms(self, members: Rows) -> Floats:
         """Return the present transforms (j, 4, 4) of `members` (j,)."""
@@ -150,22 +206,13 @@ class NodeMotion:
         return compose(translation[members], rotation[members], scale[members])
 
     def reach(self, member: int, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
-        """Return a box in the space of the member's parent that holds the box `lower` to `upper` (3,) at all times."""
-        values = [(rest[member], rest[member]) for rest in self.rest]
-        turning: Track | None = None
-        for number in np.flatnonzero(self.owners == member).tolist():
-            track = self.tracks[number]
-            if track.target == ROTATION:
-                turning = track
-            else:
-                values[track.target] = extremes(track)
-        (moved_low, moved_high), _, (scale_low, scale_high) = values
+        """Return a box in the space of the member's parent that holds the box `lower` to `upper` (3,) at all times,
+        whatever clips are played."""
+        moved, turned, scaled = self._properties
+        (moved_low, moved_high), (scale_low, scale_high) = moved.find_extremes(member), scaled.find_extremes(member)
         products = np.stack([lower * scale_low, lower * scale_high, upper * scale_low, upper * scale_high])
         lower, upper = products.min(0), products.max(0)
-        if turning is None:
-            lower, upper = _turned(self.rest[1][member][None], np.zeros(1), lower, upper)
-        else:
-            lower, upper = _turned(*_arcs(turning), lower, upper)
+        lower, upper = _turned(*_cover(turned.list_tracks(member), turned.rest[member]), lower, upper)
         size = max(float(np.abs([lower, upper, moved_low, moved_high]).max()), 1e-30)
         slack = 1e-8 * size  # of rounding, here and where the motion is evaluated
         return lower + moved_low - slack, upper + moved_high + slack
@@ -222,12 +269,18 @@ def _controls(track: Track) -> Floats:
     return np.stack([keys[:-1], keys[:-1] + third * after[:-1], keys[1:] - third * before[1:], keys[1:]], axis=1)
 
 
-def extremes(track: Track) -> tuple[Floats, Floats]:
-    """Return bounds (size,) of the values of a track that isn't a rotation: those of keys and control points."""
-    points = track.keys
-    if track.kind == CUBIC:
-        points = np.concatenate([points, _controls(track).reshape(-1, points.shape[1])])
-    return points.min(0), points.max(0)
+def _cover(tracks: Sequence[Track], rest: Floats) -> tuple[Floats, NDArray[np.float64]]:
+    """Cover the rotations that tracks of one node ever give, and its rest: return rotations (j, 4), and angles (j,) by
+    which each of them differs from one of these."""
+    if len(tracks) < 2:
+        covered = [(rest[None], np.zeros(1)), *map(_arcs, tracks)]
+        return np.concatenate([turns for turns, _ in covered]), np.concatenate([angles for _, angles in covered])
+    # Means of several are in the cone that holds the middles of all arcs, widened by these.
+    turns, angles = (np.concatenate(parts) for parts in zip(*map(_arcs, tracks), strict=True))
+    turns = np.where((turns @ turns[0] < 0.0)[:, None], -turns, turns)
+    middle = _unit(turns.mean(0))
+    half = float((np.arccos(np.clip(turns @ middle, -1.0, 1.0)) + 0.5 * angles).max()) + 1e-7  # of rounding
+    return np.stack([rest, middle]), np.array([0.0, 2.0 * half if np.cos(half) > _BLENDED else np.pi])
 
 
 def _arcs(track: Track) -> tuple[Floats, NDArray[np.float64]]:

@@ -320,15 +320,17 @@ class _GltfWriter:
         return motions
 
     def _write_animations(self, motions: list[tuple[NDArray[np.int64], NodeMotion]]) -> None:
-        """Write tracks; those that begin again together are an animation."""
+        """Write tracks; those of a clip are an animation."""
+        names = list(self._scene.clips)
         for rows, motion in motions:
-            animations: dict[float, dict[str, list[Any]]] = {}
+            animations: dict[int, dict[str, Any]] = {}
             for track, owner in zip(motion.tracks, motion.owners.tolist(), strict=True):
-                held = animations.setdefault(track.period, {"samplers": [], "channels": []})
+                begun = {"name": names[track.clip], "samplers": [], "channels": []}
+                held = animations.setdefault(track.clip, begun)
                 held["samplers"].append(self._track(track))
                 target = {"node": int(rows[owner]), "path": _PATHS[track.target]}
                 held["channels"].append({"sampler": len(held["samplers"]) - 1, "target": target})
-            for held in animations.values():
+            for _, held in sorted(animations.items()):
                 self._add("animations", held)
 
     def _track(self, track: Track) -> dict[str, Any]:

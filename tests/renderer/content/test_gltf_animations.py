@@ -17,6 +17,7 @@ from renderer.content.gltf.tracks import (
     NodeMotion,
     Track,
 )
+from renderer.scene.clips import Clips
 
 REST = (np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]), np.ones((1, 3)))
 
@@ -87,12 +88,14 @@ def test_animations_of_different_nodes_are_played_together(tmp_path):
     assert left_out(scene) == {}
 
 
-def test_a_second_animation_of_the_same_part_is_listed(tmp_path):
+def test_a_second_animation_of_the_same_part_waits_until_it_is_played(tmp_path):
     document = animated("translation", [0, 1], [[0, 0, 0], [2, 0, 0]])
     document.animate(0, "translation", [0, 1], [[0, 0, 0], [8, 0, 0]])
     scene = load_model(document.write(tmp_path / "a.glb"))
     assert place(scene, 0.5)[0, 3] == 1
-    assert left_out(scene) == {"animations of what an earlier one moves": 1}
+    assert left_out(scene) == {}
+    scene.clips["animation 1"].play(0.0, alone=True)
+    assert place(scene, 0.5)[0, 3] == 4
 
 
 def test_only_visible_objects_are_animated_and_their_bounds_never_change(tmp_path):
@@ -142,31 +145,46 @@ def test_lights_and_cameras_stay_where_they_are_and_their_motion_is_listed(tmp_p
     assert left_out(load_model(document.write(tmp_path / "a.glb"))) == {"motion of a camera": 1}
 
 
-def make_track(rng, target, kind, keys):
+def make_track(rng, target, kind, keys, clip=0, spread=1.0):
+    """Random values; rotations are `spread` around the same one."""
     size = 4 if target == ROTATION else 3
     values = rng.normal(size=(keys, 3, size) if kind == CUBIC else (keys, size))
     if target == ROTATION:
+        values = 0.5 * (1.0 - spread) + spread * values
         middle = values[:, 1] if kind == CUBIC else values
         middle /= np.linalg.norm(middle, axis=1, keepdims=True)
     times = np.cumsum(rng.uniform(0.1, 1.0, keys)) - 0.1
-    return Track(target, kind, times, values, float(times[-1]) * rng.uniform(1.0, 1.5))
+    return Track(target, kind, times, values, clip)
+
+
+def make_clips(tracks, is_played=lambda clip: True):
+    """A clip of its own for each track, a little longer than it."""
+    clips = Clips()
+    for number, track in enumerate(tracks):
+        clips.add("", float(track.times[-1]) * 1.25, is_played=is_played(number))
+    return clips
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(
     st.integers(0, 2**32 - 1),
-    st.lists(st.sampled_from([TRANSLATION, ROTATION, SCALE]), min_size=1, max_size=3, unique=True),
+    st.lists(st.sampled_from([TRANSLATION, ROTATION, SCALE]), min_size=1, max_size=5),
     st.sampled_from([STEP, LINEAR, CUBIC]),
     st.integers(1, 5),
+    st.booleans(),
+    st.sampled_from([1.0, 0.2, 0.05]),
 )
-def test_no_point_of_a_box_ever_leaves_the_reach_of_its_motion(seed, targets, kind, keys):
+def test_no_point_of_a_box_ever_leaves_the_reach_of_its_motion(seed, targets, kind, keys, weighted, spread):
     rng = np.random.default_rng(seed)
-    tracks = [make_track(rng, target, kind, keys) for target in targets]
-    motion = NodeMotion(tracks, np.zeros(len(tracks), np.int64), REST)
+    tracks = [make_track(rng, target, kind, keys, clip, spread) for clip, target in enumerate(targets)]
+    clips = make_clips(tracks)
+    motion = NodeMotion(tracks, np.zeros(len(tracks), np.int64), REST, clips)
     ends = np.sort(rng.normal(size=(2, 3)), axis=0)
     lower, upper = motion.reach(0, *ends)
     corners = np.array([[ends[i, 0], ends[j, 1], ends[k, 2], 1] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
     for seconds in np.concatenate([rng.uniform(0, 8, 40), *(track.times for track in tracks)]):
+        for clip in range(len(tracks)):
+            clips.change(clip, weight=max(rng.normal(), 0.0) if weighted else 1.0)
         motion.set_time(np.zeros(1, np.int64), float(seconds))
         points = corners @ motion.transforms(np.zeros(1, np.int64))[0].T
         assert (points[:, :3] >= lower).all()
@@ -175,13 +193,13 @@ def test_no_point_of_a_box_ever_leaves_the_reach_of_its_motion(seed, targets, ki
 
 def test_tracks_of_many_nodes_are_found_by_one_search():
     rng = np.random.default_rng(5)
-    tracks = [make_track(rng, TRANSLATION, LINEAR, int(keys)) for keys in rng.integers(1, 9, 50)]
+    tracks = [make_track(rng, TRANSLATION, LINEAR, int(keys), n) for n, keys in enumerate(rng.integers(1, 9, 50))]
     rest = tuple(np.repeat(part, 50, axis=0) for part in REST)
-    motion = NodeMotion(tracks, np.arange(50), rest)
+    motion = NodeMotion(tracks, np.arange(50), rest, make_clips(tracks))
     motion.set_time(np.arange(50), 1.234)
     found = motion.transforms(np.arange(50))[:, :3, 3]
     for track, place in zip(tracks, found, strict=True):
-        local = 1.234 % track.period
+        local = 1.234 % (track.times[-1] * 1.25)
         wanted = [np.interp(local, track.times, track.values[:, axis]) for axis in range(3)]
         assert place == pytest.approx(wanted, abs=1e-9)
 
@@ -189,8 +207,26 @@ def test_tracks_of_many_nodes_are_found_by_one_search():
 def test_a_copy_of_a_motion_has_a_state_of_its_own():
     from copy import deepcopy
 
-    track = Track(TRANSLATION, LINEAR, np.array([0.0, 1.0]), np.array([[0.0] * 3, [2.0, 0, 0]]), 1.0)
-    motion = NodeMotion([track], np.zeros(1, np.int64), REST)
+    track = Track(TRANSLATION, LINEAR, np.array([0.0, 1.0]), np.array([[0.0] * 3, [2.0, 0, 0]]), 0)
+    motion = NodeMotion([track], np.zeros(1, np.int64), REST, make_clips([track]))
     other = deepcopy(motion)
     motion.set_time(np.zeros(1, np.int64), 0.5)
     assert [one.transforms(np.zeros(1, np.int64))[0, 0, 3] for one in (motion, other)] == [1.0, 0.0]
+
+
+def test_the_reach_of_blended_rotations_follows_how_far_apart_they_are():
+    """A mean of turns by up to 10° stays near them; one of turns to opposite sides may be any."""
+
+    def find_lowest(*clips):
+        """The least x and y of what the point (1, 0, 0) becomes, if each clip turns through some angles."""
+        tracks = [
+            Track(ROTATION, LINEAR, np.arange(len(angles)), np.array([turn(angle) for angle in angles]), clip)
+            for clip, angles in enumerate(clips)
+        ]
+        motion = NodeMotion(tracks, np.zeros(len(tracks), np.int64), REST, make_clips(tracks))
+        return motion.reach(0, np.array([1.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]))[0][:2]
+
+    near = 2 * np.sin(np.radians(5))
+    assert find_lowest([-10], [10]) == pytest.approx([1 - near, -near], abs=1e-5)
+    assert find_lowest([-10, 10], [10, -10]) == pytest.approx([1 - near, -near], abs=1e-3)
+    assert find_lowest([-100], [100]) == pytest.approx([-1, -1], abs=1e-5)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gltf_documents import GltfDocument
 
 import rhi
 from renderer.content import load_scene, parse_camera
@@ -505,3 +506,20 @@ def test_the_speed_suits_the_scene_and_not_the_plain_around_it() -> None:
     city, hall = (find_speed(load_scene(name)) for name in ("city:blocks=3", "hall"))
     assert 2.0 < city < 40.0
     assert 0.5 < hall < 10.0
+
+
+def test_a_clip_is_played_instead_of_what_moves_the_same(null: rhi.Device, tmp_path: Path, clock: Clock) -> None:
+    document = GltfDocument(nodes=[{"mesh": 0}])
+    document.mesh()
+    for distance in (2, 8):
+        document.animate(0, "translation", [0, 1], [[0, 0, 0], [distance, 0, 0]])
+    scene = load_scene(document.write(tmp_path / "a.glb"))
+    viewer = Viewer(null, scene, size=SIZE, clock=clock)
+    assert viewer.run("clip") == ("plays animation 0", False)
+    assert viewer.run('clip "animation 1"') == ("plays animation 1", False)
+    assert scene.clips["animation 0"].find_weight(0.15) == pytest.approx(0.5)  # fades
+    viewer.run("pause on")
+    assert viewer.run('clip "animation 0"') == ("plays animation 0", False)
+    assert scene.clips["animation 0"].find_weight(0.0) == 1.0
+    assert viewer.run("clip wave")[1]
+    viewer.close()
