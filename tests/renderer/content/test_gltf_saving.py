@@ -165,7 +165,8 @@ def test_rotated_texture_coordinates_are_the_same_to_float32(tmp_path):
         builder.add_material(texture=TextureMap(image, 0, (0.25, -4.0), turn, scale), metallic=0.5)
     builder.add_objects(builder.add_node(), builder.add_mesh(make_geometry(TRIANGLE, [0, 1, 2])), 0)
     scene = builder.build()
-    loaded, _ = save_and_load(scene, tmp_path)
+    loaded, _ = save_and_load(scene, tmp_path, "saved.gltf")
+    assert json.loads((tmp_path / "saved.gltf").read_text())["extensionsUsed"] == ["KHR_texture_transform"]
     assert loaded.textures["transform"] == pytest.approx(scene.textures["transform"], rel=3e-7)
 
 

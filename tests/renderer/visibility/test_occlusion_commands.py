@@ -128,6 +128,20 @@ def test_chc_pulls_up_visibility_so_hidden_trees_cost_one_query(renderer: Render
         assert draw_with(renderer, algorithm, EYE).statistics.queries == 1
 
 
+def test_what_came_into_view_is_asked_for_at_its_leaves_in_the_next_frame(null: rhi.Device) -> None:
+    """Once it has been found, nodes above it are visible too, though what made them so before is out of view."""
+    scene = make_boxes(np.array([(x, y, 0.0) for x in (-40.0, 40.0) for y in range(4)]), np.full((8, 3), 0.4))
+    left, right = (Camera.look_at((x, 1.5, 12.0), (x, 1.5, 0.0), projection=Perspective(0.6)) for x in (-40.0, 40.0))
+    with Renderer(null, scene, size=(64, 36)) as renderer:
+        Oracle(null, scene, seen=set(range(8)))
+        algorithm = ChcPlusPlus(scene, null, VisibilitySettings(persistence=1000))
+        before = [draw_with(renderer, algorithm, left) for _ in range(9)][-1]
+        draw_with(renderer, algorithm, right)
+        found = draw_with(renderer, algorithm, right)
+        assert (visible(before), visible(found)) == ({0, 1, 2, 3}, {4, 5, 6, 7})
+        assert found.statistics.queries == 0
+
+
 def test_chc_plus_plus_draws_in_fewer_batches_and_asks_with_fewer_queries(renderer: Renderer) -> None:
     costs = []
     for make_one in (Chc, ChcPlusPlus):
