@@ -7,6 +7,7 @@ never says twice what glTF says, so that a file that another program has changed
   objects, which objects cast no shadow.
 - of a material of the specular model: its four parameters, and emission as a multiple of the base colour. What glTF can
   say is written beside it as a likeness for other programs.
+- of a camera: that its far plane only stands for none.
 - of a light: whether it casts a shadow. Of a node: that it only holds a light or a camera, and is none of the scene's.
 """
 
@@ -25,6 +26,9 @@ from rhi.math import Depth, Orthographic, Perspective, Projection
 
 KEY: Final = "rhi"
 PLACED: Final = "placed"
+INFINITE: Final = "infinite"
+FARTHEST: Final = 2.0**24
+"""Of a camera without a far plane: its distance in the file over that of the near plane."""
 SPECULAR: Final = ("specular_color", "shininess", "rim_strength", "rim_power")
 """The parameters of the specular model."""
 

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from renderer.content.gltf.document import JsonObject
-from renderer.content.gltf.extras import private
+from renderer.content.gltf.extras import INFINITE, private
 from renderer.content.gltf.tracks import compose
 from renderer.scene.arrays import Floats
 from renderer.scene.lights import Lights
@@ -101,6 +101,9 @@ def read_camera(fields: JsonObject, world: Floats) -> Camera | None:
         lens = fields.child("perspective")
         near = lens.real("znear", low=1e-12)
         far = lens.real("zfar", low=near * (1.0 + 1e-9)) if "zfar" in lens else np.inf
+        held = private(fields)
+        if held is not None and held.values.get(INFINITE) == far:
+            far = np.inf
         fov, aspect = (
             lens.real("yfov", low=1e-6, high=3.14159),
             lens.real("aspectRatio", 16.0 / 9.0, 1e-6, 1e6),

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from renderer import rules
 from renderer.content.gltf.animations import KINDS
 from renderer.content.gltf.container import BINARY_CHUNK, JSON_CHUNK, MAGIC
-from renderer.content.gltf.extras import KEY, PLACED, SPECULAR, write_surroundings
+from renderer.content.gltf.extras import FARTHEST, INFINITE, KEY, PLACED, SPECULAR, write_surroundings
 from renderer.content.gltf.materials import ALPHA_MODES, MAGNIFY, MINIFY, WRAPS
 from renderer.content.gltf.nodes import CANDELA
 from renderer.content.gltf.primitives import ATTRIBUTES
@@ -396,10 +396,14 @@ class _GltfWriter:
         assert isinstance(lens, Perspective | Orthographic)
         if lens.depth is not Depth.REVERSED:
             self.omissions.add("the direction of a camera's depth", name)
-        far = {} if np.isinf(lens.far) else {"zfar": lens.far}
+        far: dict[str, Any] = {"zfar": lens.far}
         if isinstance(lens, Perspective):
+            more: dict[str, Any] = {}
+            if np.isinf(lens.far):  # may be left out, but loaders of other engines fail without it
+                far = {"zfar": FARTHEST * lens.near}
+                more = {"extras": {KEY: {INFINITE: far["zfar"]}}}
             held = {"yfov": lens.fov, "aspectRatio": lens.aspect, "znear": lens.near, **far}
-            return {"type": "perspective", "perspective": held}
+            return {"type": "perspective", "perspective": held, **more}
         height = 0.5 * lens.height
         held = {"xmag": height * lens.aspect, "ymag": height, "znear": lens.near, **far}
         return {"type": "orthographic", "orthographic": held}

@@ -210,11 +210,11 @@ def test_an_answer_comes_without_waiting_for_it(device: Device, query: Occlusion
 
 
 def test_polling_does_not_block(device: Device, query: OcclusionQuery) -> None:
-    """The work of the query grows until several polls find it unfinished. If polls wait only one of them can, although
-    the fence was unfinished before. A device that executes commands at once can't fail this test."""
+    """The work of the query grows until two polls find it unfinished. If polls wait only one of them can, although the
+    fence was unfinished before. A device that executes commands at once can't fail this test."""
     with device.texture((1024, 1024), Format.RGBA8) as image, device.mesh(rectangle()) as mesh:
         program = device.program(Colored)
-        for instances in (4**n for n in range(5)):
+        for instances in (4**n for n in range(6)):
             with device.render_pass(image), query:
                 device.draw(program, mesh, instances)
             value = device.signal()
@@ -223,7 +223,7 @@ def test_polling_does_not_block(device: Device, query: OcclusionQuery) -> None:
             while not query.is_finished:
                 polls += 1
             assert query.visible_samples == instances * 1024 * 1024
-            if polls > 3:
+            if polls > 1:
                 break
         else:
             assert not unfinished, f"{polls} polls during {instances} full screens: each of them blocked"

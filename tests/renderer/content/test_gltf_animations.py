@@ -98,6 +98,20 @@ def test_a_second_animation_of_the_same_part_waits_until_it_is_played(tmp_path):
     assert place(scene, 0.5)[0, 3] == 4
 
 
+@pytest.mark.parametrize(
+    ("target", "what"),
+    [
+        ({"path": "pointer"}, "animations of something else than a node"),
+        ({"node": 0, "path": "x"}, "animations of 'x'"),
+    ],
+)
+def test_channels_of_what_no_scene_has_are_listed(tmp_path, target, what):
+    document = animated("translation", [0, 1], [[0, 0, 0], [2, 0, 0]])
+    document.animate(0, "translation", [0, 1], [[0, 0, 0], [2, 0, 0]], animation=0)
+    document.values["animations"][0]["channels"][1]["target"] = target
+    assert left_out(load_model(document.write(tmp_path / "a.glb"))) == {what: 1}
+
+
 def test_only_visible_objects_are_animated_and_their_bounds_never_change(tmp_path):
     scene = load_model(animated("translation", [0, 1], [[0, 0, 0], [2, 0, 0]]).write(tmp_path / "a.glb"))
     assert scene.objects.simulated.tolist() == [True]

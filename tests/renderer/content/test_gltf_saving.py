@@ -11,6 +11,7 @@ from renderer.scene import (
     AlphaMode,
     Camera,
     Orthographic,
+    Perspective,
     Scene,
     SceneBuilder,
     TextureMap,
@@ -168,6 +169,21 @@ def test_rotated_texture_coordinates_are_the_same_to_float32(tmp_path):
     loaded, _ = save_and_load(scene, tmp_path, "saved.gltf")
     assert json.loads((tmp_path / "saved.gltf").read_text())["extensionsUsed"] == ["KHR_texture_transform"]
     assert loaded.textures["transform"] == pytest.approx(scene.textures["transform"], rel=3e-7)
+
+
+def test_a_camera_without_a_far_plane_has_one_for_other_programs(tmp_path):
+    """Loaders of other engines fail without one. What another program has changed since is believed."""
+    scene = load_scene("grid:count=1")
+    scene.views["view"] = Camera.look_at((1, 2, 3), (0, 0, 0), projection=Perspective(near=0.5))
+    loaded, _ = save_and_load(scene, tmp_path, "saved.gltf")
+    assert loaded.views["view"].projection.far == np.inf
+    file = tmp_path / "saved.gltf"
+    document = json.loads(file.read_text())
+    lens = document["cameras"][-1]["perspective"]
+    assert lens["zfar"] == 0.5 * 2**24
+    lens["zfar"] = 100.0
+    file.write_text(json.dumps(document))
+    assert load_model(str(file)).views["view"].projection.far == 100.0
 
 
 def test_animations_are_read_back_the_same(tmp_path):

@@ -1,0 +1,177 @@
+"""The same city drawn by other engines of Python and by this one, as glTF from `save_scene`, seen from above the roofs.
+
+Each engine loads the file by its own loader, shades it by its own means, and runs in a process and in an environment of
+its own (`out/engines`), which is installed when it is asked for. The programs are in `benchmarks/engines`. All draw
+`--size` pixels, one sample each, and read the picture back. Mesa's cache of shaders is off, and ours begins empty.
+
+- `load_s`: from the start of the process until the scene is there. `first_ms`: the first frame after that.
+- `ms`: a frame, once each engine has drawn for `--warm-up` seconds; the engines take turns, and times are medians.
+- `ratio`: that time, compared with the first row's in the same round. `memory_mib`: the most that the process has held.
+
+What they leave out differs, so no two pictures are the same; `--pictures` shows all of them. Ours has haze, which glTF
+can't say. Panda3D's fixed pipeline lights vertices, by eight lamps, and its own rasteriser filters no textures.
+
+    python benchmarks/engines.py [--only gl,pygfx] [--scene city] [--rounds 9] [--pictures engines.png] [--json]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import venv
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from time import perf_counter
+from typing import Any, Final
+
+import numpy as np
+
+from renderer.cli import options
+from renderer.cli.comparison import run_benchmark
+from renderer.cli.output import note, prepare_image, write_image
+from renderer.content import load_scene, save_scene
+from renderer.lab.comparison import Record, Subject, compare, ratio, time
+from renderer.scene import Scene
+
+FOLDER: Final = Path(__file__).parent / "engines"
+ENVIRONMENTS: Final = Path(__file__).parents[1] / "out" / "engines"
+PACKAGES: Final[dict[str, tuple[str, ...]]] = {
+    "rhi": (),
+    "pygfx": ("numpy", "pygfx==0.17.0", "gltflib==1.0.13", "imageio==2.38.1"),
+    "panda3d": ("numpy", "panda3d==1.10.16", "panda3d-gltf==1.3.0"),
+    "vtk": ("numpy", "vtk==9.7.2"),
+}
+"""What the environment of each program of `benchmarks/engines` has; ours is the present one."""
+ENGINES: Final = {
+    "gl": "rhi", "cl": "rhi", "wgpu": "rhi", "pygfx": "pygfx", "panda3d": "panda3d", "panda3d_software": "panda3d",
+    "vtk": "vtk",
+}  # fmt: skip
+"""The program of each row."""
+COLUMNS: Final = {"ms": time(digits=1), "ratio": ratio(2)}
+FAR: Final = 4000.0
+
+
+class Worker:
+    """A process in which an engine draws.
+
+    Attributes:
+        device: what draws. load_s, first_ms: as in the table.
+    """
+
+    def __init__(self, engine: str, job: dict[str, Any], cache: str, warm_up: float) -> None:
+        program = ENGINES[engine]
+        python = install(program)
+        begin = perf_counter()
+        command = [python, str(FOLDER / f"with_{program}.py"), json.dumps(job | {"engine": engine})]
+        variables = {"RHI_CACHE": f"{cache}/{engine}", "MESA_SHADER_CACHE_DISABLE": "true"}
+        self._log = Path(f"{cache}/{engine}.log")
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._log.open("w"), text=True,
+            env=os.environ | variables | {"PYTHONPATH": str(FOLDER.parents[1]) if program == "rhi" else ""},
+        )  # fmt: skip
+        self.device = str(self._read()["device"])
+        self.load_s = perf_counter() - begin
+        begin = perf_counter()
+        self.ask("frame")
+        self.first_ms = 1e3 * (perf_counter() - begin)
+        while perf_counter() - begin < warm_up:
+            self.ask("frame")
+
+    def ask(self, order: str) -> Any:
+        """Give an order, and return the answer."""
+        assert self._process.stdin is not None
+        self._process.stdin.write(f"{order}\n")
+        self._process.stdin.flush()
+        return self._read()
+
+    def _read(self) -> Any:
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        if not line:
+            raise SystemExit(f"error: an engine has ended: {self._log.read_text()[-2000:]}")
+        return json.loads(line)
+
+    def close(self) -> None:
+        """End the process."""
+        self._process.communicate()
+
+
+def install(program: str) -> str:
+    """Return the interpreter of a program's environment, which is made if it isn't there."""
+    if not (packages := PACKAGES[program]):
+        return sys.executable
+    folder = ENVIRONMENTS / program
+    python, done = folder / "bin" / "python", folder / "installed.txt"
+    if not done.exists() or done.read_text() != "\n".join(packages):
+        note(f"installing {', '.join(packages)} in {folder}")
+        venv.create(folder, clear=True, with_pip=True)
+        subprocess.run([python, "-m", "pip", "install", "--quiet", *packages], check=True)
+        done.write_text("\n".join(packages))
+    return str(python)
+
+
+def make_job(scene: Scene, path: str, size: tuple[int, int]) -> dict[str, Any]:
+    """Return what `benchmarks/engines/serving.py` calls a job: the scene's first view."""
+    eye = next(iter(scene.views.values()))
+    return {
+        "path": path, "width": size[0], "height": size[1], "eye": eye.position.tolist(),
+        "ahead": eye.forward.tolist(), "fov": float(np.degrees(eye.projection.fov)), "near": eye.projection.near,
+        "far": FAR, "background": list(scene.background), "ambient": list(scene.lights.sky),
+        "sun": scene.lights.directional["color"][0].tolist() if len(scene.lights.directional) else [1.0, 1.0, 1.0],
+    }  # fmt: skip
+
+
+def join(pictures: Sequence[Any]) -> Any:
+    """Return pictures (h, w, 3) in rows of two."""
+    blank = np.zeros_like(pictures[0])
+    held = [*pictures, *([blank] if len(pictures) % 2 else [])]
+    return np.concatenate([np.concatenate(held[row : row + 2], axis=1) for row in range(0, len(held), 2)])
+
+
+OPTIONS: Final = (
+    options.some("--only", ENGINES, "no engine that is compared", [name for name in ENGINES if name != "wgpu"]),
+    options.option("--scene", "what is drawn", "city"),
+    options.size((1280, 720)),
+    options.rounds("rounds", 9),
+    options.length("--warm-up", "seconds for which each engine draws before it is timed", "20"),
+    options.file("--pictures", "write all pictures, in rows of two, in the table's order"),
+)
+
+
+def measure(given: argparse.Namespace) -> Iterator[Record]:
+    if given.pictures is not None:
+        prepare_image(given.pictures, "--pictures")
+    with ExitStack() as opened:
+        folder = opened.enter_context(tempfile.TemporaryDirectory())
+        scene = load_scene(given.scene)
+        path = f"{folder}/scene.glb"
+        save_scene(scene, path)
+        job = make_job(scene, path, given.size)
+        subjects, pictures = [], {}
+        for engine in given.only:
+            worker = Worker(engine, job, folder, 20.0 if given.warm_up is None else given.warm_up)
+            opened.callback(worker.close)
+
+            def finish(engine: str = engine, worker: Worker = worker) -> Record:
+                found = worker.ask(f"end {folder}/{engine}.rgb")
+                pixels = np.fromfile(f"{folder}/{engine}.rgb", np.uint8)
+                pictures[engine] = pixels.reshape(job["height"], job["width"], 3)
+                return {
+                    "first_ms": round(worker.first_ms), "load_s": round(worker.load_s, 2),
+                    "memory_mib": round(found["memory"]),
+                }  # fmt: skip
+
+            about = {"engine": engine, "device": worker.device}
+            subjects.append(Subject(about, lambda _, worker=worker: worker.ask("frame"), find=finish))
+        yield from compare(subjects, COLUMNS, range(given.rounds))
+        if given.pictures is not None:
+            write_image(given.pictures, join(list(pictures.values())))
+
+
+if __name__ == "__main__":
+    run_benchmark(__doc__, OPTIONS, measure, kernels="")
