@@ -23,13 +23,14 @@ import subprocess
 import sys
 import tempfile
 import venv
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Final
 
 import numpy as np
+from PIL import Image, ImageDraw
 
 from renderer.cli import options
 from renderer.cli.comparison import run_benchmark
@@ -126,11 +127,16 @@ def make_job(scene: Scene, path: str, size: tuple[int, int]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def join(pictures: Sequence[Any]) -> Any:
-    """Return pictures (h, w, 3) in rows of two."""
-    blank = np.zeros_like(pictures[0])
-    held = [*pictures, *([blank] if len(pictures) % 2 else [])]
-    return np.concatenate([np.concatenate(held[row : row + 2], axis=1) for row in range(0, len(held), 2)])
+def join(pictures: Mapping[str, Any]) -> Any:
+    """Return pictures (h, w, 3) by their engines' names, of half their size in rows of two, with the names on them."""
+    height, width = (size // 2 for size in next(iter(pictures.values())).shape[:2])
+    sheet = Image.new("RGB", (2 * width, height * -(-len(pictures) // 2)), "white")
+    pen = ImageDraw.Draw(sheet)
+    for number, (name, pixels) in enumerate(pictures.items()):
+        place = number % 2 * width, number // 2 * height
+        sheet.paste(Image.fromarray(pixels).resize((width, height), Image.Resampling.LANCZOS), place)
+        pen.text((place[0] + 8, place[1] + 6), name, "black", font_size=height / 16)
+    return np.asarray(sheet)
 
 
 OPTIONS: Final = (
@@ -139,7 +145,7 @@ OPTIONS: Final = (
     options.size((1280, 720)),
     options.rounds("rounds", 9),
     options.length("--warm-up", "seconds for which each engine draws before it is timed", "20"),
-    options.file("--pictures", "write all pictures, in rows of two, in the table's order"),
+    options.file("--pictures", "write all pictures, of half their size in rows of two"),
 )
 
 
@@ -170,7 +176,7 @@ def measure(given: argparse.Namespace) -> Iterator[Record]:
             subjects.append(Subject(about, lambda _, worker=worker: worker.ask("frame"), find=finish))
         yield from compare(subjects, COLUMNS, range(given.rounds))
         if given.pictures is not None:
-            write_image(given.pictures, join(list(pictures.values())))
+            write_image(given.pictures, join(pictures))
 
 
 if __name__ == "__main__":
