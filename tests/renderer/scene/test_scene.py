@@ -168,6 +168,12 @@ def test_a_geometry_of_another_dtype_is_refused():
     assert find_rule(lambda: MeshGeometry(np.zeros(3), np.zeros(3, np.uint32))) == "scene-bad-mesh"
 
 
+def test_a_geometry_whose_indices_name_no_vertex_is_refused():
+    vertices = np.zeros(3, VERTEX)
+    assert find_rule(lambda: MeshGeometry(vertices, np.array([0, 1, 3], np.uint32))) == "scene-bad-mesh"
+    assert MeshGeometry(vertices, np.array([0, 1, 2], np.uint32)).triangle_count == 1
+
+
 def test_materials_are_a_storage_buffer_without_padding():
     assert MATERIAL.itemsize == 112
     material = make_material(base_color=(0.1, 0.2, 0.3), texture=-1)
