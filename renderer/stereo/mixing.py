@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from renderer.stereo.outputs import ANAGLYPHS
-from renderer.stereo.words import Words
+from renderer.stereo.words import Words, find_pitch
 from renderer.visibility.repeated import RepeatedCommands, copy
 from rhi import Device, Encoder, Texture, from_srgb, to_srgb
 from rhi.shading import (
@@ -43,10 +43,11 @@ MIXED: Final = frozenset({*ANAGLYPHS, *_CHOICES})
 
 
 class Mixture(Struct):
-    """The way in which two pictures of `size` are mixed: the bits of each pixel that are the left one's, in even and in
-    odd rows; or the matrices of both."""
+    """The way in which two pictures of `size`, of rows that are `pitch` pixels apart, are mixed: the bits of each pixel
+    that are the left one's, in even and in odd rows; or the matrices of both."""
 
     size: ivec2
+    pitch: int
     even: uint
     odd: uint
     left: mat3
@@ -65,7 +66,7 @@ class Mixing(Shader):
         x = global_id().x
         y = global_id().y
         if x < self.mixture.size.x:
-            i = y * self.mixture.size.x + x
+            i = y * self.mixture.pitch + x
             self.right[i] = self.mix(self.left[i], self.right[i], y)
 
     def mix(self, left: uint, right: uint, row: int) -> uint:
@@ -108,7 +109,7 @@ class Mixer:
     def __init__(self, device: Device) -> None:
         zeros = np.zeros((3, 3))
         with ExitStack() as made:
-            nothing = Mixture(size=(0, 0), even=0, odd=0, left=zeros, right=zeros)
+            nothing = Mixture(size=(0, 0), pitch=0, even=0, odd=0, left=zeros, right=zeros)
             self._mixture = made.enter_context(device.uniform(nothing))
             decoded = from_srgb(np.arange(256) / 255.0)
             levels = 255.0 * to_srgb(np.arange(_STEPS) / (_STEPS - 1.0))
@@ -128,7 +129,8 @@ class Mixer:
         if self._mixed != (output, size):
             even, odd = _CHOICES.get(output, (0, 0))
             of_left, of_right = ANAGLYPHS.get(output, np.zeros((2, 3, 3)))
-            self._mixture.write(Mixture(size=size, even=even, odd=odd, left=of_left, right=of_right))
+            pitch = find_pitch(self._device, size[0])
+            self._mixture.write(Mixture(size=size, pitch=pitch, even=even, odd=odd, left=of_left, right=of_right))
             self._mixed = output, size
         given: dict[str, Any] = {
             "mixture": self._mixture,

@@ -24,7 +24,7 @@ from renderer.frame.mirrors import MirroredValue
 from renderer.frame.passes import FARTHEST
 from renderer.scene import Camera, Depth
 from renderer.shaders.pixels import BackgroundScreen
-from renderer.stereo.words import Words
+from renderer.stereo.words import Words, find_pitch
 from renderer.techniques.parts.full_screen import bind_rays, make_triangle
 from renderer.visibility.repeated import RepeatedCommands, clear, copy
 from rhi import CullMode, DepthFunction, DepthTest, DepthWrite, Device, Encoder, StorageBuffer
@@ -51,9 +51,10 @@ _AHEAD: Final = np.array([(0.0, 0.0, -1.0, 1.0), (0.0, 0.0, -2.0, 1.0)])  # two 
 
 class Shift(Struct):
     """The distance by which pixels move to the right: `least` + `rate` times their nearness, in pixels. `size` is that
-    of the picture, `farthest` the depth of the background."""
+    of the picture, whose rows are `pitch` pixels apart, `farthest` the depth of the background."""
 
     size: ivec2
+    pitch: int
     least: float
     rate: float
     farthest: float
@@ -72,7 +73,7 @@ class MovePixels(Shader):
         size = self.shift.size
         if global_id().x >= size.y:
             return
-        row = global_id().x * size.x
+        row = global_id().x * self.shift.pitch
         for x in range(size.x):
             nearness = abs(self.depth[row + x] - self.shift.farthest)
             to = int(floor(float(x) + 0.5 + (self.shift.least + self.shift.rate * nearness)))
@@ -92,7 +93,7 @@ class FillPixels(Shader):
         size = self.shift.size
         if global_id().x >= size.y:
             return
-        end = global_id().x * size.x + size.x
+        end = global_id().x * self.shift.pitch + size.x
         pixel = uint(0)
         for i in range(1, size.x + 1):
             pixel = self.moved[end - i]
@@ -132,7 +133,7 @@ class TakeDepth(BackgroundScreen):
 
     def fragment(self) -> MovedDepth:
         place = ivec2(fragment_coordinate().xy)
-        return MovedDepth(depth=uint_bits_to_float(self.picture[place.y * self.shift.size.x + place.x] - uint(1)))
+        return MovedDepth(depth=uint_bits_to_float(self.picture[place.y * self.shift.pitch + place.x] - uint(1)))
 
 
 class Reprojector:
@@ -144,7 +145,7 @@ class Reprojector:
     """
 
     def __init__(self, device: Device) -> None:
-        self.shift = MirroredValue(device, Shift(size=(0, 0), least=0.0, rate=0.0, farthest=0.0))
+        self.shift = MirroredValue(device, Shift(size=(0, 0), pitch=0, least=0.0, rate=0.0, farthest=0.0))
         self.depth = Words(device, float)
         self.picture, self.moved = Words(device, uint), Words(device, uint)
         self.depths = Words(device, uint), Words(device, uint)
@@ -181,8 +182,9 @@ class Reprojector:
             one.destroy()
 
 
-def find_shift(left: Camera, right: Camera, size: tuple[int, int]) -> Shift:
-    """Return how the pixels of a picture of `size` move from one eye to the other. The eyes look in one direction."""
+def find_shift(left: Camera, right: Camera, size: tuple[int, int], pitch: int) -> Shift:
+    """Return how the pixels of a picture of `size` move from one eye to the other, in rows that are `pitch` apart. The
+    eyes look in one direction."""
     depth, matrix = left.projection.depth, left.projection.matrix
     near = matrix[2] if depth is Depth.REVERSED else matrix[3] - matrix[2]
     nearness = _AHEAD @ near / (_AHEAD @ matrix[3])
@@ -192,19 +194,22 @@ def find_shift(left: Camera, right: Camera, size: tuple[int, int]) -> Shift:
     parallax = aside @ other[0] / (aside @ other[3]) - _AHEAD @ matrix[0] / (_AHEAD @ matrix[3])
     first, second = (0.5 * size[0] * parallax).tolist()
     rate = float((second - first) / (nearness[1] - nearness[0]))
-    return Shift(size=size, least=first - rate * float(nearness[0]), rate=rate, farthest=FARTHEST[depth])
+    least = first - rate * float(nearness[0])
+    return Shift(size=size, pitch=pitch, least=least, rate=rate, farthest=FARTHEST[depth])
 
 
 def find_holes(right: Frame) -> NDArray[np.bool_]:
     """Return (height, width), which pixels of the right eye's picture are holes that were filled. Waits for the
     device."""
     width, height = right.targets.size
-    return np.asarray(right.view.workspace(Reprojector).moved.buffer.read().reshape(height, width) == 0)
+    moved = right.view.workspace(Reprojector).moved.buffer.read().reshape(height, -1)
+    return np.asarray(moved[:, :width] == 0)
 
 
 def _move_pixels(frame: Frame) -> None:
     left, kept = _left_of(frame), frame.view.workspace(Reprojector)
-    kept.shift.write(find_shift(left.camera, frame.camera, frame.targets.size))
+    size = frame.targets.size
+    kept.shift.write(find_shift(left.camera, frame.camera, size, find_pitch(frame.device, size[0])))
     kept.move_picture(left.targets, frame.targets)
 
 
@@ -212,7 +217,9 @@ def _move_depth(frame: Frame) -> None:
     device, size = frame.device, frame.targets.size
     kept = frame.view.workspace(Reprojector)
     picture, moved = (words.fit(size) for words in kept.depths)
-    device.dispatch(device.program(EncodeDepth), -(-size[0] * size[1] // 64), depth=kept.depth.buffer, picture=picture)
+    device.dispatch(
+        device.program(EncodeDepth), -(-len(kept.depth.buffer) // 64), depth=kept.depth.buffer, picture=picture
+    )
     kept.move(device, size, picture, moved)
     states = (CullMode.NONE, DepthTest.ON, DepthWrite.ON, DepthFunction.ALWAYS)
     program: Any = device.program(TakeDepth)

@@ -24,8 +24,9 @@ class Words(Generic[T]):
         return self._buffer
 
     def fit(self, size: tuple[int, int]) -> StorageBuffer[T]:
-        """Return the buffer for pictures of `size`; one of another size is replaced."""
-        count = size[0] * size[1]
+        """Return the buffer for pictures of `size`, of rows that are `find_pitch` apart; one of another size is
+        replaced."""
+        count = find_pitch(self._device, size[0]) * size[1]
         if self._buffer is None or len(self._buffer) != count:
             self.destroy()
             self._buffer = self._device.storage(self._element, count, label="pixels")
@@ -36,3 +37,10 @@ class Words(Generic[T]):
         if self._buffer is not None:
             self._buffer.destroy()
             self._buffer = None
+
+
+def find_pitch(device: Device, width: int) -> int:
+    """Return the elements from row to row of a picture that is copied to a buffer and back: more than `width` where
+    rows have to be aligned."""
+    step = max(device.capabilities.copy_row_alignment // 4, 1)
+    return -(-width // step) * step

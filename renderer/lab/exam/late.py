@@ -48,6 +48,8 @@ def _delay(kind: Any, begins: str, looks: int, left: dict[int, int]) -> list[tup
         if left[query.id] > 0:
             left[query.id] -= 1
             return False
+        if not look(query):  # in an open pass, looking doesn't submit it everywhere
+            query.core.timeline.wait(query.core.signal())
         deadline = time.monotonic() + _PATIENCE
         while not look(query) and time.monotonic() < deadline:
             pass

@@ -152,6 +152,23 @@ def test_layers_find_the_depth_of_moved_pixels(drawing_device: rhi.Device, wall:
     assert len(np.unique(moved.round(4))) >= 2
 
 
+def test_pictures_and_depth_are_the_same_where_rows_of_copies_are_aligned(
+    drawing_device: rhi.Device, wall: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on wgpu: rows of 96 pixels are then 128 apart in buffers."""
+    found = []
+    for alignment in (1, 256):
+        limits = replace(drawing_device.capabilities, copy_row_alignment=alignment)
+        monkeypatch.setattr(drawing_device._core, "capabilities", limits)
+        with open_renderer(drawing_device, wall) as renderer:
+            renderer.layers.append(looker := Looker())
+            result, _, moved = draw(renderer, look(), RIG, moved=True)
+            found.append((moved, looker.depths[1], find_holes(result.frames[1]), result.image.read()))
+    assert found[0][2].any()
+    for tight, aligned in zip(*found, strict=True):
+        assert np.array_equal(tight, aligned)
+
+
 def test_only_the_left_eye_draws_the_scene(null: rhi.Device) -> None:
     scene = load_scene("city:blocks=6")
     draws, passes = [], []
