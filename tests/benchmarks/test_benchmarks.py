@@ -20,7 +20,7 @@ PROGRAMS: Final = sorted(name for name, text in FILES.items() if "__main__" in t
 SMALLEST: Final = {
     "--boxes": "40", "--cold-runs": "1", "--commands": "200", "--draws": "20", "--frames": "2", "--materials": "4",
     "--meshes": "4", "--objects": "20", "--processes": "1", "--queries": "10", "--repeats": "1", "--rounds": "1",
-    "--runs": "1", "--scale": "0.001", "--size": "32x18", "--teleports": "1", "--triangles": "1000", "--warm-up": "1",
+    "--runs": "1", "--scale": "0.001", "--size": "32x18", "--triangles": "1000", "--warm-up": "1",
 }  # fmt: skip
 """The options that say how much a program does, with the least that each of them may say."""
 FREE: Final = {"--programs", "--seed"}
@@ -39,11 +39,10 @@ OWN: Final[dict[str, tuple[str, ...]]] = {
     "startup": ("--only", "import,triangle,states"),
     "techniques": (*ON_CL["techniques"], "--scenes", "grid:4"),
     "thesis_tables": ("ground",),
-    "two_pass": ("--scene", "city:blocks=4"),
 }
 """What programs are given besides: what they can't do without, smaller scenes, and cl where another is the default."""
 TIMES_CL: Final = {
-    *ON_CL, "anisotropy", "backends", "emulated_queries", "small_programs", "small_triangles", "software_depth",
+    *ON_CL, "backends", "emulated_queries", "small_programs", "small_triangles", "software_depth",
     "tessellation", "text",
 }  # fmt: skip
 """Programs that say beside each figure which kernels cl ran."""
