@@ -37,7 +37,10 @@ def gl() -> Iterator[rhi.Device]:
         yield device
 
 
-@pytest.fixture(scope="module", params=["gl", "cl"])
+_DRAWING = ["gl", "cl", pytest.param("wgpu", marks=pytest.mark.nightly)]
+
+
+@pytest.fixture(scope="module", params=_DRAWING)
 def drawing_device(request: pytest.FixtureRequest) -> Iterator[rhi.Device]:
     """A device of each backend that draws, one per module; tests of a backend that isn't here are skipped."""
     with open_device(request.param) as device:
@@ -46,7 +49,7 @@ def drawing_device(request: pytest.FixtureRequest) -> Iterator[rhi.Device]:
         yield device
 
 
-@pytest.fixture(scope="module", params=["gl", "cl"])
+@pytest.fixture(scope="module", params=_DRAWING)
 def device(request: pytest.FixtureRequest) -> Iterator[rhi.Device]:
     """A device of each backend that draws and computes, one per module."""
     with open_device(request.param) as made:

@@ -142,10 +142,11 @@ class BoundResources:
         """Bind the groups of a program that have changed."""
         self.mark(program)
         dirty = self.dirty
-        if dirty[0] and program.groups:
-            self._uniform_group = self._find(program, layout, 0)
+        if program.groups and (dirty[0] or self.moved):
+            if dirty[0]:
+                self._uniform_group = self._find(program, layout, 0)
+                dirty[0] = False
             self.move(program, bind, encoder)
-            dirty[0] = False
         for index in range(1, program.groups):
             if dirty[index]:
                 bind(encoder, index, self._find(program, layout, index)._internal, 0, NULL)

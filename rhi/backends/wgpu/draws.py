@@ -51,13 +51,15 @@ _draw_indexed: Final = lib.wgpuRenderPassEncoderDrawIndexed
 
 
 class GpuVertexArray:
-    """A vertex array. `key` is the same object for all arrays of one layout."""
+    """A vertex array. `key` is the same object for all arrays of one layout, `restarts` the index format that the
+    pipelines of strips are for."""
 
-    __slots__ = ("descriptor", "expanded", "indexed", "key")
+    __slots__ = ("descriptor", "expanded", "indexed", "key", "restarts")
 
     def __init__(self, descriptor: VertexArrayDescriptor, key: object) -> None:
         self.descriptor = descriptor
         self.indexed = descriptor.index_buffer != 0
+        self.restarts = descriptor.index_format if self.indexed else None
         self.key = key
         self.expanded: tuple[tuple[int, int, int], GpuObject] | None = None  # quads: (first, quads, version), indices
 
@@ -88,7 +90,7 @@ class Draws:
         self.arrays: dict[Id, GpuVertexArray] = {}
         self._keys: dict[object, object] = {}
         self._current: tuple[Id, Primitive] | None = None  # what the pass is ready to draw
-        self._alike: tuple[object, Primitive] | None = None  # the layout and primitive that its pipeline is for
+        self._alike: tuple[object, ...] | None = None  # the layout, primitive and restarts that its pipeline is for
         self._layout: PipelineLayout | None = None
         self._alone = False  # the last draw wrote memory, so the next one begins a segment
         self._shared_indices: dict[Primitive, tuple[int, GpuObject]] = {}
@@ -148,7 +150,7 @@ class Draws:
             stream.begin_segment()
         render = stream.render
         array = self.arrays[vertex_array]
-        alike = (array.key, primitive)
+        alike = (array.key, primitive, array.restarts)
         if states.changed or alike != self._alike:
             pipeline = self._pipelines.find(
                 program, layout, array.descriptor, array.key, primitive, states, self.targets
@@ -206,7 +208,7 @@ class Draws:
                 vertex_array, primitive, first, count, instances, base_vertex, base_instance
             )  # fmt: skip
         stream, states, bindings, indexed = self._stream, self._states, self._bindings, array.indexed
-        key, alike = (vertex_array, primitive), (array.key, primitive)
+        key, alike = (vertex_array, primitive), (array.key, primitive, array.restarts)
         move, bind_array, ready = bindings.move, self._bind_array, self.ready
 
         def quick(instances: int) -> None:

@@ -203,7 +203,7 @@ class Pipelines:
             if self._empty is None:
                 self._empty = self._device.create_shader_module(code=_EMPTY)
             return {"module": self._empty, "entry_point": "main", "targets": entries}
-        stage = {"module": program.modules[Stage.FRAGMENT], "entry_point": "main", "targets": entries}
+        stage = {"module": program.find_fragment(has_depth=not lone), "entry_point": "main", "targets": entries}
         alpha = states.alpha
         if alpha is not None and program.tests_alpha:
             stage["constants"] = {"rhi_alpha_test": float(alpha[0]), "rhi_alpha_reference": alpha[1]}

@@ -17,6 +17,7 @@ from rhi.backends.wgpu.formats import DIMENSIONS, FORMATS
 from rhi.backends.wgpu.native import GpuObject
 from rhi.contract.descriptors import BindingKind, Id, ProgramDescriptor, Stage, TextureKind
 from rhi.contract.layout import FLOAT, INT
+from rhi.contract.states import MAX_TARGETS
 from rhi.shading.glsl.vulkan import SETS
 from rhi.shading.language.types import ImageType, TextureType
 from rhi.shading.wgsl.stages import read_declarations
@@ -26,6 +27,7 @@ _VISIBILITY: Final = {
     Stage.FRAGMENT: wgpu.ShaderStage.FRAGMENT,
     Stage.COMPUTE: wgpu.ShaderStage.COMPUTE,
 }
+_DEPTH: Final = "@builtin(frag_depth)"
 _ACCESS: Final = {"read": "read-only", "write": "write-only", "read_write": "read-write"}
 
 
@@ -63,6 +65,8 @@ class GpuProgram:
         self._access: dict[tuple[int, int], str] = {}
         self._layouts: dict[tuple[int, ...], PipelineLayout] = {}
         self.uses_draw_index = self.tests_alpha = False
+        self._fragment = ""
+        self._flat: GpuObject | None = None
         for stage in sorted(descriptor.stages, key=lambda stage: stage.value):
             self._compile(stage)
         self._types = {(b.kind, b.slot): b.type for b in descriptor.bindings}
@@ -92,6 +96,20 @@ class GpuProgram:
             self.uses_draw_index = "rhi_draw_index" in source.text
         elif stage is Stage.FRAGMENT:
             self.tests_alpha = "override rhi_alpha_test" in source.text
+            self._fragment = source.text
+
+    def find_fragment(self, *, has_depth: bool) -> GpuObject:
+        """Return the module of the fragment stage for passes with depth or without it. WebGPU refuses to write depth
+        that isn't there, so it goes to a color that isn't there, which is dropped."""
+        if has_depth or _DEPTH not in self._fragment:
+            return self.modules[Stage.FRAGMENT]
+        if self._flat is None:
+            taken = {output.location for output in self.descriptor.outputs}
+            free = next(number for number in range(MAX_TARGETS + 1) if number not in taken)
+            text = self._fragment.replace(_DEPTH, f"@location({free})")
+            with translate_errors(f"device.program({self.descriptor.name})"):
+                self._flat = self._device.create_shader_module(label=self.descriptor.name, code=text)
+        return self._flat
 
     def texture_type(self, slot: int) -> TextureType:
         """Return the type of a texture's slot; descriptors that are made by hand may have none."""

@@ -106,6 +106,12 @@ class Textures:
         call = f"device.texture({descriptor.size}, {descriptor.format}, layers={descriptor.layers})"
         with translate_errors(call, memory=True):
             self.objects[texture] = GpuTexture(self.make(descriptor, usage, form), descriptor, form)
+        if descriptor.kind is TextureKind.D3:
+            # Else wgpu clears all slices when one is read that nothing was written to, also those that copies wrote.
+            for level in range(descriptor.levels):
+                (width, height), depth = descriptor.level_size(level), descriptor.level_layers(level)
+                texels = bytes(width * height * depth * descriptor.format.transfer_bytes)
+                self.write(texture, level, Region(0, 0, width, height, 0, depth), texels)
 
     def destroy(self, texture: Id) -> None:
         gone = self.objects.pop(texture)

@@ -250,6 +250,17 @@ def test_a_copy_goes_between_levels_and_layers(device: Device) -> None:
         assert_same(back[:2], 0)
 
 
+def test_a_slice_that_a_copy_wrote_stays_when_one_that_nothing_wrote_is_read(device: Device) -> None:
+    data = random_texels(Format.RGBA8, 4, 4)
+    with (
+        device.texture(data, Format.RGBA8) as source,
+        device.texture((4, 4), Format.RGBA8, kind=TextureKind.D3, layers=4) as volume,
+    ):
+        source.copy_to(volume, layer=3)
+        for layer, expected in ((3, data), (0, 0), (3, data)):
+            assert_same(volume.read(layer=layer), expected)
+
+
 def test_a_copy_within_a_texture_moves_to_where_nothing_overlaps(device: Device) -> None:
     data = random_texels(Format.RGBA8, 4, 4)
     with device.texture(data, Format.RGBA8) as texture:

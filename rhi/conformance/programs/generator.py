@@ -106,9 +106,10 @@ class PassKind:
 
 @dataclass(frozen=True, slots=True)
 class Theme:
-    """The kinds of passes in some programs."""
+    """The kinds of passes in some programs, and what they may ask for."""
 
     kinds: tuple[PassKind, ...]
+    capabilities: Capabilities
 
 
 def make_theme(seed: int, capabilities: Capabilities) -> Theme:
@@ -135,20 +136,21 @@ def make_theme(seed: int, capabilities: Capabilities) -> Theme:
             depth = random.choice([*depths, None, None])
             if depth is not None and random.random() < 0.08:
                 formats = ()
-        kinds.append(
-            PassKind(formats, depth, count, tuple(_make_pipeline(random, formats, depth, count) for _ in range(2)))
-        )
-    return Theme(tuple(kinds))
+        pipelines = tuple(_make_pipeline(random, formats, depth, count, capabilities) for _ in range(2))
+        kinds.append(PassKind(formats, depth, count, pipelines))
+    return Theme(tuple(kinds), capabilities)
 
 
-def _make_pipeline(random: Random, formats: tuple[Format, ...], depth: Format | None, samples: int) -> Pipeline:
+def _make_pipeline(
+    random: Random, formats: tuple[Format, ...], depth: Format | None, samples: int, capabilities: Capabilities
+) -> Pipeline:
     kind = formats[0].kind if formats else ChannelKind.UNORM
     if kind in (ChannelKind.UINT, ChannelKind.INT):
         ink = Ink.UINT if kind is ChannelKind.UINT else Ink.INT
         blends: tuple[bool, ...] = (False,) * len(formats)
     else:
         ink = Ink.TWO if len(formats) == 2 and random.random() < 0.7 else random.choice(_FLOAT_INKS)
-        blends = tuple(random.random() < 0.6 for _ in formats)
+        blends = tuple(random.random() < 0.6 and f not in capabilities.unblendable_formats for f in formats)
     states: tuple[State, ...] = ()
     if depth is not None:
         states = (
@@ -415,7 +417,7 @@ class _Maker:
         way = random.choice([Way.DIRECT, Way.DIRECT, Way.MANY, Way.INDIRECT, Way.COUNTED])
         query = condition = None
         if self._queries:
-            if random.random() < 0.25 and self._ended:
+            if random.random() < 0.25 and self._ended and self._theme.capabilities.conditional_rendering:
                 condition = (random.choice(sorted(self._ended)), random.random() < 0.5)
             if random.random() < 0.3 and way is not Way.COUNTED and not recorded:
                 query = random.randrange(self._queries)
@@ -520,7 +522,8 @@ class _Maker:
                 states.append(side(function, *(random.choice(operations) for _ in range(3))))
         for kind, usual in ((StencilReference, 1), (StencilReadMask, 255), (StencilWriteMask, 255)):
             if random.random() < 0.6:
-                states.append(kind(*(random.choice([usual, random.randrange(256)]) for _ in range(2))))
+                front, back = (random.choice([usual, random.randrange(256)]) for _ in range(2))
+                states.append(kind(front, back if self._theme.capabilities.stencil_per_face else front))
         return states
 
     def _make_copy(self) -> Step | None:

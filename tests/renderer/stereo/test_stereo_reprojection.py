@@ -157,7 +157,7 @@ def test_pictures_and_depth_are_the_same_where_rows_of_copies_are_aligned(
 ) -> None:
     """As on wgpu: rows of 96 pixels are then 128 apart in buffers."""
     found = []
-    for alignment in (1, 256):
+    for alignment in (drawing_device.capabilities.copy_row_alignment, 256):
         limits = replace(drawing_device.capabilities, copy_row_alignment=alignment)
         monkeypatch.setattr(drawing_device._core, "capabilities", limits)
         with open_renderer(drawing_device, wall) as renderer:

@@ -73,7 +73,7 @@ def rules_of(device: Device) -> Rules:
 
 
 @pytest.mark.parametrize("themes", THEMES)
-@pytest.mark.parametrize("backend", ["gl", "cl"])
+@pytest.mark.parametrize("backend", ["gl", "cl", pytest.param("wgpu", marks=pytest.mark.nightly)])
 def test_random_programs_leave_what_float64_allows(backend: str, themes: range) -> None:
     for number in themes:
         with rhi.create_device(backend) as device:

@@ -11,10 +11,10 @@ from renderer.lab.exam import CASES, examine
 
 
 def list_exams() -> list[object]:
-    """Each case on gl and cl, and on the null device those that need nothing of a device."""
+    """Each case on gl, cl and by night wgpu, and on the null device those that need nothing of a device."""
     return [
-        pytest.param(name, number, marks=pytest.mark.nightly if case.is_long else ())
-        for name in ("gl", "cl", "null")
+        pytest.param(name, number, marks=pytest.mark.nightly if case.is_long or name == "wgpu" else ())
+        for name in ("gl", "cl", "wgpu", "null")
         for number, case in CASES.items()
         if name != "null" or not case.needs
     ]
