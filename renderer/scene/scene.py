@@ -122,7 +122,6 @@ class Scene:
         self.omissions = omissions
         self.files: tuple[Path, ...] = ()
         self.height_fields: dict[int, HeightField] = dict(height_fields or {})
-        self.seconds = 0.0
         self._finite = FiniteArrays()
         self._features = MaterialFeatures(materials, self.textures, samplers)
         self._last_material = int(objects.material.max(initial=-1))

@@ -27,6 +27,7 @@ from rhi import (
     StencilBack,
     StencilFront,
     StencilTest,
+    Viewport,
 )
 from rhi.conformance.compare import assert_near, assert_same
 from rhi.conformance.formats import require_format, require_line_width, require_samples
@@ -343,15 +344,17 @@ def test_each_texel_of_an_edge_is_tested_for_depth(device: Device, function: Dep
 
 @pytest.mark.needs("wireframe")
 @NEEDS_PRECISION
-def test_edges_are_offset_as_their_triangle_is(device: Device) -> None:
+@pytest.mark.parametrize(("axis", "far"), [(0, 1.0), (1, 0.5)])
+def test_edges_are_offset_as_their_triangle_is(device: Device, axis: int, far: float) -> None:
     """By a bias in steps, and by the slope of the triangle rather than of the edge. Lines are not."""
     points = [(4.0, 4.25), (4.25, 20.0), (28.0, 8.25)]
-    depths = 0.25 + (np.array(points)[:, 0] - 4.0) / 48
+    depths = 0.25 + (np.array(points)[:, axis] - 4.0) / 48 / far
+    view = Viewport(0.0, 0.0, *SIZE, 0.0, far)
 
     def stored(primitive: Primitive, *states: Any) -> NDArray[Any]:
         rows = corners(window_to_clip(points, SIZE), depth=depths)
         with device.texture(SIZE, Format.D32F) as depth, device.mesh(rows, primitive=primitive) as mesh:
-            with device.render_pass(depth=depth, clear_depth=0.0), device.states(*states):
+            with device.render_pass(depth=depth, clear_depth=0.0), device.states(view, *states):
                 device.draw(device.program(Colored), mesh)
             return depth.read()
 

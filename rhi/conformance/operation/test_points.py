@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rhi import CullMode, DepthFunction, DepthTest, Device, Format, Primitive, Scissor
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
-from rhi.conformance.formats import require_point_sizes
+from rhi.conformance.formats import require_point_sizes, require_samples
 from rhi.conformance.shaders import Dot, Sized, SizedShade
 from rhi.conformance.shapes import point_rows, point_square
 from rhi.shading import Shader, Struct, point_coordinate, vec2, vec4
@@ -114,13 +114,20 @@ def test_a_point_is_clipped_by_its_centre(device: Device, x: float, seen: bool) 
     assert_mask(drawn(device, dots([(x, 10.5)], 5.0))[..., 0] > 0, expected)
 
 
-@pytest.mark.parametrize("w", [1.0, 3.0])
-def test_a_fragment_knows_its_place_in_the_point(device: Device, w: float) -> None:
-    x, y, size = 12.25, 10.5, 8.0
-    image = drawn(device, dots([(x, y)], size, (0.625, 0, 0, 1), w=w), Located)
+@pytest.mark.parametrize(("w", "samples"), [(1.0, 1), (3.0, 1), (3.0, 4)])
+def test_a_fragment_knows_its_place_in_the_point(device: Device, w: float, samples: int) -> None:
+    require_samples(device, samples)
+    x, y, size = (12.25, 10.5, 8.0) if samples == 1 else (12.0, 10.0, 8.0)  # with several, whole texels
+    rows = dots([(x, y)], size, (0.625, 0, 0, 1), w=w)
+    with device.texture(SIZE, Format.RGBA32F) as target, device.mesh(rows, primitive=Primitive.POINTS) as mesh:
+        with device.texture(SIZE, Format.RGBA32F, samples=samples) as many:
+            with device.render_pass(many, clear=(0, 0, 0, 0), resolve=target if samples > 1 else None):
+                device.draw(device.program(Located), mesh)
+            image = (target if samples > 1 else many).read()
     rows, columns = np.nonzero(square(x, y, size))
     expected = np.stack([(columns + 0.5 - x) / size + 0.5, (rows + 0.5 - y) / size + 0.5], -1)
-    assert_near(image[rows, columns, :2], expected, 2e-3, "8 fraction bits of the window position in a square of 8")
+    near = 2e-3 if samples == 1 else 1 / 16 + 2e-3  # anywhere in the texel
+    assert_near(image[rows, columns, :2], expected, near, "8 fraction bits of the window position in a square of 8")
     assert_same(image[rows, columns, 2], 0.625)
 
 

@@ -179,6 +179,13 @@ def test_normals_that_are_no_directions_are_computed_and_listed(tmp_path):
     assert left_out(scene) == {"normals that aren't directions": 2}
 
 
+def test_coordinates_that_are_no_numbers_are_0_and_listed(tmp_path):
+    uvs = np.array([[0.5, 0.25], [np.nan, 1.0], [1.0, np.inf]], np.float32)
+    scene = load(one_mesh(TEXCOORD_0=uvs), tmp_path)
+    assert scene.meshes.vertices["uv"].tolist() == [[0.5, 0.25], [0, 0], [0, 0]]
+    assert left_out(scene) == {"TEXCOORD_0 that isn't a number": 2}
+
+
 def test_second_uvs_tangents_and_colours_are_read(tmp_path):
     document = with_image(normalTexture={"index": 0}, occlusionTexture={"index": 0, "texCoord": 1, "strength": 0.5})
     attributes = document.values["meshes"][0]["primitives"][0]["attributes"]

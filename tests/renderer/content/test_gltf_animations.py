@@ -88,16 +88,6 @@ def test_animations_of_different_nodes_are_played_together(tmp_path):
     assert left_out(scene) == {}
 
 
-def test_a_second_animation_of_the_same_part_waits_until_it_is_played(tmp_path):
-    document = animated("translation", [0, 1], [[0, 0, 0], [2, 0, 0]])
-    document.animate(0, "translation", [0, 1], [[0, 0, 0], [8, 0, 0]])
-    scene = load_model(document.write(tmp_path / "a.glb"))
-    assert place(scene, 0.5)[0, 3] == 1
-    assert left_out(scene) == {}
-    scene.clips["animation 1"].play(0.0, alone=True)
-    assert place(scene, 0.5)[0, 3] == 4
-
-
 @pytest.mark.parametrize(
     ("target", "what"),
     [

@@ -136,6 +136,12 @@ def build(**material: Any) -> Scene:
     return builder.build()
 
 
+@pytest.mark.parametrize(("other", "mixed"), [({}, 0), ({"uv_set": 1}, 1), ({"scale": (2.0, 2.0)}, 1)])
+def test_textures_that_are_read_at_unlike_places_are_counted(other: dict[str, Any], mixed: int) -> None:
+    scene = build(texture=TextureMap(0), normal_texture=TextureMap(0, **other))
+    assert scene.count_features()["mixed coordinates"] == mixed
+
+
 def test_a_scene_counts_again_when_it_is_refreshed() -> None:
     scene = build(texture=TextureMap(0, uv_set=1))
     assert (scene.count_features()["second uvs"], scene.count_features()["images"]) == (1, 1)

@@ -235,6 +235,24 @@ def test_lamps_have_maps_as_long_as_there_is_room_for_the_smallest(null: rhi.Dev
         assert len({key[1] for key in renderer.shadows.tiles}) == 100 - dark
 
 
+def test_lamps_that_come_into_view_get_the_room_of_those_that_left(null: rhi.Device) -> None:
+    builder = stage(casts=False)
+    for x in (0.0, 500.0, 1000.0):
+        builder.add_objects(builder.add_node(translation((x, 1.0, 0.0))), 0, 0)
+        places = np.random.default_rng(1).uniform((x - 2, 1, -2), (x + 2, 5, 2), (20, 3))
+        builder.lights.add_points(places, 9.0, casts_shadow=True)
+    with make_renderer(null, builder.build()) as renderer:
+        renderer.shadows.settings = replace(SMALL, largest=128, largest_atlas=256)
+        first: dict[int, Counter[int]] = {}
+        for step in range(7):
+            states = draw(renderer, replace(EYE, position=EYE.position + np.array((500.0 * (step % 3), 0.0, 0.0))))
+            assert renderer.shadows.dark_lamps == 0
+            assert states["kept"] == 0
+            seen = Counter(tile.size for key, tile in renderer.shadows.tiles.items() if key[1] // 20 == step % 3)
+            first.setdefault(step % 3, seen)
+            assert seen == first[step % 3]
+
+
 def test_lamps_share_what_room_there_is(null: rhi.Device) -> None:
     builder = stage()
     builder.lights.add_points(np.random.default_rng(1).uniform((-2, 1, -2), (2, 5, 2), (20, 3)), 9.0, casts_shadow=True)

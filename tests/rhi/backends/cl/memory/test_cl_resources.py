@@ -12,7 +12,7 @@ import pytest
 from cl_kit import FILL, ClKit, describe_program
 
 from rhi.backends.cl.backend import ClBackend
-from rhi.backends.cl.memory import buffers, textures
+from rhi.backends.cl.memory import buffers, pools, textures
 from rhi.conformance.formats import random_texels
 from rhi.contract.descriptors import (
     BufferDescriptor,
@@ -88,6 +88,14 @@ def test_the_memory_of_what_is_destroyed_stays_until_writes_of_it_are_executed(c
     backend.signal(1)
     assert backend.wait(1, 10.0)
     assert all(each() is None for each in memory)
+
+
+def test_a_page_of_tables_stays_when_the_next_one_begins_since_kernels_may_still_read_it() -> None:
+    uploads = pools.Uploads()
+    uploads.write(b"table")
+    page = weakref.ref(uploads._page.bytes)
+    uploads.write(bytes(len(uploads._page.bytes)))
+    assert page() is not None and page() is not uploads._page.bytes  # noqa: PT018
 
 
 def test_a_program_keeps_no_memory_of_what_is_destroyed(cl_kit: ClKit) -> None:
