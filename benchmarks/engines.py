@@ -64,17 +64,18 @@ class Worker:
         device: what draws. load_s, first_ms: as in the table.
     """
 
-    def __init__(self, engine: str, job: dict[str, Any], cache: str, warm_up: float) -> None:
+    def __init__(self, engine: str, job: dict[str, Any], cache: str, warm_up: int) -> None:
         program = ENGINES[engine]
         python = install(program)
         begin = perf_counter()
         command = [python, str(FOLDER / f"with_{program}.py"), json.dumps(job | {"engine": engine})]
         variables = {"RHI_CACHE": f"{cache}/{engine}", "MESA_SHADER_CACHE_DISABLE": "true"}
         self._log = Path(f"{cache}/{engine}.log")
-        self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._log.open("w"), text=True,
-            env=os.environ | variables | {"PYTHONPATH": str(FOLDER.parents[1]) if program == "rhi" else ""},
-        )  # fmt: skip
+        with self._log.open("w") as log:
+            self._process = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True,
+                env=os.environ | variables | {"PYTHONPATH": str(FOLDER.parents[1]) if program == "rhi" else ""},
+            )  # fmt: skip
         self.device = str(self._read()["device"])
         self.load_s = perf_counter() - begin
         begin = perf_counter()
@@ -144,7 +145,7 @@ OPTIONS: Final = (
     options.option("--scene", "what is drawn", "city"),
     options.size((1280, 720)),
     options.rounds("rounds", 9),
-    options.length("--warm-up", "seconds for which each engine draws before it is timed", "20"),
+    options.count("--warm-up", "seconds for which each engine draws before it is timed", 20),
     options.file("--pictures", "write all pictures, of half their size in rows of two"),
 )
 
@@ -160,7 +161,7 @@ def measure(given: argparse.Namespace) -> Iterator[Record]:
         job = make_job(scene, path, given.size)
         subjects, pictures = [], {}
         for engine in given.only:
-            worker = Worker(engine, job, folder, 20.0 if given.warm_up is None else given.warm_up)
+            worker = Worker(engine, job, folder, given.warm_up)
             opened.callback(worker.close)
 
             def finish(engine: str = engine, worker: Worker = worker) -> Record:

@@ -34,6 +34,7 @@ from renderer.frame.mirrors import (
 )
 from renderer.lights.lists import list_lights
 from renderer.scene import Camera, Deformed, DeformingOnDevice, Scene, Simulator, normal_matrices
+from renderer.scene.arrays import list_ranges
 from renderer.visibility import SceneArrays
 from renderer.visibility.boxes.volumes import find_in_view
 from renderer.visibility.gpu.draw_lists import DrawArguments
@@ -332,8 +333,7 @@ class SceneResources:
         order of their lights."""
         begins = self._rows["points_end" if spots else "lights_begin"][rows].astype(np.int64)
         counts = self._rows["lights_end" if spots else "points_end"][rows] - begins
-        ends = np.cumsum(counts)
-        entries = np.arange(ends[-1] if len(ends) else 0) + np.repeat(begins - ends + counts, counts)
+        entries = list_ranges(begins, counts)
         lit = self._listed[entries]
         chosen = np.zeros(len(self.scene.lights.spot if spots else self.scene.lights.point), bool)
         chosen[lights] = True

@@ -30,7 +30,7 @@ from renderer.lights.culling.sphere_tests import overlaps_exactly, overlaps_plan
 from renderer.lights.culling.volumes import LightVolumes, find_volumes
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Lights
-from renderer.scene.arrays import Floats
+from renderer.scene.arrays import Floats, list_ranges
 from renderer.techniques.parts.cell_lists import by_cells, list_pass
 from renderer.techniques.parts.depth import draw_depth
 from renderer.techniques.parts.full_screen import find_rays
@@ -329,6 +329,5 @@ def _as_pairs(lists: CellLists, lights: Lights) -> NDArray[np.bool_]:
         (lists.points_ends, lists.ends, points),
     ):
         sizes = ends - begins
-        places = np.arange(sizes.sum()) + np.repeat(begins - np.concatenate([[0], np.cumsum(sizes)[:-1]]), sizes)
-        found[np.repeat(cells, sizes), first + lists.lights[places]] = True
+        found[np.repeat(cells, sizes), first + lists.lights[list_ranges(begins, sizes)]] = True
     return found

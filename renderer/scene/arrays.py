@@ -1,4 +1,4 @@
-"""The types of the two kinds of arrays that are used throughout the renderer, and ids that are checked."""
+"""The types of the two kinds of arrays that are used throughout the renderer, ids that are checked, and ranges."""
 
 from __future__ import annotations
 
@@ -23,3 +23,10 @@ def read_ids(call: str, given: ArrayLike, count: int) -> Rows:
     if ids.size and (ids.min() < 0 or ids.max() >= count):
         refuse(rules.BAD_INDEX, call, ids, f"0 to {count - 1}")
     return ids
+
+
+def list_ranges(firsts: ArrayLike, counts: ArrayLike) -> Rows:
+    """Return the `counts` (k,) numbers from each of `firsts` (k,) on, one range after another."""
+    begins, sizes = np.asarray(firsts, np.int64), np.asarray(counts, np.int64)
+    found: Rows = np.arange(sizes.sum()) + np.repeat(begins - np.cumsum(sizes) + sizes, sizes)
+    return found

@@ -36,12 +36,13 @@ class Clips:
 
     Attributes:
         version: how often a clip was told something; what is computed from clips is out of date when it has changed.
+        names: the row of each clip by its name.
         nodes: of each clip the nodes that it moves, or whose meshes it deforms.
     """
 
     def __init__(self) -> None:
         self.version = 0
-        self.names: list[str] = []
+        self.names: dict[str, int] = {}
         self.nodes: list[list[int]] = []
         self._rows = np.zeros(0, _CLIP)
         self._asked: tuple[float, int, int] | None = None  # what `_found` answers: one time for many tracks
@@ -55,7 +56,7 @@ class Clips:
         gets an apostrophe."""
         while name in self.names:
             name += "'"
-        self.names.append(name)
+        self.names[name] = len(self)
         self.nodes.append([])
         self._rows = np.append(self._rows, np.zeros(1, _CLIP))
         self._rows[-1]["duration"], self._rows[-1]["loops"], self._rows[-1]["speed"] = duration, True, 1.0
@@ -82,6 +83,10 @@ class Clips:
             self._rows[row][name] = value
         self.version += 1
 
+    def fade(self, row: int, now: float, weight: float, fade: float) -> None:
+        """Let the weight of a clip go from that of the scene's time `now` to another one in `fade` seconds."""
+        self.change(row, before=self.evaluate(now)[1][row], weight=weight, faded=now, fade=fade)
+
     def find_rivals(self, row: int) -> list[int]:
         """Return the other clips that move any of a clip's nodes."""
         mine = set(self.nodes[row])
@@ -98,7 +103,7 @@ class Clip:
     @property
     def name(self) -> str:
         """The name of the animation in its file, with apostrophes if others have it too."""
-        return self.clips.names[self.row]
+        return list(self.clips.names)[self.row]
 
     @property
     def duration(self) -> float:
@@ -141,10 +146,10 @@ class Clip:
         """
         check_finite("Clip.play", now=now, at=at, speed=speed)
         self._check("Clip.play", weight=weight, fade=fade)
-        self._fade(now, weight, fade)
+        self.clips.fade(self.row, now, weight, fade)
         self.clips.change(self.row, since=now, at=at, speed=speed, loops=loops)
         for other in self.clips.find_rivals(self.row) if alone else ():
-            Clip(self.clips, other).stop(now, fade)
+            self.clips.fade(other, now, 0.0, fade)
 
     def seek(self, now: float, at: float) -> None:
         """Be `at` seconds into the clip at the scene's time `now`; speed and weight stay."""
@@ -155,10 +160,7 @@ class Clip:
         """Stop playing at the scene's time `now`, or `fade` seconds later."""
         check_finite("Clip.stop", now=now)
         self._check("Clip.stop", fade=fade)
-        self._fade(now, 0.0, fade)
-
-    def _fade(self, now: float, weight: float, fade: float) -> None:
-        self.clips.change(self.row, before=self.find_weight(now), weight=weight, faded=now, fade=fade)
+        self.clips.fade(self.row, now, 0.0, fade)
 
     def _check(self, call: str, **values: float) -> None:
         for name, value in values.items():
@@ -169,4 +171,4 @@ class Clip:
 def make_clips(clips: Clips, rows: NDArray[np.int64]) -> dict[str, Clip]:
     """Return the clips of a scene by name; `rows` are the scene's nodes by the ids that `Clips.nodes` has."""
     clips.nodes = [rows[ids].tolist() for ids in clips.nodes]
-    return {name: Clip(clips, row) for row, name in enumerate(clips.names)}
+    return {name: Clip(clips, row) for name, row in clips.names.items()}

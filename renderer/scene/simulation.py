@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer import rules
-from renderer.scene.arrays import Floats, Rows
+from renderer.scene.arrays import Floats, Rows, list_ranges
 from renderer.scene.catching_up import CatchUp, Leap, Recompute
 from renderer.scene.meshes import Meshes
 from renderer.scene.nodes import Nodes
@@ -346,9 +346,7 @@ class Simulator:
     def _list_slots(self, rows: Rows) -> Rows:
         """Return all slots of the objects `rows`; one may be listed several times."""
         first = self._starts[rows]
-        sizes = self._starts[rows + 1] - first
-        ends = np.cumsum(sizes)
-        listed: Rows = self._slots[np.arange(int(ends[-1])) + np.repeat(first - ends + sizes, sizes)]
+        listed: Rows = self._slots[list_ranges(first, self._starts[rows + 1] - first)]
         return listed
 
     def _run(self, slots: Rows) -> bool:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from renderer.lights.lists import list_lights
 from renderer.scene import AlphaMode, Camera, Scene
-from renderer.scene.arrays import Floats, Rows
+from renderer.scene.arrays import Floats, Rows, list_ranges
 from renderer.shadows.cascades import Cascade
 from renderer.shadows.lamps import find_shadow_boxes, pair_by_light
 from renderer.visibility.boxes.volumes import Containment, classify
@@ -164,7 +164,7 @@ def find_moving(
     # Each caster is tested against each map of its lamp.
     maps, first = np.repeat(sizes, counts), np.repeat(np.cumsum(sizes) - sizes, counts)
     caster = np.repeat(np.arange(len(rows)), maps)
-    of = np.arange(len(caster)) + np.repeat(first - (np.cumsum(maps) - maps), maps)
+    of = list_ranges(first, maps)
     inside = classify(np.concatenate(planes)[of], lower[caster], upper[caster]) != Containment.OUTSIDE
     of, caster = of[inside], caster[inside]
     ends = np.cumsum(np.bincount(of, minlength=sum(sizes)))

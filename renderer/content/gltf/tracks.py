@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.scene.arrays import Floats, Rows
+from renderer.scene.arrays import Floats, Rows, list_ranges
 from renderer.scene.catching_up import Recompute
 from renderer.scene.clips import Clips
 
@@ -102,7 +102,7 @@ class PropertyTracks:
             rows = first[place]
         else:
             place = np.repeat(np.arange(len(owners)), counts)
-            rows = np.arange(len(place)) + np.repeat(first - np.cumsum(counts) + counts, counts)
+            rows = list_ranges(first, counts)
         times, weights = (of_clips[self._clip[rows]] for of_clips in self._clips.evaluate(seconds))
         played = weights > 0.0
         if not played.all():
@@ -293,7 +293,7 @@ def _arcs(track: Track) -> tuple[Floats, NDArray[np.float64]]:
         angle = 2.0 * np.arccos(np.clip(np.abs((a * b).sum(1)), 0.0, 1.0))
         parts = np.maximum(np.ceil(angle / _ARC), 1.0).astype(np.int64)
         segment = np.repeat(np.arange(len(parts)), parts)
-        part = np.arange(len(segment)) - np.repeat(np.cumsum(parts) - parts, parts)
+        part = list_ranges(np.zeros_like(parts), parts)
         middles = slerp(a[segment], b[segment], (part + 0.5) / parts[segment])
         return middles, (0.5 * angle / parts)[segment]
     points = _controls(track)

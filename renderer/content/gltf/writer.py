@@ -396,16 +396,14 @@ class _GltfWriter:
         assert isinstance(lens, Perspective | Orthographic)
         if lens.depth is not Depth.REVERSED:
             self.omissions.add("the direction of a camera's depth", name)
-        far: dict[str, Any] = {"zfar": lens.far}
         if isinstance(lens, Perspective):
-            more: dict[str, Any] = {}
-            if np.isinf(lens.far):  # may be left out, but loaders of other engines fail without it
-                far = {"zfar": FARTHEST * lens.near}
-                more = {"extras": {KEY: {INFINITE: far["zfar"]}}}
-            held = {"yfov": lens.fov, "aspectRatio": lens.aspect, "znear": lens.near, **far}
-            return {"type": "perspective", "perspective": held, **more}
+            # May be left out if it is infinite, but loaders of other engines fail without it.
+            far = FARTHEST * lens.near if np.isinf(lens.far) else lens.far
+            held = {"yfov": lens.fov, "aspectRatio": lens.aspect, "znear": lens.near, "zfar": far}
+            stands = {} if far == lens.far else {"extras": {KEY: {INFINITE: far}}}
+            return {"type": "perspective", "perspective": held, **stands}
         height = 0.5 * lens.height
-        held = {"xmag": height * lens.aspect, "ymag": height, "znear": lens.near, **far}
+        held = {"xmag": height * lens.aspect, "ymag": height, "znear": lens.near, "zfar": lens.far}
         return {"type": "orthographic", "orthographic": held}
 
 

@@ -61,12 +61,19 @@ def square(x: float, y: float, size: float) -> NDArray[np.bool_]:
     return point_square(x, y, size, SIZE)
 
 
-def drawn(device: Device, rows: NDArray[Any], shader: Any = Sized, *states: Any) -> NDArray[Any]:
-    """Return the image of these points."""
-    with device.texture(SIZE, Format.RGBA32F) as image, device.mesh(rows, primitive=Primitive.POINTS) as mesh:
-        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(*states or [CullMode.NONE]):
-            device.draw(device.program(shader), mesh)
-        return image.read()
+def drawn(
+    device: Device, rows: NDArray[Any], shader: Any = Sized, *states: Any, samples: int = 1
+) -> NDArray[Any]:  # fmt: skip
+    """Return the image of these points, resolved if it has several samples."""
+    with device.texture(SIZE, Format.RGBA32F, samples=samples) as image:
+        with device.mesh(rows, primitive=Primitive.POINTS) as mesh:
+            with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(*states or [CullMode.NONE]):
+                device.draw(device.program(shader), mesh)
+        if samples == 1:
+            return image.read()
+        with device.texture(SIZE, Format.RGBA32F) as mean:
+            image.resolve_to(mean)
+            return mean.read()
 
 
 @pytest.mark.parametrize("size", [1.0, 2.0, 3.0, 4.5, 7.0, 12.0])
@@ -118,12 +125,7 @@ def test_a_point_is_clipped_by_its_centre(device: Device, x: float, seen: bool) 
 def test_a_fragment_knows_its_place_in_the_point(device: Device, w: float, samples: int) -> None:
     require_samples(device, samples)
     x, y, size = (12.25, 10.5, 8.0) if samples == 1 else (12.0, 10.0, 8.0)  # with several, whole texels
-    rows = dots([(x, y)], size, (0.625, 0, 0, 1), w=w)
-    with device.texture(SIZE, Format.RGBA32F) as target, device.mesh(rows, primitive=Primitive.POINTS) as mesh:
-        with device.texture(SIZE, Format.RGBA32F, samples=samples) as many:
-            with device.render_pass(many, clear=(0, 0, 0, 0), resolve=target if samples > 1 else None):
-                device.draw(device.program(Located), mesh)
-            image = (target if samples > 1 else many).read()
+    image = drawn(device, dots([(x, y)], size, (0.625, 0, 0, 1), w=w), Located, samples=samples)
     rows, columns = np.nonzero(square(x, y, size))
     expected = np.stack([(columns + 0.5 - x) / size + 0.5, (rows + 0.5 - y) / size + 0.5], -1)
     near = 2e-3 if samples == 1 else 1 / 16 + 2e-3  # anywhere in the texel
