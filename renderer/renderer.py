@@ -51,6 +51,8 @@ from rhi.shading import Precision
 
 _COUNTERS: Final = ("queries", "software_state_changes", "hardware_state_changes", "upload_bytes")
 """The device's counters that are part of a frame's statistics."""
+ANIMATION_LAG: Final = 0.5
+"""The pixels by which what is small on the screen may be late, unless one says otherwise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,7 +161,7 @@ class Renderer:
         self.blending = blending
         self.precision = precision
         self.glow = glow
-        self._animation_step = 0.0
+        self._animation_step, self._animation_lag = 0.0, ANIMATION_LAG
         self.layers: list[Layer] = []
         self.show: Callable[[Texture], None] = device.present
         self._own: list[VisibilityAlgorithm] = []
@@ -195,6 +197,22 @@ class Renderer:
         if not 0.0 <= seconds < inf:
             refuse(rules.BAD_STEP, "Renderer.animation_step = …", seconds, "0 or more, finite")
         self._animation_step = seconds
+
+    @property
+    def animation_lag(self) -> float:
+        """The pixels by which what is small on the screen may be late, 0 for nothing. It may be exchanged between any
+        two frames.
+
+        What would move by less than that in some frames, at `SPEED` of its diameters a second, moves on only then. What
+        is no larger rests. Animations without bounds move on in every frame.
+        """
+        return self._animation_lag
+
+    @animation_lag.setter
+    def animation_lag(self, pixels: float) -> None:
+        if not 0.0 <= pixels < inf:
+            refuse(rules.BAD_LAG, "Renderer.animation_lag = …", pixels, "0 or more, finite")
+        self._animation_lag = pixels
 
     @property
     def view(self) -> View:
@@ -327,6 +345,7 @@ class Renderer:
         expected = self.simulator.drawn
         self.simulator.begin_frame(seconds)
         self.scene.refresh()
+        self.simulator.slow_down(around, self._targets.size[1], self._animation_lag)
         eyes = [self._view] if pair is None or pair.stereo.is_reprojected else [self._view, pair.view]
         resources.update(*(eye.camera for eye in eyes))
         resources.expect(around, expected)

@@ -17,7 +17,7 @@ from typing import Any, Final, Self, get_args, get_type_hints
 
 from renderer import rules
 from renderer.frame import Blending, GlowSettings, TextureSettings
-from renderer.renderer import FrameResult, Renderer
+from renderer.renderer import ANIMATION_LAG, FrameResult, Renderer
 from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene, Shot, StereoRig
 from renderer.scene.files import read_json
 from renderer.shadows import ShadowSettings
@@ -40,6 +40,7 @@ class RenderSettings:
         blending: how transparent surfaces that cover each other are put together. glow: how exactly glow is made.
         precision: that of the techniques' shaders. depth: the direction of depth.
         animation_step: the seconds after which what moves by itself moves on, 0 for every frame.
+        animation_lag: the pixels by which what is small on the screen may be late, 0 for nothing.
         reprojects: whether a second eye's picture is made from the first one's.
     """
 
@@ -54,6 +55,7 @@ class RenderSettings:
     precision: Precision = Precision.FAST
     depth: Depth = Depth.REVERSED
     animation_step: float = 0.0
+    animation_lag: float = ANIMATION_LAG
     reprojects: bool = False
 
     def __post_init__(self) -> None:
@@ -63,6 +65,8 @@ class RenderSettings:
             rules.refuse_name(rules.UNKNOWN_ALGORITHM, call, self.algorithm, ALGORITHMS)
         if not 0.0 <= self.animation_step < inf:
             refuse(rules.BAD_STEP, "RenderSettings(animation_step=...)", self.animation_step, "0 or more, finite")
+        if not 0.0 <= self.animation_lag < inf:
+            refuse(rules.BAD_LAG, "RenderSettings(animation_lag=...)", self.animation_lag, "0 or more, finite")
 
     def get(self, path: str) -> Any:
         """Return a setting by its path, such as `shadows.cascades`."""
@@ -131,7 +135,7 @@ class RenderSettings:
         renderer.blending, renderer.precision, renderer.glow = self.blending, self.precision, self.glow
         renderer.shadows.settings = self.shadows
         renderer.tessellator.settings = self.tessellation
-        renderer.animation_step = self.animation_step
+        renderer.animation_step, renderer.animation_lag = self.animation_step, self.animation_lag
 
     def save(self, path: Path, **found: Any) -> None:
         """Write the settings as JSON. `found` is written too, to say how they were found; `load` ignores it."""

@@ -93,15 +93,6 @@ def find_encodings() -> Rows:
     }
 
 
-def find_draw_order() -> Rows:
-    """Count what changes between draws one by one, in several orders, and time them."""
-    names = ("programs", "bindings", "meshes", "draws")
-    return {
-        row["order"]: [*(f"{row[name]:,}" for name in names), f"{row['microseconds']:.1f}"]
-        for row in _read_report("benchmarks/draw_order.py")["rows"]
-    }
-
-
 def find_inferred() -> Rows:
     """Compare pictures of inferred lighting at several scales with forward shading's, on gl."""
     scene = load_scene("hall")
@@ -223,7 +214,6 @@ def find_useless() -> Rows:
 FIGURES: Final = {
     "orders": Figure("docs/materials.md", ("programs", "materials", "meshes", "draws"), find_orders),
     "encodings": Figure("docs/deferred-plus.md", ("mean error", "largest error"), find_encodings, ("ns, gl", "ns, cl")),
-    "draw order": Figure("docs/materials.md", ("programs", "bindings", "meshes", "draws"), find_draw_order, ("µs",)),
     "inferred": Figure("docs/lighting-techniques.md", ("PSNR, dB", "pixels more than 2 of 255 off"), find_inferred),
     "light lists": Figure("docs/renderer.md", ("objects", "lights listed, longest list"), find_light_lists),
     "memory": Figure("docs/materials.md", ("bytes",), find_memory),

@@ -11,6 +11,9 @@ none is run in every frame, and its bounds follow.
 What was drawn in one frame is expected to be drawn in the next: it is brought to the frame's time at the beginning, all
 at once. What shows unexpectedly follows right before its draw. So everything is drawn as of its frame, and something
 that is no longer drawn is run once too often, at most.
+
+What is small on the screen moves on less often (`Simulator.slow_down`), and what is no larger than the lag that is
+allowed rests. Its times follow from its size, so they don't depend on what was drawn before.
 """
 
 from __future__ import annotations
@@ -32,10 +35,16 @@ from renderer.scene.nodes import Nodes
 from renderer.scene.objects import Objects
 from rhi import Device, StorageBuffer
 from rhi.errors import refuse
+from rhi.math import Camera, is_parallel
 
 _NONE: Final[Rows] = np.zeros(0, np.int64)
 _ROUNDING: Final = 2.0**-20  # of the largest coordinate: vertices are float32
 _STATES: Final = count(1)
+
+SPEED: Final = 4.0
+"""How many diameters of its bounds something is expected to move in a second, at most."""
+_SHORTEST: Final = 1.0 / 32.0  # a shorter period is about a frame
+_PHASES: Final = 4  # so many parts of a period have an equal share of what moves at that period
 
 
 class ObjectSimulation(Protocol):
@@ -219,6 +228,10 @@ class Simulator:
         follows = objects.boxes.node == objects.node  # the bounds follow the node, which must be where it is
         always[self._slots[follows[owner] & (self._slots != self._slot_of[owner])]] = True
         self._always: Rows = np.flatnonzero(always)
+        self._owner = owner
+        turns = [np.arange(size) * _PHASES // size for size in sizes]  # neighbours move together, as they are uploaded
+        self._shares = np.concatenate([np.zeros(0), *turns]) / _PHASES  # of a period
+        self._times: Floats = np.zeros(len(self._which))  # by slot: what it is brought to in this frame
         self._waiting = np.zeros(len(objects), bool)
         self._seen = np.zeros(len(objects), bool)
         self.validation = False
@@ -255,11 +268,44 @@ class Simulator:
         if seconds < self.seconds:
             self._restart()
         self.seconds = seconds
+        self._times[:] = seconds
         self._begin_counts()
         if self._nodes.writer is not self:
-            self._posed[:] = np.nan
+            self._posed[:] = self._brought[:] = np.nan
+        for number, simulation in self._steered.items():
+            if simulation.version != self._versions[number]:
+                self._versions[number] = simulation.version
+                members = slice(self._first[number], self._first[number + 1])
+                self._reached[members] = self._brought[members] = np.nan
         if len(self._always):
             self._run(self._always)
+
+    def slow_down(self, camera: Camera, height: int, lag: float) -> None:
+        """Let what is small in a view of `height` pixels move on less often in this frame. Call it after `begin_frame`,
+        when the scene is up to date.
+
+        Args:
+            lag: pixels by which something may be late that moves by `SPEED` of its diameters in a second. What is no
+                larger than that rests. Sizes are those in the middle of the picture.
+        """
+        if not len(self.objects) or lag <= 0.0:
+            return
+        lower, upper = self._objects.lower[self.objects], self._objects.upper[self.objects]
+        scale = 0.5 * height * float(camera.projection.matrix[1, 1]) * np.linalg.norm(upper - lower, axis=1)
+        if not is_parallel(camera.projection):
+            away = np.maximum(np.maximum(lower - camera.position, camera.position - upper), 0.0)
+            scale /= np.maximum(np.linalg.norm(away, axis=1), 1e-30)
+        if not (scale < lag / (SPEED * _SHORTEST)).any():
+            return
+        longest = np.exp2(np.floor(np.log2(lag / (SPEED * np.maximum(scale, lag)))))
+        found = np.zeros(len(self._objects))
+        found[self.objects] = np.where(scale <= lag, np.inf, np.where(longest < _SHORTEST, 0.0, longest))
+        periods = np.full(len(self._which), np.inf)
+        np.minimum.at(periods, self._slots, found[self._owner])  # as often as the largest of what a member changes
+        slow, rests = (periods > 0.0) & (periods < np.inf), periods == np.inf
+        turns = np.floor(self.seconds / periods[slow] + self._shares[slow]) - self._shares[slow]
+        self._times[slow] = np.maximum(turns * periods[slow], 0.0)
+        self._times[rests] = 0.0
 
     def is_due(self, rows: Rows) -> bool:
         """Return whether `advance` has anything to do for any of the objects `rows` in this frame."""
@@ -340,8 +386,9 @@ class Simulator:
         self._reached: Floats = np.array(begins, np.float64)[self._which]  # by slot: its step or its time
         self._states: Floats = self._reached.copy()
         self._posed: Floats = np.full(len(self._which), np.nan)  # the states that the nodes have
-        self._steered = {number for number, one in enumerate(self.simulations) if isinstance(one, Steered)}
-        self._versions = [0] * len(self.simulations)
+        self._brought: Floats = np.full(len(self._which), np.nan)  # the times that slots have been brought to
+        self._steered = {number: one for number, one in enumerate(self.simulations) if isinstance(one, Steered)}
+        self._versions = dict.fromkeys(self._steered, 0)
 
     def _list_slots(self, rows: Rows) -> Rows:
         """Return all slots of the objects `rows`; one may be listed several times."""
@@ -354,34 +401,42 @@ class Simulator:
         nodes were moved."""
         wanted = np.zeros(len(self._which), bool)
         wanted[slots] = True
-        slots = np.flatnonzero(wanted & ~self._is_done)
-        self._is_done[slots] = True
+        wanted &= ~self._is_done
+        self._is_done |= wanted
+        slots = np.flatnonzero(wanted & (self._brought != self._times))
         moved = False
         which = self._which[slots]
         for number in np.unique(which).tolist():
-            chosen = slots[which == number]
-            self._bring(number, chosen)
-            nodes = self._begin[number].nodes
-            stale = chosen[self._states[chosen] != self._posed[chosen]] if len(nodes) else _NONE
-            if len(stale):
-                members = stale - self._first[number]
-                simulation: Any = self.simulations[number]
-                self._nodes.set_local(nodes[members], simulation.transforms(members))
-                self._nodes.writer = self
-                self._posed[stale] = self._states[stale]
-                moved = True
+            mine = slots[which == number]
+            times = self._times[mine]
+            for seconds in np.unique(times).tolist():
+                chosen = mine[times == seconds]
+                self._bring(number, chosen, seconds)
+                moved |= self._pose(number, chosen)
         return moved
 
-    def _bring(self, number: int, slots: Rows) -> None:
-        """Bring the members in `slots` of one simulation to the frame's time, as far as its policy allows."""
+    def _pose(self, number: int, slots: Rows) -> bool:
+        """Write the transforms of members to their nodes, if they have any that are others; return whether."""
+        nodes = self._begin[number].nodes
+        stale = slots[self._states[slots] != self._posed[slots]] if len(nodes) else _NONE
+        if not len(stale):
+            return False
+        members = stale - self._first[number]
+        simulation: Any = self.simulations[number]
+        self._nodes.set_local(nodes[members], simulation.transforms(members))
+        self._nodes.writer = self
+        self._posed[stale] = self._states[stale]
+        return True
+
+    def _bring(self, number: int, slots: Rows, seconds: float) -> None:
+        """Bring the members in `slots` of one simulation to a time, as far as its policy allows."""
         simulation: Any = self.simulations[number]
         policy = simulation.catch_up
-        target = policy.target(simulation, self.seconds)
-        version = simulation.version if number in self._steered else 0
-        if version != self._versions[number]:
-            self._versions[number] = version
-            self._reached[self._first[number] : self._first[number + 1]] = np.nan
-        behind = slots[self._reached[slots] != target]
+        target = policy.target(simulation, seconds)
+        reached = self._reached[slots]
+        is_behind = reached != target if isinstance(policy, Recompute) else reached < target
+        self._brought[slots] = seconds
+        behind = slots[is_behind]
         if not len(behind):
             return
         reached, steps = policy.advance(
@@ -389,12 +444,14 @@ class Simulator:
         )
         self._left[number] = max(self._left[number] - steps, 0)
         self.steps += steps
-        self.late += int((reached != target).sum())
+        is_late = reached != target
+        self._brought[behind[is_late]] = np.nan
+        self.late += int(is_late.sum())
         changed = reached != self._reached[behind]
         self._reached[behind] = reached
         # A leap's result depends on where it began, so the step's number doesn't identify it; nor does the time what
         # another function gave.
-        is_known = not (isinstance(policy, Leap) or version)
+        is_known = not (isinstance(policy, Leap) or self._versions.get(number))
         self._states[behind[changed]] = reached[changed] if is_known else -next(_STATES)
 
 

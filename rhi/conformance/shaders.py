@@ -17,6 +17,7 @@ from rhi.shading import (
     fragment_coordinate,
     ivec2,
     ivec4,
+    point_coordinate,
     uint,
     uvec4,
     vec2,
@@ -201,6 +202,13 @@ class Sized(Shader):
 
     def fragment(self, v: SizedShade) -> vec4:
         return v.color
+
+
+class Located(Sized):
+    """Writes the place inside the point."""
+
+    def fragment(self, v: SizedShade) -> vec4:
+        return vec4(point_coordinate(), v.color.x, 1.0)
 
 
 class Count(Shader):

@@ -32,7 +32,6 @@ ON_CL: Final = dict.fromkeys(
 )
 OWN: Final[dict[str, tuple[str, ...]]] = {
     **ON_CL,
-    "accuracy_scaling": ("--backend", "null", "--knob", "fxaa"),
     "engines": ("--only", "gl,cl", "--scene", "city:blocks=2"),
     "memory": ("--backend", "null"),
     "occlusion": (*ON_CL["occlusion"], "--scene", "city:blocks=4"),

@@ -12,6 +12,7 @@ import rhi
 from renderer.content import load_scene
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Depth, Perspective, Scene
+from renderer.settings import RenderSettings
 from renderer.shaders import ViewConstants
 from renderer.visibility import FrustumCulling, NoCulling, make_visibility
 from rhi import Op
@@ -99,6 +100,30 @@ def test_a_step_of_animation_is_a_time(null: rhi.Device, city: Scene) -> None:
             with pytest.raises(rhi.ValidationError, match="animation-step"):
                 renderer.animation_step = step
         assert renderer.animation_step == 0.0
+
+
+def test_what_is_far_away_is_neither_simulated_nor_uploaded(null: rhi.Device) -> None:
+    scene = load_scene("hall:columns=6,flags=2,fountains=2,cloths=2")
+    with Renderer(null, scene, size=(640, 360), visibility=NoCulling(scene)) as renderer:
+        costs = {}
+        for distance, lag in ((30.0, 0.5), (6000.0, 0.5), (6000.0, 0.0)):
+            renderer.animation_lag = lag
+            renderer.simulator = scene.make_simulator()
+            camera = Camera.look_at((0.0, 2.0, distance), (0.0, 2.0, 0.0), projection=Perspective(far=1e5))
+            for frame in range(4):
+                cost = renderer.render(camera, frame / 60).statistics
+            costs[distance, lag] = cost.simulation_steps, cost.upload_bytes > 0
+    assert costs == {(30.0, 0.5): (4, True), (6000.0, 0.5): (0, False), (6000.0, 0.0): (4, True)}
+
+
+def test_a_lag_is_a_number_of_pixels(null: rhi.Device, city: Scene) -> None:
+    with Renderer(null, city, size=(64, 36)) as renderer:
+        for lag in (-0.1, float("inf"), float("nan")):
+            with pytest.raises(rhi.ValidationError, match="animation-lag"):
+                renderer.animation_lag = lag
+            with pytest.raises(rhi.ValidationError, match="animation-lag"):
+                RenderSettings(animation_lag=lag)
+        assert renderer.animation_lag == RenderSettings().animation_lag == 0.5
 
 
 def test_two_renderers_of_one_scene_both_see_what_moves(null: rhi.Device) -> None:

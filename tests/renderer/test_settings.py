@@ -38,6 +38,7 @@ OTHERS = RenderSettings(
     precision=Precision.EXACT,
     depth=Depth.STANDARD,
     animation_step=0.25,
+    animation_lag=2.0,
     reprojects=True,
 )
 

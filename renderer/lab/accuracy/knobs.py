@@ -160,7 +160,7 @@ FAR_SHADOWS: Final = replace(FINE_MAPS, changes={**FINE_MAPS.changes, "shadows.d
 SORTED: Final = replace(TRACED, changes={"blending": Blending.SORTED})
 FAR_GLOW: Final = Truth("all scattered light, spread over 8 levels", {"glow": GlowSettings(levels=8)})
 FINEST: Final = replace(TRACED, changes={"tessellation.edge_pixels": 0.01})
-EACH_FRAME: Final = Truth("motion in each frame", {"animation_step": 0.0})
+EACH_FRAME: Final = Truth("motion in each frame", {"animation_step": 0.0, "animation_lag": 0.0})
 DISTANCES: Final = Truth("the distances in float64")
 SECOND_EYE: Final = replace(CENTRED, changes={"reprojects": False})
 VECTORS: Final = Truth("the vectors in float64")
@@ -386,6 +386,16 @@ KNOBS: Final[dict[str, Knob]] = {
             "animation_step",
             {"each 8th frame": 8 / 60, "each 4th": 4 / 60, "each 2nd": 2 / 60, "each frame": 0.0},
             "half as many steps are seen to be uneven",
+            truth=EACH_FRAME,
+            demand=Demand.MOTION,
+            remembers=8,
+        ),
+        _picture(
+            "animation_lag",
+            "pixels by which what is small on the screen may be late",
+            "animation_lag",
+            _same(8.0, 2.0, 0.5, 0.0),
+            "what is late by half a pixel isn't seen to be",
             truth=EACH_FRAME,
             demand=Demand.MOTION,
             remembers=8,

@@ -10,24 +10,14 @@ from numpy.typing import NDArray
 
 from rhi import CullMode, DepthFunction, DepthTest, Device, Format, Primitive, Scissor
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
-from rhi.conformance.formats import require_point_sizes, require_samples
-from rhi.conformance.shaders import Dot, Sized, SizedShade
+from rhi.conformance.formats import require_point_sizes
+from rhi.conformance.shaders import Located, Sized
 from rhi.conformance.shapes import point_rows, point_square
 from rhi.shading import Shader, Struct, point_coordinate, vec2, vec4
 
 pytestmark = pytest.mark.needs("draws", "shading")
 
 SIZE = (32, 24)
-
-
-class Located(Shader):
-    """Writes the place inside the point."""
-
-    def vertex(self, v: Dot) -> SizedShade:
-        return SizedShade(clip=v.position, color=v.color, size=v.size)
-
-    def fragment(self, v: SizedShade) -> vec4:
-        return vec4(point_coordinate(), v.color.x, 1.0)
 
 
 class Place(Struct):
@@ -61,19 +51,12 @@ def square(x: float, y: float, size: float) -> NDArray[np.bool_]:
     return point_square(x, y, size, SIZE)
 
 
-def drawn(
-    device: Device, rows: NDArray[Any], shader: Any = Sized, *states: Any, samples: int = 1
-) -> NDArray[Any]:  # fmt: skip
-    """Return the image of these points, resolved if it has several samples."""
-    with device.texture(SIZE, Format.RGBA32F, samples=samples) as image:
-        with device.mesh(rows, primitive=Primitive.POINTS) as mesh:
-            with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(*states or [CullMode.NONE]):
-                device.draw(device.program(shader), mesh)
-        if samples == 1:
-            return image.read()
-        with device.texture(SIZE, Format.RGBA32F) as mean:
-            image.resolve_to(mean)
-            return mean.read()
+def drawn(device: Device, rows: NDArray[Any], shader: Any = Sized, *states: Any) -> NDArray[Any]:
+    """Return the image of these points."""
+    with device.texture(SIZE, Format.RGBA32F) as image, device.mesh(rows, primitive=Primitive.POINTS) as mesh:
+        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(*states or [CullMode.NONE]):
+            device.draw(device.program(shader), mesh)
+        return image.read()
 
 
 @pytest.mark.parametrize("size", [1.0, 2.0, 3.0, 4.5, 7.0, 12.0])
@@ -121,15 +104,13 @@ def test_a_point_is_clipped_by_its_centre(device: Device, x: float, seen: bool) 
     assert_mask(drawn(device, dots([(x, 10.5)], 5.0))[..., 0] > 0, expected)
 
 
-@pytest.mark.parametrize(("w", "samples"), [(1.0, 1), (3.0, 1), (3.0, 4)])
-def test_a_fragment_knows_its_place_in_the_point(device: Device, w: float, samples: int) -> None:
-    require_samples(device, samples)
-    x, y, size = (12.25, 10.5, 8.0) if samples == 1 else (12.0, 10.0, 8.0)  # with several, whole texels
-    image = drawn(device, dots([(x, y)], size, (0.625, 0, 0, 1), w=w), Located, samples=samples)
+@pytest.mark.parametrize("w", [1.0, 3.0])
+def test_a_fragment_knows_its_place_in_the_point(device: Device, w: float) -> None:
+    x, y, size = 12.25, 10.5, 8.0
+    image = drawn(device, dots([(x, y)], size, (0.625, 0, 0, 1), w=w), Located)
     rows, columns = np.nonzero(square(x, y, size))
     expected = np.stack([(columns + 0.5 - x) / size + 0.5, (rows + 0.5 - y) / size + 0.5], -1)
-    near = 2e-3 if samples == 1 else 1 / 16 + 2e-3  # anywhere in the texel
-    assert_near(image[rows, columns, :2], expected, near, "8 fraction bits of the window position in a square of 8")
+    assert_near(image[rows, columns, :2], expected, 2e-3, "8 fraction bits of the window position in a square of 8")
     assert_same(image[rows, columns, 2], 0.625)
 
 

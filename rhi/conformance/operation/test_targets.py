@@ -26,7 +26,7 @@ from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.formats import require_point_sizes, require_renderable, require_samples
 from rhi.conformance.patience import PATIENCE
 from rhi.conformance.reference import channels_of, compare, encode, rounding
-from rhi.conformance.shaders import Bare, Colored, Corner, FlatShade, IntColored, Shade, Sized, UintColored
+from rhi.conformance.shaders import Bare, Colored, Corner, FlatShade, IntColored, Located, Shade, Sized, UintColored
 from rhi.conformance.shapes import centers, corners, point_rows, point_square, rectangle
 from rhi.contract.formats import COLOR_FORMATS, ChannelKind
 from rhi.shading import Shader, Struct, uvec4, vec2, vec4
@@ -431,6 +431,25 @@ def test_a_point_with_a_size_covers_samples(device: Device) -> None:
     assert_same(back[whole], 255)
     assert ((back[touched & ~whole] > 0) & (back[touched & ~whole] < 255)).all()
     assert_same(back[~touched], 0)
+
+
+def test_a_fragment_of_several_samples_knows_its_place_in_the_point(device: Device) -> None:
+    require_point_sizes(device)
+    require_samples(device, 4)
+    size = (32, 24)
+    rows = point_rows([(12.0, 10.0)], size, 8.0, (0.625, 0, 0, 1), w=3.0)
+    with (
+        device.texture(size, Format.RGBA32F, samples=4) as image,
+        device.texture(size, Format.RGBA32F) as mean,
+        device.mesh(rows, primitive=Primitive.POINTS) as mesh,
+    ):
+        with device.render_pass(image, resolve=mean, clear=(0, 0, 0, 0)):
+            device.draw(device.program(Located), mesh)
+        back = mean.read()
+    rows, columns = np.nonzero(point_square(12.0, 10.0, 8.0, size))  # whole texels
+    expected = np.stack([columns - 7.5, rows - 5.5], -1) / 8
+    assert_near(back[rows, columns, :2], expected, 1 / 16 + 2e-3, "anywhere in the texel, and as with one sample")
+    assert_same(back[rows, columns, 2], 0.625)
 
 
 # -- preparation -------------------------------------------------------------------------------------------

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rhi import Device, Filter, Format, SamplerDescriptor, Wrap
+from rhi import Device, Filter, Format, Primitive, SamplerDescriptor, Wrap
 from rhi.conformance.compare import assert_same
-from rhi.conformance.shaders import Colored, Loads, TexturedVarying, TexturedVertex
-from rhi.conformance.shapes import rectangle
-from rhi.shading import Shader, Texture2D, vec4
+from rhi.conformance.shaders import Colored, FlatShade, Loads, TexturedVarying, TexturedVertex, Tint, Tinted
+from rhi.conformance.shapes import centers, corners, rectangle
+from rhi.shading import Shader, Texture2D, ivec2, vec4
 
 pytestmark = [pytest.mark.needs("draws", "shading", "max_texture_slots"), pytest.mark.recorded_too]
 
@@ -85,3 +85,27 @@ def test_texel_loads_count_from_the_top_left(device: Device) -> None:
         with device.render_pass(target):
             device.draw(device.program(Loads), mesh, source=source)
         assert_same(target.read(), data)
+
+
+class TintedTexel(Tinted):
+    """Multiplies the tint with a texel."""
+
+    source: Texture2D
+
+    def fragment(self, v: FlatShade) -> vec4:
+        return self.tint.color * self.source.load(ivec2(0, 0))
+
+
+def test_each_draw_has_its_own_constants_where_its_texture_is_another_one(device: Device) -> None:
+    size, program = (8, 1), device.program(TintedTexel)
+    rows = corners(centers([(column, 0) for column in range(8)], size))
+    textures = [device.texture(np.full((1, 1), 10.0**number, np.float32), Format.R32F) for number in range(2)]
+    with device.texture(size, Format.R32F) as image, device.mesh(rows, primitive=Primitive.POINTS) as mesh:
+        with device.render_pass(image):
+            for index in range(8):
+                tint = device.transient.uniform(Tint(color=(index, 0, 0, 0)))
+                device.draw(program, mesh.view(index, 1), tint=tint, source=textures[index % 2])
+        device.present()
+        assert_same(image.read().reshape(-1), [0, 10, 2, 30, 4, 50, 6, 70])
+    for texture in textures:
+        texture.destroy()

@@ -19,10 +19,8 @@ from rhi.shading import (
     Storage,
     StorageRW,
     Struct,
-    Texture2D,
     Uniform,
     instance_index,
-    ivec2,
     mat3,
     mat4,
     uint,
@@ -78,30 +76,6 @@ def test_a_value_is_read_when_it_is_drawn_with(device: Device) -> None:
         device.present()
         assert_same(image.read().reshape(-1), [1, 2, 100, 100, 5, 6, 7, 8])
     kept.destroy()
-
-
-class TintedTexel(Tinted):
-    """Multiplies the tint with a texel."""
-
-    source: Texture2D
-
-    def fragment(self, v: FlatShade) -> vec4:
-        return self.tint.color * self.source.load(ivec2(0, 0))
-
-
-@pytest.mark.needs("max_texture_slots")
-def test_each_draw_has_its_own_constants_where_its_texture_is_another_one(device: Device) -> None:
-    size, program = (8, 1), device.program(TintedTexel)
-    textures = [device.texture(np.full((1, 1), 10.0**number, np.float32), Format.R32F) for number in range(2)]
-    with device.texture(size, Format.R32F) as image, device.mesh(points(8, size), primitive=Primitive.POINTS) as mesh:
-        with device.render_pass(image):
-            for index in range(8):
-                tint = device.transient.uniform(Tint(color=(index, 0, 0, 0)))
-                device.draw(program, mesh.view(index, 1), tint=tint, source=textures[index % 2])
-        device.present()
-        assert_same(image.read().reshape(-1), [0, 10, 2, 30, 4, 50, 6, 70])
-    for texture in textures:
-        texture.destroy()
 
 
 def test_constants_made_first_and_drawn_later_are_intact(device: Device) -> None:

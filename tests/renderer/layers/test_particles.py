@@ -40,6 +40,7 @@ def test_a_particle_is_where_the_drop_is(null: rhi.Device, hall: Scene) -> None:
     camera = hall.views["overview"]
     with Renderer(null, hall, visibility=NoCulling(hall), size=(64, 36)) as renderer:
         renderer.layers.append(catch)
+        renderer.animation_lag = 0.0
         renderer.render(camera, 1.0)
         before = catch.parts[0].reshape(24, DROPS, 8)
         renderer.render(camera, 1.0 + 1.0 / 60.0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,7 +11,17 @@ from hypothesis import strategies as st
 
 from renderer.content import BUILT_IN, load_scene
 from renderer.content.fountains import BOUNDS, DROPS, Fountains, make_drops
-from renderer.scene import VERTEX, Scene, SceneBuilder, Simulator, Stepwise
+from renderer.scene import (
+    VERTEX,
+    Camera,
+    Orthographic,
+    Perspective,
+    Scene,
+    SceneBuilder,
+    Simulator,
+    Stepwise,
+    translation,
+)
 from rhi.errors import ValidationError
 
 
@@ -32,14 +44,16 @@ class Clock:
         return vertices
 
 
-def make_scene(count: int = 3, memory: int | None = None) -> Scene:
+def make_scene(count: int = 3, memory: int | None = None, apart: float = 0.0) -> Scene:
     builder = SceneBuilder("clocks")
     bounds = (np.full(3, -9.0), np.full(3, 9.0))
     meshes = [builder.add_mesh(BUILT_IN["box"](), bounds=bounds) for _ in range(count)]
     still = builder.add_mesh(BUILT_IN["sphere"]())
     material = builder.add_material()
     builder.add_objects(builder.add_node(), still, material)  # row 0 isn't simulated
-    objects = builder.add_objects(builder.add_nodes(np.tile(np.eye(4), (count, 1, 1))), meshes, material)
+    objects = builder.add_objects(
+        builder.add_nodes(translation(np.outer(np.arange(count), (-apart, 0, 0)))), meshes, material
+    )
     builder.simulate(objects, Clock(count, memory))
     return builder.build()
 
@@ -133,6 +147,115 @@ def test_simulators_of_one_scene_go_their_own_ways() -> None:
     show(one, 1.0, [1])
     show(other, 2.0, [2])
     assert (taken(one), taken(other)) == ([[1, 2], [], []], [[], [1, 2, 3, 4], []])
+
+
+LAG = 0.5
+HEIGHT = 100
+DIAMETER = 18.0 * np.sqrt(3.0)
+"""That of the clocks' bounds, 9 m around the origin."""
+
+
+def look_from(pixels: float) -> Camera:
+    """Return a camera to which the bounds of the clocks are as large as that, by their nearest point."""
+    lens = Perspective(fov=np.pi / 2)
+    return Camera.look_at((9.0 + 0.5 * HEIGHT * DIAMETER / pixels, 0.0, 0.0), (0.0, 0.0, 0.0), projection=lens)
+
+
+def count_moves(camera: Camera, lag: float = LAG, seconds: float = 8.0, interval: float = 1 / 64) -> list[int]:
+    """Return in how many of 64 frames a second each of nine clocks has moved on."""
+    simulator, clock = make_simulator(make_scene(9))
+    clock.interval, moves = interval, np.zeros(9, int)
+    for frame in range(1, int(64 * seconds) + 1):
+        before = np.array([len(one) for one in clock.taken])
+        simulator.begin_frame(frame / 64)
+        simulator.slow_down(camera, HEIGHT, lag)
+        simulator.advance(simulator.objects)
+        moves += np.array([len(one) for one in clock.taken]) > before
+    assert all(one == list(range(1, len(one) + 1)) for one in clock.taken)
+    return moves.tolist()
+
+
+@pytest.mark.parametrize(
+    ("pixels", "moves"), [(0.499, 0), (0.501, 64), (0.999, 64), (1.001, 128), (3.99, 256), (4.01, 512)]
+)
+def test_what_is_small_moves_on_less_often_and_what_is_smaller_than_the_lag_rests(pixels: float, moves: int) -> None:
+    each = count_moves(look_from(pixels))
+    assert max(each) == moves
+    assert min(each) >= moves - (moves < 512)  # the first part of a period is shorter for some
+
+
+def test_a_parallel_lens_shows_all_at_the_same_size() -> None:
+    for distance in (20.0, 2000.0):
+        lens = Orthographic(1000.0 * DIAMETER, far=9999.0)
+        camera = Camera.look_at((distance, 0.0, 0.0), (0.0, 0.0, 0.0), projection=lens)
+        assert max(count_moves(camera, lag=0.0999)) == 64  # it is of 0.1 pixels
+        assert max(count_moves(camera, lag=0.1001)) == 0
+
+
+def test_without_lag_and_without_bounds_all_moves_on_in_each_frame() -> None:
+    assert count_moves(look_from(1.0), lag=0.0) == [512] * 9
+    assert count_moves(look_from(1e-3), lag=0.0) == [512] * 9
+    scene = make_scene(1)
+    scene.simulated = (replace(scene.simulated[0], is_bounded=False),)
+    simulator, clock = make_simulator(scene)
+    for frame in (1, 2, 3):
+        simulator.begin_frame(frame / 2)
+        simulator.slow_down(look_from(1e-3), HEIGHT, LAG)
+    assert clock.taken == [[1, 2, 3]]
+
+
+def test_small_things_move_on_in_turns() -> None:
+    simulator, clock = make_simulator(make_scene(8))
+    clock.interval = 1 / 64
+    steps = []
+    for frame in range(1, 129):
+        simulator.begin_frame(frame / 64)
+        simulator.slow_down(look_from(0.6), HEIGHT, LAG)
+        simulator.advance(simulator.objects)
+        steps.append(simulator.steps)
+    assert steps[16:] == [0, 16] * 56  # two of eight in every second frame, and not all eight in every eighth
+
+
+def test_what_comes_nearer_is_brought_to_the_frame_s_time_and_what_goes_away_stays() -> None:
+    simulator, clock = make_simulator(make_scene(2, apart=1e6))  # the other one is small throughout
+    clock.interval, steps = 1e-3, []
+    for seconds, pixels in ((1.007, 0.4), (1.007, 5.0), (2.007, 0.4), (2.011, 500.0)):
+        simulator.begin_frame(seconds)
+        simulator.slow_down(look_from(pixels), HEIGHT, LAG)
+        simulator.advance(simulator.objects)
+        steps.append(simulator.steps)
+    assert steps == [0, 1007, 0, 1004]
+
+
+def test_flags_that_are_late_are_off_by_less_than_the_lag() -> None:
+    halls = [load_scene("hall:columns=6,flags=8") for _ in range(2)]
+    simulators = [hall.make_simulator() for hall in halls]
+    camera = Camera.look_at((0.0, 2.0, 120.0), (0.0, 2.0, 0.0))
+    off = []
+    for frame in range(60):
+        places = []
+        for scene, simulator, lag in zip(halls, simulators, (LAG, 0.0), strict=True):
+            simulator.begin_frame(frame / 60)
+            simulator.slow_down(camera, HEIGHT, lag)
+            simulator.advance(simulator.objects)
+            corner = np.array([1.0, 1.0, 0.0, 1.0])  # of the segments, which are less than a metre wide
+            clip = scene.nodes.world[scene.objects.node[simulator.objects]] @ corner @ camera.view_projection.T
+            places.append(0.5 * HEIGHT * clip[:, :2] / clip[:, 3:])
+        off.append(np.linalg.norm(places[0] - places[1], axis=1).max())
+    assert 0.0 < max(off) < LAG
+
+
+@settings(max_examples=25)
+@given(st.lists(st.booleans(), min_size=1, max_size=40), st.floats(0.3, 6.0))
+def test_what_is_late_is_as_late_as_if_it_had_been_drawn_all_the_time(drawn: list[bool], pixels: float) -> None:
+    (always, all_steps), (now_and_then, steps) = (make_simulator(make_scene(9)) for _ in range(2))
+    for frame, is_drawn in enumerate([*drawn, True], 1):
+        for simulator in (always, now_and_then):
+            simulator.begin_frame(0.09 * frame)
+            simulator.slow_down(look_from(pixels), HEIGHT, LAG)
+            if is_drawn or simulator is always:
+                simulator.advance(simulator.objects)
+    assert steps.taken == all_steps.taken
 
 
 @settings(max_examples=25)

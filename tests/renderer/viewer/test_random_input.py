@@ -31,8 +31,8 @@ FILES = ("x.png", "w.json")
 WORDS = ("next", "1", "-1", "nan", "32,18", *FILES, "'", "é", "0,2,5,0,1,0", "0.01", "ground", "off", "#")
 QUIET = {"quit", "listen", "script"}
 SWITCHES = ("technique", "visibility", "shadows", "blending", "stereo", "samples", "fxaa", "overlay", "particles")
-BLOCKS_A_FRAME = {"null": 0.5, "gl": 1.0, "cl": 1.3}
-"""What may stay of a frame: no object. New states of known programs stay."""
+BLOCKS_A_FRAME = 0.8
+"""What may stay of a frame: no object."""
 RESOURCES_A_FRAME = 0.04
 """What may stay: less than one for each change of the look, of which there is one in eleven frames."""
 
@@ -209,10 +209,11 @@ def test_ten_thousand_frames_of_random_input_keep_no_frame(
     assert set(user.names) - user.obeyed == ({"screenshot"} if backend == "null" else set())
     assert not coverage.missed
     # A program that is used for the first time stays, with its resources, at some thousand blocks. Where none is new,
-    # nothing of the 500 frames between two checkpoints may stay.
+    # nothing of the 500 frames between two checkpoints may stay but new states of known programs, which most stretches
+    # have. What each frame leaves is in all stretches.
     pairs = [(before, after) for before, after in pairwise(seen) if before.programs == after.programs]
     assert len(pairs) >= 3  # which algorithms are tried, and so when programs are new, follows from time
     blocks = [after.blocks - before.blocks for before, after in pairs]
-    assert statistics.median(blocks) < 500 * BLOCKS_A_FRAME[backend], blocks
+    assert min(blocks) < 500 * BLOCKS_A_FRAME, blocks
     resources = [after.resources - before.resources for before, after in pairs]
     assert statistics.median(resources) < 500 * RESOURCES_A_FRAME, resources

@@ -97,6 +97,7 @@ def test_with_nothing_drawn_nothing_is_called_and_nothing_written(null: rhi.Devi
 def test_what_leaves_the_view_is_left_alone_at_once(null: rhi.Device) -> None:
     scene = make_bobbing()
     with Renderer(null, scene, visibility=FrustumCulling(scene), size=(64, 64)) as renderer:
+        renderer.animation_lag = 0.0
         assert len(renderer.render(look_at_first(40), 0.1).visible) == 40
         Bobbing.calls = 0
         assert renderer.render(AWAY, 0.2).statistics.skipped_simulations == 40
@@ -112,6 +113,7 @@ def test_what_is_drawn_is_animated_in_one_go_and_its_rows_are_written(
     scene = make_bobbing(bounded=bounded)
     camera = look_at_first(count)
     with Renderer(null, scene, visibility=FrustumCulling(scene), size=(64, 64)) as renderer:
+        renderer.animation_lag = 0.0
         for frame in range(2):
             renderer.render(camera, frame / 60)
         null.stream.clear()
@@ -131,6 +133,7 @@ def test_what_is_hidden_is_not_animated(null: rhi.Device, name: str) -> None:
     algorithm = make_visibility(name, scene, null)
     camera = look_at_first(40)
     with Renderer(null, scene, size=(64, 64)) as renderer:
+        renderer.animation_lag = 0.0
         oracle.seen = {3, 4, 9}
         for frame in range(1, 12):
             Bobbing.calls = Bobbing.asked = 0
@@ -177,6 +180,7 @@ def test_what_shows_again_is_drawn_as_of_its_frame(
             validation=True,
         ) as renderer,
     ):
+        reference.animation_lag = renderer.animation_lag = 0.0
         for frame, seconds in ((0, 0.0), (3, 0.3), (900, 0.6), (903, 0.9), (3, 40.0), (6, 40.1), (900, 0.2)):
             expected = reference.render(path.camera(frame), seconds)
             given = renderer.render(path.camera(frame), seconds)
@@ -195,6 +199,7 @@ def test_only_what_is_drawn_is_swayed_in_the_hall(null: rhi.Device, monkeypatch:
         _Sway, "transforms", lambda self, members: (asked.append(len(members)), transforms(self, members))[1]
     )
     with Renderer(null, hall, visibility=FrustumCulling(hall), size=(64, 36)) as renderer:
+        renderer.animation_lag = 0.0
         camera = hall.views["flags"]
         for frame in range(6):
             drawn = renderer.render(camera, frame / 60).visible

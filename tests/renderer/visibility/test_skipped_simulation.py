@@ -54,6 +54,7 @@ def test_what_an_algorithm_does_not_draw_takes_no_step(null: rhi.Device, hall: S
     algorithm = make_visibility(name, hall, null)
     camera = hall.views["overview"]
     with Renderer(null, hall, size=(64, 36)) as renderer:
+        renderer.animation_lag = 0.0
         sprays = renderer.simulator.objects.tolist()
         oracle.seen = set(sprays[:2])
         for frame in range(1, 8):
@@ -93,7 +94,7 @@ def test_a_scene_without_simulations_counts_none(null: rhi.Device) -> None:
 
 @pytest.mark.usefixtures("gl")
 def test_compare_counts_them_for_each_algorithm_by_itself(capsys: pytest.CaptureFixture[str]) -> None:
-    command = ["compare", "visibility", HALL, "--size", "64x36", "--frames", "4", "--backend", "gl"]
+    command = ["compare", "visibility", HALL, "--size", "160x90", "--frames", "4", "--backend", "gl"]
     assert main([*command, "--algorithms", "none,frustum,stop_and_wait", "--json"]) == 0
     rows = {row["algorithm"]: row for row in json.loads(capsys.readouterr().out)["rows"]}
     assert rows["none"]["skipped_simulations"] == 0
