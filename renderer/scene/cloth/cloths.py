@@ -3,8 +3,8 @@
 A step that is asked for is only noted. It is taken when somebody wants to see the cloth: on the device together with
 all that was noted since, or on NumPy as long as there is no device.
 
-A cloth forgets: wind and damping make all states alike in a few seconds. So when more steps were missed than a frame
-may take, the first of them are left out (`Leap`).
+When more steps were missed than a frame may take, the first of them are left out (`Leap`): the wind makes states alike,
+though creases may stay.
 """
 
 from __future__ import annotations
@@ -63,8 +63,7 @@ class Cloths:
         self._later: Rows = np.random.default_rng([seed, 18]).integers(0, 1 << 30, (count, 1))
         self._number: Rows = np.zeros(count, np.int64)  # of the last step that was asked for
         self._due: Rows = np.zeros(count, np.int64)  # how many of the last ones weren't taken yet
-        points = np.tile(sheet.points, (count, 1, 1))
-        self._state: ClothArrays | ClothBuffers = ClothArrays(sheet, self.wind, points, np.zeros_like(points))
+        self._state: ClothArrays | ClothBuffers = self._begin()
 
     def __len__(self) -> int:
         return len(self._number)
@@ -74,8 +73,13 @@ class Cloths:
         made = Cloths.__new__(Cloths)
         made.__dict__.update(self.__dict__)
         made._number, made._due = self._number.copy(), self._due.copy()
-        made._state = ClothArrays(self.sheet, self.wind, *self.read())
+        made._state = ClothArrays(self.sheet, self.wind, *self._read())
         return made
+
+    def _begin(self) -> ClothArrays:
+        """Return the state of cloths that are as their sheet is at first."""
+        points = np.tile(self.sheet.points, (2, len(self), 1, 1))
+        return ClothArrays(self.sheet, self.wind, points, np.zeros_like(points))
 
     def step(self, members: Rows, numbers: Rows) -> None:
         """Note one more step for `members` (j,)."""
@@ -92,10 +96,14 @@ class Cloths:
         self._take(members)
         state = self._state
         points = state.points if isinstance(state, ClothArrays) else state.read_points()
-        return self.sheet.make_vertices(points[members]).reshape(-1)
+        return self.sheet.make_vertices(points[0, members]).reshape(-1)
 
     def read(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return points and speeds (count, n, 3) after the steps taken so far. Waits for the device that has them."""
+        points, speeds = self._read()
+        return points[0], speeds[0]
+
+    def _read(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         state = self._state
         return (state.points.copy(), state.speeds.copy()) if isinstance(state, ClothArrays) else state.read()
 
@@ -108,7 +116,7 @@ class Cloths:
             stride: floats from vertex to vertex.
         """
         if not isinstance(self._state, ClothBuffers) or self._state.device is not device:
-            before, points_and_speeds = self._state, self.read()
+            before, points_and_speeds = self._state, self._read()
             self._state = ClothBuffers(device, self.sheet, self.wind, *points_and_speeds)
             if isinstance(before, ClothBuffers):
                 before.destroy()
@@ -119,8 +127,7 @@ class Cloths:
         """Destroy what is on this device, if anything is: the cloths then begin again as their sheet."""
         if isinstance(self._state, ClothBuffers) and self._state.device is device:
             self._state.destroy()
-            points = np.tile(self.sheet.points, (len(self), 1, 1))
-            self._state = ClothArrays(self.sheet, self.wind, points, np.zeros_like(points))
+            self._state = self._begin()
 
     def _take(self, members: Rows) -> None:
         """Take the steps that are due, where the state is."""

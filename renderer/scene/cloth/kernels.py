@@ -1,5 +1,7 @@
 """The step of cloths on the device: a work-group for each cloth, all steps and sub-steps in one dispatch.
 
+Of places and speeds the first half is what they are, the second what they were a sub-step before.
+
 The lanes of a group share the points, and wait for each other after each batch of constraints. The last thing that a
 group does is to write the cloth's vertices where they are drawn from, with their normals.
 """
@@ -79,7 +81,7 @@ class ClothGust(Struct):
 
 
 class ClothConstants(Struct):
-    """The constants of all cloths and steps."""
+    """The constants of all cloths and steps; `seconds` are two thirds of those of a sub-step."""
 
     rows: int
     columns: int
@@ -135,18 +137,22 @@ class StepCloths(Shader):
 
     def take_substep(self, first: int, count: int, lane: int) -> None:
         """Take a sub-step: forces, constraints, and what no point leaves."""
+        before = len(self.places) // 2 + first
         for point in range(lane, count, LANES):
-            speed = self.speeds[first + point].xyz + self.cloth.fall
+            speed = self.speeds[first + point].xyz
+            pulled = speed + self.cloth.fall
             normal = self.find_normal(first, point)
-            speed += normal * (self.cloth.share * dot(normal, self.winds[first + point].xyz - speed))
-            speed *= self.cloth.kept * self.points[point].free
-            self.speeds[first + point] = vec4(speed, 0.0)
+            pulled += normal * (self.cloth.share * dot(normal, self.winds[first + point].xyz - pulled))
+            pulled = (speed * 2.0 - self.speeds[before + point].xyz + pulled * (2.0 * self.cloth.kept)) / 3.0
+            self.speeds[before + point] = vec4(speed, 0.0)
+            self.speeds[first + point] = vec4(pulled * self.points[point].free, 0.0)
         barrier()  # normals were found from all points
         for point in range(lane, count, LANES):
             place = self.places[first + point].xyz
-            speed = self.speeds[first + point].xyz
+            pulled = self.speeds[first + point].xyz
             self.speeds[first + point] = vec4(place, 0.0)  # for now, where the point was
-            self.places[first + point] = vec4(place + speed * self.cloth.seconds, 0.0)
+            way = (place - self.places[before + point].xyz) / 3.0 + pulled * self.cloth.seconds
+            self.places[first + point] = vec4(place + way, 0.0)
         barrier()
         for batch in range(self.cloth.batches):
             for number in range(self.batches[batch] + lane, self.batches[batch + 1], LANES):
@@ -161,8 +167,11 @@ class StepCloths(Shader):
             if far > reach:
                 place = anchor + way * (reach / far)
             place = clamp(place, self.cloth.lower, self.cloth.upper)
+            last = self.speeds[first + point].xyz
+            speed = ((place - last) * 1.5 - (last - self.places[before + point].xyz) * 0.5) * self.cloth.rate
+            self.places[before + point] = vec4(last, 0.0)
             self.places[first + point] = vec4(place, 0.0)
-            self.speeds[first + point] = vec4((place - self.speeds[first + point].xyz) * self.cloth.rate, 0.0)
+            self.speeds[first + point] = vec4(speed, 0.0)
         barrier()
 
     def project(self, first: int, constraint: ClothConstraint) -> None:

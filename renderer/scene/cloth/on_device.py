@@ -23,7 +23,7 @@ from renderer.scene.cloth.kernels import (
     StepCloths,
 )
 from renderer.scene.cloth.reference import find_share
-from renderer.scene.cloth.sheets import GRAVITY, INTERVAL, MOST_GUSTS, SUBSTEPS, Sheet, Wind
+from renderer.scene.cloth.sheets import GRAVITY, INTERVAL, MOST_GUSTS, Sheet, Wind
 from rhi import Device, StorageBuffer
 from rhi.shading import vec4
 
@@ -36,7 +36,7 @@ class ClothBuffers:
     def __init__(
         self, device: Device, sheet: Sheet, wind: Wind, points: NDArray[np.float32], speeds: NDArray[np.float32]
     ) -> None:
-        """Upload the state: points and speeds (count, n, 3)."""
+        """Upload the state: points and speeds (2, count, n, 3), as those of `ClothArrays`."""
         self.device = device
         self._shape = points.shape
         self._most_steps = max(_MOST_TURNS // count_turns(sheet), 1)
@@ -52,7 +52,7 @@ class ClothBuffers:
         self._batches = device.storage(int, sheet.batches, label="cloth batches")
         self._places = device.storage(vec4, _pad(points), label="cloth places")
         self._speeds = device.storage(vec4, _pad(speeds), label="cloth speeds")
-        self._winds = device.storage(vec4, self._places.count, label="cloth winds")
+        self._winds = device.storage(vec4, self._places.count // 2, label="cloth winds")
         self._nothing = device.storage(float, 1, label="no vertices")
 
     def run(
@@ -97,11 +97,11 @@ class ClothBuffers:
         )
 
     def read(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return points and speeds (count, n, 3). Waits for the device."""
+        """Return points and speeds (2, count, n, 3). Waits for the device."""
         return self._read(self._places), self._read(self._speeds)
 
     def read_points(self) -> NDArray[np.float32]:
-        """Return the points (count, n, 3). Waits for the device."""
+        """Return the points (2, count, n, 3). Waits for the device."""
         return self._read(self._places)
 
     def _read(self, buffer: StorageBuffer[vec4]) -> NDArray[np.float32]:
@@ -119,31 +119,32 @@ def count_turns(sheet: Sheet) -> int:
     """Return how many turns the loops of a lane make in a step."""
     points = -(-len(sheet.points) // LANES)
     batches: int = sum(1 + -(-size // LANES) for size in np.diff(sheet.batches).tolist())
-    return 1 + points * (1 + MOST_GUSTS) + SUBSTEPS * (1 + 3 * points + batches)
+    return 1 + points * (1 + MOST_GUSTS) + sheet.sub_steps * (1 + 3 * points + batches)
 
 
 def _pad(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    padded = np.zeros((values.shape[0] * values.shape[1], 4), np.float32)
+    padded = np.zeros((values.size // 3, 4), np.float32)
     padded[:, :3] = values.reshape(-1, 3)
     return padded
 
 
 def _make_constants(sheet: Sheet, wind: Wind) -> ClothConstants:
+    count = sheet.sub_steps
     calm = ClothGust(velocity=(0.0, 0.0, 0.0), along=(0.0, 0.0, 0.0))
     gusts = [ClothGust(velocity=gust.velocity, along=gust.along) for gust in wind.gusts]
     return ClothConstants(
         rows=sheet.rows,
         columns=sheet.columns,
         batches=len(sheet.batches) - 1,
-        substeps=SUBSTEPS,
+        substeps=count,
         lower=sheet.lower,
         upper=sheet.upper,
-        fall=(0.0, -GRAVITY * INTERVAL / SUBSTEPS, 0.0),
+        fall=(0.0, -GRAVITY * INTERVAL / count, 0.0),
         velocity=wind.velocity,
-        seconds=INTERVAL / SUBSTEPS,
-        rate=SUBSTEPS / INTERVAL,
-        share=float(find_share(sheet.fabric.drag)),
-        kept=float(np.float32(1.0) - find_share(sheet.fabric.damping)),
+        seconds=INTERVAL / count * (2.0 / 3.0),
+        rate=count / INTERVAL,
+        share=float(find_share(sheet.fabric.drag, count)),
+        kept=float(np.float32(1.0) - find_share(sheet.fabric.damping, count)),
         periods=wind.periods,
         gusts=[*gusts, *[calm] * (MOST_GUSTS - len(gusts))],
     )

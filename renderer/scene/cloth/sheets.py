@@ -20,8 +20,9 @@ from rhi.errors import refuse
 
 INTERVAL: Final = 1.0 / 60.0
 """The length of a step in seconds."""
-SUBSTEPS: Final = 8
-"""The number of sub-steps of a step."""
+SUB_STEPS: Final = 8
+"""The number of sub-steps of a step, unless a sheet has another one."""
+MOST_SUB_STEPS: Final = 64
 GRAVITY: Final = 9.81
 MOST_GUSTS: Final = 4
 MOST_POINTS: Final = 16_384
@@ -114,7 +115,7 @@ class Sheet:
         anchors: (n, 3) float32, the nearest pin of each point. reaches: (n,) float32, how far it may be away.
         constraints: (k,) of `CONSTRAINT`, batch by batch. batches: (b + 1,) int32, where each begins.
         lower, upper: (3,) float32, the corners of its room, which no point ever leaves.
-        fabric: what it is made of.
+        fabric: what it is made of. sub_steps: how many of them a step has.
     """
 
     rows: int
@@ -128,6 +129,7 @@ class Sheet:
     lower: NDArray[np.float32]
     upper: NDArray[np.float32]
     fabric: Fabric
+    sub_steps: int
 
     @property
     def bounds(self) -> MeshBounds:
@@ -164,6 +166,7 @@ def make_sheet(
     flat: ArrayLike | None = None,
     fabric: Fabric | None = None,
     room: tuple[ArrayLike, ArrayLike] | None = None,
+    sub_steps: int = SUB_STEPS,
 ) -> Sheet:
     """Make a sheet of a grid of points (rows, columns, 3) in metres.
 
@@ -175,10 +178,11 @@ def make_sheet(
         room: the lower and the upper corner of a box that the points can't leave; it holds `points`. By default it is
             as large as the distances from pins allow. Choose it as small as the movement permits: it is the cloth's
             bounds.
+        sub_steps: so many sub-steps has a step, 1 to 64: more of them stretch less and keep time better.
 
     Raises:
         ValidationError `scene-bad-cloth`: a grid of less than 2 × 2 points or of too many, points that aren't finite
-            or coincide, no pin, a room that doesn't hold the points.
+            or coincide, no pin, a room that doesn't hold the points, no sub-step or too many.
     """
     call = "make_sheet"
     grid = np.asarray(points, np.float64)
@@ -194,10 +198,12 @@ def make_sheet(
             refuse(rules.BAD_CLOTH, f"{call}({name}=...)", "a coordinate out of range", "-10⁴ to 10⁴ m")
     if pins.all() or not pins.any():
         refuse(rules.BAD_CLOTH, f"{call}(pinned=...)", f"{pins.sum()} pins", "one or more, and a point without")
+    if not 1 <= sub_steps <= MOST_SUB_STEPS:
+        refuse(rules.BAD_CLOTH, f"{call}(sub_steps=...)", sub_steps, f"1 to {MOST_SUB_STEPS}")
     rows, columns = pins.shape
     start, at = grid.reshape(-1, 3).astype(np.float32), rest.reshape(-1, 3)
     fabric = fabric or Fabric()
-    constraints, batches = _list_constraints(at, ~pins.reshape(-1), rows, columns, fabric)
+    constraints, batches = _list_constraints(at, ~pins.reshape(-1), rows, columns, fabric, sub_steps)
     nearest, away = _find_pins(at, np.flatnonzero(pins.reshape(-1)))
     slack = _ROUNDING * float(np.abs(start).max())
     begin = np.linalg.norm(start.astype(np.float64) - start[nearest], axis=1)
@@ -213,7 +219,7 @@ def make_sheet(
         upper = np.maximum(np.minimum(upper, high), start.max(0))
     return Sheet(
         rows, columns, start, ~pins.reshape(-1), start[nearest], reaches, constraints, batches,
-        _round(lower, -1), _round(upper, 1), fabric,
+        _round(lower, -1), _round(upper, 1), fabric, sub_steps,
     )  # fmt: skip
 
 
@@ -234,7 +240,7 @@ _FLAT: Final = np.float32(1e-12)
 
 
 def _list_constraints(
-    at: Floats, is_free: NDArray[np.bool_], rows: int, columns: int, fabric: Fabric
+    at: Floats, is_free: NDArray[np.bool_], rows: int, columns: int, fabric: Fabric, sub_steps: int
 ) -> tuple[NDArray[Any], NDArray[np.int32]]:
     """List the constraints of a grid, without those between pins, stiff ones last: what is projected last holds
     best."""
@@ -245,7 +251,7 @@ def _list_constraints(
         part = np.zeros(int(pulls.sum()), CONSTRAINT)
         part["a"], part["b"] = a[pulls], b[pulls]
         part["length"] = np.linalg.norm(at[part["a"]] - at[part["b"]], axis=1)
-        part["softness"] = getattr(fabric, kind) * mass * (SUBSTEPS / INTERVAL) ** 2
+        part["softness"] = getattr(fabric, kind) * mass * (1.5 * sub_steps / INTERVAL) ** 2
         if len(part):
             parts.append(part)
     constraints = np.concatenate([np.zeros(0, CONSTRAINT), *parts])
