@@ -55,8 +55,9 @@ class Fountains:
     def step(self, members: Rows, numbers: Rows) -> None:
         """Move the drops of `members` (j,), and throw one drop of each."""
         velocity = self.velocity[members]
-        velocity[:, :, 1] -= _GRAVITY * _STEP
         position = self.position[members] + velocity * _STEP
+        position[:, :, 1] -= 0.5 * _GRAVITY * _STEP**2  # the parabola, exactly
+        velocity[:, :, 1] -= _GRAVITY * _STEP
         np.maximum(position[:, :, 1], 0.0, out=position[:, :, 1])  # the basin
         each, slot = np.arange(len(members)), numbers % DROPS
         position[each, slot], velocity[each, slot] = 0.0, self._throw(members, numbers)

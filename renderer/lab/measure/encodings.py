@@ -27,12 +27,10 @@ from renderer.shaders.encodings import (
     TangentFrame,
     decode_change,
     decode_frame,
-    decode_normal,
     decode_octahedral,
     decode_uv,
     encode_change,
     encode_frame,
-    encode_normal,
     encode_octahedral,
     encode_octahedral_best,
     encode_uv,
@@ -95,14 +93,6 @@ class RoundTrip(Shader):
 
     def store(self, value: StoredValue) -> StoredValue:
         return value
-
-
-class StoredNormal(RoundTrip):
-    """Stores a normal in 2 × 16 bits."""
-
-    def store(self, value: StoredValue) -> StoredValue:
-        normal = decode_normal(encode_normal(value.first.xyz))
-        return StoredValue(first=vec4(normal, 0.0), second=value.second)
 
 
 class RoundedNormal(RoundTrip):

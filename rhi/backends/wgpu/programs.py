@@ -51,7 +51,6 @@ class GpuProgram:
         float_textures: the slots of textures of floats that aren't compared.
         written: the storage slots that it may write.
         pipelines: its pipelines, by all that they depend on.
-        uses_draw_index: whether its vertex stage reads the index of the draw.
         tests_alpha: whether its fragment stage has an alpha to test.
     """
 
@@ -64,7 +63,7 @@ class GpuProgram:
         self._visibility: dict[tuple[int, int], int] = {}
         self._access: dict[tuple[int, int], str] = {}
         self._layouts: dict[tuple[int, ...], PipelineLayout] = {}
-        self.uses_draw_index = self.tests_alpha = False
+        self.tests_alpha = False
         self._fragment = ""
         self._flat: GpuObject | None = None
         for stage in sorted(descriptor.stages, key=lambda stage: stage.value):
@@ -92,9 +91,7 @@ class GpuProgram:
             self._visibility[place] = self._visibility.get(place, 0) | _VISIBILITY[stage]
             known = self._access.get(place, access)
             self._access[place] = access if known == access else "read_write"
-        if stage is Stage.VERTEX:
-            self.uses_draw_index = "rhi_draw_index" in source.text
-        elif stage is Stage.FRAGMENT:
+        if stage is Stage.FRAGMENT:
             self.tests_alpha = "override rhi_alpha_test" in source.text
             self._fragment = source.text
 

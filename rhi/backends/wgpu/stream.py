@@ -123,11 +123,6 @@ class Stream:
         with translate_errors("signal"):
             self.fence.signal(value, submission)
 
-    @property
-    def is_empty(self) -> bool:
-        """Whether nothing was encoded since the latest submission."""
-        return self._encoder is None
-
     def abandon(self) -> None:
         """Forget what was encoded."""
         self._end_compute()

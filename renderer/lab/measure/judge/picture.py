@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from renderer.lab.measure.judge.light import LitSurfaces, find_thickness
-from renderer.lab.measure.judge.rays import Floats, Hits, Rows, TriangleTree
+from renderer.lab.measure.judge.rays import Floats, Hits, TriangleTree
 from renderer.lab.measure.judge.surfaces import Geometry, encode_srgb
 from renderer.scene import Camera, Scene
 
@@ -68,16 +68,6 @@ class Judge:
             part = slice(begin, begin + _CHUNK)
             colors[part] = self._follow(camera, origins[part], directions[part], first, last)
         return colors
-
-    def find_hits(self, camera: Camera, size: tuple[int, int], places: Floats) -> tuple[Rows, Floats]:
-        """Return the object of the nearest opaque surface (k,) at places (k, 2) of an image, -1 for none, and its
-        distance along the view (k,)."""
-        origins, directions, first, last = aim(camera, size, places)
-        hits = self._find_surfaces(origins, directions, first, last)
-        objects, distances = np.full(len(places), -1), np.full(len(places), np.inf)
-        solid = hits.take(~self._geometry.is_glass[self._geometry.objects[hits.triangle]])
-        objects[solid.ray], distances[solid.ray] = self._geometry.objects[solid.triangle], solid.distance
-        return objects, distances
 
     def _find_surfaces(self, origins: Floats, directions: Floats, first: float, last: float) -> Hits:
         """Return all that is seen along rays, the nearest first: glass, and at the end what isn't glass."""
