@@ -36,6 +36,7 @@ class Interrupt:
         self._last: dict[int, str] = {}
         self._destructors: set[int] = set()
         self._code: dict[CodeType, bytes] = {}
+        self._going, self._leaving = self._go_on, self._leave_destructor  # CPython borrows what it calls
 
     def __enter__(self) -> Self:
         sys.settrace(self._begin)
@@ -53,19 +54,19 @@ class Interrupt:
         caller = frame.f_back
         if code.co_qualname in _DESTRUCTORS or (caller is not None and id(caller) in self._destructors):
             self._destructors.add(id(frame))  # Python prints their exceptions and goes on
-            return self._leave_destructor
+            return self._leaving
         if caller is not None and self._last.get(id(caller)) == "CALL" and code.co_name not in _FROM_C:
             self._last[id(caller)] = ""  # the interpreter calls Python functions without a step at their return
         self._last[id(frame)] = ""
         frame.f_trace_opcodes = True
         frame.f_trace_lines = False
         self._step(frame)
-        return self._go_on
+        return self._going
 
     def _leave_destructor(self, frame: FrameType, event: str, argument: Any) -> Any:
         if event == "return":
             self._destructors.discard(id(frame))
-        return self._leave_destructor
+        return self._leaving
 
     def _go_on(self, frame: FrameType, event: str, argument: Any) -> Any:
         if event == "opcode":
@@ -81,7 +82,7 @@ class Interrupt:
                 self._last[key] = name
         elif event == "return":
             self._last.pop(id(frame), None)
-        return self._go_on
+        return self._going
 
     def _step(self, frame: FrameType) -> None:
         self.steps += 1
