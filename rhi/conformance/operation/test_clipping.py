@@ -240,24 +240,32 @@ def tilt_sheet(degrees: float, distance: float, cells: int = 24) -> tuple[Floats
     return clip, np.repeat(inverse[:, None], SIZE[0], axis=1)
 
 
-@pytest.mark.parametrize("distance", [1.0, 1e3, 1e6])
-@pytest.mark.parametrize("degrees", [60.0, 80.0])
+@pytest.mark.parametrize(
+    ("distance", "is_reversed"), [(1.0, True), (1e3, True), (1e6, True), (1.0, False), (100.0, False)]
+)
+@pytest.mark.parametrize("degrees", [60.0, 80.0, 85.0])
 def test_small_triangles_of_a_tilted_sheet_have_the_distance_of_the_sheet(
-    device: Device, degrees: float, distance: float
+    device: Device, degrees: float, distance: float, is_reversed: bool
 ) -> None:
-    """Within a share of the distance that doesn't grow with it: what two surfaces must be apart to be told apart."""
+    """Within a share of the distance that doesn't grow with it: what two surfaces must be apart to be told apart. Of
+    standard depth, which is 1 less that, as far as its digits reach."""
     clip, inverse = tilt_sheet(degrees, distance)
+    if not is_reversed:
+        clip[:, 2] = clip[:, 3] - 0.5
     with (
         device.texture(SIZE, Format.R32F) as image,
         device.texture(SIZE, Format.D32F) as depth,
         device.mesh(corners(clip)) as mesh,
     ):
         with (
-            device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.0),
-            device.states(CullMode.NONE, DepthFunction.GREATER),
+            device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.0 if is_reversed else 1.0),
+            device.states(CullMode.NONE, DepthFunction.GREATER if is_reversed else DepthFunction.LESS),
         ):
             device.draw(device.program(FlatColored), mesh)
         found = depth.read().astype(np.float64)
+    found = found if is_reversed else 1.0 - found
     drawn = found > 0.0
     assert drawn.sum() > 100
-    assert np.abs(found[drawn] / (0.5 * inverse[drawn]) - 1.0).max() < DISTANCE_BOUND
+    digits = 0.0 if is_reversed else 2.0**-22
+    off = np.abs(found[drawn] - 0.5 * inverse[drawn])
+    assert (off < 0.5 * inverse[drawn] * DISTANCE_BOUND + digits).all()

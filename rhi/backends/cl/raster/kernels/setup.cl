@@ -18,7 +18,8 @@
 #define BLOCK_REACH 4  // texels that blocks and samples reach beyond the box
 #define THIN_SWING 64.0f
 // Slope of depth per texel beyond which the rounding of a corner would change depth by more than about 2^-18, and in the
-// depth itself: of reversed depth, which is the inverse of the distance, 2^-18 of the distance.
+// depth itself, or what it lacks to 1: of reversed depth, which is the inverse of the distance, 2^-18 of the distance, and of
+// standard depth, which lacks that.
 #define STEEP 0x1p-9f
 #define RELATIVELY_STEEP 0x1p-9f
 
@@ -594,6 +595,7 @@ SINGLE set_up(ulong address) {
             // Where the rounding of corners would be visible, planes come from the corners as they are. Beside triangles thinner
             // than a subtexel, planes are far off.
             float16 least = fmin(fmin(fabs(z[0]), fabs(z[1])), fabs(z[2]));
+            least = fmin(least, fmin(fmin(fabs(1.0f - z[0]), fabs(1.0f - z[1])), fabs(1.0f - z[2])));
             int16 tilts = wide | (fabs(depth_x) + fabs(depth_y) > fmin(STEEP, RELATIVELY_STEEP * least)), blurred = area <= convert_float16(extent);
             float16 width = convert_float16(right - left + BLOCK_REACH), height = convert_float16(bottom - top + BLOCK_REACH);
             float16 swing1 = fabs(weight1_x) * width + fabs(weight1_y) * height;
