@@ -49,10 +49,6 @@ class Bench:
         size = width * scale, height * scale
         return self._opened.enter_context(settings.open(self.device, self.scene, size, self._rig))
 
-    def open_truth(self) -> None:
-        """Open the renderer of the truth."""
-        self._true = self.open(self._truth, self._scale)
-
     def draw(self, renderer: Renderer, settings: RenderSettings, shot: Shot) -> None:
         """Draw a shot, and wait for the device."""
         settings.render(renderer, shot)
@@ -62,7 +58,7 @@ class Bench:
         """Return the true picture of a shot, of the size of all others; NaN where the judge doesn't look."""
         if self._rays:
             return self._judge(shot)
-        assert self._true is not None
+        self._true = self._true or self.open(self._truth, self._scale)
         return shrink_picture(read_picture(self._truth.render(self._true, shot)), self._scale)
 
     def _judge(self, shot: Shot) -> Floats:

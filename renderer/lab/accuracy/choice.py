@@ -2,8 +2,9 @@
 
 Knobs are combined greedily. All begin at their most accurate value; each step takes the knob whose next value saves the
 most time for the error that it adds, by what the sweeps of the single knobs have found. The settings along the way are
-then drawn and timed themselves, alternately in one process, and compared with one truth: super-sampled, with fine
-shadow maps and exact functions. Those that no others beat in both are the front.
+then drawn and timed themselves, alternately in one process, and compared with what the judge sees by 16 rays a pixel.
+Of a scene that it can't follow, the truth is the renderer's own picture: super-sampled, with fine shadow maps and exact
+functions. Those that no others beat in both are the front.
 
 A choice from the front is checked by views that the front wasn't found with, and must keep the bound there with a
 margin: the mean of their errors and four standard deviations. Else the next more accurate one is taken. Without the
@@ -24,8 +25,8 @@ import numpy as np
 import rhi
 from renderer import rules
 from renderer.content import load_scene
-from renderer.lab.accuracy.bench import Bench, read_picture
-from renderer.lab.accuracy.knobs import KNOBS, Demand, Knob, Unit
+from renderer.lab.accuracy.bench import Bench, can_judge, read_picture
+from renderer.lab.accuracy.knobs import KNOBS, TRACED, Demand, Knob, Unit
 from renderer.lab.accuracy.sweep import KnobReport, Situation, list_views
 from renderer.lab.measure.alternate import alternate
 from renderer.renderer import Renderer
@@ -160,11 +161,11 @@ class CombinationBench(Bench):
     """Draws combinations of settings, and what all of them are judged by."""
 
     def __init__(self, device: Device, scene: Scene, situation: Situation, names: Sequence[str]) -> None:
-        super().__init__(device, scene, situation.size, *find_truth(make_plain(situation.settings), names))
+        truth, scale = find_truth(make_plain(situation.settings), names)
+        super().__init__(device, scene, situation.size, truth, scale, rays=TRACED.rays if can_judge(scene) else 0)
         self._rounds = range(situation.rounds)
         self._renderers: dict[object, Renderer] = {}
         self._pictures: dict[int, Floats] = {}
-        self.open_truth()
 
     def exchange(self, settings: RenderSettings) -> Renderer:
         """Return a renderer that has settings: one for each way to read textures, which can't be exchanged."""
@@ -181,7 +182,7 @@ class CombinationBench(Bench):
             shown = read_picture(settings.render(renderer, frame))
             if frame.number not in self._pictures:
                 self._pictures[frame.number] = self.find_true(frame)
-            errors.append(float(np.abs(shown - self._pictures[frame.number]).max(axis=2).mean()))
+            errors.append(float(np.nanmean(np.abs(shown - self._pictures[frame.number]).max(axis=2))))
         return errors
 
     def time(

@@ -384,10 +384,8 @@ class KnobBench(Bench):
                 self._opened.callback(self._exact.destroy)
             elif knob.unit is Unit.LEVELS and not knob.truth.is_float64 and not knob.truth.rays:
                 known = [value for value, settings in self._settings.items() if settings == self._truth]
-                if known and knob.truth.scale == 1:
-                    self._true = self._renderers[known[0]]
-                else:
-                    self.open_truth()
+                is_known = known and knob.truth.scale == 1
+                self._true = self._renderers[known[0]] if is_known else self.open(self._truth, self._scale)
             self._opened = self._opened.pop_all()
 
     @property

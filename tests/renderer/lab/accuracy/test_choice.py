@@ -32,6 +32,7 @@ from renderer.lab.accuracy import (
     run_jobs,
 )
 from renderer.lab.accuracy.choice import (
+    CombinationBench,
     expect_error,
     find_choices,
     find_truth,
@@ -68,8 +69,7 @@ def test_each_step_saves_the_most_time_for_its_error() -> None:
         "fxaa": report_of("fxaa", ("off", 3.0, 0.9), ("on", 2.0, 1.0)),
         "precision": report_of("precision", ("fast", 0.5, 1.1), ("exact", 0.0, 1.0)),  # not faster: never taken
     }
-    steps = list_steps(reports)
-    chosen = [(one["shadow_size"], one["fxaa"], one["precision"]) for one in steps]
+    chosen = [(one["shadow_size"], one["fxaa"], one["precision"]) for one in list_steps(reports)]
     assert chosen == [
         ("2048", "on", "exact"),
         ("1024", "on", "exact"),
@@ -96,9 +96,16 @@ def test_only_knobs_that_change_a_picture_of_the_scene_are_combined() -> None:
 
 def test_the_common_truth_has_what_each_truth_asks_for() -> None:
     truth, scale = find_truth(RenderSettings(), ["precision", "samples", "shadow_filter"])
-    assert scale == 4
     assert (truth.shadows.cascade_size, truth.shadows.filter) == (2048, ShadowFilter.SMOOTH)
-    assert (truth.precision.value, truth.technique.samples) == ("exact", 1)
+    assert (truth.precision.value, truth.technique.samples, scale) == ("exact", 1, 4)
+
+
+def test_combinations_are_judged_by_rays_and_not_by_what_the_device_draws(null: rhi.Device) -> None:
+    scene = load_scene(SITUATION.scene)
+    with CombinationBench(null, scene, SITUATION, ["fxaa"]) as bench:
+        assert (
+            bench.compare(RenderSettings(algorithm="none"), list_views(scene, SITUATION)[:1])[0] > 50.0
+        )  # it is black
 
 
 def test_held_out_views_are_others() -> None:
