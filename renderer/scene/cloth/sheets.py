@@ -178,7 +178,8 @@ def make_sheet(
         room: the lower and the upper corner of a box that the points can't leave; it holds `points`. By default it is
             as large as the distances from pins allow. Choose it as small as the movement permits: it is the cloth's
             bounds.
-        sub_steps: so many sub-steps has a step, 1 to 64: more of them stretch less and keep time better.
+        sub_steps: so many sub-steps has a step, 1 to 64, and fewer of more than 2,048 points: more of them stretch less
+            and keep time better.
 
     Raises:
         ValidationError `scene-bad-cloth`: a grid of less than 2 × 2 points or of too many, points that aren't finite
@@ -198,8 +199,9 @@ def make_sheet(
             refuse(rules.BAD_CLOTH, f"{call}({name}=...)", "a coordinate out of range", "-10⁴ to 10⁴ m")
     if pins.all() or not pins.any():
         refuse(rules.BAD_CLOTH, f"{call}(pinned=...)", f"{pins.sum()} pins", "one or more, and a point without")
-    if not 1 <= sub_steps <= MOST_SUB_STEPS:
-        refuse(rules.BAD_CLOTH, f"{call}(sub_steps=...)", sub_steps, f"1 to {MOST_SUB_STEPS}")
+    most = min(MOST_SUB_STEPS, SUB_STEPS * MOST_POINTS // pins.size)  # llvmpipe ends loops that turn too often
+    if not 1 <= sub_steps <= most:
+        refuse(rules.BAD_CLOTH, f"{call}(sub_steps=...)", sub_steps, f"1 to {most}")
     rows, columns = pins.shape
     start, at = grid.reshape(-1, 3).astype(np.float32), rest.reshape(-1, 3)
     fabric = fabric or Fabric()
