@@ -217,7 +217,7 @@ class ShadowMaps:
         wanted = self._needed.find(resources, frame.needs, cameras, visible, frame.targets.size)
         self._reported = [(key, "skipped", because, None) for key, because in self._needed.skipped]
         self._count_dark(len(self._needed.dark))
-        self._place({one.key: one.size for one in wanted}, shrinks=self._has_fewer_lights(scene))
+        self._place({one.key: one.size for one in wanted}, shrinks=self._forget_lights(scene))
         self._draw(frame, self._decide(scene, wanted), bind_depth)
         self.aim(frame.camera)
         self._write_lamps(scene, frame.needs)
@@ -303,15 +303,18 @@ class ShadowMaps:
             texture.destroy()
         self._lamp_textures[name] = self._device.texture(texels, form, label=name.replace("_", " "))
 
-    def _has_fewer_lights(self, scene: Scene) -> bool:
-        """Return whether lights that have maps cast no shadows any more."""
+    def _forget_lights(self, scene: Scene) -> bool:
+        """Forget the maps of lights that cast no shadows any more; return whether there were any."""
         lights = {SUN: scene.lights.directional, "point": scene.lights.point, "spot": scene.lights.spot}
         casting = {kind: some["casts_shadow"].astype(bool) for kind, some in lights.items()}
         state = tuple(some.tobytes() for some in casting.values())
         if state == self._casting:
             return False
         self._casting = state
-        return any(row >= len(casting[kind]) or not casting[kind][row] for kind, row, _ in self._maps)
+        gone = [key for key in self._maps if key[1] >= len(casting[key[0]]) or not casting[key[0]][key[1]]]
+        for key in gone:
+            self._forget(key)
+        return bool(gone)
 
     def _place(self, sizes: dict[MapKey, int], *, shrinks: bool = False) -> None:
         """Give each map a tile of its size. Maps that aren't wanted keep theirs until others need the room.

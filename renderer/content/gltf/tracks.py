@@ -297,10 +297,7 @@ def _arcs(track: Track) -> tuple[Floats, NDArray[np.float64]]:
         middles = slerp(a[segment], b[segment], (part + 0.5) / parts[segment])
         return middles, (0.5 * angle / parts)[segment]
     points = _controls(track)
-    pieces = []
-    for piece in range(_PIECES):
-        pieces.append(_cut(points, piece / _PIECES, (piece + 1) / _PIECES))
-    points = np.concatenate(pieces)
+    points = np.concatenate([_cut(points, piece / _PIECES, (piece + 1) / _PIECES) for piece in range(_PIECES)])
     middle = _unit(points.mean(1))
     length = np.linalg.norm(points, axis=-1)
     cosine = ((points * middle[:, None]).sum(-1) / np.maximum(length, 1e-300)).min(1)

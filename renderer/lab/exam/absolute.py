@@ -61,10 +61,8 @@ class Judged:
 def judge(scene: Scene, camera: Camera, size: tuple[int, int] = SIZE) -> Judged:
     """Return what the judge sees of a scene."""
     seen, camera = Judge(scene), camera.with_aspect(size[0] / size[1])
-    levels = [seen.draw(camera, size)]
-    for x in (-_BESIDE, _BESIDE):
-        for y in (-_BESIDE, _BESIDE):
-            levels.append(seen.draw(camera, size, at=(0.5 + x, 0.5 + y)))
+    places = [(0.5, 0.5), *((0.5 + x, 0.5 + y) for x in (-_BESIDE, _BESIDE) for y in (-_BESIDE, _BESIDE))]
+    levels = [seen.draw(camera, size, at=place) for place in places]
     return Judged(levels[0], np.minimum.reduce(levels), np.maximum.reduce(levels))
 
 

@@ -156,9 +156,8 @@ def _vector_constructors(scalar: ScalarType, size: int) -> Iterator[str]:
     accepted = "bool" if scalar is BOOL else _ACCEPTED[scalar]
     same_size = " | ".join(str(VECTORS[other, size]) for other in (FLOAT, INT, UINT, BOOL))
     forms = [["float | uint | bool" if scalar is BOOL else accepted], [same_size]]
-    for split in _splits(size):
-        if len(split) > 1:
-            forms.append([accepted if part == 1 else str(VECTORS[scalar, part]) for part in split])
+    splits = [split for split in _splits(size) if len(split) > 1]
+    forms += [[accepted if part == 1 else str(VECTORS[scalar, part]) for part in split] for split in splits]
     for form in forms:
         parameters = ", ".join(f"{letter}: {type}" for letter, type in zip("abcd", form, strict=False))
         yield "    @overload"
