@@ -265,6 +265,9 @@ def test_lamps_share_what_room_there_is(null: rhi.Device) -> None:
         for step in range(1, 9):  # and those that are remain the same
             draw(renderer, replace(EYE, position=EYE.position + np.array((0.05 * step, 0.0, 0.0))))
             assert {key: renderer.shadows.tiles[key].size for key in sizes} == sizes
+        renderer.scene.lights.point["casts_shadow"][3] = False
+        draw(renderer)
+        assert 3 not in {key[1] for key in renderer.shadows.tiles}  # maps of those out of view are kept, not its own
 
 
 def test_two_eyes_share_maps_that_are_drawn_once(null: rhi.Device) -> None:
