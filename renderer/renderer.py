@@ -10,7 +10,6 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cached_property
-from math import inf
 from time import perf_counter
 from typing import Final, Self
 
@@ -46,7 +45,7 @@ from renderer.techniques.inspection import Inspection
 from renderer.techniques.parts.depth import bind_depth
 from renderer.tessellation import Tessellator, tessellation_passes
 from renderer.visibility import AutoCulling, VisibilityAlgorithm, VisibilityStatistics, make_visibility
-from rhi import Device, Texture, refuse
+from rhi import Device, Texture
 from rhi.shading import Precision
 
 _COUNTERS: Final = ("queries", "software_state_changes", "hardware_state_changes", "upload_bytes")
@@ -194,8 +193,7 @@ class Renderer:
 
     @animation_step.setter
     def animation_step(self, seconds: float) -> None:
-        if not 0.0 <= seconds < inf:
-            refuse(rules.BAD_STEP, "Renderer.animation_step = …", seconds, "0 or more, finite")
+        rules.check_amount(rules.BAD_STEP, "Renderer.animation_step = …", seconds)
         self._animation_step = seconds
 
     @property
@@ -210,8 +208,7 @@ class Renderer:
 
     @animation_lag.setter
     def animation_lag(self, pixels: float) -> None:
-        if not 0.0 <= pixels < inf:
-            refuse(rules.BAD_LAG, "Renderer.animation_lag = …", pixels, "0 or more, finite")
+        rules.check_amount(rules.BAD_LAG, "Renderer.animation_lag = …", pixels)
         self._animation_lag = pixels
 
     @property

@@ -11,6 +11,7 @@ from dataclasses import fields
 from difflib import get_close_matches
 from enum import Enum
 from functools import cache
+from math import inf
 from numbers import Real
 from typing import Any, Final, NoReturn, get_args, get_type_hints
 
@@ -268,6 +269,12 @@ def refuse_name(rule: Rule, call: str, given: str, allowed: Iterable[str]) -> No
     names = list(allowed)
     near = get_close_matches(given.lower(), names, n=1)
     refuse(rule, call, given, ", ".join(names), f"did you mean {near[0]!r}?" if near else "")
+
+
+def check_amount(rule: Rule, call: str, value: float) -> None:
+    """Refuse a number that isn't 0 or more, and finite."""
+    if not 0.0 <= value < inf:
+        refuse(rule, call, value, "0 or more, finite")
 
 
 def check_kinds(settings: Any, rule: Rule) -> None:

@@ -11,7 +11,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from enum import Enum
-from math import inf
 from pathlib import Path
 from typing import Any, Final, Self, get_args, get_type_hints
 
@@ -63,10 +62,8 @@ class RenderSettings:
         if self.algorithm not in ALGORITHMS:
             call = "RenderSettings(algorithm=...)"
             rules.refuse_name(rules.UNKNOWN_ALGORITHM, call, self.algorithm, ALGORITHMS)
-        if not 0.0 <= self.animation_step < inf:
-            refuse(rules.BAD_STEP, "RenderSettings(animation_step=...)", self.animation_step, "0 or more, finite")
-        if not 0.0 <= self.animation_lag < inf:
-            refuse(rules.BAD_LAG, "RenderSettings(animation_lag=...)", self.animation_lag, "0 or more, finite")
+        rules.check_amount(rules.BAD_STEP, "RenderSettings(animation_step=...)", self.animation_step)
+        rules.check_amount(rules.BAD_LAG, "RenderSettings(animation_lag=...)", self.animation_lag)
 
     def get(self, path: str) -> Any:
         """Return a setting by its path, such as `shadows.cascades`."""

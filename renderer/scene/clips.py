@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from renderer import rules
 from renderer.scene.arrays import Floats, Rows
 from renderer.scene.finite import check_finite
-from rhi.errors import refuse
 
 _CLIP: Final = np.dtype(
     [
@@ -164,8 +163,7 @@ class Clip:
 
     def _check(self, call: str, **values: float) -> None:
         for name, value in values.items():
-            if not 0.0 <= value < np.inf:
-                refuse(rules.BAD_CLIP, f"{call}({name}=...)", value, "0 or more, finite")
+            rules.check_amount(rules.BAD_CLIP, f"{call}({name}=...)", value)
 
 
 def make_clips(clips: Clips, rows: NDArray[np.int64]) -> dict[str, Clip]:

@@ -83,9 +83,7 @@ class StereoRig:
     is_toed_in: bool = False
 
     def __post_init__(self) -> None:
-        fine = 0.0 <= self.eye_distance < np.inf
-        if not fine:
-            refuse(rules.BAD_STEREO, "StereoRig(eye_distance=...)", self.eye_distance, "0 or more, finite")
+        rules.check_amount(rules.BAD_STEREO, "StereoRig(eye_distance=...)", self.eye_distance)
         if not self.convergence > 0.0:
             refuse(rules.BAD_STEREO, "StereoRig(convergence=...)", self.convergence, "above 0; may be inf")
 

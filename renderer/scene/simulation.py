@@ -433,21 +433,20 @@ class Simulator:
         simulation: Any = self.simulations[number]
         policy = simulation.catch_up
         target = policy.target(simulation, seconds)
-        reached = self._reached[slots]
-        is_behind = reached != target if isinstance(policy, Recompute) else reached < target
+        before = self._reached[slots]
+        is_behind = before != target if isinstance(policy, Recompute) else before < target
         self._brought[slots] = seconds
-        behind = slots[is_behind]
+        behind, before = slots[is_behind], before[is_behind]
         if not len(behind):
             return
-        reached, steps = policy.advance(
-            simulation, behind - self._first[number], self._reached[behind], target, self._left[number]
-        )
+        members = behind - self._first[number]
+        reached, steps = policy.advance(simulation, members, before, target, self._left[number])
         self._left[number] = max(self._left[number] - steps, 0)
         self.steps += steps
         is_late = reached != target
         self._brought[behind[is_late]] = np.nan
         self.late += int(is_late.sum())
-        changed = reached != self._reached[behind]
+        changed = reached != before
         self._reached[behind] = reached
         # A leap's result depends on where it began, so the step's number doesn't identify it; nor does the time what
         # another function gave.

@@ -95,8 +95,8 @@ class Cloths:
         """Return the vertices of `members` (j,), one after another. Waits for the device that has them."""
         self._take(members)
         state = self._state
-        points = state.points if isinstance(state, ClothArrays) else state.read_points()
-        return self.sheet.make_vertices(points[0, members]).reshape(-1)
+        points = state.points[0] if isinstance(state, ClothArrays) else state.read_points()
+        return self.sheet.make_vertices(points[members]).reshape(-1)
 
     def read(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return points and speeds (count, n, 3) after the steps taken so far. Waits for the device that has them."""

@@ -101,11 +101,12 @@ class ClothBuffers:
         return self._read(self._places), self._read(self._speeds)
 
     def read_points(self) -> NDArray[np.float32]:
-        """Return the points (2, count, n, 3). Waits for the device."""
-        return self._read(self._places)
+        """Return the present points (count, n, 3). Waits for the device."""
+        present: NDArray[np.float32] = self._read(self._places, self._places.count // 2)[0]
+        return present
 
-    def _read(self, buffer: StorageBuffer[vec4]) -> NDArray[np.float32]:
-        return buffer.read().reshape(-1, 4)[:, :3].reshape(self._shape).copy()
+    def _read(self, buffer: StorageBuffer[vec4], count: int | None = None) -> NDArray[np.float32]:
+        return buffer.read(0, count).reshape(-1, 4)[:, :3].reshape(-1, *self._shape[1:]).copy()
 
     def destroy(self) -> None:
         """Destroy the buffers."""
