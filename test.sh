@@ -28,18 +28,18 @@ fi
 if [ $# -gt 0 ]; then
     exec .venv/bin/python -m pytest "${options[@]}" "$@"
 fi
+cores=$(nproc)
+workers=$((cores > 2 ? cores : 2))
 echo "[test] ruff"
 .venv/bin/ruff check .
 .venv/bin/ruff format --check .
 echo "[test] lines of code"
 .venv/bin/python scripts/count_lines.py --check
 echo "[test] mypy --strict"
-.venv/bin/python scripts/check_types.py
+.venv/bin/python scripts/check_types.py -n "$workers"
 echo "[test] import order"
 .venv/bin/lint-imports --no-cache
 echo "[test] pytest: tests, and the conformance kit on gl, cl and null, on all cores"
 # A file's tests stay in one process, which builds their programs once.
-cores=$(nproc)
-workers=$((cores > 2 ? cores : 2))
 all=(tests --pyargs rhi.conformance --rhi-backend gl --rhi-backend cl --rhi-backend null)
 exec .venv/bin/python -m pytest -n "$workers" --dist loadfile --durations 15 "${options[@]}" "${all[@]}"

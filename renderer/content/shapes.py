@@ -8,7 +8,6 @@ Texture coordinates have v = 0 at the first row of an image, its top, so v decre
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -21,33 +20,29 @@ _SLIVER: Final = 1e-4  # a triangle is dropped if its area is less than this tim
 
 
 def sheet(points: ArrayLike, uv: ArrayLike | None = None, normals: ArrayLike | None = None) -> MeshGeometry:
-    """Make quads over a grid of points (rows, columns, 3); rows and columns are at least 2.
+    """Make quads over a grid of points (rows, columns, 3), or over each of several (..., rows, columns, 3); rows and
+    columns are at least 2.
 
-    Without `normals` (rows, columns, 3) each quad is flat and has vertices of its own. `uv` is
-    (rows, columns, 2). Of degenerate quads, as at a pole, only the triangles with an area are kept.
+    Without `normals`, of the shape of the points, each quad is flat and has vertices of its own. `uv` is
+    (..., rows, columns, 2). Of degenerate quads, as at a pole, only the triangles with an area are kept.
     """
     grid = np.asarray(points, np.float64)
-    rows, columns = grid.shape[:2]
-    coordinates = np.zeros((rows, columns, 2)) if uv is None else np.asarray(uv, np.float64)
+    coordinates = np.zeros((*grid.shape[:-1], 2)) if uv is None else np.asarray(uv, np.float64)
+    corners = _quads(grid)
     if normals is not None:
-        vertices = np.zeros(rows * columns, VERTEX)
+        vertices = np.zeros(grid.size // 3, VERTEX)
         vertices["position"] = grid.reshape(-1, 3)
         vertices["normal"] = np.asarray(normals).reshape(-1, 3)
         vertices["uv"] = coordinates.reshape(-1, 2)
-        corner = np.arange(rows * columns).reshape(rows, columns)
-        quads = np.stack([corner[:-1, :-1], corner[:-1, 1:], corner[1:, 1:], corner[1:, :-1]], -1).reshape(-1, 4)
-        return MeshGeometry(vertices, _triangles(vertices["position"], quads))
-    count = (rows - 1) * (columns - 1)
-    vertices = np.zeros((count, 4), VERTEX)
-    for name, values in (("position", grid), ("uv", coordinates)):
-        parts = (values[:-1, :-1], values[:-1, 1:], values[1:, 1:], values[1:, :-1])
-        vertices[name] = np.stack([part.reshape(count, -1) for part in parts], axis=1)
+        return MeshGeometry(vertices, _triangles(vertices["position"], corners))
+    vertices = np.zeros(corners.shape, VERTEX)
+    vertices["position"], vertices["uv"] = grid.reshape(-1, 3)[corners], coordinates.reshape(-1, 2)[corners]
     a, b, c, d = (vertices["position"][:, i].astype(np.float64) for i in range(4))
     normal = np.cross(c - a, d - b)  # of the diagonals: correct for quads that taper to a point
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     vertices["normal"] = (normal / np.maximum(length, 1e-30))[:, None]
     flat = vertices.reshape(-1)
-    return MeshGeometry(flat, _triangles(flat["position"], np.arange(4 * count).reshape(count, 4)))
+    return MeshGeometry(flat, _triangles(flat["position"], np.arange(len(flat)).reshape(-1, 4)))
 
 
 def fan(outline: ArrayLike, y: float, uv: tuple[float, float] = (0.0, 0.0)) -> MeshGeometry:
@@ -69,13 +64,9 @@ def box(detail: int = 1) -> MeshGeometry:
     steps = np.linspace(-0.5, 0.5, detail + 1)
     u, v = np.meshgrid(steps, steps)
     face = np.stack([u, v, np.full_like(u, 0.5)], axis=-1)
-    uv = np.stack([u + 0.5, 0.5 - v], axis=-1)
-    parts = []
-    for axis in range(3):
-        for sign in (1.0, -1.0):
-            turned = face * (sign, 1.0, sign)  # rotating by 180° about the second axis keeps the orientation
-            parts.append(sheet(np.roll(turned, axis, axis=-1), uv))
-    return join(parts)
+    sides = (face, face * (-1.0, 1.0, -1.0))  # rotating by 180° about the second axis keeps the orientation
+    faces = np.stack([np.roll(side, axis, axis=-1) for axis in range(3) for side in sides])
+    return sheet(faces, np.broadcast_to(np.stack([u + 0.5, 0.5 - v], axis=-1), (*faces.shape[:-1], 2)))
 
 
 def plane(detail: int = 1, uv_scale: tuple[float, float] = (1.0, 1.0)) -> MeshGeometry:
@@ -90,17 +81,17 @@ def lathe(profile: ArrayLike, segments: int) -> MeshGeometry:
 
     Normals are smooth around and flat along the profile; `segments` * k * 2 triangles at most.
     """
-    shape = np.asarray(profile, np.float64)
-    parts = []
+    ends = np.asarray(profile, np.float64)
+    bands = np.stack([ends[:-1], ends[1:]], axis=1)[..., None]  # (k - 1, lower or upper, radius or y, 1)
+    slope = bands[:, (1, 0), (1, 0)] - bands[:, (0, 1), (1, 0)]  # how much y rises and the radius falls
+    slope = (slope / np.hypot(slope[:, :1], slope[:, 1:]))[:, None]
     angle = np.linspace(0.0, 2.0 * np.pi, segments + 1)
-    around = np.stack([np.cos(angle), -np.sin(angle)], axis=1)
-    for (r0, y0), (r1, y1) in pairwise(shape):
-        slope = np.array([y1 - y0, r0 - r1]) / np.hypot(y1 - y0, r0 - r1)
-        points = np.stack([_ring(around * r0, y0), _ring(around * r1, y1)])
-        normal = _ring(around * slope[0], slope[1])
-        uv = np.stack([np.tile(angle / (2.0 * np.pi), (2, 1)), np.repeat([[-y0], [-y1]], segments + 1, 1)], axis=-1)
-        parts.append(sheet(points, uv, np.stack([normal, normal])))
-    return join(parts)
+    u = np.broadcast_to(angle / (2.0 * np.pi), (len(bands), 2, segments + 1))
+    points, normals = (
+        np.stack(np.broadcast_arrays(np.cos(angle) * of[:, :, 0], of[:, :, 1], -np.sin(angle) * of[:, :, 0]), -1)
+        for of in (bands, np.broadcast_to(slope, bands.shape))
+    )
+    return sheet(points, np.stack([u, -points[..., 1]], axis=-1), normals)
 
 
 def cylinder(segments: int = 24) -> MeshGeometry:
@@ -188,6 +179,13 @@ def _sphere_point(u: Floats, v: Floats) -> tuple[Floats, Floats]:
 
 def _ring(xz: Floats, y: float) -> Floats:
     return np.stack([xz[:, 0], np.full(len(xz), y), xz[:, 1]], axis=1)
+
+
+def _quads(grid: Floats) -> NDArray[np.int64]:
+    """Return the points at the corners of each quad, (quads, 4), of grids (..., rows, columns, 3)."""
+    at = np.arange(grid.size // 3).reshape(grid.shape[:-1])
+    parts = [at[..., :-1, :-1], at[..., :-1, 1:], at[..., 1:, 1:], at[..., 1:, :-1]]
+    return np.stack(parts, axis=-1).reshape(-1, 4)
 
 
 def _triangles(positions: NDArray[Any], quads: NDArray[np.int64]) -> NDArray[np.uint32]:

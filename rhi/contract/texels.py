@@ -59,7 +59,7 @@ def decode(format: Format, texels: NDArray[np.generic]) -> NDArray[np.float64]:
     elif kind is ChannelKind.SNORM:
         values = np.maximum(values / _limits(format).max, -1.0)
     if kind is ChannelKind.SRGB:
-        values[..., :3] = from_srgb(values[..., :3])
+        values[..., :3] = _LINEAR[texels[..., :3]]
     return values
 
 
@@ -170,3 +170,6 @@ def to_srgb(linear: NDArray[np.float64]) -> NDArray[np.float64]:
 def from_srgb(encoded: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the linear light of gamma-encoded values; both are 0 to 1 (IEC 61966-2-1)."""
     return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+
+
+_LINEAR: Final = from_srgb(np.arange(256) / 255.0)  # a power takes long, and there are only these

@@ -6,6 +6,7 @@ import pytest
 from renderer.content import IMAGE_SIZE, load_scene
 from renderer.content.buildings import KINDS, find_windows, make_building
 from renderer.content.city import PITCH, STREET
+from renderer.content.shapes import BUILT_IN
 from renderer.content.textures import WINDOWS
 
 SCENES = [
@@ -120,6 +121,15 @@ def test_more_detail_is_more_triangles():
     for kind in KINDS:
         counts = [make_building(kind, 10, detail).triangle_count for detail in (2, 7, 12)]
         assert counts[0] < counts[1] < counts[2]
+
+
+@pytest.mark.parametrize(("name", "sines"), [("box", 0), ("cylinder", 3), ("cone", 1)])
+def test_solids_are_closed_and_face_outwards(name, sines):
+    """Cylinders and cones have 24 sides, so their volume is that of triangles with an angle of 15°."""
+    mesh = BUILT_IN[name]()
+    a, b, c = (mesh.vertices["position"][mesh.indices[corner::3]].astype(float) for corner in range(3))
+    assert (a * np.cross(b, c)).sum() / 6 == pytest.approx(sines * np.sin(np.pi / 12) if sines else 1.0)
+    assert ((np.cross(b - a, c - a) * mesh.vertices["normal"][mesh.indices[::3]]).sum(1) > 0).all()
 
 
 def test_the_hall_has_moving_flags_on_a_deep_hierarchy_and_three_kinds_of_things():

@@ -64,10 +64,14 @@ COMPILED = {make_things_to_destroy: 4, dispatch_a_new_program: 4}
 TIMES = 20
 
 
-@pytest.fixture(params=["gl", "cl"])
+@pytest.fixture(params=["gl", "cl"], scope="module")
 def house(request: pytest.FixtureRequest) -> Iterator[House]:
     with rhi.create_device(request.param) as device:
-        yield House(device)
+        house = House(device)
+        for _ in range(70):  # memos fill up to their bounds
+            house.picture()
+            device.present()
+        yield house
 
 
 def count_reachable(house: House) -> int:
@@ -99,9 +103,6 @@ def test_repeating_leaves_no_objects_behind(house: House, call: Callable[[House]
         gc.collect()
         return count_reachable(house)
 
-    for _ in range(70):  # memos fill up to their bounds
-        house.picture()
-        house.device.present()
     times = COMPILED.get(call, TIMES)
     before = repeat(times)
     grown = repeat(times) - before

@@ -66,7 +66,7 @@ def take_the_kit(package: Path, name: str, *groups: str) -> str:
     paths = [str(package), *filter(None, [os.environ.get("PYTHONPATH")])]
     run = subprocess.run(
         command, capture_output=True, text=True, check=False, cwd=package,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(paths)},
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(paths), "PYTEST_ADDOPTS": ""},
     )  # fmt: skip
     assert run.returncode in (0, 1), run.stdout + run.stderr
     return run.stdout

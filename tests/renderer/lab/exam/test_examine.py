@@ -125,9 +125,9 @@ def test_the_command_fails_where_a_case_does(
 
 
 def test_pictures_stand_side_by_side_and_errors_are_bright() -> None:
-    errors = np.array([[0.0, 1.0], [np.nan, 0.125]])
+    errors = np.array([[0.0, 1.0], [np.nan, 0.216]])
     shown = show_errors(errors)
-    assert shown[..., 0].tolist() == [[0, 255], [255, 128]]
+    assert shown[..., 0].tolist() == [[0, 255], [255, 153]]
     assert shown[1, 0].tolist() == [255, 0, 0, 255]
     frame = np.zeros((10, 20, 4), np.uint8)
     joined = join_pictures({"errors": errors, "frame": frame})

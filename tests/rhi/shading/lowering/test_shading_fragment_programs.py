@@ -69,7 +69,7 @@ def check(source, folder, context):
         np.testing.assert_array_equal(results["color"][kept], expected["color"][kept], message)
 
 
-@program_settings(15)
+@program_settings(10)
 @given(source=stages())
 def test_fragments_mean_the_same_in_every_language(source, tmp_path, context):
     check(source, tmp_path, context)

@@ -200,7 +200,7 @@ def check_together(sources, folder, run):
 def test_programs_mean_the_same_in_every_language(tmp_path, run):
     sources = []
 
-    @program_settings(20)
+    @program_settings(12)
     @given(source=programs())
     def make(source):
         sources.append(source)

@@ -459,7 +459,7 @@ def allow_boxes(monkeypatch: pytest.MonkeyPatch) -> Callable[[bool], None]:
     return lambda allowed: monkeypatch.setattr(boxes, "_MIN_GROUPS", 1 if allowed else 1 << 30)
 
 
-@settings(deadline=None, max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(scene=scenes())
 def test_frames_are_the_same_with_and_without_boxes(
     device: Device, allow_boxes: Callable[[bool], None], scene: tuple[int, dict[str, Any]]
