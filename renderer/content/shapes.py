@@ -39,8 +39,7 @@ def sheet(points: ArrayLike, uv: ArrayLike | None = None, normals: ArrayLike | N
     vertices["position"], vertices["uv"] = grid.reshape(-1, 3)[corners], coordinates.reshape(-1, 2)[corners]
     a, b, c, d = (vertices["position"][:, i].astype(np.float64) for i in range(4))
     normal = np.cross(c - a, d - b)  # of the diagonals: correct for quads that taper to a point
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    vertices["normal"] = (normal / np.maximum(length, 1e-30))[:, None]
+    vertices["normal"] = (normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30))[:, None]
     flat = vertices.reshape(-1)
     return MeshGeometry(flat, _triangles(flat["position"], np.arange(len(flat)).reshape(-1, 4)))
 
@@ -147,9 +146,9 @@ def loft(
     closed = np.concatenate([shape, shape[:1]])
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
     around = length / length[-1] * walls[0]
-    points = np.stack([_ring(closed * (sx, sz), y) for y, sx, sz in rings])
-    heights = np.array([-y for y, _, _ in rings]) * walls[1]
-    uv = np.stack(np.broadcast_arrays(around[None, :], heights[:, None]), axis=-1)
+    y, sx, sz = np.array(rings, np.float64).T[..., None]
+    points = np.stack(np.broadcast_arrays(closed[:, 0] * sx, y, closed[:, 1] * sz), axis=-1)
+    uv = np.stack(np.broadcast_arrays(around, -y * walls[1]), axis=-1)
     side = sheet(points, uv)
     vertices = side.vertices.copy()
     level = np.abs(vertices["normal"][:, 1]) > 0.3
@@ -160,9 +159,8 @@ def loft(
         outward = ~level & ((vertices["normal"] * radial).sum(1) > 0.0)
         vertices["normal"][outward] = radial[outward]
     parts = [MeshGeometry(vertices, side.indices)]
-    y, sx, sz = rings[-1]
-    if sx > 0.0 and sz > 0.0:
-        parts.append(fan(shape * (sx, sz), y, roof_uv))
+    if min(rings[-1][1:]) > 0.0:
+        parts.append(fan(shape * rings[-1][1:], rings[-1][0], roof_uv))
     return join(parts)
 
 
@@ -175,10 +173,6 @@ def _smooth_surface(point: Callable[[Floats, Floats], tuple[Floats, Floats]], co
 def _sphere_point(u: Floats, v: Floats) -> tuple[Floats, Floats]:
     normal = np.stack([np.cos(u) * np.cos(v), np.sin(v), -np.sin(u) * np.cos(v)], axis=-1)
     return 0.5 * normal, normal
-
-
-def _ring(xz: Floats, y: float) -> Floats:
-    return np.stack([xz[:, 0], np.full(len(xz), y), xz[:, 1]], axis=1)
 
 
 def _quads(grid: Floats) -> NDArray[np.int64]:

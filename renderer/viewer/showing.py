@@ -7,6 +7,7 @@ are drawn at least.
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -41,7 +42,12 @@ class ViewerScreen:
         viewer.stage.renderer.show = screen.show
         loop = find_loop(screen.canvas)
         if loop is not None:
-            viewer.saved.wake = lambda: loop.call_soon_threadsafe(screen.canvas.request_draw)
+
+            def wake() -> None:
+                with suppress(AttributeError, RuntimeError):  # of a loop that has ended by now
+                    loop.call_soon_threadsafe(screen.canvas.request_draw)
+
+            viewer.saved.wake = wake
         screen.canvas.add_event_handler(self._handle, "*")
         screen.canvas.request_draw(self.draw)
 
