@@ -167,11 +167,6 @@ class Capabilities:
     """Devices that were tried before this one, each with the reason why it can't be used."""
 
     @property
-    def max_samples(self) -> int:
-        """The largest of `sample_counts`."""
-        return self.sample_counts[-1]
-
-    @property
     def renders(self) -> bool:
         """Whether draws produce pixels: the device can draw and runs shaders."""
         return self.draws and self.shading

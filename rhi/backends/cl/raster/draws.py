@@ -216,11 +216,7 @@ class Draws:
 
     def _filler(self, array: VertexArray, primitive: Primitive) -> Callable[..., None]:
         """Return the function that fills in a prepared draw of an array of draws."""
-
-        def fill(slot: DrawSlot, *draw: int) -> None:
-            self._prepare(slot, array, primitive, *draw)
-
-        return fill
+        return lambda slot, *draw: self._prepare(slot, array, primitive, *draw)
 
     def _gather(self, array: VertexArray, found: DrawList, start: int = 0) -> None:
         """Gather a draw list. `start`: the address that its counter offsets are relative to."""
