@@ -5,6 +5,7 @@ camera = parse_camera("ground", scene, frame=600).with_aspect(16 / 9)
 """
 
 from renderer.content.library import GENERATORS as GENERATORS
+from renderer.content.library import change_options as change_options
 from renderer.content.library import find_path as find_path
 from renderer.content.library import load_scene as load_scene
 from renderer.content.library import parse_camera as parse_camera

@@ -55,6 +55,15 @@ def load_scene(text: str) -> Scene:
     return scene
 
 
+def change_options(scene: str, text: str) -> str:
+    """Return `text`, or, if it has options alone (`lights=300`), that of a generated `scene` with these."""
+    name, _, options = scene.partition(":")
+    if name not in GENERATORS or "=" not in text.partition(":")[0]:
+        return text
+    values = dict(one.partition("=")[::2] for one in f"{options},{text}".split(",") if one)
+    return f"{name}:{','.join(f'{key}={value}' for key, value in values.items())}"
+
+
 def find_path(text: str, scene: Scene) -> CameraPath:
     """Return the camera path that `text` names: one of the scene's, or the file of a walk-through (`.json`)."""
     if text in scene.paths:

@@ -18,7 +18,7 @@ from traceback import extract_tb
 from typing import Final
 
 from renderer import rules
-from renderer.content import load_scene
+from renderer.content import GENERATORS, change_options, load_scene
 from renderer.scene.files import parse_path
 from renderer.settings import RenderSettings
 from renderer.viewer.command_table import Parameter, ViewerCommand
@@ -74,6 +74,20 @@ class SavedFiles:
                 self.close()
                 raise
 
+    def show_scene(self, text: str) -> str:
+        """Show the scene that a text names, from its first view, or the present one with other options (`lights=300`),
+        from here; return its whole text.
+
+        Raises:
+            RhiError: what is wrong with it. Then the present one stays.
+        """
+        stage, before = self._stage, self._stage.scene.name
+        stage.exchange(load_scene(change_options(before, text)))
+        if stage.scene.name.partition(":")[0] != before.partition(":")[0]:
+            stage.camera = next(iter(stage.scene.views.values()))
+        self._watch_files()
+        return stage.scene.name
+
     def read_settings(self, path: Path) -> None:
         """Draw with the settings of a file, and with what is saved to it later.
 
@@ -126,9 +140,9 @@ class SavedFiles:
             reloader.watch(self._settings, reload=self._read_saved_settings)
 
     def _read_scene(self, path: Path) -> None:
-        self._stage.exchange(load_scene(self._stage.scene.name))
-        self._watch_files()  # which may be others now
-        self._say(f"read {path.name} again", False)
+        if path in (one.resolve() for one in self._stage.scene.files):  # which may be those of another scene by now
+            self.show_scene(self._stage.scene.name)
+            self._say(f"read {path.name} again", False)
 
     def _read_saved_settings(self, path: Path) -> None:
         if path == self._settings:
@@ -156,6 +170,9 @@ def make_commands(saved: SavedFiles, stage: ViewerStage) -> Iterator[ViewerComma
     """Yield the commands for files that may change."""
     summary = "exchange shaders, the scene and settings when their files are saved"
     yield switch("reload", summary, lambda: saved.is_watching, saved.watch)
+
+    summary = "show another scene, or this one with other options: lights=300"
+    yield ViewerCommand("scene", summary, saved.show_scene, (Parameter("TEXT", words=lambda: GENERATORS),))
 
     def settings(path: Path) -> str:
         saved.read_settings(path)

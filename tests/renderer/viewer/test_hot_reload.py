@@ -257,6 +257,30 @@ def test_a_saved_material_is_seen_from_the_same_place(model: tuple[Path, Viewer]
     assert "m away" in viewer.run("pick")[0]
 
 
+def test_a_scene_with_other_options_is_seen_from_here(model: tuple[Path, Viewer]) -> None:
+    viewer = model[1]
+    for line in ("scene grid:count=9", "camera 1,2,9,0,0,0"):
+        viewer.run(line)
+    camera = viewer.stage.camera.view.tolist()
+    assert viewer.run("scene lights=5,count=4")[0].startswith("grid:lights=5,mesh=torus,count=4,")
+    shown = viewer.stage.scene
+    assert (len(shown.objects.node), len(shown.lights.point)) == (4, 5)
+    assert viewer.run("scene light=6")[1]
+    assert (viewer.stage.camera.view.tolist(), viewer.stage.scene) == (camera, shown)
+
+
+def test_another_scene_is_seen_from_its_first_view_and_has_other_files(model: tuple[Path, Viewer]) -> None:
+    path, viewer = model
+    viewer.run("scene glass")
+    shown = viewer.stage.scene
+    assert np.array_equal(viewer.stage.camera.position, next(iter(shown.views.values())).position)
+    edit(path, paint)
+    for _ in range(20):
+        time.sleep(0.01)
+        viewer.draw()
+    assert viewer.stage.scene is shown
+
+
 def test_buffers_beside_a_scene_are_watched_too(model: tuple[Path, Viewer]) -> None:
     path, viewer = model
     assert [one.name for one in viewer.stage.scene.files] == ["blocks.gltf", "blocks.bin"]
