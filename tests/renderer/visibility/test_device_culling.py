@@ -145,7 +145,9 @@ def test_what_the_cpu_does_is_the_same_for_any_number_of_objects(null: rhi.Devic
                 null.reset_statistics()
                 draw_with(renderer, algorithm, look((0.0, 0.0, eye), (0.0, 0.0, 0.0)))
         uploads.append(null.statistics.upload_bytes)
-        return [command.op for command in null.stream]
+        recorded = [command.op for command in null.stream]
+        algorithm.destroy()  # else its resources end in whatever frame garbage is collected
+        return recorded
 
     uploads: list[int] = []
     assert commands(10) == commands(3000)
