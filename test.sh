@@ -44,8 +44,8 @@ apart=tests/rhi/backends/cl/raster/test_cl_builds.py
 echo "[test] pytest: kernels that other processes optimise"
 .venv/bin/python -m pytest --capture=sys "${options[@]}" "$apart"
 echo "[test] pytest: tests, and the conformance kit on gl, cl and null, on all cores"
-# A file's tests stay in one process, which builds their programs once. What drivers print is shown, since a process
-# that one of them ends says nothing else; the tests of a process that has ended go on in the others.
+# A file's tests stay in one process, which builds their programs once. Those of a process that has ended go on in the
+# others; one that is started for them would wait for ever.
 all=(tests --ignore "$apart" --pyargs rhi.conformance --rhi-backend gl --rhi-backend cl --rhi-backend null)
-run=(-n "$workers" --dist loadfile --max-worker-restart 0 --capture=sys --durations 15)
+run=(-n "$workers" --dist loadfile --max-worker-restart 0 --durations 15)
 exec .venv/bin/python -m pytest "${run[@]}" "${options[@]}" "${all[@]}"
