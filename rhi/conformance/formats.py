@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from rhi import Device, Format
 from rhi.conformance.reference import largest, smallest
 from rhi.contract.formats import ChannelKind
+from rhi.contract.limits import target_bytes
 
 
 def require_format(device: Device, format: Format) -> None:
@@ -24,6 +26,25 @@ def require_renderable(device: Device, format: Format) -> None:
     require_format(device, format)
     if format in device.capabilities.unrenderable_formats:
         pytest.skip(f"{device.backend_name} declares {format.name} unrenderable")
+
+
+def require_blendable(device: Device, format: Format) -> None:
+    """Skip the test if draws can't blend with this format."""
+    if format in device.capabilities.unblendable_formats:
+        pytest.skip(f"{device.backend_name} declares {format.name} unblendable")
+
+
+def require_targets(device: Device, formats: Iterable[Format]) -> None:
+    """Skip the test if a pass can't have color targets of these formats at once."""
+    if target_bytes(formats) > device.capabilities.max_target_bytes:
+        pytest.skip(f"{device.backend_name} declares max_target_bytes {device.capabilities.max_target_bytes}")
+
+
+def require_images(device: Device, format: Format, loaded: bool = False) -> None:
+    """Skip the test if images can't have this format, or be loaded from as well as stored to where `loaded`."""
+    limits = device.capabilities
+    if format in limits.unstorable_formats or (loaded and format in limits.unloadable_formats):
+        pytest.skip(f"{device.backend_name} declares images of {format.name} unsupported")
 
 
 def require_point_sizes(device: Device) -> None:

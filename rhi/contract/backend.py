@@ -66,6 +66,8 @@ class Capabilities:
     max_texture_size: int = 16384
     max_texture_layers: int = 2048
     max_color_targets: int = 8
+    max_target_bytes: int = 128
+    """The most that the texels of a pass's color targets may take together, by `rhi.contract.limits.target_bytes`."""
     sample_counts: tuple[int, ...] = (1, 2, 4)
     """Numbers of samples that textures can have, in ascending order: 1 and some of 2, 4 and 8."""
     max_vertex_attributes: int = 16
@@ -132,6 +134,10 @@ class Capabilities:
     """Strides of vertices, and offsets of attributes in them, are multiples of this number of bytes."""
     draw_index: bool = True
     """Whether vertex stages can read the index of the draw: `draw_index()`."""
+    early_depth: bool = True
+    """Whether shaders can have `early_depth`."""
+    vertex_writes: bool = True
+    """Whether vertex stages can write memory."""
     list_restart: bool = True
     """Whether the largest index restarts lists and fans, too, and not only strips."""
     precise_lines: bool = True
@@ -151,6 +157,8 @@ class Capabilities:
     """Formats that textures can't have."""
     unrenderable_formats: frozenset[Format] = frozenset()
     """Formats that color targets can't have."""
+    unfilterable_formats: frozenset[Format] = frozenset()
+    """Formats of which linear filters read the nearest texel."""
     unblendable_formats: frozenset[Format] = frozenset()
     """Formats of color targets, besides integers, that draws can't blend with."""
     single_sampled_formats: frozenset[Format] = frozenset()

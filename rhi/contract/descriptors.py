@@ -425,6 +425,7 @@ class ProgramDescriptor:
         point_size: the name of the varying that is the size of points, "" if there is none.
         reads_point_coordinates: whether the fragment stage reads its place inside a point.
         reads_draw_index: whether the vertex stage reads the index of the draw.
+        vertex_writes: whether the vertex stage writes memory.
     """
 
     name: str
@@ -445,6 +446,7 @@ class ProgramDescriptor:
     point_size: str = ""
     reads_point_coordinates: bool = False
     reads_draw_index: bool = False
+    vertex_writes: bool = False
 
     def __post_init__(self) -> None:
         fields = Fields(self)
@@ -462,7 +464,7 @@ class ProgramDescriptor:
             fields.fail("emit", self.emit, "a function of language and stage that returns a StageText")
         fields.flags(
             "writes_memory", "discards", "early_depth", "writes_depth", "checked", "flushes_denormals",
-            "reads_point_coordinates", "reads_draw_index",
+            "reads_point_coordinates", "reads_draw_index", "vertex_writes",
         )  # fmt: skip
         fields.wholes("shared_bytes", least=0)
 

@@ -8,7 +8,7 @@ they are replayed with those of one.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from math import prod
 from typing import Any, Final, NamedTuple
 
@@ -464,6 +464,10 @@ def program_faults(descriptor: ProgramDescriptor, limits: Capabilities) -> Fault
         yield Fault(DEVICE_CAPABILITY, given, "needs capabilities.max_point_size")
     if descriptor.reads_draw_index and not limits.draw_index:
         yield Fault(DEVICE_CAPABILITY, "draw_index()", "needs capabilities.draw_index")
+    if descriptor.early_depth and not limits.early_depth:
+        yield Fault(DEVICE_CAPABILITY, "early_depth = True", "needs capabilities.early_depth")
+    if descriptor.vertex_writes and not limits.vertex_writes:
+        yield Fault(DEVICE_CAPABILITY, "a vertex stage that writes memory", "needs capabilities.vertex_writes")
     for binding in descriptor.bindings:
         if binding.kind is BindingKind.IMAGE:
             yield from _image_faults(binding, limits)
@@ -541,6 +545,20 @@ def state_faults(state: Any, limits: Capabilities) -> Faults:
         yield Fault(STATE_CAPABILITY, repr(state), most)
 
 
+def target_bytes(formats: Iterable[Format]) -> int:
+    """Return the bytes that the texels of color targets take on a chip which keeps them there while it draws.
+
+    Source: WebGPU, "calculating color attachment bytes per sample": texels of four normalised bytes, or packed ones,
+    count 8.
+    """
+    total = 0
+    for form in formats:
+        wide = form.texel_bytes == 4 and form.channels > 2 and (form.is_packed or not form.is_integer)
+        step = form.dtype.itemsize
+        total = -(-total // step) * step + (8 if wide else form.texel_bytes)
+    return total
+
+
 def pass_faults(descriptor: PassDescriptor, textures: Mapping[Id, TextureDescriptor], limits: Capabilities) -> Faults:
     """Yield what is wrong with a render pass whose attachments, levels and layers of `textures`, exist."""
     colors, depth = descriptor.colors, descriptor.depth
@@ -548,6 +566,11 @@ def pass_faults(descriptor: PassDescriptor, textures: Mapping[Id, TextureDescrip
     used = [textures[target.texture] for target in targets]
     if len(colors) > limits.max_color_targets:
         yield Fault(DEVICE_CAPABILITY, f"{len(colors)} color targets", f"{limits.max_color_targets}")
+    if 16 * len(colors) > limits.max_target_bytes:  # no texel has more
+        taken = target_bytes(texture.format for texture in used[: len(colors)])
+        if taken > limits.max_target_bytes:
+            allowed = f"up to capabilities.max_target_bytes, {limits.max_target_bytes}"
+            yield Fault(DEVICE_CAPABILITY, f"texels of {taken} bytes in {len(colors)} color targets", allowed)
     if len({(t.texture, t.level, t.layer) for t in targets}) < len(targets):
         yield Fault(PASS_TARGET, "the same texture twice", "each level and layer once")
     for texture in used[: len(colors)]:

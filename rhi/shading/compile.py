@@ -207,6 +207,7 @@ def _compile(shader: type[Shader]) -> tuple[ProgramDescriptor, ShaderCode]:
         and any(builtin.name == "point_coordinate" for builtin in fragment.builtins),
         reads_draw_index=Stage.VERTEX in stages
         and any(builtin.name == "draw_index" for builtin in stages[Stage.VERTEX].builtins),
+        vertex_writes=Stage.VERTEX in stages and bool(stages[Stage.VERTEX].stored),
     )
     return descriptor, code
 

@@ -63,13 +63,13 @@ class WgpuBackend:
         self._samplers = Samplers(device)
         self._capabilities = query_capabilities(host, self._textures)
         self._bindings = BoundResources(
-            device, self._stream, self._buffers, self._textures, self._samplers, "float32-filterable" in host.features
+            device, self._stream, self._buffers, self._textures, self._samplers, self._capabilities.unfilterable_formats
         )
         self._states = States()
         self._pipelines = Pipelines(device, self._capabilities)
         self._draws = Draws(
             device, self._stream, self._buffers, self._bindings, self._states, self._pipelines, self._tools,
-            "multi-draw-indirect-count" in host.features,
+            host.features,
         )  # fmt: skip
         self._queries = Queries(
             device, self._stream, mappings, "timestamp-query-inside-passes" in host.features

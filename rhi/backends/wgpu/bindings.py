@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from collections.abc import Set as AbstractSet
 from typing import Any, Final
 
 from rhi.backends.wgpu.buffers import Buffers
@@ -19,7 +20,7 @@ from rhi.backends.wgpu.samplers import Samplers
 from rhi.backends.wgpu.stream import Stream
 from rhi.backends.wgpu.textures import Textures
 from rhi.contract.descriptors import Id, TextureKind
-from rhi.contract.formats import ChannelKind, Format
+from rhi.contract.formats import Format
 from rhi.contract.layout import FLOAT
 
 MOST_GROUPS: Final = 8192
@@ -34,15 +35,14 @@ class BoundResources:
 
     def __init__(
         self, device: GpuObject, stream: Stream, buffers: Buffers, textures: Textures, samplers: Samplers,
-        filters_floats: bool,
+        unfilterable: AbstractSet[Format],
     ) -> None:  # fmt: skip
-        """`filters_floats`: whether textures of 32-bit floats can be filtered."""
         self._device = device
         self._stream = stream
         self._buffers = buffers
         self._textures = textures
         self._samplers = samplers
-        self._filters_floats = filters_floats
+        self._unfilterable = unfilterable
         self.uniforms: dict[int, tuple[Id, int]] = {}
         self.offsets: dict[int, int] = {}
         self.storages: dict[int, tuple[Id, int, int]] = {}
@@ -120,9 +120,7 @@ class BoundResources:
         )
 
     def _can_filter(self, format: Format) -> bool:
-        if format.is_depth:
-            return False
-        return self._filters_floats or format.kind is not ChannelKind.FLOAT or format.channel_bits[0] != 32
+        return not format.is_depth and format not in self._unfilterable
 
     def mark(self, program: GpuProgram) -> None:
         """Note that the open encoder uses all that a program has bound, and writes some of it."""

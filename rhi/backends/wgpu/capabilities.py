@@ -27,6 +27,7 @@ _TRIANGLE: Final = """
 @vertex fn vs() -> @builtin(position) vec4<f32> { return vec4<f32>(); }
 @fragment fn fs() -> @location(0) vec4<f32> { return vec4<f32>(); }
 """
+_FLOATS: Final = frozenset({Format.R32F, Format.RG32F, Format.RGBA32F})
 _ALWAYS_BLEND: Final = frozenset(
     {Format.R8, Format.RG8, Format.RGBA8, Format.RGBA8_SRGB, Format.R16F, Format.RG16F, Format.RGBA16F, Format.RGB10A2}
 )
@@ -51,6 +52,7 @@ def query_capabilities(host: Host, textures: Textures) -> Capabilities:
         max_texture_size=limits["max-texture-dimension-2d"],
         max_texture_layers=min(limits["max-texture-array-layers"], limits["max-texture-dimension-3d"]),
         max_color_targets=min(limits["max-color-attachments"], MAX_TARGETS),
+        max_target_bytes=limits["max-color-attachment-bytes-per-sample"],
         sample_counts=tuple(n for n in SAMPLE_COUNTS if n in (1, 4) or all(formats.is_target(f, n) for f in many)),
         max_vertex_attributes=min(16, limits["max-vertex-attributes"]),
         max_uniform_bytes=limits["max-uniform-buffer-binding-size"],
@@ -90,11 +92,14 @@ def query_capabilities(host: Host, textures: Textures) -> Capabilities:
         wireframe="polygon-mode-line" in features,
         border_colors=False,
         draw_index="shader-draw-index" in features,
+        vertex_writes="vertex-writable-storage" in features,
+        early_depth="shader-early-depth-test" in features,
         compressed_size_step=4,
         vertex_alignment=_VERTEX_ALIGNMENT,
         compressed_formats=frozenset(CompressedFormat) if "texture-compression-bc" in features else frozenset(),
         unsupported_formats=unsupported,
         unrenderable_formats=unsupported & frozenset(COLOR_FORMATS) | unrenderable,
+        unfilterable_formats=frozenset() if "float32-filterable" in features else _FLOATS,
         unblendable_formats=frozenset(f for f in targets if not f.is_depth and not formats.blends(f)),
         single_sampled_formats=single,
         unresolvable_formats=frozenset(f for f in many if not f.is_depth and not formats.resolves(f)),

@@ -13,6 +13,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from collections.abc import Set as AbstractSet
 from typing import Final
 
 import numpy as np
@@ -28,6 +29,7 @@ from rhi.backends.wgpu.stream import Stream
 from rhi.backends.wgpu.tools import EXPAND_QUADS, LIST_DRAWS, Tools, expand_fan
 from rhi.contract.descriptors import Id, Primitive, VertexArrayDescriptor
 from rhi.contract.formats import IndexFormat
+from rhi.contract.limits import count_elements, draw_faults
 from rhi.contract.states import StateChange
 
 _FAN: Final = Primitive.TRIANGLE_FAN
@@ -74,9 +76,8 @@ class Draws:
 
     def __init__(
         self, device: GpuObject, stream: Stream, buffers: Buffers, bindings: BoundResources, states: States,
-        pipelines: Pipelines, tools: Tools, counts_draws: bool,
+        pipelines: Pipelines, tools: Tools, features: AbstractSet[str],
     ) -> None:  # fmt: skip
-        """`counts_draws`: whether the number of indirect draws can be read by the device."""
         self._device = device
         self._stream = stream
         self._buffers = buffers
@@ -84,7 +85,8 @@ class Draws:
         self._states = states
         self._pipelines = pipelines
         self._tools = tools
-        self._counts_draws = counts_draws
+        self._counts_draws = "multi-draw-indirect-count" in features
+        self._has_base_instances = "indirect-first-instance" in features
         self.program: GpuProgram | None = None
         self.targets: TargetFormats = ((), None, 1)
         self.arrays: dict[Id, GpuVertexArray] = {}
@@ -334,8 +336,8 @@ class Draws:
         if not draws:
             return
         stride = stride or _RECORD
-        if primitive is _FAN:
-            self._draw_fans(vertex_array, buffer, offset, draws, stride, count_buffer, count_offset)
+        if primitive is _FAN or not self._has_base_instances:
+            self._draw_each(vertex_array, primitive, buffer, offset, draws, stride, count_buffer, count_offset)
             return
         indexed = self.arrays[vertex_array].indexed
         arguments = self._buffers.use(buffer)
@@ -376,20 +378,27 @@ class Draws:
         self._tools.compute(encoder, LIST_DRAWS, resources, -(-draws // 64))
         return made
 
-    def _draw_fans(
-        self, vertex_array: Id, buffer: Id, offset: int, draws: int, stride: int, count_buffer: Id, count_offset: int
-    ) -> None:
-        """Draw fans whose arguments are read back."""
+    def _draw_each(
+        self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, draws: int, stride: int,
+        count_buffer: Id, count_offset: int,
+    ) -> None:  # fmt: skip
+        """Draw by arguments that are read back."""
         if count_buffer:
             draws = min(draws, int.from_bytes(self._buffers.read(count_buffer, count_offset, 4), "little"))
-        indexed = self.arrays[vertex_array].indexed
+        array = self.arrays[vertex_array]
+        indexed, elements = (
+            array.indexed,
+            count_elements(array.descriptor, lambda buffer: self._buffers[buffer].descriptor.size),
+        )
         data = self._buffers.read(buffer, offset, (draws - 1) * stride + _RECORD) if draws else b""
         for number in range(draws):
             words = np.frombuffer(data, np.uint32, 5, number * stride)
             count, instances, first, fourth, fifth = words.tolist()
             base_vertex = int(words[3:4].view(np.int32)[0]) if indexed else 0
             base_instance = fifth if indexed else fourth
-            self.draw(vertex_array, _FAN, first, count, instances, base_vertex, base_instance)
+            faults = draw_faults(elements, indexed, first, count, instances, base_vertex, base_instance)
+            if next(faults, None) is None:  # WebGPU would refuse all commands for what is beyond the mesh
+                self.draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
 
     # -- dispatches --------------------------------------------------------------------------------------
 

@@ -20,7 +20,7 @@ from rhi.errors.rules import DEVICE_DRIVER
 
 _PLATFORMS: Final = ("Vulkan", "Metal", "D3D12")
 _RANKS: Final = {"DiscreteGPU": 0, "IntegratedGPU": 1, "VirtualGPU": 2}
-_STANDARD: Final = frozenset(
+_USED: Final = frozenset(
     [
         "depth-clip-control",
         "depth32float-stencil8",
@@ -33,11 +33,6 @@ _STANDARD: Final = frozenset(
         "primitive-index",
         "texture-formats-tier1",
         "texture-formats-tier2",
-    ]
-)
-"""Features of the WebGPU specification that are used."""
-_NATIVE: Final = frozenset(
-    [
         "texture-adapter-specific-format-features",
         "texture-format16bit-norm",
         "vertex-writable-storage",
@@ -51,7 +46,23 @@ _NATIVE: Final = frozenset(
         "clear-texture",
     ]
 )
-"""Features of wgpu's native implementation that are used."""
+"""Features that are used: those of the WebGPU specification, and of wgpu's native implementation."""
+_CORE_LIMITS: Final = {
+    "max-texture-dimension-1d": 8192, "max-texture-dimension-2d": 8192, "max-texture-dimension-3d": 2048,
+    "max-texture-array-layers": 256, "max-bind-groups": 4, "max-bindings-per-bind-group": 1000,
+    "max-dynamic-uniform-buffers-per-pipeline-layout": 8, "max-dynamic-storage-buffers-per-pipeline-layout": 4,
+    "max-sampled-textures-per-shader-stage": 16, "max-samplers-per-shader-stage": 16,
+    "max-storage-buffers-per-shader-stage": 8, "max-storage-textures-per-shader-stage": 4,
+    "max-uniform-buffers-per-shader-stage": 12, "max-uniform-buffer-binding-size": 1 << 16,
+    "max-storage-buffer-binding-size": 1 << 27, "min-uniform-buffer-offset-alignment": 256,
+    "min-storage-buffer-offset-alignment": 256, "max-vertex-buffers": 8, "max-buffer-size": 1 << 28,
+    "max-vertex-attributes": 16, "max-vertex-buffer-array-stride": 2048, "max-inter-stage-shader-variables": 16,
+    "max-color-attachments": 8, "max-color-attachment-bytes-per-sample": 32,
+    "max-compute-workgroup-storage-size": 16384, "max-compute-invocations-per-workgroup": 256,
+    "max-compute-workgroup-size-x": 256, "max-compute-workgroup-size-y": 256, "max-compute-workgroup-size-z": 64,
+    "max-compute-workgroups-per-dimension": 65535,
+}  # fmt: skip
+"""The limits that every implementation of WebGPU has."""
 _TIP: Final = "a Vulkan driver: on Debian, apt install mesa-vulkan-drivers"
 
 
@@ -95,8 +106,8 @@ def open_host() -> Host:
 
 def _open(adapter: GpuObject, passed_over: Sequence[str]) -> Host:
     core = os.environ.get("RHI_WGPU_PROFILE") == "core"
-    features = frozenset(adapter.features) & (_STANDARD if core else _STANDARD | _NATIVE)
-    limits = {} if core else dict(adapter.limits)
+    features = frozenset() if core else frozenset(adapter.features) & _USED
+    limits = _CORE_LIMITS if core else dict(adapter.limits)
     device = adapter.request_device_sync(required_features=sorted(features), required_limits=limits)
     keep_callbacks(device)
     return Host(device, dict(adapter.info), features, dict(device.limits), tuple(passed_over))

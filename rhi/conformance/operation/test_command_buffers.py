@@ -296,7 +296,7 @@ def test_the_same_commands_are_issued_as_directly(recording: Device) -> None:
 @pixels
 def test_a_recorded_draw_draws_its_part_so_many_times(device: Device) -> None:
     with (
-        device.texture(SIZE, Format.R32F) as image,
+        device.texture(SIZE, Format.R16F) as image,
         device.mesh(COLUMNS, np.arange(6, dtype="u2")) as mesh,
         device.mesh(rectangle()[[0, 1, 2, 5]], primitive=Primitive.QUADS) as quad,
     ):
@@ -451,7 +451,7 @@ def test_many_draws_and_indirect_draws_can_be_recorded(device: Device) -> None:
 @pixels
 def test_threads_record_draws_of_the_same_mesh_and_program(device: Device) -> None:
     made: dict[int, CommandBuffer] = {}
-    with device.texture(SIZE, Format.R32F) as image, device.mesh(COLUMNS) as mesh:
+    with device.texture(SIZE, Format.R16F) as image, device.mesh(COLUMNS) as mesh:
         program, start = device.program(Tinted), threading.Barrier(4)
 
         def work(number: int) -> None:

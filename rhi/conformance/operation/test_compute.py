@@ -9,7 +9,7 @@ import pytest
 
 from rhi import Device, Format, TextureKind
 from rhi.conformance.compare import assert_near, assert_same
-from rhi.conformance.formats import random_texels, require_format, squeezed
+from rhi.conformance.formats import random_texels, require_images, squeezed
 from rhi.conformance.reference import encode, rounding
 from rhi.shading import (
     Array,
@@ -458,7 +458,7 @@ IMAGE_FORMATS = [
 @pytest.mark.parametrize(("format", "annotation"), IMAGE_FORMATS, ids=lambda v: getattr(v, "name", ""))
 @pytest.mark.needs("max_image_slots")
 def test_an_image_is_loaded_and_stored_in_its_format(device: Device, format: Format, annotation: Any) -> None:
-    require_format(device, format)
+    require_images(device, format)
     data = random_texels(format, 3, 5)
     if format is Format.R11G11B10F:  # a store may flush denormals: exponents of 0 become 1
         for place, bits in ((0, 6), (11, 6), (22, 5)):

@@ -29,7 +29,7 @@ from rhi.shading import Shader, draw_index, instance_index, vec4
 
 pytestmark = [
     pytest.mark.recorded_too,
-    pytest.mark.needs("draws", "shading", "occlusion_queries", "conditional_rendering"),
+    pytest.mark.needs("draws", "shading", "occlusion_queries", "conditional_rendering", "draw_index"),
 ]
 
 COLUMNS = 16

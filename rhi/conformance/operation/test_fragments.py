@@ -18,7 +18,7 @@ from rhi import (
     Primitive,
 )
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
-from rhi.conformance.formats import require_samples
+from rhi.conformance.formats import require_blendable, require_samples
 from rhi.conformance.shaders import Checkered, Colored, Corner, DepthFromColor, Shade
 from rhi.conformance.shapes import centers, corners, rectangle
 from rhi.shading import (
@@ -145,10 +145,12 @@ def test_without_early_depth_hidden_fragments_have_their_effects(device: Device)
     assert counted(device, CountFragments) == 64
 
 
+@pytest.mark.needs("early_depth")
 def test_with_early_depth_hidden_fragments_have_none(device: Device) -> None:
     assert counted(device, CountEarly) == 16
 
 
+@pytest.mark.needs("early_depth")
 def test_with_early_depth_a_discarded_fragment_has_already_written_depth(device: Device) -> None:
     with (
         device.texture(SIZE, Format.R8) as image,
@@ -395,6 +397,7 @@ def test_a_vertex_stage_reads_storage(device: Device) -> None:
 
 def test_draws_of_one_pass_see_their_effects_in_order(device: Device) -> None:
     """Repeated blending shows that no fragment of a later draw overtakes one of an earlier draw."""
+    require_blendable(device, Format.R32F)
     with device.texture(SIZE, Format.R32F) as image:
         meshes = [device.mesh(rectangle(color=(i % 2, 0, 0, 0.5))) for i in range(12)]
         with device.render_pass(image), device.states(BlendFunction.ALPHA):

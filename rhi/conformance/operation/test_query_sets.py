@@ -292,6 +292,7 @@ class Column(Shader):
         return v.color
 
 
+@pytest.mark.needs("draw_index")
 def test_indexed_draws_have_their_bases_and_instances(device: Device, queries: QuerySet, image: Any) -> None:
     """The draw index is 0 in each of them, as in a command with a single draw."""
     rows = np.concatenate([texel_rectangle(0, 0, 2, 3, SIZE), texel_rectangle(0, 0, 2, 8, SIZE)])

@@ -25,7 +25,7 @@ SIZE = (16, 16)
 
 def counts(device: Device, rows: VertexRows, *states: State, size: tuple[int, int] = SIZE) -> NDArray[Any]:
     """Return how often each texel is drawn."""
-    with device.texture(size, Format.R32F) as image, device.mesh(rows) as mesh:
+    with device.texture(size, Format.R16F) as image, device.mesh(rows) as mesh:
         with (
             device.render_pass(image),
             device.states(CullMode.NONE, BlendFunction.ADDITIVE),
@@ -203,7 +203,7 @@ def test_an_empty_scissor_lets_nothing_through(device: Device, box: tuple[int, i
 
 
 def test_a_scissor_ends_with_its_scope(device: Device) -> None:
-    with device.texture(SIZE, Format.R32F) as image, device.mesh(rectangle()) as mesh:
+    with device.texture(SIZE, Format.R16F) as image, device.mesh(rectangle()) as mesh:
         with device.render_pass(image), device.states(BlendFunction.ADDITIVE):
             with device.states(Scissor(0, 0, 8, 16)):
                 device.draw(device.program(Colored), mesh)

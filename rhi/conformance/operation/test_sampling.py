@@ -219,7 +219,7 @@ def test_linear_mixes_in_both_directions(device: Device) -> None:
 
 
 def test_linear_filters_floats_beyond_1(device: Device) -> None:
-    with device.texture(np.array([[-1000.0, 3000.0]], "f4"), Format.R32F) as texture:
+    with device.texture(np.array([[-1000.0, 3000.0]], "f2"), Format.R16F) as texture:
         back = sampled(device, Sample2D, texture.sampled(LINEAR), [(0.5, 0.5)])
     assert_near(back[:, 0], 1000, 4000 / 256, FILTERED)
 
@@ -360,9 +360,9 @@ def test_w_wraps_too(device: Device) -> None:
 
 def ladder(device: Device, levels: int = 4) -> Any:
     """Return an 8×8 texture whose levels have one color each: 0, 10, 20, 30."""
-    texture = device.texture((8, 8), Format.R32F, levels=levels)
+    texture = device.texture((8, 8), Format.R16F, levels=levels)
     for level in range(levels):
-        texture.write(np.full((8 >> level, 8 >> level), level * 10.0, "f4"), level=level)
+        texture.write(np.full((8 >> level, 8 >> level), level * 10.0, "f2"), level=level)
     return texture
 
 
@@ -414,8 +414,8 @@ def test_an_array_s_layer_is_chosen_by_its_number(device: Device) -> None:
 
 
 def test_a_volume_is_filtered_in_three_directions(device: Device) -> None:
-    data = np.arange(8, dtype="f4").reshape(2, 2, 2, 1)
-    with device.texture(data, Format.R32F, kind=TextureKind.D3) as texture:
+    data = np.arange(8, dtype="f2").reshape(2, 2, 2, 1)
+    with device.texture(data, Format.R16F, kind=TextureKind.D3) as texture:
         places = [
             (0.25, 0.25, 0.25),
             (0.75, 0.25, 0.25),
@@ -472,9 +472,9 @@ def test_a_cube_s_faces_are_turned_as_in_opengl(device: Device) -> None:
 
 
 def test_a_cube_is_filtered_across_its_edges(device: Device) -> None:
-    data = np.zeros((6, 2, 2, 1), "f4")
+    data = np.zeros((6, 2, 2, 1), "f2")
     data[0] = 1.0
-    with device.texture(data, Format.R32F, kind=TextureKind.CUBE) as texture:
+    with device.texture(data, Format.R16F, kind=TextureKind.CUBE) as texture:
         back = sampled(device, SampleCube, texture.sampled(LINEAR), [(1.0, 0.0, 1.0)])
     assert_near(back[:, 0], 0.5, 1 / 64, FILTERED)
 
@@ -647,12 +647,12 @@ def test_derivatives_choose_the_level(device: Device) -> None:
     rows = rectangle()
     rows["color"][:, :2] = (rows["position"][:, :2] + 1) / 2
     with (
-        device.texture((64, 64), Format.R32F, levels=None) as texture,
+        device.texture((64, 64), Format.R16F, levels=None) as texture,
         device.texture((16, 16), Format.RGBA32F) as image,
         device.mesh(rows) as mesh,
     ):
         for level in range(7):
-            texture.write(np.full((64 >> level, 64 >> level), float(level), "f4"), level=level)
+            texture.write(np.full((64 >> level, 64 >> level), float(level), "f2"), level=level)
         with device.render_pass(image):
             device.draw(device.program(Graded), mesh, source=texture)
         assert_near(image.read(), (2, 3, 1, 2), 1 / 16, "the level is a logarithm of differences")
@@ -680,11 +680,11 @@ def test_a_floor_seen_at_a_grazing_angle_keeps_more_contrast_with_more_anisotrop
     rows["position"][far] *= 16.0
     contrasts = []
     with (
-        device.texture((64, 64), Format.R32F, levels=None) as texture,
+        device.texture((64, 64), Format.R16F, levels=None) as texture,
         device.texture((32, 32), Format.RGBA32F) as image,
         device.mesh(rows) as mesh,
     ):
-        texels = np.tile((np.arange(64) // 2 % 2).astype("f4"), (64, 1))
+        texels = np.tile((np.arange(64) // 2 % 2).astype("f2"), (64, 1))
         for level in range(7):
             texture.write(texels, level=level)
             texels = (texels[::2, ::2] + texels[::2, 1::2]) / 2 if len(texels) > 1 else texels

@@ -156,21 +156,9 @@ class StageWriter:
             case StorageClass.IMAGE:
                 assert isinstance(type, ImageType)
                 stored = declaration.name in self.stage.stored
-                access = "readonly " if not stored else "" if self._loads(declaration) else "writeonly "
+                access = "readonly " if not stored else "" if declaration.name in self.stage.loaded else "writeonly "
                 layout = f"layout({image_format(type)}, {slot})"
                 self.lines.add(f"{layout} {access}uniform {self.writer.type(type)} {name};")
-
-    def _loads(self, image: Declaration) -> bool:
-        """Return whether the stage may read an image. Functions can't take one, so its loads name it."""
-        for function in self.stage.functions:
-            if function.native:
-                return True
-            for node in tree.walk(function.body):
-                if isinstance(node, tree.BuiltinCall) and node.builtin.name == "load":
-                    source = node.arguments[0]
-                    if isinstance(source, tree.BindingRead) and source.declaration is image:
-                        return True
-        return False
 
     def _constants(self) -> None:
         done = set()

@@ -102,17 +102,20 @@ def _collect(stage: Stage, entry: tree.Function, finished: list[tree.Function], 
                     _add_structs(type, structs)
                 case tree.BindingRead(declaration=declaration):
                     declared.add(declaration.name)
-                    loaded.add(declaration.name)
+                    if declaration.storage_class is not StorageClass.IMAGE:
+                        loaded.add(declaration.name)
                 case tree.ConstantArray():
                     constants.setdefault((node.name, id(node)), node)
                 case tree.Call(function=callee):
                     queue.append(callee)
                 case tree.BuiltinCall(builtin=builtin, arguments=arguments):
                     builtins.add(builtin)
-                    if builtin.effect is SideEffect.WRITE:
-                        root = tree.root_of(arguments[0])
-                        if isinstance(root, tree.BindingRead):
+                    root = tree.root_of(arguments[0]) if arguments else None
+                    if isinstance(root, tree.BindingRead):
+                        if builtin.effect is SideEffect.WRITE:
                             stored.add(root.declaration.name)
+                        elif builtin.name == "load":  # images are only named by what reads, stores or asks for a size
+                            loaded.add(root.declaration.name)
                 case tree.Constant(type=type, value=value) if type is INT and not -(2**31) <= value < 2**31:
                     allowed, tip = "an int of 32 bits", "write uint(…) for numbers above 2147483647"
                     refuse_at(rules.OUT_OF_RANGE, function.name, function.file, node.span, str(value), allowed, tip)
