@@ -27,6 +27,7 @@ import gc
 import itertools
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -38,7 +39,8 @@ from renderer.lab.comparison import Record, Subject, compare, ratio, time
 from rhi import ColorWrite, CullMode, DepthWrite
 from rhi.backends.gl.backend import GlBackend
 from rhi.backends.null import NullBackend
-from rhi.shading import Shader, Struct, Uniform, vec2, vec4
+from rhi.contract.descriptors import Stage
+from rhi.shading import Shader, Struct, Uniform, compile_shader, vec2, vec4
 
 RASTERIZER_DISCARD = 0x8C89
 
@@ -105,110 +107,208 @@ void main() { shown = color; }
 """
 
 
-def measure_draws(given: argparse.Namespace) -> Iterator[Record]:
-    """Yield the microseconds per draw of each variant, and its ratio to the bare loop."""
-    draws, triangles = given.draws, given.triangles
-    device = rhi.create_device("gl")
-    backend = device.backend_as(GlBackend)
-    program, many = device.program(Flat), device.program(FlatMany)
-    random = np.random.default_rng(0)
-    corners = (random.random((draws, triangles * 3, 2), np.float32) - 0.5) * 0.1
-    meshes = [device.mesh({"position": part}) for part in corners]
-    rows = np.zeros(draws, Object.dtype)
-    rows["offset"][:, :2] = random.random((draws, 2)) * 1.8 - 0.9  # nothing needs clipping
-    rows["color"] = random.random((draws, 4))
-    objects = device.uniform_array(Object, draws)
-    padded = np.zeros(draws, objects.dtype)
-    for name in rows.dtype.names or ():
-        padded[name] = rows[name]
-    objects.write(padded)
-    shared = device.mesh({"position": corners.reshape(-1, 2)}, instances=rows)
-    camera = device.uniform(Camera(scale=(1, 1, 1, 1)))
-    image = device.texture((64, 64), rhi.Format.RGBA8)
-    ranges = [objects[i] for i in range(draws)]
-    pairs = list(zip(meshes, ranges, strict=True))
+class Work:
+    """The draws of a round on a device: as many meshes, each with its own vertices and constants."""
 
-    draw, own_draw, states = device.draw, program.draw, device.states
+    def __init__(self, backend: str, draws: int, triangles: int) -> None:
+        device = self.device = rhi.create_device(backend)
+        random = np.random.default_rng(0)
+        self.count = triangles * 3
+        self.corners = (random.random((draws, self.count, 2), np.float32) - 0.5) * 0.1
+        self.rows = np.zeros(draws, Object.dtype)
+        self.rows["offset"][:, :2] = random.random((draws, 2)) * 1.8 - 0.9  # nothing needs clipping
+        self.rows["color"] = random.random((draws, 4))
+        self.objects = device.uniform_array(Object, draws)
+        padded = np.zeros(draws, self.objects.dtype)
+        for name in self.rows.dtype.names or ():
+            padded[name] = self.rows[name]
+        self.objects.write(padded)
+        self.camera = device.uniform(Camera(scale=(1, 1, 1, 1)))
+        self.program, self.meshes = device.program(Flat), [device.mesh({"position": part}) for part in self.corners]
+        self.ranges = [self.objects[i] for i in range(draws)]
+        self.pairs = list(zip(self.meshes, self.ranges, strict=True))
+        self.image = device.texture((64, 64), rhi.Format.RGBA8)
 
-    def through_device() -> None:
-        for mesh, constants in pairs:
-            draw(program, mesh, camera=camera, object=constants)
+    def list_variants(self) -> dict[str, Callable[[], None]]:
+        """Return what is drawn through rhi, by name."""
+        device, camera, draws, first = self.device, self.camera, len(self.pairs), self.meshes[0]
+        draw, own_draw, states, program = device.draw, self.program.draw, device.states, self.program
 
-    def through_program() -> None:
-        for mesh, constants in pairs:
-            own_draw(mesh, camera=camera, object=constants)
+        def through_device() -> None:
+            for mesh, constants in self.pairs:
+                draw(program, mesh, camera=camera, object=constants)
 
-    parts = shared.draws(np.arange(draws) * triangles * 3, triangles * 3, base_instance=np.arange(draws))
+        def through_program() -> None:
+            for mesh, constants in self.pairs:
+                own_draw(mesh, camera=camera, object=constants)
 
-    def many_draws() -> None:
-        device.draw_many(many, shared, parts, camera=camera)
+        def with_one_mesh() -> None:
+            for constants in self.ranges:
+                draw(program, first, camera=camera, object=constants)
 
-    def scopes() -> None:
-        for _ in range(draws):
-            with states(CullMode.NONE, DepthWrite.OFF, ColorWrite.OFF):
-                pass
+        def in_scopes() -> None:
+            for mesh, constants in self.pairs:
+                with states(DepthWrite.OFF):
+                    draw(program, mesh, camera=camera, object=constants)
 
-    with device.render_pass(image, clear=(0, 0, 0, 1)), device.states(CullMode.NONE):
-        through_device()
-    linked = backend._programs[program.id]
-    buffer = backend._buffers.objects[objects.buffer.id]
-    bare_pairs = [
-        (linked._vertex_arrays[mesh.data.vertex_arrays[program]], constants.offset, constants.size)
-        for mesh, constants in pairs
+        shared = device.mesh({"position": self.corners.reshape(-1, 2)}, instances=self.rows)
+        many = device.program(FlatMany)
+        parts = shared.draws(np.arange(draws) * self.count, self.count, base_instance=np.arange(draws))
+
+        def many_draws() -> None:
+            device.draw_many(many, shared, parts, camera=camera)
+
+        def scopes() -> None:
+            for _ in range(draws):
+                with states(CullMode.NONE, DepthWrite.OFF, ColorWrite.OFF):
+                    pass
+
+        return {
+            "device.draw": through_device,
+            "program.draw": through_program,
+            "device.draw, one mesh": with_one_mesh,
+            "scope around device.draw": in_scopes,
+            "device.draw_many": many_draws,
+            "scope of 3 states": scopes,
+        }
+
+    def open_pass(self, opened: ExitStack) -> None:
+        """Begin a pass to draw in, after what the last subject has drawn is finished."""
+        opened.close()
+        self.device.finish()
+        opened.enter_context(self.device.render_pass(self.image, clear=(0, 0, 0, 1)))
+        opened.enter_context(self.device.states(CullMode.NONE))
+        # One untimed draw binds the program and the camera, which the bare loop does not bind itself.
+        self.program.draw(self.meshes[0], camera=self.camera, object=self.ranges[0])
+
+
+def make_bare_gl(work: Work) -> Callable[[], None]:
+    """Return a loop of moderngl that does the same OpenGL work with the same objects."""
+    backend = work.device.backend_as(GlBackend)
+    linked = backend._programs[work.program.id]
+    buffer = backend._buffers.objects[work.objects.buffer.id]
+    pairs = [
+        (linked._vertex_arrays[mesh.data.vertex_arrays[work.program]], constants.offset, constants.size)
+        for mesh, constants in work.pairs
     ]
-    mode, count = moderngl.TRIANGLES, triangles * 3
+    mode, count = moderngl.TRIANGLES, work.count
 
     def bare() -> None:
-        for array, offset, size in bare_pairs:
+        for array, offset, size in pairs:
             buffer.bind_to_uniform_block(1, offset, size)
             array.render(mode, count)
 
-    bare_program = backend.context.program(vertex_shader=BARE_VERTEX, fragment_shader=BARE_FRAGMENT)
-    position = backend.context.buffer(corners[0].tobytes())
-    one = backend.context.vertex_array(bare_program, [(position, "2f", "position")])
-    set_offset, set_color = bare_program["offset"], bare_program["color"]
-    numbers = [tuple(map(tuple, (row["offset"].tolist(), row["color"].tolist()))) for row in rows]
+    return bare
 
-    def bare_constants() -> None:
-        for offset, color in numbers:
-            set_offset.value, set_color.value = offset, color
-            one.render(mode, count)
 
-    mesh_of_one = meshes[0]
+def make_bare_wgpu(work: Work, opened: ExitStack) -> tuple[Callable[[], None], Callable[[], None]]:
+    """Return a loop of wgpu-py's public calls that draws the same, with objects of its own, and what opens
+    its pass."""
+    import wgpu
 
-    def through_values() -> None:
-        for offset, color in numbers:
-            draw(program, mesh_of_one, camera=camera, object=Object(offset=offset, color=color))
+    from rhi.backends.wgpu.backend import WgpuBackend
 
-    variants: dict[str, Callable[[], None]] = {
-        "bare moderngl": bare,
-        "device.draw": through_device,
-        "program.draw": through_program,
-        "device.draw_many": many_draws,
-        "scope of 3 states": scopes,
-    }
-    if not given.rasterize:
-        backend.gl.Enable(RASTERIZER_DISCARD)
+    device: Any = work.device.backend_as(WgpuBackend).device
+    stages = {stage: compile_shader(Flat).emit("wgsl", stage).text for stage in (Stage.VERTEX, Stage.FRAGMENT)}
+    modules = {stage: device.create_shader_module(code=text) for stage, text in stages.items()}
+    uniform = {"type": "uniform", "has_dynamic_offset": True}
+    visible = wgpu.ShaderStage.VERTEX | wgpu.ShaderStage.FRAGMENT
+    layout = device.create_bind_group_layout(
+        entries=[{"binding": slot, "visibility": visible, "buffer": uniform} for slot in range(2)]
+    )
+    attribute = {"format": "float32x2", "offset": 0, "shader_location": 0}
+    pipeline = device.create_render_pipeline(
+        layout=device.create_pipeline_layout(bind_group_layouts=[layout]),
+        vertex={
+            "module": modules[Stage.VERTEX], "entry_point": "main",
+            "buffers": [{"array_stride": 8, "attributes": [attribute]}],
+        },
+        fragment={
+            "module": modules[Stage.FRAGMENT], "entry_point": "main", "targets": [{"format": "rgba8unorm"}],
+        },
+    )  # fmt: skip
+    usage = wgpu.BufferUsage
+    camera = device.create_buffer_with_data(data=np.ones(4, np.float32), usage=usage.UNIFORM)
+    padded = np.zeros((len(work.pairs), 64), np.float32)
+    padded[:, :8] = work.rows.view(np.float32).reshape(-1, 8)
+    objects = device.create_buffer_with_data(data=padded, usage=usage.UNIFORM)
+    sizes = {0: (camera, 16), 1: (objects, 32)}
+    entries = [{"binding": n, "resource": {"buffer": b, "offset": 0, "size": s}} for n, (b, s) in sizes.items()]
+    group = device.create_bind_group(layout=layout, entries=entries)
+    buffers = [device.create_buffer_with_data(data=part, usage=usage.VERTEX) for part in work.corners]
+    pairs = [(each, 256 * number) for number, each in enumerate(buffers)]
+    view = device.create_texture(size=(64, 64, 1), format="rgba8unorm", usage=wgpu.TextureUsage.RENDER_ATTACHMENT)
+    target = {"view": view.create_view(), "load_op": "clear", "store_op": "store", "clear_value": (0, 0, 0, 1)}
+    passes: list[Any] = []
+
+    def open_pass() -> None:
+        opened.close()
+        encoder = device.create_command_encoder()
+        passes[:] = [encoder.begin_render_pass(color_attachments=[target])]
+        passes[0].set_pipeline(pipeline)
+        opened.callback(lambda: device.queue.submit([encoder.finish()]))
+        opened.callback(passes[0].end)
+
+    def bare() -> None:
+        to, count = passes[0], work.count
+        for buffer, offset in pairs:
+            to.set_bind_group(0, group, [0, offset])
+            to.set_vertex_buffer(0, buffer)
+            to.draw(count)
+
+    return bare, open_pass
+
+
+def measure_draws(given: argparse.Namespace) -> Iterator[Record]:
+    """Yield the microseconds per draw of each variant, and its ratio to the bare loop."""
+    work = Work("gl", given.draws, given.triangles)
+    own = work.device.backend_as(GlBackend)
     with ExitStack() as opened:
+        work.open_pass(opened)
+        for constants in work.list_variants().values():  # makes the vertex arrays that the bare loop draws
+            constants()
+        opened.close()
+        bare_program = own.context.program(vertex_shader=BARE_VERTEX, fragment_shader=BARE_FRAGMENT)
+        position = own.context.buffer(work.corners[0].tobytes())
+        one = own.context.vertex_array(bare_program, [(position, "2f", "position")])
+        set_offset, set_color = bare_program["offset"], bare_program["color"]
+        numbers = [tuple(map(tuple, (row["offset"].tolist(), row["color"].tolist()))) for row in work.rows]
 
-        def open_pass() -> None:
-            opened.close()
-            device.finish()
-            opened.enter_context(device.render_pass(image, clear=(0, 0, 0, 1)))
-            opened.enter_context(device.states(CullMode.NONE))
-            # One untimed draw binds the program and the camera, which the bare loop does not bind itself.
-            own_draw(meshes[0], camera=camera, object=ranges[0])
+        def bare_constants() -> None:
+            for offset, color in numbers:
+                set_offset.value, set_color.value = offset, color
+                one.render(moderngl.TRIANGLES, work.count)
 
-        def compare_variants(variants: dict[str, Callable[[], None]]) -> list[Record]:
-            names = variants.items()
-            subjects = [Subject({"variant": name}, lambda _, run=run: run(), open_pass) for name, run in names]
-            return compare(subjects, {"microseconds": time(1e6 / draws), "ratio": ratio()}, range(given.rounds))
+        def through_values() -> None:
+            draw, mesh, camera = work.device.draw, work.meshes[0], work.camera
+            for offset, color in numbers:
+                draw(work.program, mesh, camera=camera, object=Object(offset=offset, color=color))
 
+        def subjects(work: Work, variants: dict[str, Callable[[], None]]) -> list[Subject]:
+            names, on = variants.items(), work.device.backend_name
+            return [
+                Subject({"on": on, "variant": name}, lambda _, run=run: run(), lambda: work.open_pass(opened))
+                for name, run in names
+            ]
+
+        def compare_all(subjects: list[Subject]) -> list[Record]:
+            return compare(subjects, {"microseconds": time(1e6 / given.draws), "ratio": ratio()}, range(given.rounds))
+
+        if not given.rasterize:
+            own.gl.Enable(RASTERIZER_DISCARD)
+        rows = subjects(work, {"bare moderngl": make_bare_gl(work), **work.list_variants()})
+        if given.wgpu:
+            other = Work("wgpu", given.draws, given.triangles)
+            bare, open_bare = make_bare_wgpu(other, opened)
+            rows.append(Subject({"on": "wgpu", "variant": "bare wgpu-py"}, lambda _: bare(), open_bare))
+            rows += subjects(other, other.list_variants())
         gc.disable()
-        costs = compare_variants(variants)
-        costs += compare_variants({"bare, constants set": bare_constants, "device.draw, value": through_values})
+        costs = compare_all(rows)
+        costs += compare_all(
+            subjects(work, {"bare, constants set": bare_constants, "device.draw, value": through_values})
+        )
         gc.enable()
-    device.close()
+    work.device.close()
     yield from costs
 
 
@@ -315,8 +415,7 @@ def measure_scopes(count: int, rounds: int) -> Iterator[Record]:
 
 def measure(given: argparse.Namespace) -> Iterator[Record]:
     """Yield the rows of draws, and those of scopes around nothing on the null device."""
-    for row in measure_draws(given):
-        yield {"on": "gl", **row}
+    yield from measure_draws(given)
     for row in measure_scopes(1000, given.rounds):
         yield {"on": "null", **row}
 
@@ -326,6 +425,7 @@ OPTIONS = (
     options.count("--triangles", "triangles per draw", 10),
     options.rounds("rounds", 41),
     options.switch("--rasterize", "let the triangles reach the rasteriser"),
+    options.switch("--wgpu", "measure wgpu, too, in the same rounds"),
 )
 
 

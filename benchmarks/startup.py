@@ -15,7 +15,7 @@ as those of an installed package are: a first run writes it and isn't counted.
 cache in this comparison: Mesa's is switched off for "cold". "processor" is the time of all threads, but not that of
 other processes that compile in the background.
 
-    python benchmarks/startup.py [--json] [--runs 15] [--only import,triangle,…]
+    python benchmarks/startup.py [--json] [--runs 15] [--only import,triangle,…] [--backends gl,wgpu]
 """
 
 from __future__ import annotations
@@ -175,17 +175,17 @@ def make_subject(about: Record, run: Callable[[], dict[str, float]]) -> Subject:
 
 
 def measure(given: argparse.Namespace) -> Iterator[Record]:
-    """Yield the medians of the imports, and of the scenes on gl and on cl."""
+    """Yield the medians of the imports, and of the scenes on each backend."""
     if "import" in given.only:
         subjects = [make_subject({"import": name}, partial(time_import, name)) for name in IMPORTS]
         yield from compare(subjects, {"seconds": middle(digits=4)}, range(given.runs))
     scenes = [name for name in SCENES if name in given.only]
-    for backend in ("gl", "cl") if scenes else ():
+    for backend in given.backends if scenes else ():
         time_scene("triangle", backend)  # writes the bytecode
     for scene in scenes:
         subjects = [
             make_subject({"scene": scene, "backend": backend}, partial(time_scene, scene, backend))
-            for backend in ("gl", "cl")
+            for backend in given.backends
         ]
         names = [f"{name}, {state}" for state in ("cold", "warm") for name in list_names(scene).values()]
         yield from compare(subjects, dict.fromkeys(names, middle()), range(given.cold_runs), warm_ups=0)
@@ -194,6 +194,7 @@ def measure(given: argparse.Namespace) -> Iterator[Record]:
 OPTIONS: Final = (
     options.count("--runs", "runs of each import", 15),
     options.count("--cold-runs", "runs of each scene", 3),
+    options.some("--backends", ("gl", "cl", "wgpu"), "is not measured", ["gl", "cl"], "gl and cl"),
     options.some("--only", ("import", *SCENES), "is not measured", ["import", *SCENES], "all"),
 )
 

@@ -36,44 +36,6 @@ from rhi import (
     Wrap,
 )
 from rhi.math import look_at, orthographic, perspective
-from rhi.shading import (
-    DepthTexture2D,
-    Precision,
-    Shader,
-    Storage,
-    StorageRW,
-    Struct,
-    Texture2D,
-    Uniform,
-    atomic_add,
-    atomic_max,
-    atomic_min,
-    barrier,
-    clamp,
-    distance,
-    dot,
-    evaluate,
-    exp,
-    float_bits_to_int,
-    fragment_coordinate,
-    function,
-    global_id,
-    group_id,
-    instance_index,
-    int_bits_to_float,
-    ivec2,
-    length,
-    local_index,
-    mat4,
-    mix,
-    normalize,
-    saturate,
-    shared,
-    uniform,
-    vec2,
-    vec3,
-    vec4,
-)
 
 TILE: Final = 16
 LAMPS: Final = 192
@@ -81,59 +43,59 @@ CELLS: Final = 12
 """Number of cells along each side of the plain; each has 5×5 boxes."""
 SHADOW_SIZE: Final = 2048
 SUN: Final = np.array([0.76, 0.46, 0.46])
-HAZE: Final = vec3(0.16, 0.20, 0.32)
+HAZE: Final = sl.vec3(0.16, 0.20, 0.32)
 NEAR: Final = 0.1
 FOV: Final = 2 * np.arctan(1 / 1.7)  # vertical, in radians
 
 
-class Vertex(Struct):
-    position: vec3
-    normal: vec3
+class Vertex(sl.Struct):
+    position: sl.vec3
+    normal: sl.vec3
 
 
-class View(Struct):
-    from_world: mat4
-    to_world: mat4
-    sun_from_world: mat4
-    eye: vec3
-    sun: vec3
-    size: ivec2
-    tiles: ivec2
+class View(sl.Struct):
+    from_world: sl.mat4
+    to_world: sl.mat4
+    sun_from_world: sl.mat4
+    eye: sl.vec3
+    sun: sl.vec3
+    size: sl.ivec2
+    tiles: sl.ivec2
 
 
-class Box(Struct):
-    center: vec3
-    half: vec3
-    color: vec3
+class Box(sl.Struct):
+    center: sl.vec3
+    half: sl.vec3
+    color: sl.vec3
 
 
-class Lamp(Struct):
-    position: vec3
+class Lamp(sl.Struct):
+    position: sl.vec3
     reach: float
-    color: vec3
+    color: sl.vec3
 
 
-class Surface(Struct):
-    clip: vec4
-    world: vec3
-    normal: vec3
-    color: vec3
+class Surface(sl.Struct):
+    clip: sl.vec4
+    world: sl.vec3
+    normal: sl.vec3
+    color: sl.vec3
 
 
-@function
-def film_curve(color: vec3) -> vec3:
+@sl.function
+def film_curve(color: sl.vec3) -> sl.vec3:
     """Narkowicz's fit of the ACES filmic curve."""
-    return saturate(color * (2.51 * color + 0.03) / (color * (2.43 * color + 0.59) + 0.14))
+    return sl.saturate(color * (2.51 * color + 0.03) / (color * (2.43 * color + 0.59) + 0.14))
 
 
-class Depth(Shader):
-    view: Uniform[View]
-    boxes: Storage[Box]
+class Depth(sl.Shader):
+    view: sl.Uniform[View]
+    boxes: sl.Storage[Box]
     is_shadow = False
 
-    def vertex(self, v: Vertex) -> vec4:
-        box = self.boxes[instance_index()]
-        world = vec4(v.position * box.half + box.center, 1.0)
+    def vertex(self, v: Vertex) -> sl.vec4:
+        box = self.boxes[sl.instance_index()]
+        world = sl.vec4(v.position * box.half + box.center, 1.0)
         if self.is_shadow:
             return self.view.sun_from_world @ world
         return self.view.from_world @ world
@@ -143,106 +105,106 @@ class Shadow(Depth):
     is_shadow = True
 
 
-class FindLamps(Shader):
+class FindLamps(sl.Shader):
     """A work-group for each tile finds the range of depths in it, then the lamps that reach the box around that
     range."""
 
     work_group = (TILE, TILE)
-    view: Uniform[View]
-    lamps: Storage[Lamp]
-    depth: Texture2D
-    counts: StorageRW[int]
-    lists: StorageRW[int]
-    depths = shared(int, 2)  # bits of the nearest and the farthest depth: positive floats are ordered like ints
-    found = shared(int, 1)
+    view: sl.Uniform[View]
+    lamps: sl.Storage[Lamp]
+    depth: sl.Texture2D
+    counts: sl.StorageRW[int]
+    lists: sl.StorageRW[int]
+    depths = sl.shared(int, 2)  # bits of the nearest and the farthest depth: positive floats are ordered like ints
+    found = sl.shared(int, 1)
 
-    def unproject(self, pixel: vec2, depth: float) -> vec3:
-        size = vec2(self.view.size)
-        point = self.view.to_world @ vec4(pixel.x / size.x * 2.0 - 1.0, 1.0 - pixel.y / size.y * 2.0, depth, 1.0)
+    def unproject(self, pixel: sl.vec2, depth: float) -> sl.vec3:
+        size = sl.vec2(self.view.size)
+        point = self.view.to_world @ sl.vec4(pixel.x / size.x * 2.0 - 1.0, 1.0 - pixel.y / size.y * 2.0, depth, 1.0)
         return point.xyz / point.w
 
     def compute(self) -> None:
-        if local_index() == 0:
+        if sl.local_index() == 0:
             self.depths[0] = 0
-            self.depths[1] = float_bits_to_int(1.0)
+            self.depths[1] = sl.float_bits_to_int(1.0)
             self.found[0] = 0
-        barrier()
-        pixel = global_id().xy
+        sl.barrier()
+        pixel = sl.global_id().xy
         if pixel.x < self.view.size.x and pixel.y < self.view.size.y:
             depth = self.depth.load(pixel).x
             if depth > 0.0:  # otherwise it is the sky
-                atomic_max(self.depths[0], float_bits_to_int(depth))
-                atomic_min(self.depths[1], float_bits_to_int(depth))
-        barrier()
-        near = int_bits_to_float(self.depths[0])
-        far = int_bits_to_float(self.depths[1])
-        tile = group_id().y * self.view.tiles.x + group_id().x
+                sl.atomic_max(self.depths[0], sl.float_bits_to_int(depth))
+                sl.atomic_min(self.depths[1], sl.float_bits_to_int(depth))
+        sl.barrier()
+        near = sl.int_bits_to_float(self.depths[0])
+        far = sl.int_bits_to_float(self.depths[1])
+        tile = sl.group_id().y * self.view.tiles.x + sl.group_id().x
         if near > 0.0:
-            low = vec3(1e9)
-            high = vec3(-1e9)
+            low = sl.vec3(1e9)
+            high = sl.vec3(-1e9)
             for i in range(8):
-                corner = (vec2(group_id().xy) + vec2(float(i & 1), float(i >> 1 & 1))) * float(TILE)
+                corner = (sl.vec2(sl.group_id().xy) + sl.vec2(float(i & 1), float(i >> 1 & 1))) * float(TILE)
                 point = self.unproject(corner, far if i < 4 else near)
                 low = sl.min(low, point)
                 high = sl.max(high, point)
             for first in range(0, len(self.lamps), TILE * TILE):
-                i = first + local_index()
+                i = first + sl.local_index()
                 if i < len(self.lamps):
                     lamp = self.lamps[i]
-                    if distance(clamp(lamp.position, low, high), lamp.position) < lamp.reach:
-                        self.lists[tile * LAMPS + atomic_add(self.found[0], 1)] = i
-        barrier()
-        if local_index() == 0:
+                    if sl.distance(sl.clamp(lamp.position, low, high), lamp.position) < lamp.reach:
+                        self.lists[tile * LAMPS + sl.atomic_add(self.found[0], 1)] = i
+        sl.barrier()
+        if sl.local_index() == 0:
             self.counts[tile] = self.found[0]
 
 
-class Lit(Shader):
-    precision = Precision.FAST  # small powers of cosines may become 0
-    view: Uniform[View]
-    boxes: Storage[Box]
-    lamps: Storage[Lamp]
-    counts: Storage[int]
-    lists: Storage[int]
-    shadow: DepthTexture2D
+class Lit(sl.Shader):
+    precision = sl.Precision.FAST  # small powers of cosines may become 0
+    view: sl.Uniform[View]
+    boxes: sl.Storage[Box]
+    lamps: sl.Storage[Lamp]
+    counts: sl.Storage[int]
+    lists: sl.Storage[int]
+    shadow: sl.DepthTexture2D
 
     def vertex(self, v: Vertex) -> Surface:
-        box = self.boxes[instance_index()]
+        box = self.boxes[sl.instance_index()]
         world = v.position * box.half + box.center
-        return Surface(clip=self.view.from_world @ vec4(world, 1.0), world=world, normal=v.normal, color=box.color)
+        return Surface(clip=self.view.from_world @ sl.vec4(world, 1.0), world=world, normal=v.normal, color=box.color)
 
-    def sunlight(self, world: vec3) -> float:
+    def sunlight(self, world: sl.vec3) -> float:
         """Return the fraction of sunlight that arrives: the mean of four filtered comparisons."""
-        at = self.view.sun_from_world @ vec4(world, 1.0)
-        uv = vec2(at.x * 0.5 + 0.5, 0.5 - at.y * 0.5)
+        at = self.view.sun_from_world @ sl.vec4(world, 1.0)
+        uv = sl.vec2(at.x * 0.5 + 0.5, 0.5 - at.y * 0.5)
         step = 0.75 / SHADOW_SIZE
-        lit = self.shadow.sample_compare(uv + vec2(-step, -step), at.z)
-        lit += self.shadow.sample_compare(uv + vec2(step, -step), at.z)
-        lit += self.shadow.sample_compare(uv + vec2(-step, step), at.z)
-        lit += self.shadow.sample_compare(uv + vec2(step, step), at.z)
+        lit = self.shadow.sample_compare(uv + sl.vec2(-step, -step), at.z)
+        lit += self.shadow.sample_compare(uv + sl.vec2(step, -step), at.z)
+        lit += self.shadow.sample_compare(uv + sl.vec2(-step, step), at.z)
+        lit += self.shadow.sample_compare(uv + sl.vec2(step, step), at.z)
         return lit / 4.0
 
-    def fragment(self, s: Surface) -> vec4:
-        normal = normalize(s.normal)
-        to_eye = normalize(self.view.eye - s.world)
-        light = mix(vec3(0.03, 0.025, 0.03), vec3(0.05, 0.08, 0.15), normal.y * 0.5 + 0.5)
-        facing = dot(normal, self.view.sun)
+    def fragment(self, s: Surface) -> sl.vec4:
+        normal = sl.normalize(s.normal)
+        to_eye = sl.normalize(self.view.eye - s.world)
+        light = sl.mix(sl.vec3(0.03, 0.025, 0.03), sl.vec3(0.05, 0.08, 0.15), normal.y * 0.5 + 0.5)
+        facing = sl.dot(normal, self.view.sun)
         if facing > 0.0:
-            light += vec3(0.95, 0.55, 0.30) * (facing * self.sunlight(s.world + 0.04 * normal))
-        shine = vec3(0.0)
-        at = ivec2(fragment_coordinate().xy) // TILE
-        tile = uniform(at.y * self.view.tiles.x + at.x)  # a block of pixels lies in one tile: its list is read once
+            light += sl.vec3(0.95, 0.55, 0.30) * (facing * self.sunlight(s.world + 0.04 * normal))
+        shine = sl.vec3(0.0)
+        at = sl.ivec2(sl.fragment_coordinate().xy) // TILE
+        tile = sl.uniform(at.y * self.view.tiles.x + at.x)  # a block of pixels lies in one tile: its list is read once
         for k in range(self.counts[tile]):
             lamp = self.lamps[self.lists[tile * LAMPS + k]]
             to_lamp = lamp.position - s.world
-            far = length(to_lamp)
+            far = sl.length(to_lamp)
             direction = to_lamp / max(far, 1e-3)
-            window = saturate(1.0 - (far / lamp.reach) ** 4)
-            power = lamp.color * (window * window / (far * far + 0.05) * saturate(dot(normal, direction)))
+            window = sl.saturate(1.0 - (far / lamp.reach) ** 4)
+            power = lamp.color * (window * window / (far * far + 0.05) * sl.saturate(sl.dot(normal, direction)))
             light += power
-            shine += power * saturate(dot(normal, normalize(direction + to_eye))) ** 32
+            shine += power * sl.saturate(sl.dot(normal, sl.normalize(direction + to_eye))) ** 32
         color = s.color * light + 0.6 * shine
-        haze = 1.0 - exp(-0.006 * distance(self.view.eye, s.world))
-        return vec4(film_curve(mix(color, HAZE, haze)), 1.0)
+        haze = 1.0 - sl.exp(-0.006 * sl.distance(self.view.eye, s.world))
+        return sl.vec4(film_curve(sl.mix(color, HAZE, haze)), 1.0)
 
 
 class Renderer:
@@ -253,7 +215,7 @@ class Renderer:
         self.tiles = (-(-size[0] // TILE), -(-size[1] // TILE))
         self.depth_only, self.shadow_only = device.program(Depth), device.program(Shadow)
         self.find_lamps, self.lit = device.program(FindLamps), device.program(Lit)
-        self.sky = (*evaluate(film_curve, HAZE).tolist(), 1.0)  # the shader's function, evaluated on NumPy
+        self.sky = (*sl.evaluate(film_curve, HAZE).tolist(), 1.0)  # the shader's function, evaluated on NumPy
         self.image = device.texture(size, Format.RGBA8_SRGB, label="image")
         self.colors = device.texture(size, Format.RGBA8_SRGB, samples=samples, label="samples of color")
         self.depths = device.texture(size, Format.D32F, samples=samples, label="samples of depth")

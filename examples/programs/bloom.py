@@ -5,88 +5,76 @@ from __future__ import annotations
 import rhi
 import rhi.shading as sl
 from rhi import Filter, Format, SamplerDescriptor, Wrap
-from rhi.shading import (
-    FullScreen,
-    Struct,
-    Texture2D,
-    Uniform,
-    cos,
-    exp,
-    fragment_coordinate,
-    length,
-    sin,
-    vec2,
-    vec3,
-    vec4,
-)
 from rhi_screen import save_picture
 
 RADIUS = 12
 
 
-class Window(Struct):
-    size: vec2
+class Window(sl.Struct):
+    size: sl.vec2
 
 
-class Axis(Struct):
-    step: vec2
+class Axis(sl.Struct):
+    step: sl.vec2
 
 
-class Lamps(FullScreen):
+class Lamps(sl.FullScreen):
     """Small lamps on a spiral, up to 20 times as bright as white."""
 
-    window: Uniform[Window]
+    window: sl.Uniform[Window]
 
-    def fragment(self) -> vec4:
-        place = (fragment_coordinate().xy - self.window.size * 0.5) / self.window.size.y
-        color = vec3(0.01, 0.012, 0.02)
+    def fragment(self) -> sl.vec4:
+        place = (sl.fragment_coordinate().xy - self.window.size * 0.5) / self.window.size.y
+        color = sl.vec3(0.01, 0.012, 0.02)
         for i in range(24):
             angle = float(i) * 0.8
-            at = vec2(cos(angle), sin(angle)) * (0.05 + 0.017 * float(i))
-            near = max(1.0 - length(place - at) * 90.0, 0.0)
-            color += vec3(1.0 + sin(angle), 0.8, 1.2 + cos(angle)) * (near * 10.0)
-        return vec4(color, 1.0)
+            at = sl.vec2(sl.cos(angle), sl.sin(angle)) * (0.05 + 0.017 * float(i))
+            near = max(1.0 - sl.length(place - at) * 90.0, 0.0)
+            color += sl.vec3(1.0 + sl.sin(angle), 0.8, 1.2 + sl.cos(angle)) * (near * 10.0)
+        return sl.vec4(color, 1.0)
 
 
-class Bright(FullScreen):
+class Bright(sl.FullScreen):
     """A shader that keeps what is brighter than white."""
 
-    source: Texture2D
-    window: Uniform[Window]
+    source: sl.Texture2D
+    window: sl.Uniform[Window]
 
-    def fragment(self) -> vec4:
-        return vec4(sl.max(self.source.sample(fragment_coordinate().xy / self.window.size).rgb - 1.0, vec3(0.0)), 1.0)
+    def fragment(self) -> sl.vec4:
+        return sl.vec4(
+            sl.max(self.source.sample(sl.fragment_coordinate().xy / self.window.size).rgb - 1.0, sl.vec3(0.0)), 1.0
+        )
 
 
-class Blur(FullScreen):
+class Blur(sl.FullScreen):
     """A Gaussian of 2 RADIUS + 1 taps along one axis."""
 
-    source: Texture2D
-    window: Uniform[Window]
-    axis: Uniform[Axis]
+    source: sl.Texture2D
+    window: sl.Uniform[Window]
+    axis: sl.Uniform[Axis]
 
-    def fragment(self) -> vec4:
-        place = fragment_coordinate().xy / self.window.size
-        total = vec3(0.0)
+    def fragment(self) -> sl.vec4:
+        place = sl.fragment_coordinate().xy / self.window.size
+        total = sl.vec3(0.0)
         weights = 0.0
         for i in range(-RADIUS, RADIUS + 1):
-            weight = exp(-4.0 * float(i * i) / float(RADIUS * RADIUS))
+            weight = sl.exp(-4.0 * float(i * i) / float(RADIUS * RADIUS))
             total += self.source.sample_lod(place + self.axis.step * float(i), 0.0).rgb * weight
             weights += weight
-        return vec4(total / weights, 1.0)
+        return sl.vec4(total / weights, 1.0)
 
 
-class Composite(FullScreen):
+class Composite(sl.FullScreen):
     """The picture and its glow."""
 
-    source: Texture2D
-    glow: Texture2D
-    window: Uniform[Window]
+    source: sl.Texture2D
+    glow: sl.Texture2D
+    window: sl.Uniform[Window]
 
-    def fragment(self) -> vec4:
-        place = fragment_coordinate().xy / self.window.size
+    def fragment(self) -> sl.vec4:
+        place = sl.fragment_coordinate().xy / self.window.size
         light = self.source.sample(place).rgb + self.glow.sample(place).rgb * 1.5
-        return vec4(1.0 - exp(-light), 1.0)
+        return sl.vec4(1.0 - sl.exp(-light), 1.0)
 
 
 def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:

@@ -8,107 +8,94 @@ from __future__ import annotations
 import numpy as np
 
 import rhi
+import rhi.shading as sl
 from rhi import BlendFunction, CullMode, DepthFunction, DepthWrite, Format
 from rhi.math import look_at, make_cube, perspective
-from rhi.shading import (
-    Shader,
-    Storage,
-    Struct,
-    Texture2D,
-    Uniform,
-    dot,
-    fragment_coordinate,
-    instance_index,
-    ivec2,
-    length,
-    mat4,
-    normalize,
-    vec3,
-    vec4,
-)
 from rhi_screen import save_picture
 
 LIGHTS = 200
 
 
-class Vertex(Struct):
-    position: vec3
-    normal: vec3
+class Vertex(sl.Struct):
+    position: sl.vec3
+    normal: sl.vec3
 
 
-class Camera(Struct):
-    view_projection: mat4
+class Camera(sl.Struct):
+    view_projection: sl.mat4
 
 
-class Box(Struct):
-    place: vec3
-    size: vec3
-    color: vec3
+class Box(sl.Struct):
+    place: sl.vec3
+    size: sl.vec3
+    color: sl.vec3
 
 
-class Light(Struct):
-    place: vec3
+class Light(sl.Struct):
+    place: sl.vec3
     range: float
-    color: vec3
+    color: sl.vec3
 
 
-class Surface(Struct):
-    clip: vec4
-    place: vec3
-    normal: vec3
-    color: vec3
+class Surface(sl.Struct):
+    clip: sl.vec4
+    place: sl.vec3
+    normal: sl.vec3
+    color: sl.vec3
 
 
-class Stored(Struct):
-    image: vec4
-    place: vec4
-    normal: vec4
-    color: vec4
+class Stored(sl.Struct):
+    image: sl.vec4
+    place: sl.vec4
+    normal: sl.vec4
+    color: sl.vec4
 
 
-class Volume(Struct):
-    clip: vec4
+class Volume(sl.Struct):
+    clip: sl.vec4
     light: int
 
 
-class Geometry(Shader):
+class Geometry(sl.Shader):
     """Stores position, normal and color, and begins the picture with the light of the sky."""
 
-    camera: Uniform[Camera]
-    boxes: Storage[Box]
+    camera: sl.Uniform[Camera]
+    boxes: sl.Storage[Box]
 
     def vertex(self, v: Vertex) -> Surface:
-        box = self.boxes[instance_index()]
+        box = self.boxes[sl.instance_index()]
         place = v.position * box.size + box.place
-        clip = self.camera.view_projection @ vec4(place, 1.0)
+        clip = self.camera.view_projection @ sl.vec4(place, 1.0)
         return Surface(clip=clip, place=place, normal=v.normal, color=box.color)
 
     def fragment(self, s: Surface) -> Stored:
-        dark = vec4(s.color * (0.02 + 0.02 * max(s.normal.y, 0.0)), 1.0)
-        return Stored(image=dark, place=vec4(s.place, 1.0), normal=vec4(s.normal, 0.0), color=vec4(s.color, 1.0))
+        dark = sl.vec4(s.color * (0.02 + 0.02 * max(s.normal.y, 0.0)), 1.0)
+        return Stored(
+            image=dark, place=sl.vec4(s.place, 1.0), normal=sl.vec4(s.normal, 0.0), color=sl.vec4(s.color, 1.0)
+        )
 
 
-class Lighting(Shader):
+class Lighting(sl.Shader):
     """Adds one light to the pixels in its cube."""
 
-    camera: Uniform[Camera]
-    lights: Storage[Light]
-    places: Texture2D
-    normals: Texture2D
-    colors: Texture2D
+    camera: sl.Uniform[Camera]
+    lights: sl.Storage[Light]
+    places: sl.Texture2D
+    normals: sl.Texture2D
+    colors: sl.Texture2D
 
     def vertex(self, v: Vertex) -> Volume:
-        light = self.lights[instance_index()]
-        place = vec4(v.position * light.range + light.place, 1.0)
-        return Volume(clip=self.camera.view_projection @ place, light=instance_index())
+        light = self.lights[sl.instance_index()]
+        place = sl.vec4(v.position * light.range + light.place, 1.0)
+        return Volume(clip=self.camera.view_projection @ place, light=sl.instance_index())
 
-    def fragment(self, v: Volume) -> vec4:
-        at = ivec2(fragment_coordinate().xy)
+    def fragment(self, v: Volume) -> sl.vec4:
+        at = sl.ivec2(sl.fragment_coordinate().xy)
         light = self.lights[v.light]
         to_light = light.place - self.places.load(at).xyz
-        near = max(1.0 - length(to_light) / light.range, 0.0)
-        facing = max(dot(self.normals.load(at).xyz, normalize(to_light)), 0.0)
-        return vec4(self.colors.load(at).rgb * light.color * (facing * near * near), 0.0)
+        near = max(1.0 - sl.length(to_light) / light.range, 0.0)
+        facing = max(sl.dot(self.normals.load(at).xyz, sl.normalize(to_light)), 0.0)
+        return sl.vec4(self.colors.load(at).rgb * light.color * (facing * near * near), 0.0)
 
 
 def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:

@@ -5,22 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import rhi
-from rhi.shading import (
-    FullScreen,
-    Shader,
-    Struct,
-    UintImage2D,
-    UintTexture2D,
-    Uniform,
-    fragment_coordinate,
-    global_id,
-    image,
-    ivec2,
-    uint,
-    uvec4,
-    vec2,
-    vec4,
-)
+import rhi.shading as sl
 from rhi_screen import save_picture
 
 CELLS = (128, 96)
@@ -28,38 +13,38 @@ GENERATIONS = 100
 GROUP = 8
 
 
-class Generation(Shader):
+class Generation(sl.Shader):
     """A shader of one generation on a torus."""
 
     work_group = (GROUP, GROUP)
-    now: UintImage2D = image(rhi.Format.R8UI)
-    then: UintImage2D = image(rhi.Format.R8UI)
+    now: sl.UintImage2D = sl.image(rhi.Format.R8UI)
+    then: sl.UintImage2D = sl.image(rhi.Format.R8UI)
 
     def compute(self) -> None:
-        at = ivec2(global_id().xy)
+        at = sl.ivec2(sl.global_id().xy)
         size = self.now.size()
         alive = 0
         for dy in range(-1, 2):
             for dx in range(-1, 2):
-                alive += int(self.now.load((at + ivec2(dx, dy) + size) % size).x)
+                alive += int(self.now.load((at + sl.ivec2(dx, dy) + size) % size).x)
         own = int(self.now.load(at).x)
         lives = alive == 3 or (alive == 4 and own == 1)  # the cell itself is counted, too
-        self.then.store(at, uvec4(uint(lives), 0, 0, 0))
+        self.then.store(at, sl.uvec4(sl.uint(lives), 0, 0, 0))
 
 
-class Window(Struct):
-    size: vec2
+class Window(sl.Struct):
+    size: sl.vec2
 
 
-class Enlarged(FullScreen):
+class Enlarged(sl.FullScreen):
     """Each cell as a square."""
 
-    window: Uniform[Window]
-    cells: UintTexture2D
+    window: sl.Uniform[Window]
+    cells: sl.UintTexture2D
 
-    def fragment(self) -> vec4:
-        cell = ivec2(fragment_coordinate().xy / self.window.size * vec2(self.cells.size()))
-        return vec4(0.3, 0.9, 0.5, 1.0) if int(self.cells.load(cell).x) == 1 else vec4(0.03, 0.05, 0.08, 1.0)
+    def fragment(self) -> sl.vec4:
+        cell = sl.ivec2(sl.fragment_coordinate().xy / self.window.size * sl.vec2(self.cells.size()))
+        return sl.vec4(0.3, 0.9, 0.5, 1.0) if int(self.cells.load(cell).x) == 1 else sl.vec4(0.03, 0.05, 0.08, 1.0)
 
 
 def make_cells() -> np.ndarray:

@@ -5,24 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 import rhi
+import rhi.shading as sl
 from rhi.math import look_at, perspective
-from rhi.shading import (
-    FullScreen,
-    Shader,
-    Storage,
-    StorageRW,
-    Struct,
-    Texture2D,
-    Uniform,
-    exp,
-    fragment_coordinate,
-    global_id,
-    ivec2,
-    mat4,
-    vec3,
-    vec4,
-    vertex_index,
-)
 from rhi_screen import save_picture
 
 COUNT = 16384
@@ -31,73 +15,73 @@ GROUP = 64
 GRAVITY = 6.0
 
 
-class Camera(Struct):
-    view_projection: mat4
+class Camera(sl.Struct):
+    view_projection: sl.mat4
 
 
-class Particle(Struct):
-    place: vec3
+class Particle(sl.Struct):
+    place: sl.vec3
     age: float
-    velocity: vec3
+    velocity: sl.vec3
     life: float
 
 
-class Step(Struct):
+class Step(sl.Struct):
     seconds: float
     gravity: float
 
 
-class Spark(Struct):
-    clip: vec4
-    color: vec3
+class Spark(sl.Struct):
+    clip: sl.vec4
+    color: sl.vec3
 
 
-class Move(Shader):
+class Move(sl.Shader):
     """A shader of one step of each particle; those below the ground bounce."""
 
     work_group = (GROUP,)
-    step: Uniform[Step]
-    particles: StorageRW[Particle]
+    step: sl.Uniform[Step]
+    particles: sl.StorageRW[Particle]
 
     def compute(self) -> None:
-        i = global_id().x
+        i = sl.global_id().x
         p = self.particles[i]
         age = p.age + self.step.seconds
         seconds = self.step.seconds if age > 0.0 else 0.0  # before that it waits in the nozzle
-        velocity = p.velocity - vec3(0.0, self.step.gravity * seconds, 0.0)
+        velocity = p.velocity - sl.vec3(0.0, self.step.gravity * seconds, 0.0)
         place = p.place + velocity * seconds
         if place.y < 0.0:
-            place = vec3(place.x, -place.y, place.z)
-            velocity = vec3(velocity.x, -0.6 * velocity.y, velocity.z)
+            place = sl.vec3(place.x, -place.y, place.z)
+            velocity = sl.vec3(velocity.x, -0.6 * velocity.y, velocity.z)
         self.particles[i] = Particle(place=place, age=age, velocity=velocity, life=p.life)
 
 
-class Draw(Shader):
+class Draw(sl.Shader):
     """A point per particle, read by its number; older ones are redder."""
 
-    camera: Uniform[Camera]
-    particles: Storage[Particle]
+    camera: sl.Uniform[Camera]
+    particles: sl.Storage[Particle]
 
     def vertex(self) -> Spark:
-        p = self.particles[vertex_index()]
-        heat = exp(-1.5 * p.age / p.life)
+        p = self.particles[sl.vertex_index()]
+        heat = sl.exp(-1.5 * p.age / p.life)
         return Spark(
-            clip=self.camera.view_projection @ vec4(p.place, 1.0),
-            color=vec3(0.8, 0.6 * heat, 0.5 * heat * heat) * (0.05 + heat),
+            clip=self.camera.view_projection @ sl.vec4(p.place, 1.0),
+            color=sl.vec3(0.8, 0.6 * heat, 0.5 * heat * heat) * (0.05 + heat),
         )
 
-    def fragment(self, s: Spark) -> vec4:
-        return vec4(s.color, 1.0)
+    def fragment(self, s: Spark) -> sl.vec4:
+        return sl.vec4(s.color, 1.0)
 
 
-class ToneMap(FullScreen):
+class ToneMap(sl.FullScreen):
     """Maps sums of any size to 0…1."""
 
-    light: Texture2D
+    light: sl.Texture2D
 
-    def fragment(self) -> vec4:
-        light = self.light.load(ivec2(fragment_coordinate().xy)).rgb
-        return vec4(1.0 - exp(-light), 1.0)
+    def fragment(self) -> sl.vec4:
+        light = self.light.load(sl.ivec2(sl.fragment_coordinate().xy)).rgb
+        return sl.vec4(1.0 - sl.exp(-light), 1.0)
 
 
 def make_particles() -> np.ndarray:

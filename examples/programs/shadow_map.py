@@ -5,84 +5,71 @@ from __future__ import annotations
 import numpy as np
 
 import rhi
+import rhi.shading as sl
 from rhi import Comparison, CullMode, Format, PolygonOffset, SamplerDescriptor, Wrap
 from rhi.math import look_at, make_cube, perspective
-from rhi.shading import (
-    DepthTexture2D,
-    Shader,
-    Storage,
-    Struct,
-    Uniform,
-    dot,
-    instance_index,
-    mat4,
-    normalize,
-    vec2,
-    vec3,
-    vec4,
-)
 from rhi_screen import save_picture
 
 SHADOW = (1024, 1024)
 
 
-class Vertex(Struct):
-    position: vec3
-    normal: vec3
+class Vertex(sl.Struct):
+    position: sl.vec3
+    normal: sl.vec3
 
 
-class Box(Struct):
-    place: vec3
-    size: vec3
-    color: vec3
+class Box(sl.Struct):
+    place: sl.vec3
+    size: sl.vec3
+    color: sl.vec3
 
 
-class Frame(Struct):
-    view_projection: mat4
-    sun_projection: mat4
-    sun: vec3
+class Frame(sl.Struct):
+    view_projection: sl.mat4
+    sun_projection: sl.mat4
+    sun: sl.vec3
 
 
-class Surface(Struct):
-    clip: vec4
-    normal: vec3
-    color: vec3
-    seen_by_sun: vec3
+class Surface(sl.Struct):
+    clip: sl.vec4
+    normal: sl.vec3
+    color: sl.vec3
+    seen_by_sun: sl.vec3
 
 
-class DepthOnly(Shader):
+class DepthOnly(sl.Shader):
     """The boxes as the sun sees them; no fragment stage."""
 
-    frame: Uniform[Frame]
-    boxes: Storage[Box]
+    frame: sl.Uniform[Frame]
+    boxes: sl.Storage[Box]
 
-    def vertex(self, v: Vertex) -> vec4:
-        box = self.boxes[instance_index()]
-        return self.frame.sun_projection @ vec4(v.position * box.size + box.place, 1.0)
+    def vertex(self, v: Vertex) -> sl.vec4:
+        box = self.boxes[sl.instance_index()]
+        return self.frame.sun_projection @ sl.vec4(v.position * box.size + box.place, 1.0)
 
 
-class Shadowed(Shader):
+class Shadowed(sl.Shader):
     """Sunlight where nothing is nearer to the sun, filtered over 2×2 texels."""
 
-    frame: Uniform[Frame]
-    boxes: Storage[Box]
-    shadows: DepthTexture2D
+    frame: sl.Uniform[Frame]
+    boxes: sl.Storage[Box]
+    shadows: sl.DepthTexture2D
 
     def vertex(self, v: Vertex) -> Surface:
-        box = self.boxes[instance_index()]
-        place = vec4(v.position * box.size + box.place, 1.0)
+        box = self.boxes[sl.instance_index()]
+        place = sl.vec4(v.position * box.size + box.place, 1.0)
         seen = (self.frame.sun_projection @ place).xyz
         return Surface(
             clip=self.frame.view_projection @ place,
             normal=v.normal,
             color=box.color,
-            seen_by_sun=vec3(seen.x * 0.5 + 0.5, 0.5 - seen.y * 0.5, seen.z),
+            seen_by_sun=sl.vec3(seen.x * 0.5 + 0.5, 0.5 - seen.y * 0.5, seen.z),
         )
 
-    def fragment(self, s: Surface) -> vec4:
-        lit = max(dot(normalize(s.normal), self.frame.sun), 0.0)
-        lit *= self.shadows.sample_compare(vec2(s.seen_by_sun.xy), s.seen_by_sun.z)
-        return vec4(s.color * (0.1 + 0.9 * lit), 1.0)
+    def fragment(self, s: Surface) -> sl.vec4:
+        lit = max(sl.dot(sl.normalize(s.normal), self.frame.sun), 0.0)
+        lit *= self.shadows.sample_compare(sl.vec2(s.seen_by_sun.xy), s.seen_by_sun.z)
+        return sl.vec4(s.color * (0.1 + 0.9 * lit), 1.0)
 
 
 def make_boxes() -> np.ndarray:

@@ -5,62 +5,48 @@ from __future__ import annotations
 import numpy as np
 
 import rhi
+import rhi.shading as sl
 from rhi.math import look_at, perspective
-from rhi.shading import (
-    Shader,
-    Struct,
-    Texture2D,
-    Uniform,
-    dot,
-    exp,
-    ivec2,
-    length,
-    mat4,
-    mix,
-    normalize,
-    smoothstep,
-    vec3,
-    vec4,
-    vertex_index,
-)
 from rhi_screen import save_picture
 
 GRID = 256
 
 
-class Camera(Struct):
-    view_projection: mat4
-    eye: vec3
+class Camera(sl.Struct):
+    view_projection: sl.mat4
+    eye: sl.vec3
 
 
-class Ground(Struct):
-    clip: vec4
-    normal: vec3
-    place: vec3
+class Ground(sl.Struct):
+    clip: sl.vec4
+    normal: sl.vec3
+    place: sl.vec3
 
 
-class Terrain(Shader):
+class Terrain(sl.Shader):
     """A grid of GRID² points; grass, rock and snow by height and slope."""
 
-    camera: Uniform[Camera]
-    heights: Texture2D
+    camera: sl.Uniform[Camera]
+    heights: sl.Texture2D
 
     def vertex(self) -> Ground:
-        at = ivec2(vertex_index() % GRID, vertex_index() // GRID)
-        east = self.heights.load(ivec2(min(at.x + 1, GRID - 1), at.y)).x
-        west = self.heights.load(ivec2(max(at.x - 1, 0), at.y)).x
-        south = self.heights.load(ivec2(at.x, min(at.y + 1, GRID - 1))).x
-        north = self.heights.load(ivec2(at.x, max(at.y - 1, 0))).x
-        place = vec3(float(at.x) - GRID / 2, self.heights.load(at).x, float(at.y) - GRID / 2)
-        normal = normalize(vec3(west - east, 2.0, north - south))
-        return Ground(clip=self.camera.view_projection @ vec4(place, 1.0), normal=normal, place=place)
+        at = sl.ivec2(sl.vertex_index() % GRID, sl.vertex_index() // GRID)
+        east = self.heights.load(sl.ivec2(min(at.x + 1, GRID - 1), at.y)).x
+        west = self.heights.load(sl.ivec2(max(at.x - 1, 0), at.y)).x
+        south = self.heights.load(sl.ivec2(at.x, min(at.y + 1, GRID - 1))).x
+        north = self.heights.load(sl.ivec2(at.x, max(at.y - 1, 0))).x
+        place = sl.vec3(float(at.x) - GRID / 2, self.heights.load(at).x, float(at.y) - GRID / 2)
+        normal = sl.normalize(sl.vec3(west - east, 2.0, north - south))
+        return Ground(clip=self.camera.view_projection @ sl.vec4(place, 1.0), normal=normal, place=place)
 
-    def fragment(self, g: Ground) -> vec4:
-        normal = normalize(g.normal)
-        color = mix(vec3(0.15, 0.3, 0.08), vec3(0.35, 0.3, 0.25), smoothstep(0.1, 0.35, 1.0 - normal.y))
-        color = mix(color, vec3(0.9), smoothstep(16.0, 20.0, g.place.y))
-        light = 0.2 + 0.8 * max(dot(normal, normalize(vec3(0.7, 0.6, 0.2))), 0.0)
-        return vec4(mix(vec3(0.55, 0.65, 0.8), color * light, exp(-0.0016 * length(g.place - self.camera.eye))), 1.0)
+    def fragment(self, g: Ground) -> sl.vec4:
+        normal = sl.normalize(g.normal)
+        color = sl.mix(sl.vec3(0.15, 0.3, 0.08), sl.vec3(0.35, 0.3, 0.25), sl.smoothstep(0.1, 0.35, 1.0 - normal.y))
+        color = sl.mix(color, sl.vec3(0.9), sl.smoothstep(16.0, 20.0, g.place.y))
+        light = 0.2 + 0.8 * max(sl.dot(normal, sl.normalize(sl.vec3(0.7, 0.6, 0.2))), 0.0)
+        return sl.vec4(
+            sl.mix(sl.vec3(0.55, 0.65, 0.8), color * light, sl.exp(-0.0016 * sl.length(g.place - self.camera.eye))), 1.0
+        )
 
 
 def make_heights() -> np.ndarray:

@@ -8,6 +8,7 @@ from typing import Final
 
 _WALKS: Final = re.compile(r"Mesa 22\.3\b")
 _OPT_IN: Final = "RHI_SLOW_ANISOTROPY"
+_ZEROS: Final = "compressed textures: SwiftShader reads zeros from them; the CPU decodes them (docs/backends-wgpu.md)"
 _REASON: Final = (
     f"anisotropy: llvmpipe of Mesa 22.3 may take minutes for a pixel; {_OPT_IN}=1 allows it (docs/backends-gl.md)"
 )
@@ -21,3 +22,8 @@ def limit_anisotropy(device: str, driver: str, most: float) -> tuple[float, tupl
     """
     walks = most > 1.0 and "llvmpipe" in device and _WALKS.search(driver) is not None
     return (1.0, (_REASON,)) if walks and os.environ.get(_OPT_IN, "0") in ("", "0") else (most, ())
+
+
+def list_block_faults(device: str) -> tuple[str, ...]:
+    """Return why a device's compressed textures can't be used, if they can't."""
+    return (_ZEROS,) if "SwiftShader" in device else ()

@@ -4,7 +4,8 @@ The limits of the OpenGL profiles are the smallest that a specification allows (
 chapters 6 and 23; OpenGL ES 3.0.6, chapter 6), for a port that uses nothing beyond it. What runs within them runs on
 every such driver. There are two exceptions: multi-sampled targets have 4 samples, which the specifications guarantee
 for renderbuffers only, and buffer offsets are aligned to 256 bytes, the coarsest alignment that a driver may require.
-`webgpu` has the default limits of the WebGPU specification (section 3.6.2), without optional features.
+`webgpu` is what every implementation of WebGPU guarantees (section 3.6.2, without optional features): the backend
+`wgpu` declares the same with `RHI_WGPU_PROFILE=core`.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ _UNORM16: Final = frozenset(f for f in Format if f.kind is ChannelKind.UNORM and
 _FLOAT: Final = frozenset(form for form in Format if form.kind is ChannelKind.FLOAT)
 
 _FLOAT32: Final = frozenset({Format.R32F, Format.RG32F, Format.RGBA32F})
+_INTEGERS: Final = frozenset(form for form in COLOR_FORMATS if form.is_integer)
 _WORDS: Final = frozenset({Format.R32F, Format.R32UI, Format.R32I})
 _STORED: Final = _WORDS | {
     Format.RGBA8, Format.RGBA8_SNORM, Format.RGBA8UI, Format.RGBA16F, Format.RGBA16UI, Format.RG32F, Format.RG32UI,
@@ -70,12 +72,14 @@ PROFILES: Final[Mapping[str, Capabilities]] = {
     "webgpu": replace(
         _device("webgpu"), max_texture_size=8192, max_texture_layers=256, max_uniform_bytes=1 << 16, max_image_slots=4,
         max_work_group=(256, 256, 64), max_work_group_invocations=256, max_shared_bytes=16384, max_anisotropy=16.0,
-        sample_counts=(1, 4), copy_alignment=4, conditional_rendering=False, timestamps=False, stencil_per_face=False,
-        vertex_alignment=4, draw_index=False, early_depth=False, vertex_writes=False, list_restart=False,
-        precise_lines=False, compressed_size_step=4, max_target_bytes=32, unfilterable_formats=_FLOAT32,
-        unblendable_formats=_FLOAT32, unresolvable_formats=_FLOAT32 | {Format.R11G11B10F}, single_sampled_formats=_WIDE,
-        unstorable_formats=_UNSTORED, unloadable_formats=_UNLOADED, depth_bias_clamp=True, blend_per_target=True,
-        border_colors=False, unsupported_formats=_UNORM16, unrenderable_formats=_SNORM | _UNORM16,
+        max_target_bytes=32, max_uniform_slots=8, sample_counts=(1, 4), copy_alignment=4, copy_row_alignment=256,
+        vertex_alignment=4, compressed_size_step=4, indirect_count=True, alpha_test=True, depth_bias_clamp=True,
+        blend_per_target=True, conditional_rendering=False, timestamps=False, stencil_per_face=False,
+        precise_triangles=False, precise_clipping=False, precise_lines=False, list_restart=False, border_colors=False,
+        draw_index=False, early_depth=False, vertex_writes=False, unsupported_formats=_UNORM16 | {Format.D32FS8},
+        unrenderable_formats=_SNORM | _UNORM16 | {Format.R11G11B10F}, unfilterable_formats=_FLOAT32,
+        unblendable_formats=_FLOAT32, unresolvable_formats=_INTEGERS - _WIDE | {Format.R32F},
+        single_sampled_formats=_WIDE, unstorable_formats=_UNSTORED, unloadable_formats=_UNLOADED,
     ),
     "opencl-cpu": replace(
         _device("opencl-cpu"), sample_counts=(1,), max_uniform_bytes=1 << 16, max_work_group=(4096, 4096, 4096),

@@ -169,6 +169,8 @@ class Buffers:
 
     def read(self, buffer: Id, offset: int, size: int) -> bytes:
         source = self.objects[buffer]
+        if source.shadow is not None:  # only the CPU writes it
+            return bytes(source.shadow[offset : offset + size])
         start, stop = offset // 8 * 8, -(-(offset + size) // 4) * 4
         if source.descriptor.usage is BufferUsage.READBACK:
             if source.serial == self._stream.serial:

@@ -14,7 +14,7 @@ from rhi.backends.wgpu.textures import Textures
 from rhi.contract.backend import SAMPLE_COUNTS, Capabilities
 from rhi.contract.blocks import CompressedFormat
 from rhi.contract.descriptors import TextureDescriptor, TextureKind
-from rhi.contract.driver_faults import limit_anisotropy
+from rhi.contract.driver_faults import limit_anisotropy, list_block_faults
 from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, ChannelKind, Format
 from rhi.contract.states import MAX_TARGETS
 
@@ -45,6 +45,7 @@ def query_capabilities(host: Host, textures: Textures) -> Capabilities:
     stage = "per-shader-stage"
     driver = f"{info['backend_type']} {info['description']}, wgpu {wgpu.__version__}".replace("  ", " ")
     anisotropy, left_out = limit_anisotropy(info["device"], driver, _ANISOTROPY)
+    blocks, block_faults = "texture-compression-bc" in features, list_block_faults(info["device"])
     return Capabilities(
         backend="wgpu",
         device=info["device"],
@@ -73,7 +74,7 @@ def query_capabilities(host: Host, textures: Textures) -> Capabilities:
         max_dispatch=(limits["max-compute-workgroups-per-dimension"],) * 3,
         max_shared_bytes=limits["max-compute-workgroup-storage-size"],
         max_anisotropy=anisotropy,
-        left_out=left_out,
+        left_out=left_out + block_faults,
         uniform_alignment=max(_SMALLEST_ALIGNMENT, limits["min-uniform-buffer-offset-alignment"]),
         storage_alignment=max(_SMALLEST_ALIGNMENT, limits["min-storage-buffer-offset-alignment"]),
         copy_alignment=4,
@@ -96,7 +97,7 @@ def query_capabilities(host: Host, textures: Textures) -> Capabilities:
         early_depth="shader-early-depth-test" in features,
         compressed_size_step=4,
         vertex_alignment=_VERTEX_ALIGNMENT,
-        compressed_formats=frozenset(CompressedFormat) if "texture-compression-bc" in features else frozenset(),
+        compressed_formats=frozenset(CompressedFormat) if blocks and not block_faults else frozenset(),
         unsupported_formats=unsupported,
         unrenderable_formats=unsupported & frozenset(COLOR_FORMATS) | unrenderable,
         unfilterable_formats=frozenset() if "float32-filterable" in features else _FLOATS,

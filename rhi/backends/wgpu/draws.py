@@ -367,6 +367,9 @@ class Draws:
         count_offset: int,
     ) -> GpuObject:  # fmt: skip
         """Return the arguments of draws tightly, with no instances for those beyond the count."""
+        if arguments.shadow is not None and not count_buffer:
+            rows = np.ndarray((draws, words), np.uint32, arguments.shadow, offset, (stride, 4))
+            return self._buffers.filled(rows, wgpu.BufferUsage.INDIRECT)
         encoder = self._stream.outside()
         arguments.serial = self._stream.serial
         counts = self._buffers.use(count_buffer) if count_buffer else arguments

@@ -39,6 +39,36 @@ NEVER_SLICED: Final = 0xFFFFFFFF
 """The depth slice of attachments that aren't of 3D textures."""
 
 
+_FUNCTIONS: Final = (
+    "void(WGPUDevice const *, WGPUDeviceLostReason, WGPUStringView, void *, void *)",
+    "void(WGPUDevice const *, WGPUErrorType, WGPUStringView, void *, void *)",
+    "void(WGPURequestDeviceStatus, WGPUDevice, WGPUStringView, void *, void *)",
+    "void(WGPUQueueWorkDoneStatus, WGPUStringView, void *, void *)",
+    "void(WGPUMapAsyncStatus, WGPUStringView, void *, void *)",
+)
+"""Types of callbacks, as wgpu-py and this module write them."""
+
+
+def _parse_types() -> None:
+    """Let cffi parse the types of the interface at once: it would parse each when it is first named, and read all names
+    of types again for each, which took .8 of the time to the first picture. It keeps what it has parsed by its text."""
+    parsed = getattr(ffi, "_parsed_types", {})  # were it renamed, only time would be lost
+    names = [name for name in ffi.list_types()[0] if name.startswith("WGPU") and not name.startswith("WGPUProc")]
+    names += ["char", "uint32_t"]
+    pointers = ", ".join(f"{name} *, {name}(*)[]" for name in names)
+    types = ffi.typeof(f"void(*)({pointers}, {', '.join(_FUNCTIONS)})").args
+    for name, pointer, array in zip(names, types[::2], types[1::2], strict=False):
+        for text in (f"{name} *", f"{name} * "):
+            parsed.setdefault(text, (pointer, False))
+        for text in (f"{name}[]", f"{name} []"):
+            parsed.setdefault(text, (array.item, False))
+    for text, function in zip(_FUNCTIONS, types[2 * len(names) :], strict=True):
+        parsed.setdefault(text, (function, True))
+
+
+_parse_types()
+
+
 def check_version() -> None:
     """Refuse another wgpu-py than the one whose C interface this module knows.
 

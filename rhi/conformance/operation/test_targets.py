@@ -58,13 +58,13 @@ def test_a_fragment_s_color_is_converted_to_the_format(
 def test_integers_are_stored_as_they_are(device: Device, format: Format) -> None:
     require_renderable(device, format)
     top = min(2.0 ** format.channel_bits[0] - 1, 2.0**24)
-    color = (1.0, top, 0.0, 100.0) if format.kind is ChannelKind.UINT else (-1.0, top, -(2.0**24), 100.0)
+    last = min(100.0, 2.0 ** format.channel_bits[-1] - 1)
+    color = (1.0, top, 0.0, last) if format.kind is ChannelKind.UINT else (-1.0, top, -(2.0**24), last)
     shader: type[Shader] = UintColored if format.kind is ChannelKind.UINT else IntColored
     with device.texture(SIZE, format) as image, device.mesh(rectangle(color=color)) as mesh:
         with device.render_pass(image):
             device.draw(device.program(shader), mesh)
-        stored = np.minimum(color[: format.channels], 2.0 ** np.array(format.channel_bits) - 1)
-        assert_same(channels_of(format, image.read()).reshape(16, -1), stored)
+        assert_same(channels_of(format, image.read()).reshape(16, -1), color[: format.channels])
 
 
 class Three(Struct):

@@ -35,6 +35,7 @@ from rhi.shading import (
     StorageRW,
     Struct,
     compile_shader,
+    draw_index,
     point_coordinate,
     shared,
     uint,
@@ -168,6 +169,16 @@ def test_there_is_a_most_of_targets(recording: Device) -> None:
         target.destroy()
 
 
+def test_targets_take_no_more_bytes_than_the_device_says(recording: Device) -> None:
+    most = recording.capabilities.max_target_bytes // 16
+    targets = [recording.texture(SIZE, Format.RGBA32F) for _ in range(most + 1)]
+    with refuses(rules.DEVICE_CAPABILITY, recording):
+        recording.render_pass(targets)
+    recording.render_pass(targets[:most])
+    for target in targets:
+        target.destroy()
+
+
 def test_states_that_the_device_lacks_are_refused(recording: Device) -> None:
     capabilities = recording.capabilities
     for state, lacking in (
@@ -221,10 +232,48 @@ class Inside(Shader):
         return vec4(point_coordinate(), vec2(0.0))
 
 
+class Numbered(Shader):
+    """Reads the index of the draw."""
+
+    def vertex(self) -> vec4:
+        return vec4(float(draw_index()), 0.0, 0.0, 1.0)
+
+    def fragment(self) -> vec4:
+        return vec4(1.0)
+
+
+class Early(Colored):
+    """Tests depth before it shades."""
+
+    early_depth = True
+
+
+class Kept(Shader):
+    """Stores in the vertex stage."""
+
+    values: StorageRW[float]
+
+    def vertex(self) -> vec4:
+        self.values[0] = 1.0
+        return vec4(0.0)
+
+    def fragment(self) -> vec4:
+        return vec4(1.0)
+
+
 @pytest.mark.needs("draws")
-@pytest.mark.parametrize("shader", [Dots, Inside])
-def test_sizes_of_points_need_a_device_that_has_them(recording: Device, shader: type[Shader]) -> None:
-    if recording.capabilities.max_point_size > 1.0:
+@pytest.mark.parametrize(
+    ("shader", "feature"),
+    [
+        (Dots, "max_point_size"),
+        (Inside, "max_point_size"),
+        (Numbered, "draw_index"),
+        (Early, "early_depth"),
+        (Kept, "vertex_writes"),
+    ],
+)
+def test_programs_need_a_device_that_has_what_they_use(recording: Device, shader: type[Shader], feature: str) -> None:
+    if float(getattr(recording.capabilities, feature)) > (1.0 if feature == "max_point_size" else 0.0):
         recording.program(shader).destroy()
     else:
         with refuses(rules.DEVICE_CAPABILITY, recording):

@@ -110,12 +110,12 @@ def _collect(stage: Stage, entry: tree.Function, finished: list[tree.Function], 
                     queue.append(callee)
                 case tree.BuiltinCall(builtin=builtin, arguments=arguments):
                     builtins.add(builtin)
-                    root = tree.root_of(arguments[0]) if arguments else None
-                    if isinstance(root, tree.BindingRead):
+                    source = tree.root_of(arguments[0]) if arguments else None
+                    if isinstance(source, tree.BindingRead):
                         if builtin.effect is SideEffect.WRITE:
-                            stored.add(root.declaration.name)
+                            stored.add(source.declaration.name)
                         elif builtin.name == "load":  # images are only named by what reads, stores or asks for a size
-                            loaded.add(root.declaration.name)
+                            loaded.add(source.declaration.name)
                 case tree.Constant(type=type, value=value) if type is INT and not -(2**31) <= value < 2**31:
                     allowed, tip = "an int of 32 bits", "write uint(…) for numbers above 2147483647"
                     refuse_at(rules.OUT_OF_RANGE, function.name, function.file, node.span, str(value), allowed, tip)

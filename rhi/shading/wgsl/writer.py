@@ -429,7 +429,13 @@ class WgslWriter(TextWriter):
             at = f"{at}.xy, {f'{at}.z' if whole else f'i32(floor({at}.z + 0.5))'}"
         if name == "load":
             level = "" if image else f", {texts[2] if len(texts) > 2 else '0'}"
-            return f"textureLoad({texture}, {at}{level})"
+            loaded = f"textureLoad({texture}, {at}{level})"
+            if len(rest) < 2 or isinstance(rest[1], tree.Constant):
+                return loaded
+            if tree.has_effect(rest[1]):
+                self.refuse(rest[1], "a level with a side effect", "assign it to a variable first")
+            # WebGPU lets a load from a level that doesn't exist return a texel of another one.
+            return f"select({self.type(node.type)}(), {loaded}, u32({texts[2]}) < textureNumLevels({texture}))"
         if name == "store":
             return f"textureStore({texture}, {at}, {texts[2]})"
         assert isinstance(type, TextureType)

@@ -57,9 +57,9 @@ def targets(count):
     return call
 
 
-def target(form):
+def target(*forms):
     def call(device):
-        with device.render_pass(device.texture((4, 4), form)):
+        with device.render_pass([device.texture((4, 4), form) for form in forms]):
             pass
 
     return call
@@ -128,6 +128,11 @@ def slots(kind, count):
         ("gl-3.3", scope(BlendFunction.ALPHA), None),
         ("gl-3.3", scope(BlendFunction.ALPHA.at(1)), "state-capability"),
         ("gl-4.5", scope(BlendFunction.ALPHA.at(1)), None),
+        ("webgpu", target(Format.RGBA32F, Format.R8, Format.RGBA8, Format.R8), None),  # 16 + 1 + 8 + 1 bytes
+        ("webgpu", target(Format.RGBA8, Format.RGB10A2, Format.RGBA16F, Format.RGBA8UI), None),  # 28
+        ("webgpu", target(Format.RGBA8, Format.R8, Format.RGBA32F, Format.R32F, Format.R8), "device-capability"),  # 33
+        ("webgpu", target(*[Format.RGBA8] * 5), "device-capability"),  # 40
+        ("gl-4.5", target(*[Format.RGBA32F] * 8), None),
         ("webgpu", scope(rhi.LineWidth(1.5)), "state-capability"),
         ("webgpu", scope(rhi.LineWidth(1.0)), None),
         ("webgpu", scope(rhi.PolygonMode.LINE), "state-capability"),
@@ -168,7 +173,7 @@ def test_profiles_are_named_as_they_are_asked_for():
     ("feature", "expected"),
     [
         ("shading", set()),
-        ("indirect_count", {"everything"}),
+        ("indirect_count", {"everything", "webgpu"}),
         ("depth_bias_clamp", {"everything", "webgpu"}),
         ("blend_per_target", {"everything", "gl-4.5", "webgpu"}),
     ],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 
 import rhi
 from rhi import Device, DeviceError, Format, Primitive, ShaderError
+from rhi.backends.null.capabilities import PROFILES
 from rhi.backends.wgpu import backend as wgpu_backend
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
@@ -54,6 +56,44 @@ def test_an_adapter_that_does_not_exist_is_refused_with_those_that_do(
     assert caught.value.rule.id == "device-driver"
     assert "'no such adapter'" in caught.value.given
     assert "mesa-vulkan-drivers" in caught.value.tip
+
+
+# -- devices -----------------------------------------------------------------------------------------------
+
+
+def test_the_core_profile_has_what_a_null_device_says_of_webgpu(usable: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RHI_WGPU_PROFILE", "core")
+    monkeypatch.setenv("RHI_SLOW_ANISOTROPY", "1")
+    known = PROFILES["webgpu"]
+    own = {"backend", "device", "driver", "shading", "passed_over", "left_out"}
+    with rhi.create_device("wgpu") as device:
+        names = {field.name for field in fields(known)} - own
+        assert {name: getattr(device.capabilities, name) for name in names} == {n: getattr(known, n) for n in names}
+        with device.texture(SIZE, Format.R8) as image, device.mesh(rectangle()) as mesh:
+            with device.render_pass(image):
+                device.draw(device.program(Colored), mesh)
+            assert (image.read() == 255).all()
+
+
+_PARSES = """
+import cffi.cparser
+parsed = []
+parse = cffi.cparser.Parser.parse_type
+cffi.cparser.Parser.parse_type = lambda self, text: parsed.append(text) or parse(self, text)
+import rhi
+device = rhi.create_device("wgpu")
+texture = device.texture((4, 4), rhi.Format.RGBA8)
+with device.render_pass(texture, clear=(1, 0, 0, 0)):
+    pass
+texture.read()
+print(len(parsed))
+"""
+
+
+def test_a_first_picture_parses_few_c_types(usable: None) -> None:
+    """Each takes as long as reading the names of all: fifty of them took most of the start."""
+    done = subprocess.run([sys.executable, "-c", _PARSES], capture_output=True, text=True, check=True)
+    assert 0 < int(done.stdout) <= 5
 
 
 # -- errors ------------------------------------------------------------------------------------------------

@@ -15,11 +15,13 @@ from rhi.contract.formats import Format
 from rhi.errors import ShaderError
 from rhi.shading import (
     Array,
+    Image2D,
     IntTexture2D,
     Shader,
     Storage,
     StorageRW,
     Struct,
+    Texture2D,
     Uniform,
     array,
     atomic_add,
@@ -27,6 +29,8 @@ from rhi.shading import (
     compile_shader,
     function,
     global_id,
+    image,
+    ivec2,
     mat2,
     memory_barrier,
     uint,
@@ -148,6 +152,32 @@ def test_choices_with_effects_are_statements_in_the_order_of_python(naga: Any) -
     assert text.count("atomicCompareExchangeWeak") == 3
     assert re.search(r"loop \{\s+let given\w* = i32\(4\);", text)  # the condition of `while` is evaluated in each turn
     naga.create_shader_module(code=text)
+
+
+class LoadsAndStores(Shader):
+    """Loads from a level that the device chooses, and from a known one; stores to an image that it doesn't read."""
+
+    source: Texture2D
+    at: Storage[int]
+    target: Image2D = image(Format.RGBA8)
+
+    def compute(self) -> None:
+        texel = ivec2(global_id().xy)
+        self.target.store(texel, self.source.load(texel, self.at[0]) + self.source.load(texel, 1))
+
+
+def test_a_level_that_may_not_exist_is_compared_with_those_there_are(naga: Any) -> None:
+    """WebGPU may load from another one instead; rhi promises zeros."""
+    text = text_of(LoadsAndStores)
+    naga.create_shader_module(code=text)
+    assert text.count("textureLoad(") == 2
+    assert text.count("< textureNumLevels(") == 1
+
+
+def test_an_image_that_is_only_stored_to_is_not_read() -> None:
+    """All devices of WebGPU can store texels of 8 bits, and few read and store them."""
+    assert "texture_storage_2d<rgba8unorm, write>" in text_of(LoadsAndStores)
+    assert [binding.reads for binding in compile_shader(LoadsAndStores).bindings] == [True, True, False]
 
 
 class SamplesIntegers(Shader):
