@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from inspect import signature
 
@@ -14,7 +14,7 @@ from renderer.techniques.inferred import check_scale
 from renderer.techniques.light_pre_pass import check_channels
 from renderer.techniques.parts.cell_lists import CLUSTERS, TILES, LightCells
 from renderer.techniques.parts.fxaa import Smoothed
-from renderer.techniques.parts.resolve import EXACT_BITS, check_bits
+from renderer.techniques.parts.resolve import EXACT_BITS, SUM_FORMATS, check_bits
 from renderer.techniques.table import TECHNIQUES
 from renderer.techniques.technique import Technique
 from rhi import Device, refuse
@@ -33,7 +33,7 @@ class TechniqueSettings:
             surfaces to them, too.
         specular_channels: 1 or 3, of `light_pre_pass`.
         light_bits: 16 or 32, the bits of a channel of light that `forward_multipass`, `deferred`, `light_pre_pass` and
-            `inferred` add up.
+            `inferred` add up; 16 on devices that can't blend 32.
         all_lights: whether `forward` looks at all lights of the scene for each fragment, instead of its object's list.
         stencil: whether `deferred` and `light_pre_pass` mask each light in a stencil buffer. depth_first: whether
             `clustered` draws depth before. multi_pass: whether `deferred_plus` shades each material by draws of its
@@ -73,7 +73,9 @@ class TechniqueSettings:
         return {"tiles": self.tiles, "clusters": self.clusters}.get(name)
 
     def make(self, scene: Scene, device: Device) -> Technique:
-        """Return the technique for a scene and a device."""
+        """Return the technique for a scene and a device. Light is added up in 16 bits if the device can't blend 32."""
+        if SUM_FORMATS[self.light_bits] in device.capabilities.unblendable_formats:
+            return replace(self, light_bits=16).make(scene, device)
         if self.samples == 1 and self.name == AutoTechnique.name:
             return AutoTechnique(scene, device, {name: partial(self.make_one, name) for name in CANDIDATES})
         return self.make_one(Forward.name if self.samples > 1 else self.name)

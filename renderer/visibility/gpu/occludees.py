@@ -245,9 +245,8 @@ class Occludees:
         self.marks = device.storage(uint, count, label="marks")
         self.cube = make_cube(device)
         self._lens = device.uniform(_lens(Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, -1.0))))
+        self._device = device
         self._find: Program[...] = device.program(find)
-        self._mark = device.program(MarkBoxes)
-        self._mark_listed = device.program(MarkListedBoxes)
 
     @property
     def groups(self) -> int:
@@ -276,7 +275,8 @@ class Occludees:
     def mark_all(self, encoder: Encoder, camera: UniformBuffer[BoxCamera], depth: Depth) -> None:
         """Mark the objects whose boxes are visible in the open pass; `camera` leads to its clip space."""
         with self._states(encoder, depth):
-            encoder.draw(self._mark, self.cube, self.count, camera=camera, boxes=self.boxes, marks=self.marks)
+            mark = self._device.program(MarkBoxes)
+            encoder.draw(mark, self.cube, self.count, camera=camera, boxes=self.boxes, marks=self.marks)
 
     def mark_listed(
         self,
@@ -289,7 +289,7 @@ class Occludees:
         """Mark like `mark_all`, for the boxes of `rows` only, whose number `draw` holds."""
         with self._states(encoder, depth):
             encoder.draw_indirect(
-                self._mark_listed,
+                self._device.program(MarkListedBoxes),
                 self.cube,
                 IndirectDraws(draw, 1),
                 camera=camera,

@@ -32,6 +32,11 @@ class TwoPassCulling(DeviceCulling):
         self._guessed = device.uniform(BoxCamera(relative_view_projection=np.eye(4)))
         self._exact = device.uniform(BoxCamera(relative_view_projection=np.eye(4)))
 
+    @staticmethod
+    def find_obstacle(device: Device) -> str | None:
+        """Return what a device lacks: also early depth tests, without which hidden boxes mark their objects."""
+        return DeviceCulling.find_obstacle(device) or (None if device.capabilities.early_depth else "early depth tests")
+
     def _aim(self, camera: Camera, size: tuple[int, int]) -> tuple[object, ...]:
         matrix, key = self._reprojected.aim(camera, size)
         self._guessed.write(BoxCamera(relative_view_projection=matrix))

@@ -17,7 +17,9 @@ from renderer.renderer import Renderer
 from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene, SceneBuilder, scaling, translation
 from renderer.techniques import TECHNIQUES, Deferred, DeferredPlus, Forward, Inferred, LightPrePass, Technique, inferred
 from renderer.techniques.parts import variants
-from renderer.visibility import ALGORITHMS, NoCulling, make_visibility
+from renderer.techniques.settings import TechniqueSettings
+from renderer.visibility import ALGORITHMS, NoCulling, list_algorithms, make_visibility
+from tests.renderer.conftest import open_device
 
 SIZE = (96, 64)
 OTHERS: dict[str, Callable[[], Technique]] = {
@@ -97,6 +99,24 @@ def test_random_lights_give_the_picture_of_forward_shading(
     builder = stage(textured=textured)
     add_random_lights(builder, 40, seed)
     check_all(drawing_device, builder.build())
+
+
+@pytest.mark.nightly
+def test_what_every_webgpu_has_suffices_for_all_but_packed_lists(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Light is added up in half floats there; the lists of `light_indexed` are numbers that need 32 bits."""
+    monkeypatch.setenv("RHI_WGPU_PROFILE", "core")
+    builder = stage()
+    add_random_lights(builder, 12, seed=4)
+    scene = builder.build()
+    with open_device("wgpu") as device:
+        names = [name for name in TECHNIQUES if name != "light_indexed"]
+        techniques = [TechniqueSettings(name, scale=1.0).make(scene, device) for name in names]
+        expected, *images = draw_each(device, scene, *techniques, camera=EYE, size=SIZE)
+        assert np.ptp(expected[:, :, :3]) > 20
+        assert max(find_difference(image, expected) for image in images) <= 3
+        assert {"two_pass", "conditional"} == ALGORITHMS.keys() - set(list_algorithms(device))
+        with pytest.raises(rhi.DeviceError, match="unblendable_formats"):
+            draw_each(device, scene, TechniqueSettings("light_indexed").make(scene, device), camera=EYE, size=SIZE)
 
 
 CAMERAS = {
