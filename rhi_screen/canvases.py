@@ -71,7 +71,7 @@ def open_canvas(
         ValidationError: `screen-canvas` if no canvas has this name.
         DeviceError: `screen-missing`, `screen-display` or `screen-driver`, with what to install.
     """
-    kind = kind or ("jupyter" if _is_notebook() else "window")
+    kind = kind or find_default()
     if kind not in CANVASES:
         refuse(SCREEN_CANVAS, f"rhi_screen.open_canvas({kind!r})", kind, ", ".join(CANVASES))
     return CANVASES[kind].load()(title=title, size=size, **options)
@@ -83,6 +83,7 @@ def find_loop(canvas: Canvas) -> Any:
     return widget._rc_canvas_group.get_loop()
 
 
-def _is_notebook() -> bool:
+def find_default() -> str:
+    """Return the kind of canvas that is opened if none is named."""
     shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
-    return getattr(shell, "kernel", None) is not None
+    return "window" if getattr(shell, "kernel", None) is None else "jupyter"

@@ -11,9 +11,10 @@ from weakref import WeakSet
 
 import rhi
 from rhi.errors import refuse
-from rhi_screen.canvases import Canvas, find_loop, open_canvas
+from rhi_screen.canvases import Canvas, find_default, find_loop, open_canvas
 from rhi_screen.rules import SCREEN_ERRORS, SCREEN_IMAGE, SCREEN_WINDOW
 from rhi_screen.statistics import FrameCounter
+from rhi_screen.surfaces import can_show_on_surface, open_surface
 from rhi_screen.targets import ScreenTargets
 from rhi_screen.video import VideoWriter
 
@@ -36,7 +37,8 @@ class Screen:
         Args:
             canvas: any canvas of rendercanvas.
             device: a backend's name: the device is created, and closed with the screen. "gl" in a window draws beside
-                the window's context. Or a device: its images are copied through the CPU, and it stays open.
+                the window's context, "wgpu" to its surface. Or a device: its images are copied through the CPU, and it
+                stays open.
             options: `rhi.create_device`'s.
         """
         self.canvas = canvas
@@ -53,7 +55,11 @@ class Screen:
             self.device = open_beside(**options)
         else:
             self.device = rhi.create_device(device, **options)
-        self._context = canvas.get_context(canvas.FRAMES if self._beside else "bitmap")
+        self._on_surface = self._owned and device == "wgpu" and can_show_on_surface(canvas)
+        if self._on_surface:
+            open_surface(canvas, self.device)
+        else:
+            self._context = canvas.get_context(canvas.FRAMES if self._beside else "bitmap")
 
     @property
     def size(self) -> tuple[int, int]:
@@ -138,6 +144,9 @@ class Screen:
         if self._beside:
             self.device.present(image)
             self._context.show_frame()
+            return
+        if self._on_surface:
+            self.device.present(None if self.canvas.get_closed() else image)
             return
         texels = image.read()
         self.device.present(image)
@@ -234,7 +243,9 @@ def open_screen(
     Raises:
         DeviceError: `screen-missing`, `screen-display`, `screen-driver` or `device-driver`, with what to install.
     """
-    opened = open_canvas(canvas, title=title, size=size, update_mode=update_mode, max_fps=max_fps, vsync=vsync)
+    kind = canvas or find_default()
+    chosen = {"opengl": False} if device == "wgpu" and kind == "window" else {}
+    opened = open_canvas(kind, title=title, size=size, update_mode=update_mode, max_fps=max_fps, vsync=vsync, **chosen)
     try:
         return Screen(opened, device, **options)
     except BaseException:

@@ -1,7 +1,7 @@
-"""A canvas of rendercanvas in a window of GLFW, with an OpenGL context of its own.
+"""A canvas of rendercanvas in a window of GLFW, with an OpenGL context of its own, or with none.
 
-- rendercanvas's own GLFW canvas shows pictures through Vulkan, by wgpu. This one needs OpenGL only, and a `gl` device
-  beside its context shows pictures without a copy through the CPU.
+- rendercanvas's own GLFW canvas shows pictures through wgpu. With a context, this one needs OpenGL only, and a `gl`
+  device beside it shows pictures without a copy through the CPU. Without one, a `wgpu` device does so.
 - What a frame costs here: a blit to the back buffer and a swap. Bitmaps are uploaded to one texture, once, and shown in
   the same way.
 - The size is asked for at each tick, right before the draw, so a frame is drawn in the size that the window has then.
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from rendercanvas.asyncio import loop
 from rendercanvas.base import BaseCanvasGroup, BaseRenderCanvas
 from rendercanvas.contexts import BaseContext
+from rendercanvas.glfw import get_glfw_present_info
 
 import rhi
 from rhi.errors import DeviceError, Rule
@@ -75,8 +76,11 @@ class Window(BaseRenderCanvas):  # type: ignore[misc]
     _rc_canvas_group = BaseCanvasGroup(loop)
     FRAMES: ClassVar = WindowFrames
 
-    def __init__(self, *arguments: Any, **options: Any) -> None:
+    def __init__(self, *arguments: Any, opengl: bool = True, **options: Any) -> None:
         """Open the window.
+
+        Args:
+            opengl: whether it has an OpenGL context; without one, it shows what wgpu draws to its surface.
 
         Raises:
             DeviceError: `screen-display` without a display, `screen-driver` without OpenGL.
@@ -86,7 +90,8 @@ class Window(BaseRenderCanvas):  # type: ignore[misc]
         self._bitmap: rhi.Texture | None = None
         self._cursor: Any = None
         self._place = (0, 0, 64, 64)
-        window = _open_window()
+        self._opengl = opengl
+        window = _open_window(opengl)
         try:
             super().__init__(*arguments, **options)
         except BaseException:
@@ -103,10 +108,11 @@ class Window(BaseRenderCanvas):  # type: ignore[misc]
         glfw.set_window_iconify_callback(window, self._on_iconify)
         self._measure()
         self._final_canvas_init()
-        glfw.make_context_current(window)
-        glfw.swap_interval(0)
-        glfw.swap_buffers(window)  # while it is hidden: the first back buffer has the size from before
-        glfw.swap_interval(1 if self._vsync else 0)
+        if opengl:
+            glfw.make_context_current(window)
+            glfw.swap_interval(0)
+            glfw.swap_buffers(window)  # while it is hidden: the first back buffer has the size from before
+            glfw.swap_interval(1 if self._vsync else 0)
         glfw.show_window(window)
         self._measure()
 
@@ -169,6 +175,8 @@ class Window(BaseRenderCanvas):  # type: ignore[misc]
             self._measure()
 
     def _rc_get_present_info(self, present_methods: list[str]) -> dict[str, Any] | None:
+        if not self._opengl:
+            return get_glfw_present_info(self._window) if "screen" in present_methods else None
         if "bitmap" in present_methods:
             return {"method": "bitmap", "formats": ["rgba-u8"]}
         return {"method": "screen", "swap": self._swap}
@@ -231,8 +239,8 @@ class Window(BaseRenderCanvas):  # type: ignore[misc]
         self._cursor = made
 
 
-def _open_window() -> Any:
-    """Open a hidden window with a context of EGL, or else of the system's other interface.
+def _open_window(opengl: bool) -> Any:
+    """Open a hidden window with a context of EGL, or else of the system's other interface; or without one.
 
     EGL first: a process that has used EGL on a thread, as devices without a window do, can't use GLX there.
     """
@@ -240,12 +248,15 @@ def _open_window() -> Any:
         warnings.simplefilter("always")  # GLFW's errors
         if not glfw.init():
             raise _unavailable(SCREEN_DISPLAY, told)
-        for interface in (glfw.EGL_CONTEXT_API, glfw.NATIVE_CONTEXT_API):
+        for interface in (glfw.EGL_CONTEXT_API, glfw.NATIVE_CONTEXT_API) if opengl else (None,):
             glfw.default_window_hints()
             glfw.window_hint(glfw.VISIBLE, False)
             glfw.window_hint(glfw.DEPTH_BITS, 0)
             glfw.window_hint(glfw.STENCIL_BITS, 0)
-            glfw.window_hint(glfw.CONTEXT_CREATION_API, interface)
+            if interface is None:
+                glfw.window_hint(glfw.CLIENT_API, glfw.NO_API)
+            else:
+                glfw.window_hint(glfw.CONTEXT_CREATION_API, interface)
             window = glfw.create_window(64, 64, "rhi", None, None)
             if window:
                 return window

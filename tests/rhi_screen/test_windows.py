@@ -19,6 +19,7 @@ from screens_kit import Display, WindowManager
 
 import rhi
 from rhi import Format
+from rhi.backends.wgpu import find_obstacle
 
 pytest.importorskip("rendercanvas", reason="no rendercanvas: pip install rhi[viewer]")
 
@@ -51,6 +52,13 @@ def windows(display: Display) -> Iterator[Check]:
         yield run
 
 
+@pytest.fixture(autouse=True)
+def can_run(request: pytest.FixtureRequest) -> None:
+    """Skip tests on wgpu where nothing draws by it."""
+    if "wgpu" in request.node.nodeid and (obstacle := find_obstacle()) is not None:
+        pytest.skip(obstacle)
+
+
 def play(screen: Screen, steps: Iterator[None]) -> None:
     """Run the screen's loop; each draw is a step, and the last one closes the window."""
 
@@ -61,21 +69,25 @@ def play(screen: Screen, steps: Iterator[None]) -> None:
     screen.run(draw)
 
 
-def make_image(screen: Screen, seed: int = 1) -> rhi.Texture:
+def make_image(screen: Screen, seed: int = 1, format: Format = Format.RGBA8) -> rhi.Texture:
     """Return an image of noise, as large as the screen."""
     width, height = screen.size
     texels = np.random.default_rng(seed).integers(0, 256, (height, width, 4), np.uint8)
-    return screen.device.texture(texels, Format.RGBA8)
+    return screen.device.texture(texels, format)
+
+
+def window_place(screen: Screen) -> tuple[int, int]:
+    import glfw
+
+    x, y = glfw.get_window_pos(screen.canvas._window)
+    return x, y
 
 
 def shows(display: Display, screen: Screen, image: rhi.Texture) -> bool:
     """Whether the window's pixels on the screen are, or become without another frame, the image's."""
-    import glfw
-
     wanted = image.read()[..., :3]
     for _ in range(100):
-        place = glfw.get_window_pos(screen.canvas._window)
-        seen = display.look(*place, *screen.size)
+        seen = display.look(*window_place(screen), *screen.size)
         if seen.shape == wanted.shape and (seen == wanted).all():
             return True
         time.sleep(0.02)
@@ -117,8 +129,8 @@ def check_logged_errors(display: Display) -> None:
         assert len(draws) == 4
 
 
-def check_full_screen(display: Display) -> None:
-    with open_screen("gl", size=SIZE, update_mode="fastest") as screen:
+def check_full_screen(display: Display, backend: str) -> None:
+    with open_screen(backend, size=SIZE, update_mode="fastest") as screen:
 
         def steps() -> Iterator[None]:
             for full, size in ((True, (640, 480)), (True, (640, 480)), (False, SIZE)):
@@ -134,8 +146,9 @@ def check_full_screen(display: Display) -> None:
         play(screen, steps())
 
 
-def test_a_window_fills_its_display_and_comes_back(windows: Check) -> None:
-    windows(check_full_screen)
+@pytest.mark.parametrize("backend", ["gl", "wgpu"])
+def test_a_window_fills_its_display_and_comes_back(windows: Check, backend: str) -> None:
+    windows(check_full_screen, backend)
 
 
 def test_an_error_in_a_draw_ends_the_loop_and_is_raised(windows: Check) -> None:
@@ -151,8 +164,8 @@ def check_pixels(display: Display, backend: str) -> None:
         assert screen.size == SIZE
 
         def steps() -> Iterator[None]:
-            for seed in range(3):
-                image = make_image(screen, seed)
+            for seed, format in enumerate((Format.RGBA8, Format.RGBA8_SRGB, Format.RGBA8)):
+                image = make_image(screen, seed, format)
                 screen.show(image)
                 yield
                 assert shows(display, screen, image), f"frame {seed}"
@@ -320,8 +333,8 @@ def check_closing(_display: Display, backend: str) -> None:
         assert image.read().shape == (48, 64, 4), "the device lives on"
 
 
-def check_two(display: Display) -> None:
-    with open_screen("gl", size=SIZE, update_mode="fastest") as one, open_screen("gl", size=(30, 20)) as other:
+def check_two(display: Display, backend: str) -> None:
+    with open_screen(backend, size=SIZE, update_mode="fastest") as one, open_screen(backend, size=(30, 20)) as other:
         import glfw
 
         glfw.set_window_pos(other.canvas._window, 200, 100)
@@ -371,12 +384,12 @@ def check_many(_display: Display, count: int) -> None:
     assert (memory().rss - before) / count < 200_000
 
 
-@pytest.mark.parametrize("backend", ["gl", "null"])
+@pytest.mark.parametrize("backend", ["gl", "null", "wgpu"])
 def test_the_windows_pixels_are_the_frames(windows: Check, backend: str) -> None:
     windows(check_pixels, backend)
 
 
-@pytest.mark.parametrize("backend", ["gl", "null"])
+@pytest.mark.parametrize("backend", ["gl", "null", "wgpu"])
 def test_the_first_frame_after_a_resize_has_the_new_size(windows: Check, backend: str) -> None:
     windows(check_resize, backend)
 
@@ -401,13 +414,36 @@ def test_a_minimised_window_draws_nothing(windows: Check) -> None:
     windows(check_minimised)
 
 
-@pytest.mark.parametrize("backend", ["gl", "null"])
+@pytest.mark.parametrize("backend", ["gl", "null", "wgpu"])
 def test_a_window_that_is_closed_ends_the_loop(windows: Check, backend: str) -> None:
     windows(check_closing, backend)
 
 
-def test_two_windows_show_what_their_own_devices_draw(windows: Check) -> None:
-    windows(check_two)
+@pytest.mark.parametrize("backend", ["gl", "wgpu"])
+def test_two_windows_show_what_their_own_devices_draw(windows: Check, backend: str) -> None:
+    windows(check_two, backend)
+
+
+def check_surface(display: Display) -> None:
+    with open_screen("wgpu", size=SIZE, update_mode="fastest") as screen:
+        image = screen.device.texture((SIZE[0] // 2, SIZE[1] // 2), Format.RGBA8)
+
+        def steps() -> Iterator[None]:
+            for shade in (0.2, 1.0):
+                with screen.device.render_pass(image, clear=(shade, 0.4, 0.6, 0.0)):
+                    pass
+                with pytest.MonkeyPatch.context() as patch:
+                    patch.setattr(rhi.Texture, "read", lambda *_: pytest.fail("the CPU copies the picture"))
+                    screen.show(image)
+                yield
+            texels = np.broadcast_to(np.uint8([255, 102, 153]), (*SIZE[::-1], 3))
+            assert (display.look(*window_place(screen), *SIZE) == texels).all(), "scaled, and opaque"
+
+        play(screen, steps())
+
+
+def test_wgpu_shows_on_the_window_s_surface(windows: Check) -> None:
+    windows(check_surface)
 
 
 @pytest.mark.parametrize(

@@ -17,8 +17,9 @@ from rhi.backends.wgpu.bindings import BoundResources
 from rhi.backends.wgpu.buffers import Buffers
 from rhi.backends.wgpu.capabilities import query_capabilities
 from rhi.backends.wgpu.draws import Draws
+from rhi.backends.wgpu.errors import translate_errors
 from rhi.backends.wgpu.host import Host
-from rhi.backends.wgpu.native import Fence, Mappings, release
+from rhi.backends.wgpu.native import Fence, GpuObject, Mappings, release
 from rhi.backends.wgpu.pipelines import Pipelines, States
 from rhi.backends.wgpu.programs import GpuProgram
 from rhi.backends.wgpu.queries import Queries
@@ -38,7 +39,7 @@ from rhi.contract.descriptors import (
     TextureDescriptor,
     VertexArrayDescriptor,
 )
-from rhi.contract.formats import Format
+from rhi.contract.formats import ChannelKind, Format
 from rhi.contract.states import StateChange
 
 _FIRST_PAUSE: Final = 2e-5
@@ -50,9 +51,12 @@ class WgpuBackend:
 
     Attributes:
         device: wgpu-py's device, for what only wgpu has.
+        find_surface: returns the texture of a window that the next image is shown in, given whether it should encode
+            sRGB. None: `present` shows nothing.
     """
 
     def __init__(self, host: Host) -> None:
+        self.find_surface: Callable[[bool], GpuObject] | None = None
         device = self.device = host.device
         self._fence = Fence(device)
         mappings = Mappings()
@@ -207,4 +211,9 @@ class WgpuBackend:
         raise NotImplementedError("end_conditional")
 
     def present(self, texture: Id) -> None:
+        if texture and self.find_surface is not None:
+            source = self._textures.view(texture, "2d", 0, 1, 0, 1)
+            with translate_errors("device.present"):
+                is_srgb = self._textures.objects[texture].descriptor.format.kind is ChannelKind.SRGB
+                self._tools.show(self._stream.outside(), source, self.find_surface(is_srgb))
         self._stream.submit()

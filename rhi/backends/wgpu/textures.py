@@ -231,7 +231,7 @@ class Textures:
         data = self._buffers.collect(staging, size)
         rows = np.frombuffer(data, np.uint8).reshape(r.layers, r.height, padded)[:, :, :row]
         shape = (r.layers, r.height, r.width, format.components)
-        return np.ascontiguousarray(rows).view(format.dtype).reshape(shape)
+        return rows.copy().view(format.dtype).reshape(shape)  # rows without padding would be read-only
 
     @staticmethod
     def _copy_out(

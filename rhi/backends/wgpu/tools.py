@@ -3,7 +3,7 @@
 - Depth is read by a compute stage, since copies of 24-bit depth don't exist; stencil too.
 - A part of a depth texture is copied by drawing it. Stencil has no output, so it is drawn bit by bit: bits are zeroed,
   then replaced where a fragment finds a one.
-- Mip levels are drawn from the level above, if the format can be drawn to.
+- Mip levels are drawn from the level above, if the format can be drawn to; images are drawn to windows.
 - Arguments of indirect draws are listed tightly, with no instances beyond the count.
 - Indices of quads are expanded to triangles.
 """
@@ -78,6 +78,15 @@ fn taps(at: u32, size: u32) -> vec3<f32> {{  // weights of the texels from 2 at 
     }}
   }}
   return sum;
+}}
+"""
+_SHOW: Final = f"""
+@group(0) @binding(0) var source: texture_2d<f32>;
+@group(0) @binding(1) var<uniform> p: vec4<u32>;  // the target's size
+{_TRIANGLE}
+@fragment fn fs(@builtin(position) at: vec4<f32>) -> @location(0) vec4<f32> {{
+  let texel = vec2<f32>(textureDimensions(source)) * at.xy / vec2<f32>(p.xy);
+  return vec4<f32>(textureLoad(source, vec2<i32>(texel), 0).rgb, 1.0);
 }}
 """
 LIST_DRAWS: Final = """
@@ -156,11 +165,19 @@ class Tools:
 
     def halve(self, encoder: GpuObject, form: str, source: GpuObject, target: GpuObject) -> None:
         """Draw a level of a texture from the view of the one above."""
-        pipeline = self.find(("halve", form), lambda: self._render_pipeline(_HALVE, [{"format": form}], None))
+        self._draw(encoder, _HALVE, form, [source], target)
+
+    def show(self, encoder: GpuObject, source: GpuObject, target: GpuObject) -> None:
+        """Draw what a view shows to all of a texture of any size, opaque."""
+        size = self.constants([*target.size[:2], 0, 0])
+        self._draw(encoder, _SHOW, target.format, [source, size], target.create_view())
+
+    def _draw(self, encoder: GpuObject, code: str, form: str, resources: Sequence[object], target: GpuObject) -> None:
+        pipeline = self.find((code, form), lambda: self._render_pipeline(code, [{"format": form}], None))
         color = {"view": target, "load_op": "clear", "store_op": "store"}
         render = encoder.begin_render_pass(color_attachments=[color])
         render.set_pipeline(pipeline)
-        render.set_bind_group(0, self.group(pipeline, [source]))
+        render.set_bind_group(0, self.group(pipeline, resources))
         render.draw(3)
         render.end()
 

@@ -63,11 +63,13 @@ def test_every_size_reads_back_as_written(device: Device, size: tuple[int, int])
         assert_same(texture.read(), data)
 
 
-def test_a_texture_can_be_made_from_its_texels(device: Device) -> None:
-    data = random_texels(Format.RGBA8, 3, 6)
+@pytest.mark.parametrize("width", [6, 64])
+def test_a_texture_can_be_made_from_its_texels_and_what_is_read_can_be_changed(device: Device, width: int) -> None:
+    data = random_texels(Format.RGBA8, 3, width)
     with device.texture(data, Format.RGBA8) as texture:
-        assert texture.size == (6, 3)
+        assert texture.size == (width, 3)
         assert_same(texture.read(), data)
+        texture.read()[:] = 0
 
 
 @pytest.mark.parametrize("format", [Format.R8, Format.RGBA8, Format.R16, Format.RGBA32F], ids=identity)
