@@ -20,7 +20,7 @@ class ShowsOnSurfaces(Protocol):
 def can_show_on_surface(canvas: Canvas) -> bool:
     """Return whether a canvas is a window that surfaces can be made for."""
     widget: Any = getattr(canvas, "_subwidget", canvas)
-    return "window" in (widget._rc_get_present_info(["screen"]) or ())
+    return "window" in (widget._rc_get_present_info(["screen", "bitmap"]) or ())  # as each prefers
 
 
 def open_surface(canvas: Canvas, device: rhi.Device) -> None:
