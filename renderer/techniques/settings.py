@@ -74,7 +74,7 @@ class TechniqueSettings:
 
     def make(self, scene: Scene, device: Device) -> Technique:
         """Return the technique for a scene and a device. Light is added up in 16 bits if the device can't blend 32."""
-        if SUM_FORMATS[self.light_bits] in device.capabilities.unblendable_formats:
+        if self.light_bits > 16 and SUM_FORMATS[self.light_bits] in device.capabilities.unblendable_formats:
             return replace(self, light_bits=16).make(scene, device)
         if self.samples == 1 and self.name == AutoTechnique.name:
             return AutoTechnique(scene, device, {name: partial(self.make_one, name) for name in CANDIDATES})
