@@ -59,7 +59,8 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, set[int]]:
             (folder / f"{suite.__name__}_{number}.py").write_text(apply(source, file))
     (folder / "pyrightconfig.json").write_text(json.dumps({"extraPaths": [str(ROOT)], "pythonVersion": "3.11"}))
     environment = os.environ | {"PYRIGHT_PYTHON_IGNORE_WARNINGS": "1"}
-    command = [sys.executable, "-m", "pyright", "--outputjson", "-p", str(folder)]
+    own = ["--pythonpath", sys.executable]  # not the first that PATH has, which may lack NumPy
+    command = [sys.executable, "-m", "pyright", "--outputjson", "-p", str(folder), *own]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     lines: dict[str, set[int]] = {}
     for row in json.loads(done.stdout)["generalDiagnostics"]:
