@@ -2,10 +2,14 @@
 
 - `bare moderngl`: a loop that binds a range of a uniform buffer and renders a vertex array. It is the reference.
 - `device.draw`, `program.draw`: the same draws through rhi. Each has its own vertex buffer and its own constants.
+- `device.draw, one mesh`, `scope around device.draw`: the same with one vertex buffer for all, and with a state each.
 - `device.draw_many`: as many draws of one shared mesh in one call, with the constants as instance attributes.
 - `bare, constants set`, `device.draw, value`: each draw's two constants are numbers of Python. The bare loop sets two
   uniforms of its program, ours passes a struct that is made for the draw; the first is the reference of the second.
 - `scope of 3 states`: entering and leaving `device.states` with 3 states, without a draw.
+
+With --wgpu the same draws on wgpu take turns with these, and with `bare wgpu-py`: its public calls, with objects of its
+own. They are timed until the pass ends, without its submission.
 
 The rows on `null` have what a scope of each kind costs around nothing, its creation included, on a device without a
 recorder, so that no driver hides it. Their reference is `empty block`: a Python `with` block that does nothing. `ratio`
@@ -17,7 +21,7 @@ the same round. The device is finished between rounds, outside of the measured t
 work on the same cores. Triangles stop before the rasteriser unless --rasterize is given: filling pixels costs all
 variants the same, and would hide the differences.
 
-    python benchmarks/draw_cost.py [--json] [--draws 2000] [--triangles 10] [--rounds 41] [--rasterize]
+    python benchmarks/draw_cost.py [--json] [--draws 2000] [--triangles 10] [--rounds 41] [--rasterize] [--wgpu]
 """
 
 from __future__ import annotations
@@ -262,11 +266,11 @@ def make_bare_wgpu(work: Work, opened: ExitStack) -> tuple[Callable[[], None], C
 def measure_draws(given: argparse.Namespace) -> Iterator[Record]:
     """Yield the microseconds per draw of each variant, and its ratio to the bare loop."""
     work = Work("gl", given.draws, given.triangles)
-    own = work.device.backend_as(GlBackend)
+    devices, own = [work.device], work.device.backend_as(GlBackend)
     with ExitStack() as opened:
+        variants = work.list_variants()
         work.open_pass(opened)
-        for constants in work.list_variants().values():  # makes the vertex arrays that the bare loop draws
-            constants()
+        variants["device.draw"]()  # makes the vertex arrays that the bare loop draws
         opened.close()
         bare_program = own.context.program(vertex_shader=BARE_VERTEX, fragment_shader=BARE_FRAGMENT)
         position = own.context.buffer(work.corners[0].tobytes())
@@ -296,9 +300,10 @@ def measure_draws(given: argparse.Namespace) -> Iterator[Record]:
 
         if not given.rasterize:
             own.gl.Enable(RASTERIZER_DISCARD)
-        rows = subjects(work, {"bare moderngl": make_bare_gl(work), **work.list_variants()})
+        rows = subjects(work, {"bare moderngl": make_bare_gl(work), **variants})
         if given.wgpu:
             other = Work("wgpu", given.draws, given.triangles)
+            devices.append(other.device)
             bare, open_bare = make_bare_wgpu(other, opened)
             rows.append(Subject({"on": "wgpu", "variant": "bare wgpu-py"}, lambda _: bare(), open_bare))
             rows += subjects(other, other.list_variants())
@@ -308,7 +313,8 @@ def measure_draws(given: argparse.Namespace) -> Iterator[Record]:
             subjects(work, {"bare, constants set": bare_constants, "device.draw, value": through_values})
         )
         gc.enable()
-    work.device.close()
+    for device in devices:
+        device.close()
     yield from costs
 
 

@@ -40,10 +40,9 @@ def require_targets(device: Device, formats: Iterable[Format]) -> None:
         pytest.skip(f"{device.backend_name} declares max_target_bytes {device.capabilities.max_target_bytes}")
 
 
-def require_images(device: Device, format: Format, loaded: bool = False) -> None:
-    """Skip the test if images can't have this format, or be loaded from as well as stored to where `loaded`."""
-    limits = device.capabilities
-    if format in limits.unstorable_formats or (loaded and format in limits.unloadable_formats):
+def require_images(device: Device, format: Format) -> None:
+    """Skip the test if images can't have this format."""
+    if format in device.capabilities.unstorable_formats:
         pytest.skip(f"{device.backend_name} declares images of {format.name} unsupported")
 
 

@@ -152,3 +152,4 @@ class IndexFormat(Choice):
 
 COLOR_FORMATS: Final = tuple(f for f in Format if not f.is_depth)
 DEPTH_FORMATS: Final = tuple(f for f in Format if f.is_depth)
+FLOAT32_FORMATS: Final = frozenset({Format.R32F, Format.RG32F, Format.RGBA32F})

@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from rhi.contract.backend import Capabilities
-from rhi.contract.formats import COLOR_FORMATS, ChannelKind, Format
+from rhi.contract.formats import COLOR_FORMATS, FLOAT32_FORMATS, ChannelKind, Format
 from rhi.errors import refuse
 from rhi.errors.rules import DEVICE_ARGUMENT
 
@@ -25,7 +25,6 @@ _SNORM: Final = frozenset(form for form in Format if form.kind is ChannelKind.SN
 _UNORM16: Final = frozenset(f for f in Format if f.kind is ChannelKind.UNORM and f.channel_bits[0] == 16)
 _FLOAT: Final = frozenset(form for form in Format if form.kind is ChannelKind.FLOAT)
 
-_FLOAT32: Final = frozenset({Format.R32F, Format.RG32F, Format.RGBA32F})
 _INTEGERS: Final = frozenset(form for form in COLOR_FORMATS if form.is_integer)
 _WORDS: Final = frozenset({Format.R32F, Format.R32UI, Format.R32I})
 _STORED: Final = _WORDS | {
@@ -77,8 +76,8 @@ PROFILES: Final[Mapping[str, Capabilities]] = {
         blend_per_target=True, conditional_rendering=False, timestamps=False, stencil_per_face=False,
         precise_triangles=False, precise_clipping=False, precise_lines=False, list_restart=False, border_colors=False,
         draw_index=False, early_depth=False, vertex_writes=False, unsupported_formats=_UNORM16 | {Format.D32FS8},
-        unrenderable_formats=_SNORM | _UNORM16 | {Format.R11G11B10F}, unfilterable_formats=_FLOAT32,
-        unblendable_formats=_FLOAT32, unresolvable_formats=_INTEGERS - _WIDE | {Format.R32F},
+        unrenderable_formats=_SNORM | _UNORM16 | {Format.R11G11B10F}, unfilterable_formats=FLOAT32_FORMATS,
+        unblendable_formats=FLOAT32_FORMATS, unresolvable_formats=_INTEGERS - _WIDE | {Format.R32F},
         single_sampled_formats=_WIDE, unstorable_formats=_UNSTORED, unloadable_formats=_UNLOADED,
     ),
     "opencl-cpu": replace(

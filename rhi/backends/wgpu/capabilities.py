@@ -15,7 +15,7 @@ from rhi.contract.backend import SAMPLE_COUNTS, Capabilities
 from rhi.contract.blocks import CompressedFormat
 from rhi.contract.descriptors import TextureDescriptor, TextureKind
 from rhi.contract.driver_faults import limit_anisotropy, list_block_faults
-from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, ChannelKind, Format
+from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, FLOAT32_FORMATS, ChannelKind, Format
 from rhi.contract.states import MAX_TARGETS
 
 _MOST_STORAGE: Final = 16
@@ -27,7 +27,6 @@ _TRIANGLE: Final = """
 @vertex fn vs() -> @builtin(position) vec4<f32> { return vec4<f32>(); }
 @fragment fn fs() -> @location(0) vec4<f32> { return vec4<f32>(); }
 """
-_FLOATS: Final = frozenset({Format.R32F, Format.RG32F, Format.RGBA32F})
 _ALWAYS_BLEND: Final = frozenset(
     {Format.R8, Format.RG8, Format.RGBA8, Format.RGBA8_SRGB, Format.R16F, Format.RG16F, Format.RGBA16F, Format.RGB10A2}
 )
@@ -100,7 +99,7 @@ def query_capabilities(host: Host, textures: Textures) -> Capabilities:
         compressed_formats=frozenset(CompressedFormat) if blocks and not block_faults else frozenset(),
         unsupported_formats=unsupported,
         unrenderable_formats=unsupported & frozenset(COLOR_FORMATS) | unrenderable,
-        unfilterable_formats=frozenset() if "float32-filterable" in features else _FLOATS,
+        unfilterable_formats=frozenset() if "float32-filterable" in features else FLOAT32_FORMATS,
         unblendable_formats=frozenset(f for f in targets if not f.is_depth and not formats.blends(f)),
         single_sampled_formats=single,
         unresolvable_formats=frozenset(f for f in many if not f.is_depth and not formats.resolves(f)),

@@ -409,13 +409,18 @@ class NumberedDraws(Numbered):
         return FlatShade(clip=v.position, color=color)
 
 
+def numbered(device: Device) -> Any:
+    """Return the program of `NumberedDraws`, or of `Numbered` where vertices don't know the index of the draw."""
+    return device.program(NumberedDraws if device.capabilities.draw_index else Numbered)
+
+
 def test_a_shader_knows_its_vertex_and_instance(device: Device) -> None:
     with (
         device.texture(ROW, Format.RGBA32F) as image,
         device.mesh(corners(CENTERS), np.array([1, 2, 3], "u2"), primitive=Primitive.POINTS) as mesh,
     ):
         with device.render_pass(image):
-            device.draw(device.program(Numbered), mesh.view(1, 2, base_vertex=2, base_instance=10), 3)
+            device.draw(numbered(device), mesh.view(1, 2, base_vertex=2, base_instance=10), 3)
         # Vertices 2 and 3 plus the base vertex 2. The last of three instances is visible. Instance indices include
         # the base instance.
         assert_same(image.read()[0, 4], (4, 12, 0, 1))
@@ -428,7 +433,7 @@ def test_without_indices_vertices_count_from_the_first_of_the_buffer(device: Dev
         device.mesh(corners(CENTERS), primitive=Primitive.POINTS) as mesh,
     ):
         with device.render_pass(image):
-            device.draw(device.program(Numbered), mesh.view(3, 2))
+            device.draw(numbered(device), mesh.view(3, 2))
         assert_same(image.read()[0, 3:5], [(3, 0, 0, 1), (4, 0, 0, 1)])
 
 
@@ -462,11 +467,11 @@ def test_many_draws_draw_what_each_says(device: Device) -> None:
         draws = mesh.draws([0, 1, 0], [1, 2, 4], base_vertex=[0, 0, 4], base_instance=[5, 6, 7])
         draws["instances"][1] = 0
         with device.render_pass(image):
-            device.draw_many(device.program(Numbered), mesh, draws)
+            device.draw_many(numbered(device), mesh, draws)
         row = image.read()[0]
     assert_same(row[0], (0, 5, 0, 1))
     assert_same(row[1:4], 0)
-    assert_same(row[4:], [(4 + i, 7, 0, 1) for i in range(4)])
+    assert_same(row[4:], [(4 + i, 7, 2 * device.capabilities.draw_index, 1) for i in range(4)])
 
 
 @pytest.mark.needs("draw_index")
@@ -478,7 +483,7 @@ def test_the_same_draws_in_another_order_have_other_numbers(device: Device, indi
     ):
         for order in ([0, 1, 2], [2, 0, 1], [1], [2, 0, 1]):
             with device.render_pass(image, clear=(0, 0, 0, 0)):
-                device.draw_many(device.program(NumberedDraws), mesh, mesh.draws(order, 1))
+                device.draw_many(numbered(device), mesh, mesh.draws(order, 1))
             for number, first in enumerate(order):
                 assert_same(image.read()[0, first], (first, 0, number, 1))
 
@@ -489,10 +494,10 @@ def test_many_draws_without_indices(device: Device) -> None:
         device.mesh(corners(CENTERS), primitive=Primitive.POINTS) as mesh,
     ):
         with device.render_pass(image):
-            device.draw_many(device.program(Numbered), mesh, mesh.draws([6, 0], [2, 1], base_instance=[3, 9]))
+            device.draw_many(numbered(device), mesh, mesh.draws([6, 0], [2, 1], base_instance=[3, 9]))
         row = image.read()[0]
     assert_same(row[6:], [(6, 3, 0, 1), (7, 3, 0, 1)])
-    assert_same(row[0], (0, 9, 0, 1))
+    assert_same(row[0], (0, 9, int(device.capabilities.draw_index), 1))
     assert_same(row[1:6], 0)
 
 
@@ -514,7 +519,7 @@ def test_each_clipped_draw_is_cut_by_its_own_rectangle(device: Device, primitive
         device.texture(ROW, Format.RGBA16F) as expected,
         device.mesh(rows, indices, primitive=primitive) as mesh,
     ):
-        program = device.program(Numbered)
+        program = numbered(device)
         draws = mesh.draws(count, count, base_instance=np.arange(6))
         with device.states(BlendFunction.ADDITIVE, CullMode.NONE):
             with device.render_pass(image, clear=(0, 0, 0, 0)):
@@ -553,7 +558,7 @@ def test_clipped_draws_are_assembled_as_others(
         device.texture(ROW, Format.RGBA16F) as expected,
         device.mesh(rows, both, primitive=primitive) as mesh,
     ):
-        program = device.program(Numbered)
+        program = numbered(device)
         if written_by == "device" and mesh.indices is not None:
             device.buffer(both).copy_to(mesh.indices)
         firsts, bases, instances = [count, 0], [4, 0], [2, 3]
@@ -573,7 +578,7 @@ def test_clipped_draws_are_assembled_as_others(
 
 def test_after_clipped_draws_the_scissor_is_the_one_around_them(device: Device) -> None:
     with device.texture(ROW, Format.RGBA16F) as image, device.mesh(rectangle()) as mesh:
-        program = device.program(Numbered)
+        program = numbered(device)
         with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(BlendFunction.ADDITIVE):
             with device.states(Scissor(4, 0, 2, 1)):
                 device.draw_clipped(program, mesh, mesh.draws([0, 0], 6), [(0, 0, 1, 1), (1, 0, 2, 1)])
@@ -584,7 +589,7 @@ def test_after_clipped_draws_the_scissor_is_the_one_around_them(device: Device) 
 
 def test_clipped_draws_of_a_transient_mesh_see_its_vertices(device: Device) -> None:
     with device.texture(ROW, Format.RGBA32F) as image:
-        program = device.program(Numbered)
+        program = numbered(device)
         for first in (0, 2):
             mesh = device.transient.mesh(program, corners(CENTERS[first:]), primitive=Primitive.POINTS)
             with device.render_pass(image, clear=(0, 0, 0, 0)):

@@ -159,19 +159,12 @@ def test_formats_that_cannot_be_drawn_to_are_refused(recording: Device) -> None:
             recording.render_pass(texture)
 
 
-def test_there_is_a_most_of_targets(recording: Device) -> None:
-    most = recording.capabilities.max_color_targets
-    targets = [recording.texture(SIZE, Format.R8) for _ in range(most + 1)]
-    with refuses(rules.DEVICE_CAPABILITY, recording):
-        recording.render_pass(targets)
-    recording.render_pass(targets[:most])
-    for target in targets:
-        target.destroy()
-
-
-def test_targets_take_no_more_bytes_than_the_device_says(recording: Device) -> None:
-    most = recording.capabilities.max_target_bytes // 16
-    targets = [recording.texture(SIZE, Format.RGBA32F) for _ in range(most + 1)]
+@pytest.mark.parametrize(
+    ("format", "limit", "each"), [(Format.R8, "max_color_targets", 1), (Format.RGBA32F, "max_target_bytes", 16)]
+)
+def test_targets_are_no_more_than_the_device_says(recording: Device, format: Format, limit: str, each: int) -> None:
+    most = getattr(recording.capabilities, limit) // each
+    targets = [recording.texture(SIZE, format) for _ in range(most + 1)]
     with refuses(rules.DEVICE_CAPABILITY, recording):
         recording.render_pass(targets)
     recording.render_pass(targets[:most])
